@@ -192,12 +192,12 @@ def outcome(name: str, cell: Cell, number: int, limits: dict[str, float]) -> dic
     return found | {"named": list(told.named), "is_common": told.is_common}
 
 
-def limits_of(name: str, motors: int = CALIBRATED_ON, nights: int = YEAR) -> dict[str, float]:
+def limits_of(name: str) -> dict[str, float]:
     """Limits with which the charts of healthy motors alarm at the rate."""
     course = CELLS["healthy"].course(0)
     highest: dict[str, list[Array]] = {}
-    for number in range(motors):
-        made = nights_of(MACHINES[name], course, (SEED + 1, number), range(nights))
+    for number in range(CALIBRATED_ON):
+        made = nights_of(MACHINES[name], course, (SEED + 1, number), range(YEAR))
         for method, values in charts(made, BASELINE).items():
             highest.setdefault(method, []).append(np.maximum.accumulate(values[BASELINE:]))
     return {method: _limit(np.array(paths)) for method, paths in highest.items()}

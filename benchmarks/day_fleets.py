@@ -34,12 +34,6 @@ def write_day(folder: Path, minutes: float, rate_hz: float, *formats: str) -> No
     writing._write_nights(folder / "demo" / "logs", nights)
 
 
-def search_every_night(config: Path) -> None:
-    """Have the search of a demo's config made on every night, not now and then as an audit."""
-    text = config.read_text("utf-8")
-    config.write_text(re.sub("(starting_points.*)", r"\1\nsearch_every_nights = 1", text), "utf-8")
-
-
 def log_of(day: Path, name: str) -> Path:
     """The log of a day in a format."""
     (log,) = (day / "demo" / "logs" / MOTORS[name]).iterdir()

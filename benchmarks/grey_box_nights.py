@@ -104,7 +104,7 @@ def night_rows(night: Night, label: dt.date) -> dict[str, list[dict[str, object]
         NO_SEARCH,
         np.random.default_rng(0),
     )
-    fit, verdicts = found.fit, found.identification
+    fit, verdicts = found.fit, found.identified(excitation)
     temperature, pressure, speed = night.means.mean(axis=0).tolist()
     active = ~(fit.certificate.fixed | fit.certificate.at_lower | fit.certificate.at_upper)
     response = temperature_response(

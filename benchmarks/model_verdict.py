@@ -29,6 +29,7 @@ from benchmarks.simulated_nights import (
 from leakage import Motor, OperatingConditions, SpeedCurve, regressors
 from leakage.estimation.block_statistics import factors, merge, with_free_known
 from leakage.estimation.certificate import certify
+from leakage.estimation.error_sources import ChannelTolerance, Tolerances
 from leakage.estimation.model_verdict import (
     COEFFICIENT_FACTOR,
     LEAKAGE_FACTOR,
@@ -39,7 +40,7 @@ from leakage.estimation.model_verdict import (
     structured_misfit,
 )
 from leakage.estimation.multi_start import Parametrisation
-from leakage.estimation.sensitivities import ChannelTolerance, Tolerances, error_budget
+from leakage.estimation.sensitivities import error_budget
 from leakage.estimation.slow_errors import WIDENING, short_blocks, slow_errors, whitened
 from leakage.estimation.uncertainty import cluster_robust
 from leakage.physics.annular_gap import AnnularGap
@@ -273,7 +274,7 @@ def _fitted(
     intervals = [distribution.interval(one) for one in contrasts]
     statistical = np.array([np.nan if one is None else one.half_width for one in intervals])
     taus = [structured_misfit([one]).l_per_min for one in (own, *[stated or own] * 3)]
-    reach = model_errors(blocks, fixed, contrasts, 1.0) * np.array(taus)
+    reach = model_errors(merge(blocks), fixed, contrasts, 1.0) * np.array(taus)
     total = np.sqrt(statistical**2 + sensors**2 + (reach * FACTORS) ** 2)
     estimate = np.append(contrasts[0] @ theta + row[-1], theta[:3])
     return np.array([estimate, statistical, total]), own

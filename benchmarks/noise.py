@@ -194,7 +194,7 @@ def of_law(seen: Seen, motor: Motor) -> Character:
         tau=told.share if told else np.nan,
         per_kelvin=b.per_kelvin if b else np.nan,
         half_width=b.half_width if b else np.nan,
-        memory_min=found.identification.slow.memory_s(BLOCK_S) / 60.0,
+        memory_min=found.slow.memory_s(BLOCK_S) / 60.0,
     )
 
 

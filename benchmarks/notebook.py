@@ -38,7 +38,7 @@ from pipeline.config.nights import night
 from pipeline.logs.motor_logs import LogShelf
 from pipeline.night.fit import fit_modes
 from pipeline.night.fit_night import fit_night
-from pipeline.night.rows import statistics_rows
+from pipeline.night.sample_rows import statistics_rows
 from pipeline.night.statistics import night_statistics
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Samples

@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 Draw = Callable[[np.random.Generator, int], Array]
 
 BLOCK_MINUTES = 2.0
+RATE_HZ, SAMPLE_SD = 10.0, 0.1
 BLOCKS = 240
 DAY_HOURS = BLOCKS * BLOCK_MINUTES / 60.0
 CALIBRATION_DAYS, QUIET_DAYS, STEP_DAYS = 60, 730, 40
@@ -44,11 +45,11 @@ YEARS = MOTORS * QUIET_DAYS / 365.0
 UNEXCLUDED = "warm-up 10 %, not left out"
 
 
-def of_samples(phi: float, sd: float = 0.1, rate_hz: float = 10.0) -> Draw:
+def of_samples(phi: float) -> Draw:
     """Means of blocks of first-order samples: their covariance over blocks is that of an ARMA."""
-    n = round(BLOCK_MINUTES * 60 * rate_hz)
+    n = round(BLOCK_MINUTES * 60 * RATE_HZ)
     lags = np.arange(1, n)
-    variance = sd**2 / n * (1.0 + 2.0 * float(np.sum((1.0 - lags / n) * phi**lags)))
+    variance = SAMPLE_SD**2 / n * (1.0 + 2.0 * float(np.sum((1.0 - lags / n) * phi**lags)))
 
     def draw(rng: np.random.Generator, days: int) -> Array:
         # Blocks are longer than twelve correlation times: next to nothing carries over.
@@ -171,13 +172,13 @@ def errors_of(rng: np.random.Generator, draw: Draw, days: int) -> Array:
     return draw(rng, days) + shift[:, None]
 
 
-def case_rows(name: str, seed: int = 1) -> tuple[list[tuple[str, ...]], int]:
+def case_rows(name: str) -> tuple[list[tuple[str, ...]], int]:
     """Rows of a case, and the false alarms of its looks."""
     false: defaultdict[str, int] = defaultdict(int)
     delays: defaultdict[tuple[str, float], list[float]] = defaultdict(list)
     draw, place = CASES[name], list(CASES).index(name)
     for number in range(MOTORS):
-        rng = np.random.default_rng([seed, place, number])
+        rng = np.random.default_rng([1, place, number])
         rules = calibrated_rules(rng, draw)
         quiet = flows(rng, QUIET_DAYS), errors_of(rng, draw, QUIET_DAYS)
         flow, error = flows(rng, STEP_DAYS), errors_of(rng, draw, STEP_DAYS)

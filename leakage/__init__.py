@@ -18,7 +18,7 @@ from leakage.physics.paths import Constant, Laminar
 from leakage.physics.speed_curve import SpeedCurve
 
 if TYPE_CHECKING:
-    from leakage.estimation.sensitivities import ChannelTolerance, Tolerances
+    from leakage.estimation.error_sources import ChannelTolerance, Tolerances
     from leakage.frame.fit import fit_frame
     from leakage.frame.result import FrameFit
 
@@ -45,9 +45,9 @@ __all__ = [
 
 # Modules that bring SciPy, or libraries of data frames: loaded with the first use of a name.
 _LATE = {
-    "ChannelTolerance": "estimation.sensitivities",
+    "ChannelTolerance": "estimation.error_sources",
     "FrameFit": "frame.result",
-    "Tolerances": "estimation.sensitivities",
+    "Tolerances": "estimation.error_sources",
     "fit_frame": "frame.fit",
 }
 

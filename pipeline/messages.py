@@ -55,6 +55,17 @@ def _attach() -> None:
     logging.basicConfig(handlers=[handler])
 
 
+def counted(n: int, noun: str) -> str:
+    """A number with its noun.
+
+    Examples
+    --------
+    >>> counted(1, "file"), counted(2, "file")
+    ('1 file', '2 files')
+    """
+    return f"{n} {noun}{'s' * (n != 1)}"
+
+
 def error_line(code: str, message: str, exit_code: int, *, as_json: bool) -> str:
     """The message of a command that ends early, with its cause.
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def keep_extremes(columns: ArrayLike, points: int) -> NDArray[np.int64]:
+def keep_extremes(columns: Sequence[ArrayLike], points: int) -> NDArray[np.int64]:
     """Rows to plot: of each bin of neighbours the smallest and the largest value of each column.
 
     Parameters
     ----------
     columns
-        What is plotted over the rows, shape (n, c); NaN where there is no value.
+        What is plotted over the rows, each of shape (n,); NaN where there is no value.
     points
         Rows to keep at most; where there are no more, all are kept.
 
@@ -39,26 +40,26 @@ def keep_extremes(columns: ArrayLike, points: int) -> NDArray[np.int64]:
     --------
     A single peak among 10 000 rows stays:
 
-    >>> flow = np.zeros((10_000, 1))
+    >>> flow = np.zeros(10_000)
     >>> flow[4321] = 1.0
-    >>> kept = keep_extremes(flow, 100)
+    >>> kept = keep_extremes([flow], 100)
     >>> len(kept) <= 100, 4321 in kept
     (True, True)
     """
-    values = np.asarray(columns, dtype=np.float64)
-    n, c = values.shape
+    curves = [np.ascontiguousarray(column, dtype=np.float64) for column in columns]
+    n, c = len(curves[0]), len(curves)
     if n <= points:
         return np.arange(n)
     n_bins = (points - 2) // (2 * c)
     if n_bins < 1:
         raise ValueError(f"expected at least {2 * c + 2} points for {c} columns, got {points}")
-    borders = np.linspace(0, n, n_bins + 1).round().astype(np.int64)
-    kept = [np.array([0, n - 1])]
-    for column in values.T:
-        missing = np.isnan(column)
-        for worst, extreme in ((np.inf, np.argmin), (-np.inf, np.argmax)):
-            seen = np.where(missing, worst, column) if missing.any() else column
-            kept.append(
-                np.array([begin + extreme(seen[begin:end]) for begin, end in pairwise(borders)])
-            )
-    return np.unique(np.concatenate(kept))
+    borders = np.linspace(0, n, n_bins + 1).round().astype(np.int64).tolist()
+    kept = [0, n - 1]
+    for curve in curves:
+        missing = np.isnan(curve)
+        low = high = curve
+        if missing.any():
+            low, high = np.where(missing, np.inf, curve), np.where(missing, -np.inf, curve)
+        for begin, end in pairwise(borders):
+            kept += (begin + low[begin:end].argmin(), begin + high[begin:end].argmax())
+    return np.unique(kept)

@@ -1,19 +1,25 @@
-"""The one fit of a motor to blocks of samples, with verdicts: of a night, and of a frame."""
+"""The one fit of a motor to blocks of samples: of a night, and of a frame."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.estimation.block_statistics import merge
+from leakage.estimation.block_statistics import merge, with_free_known
 from leakage.estimation.certificate import Certificate, certify
 from leakage.estimation.identifiability import Excitation, Identification, identify
 from leakage.estimation.least_squares import Fit, fit
 from leakage.estimation.model_verdict import Misfit, misfit
 from leakage.estimation.multi_start import Parametrisation, SearchSettings
-from leakage.estimation.slow_errors import ShortBlocks, slow_errors, whitened
+from leakage.estimation.slow_errors import (
+    ShortBlocks,
+    SlowErrors,
+    short_blocks,
+    slow_errors,
+    whitened,
+)
 from leakage.physics.motor import Motor
 
 Array = NDArray[np.float64]
@@ -43,10 +49,20 @@ class SampleBlocks:
     means: Array
     excitation: Excitation
 
+    def with_free_known(self, place: int, coefficient: float) -> SampleBlocks:
+        """The blocks with the known flow as a path of its own; arguments as for a factor."""
+        factors = with_free_known(self.factors, place, coefficient)
+        # Means of blocks that no others were merged into are those of their factors, to the bit.
+        if len(self.short.n) == len(factors):
+            return replace(self, factors=factors, short=short_blocks(factors, self.short.number))
+        means = np.insert(self.short.means, place, self.short.means[:, -2] / coefficient, axis=1)
+        means[:, -2] = 0.0
+        return replace(self, factors=factors, short=replace(self.short, means=means))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockEstimate:
-    """Estimates from blocks of samples, with verdicts by the samples alone.
+    """Estimates from blocks of samples.
 
     Attributes
     ----------
@@ -54,29 +70,35 @@ class BlockEstimate:
         Estimates from all blocks.
     training
         The fit to the blocks that train, which is validated on the others.
-    identification
-        Verdicts and intervals.
+    whole
+        The merged factor of all blocks, shape (c, c).
+    slow
+        Memory of the errors from block to block.
     whitened
-        The factors without the memory of slow errors, shape (b, c, c).
+        The factors without that memory, shape (b, c, c).
     misfit
         What the blocks say of the model; None where they are too few.
     """
 
     fit: Fit
     training: Certificate
-    identification: Identification
+    whole: Array
+    slow: SlowErrors
     whitened: Array
     misfit: Misfit | None
+
+    def identified(self, excitation: Excitation, inflation: float = 1.0) -> Identification:
+        """Verdicts and intervals by the samples alone; arguments as of :func:`identify`."""
+        return identify(self.fit, self.whitened, excitation, inflation, self.slow)
 
 
 def fit_blocks(
     blocks: SampleBlocks,
     motor: Motor,
-    settings: SearchSettings,
-    generator: np.random.Generator,
-    inflation: float = 1.0,
+    settings: SearchSettings | None = None,
+    generator: np.random.Generator | None = None,
 ) -> BlockEstimate:
-    """Fit a motor to blocks of samples, and judge every coefficient.
+    """Fit a motor to blocks of samples.
 
     Parameters
     ----------
@@ -85,9 +107,7 @@ def fit_blocks(
     motor
         Paths with their parameters and bounds.
     settings, generator
-        Settings of the search, and the source of its starting points.
-    inflation
-        Factor on standard errors that robust weights ask for; 1 without them.
+        Settings of the search, and the source of its starting points; None: no search.
 
     Returns
     -------
@@ -101,14 +121,15 @@ def fit_blocks(
     lower, upper = Parametrisation.of(motor).coefficient_bounds()
     fixed = lower == upper
     training = certify(merge(blocks.factors[blocks.trains]), lower, upper)
-    unweighted = merge(blocks.factors)
-    slow = slow_errors(blocks.factors, blocks.short, fixed, lower, unweighted)
+    whole = merge(blocks.factors)
+    slow = slow_errors(blocks.factors, blocks.short, fixed, lower, whole)
     white = whitened(blocks.factors, blocks.short, slow)
-    found = fit(merge(white) if slow.are_slow else unweighted, motor, settings, generator)
+    found = fit(merge(white) if slow.are_slow else whole, motor, settings, generator)
     return BlockEstimate(
         fit=found,
         training=training,
-        identification=identify(found, white, blocks.excitation, inflation, slow),
+        whole=whole,
+        slow=slow,
         whitened=white,
         misfit=misfit(blocks.factors, blocks.short, found.coefficients, fixed, blocks.means),
     )

@@ -66,7 +66,12 @@ class Fit:
         return min(costs) / self.certificate.cost - 1.0
 
 
-def fit(r: Array, motor: Motor, settings: SearchSettings, generator: np.random.Generator) -> Fit:
+def fit(
+    r: Array,
+    motor: Motor,
+    settings: SearchSettings | None = None,
+    generator: np.random.Generator | None = None,
+) -> Fit:
     """Fit a motor's loss factors to the statistics of its training samples.
 
     Parameters
@@ -75,10 +80,8 @@ def fit(r: Array, motor: Motor, settings: SearchSettings, generator: np.random.G
         Factor of the training samples, shape (c, c), columns as ``motor.columns``.
     motor
         Paths with their parameters and bounds.
-    settings
-        Settings of the search.
-    generator
-        Source of the search's starting points.
+    settings, generator
+        Settings of the search, and the source of its starting points; None: no search.
 
     Returns
     -------
@@ -91,6 +94,8 @@ def fit(r: Array, motor: Motor, settings: SearchSettings, generator: np.random.G
     """
     bounds = Parametrisation.of(motor).coefficient_bounds()
     certificate = certify(r, *bounds)
+    if settings is None or generator is None:
+        return Fit(motor, certificate, ())
     if settings.only_at_short_rank and not certificate.is_short_of_rank:
         return Fit(motor, certificate, ())
     return Fit(motor, certificate, search(r, motor, settings, generator))

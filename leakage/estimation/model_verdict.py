@@ -124,12 +124,9 @@ class Misfit:
     def of(cls, numbers: Array) -> Misfit:
         """Misfit from a row made by :meth:`numbers`."""
         (n, flow), score, *upper = np.split(numbers, (2, 8, 29, 50))
-        wholes = []
-        for triangle in upper:
-            whole = np.zeros((len(COLUMNS),) * 2)
-            whole[UPPER] = triangle
-            wholes.append(whole + np.triu(whole, 1).T)
-        gram, information, meat = wholes
+        wholes = np.zeros((3, len(COLUMNS), len(COLUMNS)))
+        wholes[:, *UPPER] = upper
+        gram, information, meat = wholes + np.triu(wholes, 1).transpose(0, 2, 1)
         return cls(float(n), float(flow), gram, information, score, meat)
 
 
@@ -264,17 +261,7 @@ def _beside(whole: Array, places: NDArray[np.int64], needed: NDArray[np.bool_]) 
 
 
 def structured_misfit(nights: Sequence[Misfit]) -> StructuredMisfit:
-    """Structured misfit of some nights together; each has loss factors of its own.
-
-    Parameters
-    ----------
-    nights
-        One or more.
-
-    Returns
-    -------
-    StructuredMisfit
-    """
+    """Structured misfit of one or more nights together; each has loss factors of its own."""
     n = sum(night.n for night in nights)
     flow = sum(night.flow_l_per_min for night in nights) / n
     gram, information, score, meat = (
@@ -333,13 +320,7 @@ def _inverse(gram: Array) -> Array:
 
 
 def model_verdict(misfit: StructuredMisfit) -> ModelVerdict | None:
-    """Verdict on a model from a structured misfit.
-
-    Returns
-    -------
-    str or None
-        None where noise alone would seem a misfit large enough to disprove it.
-    """
+    """Verdict on a model; None where noise alone would seem a misfit that disproves it."""
     many = misfit.n_nights >= NIGHTS_TOGETHER
     disproved = DISPROVED_OVER_TEN if many else DISPROVED_IN_ONE
     noise = CLEAR * misfit.noise_share
@@ -386,14 +367,14 @@ def verdict_in_words(misfit: StructuredMisfit, low_side: LowSide = "unknown") ->
 
 
 def model_errors(
-    factors: Array, fixed: NDArray[np.bool_], contrasts: Array, misfit_l_per_min: float
+    whole: Array, fixed: NDArray[np.bool_], contrasts: Array, misfit_l_per_min: float
 ) -> Array:
     """R(c): what a structured misfit can do to combinations of coefficients.
 
     Parameters
     ----------
-    factors
-        Factors of the fit's blocks, not whitened, shape (b, c, c).
+    whole
+        Merged factor of the fit's blocks, not whitened, shape (c, c).
     fixed
         Coefficients that are not estimated, shape (c − 2,).
     contrasts
@@ -406,7 +387,6 @@ def model_errors(
     ndarray
         In the units of the combinations, shape (m,).
     """
-    whole = merge(factors)
     free = np.flatnonzero(~fixed & (np.abs(whole).max(axis=0)[:-2] > 0.0))
     scale = np.linalg.norm(whole[:, free], axis=0)
     _, size, rotation = np.linalg.svd(whole[:, free] / scale, full_matrices=False)

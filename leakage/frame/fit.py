@@ -13,6 +13,7 @@ from leakage.errors import LeakageError, ShapeError
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
 from leakage.estimation.compression import CompressedSamples, compress
 from leakage.estimation.correlation import memory_s
+from leakage.estimation.error_sources import Tolerances
 from leakage.estimation.identifiability import Excitation
 from leakage.estimation.model_verdict import structured_misfit
 from leakage.estimation.multi_start import Parametrisation, SearchSettings
@@ -27,7 +28,6 @@ from leakage.estimation.sample_blocks import (
     short_blocks_within,
     split_into_blocks,
 )
-from leakage.estimation.sensitivities import Tolerances
 from leakage.estimation.validation import agreement
 from leakage.frame.result import FrameFit, columns_of
 from leakage.frame.samples import FrameSamples, Period, read_samples
@@ -159,7 +159,7 @@ def fit_frame(
     used = np.array([not chosen or block.part == TRAINING for block in made.blocks])
     blocks = _sample_blocks(samples, made, used, windows.block_s)
     search, generator = SearchSettings(starting_points), np.random.default_rng(seed)
-    estimate = fit_blocks(blocks, motor, search, generator, made.inflation)
+    estimate = fit_blocks(blocks, motor, search, generator)
     theta = estimate.training.coefficients
     found = FrameFit(
         motor=motor,
@@ -179,7 +179,7 @@ def fit_frame(
         training=agreement(made.judged_on(TRAINING), theta),
         validation=agreement(made.judged_on(VALIDATION), theta),
         tolerances=tolerances,
-        identification=estimate.identification,
+        identification=estimate.identified(blocks.excitation, made.inflation),
         beside_samples=np.zeros(len(theta)),
     )
     return found.judged()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from leakage.errors import LeakageError
 from leakage.estimation.block_fit import BlockEstimate, SampleBlocks
 from leakage.estimation.block_statistics import factor
+from leakage.estimation.error_sources import Tolerances
 from leakage.estimation.identifiability import (
     Identification,
     Judgement,
@@ -30,7 +31,7 @@ from leakage.estimation.model_verdict import (
 from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
 from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
-from leakage.estimation.sensitivities import ErrorBudget, Tolerances, error_budget
+from leakage.estimation.sensitivities import ErrorBudget, error_budget
 from leakage.estimation.validation import Agreement, agreement
 from leakage.frame.samples import FrameSamples, read_samples
 from leakage.frame.words import Summary, Words, explanation, short_form, summary
@@ -231,7 +232,7 @@ class FrameFit:
         if self.structured is None:
             return np.zeros(len(contrasts))
         fixed = self.estimate.fit.certificate.fixed
-        reach = model_errors(self.blocks.factors, fixed, contrasts, 1.0)
+        reach = model_errors(self.estimate.whole, fixed, contrasts, 1.0)
         return factor * reach * self.structured.l_per_min
 
     def _sensors(self, at: Sequence[OperatingConditions] = ()) -> ErrorBudget:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,6 +94,17 @@ class OperatingConditions:
             raise ShapeError("conditions_shape", f"conditions do not match: {error}") from error
         charge = channels[3] * PASCALS_PER_BAR if len(channels) > 3 else None
         return cls(channels[0] * PASCALS_PER_BAR, channels[1], channels[2], charge)
+
+    @classmethod
+    def joined(cls, parts: Sequence[OperatingConditions]) -> OperatingConditions:
+        """Samples of some conditions, one after the other; all of one side, or all of both."""
+        charges = [one.charge_over_case_pa for one in parts if one.charge_over_case_pa is not None]
+        return cls(
+            np.concatenate([one.pressure_difference_pa for one in parts]),
+            np.concatenate([one.oil_temperature_c for one in parts]),
+            np.concatenate([one.speed_rpm for one in parts]),
+            np.concatenate(charges) if charges else None,
+        )
 
     def __len__(self) -> int:
         return self.speed_rpm.size

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ FIXED_COLUMNS = ("one", "known", "measured")
 _CHUNK = 16_384
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots: what follows from the paths is worked out once a motor
 class Motor:
     """A motor type with its oil: nothing but a list of leakage paths, each with its law.
 
@@ -88,24 +89,24 @@ class Motor:
         if sum(isinstance(path, Constant) for path in self.paths) > 1:
             raise self._fault("declares more than one constant path; data see only their sum")
 
-    @property
+    @cached_property
     def constant(self) -> Constant | None:
         """The constant path, the motor's flushing."""
         return next((path for path in self.paths if isinstance(path, Constant)), None)
 
-    @property
+    @cached_property
     def column_paths(self) -> tuple[LeakagePath, ...]:
         """Free paths but the constant, in declared order: one column each."""
         return tuple(path for path in self.paths if path.is_free and not isinstance(path, Constant))
 
-    @property
+    @cached_property
     def known_paths(self) -> tuple[LeakagePath, ...]:
         """Paths of which nothing is free, but the constant: their sum is the known flow."""
         return tuple(
             path for path in self.paths if not path.is_free and not isinstance(path, Constant)
         )
 
-    @property
+    @cached_property
     def standard(self) -> SpeedCurve | None:
         """The speed curve that is the whole known flow: what its scale is, data can tell."""
         known = [path for path in self.known_paths if path.configured_coefficient]
@@ -126,7 +127,7 @@ class Motor:
             ),
         )
 
-    @property
+    @cached_property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of the statistics: free paths, one, known, measured."""
         return (*(path.name for path in self.column_paths), *FIXED_COLUMNS)
@@ -173,14 +174,16 @@ def regressors(
     """
     column_paths = motor.column_paths
     known_paths = [(path, path.configured_coefficient) for path in motor.known_paths]
-    columns = np.empty((len(conditions), len(column_paths) + 2)) if out is None else out
+    shape = (len(conditions), len(column_paths) + 2)
+    # Column by column in memory: each is written, and decomposed, on its own.
+    columns = np.empty(shape, order="F") if out is None else out
     for rows, sides in _chunks(motor, conditions):
         for index, path in enumerate(column_paths):
             columns[rows, index] = _regressor(path, sides)
         columns[rows, -2] = 1.0
-        columns[rows, -1] = 0.0
-        for path, coefficient in known_paths:
-            columns[rows, -1] += coefficient * _regressor(path, sides)
+        columns[rows, -1] = sum(
+            coefficient * _regressor(path, sides) for path, coefficient in known_paths
+        )
     return columns
 
 

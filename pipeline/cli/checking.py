@@ -20,7 +20,7 @@ from pipeline.cli.arguments import (
 )
 from pipeline.cli.tables import print_table
 from pipeline.errors import UsageError
-from pipeline.messages import error_line
+from pipeline.messages import counted, error_line
 
 # A rule that refused less than this is not worth its name in a table.
 WORTH_TELLING = 0.0005
@@ -129,7 +129,8 @@ def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, me
     tables = folder / "tables" if found else existing_tables(folder)
     n_files = sum(1 for _ in tables.glob("**/*.parquet"))
     total = {"event": "tables", "n_files": n_files, "n_faults": len(found), "n_left": len(left)}
-    words = f"{n_files} table files, {_counted(len(found))}" + f", {len(left)} left" * mend
+    words = f"{counted(n_files, 'table file')}, {counted(len(found), 'fault')}"
+    words += f", {len(left)} left" * mend
     say(json.dumps(total) if as_json else words)
     return EXIT_MOTORS_FAILED if left else EXIT_OK
 
@@ -140,16 +141,12 @@ def _say_faults(faults: Iterable[TableFault], event: str, mark: str, *, as_json:
         say(json.dumps({"event": event, **asdict(one)}) if as_json else words, err=True)
 
 
-def _counted(faults: int) -> str:
-    return f"{faults} fault{'s' * (faults != 1)}"
-
-
 def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
     for one in checks:
         span = f", {one.first} to {one.last}" if one.first else ""
         typer.echo(
-            f"{one.motor_id}: {one.motor_type}, {one.log_format}, {one.n_files} files, "
-            f"{one.n_nights} nights{span}, {_counted(len(one.faults))}"
+            f"{one.motor_id}: {one.motor_type}, {one.log_format}, {counted(one.n_files, 'file')}, "
+            f"{counted(one.n_nights, 'night')}{span}, {counted(len(one.faults), 'fault')}"
         )
         if one.channels:
             print_table(CHANNEL_COLUMNS, map(_channel_cells, one.channels))

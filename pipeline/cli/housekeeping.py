@@ -11,6 +11,7 @@ import typer
 
 from pipeline.cli.arguments import AsJson, ConfigFile, Output, absolute_folder, load, say
 from pipeline.clock import now
+from pipeline.messages import counted
 
 
 def prune(
@@ -65,7 +66,8 @@ def prune(
             say(json.dumps(line))
             continue
         say(
-            f"{one.table}: {len(one.nights)} nights, {one.nights[0]} to {one.nights[-1]}, "
+            f"{one.table}: {counted(len(one.nights), 'night')}, "
+            f"{one.nights[0]} to {one.nights[-1]}, "
             f"{one.size_bytes / 1024**2:.1f} MiB {word}; with them goes: {one.loss}"
         )
     if not as_json:
@@ -94,4 +96,4 @@ def pull(
     if not fleet.object_store:
         say(f"{fleet.output} is published nowhere else: folders.object_store is not set")
         return
-    say(f"{refresh(fleet)} files of {fleet.object_store} in {fleet.output}")
+    say(f"{counted(refresh(fleet), 'file')} of {fleet.object_store} in {fleet.output}")

@@ -23,6 +23,7 @@ from pipeline.cli.arguments import (
 )
 from pipeline.cli.runs import stoppable
 from pipeline.errors import LockedError, StoreError, UsageError
+from pipeline.messages import counted
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
@@ -135,4 +136,4 @@ def _print(found: Sequence[MotorLook], *, as_json: bool) -> None:
     if not as_json:
         states = [one.state.state for one in found]
         counts = ", ".join(f"{states.count(name)} {name}" for name in sorted(set(states)))
-        say(f"{len(found)} motors looked at: {counts}")
+        say(f"{counted(len(found), 'motor')} looked at: {counts}")

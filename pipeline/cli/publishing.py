@@ -20,6 +20,7 @@ from pipeline.cli.arguments import (
     night_label,
 )
 from pipeline.errors import UsageError
+from pipeline.messages import counted
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
@@ -112,8 +113,9 @@ def report(
         return
     result = build_report(request)
     typer.echo(
-        f"{result.n_motors} motors, {result.n_nights} nights updated, {result.n_written} files "
-        f"written, {result.n_removed} removed; open {result.index}"
+        f"{counted(result.n_motors, 'motor')}, {counted(result.n_nights, 'night')} updated, "
+        f"{counted(result.n_written, 'file')} written, {result.n_removed} removed; "
+        f"open {result.index}"
     )
     for fault in result.faults:
         typer.echo(f"motor-leakage: store_read: {fault}", err=True)
@@ -167,13 +169,13 @@ def export(
         if tables or motors or since or until or bom:
             raise UsageError("export_format", "--duckdb writes all tables, whole")
         for table in export_duckdb(root, duckdb):
-            typer.echo(f"{table.table}: {table.n_rows} rows")
+            typer.echo(f"{table.table}: {counted(table.n_rows, 'row')}")
         return
     if delta is not None:
         if motors or since or until or bom:
             raise UsageError("export_format", "--delta writes whole tables: expected only --tables")
         for one in export_delta(root, delta, tables_named(tables.replace(",", " ").split())):
-            typer.echo(f"{one.place}: version {one.version}, {one.n_rows} rows")
+            typer.echo(f"{one.place}: version {one.version}, {counted(one.n_rows, 'row')}")
         return
     assert csv is not None
     selection = Selection(
@@ -184,7 +186,7 @@ def export(
     )
     in_order(selection.since, selection.until)
     for file in export_csv(root, csv, selection, byte_order_mark=bom):
-        typer.echo(f"{file.path}: {file.n_rows} rows")
+        typer.echo(f"{file.path}: {counted(file.n_rows, 'row')}")
 
 
 def _of_a_fleet(request: ReportRequest, fleet: Fleet) -> ReportRequest:

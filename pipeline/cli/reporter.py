@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.cli.arguments import say
+from pipeline.messages import counted
 
 if TYPE_CHECKING:
     from pipeline.run.fleet import RunRequest, RunResult
@@ -24,7 +25,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
     """Print the nights that a run would do by motor, with the reasons."""
     from collections import Counter
 
-    from pipeline.run.fleet import plan_fleet, plan_trends
+    from pipeline.run.plans import plan_fleet, plan_trends
     from pipeline.store.manifest import manifest_keys
     from pipeline.store.verification import compare_published
 
@@ -38,12 +39,14 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
             }
             say(json.dumps({"event": "plan", "motor_id": motor_id, "nights": nights}))
             continue
-        say(f"{motor_id}: {len(plan)} nights" + (f", {min(plan)} to {max(plan)}" if plan else ""))
+        span = f", {min(plan)} to {max(plan)}" if plan else ""
+        say(f"{motor_id}: {counted(len(plan), 'night')}{span}")
         reasons = Counter((step.work.value, step.reason) for step in plan.values())
         for (work, reason), count in reasons.most_common(PLAN_REASONS):
             say(f"  {count} to {work}: {reason}")
         if len(reasons) > PLAN_REASONS:
-            say(f"  and {len(reasons) - PLAN_REASONS} other reasons; all of them with --json")
+            others = counted(len(reasons) - PLAN_REASONS, "other reason")
+            say(f"  and {others}; all of them with --json")
     for motor_id, reason in plan_trends(request):
         if as_json:
             say(json.dumps({"event": "plan_trends", "motor_id": motor_id, "reason": reason}))
@@ -55,7 +58,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
         words = f"motor-leakage: {fault.code}: {fault.path}: {fault.message}"
         say(json.dumps(line) if as_json else words, err=True)
     if not as_json:
-        say(f"{total} nights would be done")
+        say(f"to be done: {counted(total, 'night')}")
 
 
 class Reporter:
@@ -150,8 +153,9 @@ class Reporter:
         state = "interrupted; " if result.interrupted else ""
         files = ", ".join(f"{n} {fate}" for fate, n in _by_fate(result.files).items())
         say(
-            f"{state}{result.n_nights} nights of {len(result.outcomes)} motors in "
-            f"{result.seconds:.1f} s, {len(result.failed)} motors failed; logs: {files}; "
+            f"{state}{counted(result.n_nights, 'night')} of "
+            f"{counted(len(result.outcomes), 'motor')} in {result.seconds:.1f} s, "
+            f"{counted(len(result.failed), 'motor')} failed; logs: {files}; "
             f"tables in {output / 'tables'}"
         )
         taken = [(name, seconds) for name, seconds in _by_stage(result).items() if seconds >= 0.05]
@@ -159,12 +163,12 @@ class Reporter:
             stages = ", ".join(f"{_words(name)} {seconds:.1f}" for name, seconds in taken)
             say(f"seconds by stage, summed over motors: {stages}")
         for code, count in _by_code(result).items():
-            say(f"{code}: {count} motors")
+            say(f"{code}: {counted(count, 'motor')}")
         for fault in result.damage_left:
             say(f"motor-leakage: {fault.code}: {fault.path}: {fault.message}", err=True)
         if result.damage:
-            n, left = len(result.damage), len(result.damage_left)
-            say(f"damage: {n} files were damaged or missing, {left} are not repaired")
+            n, left = counted(len(result.damage), "file"), len(result.damage_left)
+            say(f"damaged or missing: {n}, of which not repaired: {left}")
         for row in result.alarms:
             # A new baseline needs no attention; `alarms` has it.
             if row["way"] != "baseline":
@@ -179,7 +183,7 @@ def _by_stage(result: RunResult) -> dict[str, float]:
     """Seconds by stage: those of the motors' tasks added up, then those of the run."""
     from collections import Counter
 
-    from pipeline.run.fleet import MOTOR_STAGES
+    from pipeline.run.run_rows import MOTOR_STAGES
 
     spent = Counter[str]()
     for outcome in result.outcomes:

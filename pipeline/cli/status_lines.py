@@ -13,6 +13,7 @@ import typer
 
 from pipeline.cli.arguments import say
 from pipeline.cli.tables import print_table
+from pipeline.messages import counted
 from pipeline.report.findings import total
 from pipeline.report.status import FleetStatus
 from pipeline.store.heartbeat import FINISHED, RUNNING
@@ -93,8 +94,8 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
             f"{found.n_by_rules}; the report's fleet page lists them"
         )
     if found.damage:
-        first, n = found.damage[0], len(found.damage)
-        yield f"{n} published files are damaged or missing, such as {first.path}: {first.code}"
+        first, files = found.damage[0], counted(len(found.damage), "published file")
+        yield f"damaged or missing: {files}, such as {first.path}: {first.code}"
     looks = [motor.look for motor in found.motors if motor.look is not None]
     if looks:
         counts = Counter(one.state.replace("_", " ") for one in looks)

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from pipeline.errors import MotorLeakageError, one_line
+from pipeline.messages import counted
 
 # Stands in the place of a fault for a key itself.
 KEY_MARK = "[key]"
@@ -47,8 +48,7 @@ class ConfigError(MotorLeakageError):
     def __init__(self, faults: Iterable[Fault]) -> None:
         self.faults = tuple(dict.fromkeys(faults))
         lines = "\n".join(f"  {fault}" for fault in self.faults)
-        count = len(self.faults)
-        super().__init__("config", f"{count} config fault{'s' if count > 1 else ''}\n{lines}")
+        super().__init__("config", f"{counted(len(self.faults), 'config fault')}\n{lines}")
 
 
 def refuse(found: Iterable[Misfit]) -> None:

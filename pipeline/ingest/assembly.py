@@ -51,7 +51,22 @@ def readings_of(column: pa.Array | pa.ChunkedArray) -> Readings:
     if not column.null_count:
         return Readings(numbers.to_numpy(), none, none)
     missing = column.is_null().to_numpy(zero_copy_only=False)
-    return Readings(pc.fill_null(numbers, np.nan).to_numpy(), missing, none)
+    return Readings(_with_nan(numbers, missing), missing, none)
+
+
+def _with_nan(
+    numbers: pa.Array | pa.ChunkedArray, missing: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Numbers with nan for null, where they lie if these cells can be written to."""
+    chunks = numbers.chunks if isinstance(numbers, pa.ChunkedArray) else [numbers]
+    if len(chunks) != 1 or not chunks[0].buffers()[1].is_mutable:
+        filled: NDArray[np.float64] = pc.fill_null(numbers, np.nan).to_numpy()
+        return filled
+    # Arrow gives what lies below a null no meaning, so that this changes no number.
+    (one,) = chunks
+    raw = np.frombuffer(one.buffers()[1], np.float64, len(one), 8 * one.offset)
+    raw[missing] = np.nan
+    return raw
 
 
 def in_canonical_unit(name: str, channel: Channel, raw: NDArray[np.float64]) -> NDArray[np.float64]:

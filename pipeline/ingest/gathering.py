@@ -19,6 +19,8 @@ _T = TypeVar("_T", bound=np.generic)
 
 _FIRST_ROOM = 2**12
 _MOST_ROOM = 2**18
+_MOST_EXPECTED = 2**24
+"""Two days at 100 Hz; what a file claims beyond that is believed when it comes."""
 
 
 class Growing(Generic[_T]):
@@ -37,9 +39,9 @@ class Growing(Generic[_T]):
     """
 
     def __init__(self, dtype: type[_T], expected: int = 0) -> None:
-        self._array: NDArray[_T] = np.empty(max(expected, _FIRST_ROOM), dtype)
+        self._expected = min(expected, _MOST_EXPECTED)
+        self._array: NDArray[_T] = np.empty(max(self._expected, _FIRST_ROOM), dtype)
         self._size = 0
-        self._expected = expected
 
     def append(self, piece: NDArray[_T]) -> None:
         """Add a piece at the end."""

@@ -33,8 +33,6 @@ from pipeline.ingest.time_stamps import WrittenStamps, placed
 from pipeline.ingest.wall_clock import TimeStamps
 
 _MOST_NAMES = 2**15 - 1
-_MOST_EXPECTED = 2**24
-"""Two days at 100 Hz; what a file claims beyond that is believed when it comes."""
 
 _Quality = tuple[str, tuple[QualityValue, ...]]
 """A column of qualities, and what is good there."""
@@ -128,8 +126,8 @@ class RawTable:
 
     def expect(self, rows: int) -> None:
         """Make room for so many rows, before the first are added."""
-        self._expected = min(rows, _MOST_EXPECTED)
-        self._written = GatheredStamps(self._expected)
+        self._expected = rows
+        self._written = GatheredStamps(rows)
 
     def of_motor(
         self, columns: Columns, cells: Mapping[str, pa.ChunkedArray]

@@ -182,7 +182,7 @@ def _joined(parts: list[NDArray[Any]], dtype: DTypeLike) -> NDArray[Any]:
 
 
 def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
-    return np.where(readable, np.int8(kind), np.int8(_NONE))
+    return readable * np.int8(kind)  # and `_NONE` elsewhere, which is 0
 
 
 def from_epoch(
@@ -197,11 +197,11 @@ def from_epoch(
     """
     thousandth = time_format == "epoch_ns"
     per_unit = EPOCH_UNITS[time_format]
-    # A float64 compares well enough to say that the product fits int64; one beyond it is infinite.
-    with np.errstate(over="ignore"):
-        rough = np.asarray(numbers, dtype=np.float64) * per_unit / (1000 if thousandth else 1)
-    readable = (rough >= EARLIEST_US) & (rough < LATEST_US)
-    kept = np.where(readable, numbers, 0)
+    units_a_us = 1000 if thousandth else 1
+    earliest, latest = (us * units_a_us // per_unit for us in (EARLIEST_US, LATEST_US))
+    compared = np.asarray(numbers, np.float64) if numbers.dtype.kind == "f" else numbers
+    readable = (compared >= earliest) & (compared < latest)
+    kept = numbers if readable.all() else np.where(readable, numbers, 0)
     if kept.dtype.kind == "f":
         time_us = np.rint(kept * per_unit) if not thousandth else np.floor(kept / 1000)
     else:

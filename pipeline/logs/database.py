@@ -55,6 +55,8 @@ class Connection:
         self._database = database
         self._time_zone = time_zone
         self._open: Any = None
+        # Of the driver, and of the stream of a result.
+        self._errors: tuple[type[Exception], ...] = ()
 
     def __enter__(self) -> Connection:
         return self
@@ -91,7 +93,7 @@ class Connection:
         begin = time.monotonic()
         if self._open is None:
             self._connect()
-        with _cursor(self._open) as cursor:
+        with self._cursor() as cursor:
             with self._coded(begin):
                 cursor.adbc_statement.set_options(
                     **{"adbc.postgresql.batch_size_hint_bytes": str(BATCH_BYTES)}
@@ -115,7 +117,7 @@ class Connection:
         """Errors of the driver become those of this program, without a secret in them."""
         try:
             yield
-        except Exception as error:
+        except self._errors as error:
             found = self._fault(error, time.monotonic() - begin)
             if found.code == UNREACHABLE:
                 self._close()
@@ -137,7 +139,7 @@ class Connection:
         return DatabaseError(code, one_line(f"{self._name}: {words}"))
 
     def _is_alive(self) -> bool:
-        with suppress(Exception), _cursor(self._open) as cursor:
+        with suppress(*self._errors), self._cursor() as cursor:
             cursor.execute("SELECT 1")
             return True
         return False
@@ -156,6 +158,7 @@ class Connection:
         except dbapi.Error as error:
             raise self._refusal(_words(str(error))) from None
         self._open = connection
+        self._errors = (dbapi.Error, OSError, pa.ArrowInvalid, pa.ArrowNotImplementedError)
         try:
             self._set_up()
         except BaseException:
@@ -169,7 +172,7 @@ class Connection:
             "standard_conforming_strings =": "on",
             "statement_timeout =": f"{self._database.statement_timeout_s * 1000:.0f}",
         }
-        with _cursor(self._open) as cursor, self._coded(time.monotonic()):
+        with self._cursor() as cursor, self._coded(time.monotonic()):
             for name, value in settings.items():
                 cursor.execute(f"SET {name} {value}")
 
@@ -202,19 +205,18 @@ class Connection:
 
     def _close(self) -> None:
         if self._open is not None:
-            with suppress(Exception):  # it is lost already
+            with suppress(*self._errors):  # it is lost already
                 self._open.close()
             self._open = None
 
-
-@contextmanager
-def _cursor(connection: Any) -> Iterator[Any]:
-    cursor = connection.cursor()
-    try:
-        yield cursor
-    finally:
-        with suppress(Exception):  # its connection is lost
-            cursor.close()
+    @contextmanager
+    def _cursor(self) -> Iterator[Any]:
+        cursor = self._open.cursor()
+        try:
+            yield cursor
+        finally:
+            with suppress(*self._errors):  # its connection is lost
+                cursor.close()
 
 
 def with_options(address: str, options: Mapping[str, int]) -> str:
@@ -254,8 +256,8 @@ def secrets_of(address: str) -> set[str]:
 
 
 def _code_of(state: str) -> str:
-    """Code of an error by the server's SQLSTATE."""
-    code = "database_query"
+    """Code of an error by the server's SQLSTATE; class 22 is of values that cannot be converted."""
+    code = "database_rows" if state.startswith("22") else "database_query"
     if OF_CONNECTION.match(state):
         code = "database_unreachable"
     elif state == "57014":
@@ -264,8 +266,6 @@ def _code_of(state: str) -> str:
         code = "database_denied"
     elif state == "42703":
         code = "log_column_missing"
-    elif state.startswith("22"):  # a value that cannot be converted
-        code = "database_rows"
     return code
 
 

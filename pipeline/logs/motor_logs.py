@@ -18,20 +18,11 @@ from pipeline.config.hashes import reading_hash
 from pipeline.config.nights import Night, night_of, nights_between
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, header_units, read_log
-from pipeline.logs.files import (
-    NEW_LOG,
-    PlausibleNights,
-    covered,
-    failed,
-    growing,
-    is_newly_told,
-    labels_of,
-    place_failed,
-    reaches_us,
-)
+from pipeline.logs.files import NEW_LOG, covered, failed, growing, labels_of, reaches_us
 from pipeline.logs.finding import require_answer
 from pipeline.logs.ledger import FileRecord, SeenLogs
 from pipeline.logs.locations import LogSource, logs_of
+from pipeline.logs.told_nights import PlausibleNights, is_newly_told, place_failed
 from pipeline.workers.process import Loss, reading, sign_of_life, told_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.

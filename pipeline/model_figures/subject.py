@@ -43,7 +43,7 @@ class ModelSubject:
     oil_name: str  # name in the oil's file
     # Data-sheet points (temperature, [°C]; kinematic viscosity, [mm²/s]).
     reference_viscosities: tuple[tuple[float, float], ...]
-    roughness_m: tuple[float, float]  # r_a of the two surfaces of a gap, [m]
+    roughness_m: tuple[float, float]  # R_a of the two surfaces of a gap, [m]
     # pressure_bar, temperature_c, speed_rpm: reference conditions.
     pressure_bar: float
     temperature_c: float
@@ -118,15 +118,13 @@ def stated(path: LeakagePath) -> str:
     return words
 
 
-def subject_of(
-    motor_type: MotorTypeFile, oil: OilFile, settings: Settings, motor: Motor | None = None
-) -> ModelSubject:
+def subject_of(motor_type: MotorTypeFile, oil: OilFile, settings: Settings) -> ModelSubject:
     """Subject from the files of a motor type and an oil."""
     model, reference = settings.model, settings.reference
     charge = model.charge_pressure_bar - model.case_pressure_bar
     film_pressure = FilmPressure(model.film_pressure, model.film_pressure_share)
     return ModelSubject(
-        motor=motor or Motor(motor_type.motor_type, motor_type.paths(), oil.oil(), film_pressure),
+        motor=Motor(motor_type.motor_type, motor_type.paths(), oil.oil(), film_pressure),
         # A name may hold line breaks; a figure's line cannot.
         oil_name=textwrap.shorten(oil.name, _LONGEST_NAME),
         reference_viscosities=tuple(

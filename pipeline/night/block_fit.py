@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from leakage import EstimationError, Motor, OperatingConditions, regressors
 from leakage.course.temperature_correction import UNKNOWN_PER_KELVIN, temperature_response
-from leakage.estimation.block_fit import fit_blocks
+from leakage.estimation.block_fit import BlockEstimate, fit_blocks
 from leakage.estimation.block_statistics import merge, with_free_known
 from leakage.estimation.certificate import Certificate
 from leakage.estimation.identifiability import (
@@ -31,7 +31,6 @@ from leakage.estimation.least_squares import Fit, fit
 from leakage.estimation.model_verdict import (
     COEFFICIENT_FACTOR,
     LEAKAGE_FACTOR,
-    Misfit,
     StructuredMisfit,
     model_errors,
     structured_misfit,
@@ -39,7 +38,7 @@ from leakage.estimation.model_verdict import (
 from leakage.estimation.multi_start import Parametrisation, SearchSettings
 from leakage.estimation.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec
-from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, stated
+from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, of_stated
 from pipeline.night.residuals import PartResiduals
 from pipeline.night.stored_blocks import StoredBlocks
 
@@ -68,6 +67,9 @@ class BlockFit:
         Estimates from all kept samples; verdicts and intervals.
     training
         The fit to the training samples alone, which is validated on the others.
+    stated
+        Estimates of the model as it is stated: what the search, the predictions and the misfit are
+        of.
     excitation
         Range of the samples.
     duration_s
@@ -84,9 +86,8 @@ class BlockFit:
         Percentile limits, a cross-check.
     systematic
         ± from stated tolerances by indicator, in its unit; without those that have none.
-    misfit, structured
-        What the blocks say of the model as it is stated, and what is structured in it; None where
-        they are too few.
+    structured
+        Structured misfit of the model as it is stated; None where the blocks are too few.
     errors
         Parts of the ± by indicator.
     roller
@@ -104,6 +105,7 @@ class BlockFit:
     name: str
     fit: Fit
     training: Certificate
+    stated: BlockEstimate
     identification: Identification
     excitation: Excitation
     duration_s: float
@@ -114,7 +116,6 @@ class BlockFit:
     own: LeakageJudgement
     bootstrap: Bootstrap
     systematic: Mapping[str, float]
-    misfit: Misfit | None
     structured: StructuredMisfit | None
     errors: Mapping[str, ErrorParts]
     roller: RollerScale | None = None
@@ -130,18 +131,16 @@ def fit_stored_blocks(
     blocks: StoredBlocks,
     charge_bar: float | None,
     inflation: float,
-    sensitivities: Sequence[Mapping[str, Any]] = (),
+    sensitivities: Sequence[Mapping[str, Any]],
     *,
-    misfit_as_stated: Misfit | None = None,
     search: bool | None = None,
-    bootstrap: bool = True,
 ) -> BlockFit:
     """Fit a motor to blocks of samples, with verdicts and intervals.
 
     Parameters
     ----------
     spec, night, mode
-        Motor, night (it tells the oil) and mode of flushing.
+        Motor, in the form in which it is fitted, night (it tells the oil) and mode of flushing.
     blocks
         Blocks of all kept samples.
     charge_bar
@@ -150,23 +149,85 @@ def fit_stored_blocks(
         Factor on standard errors that robust weights ask for; 1 without them.
     sensitivities
         Rows of the table: effects of the stated tolerances under this mode.
-    misfit_as_stated
-        Misfit of the model as it is stated, where the rollers' scale is free; else its own counts.
     search
         Make the starts of the search, too; None: on every n-th night, and where the rank is
         short. No estimate depends on them.
-    bootstrap
-        Make the block bootstrap, on which nothing but its own columns depends.
 
     Raises
     ------
     EstimationError
         If there are fewer training samples than free coefficients.
     """
+    estimation, motor = spec.settings.estimation, spec.stated.motor(night, mode)
+
+    def generator(purpose: str) -> np.random.Generator:
+        return np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, purpose))
+
+    samples = blocks.sample_blocks(spec.settings.windows.block_s)
+    stated = fit_blocks(samples, motor, _search(spec, night, search), generator(mode))
+    made = stated
+    if spec.roller_is_free and motor.standard is not None:
+        free, samples = motor.with_free_standard(), samples.with_free_known(*scale_of(motor))
+        made = fit_blocks(samples, free)
+    fitted, excitation = made.fit, samples.excitation
+    identification = made.identified(excitation, inflation)
+    at = dict(zip((REFERENCE, OWN), conditions(spec, blocks, charge_bar), strict=True))
+    own_means = blocks.means()
+    structured = None if stated.misfit is None else structured_misfit([stated.misfit])
+    own_structured = structured
+    if made is not stated and made.misfit is not None:
+        own_structured = structured_misfit([made.misfit])
+    errors = _errors(
+        made, identification, excitation, (own_structured, structured), at, sensitivities
+    )
+    reference, own = (
+        judge_leakage(fitted, identification, excitation, at[name], errors[name].beside_samples)
+        for name in (REFERENCE, OWN)
+    )
+    total = {
+        place: errors[path.coefficient_name].total
+        for place, path in enumerate(Parametrisation.of(fitted.motor).paths)
+        if path is not None and path.coefficient_name in errors
+    }
+    return BlockFit(
+        name=mode,
+        fit=fitted,
+        training=made.training,
+        stated=stated,
+        identification=judge_by_total(fitted, identification, total),
+        excitation=excitation,
+        duration_s=blocks.duration_s,
+        own_means=own_means,
+        response=temperature_response(
+            made.whitened,
+            fitted.coefficients,
+            fitted.certificate.off_bounds,
+            samples.means[:, 0] - own_means[1],
+        ),
+        reference_conditions=at[REFERENCE],
+        reference=reference,
+        own=own,
+        bootstrap=block_bootstrap(
+            made.whitened,
+            fitted.coefficients,
+            identification.distribution,
+            # A source of its own: limits do not depend on whether the search was made.
+            generator(f"{mode}|bootstrap"),
+            resamples=estimation.bootstrap_resamples,
+        ),
+        systematic=of_stated(sensitivities),
+        structured=structured,
+        errors=errors,
+        roller=_roller(motor, made, identification, excitation, inflation),
+    )
+
+
+def _search(spec: MotorSpec, night: dt.date, search: bool | None) -> SearchSettings:
+    """Settings of the search on a night."""
     estimation = spec.settings.estimation
     nights = estimation.search_every_nights
     is_due = nights > 0 and night.toordinal() % nights == 0
-    settings = SearchSettings(
+    return SearchSettings(
         starting_points=0 if search is False else estimation.starting_points,
         gradient_type=estimation.gradient_type,
         step_tolerance=estimation.step_tolerance,
@@ -175,107 +236,56 @@ def fit_stored_blocks(
         only_at_short_rank=search is None and not is_due,
     )
 
-    def generator(purpose: str) -> np.random.Generator:
-        return np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, purpose))
 
-    motor, of_files = spec.motor(night, mode), spec.stated.motor(night, mode)
-    samples = blocks.sample_blocks(spec.settings.windows.block_s)
-    made = fit_blocks(samples, motor, settings, generator(mode), inflation)
-    fitted, identification, factors = made.fit, made.identification, made.whitened
-    excitation, told = samples.excitation, made.misfit
-    at = dict(zip((REFERENCE, OWN), conditions(spec, blocks, charge_bar), strict=True))
-    own_means = blocks.means()
-    judged = misfit_as_stated if spec.roller_is_free else told
-    structured = None if judged is None else structured_misfit([judged])
-    own_structured = structured if judged is told or told is None else structured_misfit([told])
-    errors = _errors(
-        fitted,
-        identification,
-        excitation,
-        blocks.factors,
-        (own_structured, structured),
-        at,
-        sensitivities,
-    )
-    reference, own = (
-        judge_leakage(fitted, identification, excitation, at[name], errors[name].beside_samples)
-        for name in (REFERENCE, OWN)
-    )
-    total = {
-        place: errors[path.coefficient_name].total
-        for place, path in enumerate(Parametrisation.of(motor).paths)
-        if path is not None and path.coefficient_name in errors
-    }
-    return BlockFit(
-        name=mode,
-        fit=fitted,
-        training=made.training,
-        identification=judge_by_total(fitted, identification, total),
-        excitation=excitation,
-        duration_s=blocks.duration_s,
-        own_means=own_means,
-        response=temperature_response(
-            factors,
-            fitted.coefficients,
-            ~(fitted.certificate.fixed | fitted.certificate.at_lower | fitted.certificate.at_upper),
-            samples.means[:, 0] - own_means[1],
-        ),
-        reference_conditions=at[REFERENCE],
-        reference=reference,
-        own=own,
-        bootstrap=block_bootstrap(
-            factors,
-            fitted.coefficients,
-            identification.distribution,
-            # A source of its own: limits do not depend on whether the search was made.
-            generator(f"{mode}|bootstrap"),
-            resamples=estimation.bootstrap_resamples if bootstrap else 0,
-        ),
-        systematic=stated(sensitivities),
-        misfit=judged,
-        structured=structured,
-        errors=errors,
-        roller=_roller(of_files, fitted, factors, identification, excitation, inflation),
-    )
+def scale_of(motor: Motor) -> tuple[int, float]:
+    """Place of the scale of a motor's standard once it is free, and its configured value."""
+    assert motor.standard is not None
+    place = motor.with_free_standard().columns.index(motor.standard.name)
+    return place, motor.standard.configured_coefficient
+
+
+def in_form(spec: MotorSpec, motor: Motor, factor: Array) -> Array:
+    """Factor of some samples of a motor as stated, in the columns in which it is fitted."""
+    if not spec.roller_is_free or motor.standard is None:
+        return factor
+    moved: Array = with_free_known(factor[None], *scale_of(motor))[0]
+    return moved
 
 
 def _roller(
     motor: Motor,
-    fitted: Fit,
-    factors: Array,
+    made: BlockEstimate,
     identification: Identification,
     excitation: Excitation,
     inflation: float,
 ) -> RollerScale | None:
     """Scale of the rollers' curve of a motor as stated, from whitened blocks."""
-    standard = motor.standard
-    if standard is None:
+    if motor.standard is None:
         return None
-    free = motor.with_free_standard()
-    place = free.columns.index(standard.name)
-    if free.columns != fitted.motor.columns:
-        factors = with_free_known(factors, place, standard.configured_coefficient)
-        nowhere = SearchSettings(starting_points=0)
+    place, configured = scale_of(motor)
+    fitted = made.fit
+    if fitted.motor.columns == motor.columns:
+        factors = with_free_known(made.whitened, place, configured)
         try:
-            fitted = fit(merge(factors), free, nowhere, np.random.default_rng(0))
+            fitted = fit(merge(factors), motor.with_free_standard())
         except EstimationError:
             return None
-        identification = identify(fitted, factors, excitation, inflation, identification.slow)
+        identification = identify(fitted, factors, excitation, inflation, made.slow)
     judged = identification.coefficients[place]
     return RollerScale(float(fitted.coefficients[place]), judged)
 
 
 def _errors(
-    fitted: Fit,
+    made: BlockEstimate,
     identification: Identification,
     excitation: Excitation,
-    factors: Array,
     misfits: tuple[StructuredMisfit | None, StructuredMisfit | None],
     at: Mapping[str, OperatingConditions],
     sensitivities: Sequence[Mapping[str, Any]],
 ) -> dict[str, ErrorParts]:
     """Parts of the ± of each leakage, by the first misfit, and each coefficient, by the second."""
-    fixed, distribution = fitted.certificate.fixed, identification.distribution
+    fitted, distribution = made.fit, identification.distribution
+    fixed = fitted.certificate.fixed
     sensors = of_sensors(sensitivities)
     rows = {name: regressors(fitted.motor, one)[0] for name, one in at.items()}
     leakages = {name: row[:-2] @ fitted.coefficients[:-1] + row[-1] for name, row in rows.items()}
@@ -306,7 +316,7 @@ def _errors(
     model: list[float | None] = [None] * len(contrasts)
     taus = [misfits[0]] * len(rows) + [misfits[1]] * len(paths)
     if any(taus):
-        reach = model_errors(factors, fixed, np.array([*contrasts.values()]), 1.0)
+        reach = model_errors(made.whole, fixed, np.array([*contrasts.values()]), 1.0)
         factor = np.repeat((LEAKAGE_FACTOR, COEFFICIENT_FACTOR), (len(rows), len(paths)))
         model = [
             None if tau is None else float(size * tau.l_per_min)

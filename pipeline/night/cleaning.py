@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
+from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike, steps_where
 from pipeline.night.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
 from pipeline.night.time_order import Disorder, Stamps, carried_over, in_order, samples_of
 
@@ -94,10 +95,9 @@ def ordered_channel(
 ) -> Ordered:
     """Put a channel's cells in order; parameters as of `clean_channel`."""
     early, here = None, raw
-    if night_start_us is not None:
+    if night_start_us is not None and stamps.earliest_us(raw.time_us) < night_start_us:
         before = raw.time_us < night_start_us
-        if before.any():
-            early, here = raw.rows(before), raw.rows(chosen_rows(~before))
+        early, here = raw.rows(before), raw.rows(chosen_rows(~before))
     return Ordered(*in_order(here, rules, stamps), early, night_start_us)
 
 
@@ -130,7 +130,7 @@ def judged_channel(ordered: Ordered, rules: ChannelRules, stamps: Stamps) -> Cle
         if n_carried:
             samples = RawChannel.joined([carried, samples])
     time, value, masks = _judged(samples, rules, period, longest_gap_us)
-    refused = np.logical_or.reduce(list(masks.values()))
+    refused = reduce(np.logical_or, masks.values())
     counts = {reason: int(np.count_nonzero(mask[n_carried:])) for reason, mask in masks.items()}
     counts |= {"backward_time": disorder.n_backward, "duplicate_time": disorder.n_duplicate}
     out_of_order = disorder.n_backward + disorder.n_duplicate
@@ -175,7 +175,7 @@ def _judged(
         "out_of_range": out_of_range(value, rules.valid_range),
         "at_maximum": at_maximum(value, rules.sensor_maximum, rules.resolution),
     }
-    credible = ~np.logical_or.reduce(list(masks.values()))
+    credible = ~reduce(np.logical_or, masks.values())
     course = Course.of(time, value, credible, rules, period_us, longest_gap_us)
     masks |= {reason: _within(credible, rule(course)) for reason, rule in CHANNEL_RULES.items()}
     return time, value, masks
@@ -223,20 +223,9 @@ class Course:
         """The credible ones of some samples."""
         rows = chosen_rows(credible)
         time_us, value = time_us[rows], value[rows]
-        borders = np.flatnonzero(np.diff(time_us) > longest_gap_us) + 1
+        borders = steps_where(lambda steps: steps > longest_gap_us, time_us) + 1
         stated = max(rules.resolution, rules.sampling.resolution_l_per_min(period_us))
         return cls(time_us, value, borders, rules, stated or step_of_readings(value))
-
-    def time_in_sight_us(self) -> Times:
-        """Times without those of the gaps."""
-        if not len(self.borders):
-            return self.time_us
-        gaps_us = self.time_us[self.borders] - self.time_us[self.borders - 1]
-        edges = np.concatenate([[0], self.borders, [len(self.time_us)]])
-        before_us: Times = np.repeat(np.append(0, np.cumsum(gaps_us)), np.diff(edges))
-        before_us *= -1
-        before_us += self.time_us
-        return before_us
 
 
 def _spikes(course: Course) -> Mask:
@@ -253,13 +242,14 @@ def _stuck(course: Course) -> Mask:
     """Frozen values; a gap adds no time to a stretch."""
     rules = course.rules
     after_us = rules.frozen_after_s * SECOND_US
-    stuck = frozen(course.time_in_sight_us(), course.value, rules.resolution, after_us)
+    stuck = frozen(course.time_us, course.value, rules.resolution, after_us, course.borders)
     if stuck.any():
         # As many counts in each period are a steady flow; none for long is a counter that
         # stopped.
         at_rest_below = (1.0 - ROUNDING) * rules.at_rest_below
         counts = rules.sampling.counts
-        stuck &= (course.value == 0.0) if counts else np.abs(course.value) >= at_rest_below
+        still = course.value[stuck]
+        stuck[stuck] = (still == 0.0) if counts else np.abs(still) >= at_rest_below
     return stuck
 
 

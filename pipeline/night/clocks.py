@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times
+from pipeline.night.masks import steps_where, stretches
 
 # A place is free where no other sample lies nearer than this share of a period, and belongs to the
 # log where one lies within this many periods.
@@ -25,10 +26,10 @@ LOOKED_AT = 1000
 
 def typical_period_us(time_us: Times) -> float | None:
     """Median distance of consecutive samples [µs]; None for fewer than two."""
-    return _median(np.diff(time_us)) if len(time_us) > 1 else None
+    return median_step_us(np.diff(time_us)) if len(time_us) > 1 else None
 
 
-def _median(steps: Times) -> float:
+def median_step_us(steps: Times) -> float:
     """Exactly `numpy.median`, without its sorting out of a million steps that are all alike.
 
     Some of the steps tell between which two values the median should lie, and counts prove it.
@@ -36,12 +37,12 @@ def _median(steps: Times) -> float:
     n = len(steps)
     some = np.sort(steps[:: max(1, n // LOOKED_AT)])
     low, high = some[len(some) * 2 // 5], some[len(some) * 3 // 5]
+    if low == high and 2 * np.count_nonzero(steps == low) > n:
+        return float(low)
     below, up_to = np.count_nonzero(steps < low), np.count_nonzero(steps <= high)
     middle = np.array([(n - 1) // 2, n // 2])
     if not below <= middle[0] <= middle[1] < up_to:
         return float(np.median(steps))
-    if low == high:
-        return float(low)
     between = steps[(steps >= low) & (steps <= high)]
     return float(np.partition(between, middle - below)[middle - below].mean())
 
@@ -53,13 +54,18 @@ def backward_time(time_us: Times) -> Mask:
     stamp in the future does not refuse all that follow it.
     """
     mask = np.zeros(len(time_us), dtype=np.bool_)
-    if len(time_us) < 2 or bool((np.diff(time_us) >= 0).all()):
+    falls = steps_where(lambda steps: steps < 0, time_us) + 1
+    if not len(falls):
         return mask
-    latest_before = np.maximum.accumulate(time_us)
-    earliest_after = np.minimum.accumulate(time_us[::-1])[::-1]
+    # Between two falls stamps are in order: the latest before, and the earliest after each fall.
+    lengths = np.diff(falls, append=len(time_us))
+    latest = np.repeat(np.maximum.accumulate(time_us[falls - 1]), lengths)
+    lengths = np.diff(falls, prepend=0)
+    earliest = np.repeat(np.minimum.accumulate(time_us[falls][::-1])[::-1], lengths)
     # A stamp in order with all others belongs to any longest subsequence: few are left to search.
-    doubtful = np.flatnonzero((time_us < latest_before) | (time_us > earliest_after))
-    mask[doubtful] = True
+    mask[falls[0] :] = time_us[falls[0] :] < latest
+    mask[: falls[-1]] |= time_us[: falls[-1]] > earliest
+    doubtful = np.flatnonzero(mask)
     mask[doubtful[_longest_increasing(time_us[doubtful].tolist())]] = False
     return mask
 
@@ -84,9 +90,11 @@ def _longest_increasing(stamps: list[int]) -> list[int]:
 
 def duplicate_time(time_us: Times, backward: Mask) -> Mask:
     """Samples, among those that are not backward, that repeat the time of the one before."""
-    mask = np.zeros(len(time_us), dtype=np.bool_)
-    kept = np.flatnonzero(~backward)
-    mask[kept[1:]] = np.diff(time_us[kept]) == 0
+    mask, forward = np.zeros(len(time_us), dtype=np.bool_), ~backward
+    stamps = time_us[forward]
+    again = np.flatnonzero(stamps[1:] == stamps[:-1]) + 1
+    if len(again):
+        mask[np.flatnonzero(forward)[again]] = True
     return mask
 
 
@@ -110,9 +118,7 @@ def written_late(time_us: Times, backward: Mask) -> Mask:
     rows = np.flatnonzero(backward)
     nearest = _distance_of_nearest(time_us, rows)
     mask[rows] = (nearest >= FREE_SHARE * period) & (nearest <= NEAR_PERIODS * period)
-    begins = np.flatnonzero(backward & ~np.append(False, backward[:-1]))
-    ends = np.flatnonzero(backward & ~np.append(backward[1:], False)) + 1
-    for begin, end in zip(begins, ends, strict=True):
+    for begin, end in zip(*stretches(backward), strict=True):
         mask[begin:end] = mask[begin:end].all()
     return mask
 
@@ -150,9 +156,9 @@ def jittered(time_us: Times, period_us: float | None) -> Mask:
     mask = np.zeros(len(time_us), dtype=np.bool_)
     if not period_us:
         return mask
-    steps = np.diff(time_us, prepend=time_us[:1] - round(period_us))
     # Nearly all steps are of one period: only the others are worth a division.
-    other = np.flatnonzero(np.abs(steps - period_us) > JITTER_SHARE * period_us)
-    whole = np.maximum(np.round(steps[other] / period_us), 1.0)
-    mask[other] = np.abs(steps[other] - whole * period_us) > JITTER_SHARE * period_us
+    other = steps_where(lambda steps: steps != period_us, time_us)
+    steps = time_us[other + 1] - time_us[other]
+    whole = np.maximum(np.round(steps / period_us), 1.0)
+    mask[other + 1] = np.abs(steps - whole * period_us) > JITTER_SHARE * period_us
     return mask

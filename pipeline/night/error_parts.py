@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from leakage.estimation.sensitivities import SENSORS
+from leakage.estimation.error_sources import SENSORS
 
 Row = Mapping[str, Any]
 
@@ -61,7 +61,7 @@ class ErrorParts:
         }
 
 
-def stated(sensitivities: Sequence[Row]) -> dict[str, float]:
+def of_stated(sensitivities: Sequence[Row]) -> dict[str, float]:
     """± of each indicator from stated tolerances."""
     return _by_squares([row for row in sensitivities if row.get("assumed_sensor") is None])
 

@@ -42,13 +42,13 @@ def fit_modes(
     at = conditions(spec, blocks, charge_bar)
     fits, rows = [], []
     for mode in spec.file.flushing.modes:
-        motor = spec.motor(night, mode)
+        motor = spec.stated.motor(night, mode)
         budget = _budget(spec, statistics, motor, at, night)
         sensitivities = sensitivity_rows(motor, budget, assumed_sensors(spec))
         found = fit_stored_blocks(
             spec, night, mode, blocks, charge_bar, statistics.inflation, sensitivities
         )
-        error = statistics.error_of(found.training.coefficients)
+        error = statistics.error_of(found.stated.training.coefficients)
         memory_s = _memory_s(statistics, error)
         fits.append(replace(found, memory_s=memory_s, prediction_error=error))
         rows += [{"flushing_mode": mode} | row for row in sensitivities]
@@ -65,7 +65,7 @@ def with_residuals(
             mode,
             residuals=night_residuals(
                 statistics,
-                mode.training.coefficients,
+                mode.stated.training.coefficients,
                 mode.prediction_error,
                 mode.memory_s,
                 smoothing,
@@ -96,7 +96,7 @@ def transport_delays_s(
         return None, None
     rows = samples.index - samples.first_index
     charge = statistics.conditions.charge_over_case_pa
-    theta = np.append(mode.fit.coefficients, 1.0)
+    theta = np.append(mode.stated.fit.coefficients, 1.0)
 
     def predicted(inputs: Mapping[str, Array], chosen: NDArray[np.int64]) -> Array:
         bar = inputs.get("pressure_difference", samples.pressure_difference_bar[chosen])
@@ -108,7 +108,7 @@ def transport_delays_s(
             np.abs(rpm),
             None if charge is None else charge[chosen] / PA_PER_BAR,
         )
-        flow: Array = regressors(mode.fit.motor, at) @ theta
+        flow: Array = regressors(mode.stated.fit.motor, at) @ theta
         return flow
 
     estimate = estimated_delay_s(

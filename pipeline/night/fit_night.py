@@ -12,11 +12,13 @@ import time
 from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import reduce
 
 import numpy as np
 
 from leakage import EstimationError, LeakageError, Motor
 from leakage.estimation.sample_blocks import TRAINING
+from pipeline.arrays import chosen_rows
 from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
 from pipeline.config.periods import ChosenPeriods
@@ -25,14 +27,8 @@ from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, judged_channel, ordered_channel
 from pipeline.night.fit import fit_modes, with_residuals
 from pipeline.night.operation_rows import operation_row
-from pipeline.night.rows import (
-    Rows,
-    fit_rows,
-    prediction_rows,
-    quality_rows,
-    statistics_rows,
-    unfitted_row,
-)
+from pipeline.night.rows import Rows, fit_rows, unfitted_row
+from pipeline.night.sample_rows import prediction_rows, quality_rows, statistics_rows
 from pipeline.night.sampling import means_too_long
 from pipeline.night.statistics import NightStatistics, night_statistics
 from pipeline.night.stored_blocks import StoredBlocks
@@ -98,7 +94,7 @@ def fit_night(
     Parameters
     ----------
     spec
-        The motor with its resolved config.
+        The motor with its resolved config, in the form in which it is fitted.
     night
         The night.
     channels
@@ -126,8 +122,8 @@ def fit_night(
             rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
             _require_parts(samples, outside)
         with _timed(seconds, "statistics_s"):
-            motor = spec.motor(night.date, spec.file.flushing.mode)
-            statistics = night_statistics(spec, motor, night, samples)
+            motor = spec.stated.motor(night.date, spec.file.flushing.mode)
+            statistics = night_statistics(spec.stated, motor, night, samples)
             ratio = _sensor_ratio(motor, samples)
             rows["block_statistics"] = statistics_rows(
                 spec.motor_id, night.date, motor, statistics, ratio
@@ -285,10 +281,8 @@ def choose_parts(
         settings.windows,
         ChosenPeriods.of(file.periods, night),
     )
-    counted = tuple(
-        Quality("time_base", reason, len(mask), int(mask.sum())) for reason, mask in masks.items()
-    )
-    outside = np.logical_or.reduce(list(masks.values()))
+    counted = tuple(Quality.of("time_base", reason, mask) for reason, mask in masks.items())
+    outside = reduce(np.logical_or, masks.values())
     return (samples.only(~outside) if outside.any() else samples), counted
 
 
@@ -324,7 +318,7 @@ def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:
             INSUFFICIENT_DATA,
             f"{minutes:.1f} minutes of kept samples for training, {needed:g} are needed",
         )
-    training, samples = statistics.rows_of(TRAINING), statistics.samples
+    training, samples = chosen_rows(statistics.rows_of(TRAINING)), statistics.samples
     uniform = too_uniform(
         {
             "pressure": np.abs(samples.pressure_difference_bar[training]),

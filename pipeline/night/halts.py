@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values
 from pipeline.config import SensorHealth
 from pipeline.night.cleaning import CleanChannel
+from pipeline.night.masks import stretches
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +70,9 @@ def settled_halts(
         round(seconds * SECOND_US) for seconds in (settings.settle_s, settings.minimum_s)
     )
     zeros: list[tuple[float, float]] = []
-    for first, last in _stretches(standstill):
-        begin, end = int(grid_us[first]) + settle, int(grid_us[last])
+    begins, ends = stretches(standstill)
+    for first, last in zip(grid_us[begins].tolist(), grid_us[ends - 1].tolist(), strict=True):
+        begin, end = first + settle, last
         if end - begin < needed:
             continue
         flow = _readings(channels["leakage_flow"], begin, end, needed)
@@ -89,13 +90,6 @@ def settled_halts(
         return Halts()
     pressures, flows = np.array(zeros).T
     return Halts(len(zeros), _zero(pressures), _zero(flows))
-
-
-def _stretches(mask: Mask) -> NDArray[np.int64]:
-    """First and last place of each stretch, shape (k, 2)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    places: NDArray[np.int64] = edges.reshape(-1, 2) - np.array([0, 1])
-    return places
 
 
 def _readings(channel: CleanChannel, begin_us: int, end_us: int, needed_us: int) -> Values:

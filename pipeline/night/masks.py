@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +26,31 @@ ROUNDING = 1e-6
 STEP_ROUNDING = 0.01
 
 
+def stretches(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First places of the stretches in which a mask is set, and the places behind them.
+
+    Examples
+    --------
+    >>> stretches(np.array([True, False, True, True]))
+    (array([0, 2]), array([1, 4]))
+    """
+    framed = np.zeros(len(mask) + 2, dtype=np.bool_)
+    framed[1:-1] = mask
+    edges = np.flatnonzero(framed[1:] != framed[:-1])
+    return edges[::2], edges[1::2]
+
+
+def steps_where(chosen: Callable[[Times], Mask], time_us: Times) -> NDArray[np.intp]:
+    """Places of the chosen ones of the steps between stamps; their lengths stay in the cache."""
+    blocks = range(0, max(len(time_us) - 1, 1), CACHED)
+    return np.concatenate(
+        [
+            begin + np.flatnonzero(chosen(np.diff(time_us[begin : begin + CACHED + 1])))
+            for begin in blocks
+        ]
+    )
+
+
 def missing_sample(
     time_us: Times, blank: Mask, period_us: float | None, row_us: float | None
 ) -> Mask:
@@ -37,8 +65,8 @@ def missing_sample(
     row_us = row_us or period_us
     due = np.zeros(len(time_us), dtype=np.bool_)
     # Stretches of blank cells, each with the sample before it and the next one.
-    edges = np.flatnonzero(np.diff(blank, prepend=False, append=False))
-    begins, ends = edges[::2] - 1, edges[1::2]
+    begins, ends = stretches(blank)
+    begins = begins - 1
     if begins[0] < 0:
         # Nothing to count from: only a fast channel is missing there.
         due[: ends[0]] = period_us < 1.5 * row_us
@@ -95,42 +123,49 @@ def spike(
     """
     mask = np.zeros(len(value), dtype=np.bool_)
     half = window // 2
-    if len(value) < window:
+    edges = [0, *borders.tolist(), len(value)]
+    whole = [(first, end) for first, end in pairwise(edges) if end - first >= window]
+    if not whole:
         return mask
+    mirrored = np.concatenate(
+        [
+            part
+            for first, end in whole
+            for part in (
+                value[first + half : first : -1],
+                value[first:end],
+                value[end - 2 : end - 2 - half : -1],
+            )
+        ]
+    )
+    windows = np.lib.stride_tricks.sliding_window_view(mirrored, window)
     floor = (threshold + STEP_ROUNDING) * resolution
-    edges = np.concatenate([[0], borders, [len(value)]])
-    doubtful = _far_from_median(value, half, floor)
-    beside = (edges[:, None] + np.arange(-half, half)).ravel()
-    doubtful[beside[(beside >= 0) & (beside < len(value))]] = True
-    rows = np.flatnonzero(doubtful)
-    ends = edges[np.searchsorted(edges, rows, side="right")]
-    begins = edges[np.searchsorted(edges, rows, side="right") - 1]
-    whole = ends - begins >= window
-    rows, begins, ends = rows[whole], begins[whole], ends[whole]
-    for chunk in range(0, len(rows), WINDOWS):
-        some = slice(chunk, chunk + WINDOWS)
-        first, last = begins[some, None], ends[some, None] - 1
-        places = first + np.abs(rows[some, None] + np.arange(-half, half + 1) - first)
-        part = value[last - np.abs(last - places)]
-        middle = np.partition(part, half, axis=1)[:, half]
-        distance = np.abs(part[:, half] - middle)
-        # Only what exceeds the floor can be a spike: few windows need their deviation.
-        far = np.flatnonzero(distance > floor)
-        deviation = np.partition(np.abs(part[far] - middle[far, None]), half, axis=1)[:, half]
-        limit = threshold * MAD_TO_SD * deviation
-        mask[rows[some][far]] = distance[far] > limit
+    # Only what is farther away than the floor can be a spike: few windows need their deviation.
+    far = np.flatnonzero(_far_from_median(mirrored, half, floor))
+    found = np.zeros(len(windows), dtype=np.bool_)
+    for chunk in range(0, len(far), WINDOWS):
+        some = far[chunk : chunk + WINDOWS]
+        part = windows[some]
+        distance = np.abs(part - np.partition(part, half, axis=1)[:, half, None])
+        deviation = np.partition(distance, half, axis=1)[:, half]
+        found[some] = distance[:, half] > np.maximum(floor, threshold * MAD_TO_SD * deviation)
+    place = 0
+    for first, end in whole:
+        mask[first:end] = found[place : place + end - first]
+        place += end - first + 2 * half
     return mask
 
 
 def _far_from_median(value: Values, half: int, floor: float) -> Mask:
     """Values more than a floor away from the median of `half` values on either side and itself.
 
-    The median is at most so far below where half of the others are, and likewise above.
+    The median is at most so far below where half of the others are, and likewise above. The first
+    and the last `half` values are only others.
     """
-    far = np.empty(len(value), dtype=np.bool_)
-    for begin in range(0, len(value), CACHED):
-        front = min(half, begin)
-        part = value[begin - front : begin + CACHED + half]
+    n = len(value) - 2 * half
+    far = np.empty(n, dtype=np.bool_)
+    for begin in range(0, n, CACHED):
+        part = value[begin : begin + CACHED + 2 * half]
         not_below, not_above = np.zeros((2, len(part)), dtype=np.min_scalar_type(2 * half))
         for lag in range(1, half + 1):
             step = part[lag:] - part[:-lag]
@@ -139,21 +174,38 @@ def _far_from_median(value: Values, half: int, floor: float) -> Mask:
             not_below[:-lag] += falls
             not_above[lag:] += falls
             not_above[:-lag] += rises
-        chunk = far[begin : begin + CACHED]
-        chunk[:] = (np.minimum(not_below, not_above) < half)[front : front + len(chunk)]
+        inner = slice(half, len(part) - half)
+        far[begin : begin + CACHED] = np.minimum(not_below[inner], not_above[inner]) < half
     return far
 
 
-def frozen(time_us: Times, value: Values, resolution: float, frozen_after_us: float) -> Mask:
+def frozen(
+    time_us: Times,
+    value: Values,
+    resolution: float,
+    frozen_after_us: float,
+    borders: NDArray[np.intp] = NO_BORDERS,
+) -> Mask:
     """Values that stay within one step of the sensor for too long.
 
     Readings of the sensor's steps are told apart; noise of less than half a step between them, as a
-    conversion of units leaves it, is no change, wherever it lies.
+    conversion of units leaves it, is no change, wherever it lies. The gaps before `borders` add no
+    time.
     """
     mask = np.zeros(len(value), dtype=np.bool_)
+    gaps_us = np.append(0, np.cumsum(time_us[borders] - time_us[borders - 1]))
+
+    def seen_us(rows: NDArray[np.intp]) -> Times:
+        seen: Times = time_us[rows] - gaps_us[np.searchsorted(borders, rows, side="right")]
+        return seen
+
     for part in _suspects(time_us, value, resolution, frozen_after_us):
         for step in _steps(value[part], resolution):
-            mask[part] |= _unchanged(time_us[part], step, frozen_after_us)
+            begins = part.start + np.append(0, np.flatnonzero(step[1:] != step[:-1]) + 1)
+            ends = np.append(begins[1:], part.stop)
+            too_long = seen_us(ends - 1) - seen_us(begins) > frozen_after_us
+            for begin, end in zip(begins[too_long], ends[too_long], strict=True):
+                mask[begin:end] = True
     return mask
 
 
@@ -189,39 +241,27 @@ def _suspects(
     alike = np.zeros(len(first), dtype=np.bool_)
     for step in _steps(value[looked_at], resolution):
         alike |= (step == step[0]).all(axis=0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], alike, [False]]).astype(np.int8)))
-    borders = np.concatenate([[0], places, [n]])
+    pairs = stretches(alike)
+    borders = [0, *places.tolist(), n]
     # From the mark before the first of a row of such pairs until that after the last.
-    return [
-        slice(int(borders[begin]), int(borders[end + 2])) for begin, end in edges.reshape(-1, 2)
-    ]
+    return [slice(borders[begin], borders[end + 2]) for begin, end in np.transpose(pairs).tolist()]
 
 
-def _unchanged(time_us: Times, step: Values, frozen_after_us: float) -> Mask:
-    """Samples of each stretch of equal steps that lasts too long."""
-    begins = np.flatnonzero(np.concatenate([[True], step[1:] != step[:-1]]))
-    ends = np.append(begins[1:], len(step)) - 1
-    too_long = time_us[ends] - time_us[begins] > frozen_after_us
-    return _covered(begins[too_long], ends[too_long] + 1, len(step))
-
-
-def _covered(begins: NDArray[np.intp], ends: NDArray[np.intp], n: int) -> Mask:
-    """Mask of the n samples within stretches, half open, whose ends both increase."""
-    apart = begins[1:] > ends[:-1]
-    begins = begins[np.append(True, apart)[: len(begins)]]
-    ends = ends[np.append(apart, True)[: len(ends)]]
-    borders = np.column_stack([begins, ends]).ravel()
+def near(events_us: Times, time_us: Times, before_us: float, after_us: float) -> Mask:
+    """Times within a guard time before or after any event; both increase."""
+    # In whole microseconds, as the times are: others would have all of them converted.
+    first = np.searchsorted(time_us, events_us - int(before_us), side="left")
+    end = np.searchsorted(time_us, events_us + int(after_us), side="right")
+    # Events whose guard times meet make one stretch.
+    apart = first[1:] > end[:-1]
+    first = first[np.append(True, apart)[: len(first)]]
+    end = end[np.append(apart, True)[: len(end)]]
+    borders = np.column_stack([first, end]).ravel()
+    n = len(time_us)
     mask: Mask = np.repeat(
         np.arange(len(borders) + 1) % 2 == 1, np.diff(borders, prepend=0, append=n)
     )
     return mask
-
-
-def near(events_us: Times, time_us: Times, before_us: float, after_us: float) -> Mask:
-    """Times within a guard time before or after any event."""
-    first = np.searchsorted(time_us, events_us - before_us, side="left")
-    end = np.searchsorted(time_us, events_us + after_us, side="right")
-    return _covered(first, end, len(time_us))
 
 
 def transient(value: Values, present: Mask, period_s: float, limit_per_s: float) -> Mask:

@@ -30,7 +30,7 @@ def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
     """Rows of `parameters`: coefficients, what they say of gaps, and shares of the leakage."""
     fit = mode.fit
     places = {path.name: place for place, path in enumerate(_columns(fit)) if path}
-    spreads = _spreads(fit)
+    spreads = _spreads(mode.stated.fit)
     rows: list[Row] = []
     for path in fit.motor.paths:
         row = _coefficient_row(mode, path, places.get(path.name), spreads)

@@ -16,11 +16,17 @@ from numpy.typing import NDArray
 
 from leakage import EstimationError, Motor, OperatingConditions
 from leakage.estimation.block_statistics import merge, with_free_known, with_path_known
-from leakage.estimation.model_verdict import Misfit
 from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.sensitivities import effects_elsewhere
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import REFERENCE, BlockFit, conditions, fit_stored_blocks
+from pipeline.night.block_fit import (
+    REFERENCE,
+    BlockFit,
+    conditions,
+    fit_stored_blocks,
+    in_form,
+    scale_of,
+)
 from pipeline.night.fit_night import NightOutcome, PreviousModel
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.rows import (
@@ -47,6 +53,7 @@ REFITTED_TABLES = ("fits", "parameters")
 STARTS_TABLES = ("starts",)
 SENSITIVITIES_TABLES = ("sensitivities",)
 JUDGED_TABLES = ("fits",)
+KEPT_TABLES = ("fits", "parameters", "sensitivities")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +85,7 @@ def refit(
     Parameters
     ----------
     spec
-        The motor, with the settings that hold now.
+        The motor, with the settings that hold now, in the form in which it is to be fitted.
     night
         Its rows as published.
     previous
@@ -105,9 +112,6 @@ def refit(
     # Weighted blocks do not have the plain factor of the night.
     if measured and spec.settings.estimation.loss != "squared":
         return None
-    if spec.roller_is_free and motor.standard is not None:
-        place = spec.motor(night.label, primary).columns.index(motor.standard.name)
-        blocks = blocks.with_free_known(place, motor.standard.configured_coefficient)
     tables = REFITTED_TABLES + STARTS_TABLES * with_starts
     charge_bar = next(iter(fits.values()))["mean_charge_over_case_bar"]
     at, _ = conditions(spec, blocks, charge_bar)
@@ -119,7 +123,6 @@ def refit(
         key = {"motor_id": spec.motor_id, "night": night.label, "flushing_mode": mode}
         before = fits[mode] | measured
         before |= _night_factor(spec, before)
-        told = before["model_misfit_statistics"]
         sensitivities = [row for row in night.sensitivities if row["flushing_mode"] == mode]
         if is_elsewhere:
             sensitivities = _sensitivities(spec, night.label, fits[mode], sensitivities, at)
@@ -133,69 +136,49 @@ def refit(
                 charge_bar,
                 before["weight_inflation"],
                 sensitivities,
-                misfit_as_stated=None if told is None else Misfit.of(np.array(told)),
                 search=with_starts,
             )
         except EstimationError:
             return None
         row = _fits_row(spec, before, found, blocks) | (
-            search_columns(found.fit) if with_starts else {}
+            search_columns(found.stated.fit) if with_starts else {}
         )
         row |= _previous_model(spec, before, previous)
         rows["fits"].append(row | criteria_columns(row))
         known = [row for row in night.parameters if row["flushing_mode"] == mode]
         rows["parameters"] += [key | row for row in _parameters(spec, found, known)]
         if with_starts:
-            rows["starts"] += [key | row for row in start_rows(found.fit)]
+            rows["starts"] += [key | row for row in start_rows(found.stated.fit)]
         model[mode] = tuple(found.fit.coefficients.tolist())
     mark_modes(rows["fits"], primary)
     return NightOutcome(night.label, OK, None, None, rows, model, tables=tables)
 
 
-def with_free_roller(
+def refit_in_form(
     spec: MotorSpec,
     outcome: NightOutcome,
     published: PublishedNight | None,
     previous: PreviousModel,
 ) -> NightOutcome | None:
-    """A night's outcome with the scale of the rollers' curve estimated.
+    """A night's outcome in another form: with the rollers' scale estimated, or as stated.
 
-    What needs samples, the search and the misfit are those of the model as it is stated.
-
-    Parameters
-    ----------
-    spec
-        The motor.
-    outcome
-        The night, fitted as stated.
-    published
-        Its rows as published, of a night that was not read; None of one that was.
-    previous
-        The motor's model before, by flushing mode.
-
-    Returns
-    -------
-    NightOutcome or None
-        None where its rows do not suffice.
+    `spec` has the form, `published` the rows of a night that was not read. What needs samples
+    stays, and so does the mark of a night that was read. None where the rows do not suffice.
     """
     rows = outcome.rows
     if published is None:
         kinds = {one: BLOCK_STATISTICS.schema[one] for one in BLOCK_COLUMNS}
         blocks = pl.DataFrame(rows["block_statistics"], kinds)
         published = PublishedNight(outcome.night, (), (), (), blocks)
-    night = replace(
-        published,
-        fits=rows["fits"],
-        parameters=rows["parameters"],
-        # Those at other reference conditions are made with the fit as stated.
-        sensitivities=rows.get("sensitivities", published.sensitivities),
-    )
-    made = refit(replace(spec, roller_is_free=True), night, previous)
+    known = {name: rows.get(name, getattr(published, name)) for name in KEPT_TABLES}
+    made = refit(spec, replace(published, **known), previous)
     if made is None:
         return None
     is_refitted = {row["flushing_mode"]: row["is_refitted"] for row in rows["fits"]}
     fits = [row | {"is_refitted": is_refitted[row["flushing_mode"]]} for row in made.rows["fits"]]
-    return replace(outcome, rows={**rows, **made.rows, "fits": fits}, model=made.model)
+    tables = outcome.tables and tuple(dict.fromkeys((*outcome.tables, *(made.tables or ()))))
+    rows = {**rows, **made.rows, "fits": fits}
+    return replace(outcome, rows=rows, model=made.model, tables=tables)
 
 
 def _as_measured(blocks: StoredBlocks, motor: Motor, before: Row) -> Row:
@@ -211,19 +194,20 @@ def _as_measured(blocks: StoredBlocks, motor: Motor, before: Row) -> Row:
 
 def _night_factor(spec: MotorSpec, row: Row) -> Row:
     """Columns of the night's factor in the form in which the motor is fitted."""
-    stated = spec.stated.motor(row["night"], row["flushing_mode"])
-    columns = list(spec.motor(row["night"], row["flushing_mode"]).columns)
-    if row["columns"] == columns or stated.standard is None:
+    motor, columns = spec.stated.motor(row["night"], row["flushing_mode"]), row["columns"]
+    fitted = list(spec.motor(row["night"], row["flushing_mode"]).columns)
+    if columns == fitted or motor.standard is None:
         return {}
-    standard, known = stated.standard, row["columns"]
-    factor = np.zeros((len(known),) * 2)
+    move = with_free_known if spec.roller_is_free else with_path_known
+    (moved,) = move(_square(row)[None], *scale_of(motor))
+    return {"columns": fitted, "night_factor": upper_triangle(moved)}
+
+
+def _square(row: Row) -> Array:
+    """The night's factor of a row of `fits`."""
+    factor = np.zeros((len(row["columns"]),) * 2)
     factor[np.triu_indices(len(factor))] = row["night_factor"]
-    if standard.name in columns:
-        place, move = columns.index(standard.name), with_free_known
-    else:
-        place, move = known.index(standard.name), with_path_known
-    (moved,) = move(factor[None], place, standard.configured_coefficient)
-    return {"columns": columns, "night_factor": upper_triangle(moved)}
+    return factor
 
 
 def judge_again(
@@ -264,7 +248,12 @@ def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlock
     }
     # Blocks under a robust loss are weighted: they cannot tell how the samples agree.
     if spec.settings.estimation.loss == "squared":
-        row |= agreement_columns(spec, blocks.factor_of, found)
+        motor = found.stated.fit.motor
+
+        def judged_on(part: str) -> Array:
+            return in_form(spec, motor, blocks.factor_of(part))
+
+        row |= agreement_columns(spec, judged_on, found.training)
     return row
 
 
@@ -311,9 +300,7 @@ def _sensitivities(
 
 def _previous_model(spec: MotorSpec, row: Row, previous: PreviousModel) -> Row:
     """Columns of the model before, judged on the night of a row of `fits`."""
-    factor = np.zeros((len(row["columns"]),) * 2)
-    factor[np.triu_indices(len(factor))] = row["night_factor"]
-    return previous_model_columns(spec, factor, previous.get(row["flushing_mode"]))
+    return previous_model_columns(spec, _square(row), previous.get(row["flushing_mode"]))
 
 
 def _parameters(spec: MotorSpec, found: BlockFit, before: Sequence[Row]) -> list[Row]:

@@ -1,4 +1,4 @@
-"""The rows that a motor's night leaves in each table."""
+"""Rows of a night's fits, and of the tables below a fit."""
 
 from __future__ import annotations
 
@@ -9,39 +9,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Motor
+from leakage.estimation.certificate import Certificate
 from leakage.estimation.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
 from leakage.estimation.least_squares import Fit
 from leakage.estimation.model_verdict import LowSide, model_verdict, verdict_in_words
 from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
-from leakage.estimation.validation import (
-    Agreement,
-    agreement,
-    criteria,
-    effective_sample_count,
-    lag_one_autocorrelation,
-)
-from leakage.physics.motor import speed_beyond_curve
-from pipeline.arrays import chosen_rows, utc
+from leakage.estimation.validation import Agreement, agreement, criteria
+from pipeline.arrays import utc
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import OWN, REFERENCE, BlockFit
+from pipeline.night.block_fit import OWN, REFERENCE, BlockFit, in_form
 from pipeline.night.fit import transport_delays_s
-from pipeline.night.operation_rows import coarse_histogram
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
-from pipeline.night.time_base import Quality
-from pipeline.night.viscosity import SensorRatio, mean_ratio
-from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
-from pipeline.thinning import keep_extremes
+from pipeline.night.viscosity import mean_ratio
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 Rows = dict[str, list[Row]]
-
-# Points a night in the table of predictions: enough for a plot, not for an analysis.
-PREDICTION_POINTS = 720
 
 
 def unfitted_row(
@@ -61,74 +47,6 @@ def unfitted_row(
     }
 
 
-def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> list[Row]:
-    """Rows of `quality`: every rule that was applied, those that refused nothing too."""
-    return [
-        {
-            "motor_id": motor_id,
-            "night": night,
-            "channel": one.channel,
-            "reason": one.reason,
-            "n_samples": one.n_samples,
-            "n_refused": one.n_refused,
-            "n_noted": one.n_noted,
-        }
-        for one in found
-    ]
-
-
-def statistics_rows(
-    motor_id: str,
-    night: dt.date,
-    motor: Motor,
-    statistics: NightStatistics,
-    viscosity: SensorRatio | None = None,
-) -> list[Row]:
-    """Rows of `block_statistics`, with the viscosity by the log over the data sheet's."""
-    samples = statistics.samples
-    beyond = speed_beyond_curve(motor, samples.speed_rpm)
-    channels = {
-        "pressure": ("bar", np.abs(samples.pressure_difference_bar), PRESSURE_EDGES_BAR),
-        "temperature": ("c", samples.oil_temperature_c, TEMPERATURE_EDGES_C),
-        "speed": ("rpm", np.abs(samples.speed_rpm), SPEED_EDGES_RPM),
-    }
-    rows = []
-    for block, r, means in zip(
-        statistics.blocks, statistics.factors, statistics.short_means, strict=True
-    ):
-        part = slice(block.first_row, block.end_row)
-        row: Row = {
-            "motor_id": motor_id,
-            "night": night,
-            "block_start": utc(block.start_us),
-            "block_end": utc(block.end_us),
-            "part": block.part,
-            "n": block.n,
-            "columns": list(motor.columns),
-            "statistics": upper_triangle(r),
-            "share_reversed": float(np.mean(samples.speed_rpm[part] < 0)),
-            "n_beyond_curve": int(beyond[part].sum()),
-            "model_hash": statistics.model_hash,
-            "short_means": means,
-        }
-        for name, (unit, values, edges) in channels.items():
-            row |= _spread(name, unit, values[part], edges)
-        if viscosity is not None:
-            row["viscosity_ratio"] = viscosity.at(row["mean_temperature_c"])
-        rows.append(row)
-    return rows
-
-
-def _spread(name: str, unit: str, values: Array, edges: tuple[float, ...]) -> Row:
-    """Mean, limits and coarse histogram of a channel in a block; the end bins hold all beyond."""
-    return {
-        f"mean_{name}_{unit}": float(values.mean()),
-        f"minimum_{name}_{unit}": float(values.min()),
-        f"maximum_{name}_{unit}": float(values.max()),
-        f"{name}_histogram": coarse_histogram(values, edges),
-    }
-
-
 def fit_rows(
     spec: MotorSpec,
     night: dt.date,
@@ -139,6 +57,11 @@ def fit_rows(
 ) -> Rows:
     """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
     shared = _shared_columns(spec, night, statistics)
+    stated = spec.stated.motor(night, spec.file.flushing.mode)
+
+    def judged_on(part: str | None = None) -> Array:
+        return in_form(spec, stated, statistics.judged_on(part))
+
     motor_night = {"motor_id": spec.motor_id, "night": night}
     period_s = statistics.samples.period_us / 1e6
     rows: Rows = {
@@ -151,10 +74,11 @@ def fit_rows(
     }
     for mode in modes:
         key = motor_night | {"flushing_mode": mode.name}
-        own = shared | key | _mode_columns(spec, statistics, mode, previous.get(mode.name))
+        before = previous.get(mode.name)
+        own = shared | key | _mode_columns(spec, statistics, mode, judged_on, before)
         rows["fits"].append(own | criteria_columns(own))
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
-        rows["starts"] += [key | row for row in start_rows(mode.fit)]
+        rows["starts"] += [key | row for row in start_rows(mode.stated.fit)]
         for name, made in (
             ("residual_tests", residual_test_rows),
             ("residual_verdicts", residual_verdict_rows),
@@ -187,8 +111,6 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "loss": spec.settings.estimation.loss,
         "oil": spec.file.oil_on(night),
         "model_hash": statistics.model_hash,
-        "columns": list(spec.motor(night, spec.file.flushing.mode).columns),
-        "night_factor": upper_triangle(statistics.judged_on()),
         "n_kept": len(samples.index),
         "sample_period_s": samples.period_us / 1e6,
         "mean_charge_over_case_bar": mean_charge_bar(spec, samples),
@@ -220,23 +142,24 @@ def _mode_columns(
     spec: MotorSpec,
     statistics: NightStatistics,
     mode: BlockFit,
+    judged_on: Callable[..., Array],
     previous: tuple[float, ...] | None,
 ) -> Row:
     """Figures of one fit."""
-    chosen = chosen_rows(statistics.rows_of(TRAINING))
-    consecutive = np.diff(statistics.samples.index[chosen]) == 1
-    error = mode.prediction_error[chosen]
-    phi = lag_one_autocorrelation(error, consecutive)
+    whole, agrees = judged_on(), (judged_on, mode.training)
+    # As of a night fitted from its weighted blocks, which cannot tell how the samples agree.
+    if spec.settings.estimation.loss != "squared":
+        agrees = statistics.judged_on, mode.stated.training
     configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {
         "transport_delay_s": configured_delay,
         "estimated_transport_delay_s": estimated_delay,
-        **search_columns(mode.fit),
+        **search_columns(mode.stated.fit),
         "correlation_time_s": mode.memory_s,
-        "n_effective": effective_sample_count(len(error), phi),
-        "lag_one_autocorrelation": phi,
-        **agreement_columns(spec, statistics.judged_on, mode),
-        **previous_model_columns(spec, statistics.judged_on(), previous),
+        "columns": list(mode.fit.motor.columns),
+        "night_factor": upper_triangle(whole),
+        **agreement_columns(spec, *agrees),
+        **previous_model_columns(spec, whole, previous),
         **block_fit_columns(spec, mode),
         **residual_columns(mode.residuals),
         **leakage_columns(spec, mode),
@@ -253,12 +176,10 @@ def search_columns(fit: Fit) -> Row:
 
 
 def agreement_columns(
-    spec: MotorSpec,
-    judged_on: Callable[[str], Array],
-    mode: BlockFit,
+    spec: MotorSpec, judged_on: Callable[[str], Array], fitted: Certificate
 ) -> Row:
     """Agreement of the training fit with the training and the validation samples."""
-    theta, resolution = mode.training.coefficients, spec.file.channels["leakage_flow"].resolution
+    theta, resolution = fitted.coefficients, spec.file.channels["leakage_flow"].resolution
     training = agreement(judged_on(TRAINING), theta, resolution)
     validation = agreement(judged_on(VALIDATION), theta, resolution)
     return {
@@ -394,7 +315,7 @@ def model_columns(mode: BlockFit, low_side: LowSide) -> Row:
     """Verdict on the model; none where the night has too few blocks for it."""
     names = ("verdict", "misfit_percent", "noise_percent", "reason", "misfit_statistics")
     row: Row = dict.fromkeys(f"model_{name}" for name in names)
-    told, found = mode.misfit, mode.structured
+    told, found = mode.stated.misfit, mode.structured
     if told is None or found is None:
         return row
     verdict = model_verdict(found)
@@ -441,35 +362,3 @@ def start_rows(fit: Fit) -> list[Row]:
         }
         for start in fit.starts
     ]
-
-
-def prediction_rows(
-    motor_id: str, night: dt.date, statistics: NightStatistics, modes: Sequence[BlockFit]
-) -> list[Row]:
-    """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
-    samples = statistics.samples
-    measured = statistics.z[:, -1]
-    primary = statistics.z[:, :-1] @ np.append(modes[0].training.coefficients, 1.0)
-    pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
-    chosen = keep_extremes(
-        np.stack([measured, measured - primary, pressure, speed]).T, PREDICTION_POINTS
-    )
-    parts = statistics.parts_of(chosen)
-    z = statistics.z[chosen]
-    times = [utc(stamp) for stamp in samples.time_us[chosen].tolist()]
-    inputs = {
-        "pressure_difference_bar": pressure[chosen].tolist(),
-        "oil_temperature_c": samples.oil_temperature_c[chosen].tolist(),
-        "speed_rpm": speed[chosen].tolist(),
-        "measured_l_per_min": z[:, -1].tolist(),
-    }
-    rows: list[Row] = []
-    for mode in modes:
-        predicted = (z[:, :-1] @ np.append(mode.training.coefficients, 1.0)).tolist()
-        key = {"motor_id": motor_id, "night": night, "flushing_mode": mode.name}
-        columns = {"time": times, "part": parts, **inputs, "predicted_l_per_min": predicted}
-        rows += [
-            key | dict(zip(columns, values, strict=True))
-            for values in zip(*columns.values(), strict=True)
-        ]
-    return rows

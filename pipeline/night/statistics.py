@@ -80,7 +80,7 @@ def night_statistics(
     """
     settings = spec.settings
     conditions = operating_conditions(spec, samples)
-    unsmoothed = np.empty((len(samples.index), len(motor.columns)))
+    unsmoothed = np.empty((len(samples.index), len(motor.columns)), order="F")
     regressors(motor, conditions, out=unsmoothed[:, :-1])
     unsmoothed[:, -1] = samples.leakage_l_per_min
     by_hand = ChosenPeriods.of(spec.file.periods, night)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage.estimation.block_fit import SampleBlocks
-from leakage.estimation.block_statistics import merge, with_free_known
+from leakage.estimation.block_statistics import merge
 from leakage.estimation.identifiability import Excitation
 from leakage.estimation.sample_blocks import TRAINING, short_blocks_within
 from leakage.estimation.slow_errors import ShortBlocks
@@ -78,9 +78,10 @@ class StoredBlocks:
         cls, spec: MotorSpec, rows: Sequence[dict[str, Any]], factors: Array
     ) -> StoredBlocks:
         """Blocks that are about to be stored."""
-        schema = BLOCK_STATISTICS.schema
-        wanted = {name: schema[name] for name in BLOCK_COLUMNS}
-        return cls._scaled(spec, pl.DataFrame(rows, schema=wanted), factors, rows[0]["columns"])
+        known = "columns", "statistics"
+        wanted = {one: BLOCK_STATISTICS.schema[one] for one in BLOCK_COLUMNS if one not in known}
+        values = {name: [row.get(name) for row in rows] for name in wanted}
+        return cls._scaled(spec, pl.DataFrame(values, wanted), factors, rows[0]["columns"])
 
     @classmethod
     def _scaled(
@@ -95,24 +96,6 @@ class StoredBlocks:
             scale = np.where(driven(columns), 1.0 / ratios[:, None], scale)
             factors = factors * scale[:, None, :]
         return cls(rows, factors, ratios, scale)
-
-    def with_free_known(self, place: int, coefficient: float) -> StoredBlocks:
-        """The blocks with the known flow as a path of its own, short means as well."""
-        size = self.factors.shape[2] + 1
-        shorts = []
-        for values in self.rows["short_means"].to_list():
-            # Place and number of samples come before the columns.
-            part = np.reshape(values or (), (-1, size)).astype(np.float64)
-            part = np.insert(part, 2 + place, part[:, -2] / coefficient, axis=1)
-            part[:, -2] = 0.0
-            shorts.append(part.ravel().tolist() or None)
-        column = pl.Series("short_means", shorts, dtype=self.rows.schema["short_means"])
-        return replace(
-            self,
-            rows=self.rows.with_columns(column),
-            factors=with_free_known(self.factors, place, coefficient),
-            scale=np.insert(self.scale, place, self.scale[:, -2], axis=1),
-        )
 
     def factor_of(self, part: str) -> Array:
         """Factor of all blocks of the training or the validation samples, shape (c, c)."""

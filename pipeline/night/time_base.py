@@ -1,34 +1,27 @@
 """One time base for all channels of a night, and the rules that need them all at once.
 
 The grid is anchored at the night's start, so it does not depend on which files a night came in.
-Slower channels are interpolated linearly, never across a gap or a refused sample; faster ones are
-averaged over a cell of the grid. An on-change channel begins with its last sample before the night.
+An on-change channel begins with its last sample before the night.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from math import ceil
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values
 from pipeline.config import Cleaning, SensorHealth, TimeBase, TransportDelay
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.halts import Halts, settled_halts
-from pipeline.night.masks import CACHED, ROUNDING, near, transient
+from pipeline.night.masks import ROUNDING, near, stretches, transient
+from pipeline.night.resampling import on_grid
 from pipeline.night.time_order import Stamps
 from pipeline.night.transport_delay import Delay, delay_inputs
 
-# A channel with more than this many samples a cell of the grid is averaged, not interpolated.
-AVERAGE_ABOVE = 1.5
-# Share of a cell's samples that must be kept for its average.
-CELL_SHARE = 0.5
-# A mean stands for this share of its period on either side; half, and some for jitter.
-MEAN_REACH = 0.6
 NO_HALTS = Halts()
 INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 # Pressures against which a two-sided motor leaks; a sample needs those that are logged.
@@ -46,6 +39,11 @@ class Quality:
     n_samples: int
     n_refused: int
     n_noted: int = 0
+
+    @classmethod
+    def of(cls, channel: str, reason: str, refused: Mask) -> Quality:
+        """The count of a mask."""
+        return cls(channel, reason, len(refused), int(np.count_nonzero(refused)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,143 +138,6 @@ def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> 
     return max(rounded, ceil(SECOND_US / settings.maximum_rate_hz))
 
 
-def on_grid(
-    channel: CleanChannel, grid_us: Times, period_us: int, stamps: Stamps | None = None
-) -> tuple[Values, Mask, Mask]:
-    """Values of a channel on the time base, where it has one, and where it is silent."""
-    n = len(grid_us)
-    if not n or not len(channel.time_us):
-        return np.full(n, np.nan), np.zeros(n, np.bool_), np.ones(n, np.bool_)
-    if channel.sampling.hold:
-        return _held(channel, grid_us)
-    if channel.sampling.mean_us > 0:
-        return _mean_of_its_period(channel, grid_us)
-    on_change = channel.sampling.on_change
-    if channel.period_us and not on_change and channel.period_us * AVERAGE_ABOVE < period_us:
-        return _averaged(channel, grid_us, period_us)
-    time = channel.time_us
-    places = (stamps or Stamps()).once(time, "places", lambda: _places(time, grid_us, period_us))
-    return _interpolated(channel, grid_us, places)
-
-
-def samples_before(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np.intp]:
-    """Number of samples before each time of an even grid: counted, not searched for.
-
-    Examples
-    --------
-    >>> samples_before(np.array([-7, 0, 3, 10, 99]), np.array([0, 10, 20]), 10)
-    array([1, 3, 4])
-    """
-    n = len(grid_us)
-    # Each sample is before all of the grid from here on.
-    begins = time_us - grid_us[0]
-    begins //= period_us
-    begins += 1
-    counts = np.bincount(np.clip(begins, 0, n, out=begins), minlength=n)[:n]
-    before: NDArray[np.intp] = np.cumsum(counts, out=counts)
-    return before
-
-
-class _Places(NamedTuple):
-    """Places of samples on a time base.
-
-    Attributes
-    ----------
-    at
-        First sample at or after each time of the grid; the last one where there is none.
-    between
-        Times of the grid at which there is no sample.
-    left
-        The sample before each of these; -1 where there is none.
-    """
-
-    at: NDArray[np.intp]
-    between: NDArray[np.intp]
-    left: NDArray[np.intp]
-
-
-def _places(time_us: Times, grid_us: Times, period_us: int) -> _Places:
-    before = samples_before(time_us, grid_us, period_us)
-    at = np.minimum(before, len(time_us) - 1)
-    between = np.flatnonzero(time_us[at] != grid_us)
-    return _Places(at, between, before[between] - 1)
-
-
-# A refused value may be infinite.
-@np.errstate(over="ignore", invalid="ignore")
-def _interpolated(
-    channel: CleanChannel, grid_us: Times, places: _Places
-) -> tuple[Values, Mask, Mask]:
-    time, value, kept = channel.time_us, channel.value, ~channel.refused
-    # Most times of the grid are those of samples.
-    result, present = value[places.at], kept[places.at]
-    result += 0.0
-    silent = np.zeros(len(grid_us), dtype=np.bool_)
-    for begin in range(0, len(places.between), CACHED):
-        between, left = (rows[begin : begin + CACHED] for rows in (places.between, places.left))
-        # Outside of the samples there is nothing to hold.
-        asleep = (left < 0) | (left >= len(time) - 1)
-        right = left + 1
-        since, until = time.take(left, mode="clip"), time.take(right, mode="clip")
-        first, second = value.take(left, mode="clip"), value.take(right, mode="clip")
-        distance = until - since
-        asleep |= distance > channel.longest_gap_us
-        if channel.ends is not None:
-            asleep |= channel.ends.take(left, mode="clip")
-        silent[between] = asleep
-        both = kept.take(left, mode="clip") & kept.take(right, mode="clip")
-        present[between] = both & ~asleep
-        share = (grid_us[between] - since) / np.maximum(distance, 1)
-        result[between] = first + share * (second - first)
-    result[~present] = np.nan
-    return result, present, silent
-
-
-def _held(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
-    """The last sample, while it is not older than the longest silence; none after a refused one."""
-    last = np.searchsorted(channel.time_us, grid_us, side="right") - 1
-    known, last = last >= 0, np.maximum(last, 0)
-    silent = ~known | (grid_us - channel.time_us[last] > channel.longest_gap_us)
-    silent |= _ended(channel, last, grid_us)
-    present = ~silent & ~channel.refused[last]
-    return np.where(present, channel.value[last], np.nan), present, silent
-
-
-def _ended(channel: CleanChannel, last: NDArray[np.intp], grid_us: Times) -> Mask:
-    """Times behind a sample which says that there is no value from there on."""
-    if channel.ends is None:
-        return np.zeros(len(grid_us), dtype=np.bool_)
-    ended: Mask = channel.ends[last] & (channel.time_us[last] < grid_us)
-    return ended
-
-
-def _mean_of_its_period(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
-    """The mean in whose period a time lies: interpolated means would be averaged once more."""
-    time = channel.time_us
-    right = np.minimum(np.searchsorted(time, grid_us), len(time) - 1)
-    left = np.maximum(right - 1, 0)
-    nearest = np.where(grid_us - time[left] < time[right] - grid_us, left, right)
-    reach = MEAN_REACH * channel.sampling.mean_us
-    silent = np.abs(grid_us - time[nearest]) > reach
-    present = ~silent & ~channel.refused[nearest]
-    return np.where(present, channel.value[nearest], np.nan), present, silent
-
-
-def _averaged(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Values, Mask, Mask]:
-    n = len(grid_us)
-    cell = (channel.time_us - grid_us[0] + period_us // 2) // period_us
-    chosen = ~channel.refused & (cell >= 0) & (cell < n)
-    kept = np.bincount(cell[chosen], minlength=n)
-    total = np.bincount(cell[chosen], weights=channel.value[chosen], minlength=n)
-    assert channel.period_us is not None
-    present = kept >= CELL_SHARE * period_us / channel.period_us
-    result = np.full(n, np.nan)
-    result[present] = total[present] / kept[present]
-    within = (cell >= 0) & (cell < n)
-    silent = np.bincount(cell[within], minlength=n) == 0
-    return result, present, silent
-
-
 def bring_together(
     channels: Mapping[str, CleanChannel],
     night_start_us: int,
@@ -293,8 +154,8 @@ def bring_together(
     last = max(int(channel.time_us[-1]) for channel in channels.values())
     begin = max(-(-(_first_us(channels, night_start_us) - night_start_us) // period), 0)
     end = min((last - night_start_us) // period, (night_end_us - night_start_us - 1) // period)
-    index = np.arange(begin, end + 1, dtype=np.int64)
-    grid = night_start_us + index * period
+    first = night_start_us + begin * period
+    grid = np.arange(first, night_start_us + (end + 1) * period, period, dtype=np.int64)
     values: dict[str, Values] = {}
     present: dict[str, Mask] = {}
     found: list[Quality] = []
@@ -302,7 +163,7 @@ def bring_together(
     stamps = Stamps()
     for name, channel in channels.items():
         values[name], present[name], silent = on_grid(channel, grid, period, stamps)
-        found.append(Quality(name, "gap", len(grid), int(np.count_nonzero(silent))))
+        found.append(Quality.of(name, "gap", silent))
         logged |= ~silent
     if "high_port_pressure" in channels:
         high, low = "high_port_pressure", "low_port_pressure"
@@ -316,36 +177,37 @@ def bring_together(
             values, present, period / SECOND_US, transport_delay
         )
         unpaired["transport_delay"] = late
-    complete = np.logical_and.reduce([present[name] for name in (*INPUTS, *low_pressures)])
+    incomplete = ~reduce(np.logical_and, (present[name] for name in (*INPUTS, *low_pressures)))
     together = Together(grid, period / SECOND_US, values, present)
     masks = _halt_masks(channels, together, cleaning)
     judged = {reason: rule(together, cleaning) for reason, rule in JOINT_RULES.items()}
     masks |= {reason: mask for reason, mask in judged.items() if mask is not None} | unpaired
-    refused = np.logical_or.reduce(list(masks.values())) | ~complete
-    masks["incomplete"], masks["any"] = ~complete, refused
-    found += [
-        Quality("time_base", reason, len(grid), int(np.count_nonzero(mask)))
-        for reason, mask in masks.items()
-    ]
+    masks["incomplete"] = incomplete
+    refused = masks["any"] = reduce(np.logical_or, masks.values())
+    found += [Quality.of("time_base", reason, mask) for reason, mask in masks.items()]
     # By their places, which takes a third of the time that a mask does.
     kept = np.flatnonzero(~refused)
-    pressure, temperature, speed, leakage = (values[name][kept] for name in INPUTS)
+    running = logged & ~(masks["standstill"] | masks["guard"])
+    n_logged = int(np.count_nonzero(present["speed"]))
+    n_turning = int(np.count_nonzero(present["speed"] & ~masks["standstill"]))
+    del together
+    pressure, temperature, speed, leakage = (values.pop(name)[kept] for name in INPUTS)
     return (
         Samples(
-            index=index[kept],
+            index=begin + kept,
             time_us=grid[kept],
             pressure_difference_bar=pressure,
             oil_temperature_c=temperature,
             speed_rpm=speed,
             leakage_l_per_min=leakage,
-            low_pressures_bar={name: values[name][kept] for name in low_pressures},
+            low_pressures_bar={name: values.pop(name)[kept] for name in low_pressures},
             period_us=period,
             n_grid=len(grid),
-            n_running=int((logged & ~masks["standstill"] & ~masks["guard"]).sum()),
+            n_running=int(np.count_nonzero(running)),
             first_index=begin,
             delay=delay,
-            n_logged=int(present["speed"].sum()),
-            n_turning=int((present["speed"] & ~masks["standstill"]).sum()),
+            n_logged=n_logged,
+            n_turning=n_turning,
             halts=settled_halts(
                 masks["standstill"], grid, channels, sensor_health or SensorHealth()
             ),
@@ -374,10 +236,12 @@ def _halt_masks(
     """Standstills, and the guard times around them and around a sensor at its maximum."""
     grid, speed = together.grid_us, together.values["speed"]
     slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
-    standstill = together.present["speed"] & (np.abs(speed) < slowest)
+    standstill = together.present["speed"] & (speed < slowest) & (speed > -slowest)
+    begins, ends = stretches(standstill)
     flow = channels["leakage_flow"]
     # A halt drives oil backwards through the sensor, which then reads its maximum.
-    events = np.sort(np.concatenate([grid[standstill], flow.time_us[flow.at_maximum]]))
+    events = np.concatenate([grid[begins], grid[ends - 1], flow.time_us[flow.at_maximum]])
+    events.sort()
     before, after = cleaning.guard_before_s * SECOND_US, cleaning.guard_after_s * SECOND_US
     return {"standstill": standstill, "guard": near(events, grid, before, after) & ~standstill}
 

@@ -16,6 +16,7 @@ from pipeline.night.clocks import (
     backward_time,
     duplicate_time,
     jittered,
+    median_step_us,
     stray_time,
     typical_period_us,
     written_late,
@@ -23,6 +24,7 @@ from pipeline.night.clocks import (
 from pipeline.night.masks import missing_sample
 
 Found = TypeVar("Found")
+LATEST_US = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +73,16 @@ class Stamps:
             time_us, puts_in_order, lambda: order_of(time_us, puts_in_order=puts_in_order)
         )
 
+    def earliest_us(self, time_us: Times) -> int:
+        """The smallest stamp; the largest number there is where there is none."""
+        return self.once(time_us, "earliest", lambda: int(time_us.min(initial=LATEST_US)))
+
     def period_us(self, time_us: Times, blank: Mask | None = None) -> float | None:
         """As `typical_period_us`, of the stamps whose cells are not blank."""
-        period = self.once(time_us, "period", lambda: typical_period_us(time_us))
+        period, n_alike = self.once(time_us, "period", lambda: _period_us(time_us))
         n_blank = 0 if blank is None else np.count_nonzero(blank)
         if blank is None or not n_blank:
             return period
-        n_alike = self.once(time_us, "alike", lambda: np.count_nonzero(np.diff(time_us) == period))
         # A blank cell takes two steps away and leaves one: it stays the median of a majority.
         if 2 * (n_alike - 2 * n_blank) > len(time_us) - 1 - n_blank:
             return period
@@ -86,7 +91,9 @@ class Stamps:
     def n_jittered(self, time_us: Times, period_us: float | None) -> int:
         """Number of samples that are `jittered`."""
         return self.once(
-            time_us, ("jitter", period_us), lambda: int(jittered(time_us, period_us).sum())
+            time_us,
+            ("jitter", period_us),
+            lambda: int(np.count_nonzero(jittered(time_us, period_us))),
         )
 
     def once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
@@ -95,6 +102,13 @@ class Stamps:
         if key not in self._known:
             self._known[key] = time_us, find()
         return cast(Found, self._known[key][1])
+
+
+def _period_us(time_us: Times) -> tuple[float | None, int]:
+    """Typical period of some stamps, and the number of steps of just that length."""
+    steps = np.diff(time_us)
+    period = median_step_us(steps) if len(steps) else None
+    return period, int(np.count_nonzero(steps == period))
 
 
 def order_of(time_us: Times, *, puts_in_order: bool) -> Order:

@@ -29,18 +29,22 @@ def left_out(
     if chosen_periods:
         inside = within(time_us, chosen_periods.training + chosen_periods.validation)
         return {"outside_periods": ~inside}
-    length = round(settings.block_s * SECOND_US)
-    number = (time_us - night_start_us) // length
-    _, place, sizes = np.unique(number, return_inverse=True, return_counts=True)
-    thin = (sizes < settings.minimum_block_share * (length / period_us))[place]
-    short = np.zeros(len(time_us), dtype=np.bool_)
-    rest = np.flatnonzero(~thin)
-    if settings.longest_gap_s is not None and len(rest):
-        apart = np.diff(time_us[rest]) > settings.longest_gap_s * SECOND_US
-        stretch = np.concatenate([[0], np.cumsum(apart)])
-        minutes = np.bincount(stretch) * period_us / (60 * SECOND_US)
-        short[rest] = (minutes < settings.minimum_stretch_minutes)[stretch]
+    thin, short = np.zeros((2, len(time_us)), dtype=np.bool_)
+    if settings.minimum_block_share > 0 and len(time_us):
+        length = round(settings.block_s * SECOND_US)
+        sizes = _lengths(np.diff((time_us - night_start_us) // length) > 0)
+        thin = np.repeat(sizes < settings.minimum_block_share * (length / period_us), sizes)
+    if settings.longest_gap_s is not None and not thin.all():
+        rest = np.flatnonzero(~thin)
+        sizes = _lengths(np.diff(time_us[rest]) > settings.longest_gap_s * SECOND_US)
+        minutes = sizes * period_us / (60 * SECOND_US)
+        short[rest] = np.repeat(minutes < settings.minimum_stretch_minutes, sizes)
     return {"thin_block": thin, "short_stretch": short}
+
+
+def _lengths(between: Mask) -> NDArray[np.intp]:
+    """Samples of each run, from the pairs of neighbours between which one ends."""
+    return np.diff(np.flatnonzero(between) + 1, prepend=0, append=len(between) + 1)
 
 
 def too_uniform(values: Mapping[str, NDArray[np.float64]], settings: Windows) -> str | None:

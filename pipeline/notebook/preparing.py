@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import polars as pl
 
-from leakage.estimation.sensitivities import Tolerances
+from leakage.estimation.error_sources import Tolerances
 from leakage.frame.fit import fit_frame
 from leakage.frame.result import FrameFit
 from leakage.frame.samples import CHARGE, FLOW, FrameTable, Period

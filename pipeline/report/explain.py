@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UsageError
+from pipeline.messages import counted
 from pipeline.report.explain_residuals import explain_residuals
 from pipeline.report.words import UNITS
 from pipeline.schema import (
@@ -37,12 +38,7 @@ PARTS_OF_A_TOTAL = {"samples": "statistical", "sensors": "sensor", "model": "mod
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
     """Explain a motor's night in words, line by line: the answer first, then what it rests on.
 
-    Raises
-    ------
-    UsageError
-        If there is no row of that motor and night.
-    StoreError
-        If a table is damaged.
+    Raises UsageError if there is no row of that motor and night, StoreError if a table is damaged.
     """
     fits = _rows(output, FITS, motor_id, night)
     if not fits:
@@ -99,7 +95,7 @@ def _files(rows: list[Row], told: str | None) -> Iterator[str]:
     for row in rows:
         # What failed the night stands in the headline.
         said = f"; {row['message']}" if row["message"] not in (None, told) else ""
-        size = "" if row["rows"] is None else f", {row['rows']} rows"
+        size = "" if row["rows"] is None else f", {counted(row['rows'], 'row')}"
         yield f"log {row['path']}: {row['status']}{size}{said}"
 
 

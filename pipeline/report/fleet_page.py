@@ -36,9 +36,7 @@ class FleetRow:
     flow_now: float | None  # newest mean drain flow as measured, l/min; None without one
     newest_data: dt.datetime | None  # end of the newest data that were kept, UTC; None without any
     line: Sparkline | None
-    # validation_fit, previous_fit: of the last good night, percent.
-    validation_fit: float | None
-    previous_fit: float | None
+    validation_fit: float | None  # of the last good night, percent
     kept_percent: float | None  # median share of samples kept in the recent fitted nights
     n_recent_good: int
     n_recent: int
@@ -98,7 +96,6 @@ def _row(
         newest_data=newest,
         line=sparkline(days, course, ends, level) if ends else None,
         validation_fit=last.get("validation_fit_percent"),
-        previous_fit=last.get("previous_model_fit_percent"),
         kept_percent=100.0 * kept if isinstance(kept, float) else None,
         n_recent_good=there.count("ok"),
         n_recent=len(there),

@@ -59,7 +59,6 @@ def motor_payload(
     fits = motor.fits
     places = _plotted(screen)
     return {
-        "motor": motor.motor_id,
         "file": page,
         "words": for_scripts(),
         "colours": COLOURS,
@@ -93,7 +92,7 @@ def _plotted(screen: FirstScreen) -> NDArray[np.int64]:
     """Places of the nights that charts show: all, or those with the extremes among them."""
     columns = [screen.leakage.value, screen.flow.value]
     columns += [line.course.value for line in (*screen.changes, *screen.paths)]
-    return keep_extremes(np.column_stack(columns), PLOTTED_NIGHTS)
+    return keep_extremes(columns, PLOTTED_NIGHTS)
 
 
 def _first(screen: FirstScreen, fits: pl.DataFrame, places: NDArray[np.int64]) -> Payload:

@@ -69,7 +69,7 @@ def sparkline(
         inside: Array = np.clip((flow - median) / reach, -1.0, 1.0)
         return HEIGHT / 2 - inside * (HEIGHT / 2 - MARGIN)
 
-    kept = keep_extremes(value[:, None], POINTS)
+    kept = keep_extremes([value], POINTS)
     drawn = known[kept]
     # Beyond a week without a value the line is not drawn.
     breaks = np.concatenate([[True], np.diff(days[drawn]) > max(7, 3 * span / POINTS)])

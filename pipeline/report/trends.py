@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from pipeline.report.encoding import numbers, whole_numbers
@@ -29,7 +28,6 @@ FIRST_SCREEN = ("gap_change_", "leakage_")
 SHOWN_CHANGES = 200
 # Of the newest night of an indicator, beside its course.
 LATEST = (
-    "baseline_mean",
     "deviation_percent",
     "slope_per_year",
     "slope_per_year_lower",
@@ -38,7 +36,6 @@ LATEST = (
     "slope_per_1000_h_lower",
     "slope_per_1000_h_upper",
     "n_slope",
-    "provisional",
     "q_value",
     "state",
     "state_reason",
@@ -115,7 +112,7 @@ def _indicators(motor: MotorHistory) -> list[Payload]:
 def _indicator(rows: pl.DataFrame) -> Payload:
     last = rows.row(-1, named=True)
     columns = {name: rows[name].cast(pl.Float64).to_numpy() for name in COURSES}
-    places = keep_extremes(np.column_stack([columns["value"], columns["cusum"]]), PLOTTED_NIGHTS)
+    places = keep_extremes([columns["value"], columns["cusum"]], PLOTTED_NIGHTS)
     states = rows["state"].to_list()
     return {
         "indicator": last["indicator"],

@@ -125,7 +125,6 @@ def for_scripts() -> dict[str, Mapping[str, str]]:
         "flushing": FLUSHING,
         "tests": TESTS,
         "timesToLimit": TIMES_TO_LIMIT,
-        "decisions": DECISIONS,
         "events": EVENTS,
     }
 

@@ -7,44 +7,34 @@ motor its run and no other: what was finished is kept, and each lost task is tri
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
 import logging
 import secrets
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.clock import latest_us, now
-from pipeline.config import Execution, Fleet, MotorSpec
+from pipeline.config import Fleet
 from pipeline.config.fleet import LANDED_FOLDER
-from pipeline.config.hashes import config_hash as hash_of_config
-from pipeline.config.hashes import hash_of, settings_of, why_anew
 from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.logs.finding import legible
-from pipeline.logs.ledger import as_published, read_settings
-from pipeline.logs.motor_logs import FATES
-from pipeline.run.chunks import run_motors
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
-from pipeline.run.metrics import metrics_text, write_metrics
-from pipeline.run.motor_nights import plan_motor
+from pipeline.run.motors import motor_outcomes
+from pipeline.run.plans import task_of
 from pipeline.run.publishing import (
     fleets_tonight,
     publish_latest,
     publish_motors,
     publish_trends,
 )
-from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost, run_motor
-from pipeline.run.unchanged import unchanged_motors
-from pipeline.schema import (
-    MOTOR_OUTCOMES,
-    RUNS,
-    SCHEMA_VERSION,
-)
+from pipeline.run.request import RunRequest, RunResult
+from pipeline.run.run_rows import STAGES, config_hash_of, publish_run, run_id_of
+from pipeline.run.tasks import MotorOutcome
+from pipeline.run.telling import deliver_alarms, measure, queue_alarms
 from pipeline.schema.fits import FAILED
 from pipeline.store.atomic_files import (
     make_private_folder,
@@ -59,130 +49,21 @@ from pipeline.store.months import join_months, last_month_over
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.publishing import Publisher
 from pipeline.store.verification import TableFault
-from pipeline.store.views import write_views
 from pipeline.store.working_copy import pull, working_copy
-from pipeline.telling.delivering import deliver
-from pipeline.telling.delivery import Receiver
-from pipeline.telling.mail import EMAIL
-from pipeline.telling.outbox import add_summary, backlogs, is_waiting, open_outbox, take_up
+from pipeline.telling.outbox import open_outbox
 from pipeline.telling.receivers import receivers_of
-from pipeline.trends.circuits import decisions_of
-from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.nights.trend_record import (
-    read_record,
-    trend_hash,
-)
-from pipeline.trends.rows.latest_states import published_states
-from pipeline.trends.rows.motor_states import urgency
-from pipeline.versions import own_version, versions
-from pipeline.workers.engine import RunTasks, nights_a_chunk, open_engine
+from pipeline.workers.engine import RunTasks, open_engine
 from pipeline.workers.process import Loss
+
+__all__ = ["RunRequest", "RunResult", "refresh", "run_fleet"]
 
 log = logging.getLogger(__name__)
 
 Progress = Callable[[MotorOutcome], None]
 
-# Seconds of a motor's task by stage, as `motor_outcomes` names them, and of a run, as `runs` does.
-MOTOR_STAGES = (
-    "read_s",
-    "clean_s",
-    "statistics_s",
-    "fit_s",
-    "residuals_s",
-    "refit_s",
-    "store_s",
-)
 # Folders of the output in which a killed run leaves temporary files.
 WRITTEN_FOLDERS = ("tables", "ledger", "manifest", "history", LANDED_FOLDER)
-STAGES = ("motors_s", "publish_s", "trends_s")
 PUT_ASIDE_LATE = "it is not what was published, and was put aside when its night was published"
-
-
-@dataclass(frozen=True, slots=True)
-class RunRequest:
-    """Request of a run.
-
-    Attributes
-    ----------
-    fleet
-        The config.
-    motors
-        Ids of the motors to do; empty for all.
-    since, until
-        Labels of the first and last night to do; None: no limit.
-    force
-        Whether to make nights anew from their logs that nothing has changed of.
-    retry
-        Whether to try nights and logs again that failed.
-    with_starts
-        Whether nights that are, or were, fitted anew without their log get the starts of their
-        search.
-    clock
-        The time of the run, by which logs lie in the future.
-    """
-
-    fleet: Fleet
-    motors: tuple[str, ...] = ()
-    since: dt.date | None = None
-    until: dt.date | None = None
-    force: bool = False
-    retry: bool = False
-    with_starts: bool = False
-    clock: dt.datetime = field(default_factory=now)
-
-    @property
-    def specs(self) -> tuple[MotorSpec, ...]:
-        """The motors that are asked for."""
-        return tuple(
-            spec for spec in self.fleet.motors if not self.motors or spec.motor_id in self.motors
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """Result of a run.
-
-    Attributes
-    ----------
-    run_id
-        Hash of the inputs' contents, the code's version and the config.
-    outcomes
-        One a motor, sorted by id.
-    n_nights
-        Nights of motors that were written.
-    interrupted
-        Whether the run was stopped before all motors were done; what was finished is published.
-    seconds
-        Wall-clock time.
-    alarms
-        New rows of `alarms`.
-    seconds_by_stage
-        Of these: `motors_s` until all tasks were done, `publish_s` and `trends_s`.
-    damage
-        Published files that were found damaged or gone.
-    damage_left
-        What of it could not be made anew.
-    """
-
-    run_id: str
-    outcomes: tuple[MotorOutcome, ...]
-    n_nights: int
-    interrupted: bool
-    seconds: float
-    alarms: tuple[Mapping[str, Any], ...] = ()
-    seconds_by_stage: Mapping[str, float] = field(default_factory=dict)
-    damage: tuple[TableFault, ...] = ()
-    damage_left: tuple[TableFault, ...] = ()
-
-    @property
-    def files(self) -> Counter[str]:
-        """Log files of all motors by what came of them: read, unchanged, growing, failed, left."""
-        return sum((Counter(outcome.files) for outcome in self.outcomes), Counter())
-
-    @property
-    def failed(self) -> tuple[MotorOutcome, ...]:
-        """Motors with at least one failed night."""
-        return tuple(outcome for outcome in self.outcomes if outcome.status == FAILED)
 
 
 def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunResult:
@@ -268,67 +149,15 @@ def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunRes
             with open_engine(fleet.execution, folders, stores) as run_tasks:
                 damage = Damage(output, restore)
                 result = _run(request, staging, progress, heartbeat, run_tasks, damage, first=first)
-            _take_up(fleet)
+            queue_alarms(fleet)
         if not result.files:
             place = fleet.log_place
             log.warning("no log of any motor is below %s: is the folder mounted?", place)
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)
-        _tell(fleet, receivers)
-        _measure(fleet, receivers, result)
+        deliver_alarms(fleet, receivers)
+        measure(fleet, receivers, result)
     return result
-
-
-def _take_up(fleet: Fleet) -> None:
-    """Queue what was published; where that fails, the next run does it."""
-    today = dt.datetime.now(fleet.settings.nights.zone).date()
-    due = fleet.settings.alarms.email.summary_due(today)
-    try:
-        take_up(fleet.output, fleet.name)
-        if due is not None:
-            add_summary(fleet.output, EMAIL, fleet.name, due, lambda: _states(fleet))
-    except StoreError as error:
-        log.warning("alarms: %s; the next run tells of them", error)
-
-
-def _states(fleet: Fleet) -> list[dict[str, str]]:
-    """State of each motor for a summary, the most urgent first."""
-    states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])
-    return [
-        {"motor_id": one.motor_id, "state": one.state, "sentence": one.why}
-        for one in sorted(states, key=urgency)
-    ]
-
-
-def _tell(fleet: Fleet, receivers: Sequence[Receiver]) -> None:
-    """Deliver what waits; that it cannot be delivered costs nobody the run."""
-    try:
-        if is_waiting(fleet.output):
-            # What was delivered is to be known on every machine.
-            with working_copy(fleet.object_store, fleet.output):
-                for fault in deliver(fleet.output, receivers, fleet.name):
-                    log.warning("%s", fault)
-    except StoreError as error:
-        log.warning("alarms: %s; what was delivered may be delivered again", error)
-
-
-def _measure(fleet: Fleet, receivers: Sequence[Receiver], result: RunResult) -> None:
-    """Write the metrics; that they cannot be written costs nobody the run."""
-    if fleet.metrics_file is None:
-        return
-    output = fleet.output
-    try:
-        text = metrics_text(
-            fleet,
-            published_states(output, [spec.motor_id for spec in fleet.motors]),
-            result.outcomes,
-            result.seconds_by_stage,
-            backlogs(output, receivers, fleet.name),
-            last_good_run(output),
-        )
-        write_metrics(fleet.metrics_file, text)
-    except StoreError as error:
-        log.warning("%s; there are no metrics of this run", error)
 
 
 def _require_logs(url: str) -> None:
@@ -355,53 +184,6 @@ def refresh(fleet: Fleet) -> int:
         return len(pull(ObjectStore.at(fleet.object_store), fleet.output).files)
 
 
-def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
-    """The plan of a run, motor by motor; of logs only the ends are read, and nothing is written.
-
-    Raises
-    ------
-    StoreError
-        If a published table that is needed is damaged.
-    """
-    output = request.fleet.output
-    for spec in request.specs:
-        yield spec.motor_id, plan_motor(_task(request, spec, output / "staging"))
-
-
-def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
-    """Motors whose trends a run would make anew from their first night on, and why, in words.
-
-    Those of nights that are new or made anew follow in any case.
-    """
-    output, specs = request.fleet.output, request.specs
-    decisions = decisions_of(specs, read_decisions(output))
-    for spec in (as_published(output, one) for one in specs):
-        record = read_record(output, spec.motor_id)
-        if record is not None and record.trend_hash != trend_hash(spec, decisions[spec.motor_id]):
-            before, now = read_settings(output, spec.motor_id), settings_of(spec)
-            yield (
-                spec.motor_id,
-                "a baseline was reset, or a new version"
-                if before == now
-                else why_anew(before, now, trends=True),
-            )
-
-
-def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
-    return MotorTask(
-        spec=spec,
-        output=request.fleet.output,
-        staging=staging,
-        since=request.since,
-        until=request.until,
-        force=request.force,
-        retry=request.retry,
-        with_starts=request.with_starts,
-        nights_a_chunk=nights_a_chunk(request.fleet.execution, len(request.specs)),
-        latest_us=latest_us(request.clock),
-    )
-
-
 def _last_good_run(output: Path) -> dt.datetime | None:
     try:
         return last_good_run(output)
@@ -424,11 +206,11 @@ def _run(
     fleet = request.fleet
     damage.look_around(share_due(fleet.output, fleet.execution.prove_within_days, started))
     restore_decisions(fleet.output)
-    tasks = [_task(request, spec, staging) for spec in request.specs]
+    tasks = [task_of(request, spec, staging) for spec in request.specs]
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in _outcomes(run_tasks, tasks, fleet.execution, first=first):
+        for outcome in motor_outcomes(run_tasks, tasks, fleet.execution, first=first):
             if outcome.chunk:
                 progress(outcome)
                 continue
@@ -440,8 +222,8 @@ def _run(
         interrupted = True
     ends = [time.perf_counter()]
     finished = [outcomes[motor_id] for motor_id in sorted(outcomes)]
-    config_hash = _config_hash(tasks)
-    run_id = _run_id(finished, config_hash)
+    config_hash = config_hash_of(tasks)
+    run_id = run_id_of(finished, config_hash)
     heartbeat.say(stage="publishing", run_id=run_id)
     publisher = Publisher(fleet.output, staging, run_id)
     with interrupts_held() as came:
@@ -484,7 +266,7 @@ def _run(
     )
     heartbeat.say(stage="recording")
     with interrupts_held() as came:
-        _publish_run(publisher, request, result, started, config_hash)
+        publish_run(publisher, request, result, started, config_hash)
     interrupted = interrupted or bool(came) or not _join_months(fleet, request.clock, publisher)
     return replace(result, interrupted=interrupted)
 
@@ -511,35 +293,6 @@ def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
     """The manifests of the nights that some motors have made."""
     nights = {night for outcome in outcomes for night in outcome.nights}
     return [(f"{night:%Y-%m}", night.isoformat()) for night in sorted(nights)]
-
-
-def _outcomes(
-    run_tasks: RunTasks, tasks: Sequence[MotorTask], execution: Execution, *, first: bool
-) -> Iterator[MotorOutcome]:
-    """Outcomes of the motors with nothing new, then those of the others."""
-    done = set()
-    for outcome in unchanged_motors(tasks, execution):
-        done.add(outcome.motor_id)
-        yield outcome
-    others = [task for task in tasks if task.spec.motor_id not in done]
-    yield from _motors(run_tasks, others, first=first)
-
-
-def _motors(
-    run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool = False
-) -> Iterator[MotorOutcome]:
-    """Outcomes of motors and chunks; a motor for which no engine is left has failed."""
-    left = {task.spec.motor_id: task for task in tasks}
-    try:
-        for outcome in run_motors(run_tasks, run_motor, tasks, first=first):
-            if not outcome.chunk:
-                del left[outcome.motor_id]
-            yield outcome
-    except EngineError as error:
-        if len(left) == len(tasks):
-            raise
-        log.warning("%s; what is finished is kept", error)
-        yield from (lost(task, Loss(error.code, error.message)) for task in left.values())
 
 
 @contextmanager
@@ -571,67 +324,3 @@ def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:
         return outcome
     how = f"trends: {legible(loss.how)}"
     return replace(outcome, status=FAILED, error_code=loss.code, message=how)
-
-
-def _config_hash(tasks: Sequence[MotorTask]) -> str:
-    return hash_of({task.spec.motor_id: hash_of_config(task.spec) for task in tasks})
-
-
-def _run_id(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
-    inputs = [one for outcome in outcomes for one in (outcome.motor_id, *outcome.inputs)]
-    text = "|".join((own_version(), str(SCHEMA_VERSION), config_hash, *inputs))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _publish_run(
-    publisher: Publisher,
-    request: RunRequest,
-    result: RunResult,
-    started: dt.datetime,
-    config_hash: str,
-) -> None:
-    fleet = request.fleet
-    seeds = {spec.settings.estimation.seed for spec in fleet.motors}
-    run = {
-        "run_id": result.run_id,
-        "started_at": started,
-        "finished_at": dt.datetime.now(dt.UTC),
-        "status": "interrupted"
-        if result.interrupted
-        else "motors_failed"
-        if result.failed
-        else "ok",
-        "fleet": fleet.name,
-        **versions(),
-        "schema_version": SCHEMA_VERSION,
-        "config_hash": config_hash,
-        "seed": min(seeds),
-        "workers": fleet.execution.workers,
-        "n_motors": len(result.outcomes),
-        "n_motors_failed": len(result.failed),
-        "n_nights": result.n_nights,
-        "seconds": result.seconds,
-        **result.seconds_by_stage,
-        "damage": [f"{one.code}: {one.path}: {one.message}" for one in result.damage],
-    }
-    rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
-    publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})
-    write_views(fleet.output)
-
-
-def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Mapping[str, object]:
-    statuses = ("ok", "stood_still", "insufficient_data", "no_new_data", "failed")
-    return {
-        "run_id": run_id,
-        "started_at": started,
-        "motor_id": outcome.motor_id,
-        "status": outcome.status,
-        "error_code": outcome.error_code,
-        "message": outcome.message,
-        "peak_memory_mib": outcome.peak_memory_mib,
-        "n_refitted": outcome.n_refitted,
-        **{stage: outcome.seconds.get(stage, 0.0) for stage in MOTOR_STAGES},
-        **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
-        **{f"n_files_{fate}": outcome.files.get(fate, 0) for fate in FATES},
-        "growing": list(outcome.growing),
-    }

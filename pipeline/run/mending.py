@@ -17,6 +17,7 @@ from pathlib import Path
 
 from pipeline.errors import StoreError
 from pipeline.logs.ledger import forget_nights
+from pipeline.messages import counted
 from pipeline.run.verification import verify_tables
 from pipeline.schema import DECISIONS, RUNS
 from pipeline.store.atomic_files import move, remove
@@ -268,7 +269,7 @@ def _is_called_as_ours(name: str) -> bool:
 
 
 def _how_rebuilt(counts: Mapping[Proof, int]) -> str:
-    told = f"made anew: {counts.get(Proof.WHOLE, 0)} files are proven to the last byte"
+    told = f"made anew: {counted(counts.get(Proof.WHOLE, 0), 'file')} proven to the last byte"
     if pages := counts.get(Proof.PAGES, 0):
         told += f", {pages} of other libraries by the checksums of their pages, which leave out "
         told += "their footers"

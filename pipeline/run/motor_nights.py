@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from pipeline.config.hashes import SettingsHashes, hash_of, settings_of, why_anew
 from pipeline.config.nights import nights_between
 from pipeline.errors import StoreError
-from pipeline.logs.files import is_guess, labels_of
+from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import (
     Ledger,
     NightRecord,
@@ -31,6 +31,7 @@ from pipeline.logs.ledger import (
     read_settings,
 )
 from pipeline.logs.motor_logs import LogShelf
+from pipeline.logs.told_nights import is_guess
 from pipeline.night.roller import is_roller_free
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
 from pipeline.schema import FITS
@@ -145,6 +146,8 @@ class MotorNights:
         )
         self.form = as_published(task.output, self.spec)
         self.hashes = SettingsHashes(self.form)
+        # Nights whose form this run changed: as they told the scale before.
+        self.first_told: dict[dt.date, bool | None] = {}
         self.done: dict[dt.date, NightOutcome] = {}
         self.records: dict[dt.date, NightRecord] = dict(self.before.nights)
         self.kept: set[dt.date] = set()
@@ -257,7 +260,7 @@ class MotorNights:
             return False
         if self.task.since is not None or self.task.until is not None:
             return self.form.roller_is_free
-        told = {label: one.tells_roller for label, one in self.records.items()}
+        told = {label: one.tells_roller for label, one in self.records.items()} | self.first_told
         begins = [event.date for event in self.spec.file.events]
         return is_roller_free(told, begins, self.spec.settings.trend.provisional_nights)
 

@@ -137,9 +137,7 @@ class _Making(MotorNights):
             self.memory_of_chunks_mib = max(self.memory_of_chunks_mib, chunk.peak_memory_mib)
             self._add(chunk.seconds)
         self.lost_nights = task.lost_nights
-        self.stored = StoredNights(task.output, self.spec, with_starts=task.with_starts)
-        # Nights of this run as the model is stated.
-        self.stated: dict[dt.date, NightOutcome] = {}
+        self.stored = StoredNights(task.output, self.spec.motor_id, with_starts=task.with_starts)
 
     def plan_of_chunks(self) -> MotorOutcome | None:
         """The chunks in which the motor's nights are to be made; None: here, in one."""
@@ -188,8 +186,10 @@ class _Making(MotorNights):
             # Also those that an earlier state of a file had been read for.
             for waiting in self.logs.waiting() & self.done.keys():
                 self._take_back(waiting)
-        if self.is_roller_free() != self.form.roller_is_free:
-            self._change_form()
+            # Of a first load: the nights to come are then fitted once.
+            if not self.before.nights:
+                self._decide_form()
+        self._decide_form()
         for label in self.holes():
             reason = "no log covers this night"
             self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
@@ -233,11 +233,9 @@ class _Making(MotorNights):
             if work is not Work.READ:
                 make = self.stored.refit if work is Work.REFIT else self.stored.judge
                 with self.timed("refit_s"):
-                    outcome = make(label, before)
-                if work is Work.JUDGE and outcome is not None:
-                    return outcome
+                    outcome = make(self.form, label, before)
                 if outcome is not None or label not in self.logs.present():
-                    return outcome and self._in_form(outcome, before)
+                    return outcome
             return self._in_form(self._read_and_fit(label, before), before)
         except StoreError:
             raise
@@ -246,24 +244,27 @@ class _Making(MotorNights):
             loss = loss_of(error)
             return unfitted(self.spec, label, FAILED, legible(loss.how), code=loss.code)
 
-    def _in_form(self, stated: NightOutcome, before: PreviousModel) -> NightOutcome:
+    def _in_form(self, outcome: NightOutcome, before: PreviousModel) -> NightOutcome:
         """A night's outcome in the form in which the motor's fits are published."""
-        self.stated[stated.night] = stated
-        if not self.form.roller_is_free or stated.status != OK:
-            return stated
+        is_free, fits = self.form.roller_is_free, outcome.rows["fits"]
+        if outcome.status != OK or all(row["roller_is_free"] is is_free for row in fits):
+            return outcome
         with self.timed("refit_s"):
-            return self.stored.with_free_roller(stated, before) or stated
+            return self.stored.in_form(self.form, outcome, before) or outcome
 
-    def _change_form(self) -> None:
+    def _decide_form(self) -> None:
         """All nights with a fit in the other form, in order: each is judged with the one before."""
+        if self.is_roller_free() == self.form.roller_is_free:
+            return
         self.form = replace(self.spec, roller_is_free=not self.form.roller_is_free)
         self.hashes = SettingsHashes(self.form)
         for label in sorted(label for label, one in self.records.items() if one.model):
             before = self._model_before(label)
-            stated = self.stated.get(label) or self.stored.stated(label, before)
-            if stated is not None:
+            outcome = self.done.get(label) or self.stored.outcome(label)
+            if outcome.rows["fits"]:
                 self.reasons.setdefault(label, "the scale of its rollers is estimated, or no more")
-                self._remember(self._in_form(stated, before), before)
+                self.first_told.setdefault(label, self.records[label].tells_roller)
+                self._remember(self._in_form(outcome, before), before)
 
     def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
         here = night(label, self.spec.settings.nights)
@@ -285,7 +286,7 @@ class _Making(MotorNights):
         self.logs.let_go_until(label)
         if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
             return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
-        return fit_night(self.spec, here, channels, before)
+        return fit_night(self.form, here, channels, before)
 
     def _model_before(self, label: dt.date) -> PreviousModel:
         return Ledger(nights=self.records).model_before(label)

@@ -12,7 +12,7 @@ import polars as pl
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
 from pipeline.night.fit_night import NightOutcome, PreviousModel
-from pipeline.night.refit import PublishedNight, judge_again, refit, with_free_roller
+from pipeline.night.refit import PublishedNight, judge_again, refit, refit_in_form
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.schema import (
     BLOCK_STATISTICS,
@@ -37,37 +37,38 @@ log = logging.getLogger(__name__)
 class StoredNights:
     """The published nights of a motor."""
 
-    def __init__(self, output: Path, spec: MotorSpec, *, with_starts: bool = False) -> None:
+    def __init__(self, output: Path, motor_id: str, *, with_starts: bool = False) -> None:
         self._output = output
-        self._spec = spec
+        self._motor_id = motor_id
         self._with_starts = with_starts
         self._month = ""
         self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
 
-    def refit(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
-        """Fit a night anew; None where the log has to be read."""
-        return refit(self._spec, self._published(label), previous, with_starts=self._with_starts)
-
-    def stated(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
-        """A night as its model is stated; None where its rows do not suffice."""
-        fits = self._rows(FITS, label)
-        if any(row["roller_is_free"] for row in fits):
-            return self.refit(label, previous)
-        rows = {FITS.name: fits, PARAMETERS.name: self._rows(PARAMETERS, label)}
-        return NightOutcome(label, OK, None, None, rows, tables=tuple(rows)) if fits else None
-
-    def with_free_roller(
-        self, stated: NightOutcome, previous: PreviousModel
+    def refit(
+        self, spec: MotorSpec, label: dt.date, previous: PreviousModel
     ) -> NightOutcome | None:
-        """A night with the rollers' scale estimated; None where its rows do not suffice."""
-        # Of a night just read, all rows are in the outcome.
-        published = None if stated.tables is None else self._published(stated.night)
-        return with_free_roller(self._spec, stated, published, previous)
+        """Fit a night anew; None where the log has to be read."""
+        return refit(spec, self._published(label), previous, with_starts=self._with_starts)
 
-    def judge(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
+    def outcome(self, label: dt.date) -> NightOutcome:
+        """A fitted night as published: what another form of its fits replaces."""
+        rows = {table.name: self._rows(table, label) for table in (FITS, PARAMETERS)}
+        return NightOutcome(label, OK, None, None, rows, tables=tuple(rows))
+
+    def in_form(
+        self, spec: MotorSpec, outcome: NightOutcome, previous: PreviousModel
+    ) -> NightOutcome | None:
+        """A night's outcome in another form; None where its rows do not suffice."""
+        # Of a night just read, all rows are in the outcome.
+        published = None if outcome.tables is None else self._published(outcome.night)
+        return refit_in_form(spec, outcome, published, previous)
+
+    def judge(
+        self, spec: MotorSpec, label: dt.date, previous: PreviousModel
+    ) -> NightOutcome | None:
         """Judge another model before on a night; None where the log has to be read."""
         night = PublishedNight(label, self._rows(FITS, label), (), (), None)
-        return judge_again(self._spec, night, previous)
+        return judge_again(spec, night, previous)
 
     def _published(self, label: dt.date) -> PublishedNight:
         return PublishedNight(
@@ -94,7 +95,7 @@ class StoredNights:
     def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
         columns = NEEDED.get(table.name) or tuple(name for name in table.schema if name != "run_id")
         try:
-            rows = read_rows(self._output, table, [self._spec.motor_id], columns, month)
+            rows = read_rows(self._output, table, [self._motor_id], columns, month)
         except StoreError as error:
             log.warning("%s; no night of %s is made from it", error, month)
             return {}

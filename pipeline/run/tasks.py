@@ -205,10 +205,3 @@ def without_lost_part(task: MotorTask, loss: Loss) -> MotorTask | None:
     if MOST_GIVEN_UP in (len(task.lost_nights), len(task.silent)) or not (loss.log or loss.part):
         return None
     return replace(task, given_up=(*task.given_up, loss))
-
-
-def run_motor(task: MotorTask) -> MotorOutcome:
-    """As `motor_task.run_motor`, with which a process loads the science."""
-    from pipeline.run import motor_task
-
-    return motor_task.run_motor(task)

@@ -13,31 +13,11 @@ from typing import Any
 import polars as pl
 import pyarrow as pa
 
-from pipeline.schema.columns import (
-    COUNTS,
-    FIT_KEY_NAMES,
-    NUMBERS,
-    TIMESTAMP,
-    Column,
-    Table,
-)
-from pipeline.schema.fits import (
-    FITS,
-    PARAMETERS,
-    SENSITIVITIES,
-    STARTS,
-)
-from pipeline.schema.residuals import (
-    PREDICTIONS,
-    RESIDUAL_TESTS,
-    RESIDUAL_VERDICTS,
-)
-from pipeline.schema.runs import (
-    DATA_DICTIONARY,
-    INPUT_FILES,
-    MOTOR_OUTCOMES,
-    RUNS,
-)
+from pipeline.schema.columns import COUNTS, FIT_KEY_NAMES, NUMBERS, TIMESTAMP, Column, Table
+from pipeline.schema.fits import FITS
+from pipeline.schema.parameters import PARAMETERS, SENSITIVITIES, STARTS
+from pipeline.schema.residuals import PREDICTIONS, RESIDUAL_TESTS, RESIDUAL_VERDICTS
+from pipeline.schema.runs import DATA_DICTIONARY, INPUT_FILES, MOTOR_OUTCOMES, RUNS
 from pipeline.schema.samples import (
     BLOCK_STATISTICS,
     OPERATION,

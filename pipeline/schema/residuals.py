@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import polars as pl
-
 from pipeline.schema.columns import (
     FIT_KEY,
     FIT_KEY_NAMES,
     RUN_ID,
-    TIMESTAMP,
-    Column,
     Table,
+    count,
+    flag,
+    moment,
+    number,
+    text,
 )
 
 PART_OF_RESIDUALS = (
-    Column("part", pl.String, "", "training, validation or guard"),
-    Column(
-        "smoothed", pl.Boolean, "", "On the smoothed columns, as the fit; else before smoothing"
-    ),
-    Column("test", pl.String, "", "whiteness: autocorrelation (27); independence: (26)"),
-    Column(
-        "input",
-        pl.String,
-        "",
-        "pressure_difference and speed (magnitudes), oil_temperature; none for whiteness",
+    text("part", "training, validation or guard"),
+    flag("smoothed", "On the smoothed columns, as the fit; else before smoothing"),
+    text("test", "whiteness: autocorrelation (27); independence: (26)"),
+    text(
+        "input", "pressure_difference and speed (magnitudes), oil_temperature; none for whiteness"
     ),
 )
 
@@ -36,23 +32,21 @@ RESIDUAL_TESTS = Table(
     (
         *FIT_KEY,
         *PART_OF_RESIDUALS,
-        Column("lag", pl.Int64, "", "In samples; positive: past input on present error"),
-        Column("lag_s", pl.Float64, "s", "The same as time"),
-        Column(
+        count("lag", "In samples; positive: past input on present error"),
+        number("lag_s", "s", "The same as time"),
+        number(
             "value",
-            pl.Float64,
             "",
             "Correlation, over pairs of samples without a gap between them; null where they are "
             "too few",
         ),
-        Column(
+        number(
             "bound",
-            pl.Float64,
             "",
             "99 % of the correlations of independent errors lie within ± this; null at lag 0 of "
             "whiteness",
         ),
-        Column("outside", pl.Boolean, "", "The correlation is larger than its bound"),
+        flag("outside", "The correlation is larger than its bound"),
         RUN_ID,
     ),
 )
@@ -64,45 +58,34 @@ RESIDUAL_VERDICTS = Table(
     (
         *FIT_KEY,
         *PART_OF_RESIDUALS,
-        Column(
-            "verdict",
-            pl.String,
-            "",
-            "failed where p_value is below 0.01, else passed; not_tested",
-        ),
-        Column("reason", pl.String, "", "Why it was not tested; null where it was"),
-        Column("n", pl.Int64, "", "Samples"),
-        Column(
+        text("verdict", "failed where p_value is below 0.01, else passed; not_tested"),
+        text("reason", "Why it was not tested; null where it was"),
+        count("n", "Samples"),
+        number(
             "mean_error_l_per_min",
-            pl.Float64,
             "l/min",
             "Mean of measured less predicted flow, which the tests leave out",
         ),
-        Column(
+        number(
             "statistic",
-            pl.Float64,
             "",
             "Of all lags together: Ljung and Box's Q, or the squares of the correlations over "
             "their covariances",
         ),
-        Column("degrees_of_freedom", pl.Int64, "", "Of the statistic's chi-square distribution"),
-        Column(
-            "p_value",
-            pl.Float64,
-            "",
-            "Probability that independent errors give a larger statistic by chance",
+        count("degrees_of_freedom", "Of the statistic's chi-square distribution"),
+        number(
+            "p_value", "", "Probability that independent errors give a larger statistic by chance"
         ),
-        Column("n_lags", pl.Int64, "", "Lags with a bound"),
-        Column("n_outside", pl.Int64, "", "Lags whose correlation is larger than its bound"),
-        Column(
+        count("n_lags", "Lags with a bound"),
+        count("n_outside", "Lags whose correlation is larger than its bound"),
+        number(
             "n_expected_outside",
-            pl.Float64,
             "",
             "How many of independent errors would be, on average: one in a hundred",
         ),
-        Column("largest_value", pl.Float64, "", "The correlation that is largest in size"),
-        Column("largest_lag", pl.Int64, "", "Its lag, in samples"),
-        Column("largest_lag_s", pl.Float64, "s", "Its lag as time"),
+        number("largest_value", "", "The correlation that is largest in size"),
+        count("largest_lag", "Its lag, in samples"),
+        number("largest_lag_s", "s", "Its lag as time"),
         RUN_ID,
     ),
 )
@@ -113,13 +96,13 @@ PREDICTIONS = Table(
     (*FIT_KEY_NAMES, "time"),
     (
         *FIT_KEY,
-        Column("time", TIMESTAMP, "UTC", "Time of the sample"),
-        Column("part", pl.String, "", "training, validation or guard"),
-        Column("pressure_difference_bar", pl.Float64, "bar", "Magnitude"),
-        Column("oil_temperature_c", pl.Float64, "°C", "Oil temperature"),
-        Column("speed_rpm", pl.Float64, "rpm", "Magnitude"),
-        Column("measured_l_per_min", pl.Float64, "l/min", "Measured drain flow"),
-        Column("predicted_l_per_min", pl.Float64, "l/min", "Drain flow of the fitted model"),
+        moment("time", "Time of the sample"),
+        text("part", "training, validation or guard"),
+        number("pressure_difference_bar", "bar", "Magnitude"),
+        number("oil_temperature_c", "°C", "Oil temperature"),
+        number("speed_rpm", "rpm", "Magnitude"),
+        number("measured_l_per_min", "l/min", "Measured drain flow"),
+        number("predicted_l_per_min", "l/min", "Drain flow of the fitted model"),
         RUN_ID,
     ),
 )

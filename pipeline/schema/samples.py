@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import polars as pl
-
 from pipeline.schema.columns import (
     COUNTS,
     MOTOR_ID,
@@ -14,9 +12,12 @@ from pipeline.schema.columns import (
     NUMBERS,
     RUN_ID,
     SHORT_NUMBERS,
-    TIMESTAMP,
     Column,
     Table,
+    count,
+    moment,
+    number,
+    text,
 )
 
 # Edges of the coarse histograms of `block_statistics`: the last bin holds all beyond.
@@ -99,21 +100,17 @@ QUALITY = Table(
     (
         MOTOR_ID,
         NIGHT,
-        Column("channel", pl.String, "", "A channel, or time_base for rules that need them all"),
-        Column(
+        text("channel", "A channel, or time_base for rules that need them all"),
+        text(
             "reason",
-            pl.String,
-            "",
             "The rule; a sample is counted under each that refuses it, and once under any: "
             + ", ".join(QUALITY_REASONS),
         ),
-        Column("n_samples", pl.Int64, "", "Samples that the rule looked at"),
-        Column("n_refused", pl.Int64, "", "Samples that it refused"),
+        count("n_samples", "Samples that the rule looked at"),
+        count("n_refused", "Samples that it refused"),
         RUN_ID,
-        Column(
+        count(
             "n_noted",
-            pl.Int64,
-            "",
             "Samples that were kept although it applies: put back in order, or off their period",
         ),
     ),
@@ -126,10 +123,10 @@ BLOCK_STATISTICS = Table(
     (
         MOTOR_ID,
         NIGHT,
-        Column("block_start", TIMESTAMP, "UTC", "Start of the block"),
-        Column("block_end", TIMESTAMP, "UTC", "End of the block, excluded"),
-        Column("part", pl.String, "", "training, validation or guard"),
-        Column("n", pl.Int64, "", "Kept samples"),
+        moment("block_start", "Start of the block"),
+        moment("block_end", "End of the block, excluded"),
+        text("part", "training, validation or guard"),
+        count("n", "Kept samples"),
         Column("columns", NAMES, "", "Columns of the statistics, in order"),
         Column(
             "statistics",
@@ -137,21 +134,21 @@ BLOCK_STATISTICS = Table(
             "",
             "Upper triangle of the factor R of the samples' columns, row by row",
         ),
-        Column("mean_pressure_bar", pl.Float64, "bar", "Mean magnitude"),
-        Column("minimum_pressure_bar", pl.Float64, "bar", "Smallest magnitude"),
-        Column("maximum_pressure_bar", pl.Float64, "bar", "Largest magnitude"),
+        number("mean_pressure_bar", "bar", "Mean magnitude"),
+        number("minimum_pressure_bar", "bar", "Smallest magnitude"),
+        number("maximum_pressure_bar", "bar", "Largest magnitude"),
         Column("pressure_histogram", COUNTS, "", "Samples by magnitude, 20 bins of 20 bar from 0"),
-        Column("mean_temperature_c", pl.Float64, "°C", "Mean"),
-        Column("minimum_temperature_c", pl.Float64, "°C", "Smallest"),
-        Column("maximum_temperature_c", pl.Float64, "°C", "Largest"),
+        number("mean_temperature_c", "°C", "Mean"),
+        number("minimum_temperature_c", "°C", "Smallest"),
+        number("maximum_temperature_c", "°C", "Largest"),
         Column("temperature_histogram", COUNTS, "", "Samples, 28 bins of 5 °C from −20 °C"),
-        Column("mean_speed_rpm", pl.Float64, "rpm", "Mean magnitude"),
-        Column("minimum_speed_rpm", pl.Float64, "rpm", "Smallest magnitude"),
-        Column("maximum_speed_rpm", pl.Float64, "rpm", "Largest magnitude"),
+        number("mean_speed_rpm", "rpm", "Mean magnitude"),
+        number("minimum_speed_rpm", "rpm", "Smallest magnitude"),
+        number("maximum_speed_rpm", "rpm", "Largest magnitude"),
         Column("speed_histogram", COUNTS, "", "Samples by magnitude, 15 bins of 10 rpm from 0"),
-        Column("share_reversed", pl.Float64, "", "Share of samples with negative speed"),
-        Column("n_beyond_curve", pl.Int64, "", "Samples beyond the range of a speed curve"),
-        Column("model_hash", pl.String, "", "Blocks of different hash never merge"),
+        number("share_reversed", "", "Share of samples with negative speed"),
+        count("n_beyond_curve", "Samples beyond the range of a speed curve"),
+        text("model_hash", "Blocks of different hash never merge"),
         RUN_ID,
         Column(
             "short_means",
@@ -161,9 +158,8 @@ BLOCK_STATISTICS = Table(
             "counted from the start in such blocks, its samples, and the means of the columns but "
             "one; null where none was merged, and in rows of before version 6",
         ),
-        Column(
+        number(
             "viscosity_ratio",
-            pl.Float64,
             "1",
             "Viscosity by the log over that of the data sheet, by the whole night's readings; null "
             "without such a channel. The statistics are those of the data sheet's oil",
@@ -178,45 +174,37 @@ OPERATION = Table(
     (
         MOTOR_ID,
         NIGHT,
-        Column("logged_hours", pl.Float64, "h", "Time with a credible speed"),
-        Column("kept_hours", pl.Float64, "h", "Time of the samples kept for statistics"),
-        Column("running_share", pl.Float64, "", "Share of the logged time above standstill"),
-        Column(
+        number("logged_hours", "h", "Time with a credible speed"),
+        number("kept_hours", "h", "Time of the samples kept for statistics"),
+        number("running_share", "", "Share of the logged time above standstill"),
+        number(
             "running_hours",
-            pl.Float64,
             "h",
             "Running hours of the night: of the log's counter, else running_share of the night",
         ),
-        Column("running_hours_source", pl.String, "", "counter or share; null: unknown"),
-        Column("oil", pl.String, "", "The night's oil"),
-        Column("mean_pressure_bar", pl.Float64, "bar", "Mean magnitude of the kept samples"),
-        Column("mean_temperature_c", pl.Float64, "°C", "Mean of the kept samples"),
-        Column("mean_speed_rpm", pl.Float64, "rpm", "Mean magnitude of the kept samples"),
-        Column("mean_flow_l_per_min", pl.Float64, "l/min", "Mean drain flow of the kept samples"),
-        Column("share_reversed", pl.Float64, "", "Share of kept samples with negative speed"),
+        text("running_hours_source", "counter or share; null: unknown"),
+        text("oil", "The night's oil"),
+        number("mean_pressure_bar", "bar", "Mean magnitude of the kept samples"),
+        number("mean_temperature_c", "°C", "Mean of the kept samples"),
+        number("mean_speed_rpm", "rpm", "Mean magnitude of the kept samples"),
+        number("mean_flow_l_per_min", "l/min", "Mean drain flow of the kept samples"),
+        number("share_reversed", "", "Share of kept samples with negative speed"),
         Column("pressure_histogram", COUNTS, "", "Kept samples, bins of 20 bar from 0"),
         Column("temperature_histogram", COUNTS, "", "Kept samples, bins of 5 °C from −20 °C"),
         Column("speed_histogram", COUNTS, "", "Kept samples, bins of 10 rpm from 0"),
-        Column("n_halts", pl.Int64, "", "Halts without pressure that show the sensors' zeros"),
-        Column("pressure_zero_bar", pl.Float64, "bar", "What the pressure difference read at them"),
-        Column(
+        count("n_halts", "Halts without pressure that show the sensors' zeros"),
+        number("pressure_zero_bar", "bar", "What the pressure difference read at them"),
+        number(
             "pressure_zero_standard_error_bar",
-            pl.Float64,
             "bar",
             "From the scatter between halts; null for fewer than three",
         ),
-        Column(
+        number(
             "flow_zero_l_per_min",
-            pl.Float64,
             "l/min",
             "What the drain flow read at them, the flushing included",
         ),
-        Column(
-            "flow_zero_standard_error_l_per_min",
-            pl.Float64,
-            "l/min",
-            "From the scatter between halts",
-        ),
+        number("flow_zero_standard_error_l_per_min", "l/min", "From the scatter between halts"),
         RUN_ID,
     ),
 )

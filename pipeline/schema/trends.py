@@ -8,15 +8,20 @@ from pipeline.schema.columns import (
     MOTOR_ID,
     NIGHT,
     RUN_ID,
-    TIMESTAMP,
     Column,
     Table,
+    count,
+    day,
+    flag,
+    moment,
+    number,
+    text,
 )
 
 
 def _per_time(name: str, per: str) -> tuple[Column, ...]:
     return tuple(
-        Column(f"slope_{name}{end}", pl.Float64, f"see unit, {per}", what)
+        number(f"slope_{name}{end}", f"see unit, {per}", what)
         for end, what in (
             ("", "Slope by generalised least squares; null below 20 nights"),
             ("_lower", "Lower end of its interval"),
@@ -25,13 +30,12 @@ def _per_time(name: str, per: str) -> tuple[Column, ...]:
     )
 
 
-INDICATOR = Column(
+INDICATOR = text(
     "indicator",
-    pl.String,
-    "",
-    "reference_leakage, own_reference_leakage, baseline_deviation, peer_deviation, K_, leakage_ "
-    "and gap_change_ with the path's name, C_f, pressure_zero, flow_zero, drain_flow, "
-    "comparable_drain_flow, baseline_progress, temperature_effect, model_misfit or oil_viscosity",
+    "reference_leakage, own_reference_leakage, baseline_deviation, peer_deviation, K_, "
+    "leakage_ and gap_change_ with the path's name, C_f, pressure_zero, flow_zero, "
+    "drain_flow, comparable_drain_flow, baseline_progress, temperature_effect, "
+    "model_misfit or oil_viscosity",
 )
 
 TRENDS = Table(
@@ -42,125 +46,95 @@ TRENDS = Table(
         MOTOR_ID,
         NIGHT,
         INDICATOR,
-        Column("value", pl.Float64, "see unit", "The night's figure; null without one"),
-        Column("unit", pl.String, "", "l/min, m3, %, %/K, bar or 1"),
-        Column("lower", pl.Float64, "see unit", "Lower end of its 95 % interval"),
-        Column("upper", pl.Float64, "see unit", "Upper end of its 95 % interval"),
-        Column("n_nights", pl.Int64, "", "Nights behind it: 1, or those of the filter"),
-        Column(
+        number("value", "see unit", "The night's figure; null without one"),
+        text("unit", "l/min, m3, %, %/K, bar or 1"),
+        number("lower", "see unit", "Lower end of its 95 % interval"),
+        number("upper", "see unit", "Upper end of its 95 % interval"),
+        count("n_nights", "Nights behind it: 1, or those of the filter"),
+        text(
             "gated_reason",
-            pl.String,
-            "",
             "Why the night does not count, also where it has a figure; null where it does",
         ),
-        Column("baseline_start", pl.Date, "", "First night of the baseline in use"),
-        Column("baseline_mean", pl.Float64, "see unit", "Its mean; null before there is one"),
-        Column("deviation_percent", pl.Float64, "%", "(value − baseline) / baseline"),
-        Column("running_hours", pl.Float64, "h", "Running hours since the motor's first night"),
-        Column(
+        day("baseline_start", "First night of the baseline in use"),
+        number("baseline_mean", "see unit", "Its mean; null before there is one"),
+        number("deviation_percent", "%", "(value − baseline) / baseline"),
+        number("running_hours", "h", "Running hours since the motor's first night"),
+        flag(
             "running_hours_estimated",
-            pl.Boolean,
-            "",
             "Some of them belong to nights without a log, by the mean share of the 30 before",
         ),
         *_per_time("per_1000_h", "1000 running hours"),
         *_per_time("per_year", "year of 365.25 days"),
-        Column("theil_sen_per_year", pl.Float64, "see unit, year", "Median of all pairs' slopes"),
-        Column("theil_sen_outside", pl.Boolean, "", "It lies outside the slope's interval"),
-        Column("n_slope", pl.Int64, "", "Nights behind the slope"),
-        Column(
+        number("theil_sen_per_year", "see unit, year", "Median of all pairs' slopes"),
+        flag("theil_sen_outside", "It lies outside the slope's interval"),
+        count("n_slope", "Nights behind the slope"),
+        day(
             "slope_start",
-            pl.Date,
-            "",
             "First night of the line: since the baseline began or, where a change stands told, "
             "since that began",
         ),
-        Column("provisional", pl.Boolean, "", "The slope rests on fewer than 60 nights"),
-        Column("p_value", pl.Float64, "", "Of no slope, two-sided"),
-        Column("q_value", pl.Float64, "", "The same, controlling false discoveries in the fleet"),
-        Column(
-            "is_trend",
-            pl.Boolean,
-            "",
-            "q_value is below trend.false_discovery_rate; null without one",
-        ),
-        Column("cusum", pl.Float64, "sd", "One-sided CUSUM of the whitened deviations"),
-        Column("cusum_limit", pl.Float64, "sd", "Beyond it the motor has changed"),
-        Column(
+        flag("provisional", "The slope rests on fewer than 60 nights"),
+        number("p_value", "", "Of no slope, two-sided"),
+        number("q_value", "", "The same, controlling false discoveries in the fleet"),
+        flag("is_trend", "q_value is below trend.false_discovery_rate; null without one"),
+        number("cusum", "sd", "One-sided CUSUM of the whitened deviations"),
+        number("cusum_limit", "sd", "Beyond it the motor has changed"),
+        text(
             "state",
-            pl.String,
-            "",
             "ok (no change of external leakage), warning, alarm, common_cause, duty_outside (the "
             "baseline has not seen the night's duty), stale or insufficient",
         ),
-        Column("state_reason", pl.String, "", "The state in words; null where ok"),
-        Column("path", pl.String, "", "Path whose growth explains the change; null: none is told"),
-        Column("path_probability", pl.Float64, "", "That it does"),
-        Column("path_reason", pl.String, "", "Why no explanation is told, and what would tell"),
-        Column("limit", pl.Float64, "see unit", "The limit that the days count to"),
-        Column("days_to_limit", pl.Float64, "d", "Until the limit, as likely later as earlier"),
-        Column("days_to_limit_lower", pl.Float64, "d", "Not before: lower end of its 90 % set"),
-        Column("days_to_limit_upper", pl.Float64, "d", "Upper end; only of finite"),
-        Column(
+        text("state_reason", "The state in words; null where ok"),
+        text("path", "Path whose growth explains the change; null: none is told"),
+        number("path_probability", "", "That it does"),
+        text("path_reason", "Why no explanation is told, and what would tell"),
+        number("limit", "see unit", "The limit that the days count to"),
+        number("days_to_limit", "d", "Until the limit, as likely later as earlier"),
+        number("days_to_limit_lower", "d", "Not before: lower end of its 90 % set"),
+        number("days_to_limit_upper", "d", "Upper end; only of finite"),
+        text(
             "days_to_limit_status",
-            pl.String,
-            "",
             "finite, not_before, no_trend, already_crossed, beyond_horizon or insufficient; what "
             "earlier versions called unbounded is not_before",
         ),
-        Column("oil", pl.String, "", "The night's oil"),
-        Column("mean_temperature_c", pl.Float64, "°C", "Mean of the kept samples"),
-        Column("flushing_mode", pl.String, "", "none, fixed or estimated"),
-        Column("share_reversed", pl.Float64, "", "Share of kept samples with negative speed"),
-        Column(
+        text("oil", "The night's oil"),
+        number("mean_temperature_c", "°C", "Mean of the kept samples"),
+        text("flushing_mode", "none, fixed or estimated"),
+        number("share_reversed", "", "Share of kept samples with negative speed"),
+        number(
             "coverage",
-            pl.Float64,
             "",
             "Overlap of the night's pressures, temperatures and speeds with the baseline's, the "
             "smallest of the three; 1: the same, 0: none",
         ),
-        Column(
+        flag(
             "outside_fitted_range",
-            pl.Boolean,
-            "",
             "The indicator's conditions lie outside what the night's samples saw",
         ),
-        Column(
-            "sensor_health",
-            pl.String,
-            "",
-            "What the zeros at halts say of the sensors: ok, drifted or unknown",
-        ),
+        text("sensor_health", "What the zeros at halts say of the sensors: ok, drifted or unknown"),
         RUN_ID,
-        Column("warning_limit", pl.Float64, "see unit", "Level of a warning; null without one"),
-        Column("alarm_limit", pl.Float64, "see unit", "Level of an alarm; null without one"),
-        Column(
+        number("warning_limit", "see unit", "Level of a warning; null without one"),
+        number("alarm_limit", "see unit", "Level of an alarm; null without one"),
+        day(
             "change_start",
-            pl.Date,
-            "",
             "First night of the change that the state tells; null where it tells none",
         ),
-        Column(
+        number(
             "common_factor",
-            pl.Float64,
             "1",
             "Factor of all flows since the baseline, from the nights since the change; null unless "
             "its probability is 0.9",
         ),
-        Column("common_factor_lower", pl.Float64, "1", "Lower end of its 95 % interval"),
-        Column("common_factor_upper", pl.Float64, "1", "Upper end"),
-        Column("common_probability", pl.Float64, "", "That all flows changed by one factor"),
-        Column(
+        number("common_factor_lower", "1", "Lower end of its 95 % interval"),
+        number("common_factor_upper", "1", "Upper end"),
+        number("common_probability", "", "That all flows changed by one factor"),
+        text(
             "common_origin",
-            pl.String,
-            "",
             "tank: the other motors of the oil circuit have the factor, too; own_sensor: they have "
             "not; null: neither is told",
         ),
-        Column(
+        text(
             "model_verdict",
-            pl.String,
-            "",
             "Of model_misfit, over the last ten nights that tell it: supported, doubtful (above "
             "0.59 %) or disproved (above 1 %; 1.5 % before there are ten); else null",
         ),
@@ -181,34 +155,28 @@ ALARMS = Table(
     (
         MOTOR_ID,
         NIGHT,
-        Column("time", TIMESTAMP, "UTC", "End of the night, never the clock"),
+        moment("time", "End of the night, never the clock"),
         INDICATOR,
-        Column("from_state", pl.String, "", "State of the night before"),
-        Column("to_state", pl.String, "", "State of the night"),
-        Column("reason", pl.String, "", "In words, with figures and intervals"),
-        Column("deviation_percent", pl.Float64, "%", "Of the night from the baseline"),
-        Column(
+        text("from_state", "State of the night before"),
+        text("to_state", "State of the night"),
+        text("reason", "In words, with figures and intervals"),
+        number("deviation_percent", "%", "Of the night from the baseline"),
+        text(
             "way",
-            pl.String,
-            "",
-            "Into a warning or an alarm: level, change (cumulative sum), both, sudden (by "
-            "far, in one night), jump (a change that no event explains) or drift (of a "
-            "sensor's zero); stale; common_cause; duty_outside; baseline; recovered; recomputed: "
-            "what was told before is not in the figures now",
+            "Into a warning or an alarm: level, change (cumulative sum), both, sudden (by far, in "
+            "one night), jump (a change that no event explains) or drift (of a sensor's zero); "
+            "stale; common_cause; duty_outside; baseline; recovered; recomputed: what was told "
+            "before is not in the figures now",
         ),
-        Column("path", pl.String, "", "Path whose growth explains the change"),
-        Column(
+        text("path", "Path whose growth explains the change"),
+        text(
             "rules",
-            pl.String,
-            "",
             "Change of rules that made this row of a past night: of the program's, such as trends "
             "5 to 6, or of the form of the motor's model (scale of the rollers); null: none",
         ),
-        Column("state_before_rules", pl.String, "", "State of the night as told before that"),
-        Column(
+        text("state_before_rules", "State of the night as told before that"),
+        flag(
             "is_silent",
-            pl.Boolean,
-            "",
             "True: made by a change of rules and not sent, as its state was told before or passed",
         ),
         RUN_ID,
@@ -223,26 +191,21 @@ LOOKS = Table(
     ("motor_id", "time", "to_state"),
     (
         MOTOR_ID,
-        Column("time", TIMESTAMP, "UTC", "End of the block that shows it, never the clock"),
-        Column("from_state", pl.String, "", "State before"),
-        Column(
+        moment("time", "End of the block that shows it, never the clock"),
+        text("from_state", "State before"),
+        text(
             "to_state",
-            pl.String,
-            "",
             "look_now (sudden rise), clear, blind (nothing to judge) or not_ready (no baseline)",
         ),
-        Column("since", TIMESTAMP, "UTC", "Begin of the rise; null without one"),
-        Column("change_percent", pl.Float64, "%", "Rise of the drain flow over the baseline"),
-        Column("change_lower", pl.Float64, "%", "Lower end of its 95 % interval"),
-        Column("change_upper", pl.Float64, "%", "Upper end"),
-        Column("reason", pl.String, "", "In words, with what to do"),
-        Column(
-            "verdict",
-            pl.String,
-            "",
-            "told; confirmed or withdrawn: by the night, in a row of its own; else null",
+        moment("since", "Begin of the rise; null without one"),
+        number("change_percent", "%", "Rise of the drain flow over the baseline"),
+        number("change_lower", "%", "Lower end of its 95 % interval"),
+        number("change_upper", "%", "Upper end"),
+        text("reason", "In words, with what to do"),
+        text(
+            "verdict", "told; confirmed or withdrawn: by the night, in a row of its own; else null"
         ),
-        Column("confirmed_by", pl.Date, "", "Night that gave the verdict"),
+        day("confirmed_by", "Night that gave the verdict"),
         RUN_ID,
     ),
 )
@@ -253,21 +216,21 @@ BASELINES = Table(
     ("motor_id", "night", "indicator"),
     (
         MOTOR_ID,
-        Column("night", pl.Date, "", "Night in which it was frozen"),
+        day("night", "Night in which it was frozen"),
         INDICATOR,
-        Column("start", pl.Date, "", "First good night"),
-        Column("end", pl.Date, "", "Last good night"),
-        Column("n", pl.Int64, "", "Good nights"),
-        Column("mean", pl.Float64, "see unit", "Winsorised mean"),
-        Column("sd", pl.Float64, "see unit", "Robust standard deviation, not below its floor"),
-        Column("unit", pl.String, "", "Unit of both"),
-        Column("phi", pl.Float64, "", "Night-to-night correlation, detrended and bias-corrected"),
-        Column("provisional", pl.Boolean, "", "To be replaced when there are more nights"),
-        Column("sloped", pl.Boolean, "", "The baseline itself has a slope: wear may hide in it"),
-        Column("reason", pl.String, "", "What it starts with: first nights, an event, a reset"),
-        Column("own_pressure_bar", pl.Float64, "bar", "The motor's own reference conditions"),
-        Column("own_temperature_c", pl.Float64, "°C", "The motor's own reference conditions"),
-        Column("own_speed_rpm", pl.Float64, "rpm", "The motor's own reference conditions"),
+        day("start", "First good night"),
+        day("end", "Last good night"),
+        count("n", "Good nights"),
+        number("mean", "see unit", "Winsorised mean"),
+        number("sd", "see unit", "Robust standard deviation, not below its floor"),
+        text("unit", "Unit of both"),
+        number("phi", "", "Night-to-night correlation, detrended and bias-corrected"),
+        flag("provisional", "To be replaced when there are more nights"),
+        flag("sloped", "The baseline itself has a slope: wear may hide in it"),
+        text("reason", "What it starts with: first nights, an event, a reset"),
+        number("own_pressure_bar", "bar", "The motor's own reference conditions"),
+        number("own_temperature_c", "°C", "The motor's own reference conditions"),
+        number("own_speed_rpm", "rpm", "The motor's own reference conditions"),
         RUN_ID,
     ),
 )
@@ -278,11 +241,11 @@ CHANGE_POINTS = Table(
     ("motor_id", "night", "indicator", "change_night"),
     (
         MOTOR_ID,
-        Column("night", pl.Date, "", "Night from which it was seen; the latest holds"),
+        day("night", "Night from which it was seen; the latest holds"),
         INDICATOR,
-        Column("change_night", pl.Date, "", "First night after the change"),
-        Column("size_percent", pl.Float64, "%", "Step, relative to the level before"),
-        Column("model", pl.String, "", "step, or trend and step: which explains the nights best"),
+        day("change_night", "First night after the change"),
+        number("size_percent", "%", "Step, relative to the level before"),
+        text("model", "step, or trend and step: which explains the nights best"),
         RUN_ID,
     ),
 )
@@ -293,15 +256,15 @@ DECISIONS = Table(
     ("motor_id", "time", "kind", "indicator"),
     (
         MOTOR_ID,
-        Column("time", TIMESTAMP, "UTC", "When it was said"),
-        Column("kind", pl.String, "", "acknowledged, finding or baseline_reset"),
+        moment("time", "When it was said"),
+        text("kind", "acknowledged, finding or baseline_reset"),
         INDICATOR,
-        Column("night", pl.Date, "", "Night that it refers to"),
-        Column("finding", pl.String, "", "confirmed or not_confirmed; null: no finding"),
-        Column("note", pl.String, "", "In words"),
+        day("night", "Night that it refers to"),
+        text("finding", "confirmed or not_confirmed; null: no finding"),
+        text("note", "In words"),
         RUN_ID,
-        Column("worn", pl.String, "", "Parts found worn, separated by commas; null: none"),
-        Column("sound", pl.String, "", "Parts found sound, separated by commas; null: none"),
+        text("worn", "Parts found worn, separated by commas; null: none"),
+        text("sound", "Parts found sound, separated by commas; null: none"),
     ),
 )
 
@@ -311,42 +274,42 @@ LATEST = Table(
     ("motor_id",),
     (
         MOTOR_ID,
-        Column("state", pl.String, "", "State of its newest night: the worst of its indicators"),
-        Column("sentence", pl.String, "", "What `status` prints of it: the state in words"),
-        Column("indicator", pl.String, "", "Indicator that tells the state; null where ok"),
-        Column("path", pl.String, "", "Paths whose growth explains the state; null: none is told"),
-        Column("known_since", pl.Date, "", "First night in which the change was told"),
-        Column("state_since", pl.Date, "", "First night of the state; null where ok"),
-        Column("change_start", pl.Date, "", "First night of the newest change in force"),
-        Column("gap_path", pl.String, "", "Path with the largest gap change"),
-        Column("gap_change_percent", pl.Float64, "%", "That change; null where none is known"),
-        Column("gap_change_lower", pl.Float64, "%", "Lower end of its 95 % interval"),
-        Column("gap_change_upper", pl.Float64, "%", "Upper end"),
-        Column("leakage_l_per_min", pl.Float64, "l/min", "Leakage now; null where not known"),
-        Column("leakage_lower", pl.Float64, "l/min", "Lower end of its 95 % interval"),
-        Column("leakage_upper", pl.Float64, "l/min", "Upper end"),
-        Column("leakage_indicator", pl.String, "", "Indicator that the leakage is from"),
-        Column("leakage_verdict", pl.String, "", "Verdict on it, at the fleet's conditions"),
-        Column("leakage_night", pl.Date, "", "Last night with such a leakage"),
-        Column("deviation_percent", pl.Float64, "%", "Its deviation from the baseline"),
-        Column("days_to_limit", pl.Float64, "d", "As in `trends`, of the indicator"),
-        Column("days_to_limit_lower", pl.Float64, "d", "As in `trends`"),
-        Column("days_to_limit_upper", pl.Float64, "d", "As in `trends`"),
-        Column("days_to_limit_status", pl.String, "", "As in `trends`"),
-        Column("limit_dates", pl.String, "", "The same as dates, in words; empty without any"),
-        Column("last_night", pl.Date, "", "Newest night with a row"),
-        Column("last_good_night", pl.Date, "", "Newest night with a fit"),
-        Column("data_night", pl.Date, "", "Newest night with samples"),
-        Column("data_age_nights", pl.Int64, "", "Nights from it to the fleet's newest of these"),
-        Column("sensor_health", pl.String, "", "ok, drifted or unknown"),
-        Column("model_verdict", pl.String, "", "supported, doubtful or disproved; null: not told"),
-        Column("reason", pl.String, "", "Reason of the state, or drift of a sensor"),
-        Column("failure", pl.String, "", "The last night, if it failed, in words"),
-        Column("poor_fit", pl.String, "", "A poor fit of the last good night, in words"),
-        Column("temperature_effect", pl.String, "", "Loss factors that change with temperature"),
-        Column("model_misfit", pl.String, "", "That the model does not describe the motor"),
-        Column("oil", pl.String, "", "The oil as measured; empty where its data sheet holds"),
-        Column("acknowledged", pl.String, "", "Note of the last acknowledgement of the state"),
+        text("state", "State of its newest night: the worst of its indicators"),
+        text("sentence", "What `status` prints of it: the state in words"),
+        text("indicator", "Indicator that tells the state; null where ok"),
+        text("path", "Paths whose growth explains the state; null: none is told"),
+        day("known_since", "First night in which the change was told"),
+        day("state_since", "First night of the state; null where ok"),
+        day("change_start", "First night of the newest change in force"),
+        text("gap_path", "Path with the largest gap change"),
+        number("gap_change_percent", "%", "That change; null where none is known"),
+        number("gap_change_lower", "%", "Lower end of its 95 % interval"),
+        number("gap_change_upper", "%", "Upper end"),
+        number("leakage_l_per_min", "l/min", "Leakage now; null where not known"),
+        number("leakage_lower", "l/min", "Lower end of its 95 % interval"),
+        number("leakage_upper", "l/min", "Upper end"),
+        text("leakage_indicator", "Indicator that the leakage is from"),
+        text("leakage_verdict", "Verdict on it, at the fleet's conditions"),
+        day("leakage_night", "Last night with such a leakage"),
+        number("deviation_percent", "%", "Its deviation from the baseline"),
+        number("days_to_limit", "d", "As in `trends`, of the indicator"),
+        number("days_to_limit_lower", "d", "As in `trends`"),
+        number("days_to_limit_upper", "d", "As in `trends`"),
+        text("days_to_limit_status", "As in `trends`"),
+        text("limit_dates", "The same as dates, in words; empty without any"),
+        day("last_night", "Newest night with a row"),
+        day("last_good_night", "Newest night with a fit"),
+        day("data_night", "Newest night with samples"),
+        count("data_age_nights", "Nights from it to the fleet's newest of these"),
+        text("sensor_health", "ok, drifted or unknown"),
+        text("model_verdict", "supported, doubtful or disproved; null: not told"),
+        text("reason", "Reason of the state, or drift of a sensor"),
+        text("failure", "The last night, if it failed, in words"),
+        text("poor_fit", "A poor fit of the last good night, in words"),
+        text("temperature_effect", "Loss factors that change with temperature"),
+        text("model_misfit", "That the model does not describe the motor"),
+        text("oil", "The oil as measured; empty where its data sheet holds"),
+        text("acknowledged", "Note of the last acknowledgement of the state"),
         RUN_ID,
     ),
 )

@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.ingest.mcap.payloads import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
+from pipeline.messages import counted
 from pipeline.setup.guess_channels import (
     best_by_channel,
     channel_of,
@@ -228,7 +229,7 @@ def _source(reading: _Reading) -> GuessedSource:
 def _listing(topics: Sequence[Topic]) -> Iterator[str]:
     yield "topics:"
     for topic in topics:
-        count = "" if topic.count is None else f", {topic.count} messages"
+        count = "" if topic.count is None else f", {counted(topic.count, 'message')}"
         schema = f" {topic.schema}" if topic.schema else ""
         yield f"  {topic.name}: {topic.encoding}{schema}{count}"
         if topic.fault:

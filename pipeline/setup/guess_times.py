@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 
 import numpy as np
 import pyarrow as pa
@@ -18,12 +18,12 @@ from pipeline.ingest.time_stamps import (
     written_as_text,
 )
 from pipeline.ingest.wall_clock import TimeStamps
+from pipeline.logs.told_nights import date_in
 
 _TIME_NAME = re.compile(
     r"(?i)^[\W_]*(date.?time|time.?stamp|time|zeit(stempel)?|uhrzeit|datum|date|tid(sstämpel)?|"
     r"clock|epoch|ts|t)(?![a-zäöå])"
 )
-_DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 _NUMBER = re.compile(r"\d+(\.\d*)?")
 
 _DATE = (
@@ -159,9 +159,9 @@ def _formats_of(stamp: str) -> Iterator[str]:
     dates = _date_formats(match)
     if match["half"]:
         # Where noon is 12 PM the month is mostly written first.
-        dates.sort(key=lambda date: not date.startswith("%m"))
-    for date in dates:
-        yield date + match["between"] + _clock_format(match) + behind
+        dates.sort(key=lambda one: not one.startswith("%m"))
+    for one in dates:
+        yield one + match["between"] + _clock_format(match) + behind
 
 
 def _date_formats(match: re.Match[str]) -> list[str]:
@@ -214,7 +214,7 @@ def _likeliest(stamps: Sequence[str], formats: Sequence[str], file_name: str) ->
     times = {form: _parsed(stamps, form).time_us for form in kept}
     leaps = {form: int((np.abs(np.diff(t)) > _MONTH_US).sum()) for form, t in times.items()}
     ahead = {form: int((t > latest).sum()) for form, t in times.items()}
-    named = _date_of(file_name)
+    named = date_in(file_name)
     far = {form: named is not None and _days_off(t, named) > 1 for form, t in times.items()}
     for misfit in (ahead, leaps, far):
         fewest = min((misfit[form] for form in kept), default=0)
@@ -229,20 +229,9 @@ def _likeliest(stamps: Sequence[str], formats: Sequence[str], file_name: str) ->
     return list(seen.values())
 
 
-def _date_of(file_name: str) -> datetime | None:
-    found = _DATE_IN_NAME.findall(file_name)
-    if not found:
-        return None
-    year, month, day = map(int, found[-1])
-    try:
-        return datetime(year, month, day, tzinfo=UTC)
-    except ValueError:
-        return None
-
-
-def _days_off(time_us: np.ndarray, date: datetime) -> int:
+def _days_off(time_us: np.ndarray, day: date) -> int:
     first = datetime.fromtimestamp(int(time_us[0]) / 1e6, UTC)
-    return abs((first.date() - date.date()).days)
+    return abs((first.date() - day).days)
 
 
 def _in_words(stamps: Sequence[str], formats: Sequence[str]) -> tuple[str, ...]:

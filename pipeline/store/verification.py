@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.errors import StoreError
+from pipeline.messages import counted
 from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, read
 from pipeline.store.manifest import (
@@ -202,7 +203,9 @@ def verify_unlisted(output: Path) -> Iterator[TableFault]:
             strangers -= proofs.keys()
             path = manifest_file(output, *key)
             if proofs and not path.exists():
-                message = f"there is no manifest of {len(proofs)} files; a run makes it anew"
+                message = (
+                    f"there is no manifest of {counted(len(proofs), 'file')}; a run makes it anew"
+                )
                 name = path.relative_to(output).as_posix()
                 yield TableFault(name, "manifest_missing", message)
         for name in sorted(strangers):

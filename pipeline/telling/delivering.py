@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from pipeline.messages import counted
 from pipeline.telling.delivery import Delivery, Receiver, UndeliveredError
 from pipeline.telling.outbox import (
     TOLD_ALARMS,
@@ -34,10 +35,7 @@ def deliver(
 ) -> tuple[str, ...]:
     """Deliver what waits in the outbox, which is written after each delivery; faults, as text.
 
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read or written: deliveries may then be repeated.
+    Raises StoreError if the outbox cannot be read or written: deliveries may then be repeated.
     """
     folder, faults = output / told.folder, []
     outbox = read_outbox(folder) or Outbox()
@@ -50,7 +48,9 @@ def deliver(
         left = outbox.queues[receiver.name]
         if left.waiting:
             n = sum(len(one.changes) for one in left.waiting)
-            faults.append(f"{receiver.label}: {left.fault}; {n} changes wait for the next run")
+            faults.append(
+                f"{receiver.label}: {left.fault}; for the next run: {counted(n, 'change')}"
+            )
     return tuple(faults)
 
 

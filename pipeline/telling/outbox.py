@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
+from pipeline.messages import counted
 from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
 from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, unseal
 from pipeline.store.tables import month_stamps, read_table, table_folder
@@ -102,18 +103,15 @@ class Backlog:
         """The undelivered rows in words."""
         why = f"; last try: {self.fault}" if self.fault else ""
         return (
-            f"not delivered to {self.receiver}: {self.undelivered} changes of state, since "
-            f"{self.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
+            f"not delivered to {self.receiver}: {counted(self.undelivered, 'change')} of state, "
+            f"since {self.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
         )
 
 
 def read_outbox(output: Path) -> Outbox | None:
     """The outbox, from the first file that is whole; None without one.
 
-    Raises
-    ------
-    StoreError
-        If a file cannot be read, and none is whole.
+    Raises StoreError if a file cannot be read, and none is whole.
     """
     unreadable: StoreError | None = None
     for name in OUTBOX_FILES:
@@ -175,10 +173,7 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOL
     Rows that the run before has published and not taken up go to the receivers of that time. A new
     receiver gets none of them; the queue of one that the config names no more is dropped.
 
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read or written.
+    Raises StoreError if the outbox cannot be read or written.
     """
     before = read_outbox(output / told.folder)
     if not names and (before is None or not before.queues):
@@ -186,7 +181,8 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOL
     outbox = taken_up(before or Outbox(), output, fleet, told)
     for name in sorted(outbox.queues.keys() - set(names)):
         if n := sum(len(one.changes) for one in outbox.queues[name].waiting):
-            log.warning("alarms: there is no %s any more; %d changes were not delivered", name, n)
+            words = "alarms: there is no %s any more; not delivered: %s"
+            log.warning(words, name, counted(n, "change"))
     for name in sorted(set(names) - outbox.queues.keys()):
         if outbox.known:
             log.warning(
@@ -203,10 +199,7 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOL
 def take_up(output: Path, fleet: str, told: Told = TOLD_ALARMS) -> None:
     """Put new rows into all queues.
 
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read or written.
+    Raises StoreError if the outbox cannot be read or written.
     """
     before = read_outbox(output / told.folder)
     if before is not None and before.queues:
@@ -220,10 +213,7 @@ def add_summary(
 ) -> None:
     """Queue a summary for a receiver, once for each date that it is due on.
 
-    Raises
-    ------
-    StoreError
-        If the outbox, or what the rows are made from, cannot be read or written.
+    Raises StoreError if the outbox, or what the rows are made from, cannot be read or written.
     """
     outbox = read_outbox(output)
     queue = None if outbox is None else outbox.queues.get(name)
@@ -310,10 +300,7 @@ def _deliveries(
 def is_waiting(output: Path) -> bool:
     """True if a delivery waits.
 
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read.
+    Raises StoreError if the outbox cannot be read.
     """
     outbox = read_outbox(output)
     return outbox is not None and any(queue.waiting for queue in outbox.queues.values())
@@ -322,10 +309,7 @@ def is_waiting(output: Path) -> bool:
 def backlogs(output: Path, receivers: Sequence[Receiver], fleet: str) -> tuple[Backlog, ...]:
     """Undelivered rows of each receiver, those included that no run has taken up yet.
 
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read.
+    Raises StoreError if the outbox cannot be read.
     """
     outbox = read_outbox(output)
     if outbox is None or not receivers:

@@ -21,7 +21,7 @@ LARGEST_TEXT = 4 * 2**30
 LARGEST_RATIO = 400
 """Bytes of text to a byte of a packed file. A motor that stands still all night has below 100."""
 
-PIECE = 2**22
+PIECE = 2**21
 """Bytes read at a time: few enough to stay in the processor's cache."""
 
 LONGEST_LINE = 2**25

@@ -165,15 +165,17 @@ def _table(payloads: Payloads, types: Mapping[FieldPath, pa.DataType]) -> pa.Tab
     schema = _schema(types)
     # The parser takes objects, not lines: without this, an object begun in one message and ended in
     # the next would go through.
+    if schema is None or not payloads.length.all():
+        return None
     first = payloads.text[payloads.start]
     last = payloads.text[payloads.start + payloads.length - 1]
-    if schema is None or not ((first == ord("{")).all() and (last == ord("}")).all()):
+    if not ((first == ord("{")).all() and (last == ord("}")).all()):
         return None
     block_size = max(2**20, 2 * int(payloads.length.max()))
     try:
         table = arrow_json.read_json(
             pa.BufferReader(pa.py_buffer(payloads.text)),
-            read_options=arrow_json.ReadOptions(block_size=block_size),
+            read_options=arrow_json.ReadOptions(use_threads=False, block_size=block_size),
             parse_options=arrow_json.ParseOptions(
                 explicit_schema=schema, unexpected_field_behavior="ignore"
             ),

@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pipeline.arrays import chosen_rows
 from pipeline.config.channels import Channel, Channels, QualityValue
 from pipeline.config.field_paths import FieldPath, field_path, path_text
 from pipeline.config.logs import Logs
@@ -26,9 +27,16 @@ from pipeline.ingest.contract import LogFile, RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.mcap.cdr import ROS2_LANGUAGES, cdr_decoder
 from pipeline.ingest.mcap.json import json_decoder, require_json_field
-from pipeline.ingest.mcap.layout import ChannelRecord, Schema, read_summary
-from pipeline.ingest.mcap.messages import Messages, read_messages
-from pipeline.ingest.mcap.payloads import Decoded, Decoder, Payloads, payloads_of, stacked
+from pipeline.ingest.mcap.layout import ChannelRecord, Schema
+from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
+from pipeline.ingest.mcap.payloads import (
+    Decoded,
+    Decoder,
+    Payloads,
+    Rows,
+    payloads_of,
+    stacked,
+)
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
 from pipeline.ingest.quality import BLANK, quality_states
 from pipeline.ingest.time_stamps import (
@@ -39,7 +47,7 @@ from pipeline.ingest.time_stamps import (
 )
 from pipeline.ingest.wall_clock import TimeStamps
 
-_PIECE = 8 * 2**20
+_PIECE = 2**20
 _COST_OF_MESSAGE = 64
 """Bytes that a message takes while it is decoded, besides its payload."""
 
@@ -141,20 +149,14 @@ def mcap_time_span(file: LogFile) -> tuple[int, int]:
     if summary_span is not None:
         return summary_span
     pieces = read_messages(path, salvage=logs.salvage)
-    times = np.concatenate([_times(messages, logs.time) for messages in pieces])
+    times = np.concatenate([messages.times(_time_of_record(logs)) for messages in pieces])
     (stamps,), _ = judged(path, [from_epoch(times, "epoch_ns")], _time_name(logs), latest_us)
     return span(path, [stamps.time_us[stamps.readable]])
 
 
 def _summary_span(path: Path, logs: Logs, latest_us: int | None) -> tuple[int, int] | None:
     """Span that the summary states, if it does."""
-    try:
-        with path.open("rb") as file:
-            statistics = read_summary(path, file).statistics
-    except LogError as error:
-        if logs.salvage and error.code in ("log_truncated", "log_damaged"):
-            return None
-        raise
+    statistics = summary_of(path, salvage=logs.salvage)[0].statistics
     if statistics is None or not statistics.message_count:
         return None
     log_times = [statistics.first_log_time, statistics.last_log_time]
@@ -171,11 +173,11 @@ def _summary_span(path: Path, logs: Logs, latest_us: int | None) -> tuple[int, i
 def _time_name(logs: Logs) -> str:
     if logs.stamp:
         return f"{logs.stamp!r} in format {logs.time_format}"
+    return _time_of_record(logs)
+
+
+def _time_of_record(logs: Logs) -> str:
     return "publish_time" if logs.time == "publish_time" else "log_time"
-
-
-def _times(messages: Messages, name: str) -> NDArray[np.uint64]:
-    return messages.publish_time if name == "publish_time" else messages.log_time
 
 
 def _wanted(channels: Channels) -> _Wanted:
@@ -211,13 +213,10 @@ def _states(
 
 def _content(path: Path, logs: Logs, wanted: _Wanted) -> _Content:
     names = tuple(wanted)
+    summary, _ = summary_of(path, salvage=logs.salvage)
     content = _Content(
         {
-            name: _Parts(
-                GatheredStamps(),
-                {one: GatheredReadings() for one in fields.readings},
-                {one: [] for one in fields.qualities},
-            )
+            name: _no_parts(fields, summary.stated_count(name) or 0)
             for name, fields in wanted.items()
         }
     )
@@ -228,13 +227,12 @@ def _content(path: Path, logs: Logs, wanted: _Wanted) -> _Content:
         if len(messages.channels) != known:
             _add_decoders(path, logs, wanted, messages, decoders)
             known = len(messages.channels)
+        topic, times = decoders.topic[messages.channel_id], messages.times(_time_of_record(logs))
         in_turn = _is_shared(decoders)
         for number, chosen in _runs(decoders.number[messages.channel_id], in_turn=in_turn):
             # Messages of one topic keep their order, whatever decodes them.
             for other in [other for other in held if in_turn and other != number]:
                 _decode(path, decoders, other, held.pop(other), names, content)
-            topic = decoders.topic[messages.channel_id]
-            times = _times(messages, logs.time)
             stretches = held.setdefault(number, [])
             stretches.append(payloads_of(messages, chosen, topic, times))
             if sum(map(_cost, stretches)) >= _PIECE:
@@ -246,12 +244,20 @@ def _content(path: Path, logs: Logs, wanted: _Wanted) -> _Content:
     return content
 
 
+def _no_parts(fields: _Fields, expected: int) -> _Parts:
+    return _Parts(
+        GatheredStamps(expected),
+        {one: GatheredReadings(expected=expected) for one in fields.readings},
+        {one: [] for one in fields.qualities},
+    )
+
+
 def _cost(payloads: Payloads) -> int:
     """Bytes that payloads take while they are decoded."""
     return payloads.text.size + _COST_OF_MESSAGE * payloads.start.size
 
 
-def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, NDArray[np.intp]]]:
+def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, Rows]]:
     """Messages of each decoder; `in_turn`, each stretch of them by itself."""
     if in_turn:
         edges = np.flatnonzero(np.diff(numbers)) + 1
@@ -259,8 +265,10 @@ def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, N
             if stretch.size and numbers[stretch[0]] >= 0:
                 yield int(numbers[stretch[0]]), stretch
         return
-    for number in np.unique(numbers[numbers >= 0]).tolist():
-        yield number, np.flatnonzero(numbers == number)
+    for number in range(int(numbers.max(initial=-1)) + 1):
+        chosen = numbers == number
+        if chosen.any():
+            yield number, chosen_rows(chosen)
 
 
 def _is_shared(decoders: _Decoders) -> bool:
@@ -282,9 +290,11 @@ def _decode(
     stamps = decoded.stamps
     if stamps is None:
         stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
-    for topic in np.unique(payloads.topic).tolist():
+    for topic, name in enumerate(names):
         rows = np.flatnonzero(payloads.topic == topic)
-        parts = content.parts[names[topic]]
+        if not rows.size:
+            continue
+        parts = content.parts[name]
         parts.stamps.add(WrittenStamps(stamps.time_us[rows], stamps.kind[rows], stamps.example))
         for one, column in parts.fields.items():
             column.add(decoded.fields[one].at(rows))

@@ -44,8 +44,11 @@ from pipeline.ingest.mcap.layout import (
 _MESSAGE_HEAD = 31
 """Bytes before a payload: opcode, length, channel id, sequence, log time, publish time."""
 
+_TIMES = {"log_time": 15, "publish_time": 23}
+"""Places of the times in it."""
+
 _INDEX_HEAD = struct.Struct("<BQHI")
-_BLOCK = 8 * 2**20
+_BLOCK = 2 * 2**20
 _ANYWHERE = "data section"
 """Place of a damage that may lie before any message: nothing can be salvaged then."""
 
@@ -58,12 +61,19 @@ class Messages:
     channels: Mapping[int, ChannelRecord]  # declared so far, by id
     schemas: Mapping[int, Schema]
     channel_id: NDArray[np.uint16]
-    log_time: NDArray[np.uint64]  # [ns]
-    publish_time: NDArray[np.uint64]
-    payload_start: NDArray[np.int64]  # in the buffer
+    start: NDArray[np.int64]  # of their records in the buffer
     payload_end: NDArray[np.int64]
     read_to: int  # position in the file up to which it has been read
     loss: str = ""  # what was lost to damage, in words; in the last piece only
+
+    @property
+    def payload_start(self) -> NDArray[np.int64]:
+        """Begins of the payloads in the buffer."""
+        return self.start + _MESSAGE_HEAD
+
+    def times(self, name: str) -> NDArray[np.uint64]:
+        """Their ``log_time`` or ``publish_time`` [ns]."""
+        return fields_at(self.buffer, self.start + _TIMES[name], "<u8")
 
 
 def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
@@ -86,12 +96,13 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
     counts: NDArray[np.int64] = np.zeros(2**16, dtype=np.int64)
     declared = Declared()
     read_to = len(MAGIC)
+    summary, damage = summary_of(path, salvage=salvage)
     with path.open("rb") as file:
-        summary, damage = _summary(path, file, salvage=salvage)
         pieces = _data_section(path, file, summary.start, declared, damage is None)
         try:
             for messages in pieces:
                 of_channels = np.bincount(messages.channel_id)
+                _require_declared(path, declared, of_channels)
                 counts[: of_channels.size] += of_channels
                 read_to = messages.read_to
                 yield messages
@@ -102,7 +113,7 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
     if summary.statistics is not None and damage is None:
         _require_counts(path, summary.statistics, counts)
     yield replace(
-        _messages(path, memoryview(b""), np.empty(0, np.int64), declared, read_to),
+        _messages(path, memoryview(b""), np.empty(0, np.int64), 0, declared, read_to),
         channels={**summary.declared.channels, **declared.channels},
         schemas={**summary.declared.schemas, **declared.schemas},
         loss="" if damage is None else _loss(path, damage, read_to, summary, int(counts.sum())),
@@ -113,14 +124,20 @@ def _has_place(error: LogError) -> bool:
     return error.code in ("log_damaged", "log_truncated") and error.place != _ANYWHERE
 
 
-def _summary(path: Path, file: BinaryIO, *, salvage: bool) -> tuple[Summary, LogError | None]:
-    """The summary; where it cannot be read, and may be missing, an empty one and why."""
+def summary_of(path: Path, *, salvage: bool = False) -> tuple[Summary, LogError | None]:
+    """The summary; with `salvage`, an empty one where it cannot be read, and why.
+
+    Raises
+    ------
+    LogError
+        As `read_messages`.
+    """
     try:
-        return read_summary(path, file), None
+        return read_summary(path), None
     except LogError as error:
         if not salvage or not _has_place(error):
             raise
-        return Summary(file.seek(0, 2), Declared(), None), error
+        return Summary(path.stat().st_size, Declared(), None), error
 
 
 def _loss(path: Path, damage: LogError, read_to: int, summary: Summary, count: int) -> str:
@@ -131,6 +148,12 @@ def _loss(path: Path, damage: LogError, read_to: int, summary: Summary, count: i
         f"salvaged: {count}{of_all} messages stand before the damage, the file's last "
         f"{size - read_to} of {size} bytes are not read ({damage.message})"
     )
+
+
+def _require_declared(path: Path, declared: Declared, counts: NDArray[np.intp]) -> None:
+    unknown = set(np.flatnonzero(counts).tolist()) - declared.channels.keys()
+    if unknown:
+        raise LogError("log_damaged", path, f"messages of channel {min(unknown)}, never declared")
 
 
 def _require_counts(path: Path, statistics: Statistics, counts: NDArray[np.int64]) -> None:
@@ -201,36 +224,35 @@ def _require_checksum(path: Path, end_record: memoryview, checksum: int) -> None
 
 def _blocks(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[memoryview, list[int]]]:
     """Stretches of whole records, some megabytes or one record long, and where records begin."""
-    file.seek(len(MAGIC))
-    rest, left = b"", end - len(MAGIC)
-    while left or rest:
-        wanted = min(max(_BLOCK, _missing_bytes(path, rest, left)), left)
-        block = rest + file.read(wanted)
-        left -= wanted
-        offsets, whole = record_offsets(memoryview(block))
-        if not whole and not left:
-            raise LogError("log_damaged", path, f"the record at byte {end - len(block)} is cut")
+    place, size = len(MAGIC), _BLOCK
+    while place < end:
+        file.seek(place)
+        block = memoryview(file.read(min(size, end - place)))
+        offsets, whole = record_offsets(block)
+        is_last = len(block) < size or place + size == end
+        if not whole and is_last:
+            raise LogError("log_damaged", path, f"the record at byte {place} is cut")
         chunks = np.flatnonzero(np.frombuffer(block, np.uint8)[offsets] == CHUNK)
-        if left and chunks.size and chunks[-1]:
+        if not is_last and chunks.size and chunks[-1]:
             # The index of its messages stands behind a chunk: both stay together.
             whole = offsets[chunks[-1]]
             offsets = offsets[: chunks[-1]]
         if whole:
-            yield memoryview(block)[:whole], offsets
-        rest = block[whole:]
+            yield block[:whole], offsets
+        place += whole
+        size = max(_BLOCK, _record_size(path, block[whole:], end - place))
 
 
-def _missing_bytes(path: Path, rest: bytes, left: int) -> int:
-    """Bytes that the record begun in `rest` still lacks."""
-    if len(rest) < PREFIX.size:
-        return 0
-    _, length = PREFIX.unpack_from(rest)
-    missing: int = PREFIX.size + length - len(rest)
-    if missing > left:
+def _record_size(path: Path, begin: memoryview, left: int) -> int:
+    """Size of a record by its begin, or of its head where that is cut."""
+    if len(begin) < PREFIX.size:
+        return PREFIX.size
+    _, length = PREFIX.unpack_from(begin)
+    if PREFIX.size + length > left:
         raise LogError("log_damaged", path, f"a record claims {length} bytes, more than there are")
     if length > LONGEST_RECORD:
         raise LogError("log_too_large", path, f"a record has {length} bytes: split the log")
-    return missing
+    return int(PREFIX.size + length)
 
 
 def _messages_of_block(
@@ -251,7 +273,7 @@ def _messages_of_block(
     for before, chunk in pairwise([-1, *chunks, len(offsets)]):
         stop = len(block) if chunk == len(offsets) else int(offsets[chunk])
         kept = offsets[before + 1 : chunk]
-        yield _messages(path, block, kept, declared, place + stop)
+        yield _messages(path, block, kept, stop, declared, place + stop)
         if chunk == len(offsets):
             return
         where = f"chunk at byte {place + offsets[chunk]}"
@@ -260,39 +282,33 @@ def _messages_of_block(
         inside, end = offsets_in_chunk(records, indexed_positions(list(map(content, indexes))))
         if end != len(records):
             raise LogError("log_damaged", path, "its records do not fill it", where)
-        yield _messages(path, records, inside, declared, place + stops[chunk])
+        yield _messages(path, records, inside, end, declared, place + stops[chunk])
 
 
 def _messages(
     path: Path,
     buffer: memoryview,
-    offsets: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    end: int,
     declared: Declared,
     read_to: int,
 ) -> Messages:
     """The messages among records, whose channels are added to those known so far."""
-    opcodes = np.frombuffer(buffer, np.uint8)[offsets]
-    for start in offsets[(opcodes == CHANNEL) | (opcodes == SCHEMA)].tolist():
-        opcode, length = PREFIX.unpack_from(buffer, start)
-        declared.add(path, opcode, bytes(buffer[start + PREFIX.size :][:length]))
-    starts = offsets[opcodes == MESSAGE]
-    ends = starts + PREFIX.size + fields_at(buffer, starts + 1, "<u8").astype(np.int64)
+    opcodes = np.frombuffer(buffer, np.uint8)[starts]
+    ends = np.append(starts[1:], end)[: starts.size]
+    for i in np.flatnonzero((opcodes == CHANNEL) | (opcodes == SCHEMA)).tolist():
+        declared.add(path, int(opcodes[i]), bytes(buffer[starts[i] + PREFIX.size : ends[i]]))
+    is_message = opcodes == MESSAGE
+    if not is_message.all():
+        starts, ends = starts[is_message], ends[is_message]
     if (ends - starts < _MESSAGE_HEAD).any():
         raise LogError("log_damaged", path, "a message is shorter than its own head")
-    channel_id_of_each = fields_at(buffer, starts + 9, "<u2")
-    unknown = (
-        set(np.flatnonzero(np.bincount(channel_id_of_each)).tolist()) - declared.channels.keys()
-    )
-    if unknown:
-        raise LogError("log_damaged", path, f"messages of channel {min(unknown)}, never declared")
     return Messages(
         buffer=buffer,
         channels=declared.channels,
         schemas=declared.schemas,
-        channel_id=channel_id_of_each,
-        log_time=fields_at(buffer, starts + 15, "<u8"),
-        publish_time=fields_at(buffer, starts + 23, "<u8"),
-        payload_start=starts + _MESSAGE_HEAD,
+        channel_id=fields_at(buffer, starts + PREFIX.size, "<u2"),
+        start=starts,
         payload_end=ends,
         read_to=read_to,
     )

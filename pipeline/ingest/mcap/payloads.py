@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pipeline.config.field_paths import FieldPath
 from pipeline.config.time_formats import EPOCH_UNITS
 from pipeline.ingest.assembly import Readings
+from pipeline.ingest.mcap.layout import fields_at
 from pipeline.ingest.mcap.messages import Messages
 from pipeline.ingest.time_stamps import WrittenStamps, written_as_numbers
 from pipeline.ingest.wall_clock import LATEST_US
@@ -26,7 +27,7 @@ NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 
 @dataclass(frozen=True, slots=True)
 class Payloads:
-    """Payloads of some messages, each with a newline behind it."""
+    """Payloads of some messages, each with a newline before it."""
 
     text: NDArray[np.uint8]
     start: NDArray[np.int64]  # of each payload in the text
@@ -52,26 +53,29 @@ class Decoded:
 
 
 Decoder = Callable[[Payloads], Decoded]
+Rows = slice | NDArray[np.bool_] | NDArray[np.intp]
+"""Some rows of an array, one at least."""
+
 Numbers = tuple[NDArray[Any], NDArray[np.bool_]]
 """Numbers, and where there is one."""
 
 
 def payloads_of(
     messages: Messages,
-    chosen: NDArray[np.intp],
+    chosen: Rows,
     topic: NDArray[np.int16],
     time_ns: NDArray[np.uint64],
 ) -> Payloads:
     """Payloads of the chosen messages, one at least, with the topics and times of all messages."""
     starts, ends = messages.payload_start[chosen], messages.payload_end[chosen]
-    length = ends - starts
-    low, high = int(starts[0]), int(ends[-1])
-    text = _as_lines(messages.buffer[low:high], starts - low, ends - low)
+    text, length = _as_lines(messages.buffer, starts, ends), ends - starts
     return Payloads(text, _starts(length), length, topic[chosen], time_ns[chosen])
 
 
 def stacked(parts: Sequence[Payloads]) -> Payloads:
     """Payloads one after the other."""
+    if len(parts) == 1:
+        return parts[0]
     length = np.concatenate([part.length for part in parts])
     return Payloads(
         text=np.concatenate([part.text for part in parts]),
@@ -115,20 +119,22 @@ def unreadable_stamps(count: int) -> WrittenStamps:
 
 
 def _starts(length: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.cumsum(length + 1) - (length + 1)
+    return np.cumsum(length + 1) - length
 
 
 def _as_lines(
     buffer: memoryview, starts: NDArray[np.int64], ends: NDArray[np.int64]
 ) -> NDArray[np.uint8]:
-    """The payloads from `starts` to `ends`, each with a newline behind it."""
-    text = np.empty(len(buffer) + 1, dtype=np.uint8)
-    text[:-1] = np.frombuffer(buffer, np.uint8)
-    # Behind a payload is the head of the next record, or the end: room for the newline.
-    text[ends] = _NEWLINE
-    edges = np.empty(2 * starts.size + 1, dtype=np.int64)
-    edges[0:-1:2], edges[1::2], edges[-1] = starts, ends + 1, text.size
-    buffers = [None, pa.py_buffer(edges), pa.py_buffer(text)]
-    pieces = pa.Array.from_buffers(pa.large_binary(), 2 * starts.size, buffers)
-    lines = pieces.take(pa.array(np.arange(0, 2 * starts.size, 2)))
-    return np.frombuffer(lines.buffers()[2], np.uint8, int((ends - starts + 1).sum()))
+    """The payloads from `starts` to `ends`, each with a newline before it."""
+    length = ends - starts
+    # The byte before a payload, which is of its record's head, makes room for the newline.
+    if (length == length[0]).all():
+        text = fields_at(buffer, starts - 1, f"V{length[0] + 1}").view(np.uint8)
+    else:
+        edges = np.append(np.column_stack([starts - 1, ends]), ends[-1])
+        buffers = [None, pa.py_buffer(edges), pa.py_buffer(buffer)]
+        pieces = pa.Array.from_buffers(pa.large_binary(), edges.size - 1, buffers)
+        lines = pieces.take(pa.array(np.arange(0, edges.size - 1, 2)))
+        text = np.frombuffer(lines.buffers()[2], np.uint8, int((length + 1).sum()))
+    text[_starts(length) - 1] = _NEWLINE
+    return text

@@ -43,8 +43,7 @@ def read_topics(path: Path) -> list[Topic]:
 
     No more is read than is needed to see each topic.
     """
-    with path.open("rb") as file:
-        summary = read_summary(path, file)
+    summary = read_summary(path)
     payloads: dict[str, list[Payloads]] = {}
     topics: dict[str, Topic] = {}
     schemas: dict[str, Schema] = {}
@@ -63,11 +62,8 @@ def read_topics(path: Path) -> list[Topic]:
 
 
 def _topic(channel: ChannelRecord, schema: Schema | None, summary: Summary) -> Topic:
-    count = None
-    if summary.statistics is not None:
-        same = [i for i, one in summary.declared.channels.items() if one.topic == channel.topic]
-        count = sum(summary.statistics.counts_by_channel.get(i, 0) for i in same)
-    return Topic(channel.topic, channel.encoding, "" if schema is None else schema.name, count)
+    name = "" if schema is None else schema.name
+    return Topic(channel.topic, channel.encoding, name, summary.stated_count(channel.topic))
 
 
 def _take(
@@ -79,11 +75,11 @@ def _take(
         wanted = MESSAGES_READ - len(topic.log_ns)
         rows = np.flatnonzero(np.isin(messages.channel_id, ids))[: max(wanted, 0)]
         if rows.size:
-            numbers = np.zeros(messages.channel_id.size, np.int16)
-            taken = payloads_of(messages, rows, numbers, messages.log_time)
+            numbers, log_time = np.zeros(messages.start.size, np.int16), messages.times("log_time")
+            taken = payloads_of(messages, rows, numbers, log_time)
             payloads.setdefault(name, []).append(taken)
-            topic.log_ns += messages.log_time[rows].tolist()
-            topic.publish_ns += messages.publish_time[rows].tolist()
+            topic.log_ns += log_time[rows].tolist()
+            topic.publish_ns += messages.times("publish_time")[rows].tolist()
 
 
 def _decode(path: Path, topic: Topic, schema: Schema, payloads: Payloads) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from leakage.estimation.block_statistics import with_free_known
 from leakage.estimation.model_verdict import MISFIT_NUMBERS
 from leakage.estimation.multi_start import Parametrisation
 from pipeline.config import MotorSpec
@@ -110,7 +111,7 @@ class Layout:
         stored = StoredBlocks.of(spec, rows.sort("block_start"), self.stated_columns)
         if stored is None or self.standard is None:
             return stored
-        return stored.with_free_known(*self.standard)
+        return replace(stored, factors=with_free_known(stored.factors, *self.standard))
 
     @property
     def dtype(self) -> np.dtype[Any]:

@@ -168,7 +168,7 @@ def test_a_shift_of_the_flow_along_its_misfit_moves_no_figure_further_than_the_m
     whole = merge(blocks)
     x, n = whole[:, :3], float(np.sum(whole[:, -3] ** 2))
     contrast = regressors(MODEL, OperatingConditions.from_bar(200.0, 50.0, 30.0))[0, :3]
-    (bound,) = model_errors(blocks, FIXED, np.append(contrast, 0.0)[None], 0.01)
+    (bound,) = model_errors(merge(blocks), FIXED, np.append(contrast, 0.0)[None], 0.01)
     generator = np.random.default_rng(5)
     inverse = np.linalg.inv(x.T @ x)
     moved = []

@@ -9,7 +9,8 @@ import pytest
 
 from leakage import AnnularGap, Motor, OperatingConditions, SpeedCurve, leakage_l_per_min
 from leakage.errors import ValidityError
-from leakage.estimation.sensitivities import ChannelTolerance, Tolerances, error_budget
+from leakage.estimation.error_sources import ChannelTolerance, Tolerances
+from leakage.estimation.sensitivities import error_budget
 from leakage.physics.paths import LeakagePath
 from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
 from tests.leakage.placeholders import placeholder_motor

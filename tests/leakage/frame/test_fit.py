@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from leakage.errors import EstimationError, LeakageError, ShapeError, StatisticsError
-from leakage.estimation.sensitivities import ChannelTolerance, Tolerances
+from leakage.estimation.error_sources import ChannelTolerance, Tolerances
 from leakage.frame.fit import fit_frame
 from leakage.frame.result import FrameFit
 from leakage.physics.conditions import OperatingConditions

@@ -107,7 +107,7 @@ def test_1_when_a_motor_failed_and_the_other_is_done(call: Call, own_fleet: OwnF
     assert f"{CSV}: ok (3 ok)" in out
     assert f"{PARQUET}: failed (1 failed, 2 ok)" in out
     assert "6 nights of 2 motors" in out
-    assert "1 motors failed" in out
+    assert "1 motor failed" in out
     assert f"{PARQUET}: log_not_parquet: " in err
     assert broken.name in err
     assert "Traceback" not in err
@@ -250,7 +250,7 @@ def test_130_and_143_while_publishing(
     # What was begun is published whole, and nothing after it is begun.
     assert ended == code
     assert err.startswith(f"motor-leakage: interrupted: stopped by {number.name}")
-    assert any(line.startswith("interrupted; 3 nights of 1 motors") for line in out.splitlines())
+    assert any(line.startswith("interrupted; 3 nights of 1 motor ") for line in out.splitlines())
     assert not (fleet.parent.parent / "out" / "tables" / "trends").exists()
     assert call("fit-fleet", fleet)[0] == 0
     assert (fleet.parent.parent / "out" / "tables" / "trends").exists()

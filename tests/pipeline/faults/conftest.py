@@ -1,16 +1,69 @@
-"""One tiny fleet for all tests of faults, made once, however many workers there are."""
+"""One tiny fleet for all tests of faults, made once, however many workers there are; outputs."""
 
 from __future__ import annotations
 
+import datetime as dt
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
 from tests.conftest import made_once
-from tests.pipeline.faults.fleet import TinyFleet
+from tests.pipeline.faults.fleet import (
+    TinyFleet,
+    remembered_fits,
+)
+from tests.pipeline.simulated import NIGHT
 
 
 @pytest.fixture(scope="session")
 def tiny_fleet(shared_folder: Path) -> TinyFleet:
     """Two motors and two nights; only to be read."""
     return TinyFleet(made_once(shared_folder / "tiny", TinyFleet.at))
+
+
+@pytest.fixture
+def output(tiny_fleet: TinyFleet, tmp_path: Path) -> Path:
+    """All that a run leaves; what is copied keeps its times."""
+    return shutil.copytree(tiny_fleet.after, tmp_path / "out")
+
+
+@pytest.fixture
+def said(output: Path, tiny_fleet: TinyFleet) -> tuple[Decision, ...]:
+    """Decisions made by people, in the journal and in the table of the next run."""
+    moment = dt.datetime(2026, 3, 4, 5, tzinfo=dt.UTC)
+    for number in range(3):
+        note = f"heard nothing, {number}"
+        record_decision(output, Decision("M1", "", moment, "finding", NIGHT, "not_confirmed", note))
+        moment += dt.timedelta(hours=1)
+    tiny_fleet.run(output)
+    return read_decisions(output)
+
+
+@pytest.fixture
+def _quick() -> Iterator[None]:
+    with remembered_fits():
+        yield
+
+
+@pytest.fixture
+def without_logs(tiny_fleet: TinyFleet, tmp_path: Path) -> Callable[..., TinyFleet]:
+    """The fleet with the logs of some motors alone."""
+
+    def keep(*motors: str) -> TinyFleet:
+        folder = tmp_path / "others"
+        shutil.copytree(tiny_fleet.folder / "configs", folder / "configs")
+        (folder / "logs").mkdir()
+        for motor in motors:
+            shutil.copytree(tiny_fleet.folder / "logs" / motor, folder / "logs" / motor)
+        return TinyFleet(folder)
+
+    return keep
+
+
+@pytest.fixture
+def _nothing_due(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Proofs of a run do not depend on the day on which the test is run."""
+    monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: lambda _: False)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import pipeline.run.fleet
+import pipeline.run.motors
 import pipeline.run.publishing
 from pipeline.run.motor_task import run_motor
 from pipeline.run.publishing import run_trends
@@ -171,7 +172,7 @@ def check_worker(
     output, motor = fleet.copy(tmp_path / "out"), MOTORS[1]
     marker = None if always else tmp_path / "died"
     if stage in OF_MOTORS:
-        patched.setattr(pipeline.run.fleet, "run_motor", killing_motor(stage, motor, marker))
+        patched.setattr(pipeline.run.motors, "run_motor", killing_motor(stage, motor, marker))
     else:
         patched.setattr(pipeline.run.publishing, "run_trends", killing_trends(stage, motor, marker))
         # A task a motor: one alone would be done in this very process.

@@ -7,146 +7,51 @@ one.
 from __future__ import annotations
 
 import datetime as dt
-import json
-import os
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import polars as pl
-import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import StoreError
 from pipeline.logs.ledger import read_ledger
-from pipeline.run.fleet import RunResult, run_fleet
-from pipeline.run.mending import mend_output, rebuild_manifests, share_due
-from pipeline.run.verification import verify_tables
+from pipeline.run.mending import mend_output, share_due
 from pipeline.schema import (
     BLOCK_STATISTICS,
     FITS,
     INPUT_FILES,
     PARAMETERS,
     PREDICTIONS,
-    QUALITY,
     RUNS,
     TRENDS,
     Table,
 )
 from pipeline.store.manifest import manifest_file
 from pipeline.store.tables import night_file, read_rows, run_file, write_table
-from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
 from pipeline.trends.nights.from_tables import FIT_COLUMNS
-from tests.pipeline.cli.test_cli import Call
-from tests.pipeline.cli.test_cli import call as call  # a fixture
-from tests.pipeline.faults.disk import Disk, Killed, on
+from tests.pipeline.faults.damage import (
+    EVERY_RUN,
+    MONTH,
+    codes,
+    cut_off,
+    found,
+    left,
+    name_of,
+    remove_aside,
+    rot,
+    rot_of_footer,
+)
 from tests.pipeline.faults.fleet import (
     LATER,
     MOTORS,
     TinyFleet,
     check_repaired,
-    check_tables,
-    remembered_fits,
 )
 from tests.pipeline.simulated import NIGHT
 
-MONTH = f"{NIGHT:%Y-%m}"
-# Of a file: all of it is due in the next run.
-EVERY_RUN = {"prove_within_days": 1}
-
-
-@pytest.fixture
-def output(tiny_fleet: TinyFleet, tmp_path: Path) -> Path:
-    """All that a run leaves; what is copied keeps its times."""
-    return shutil.copytree(tiny_fleet.after, tmp_path / "out")
-
-
-@pytest.fixture
-def said(output: Path, tiny_fleet: TinyFleet) -> tuple[Decision, ...]:
-    """Decisions made by people, in the journal and in the table of the next run."""
-    moment = dt.datetime(2026, 3, 4, 5, tzinfo=dt.UTC)
-    for number in range(3):
-        note = f"heard nothing, {number}"
-        record_decision(output, Decision("M1", "", moment, "finding", NIGHT, "not_confirmed", note))
-        moment += dt.timedelta(hours=1)
-    tiny_fleet.run(output)
-    return read_decisions(output)
-
-
-@pytest.fixture(autouse=True)
-def _quick() -> Iterator[None]:
-    with remembered_fits():
-        yield
-
-
-@pytest.fixture
-def without_logs(tiny_fleet: TinyFleet, tmp_path: Path) -> Callable[..., TinyFleet]:
-    """The fleet with the logs of some motors alone."""
-
-    def keep(*motors: str) -> TinyFleet:
-        folder = tmp_path / "others"
-        shutil.copytree(tiny_fleet.folder / "configs", folder / "configs")
-        (folder / "logs").mkdir()
-        for motor in motors:
-            shutil.copytree(tiny_fleet.folder / "logs" / motor, folder / "logs" / motor)
-        return TinyFleet(folder)
-
-    return keep
-
-
-@pytest.fixture
-def _nothing_due(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Proofs of a run do not depend on the day on which the test is run."""
-    monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: lambda _: False)
-
-
-def flip(path: Path, place: int) -> None:
-    """Flip a bit of a byte of a file; its time stays."""
-    state = path.stat()
-    content = bytearray(path.read_bytes())
-    content[place] ^= 4
-    path.write_bytes(content)
-    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
-
-
-def rot(path: Path) -> None:
-    """Flip a bit of the content; of a table, in its first pages."""
-    flip(path, min(path.stat().st_size // 3, 200))
-
-
-def rot_of_footer(path: Path) -> None:
-    flip(path, path.stat().st_size - 100)
-
-
-def cut_off(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:100])
-
-
-def name_of(path: Path, output: Path) -> str:
-    return path.relative_to(output).as_posix().removeprefix("tables/")
-
-
-def codes(output: Path) -> list[str]:
-    return [fault.code for fault in verify_tables(output)]
-
-
-def found(result: RunResult) -> list[tuple[str, str]]:
-    return [(fault.path, fault.code) for fault in result.damage]
-
-
-def left(result: RunResult) -> list[tuple[str, str]]:
-    return [(fault.path, fault.code) for fault in result.damage_left]
-
-
-def remove_aside(output: Path) -> int:
-    """Remove what was put aside, which people look at; how many files it were."""
-    aside = list(output.rglob("*.damaged"))
-    for path in aside:
-        path.unlink()
-    return len(aside)
+pytestmark = pytest.mark.usefixtures("_quick")
 
 
 # Table files
@@ -391,269 +296,3 @@ def test_a_file_of_a_run_is_named_and_given_up(tiny_fleet: TinyFleet, output: Pa
     assert found(result) == [(name_of(path, output), "table_missing")]
     assert result.damage_left == ()
     assert codes(output) == []
-
-
-# Manifests
-
-
-def manifests(output: Path) -> dict[str, bytes]:
-    folder = output / "manifest"
-    return {path.name: path.read_bytes() for path in folder.rglob("*.json")}
-
-
-def test_a_deleted_folder_of_manifests_is_rebuilt(tiny_fleet: TinyFleet, output: Path) -> None:
-    before = manifests(output)
-    shutil.rmtree(output / "manifest")
-    assert set(codes(output)) == {"manifest_missing"}
-    result = tiny_fleet.run(output)
-    assert {fault.code for fault in result.damage} == {"manifest_missing"}
-    assert "10 files are proven to the last byte" in result.damage[0].message
-    assert result.damage_left == ()
-    del before["latest.json"]  # its rows name the run
-    assert manifests(output).items() >= before.items()
-    check_repaired(output, tiny_fleet)
-
-
-def test_a_damaged_manifest_is_rebuilt(tiny_fleet: TinyFleet, output: Path) -> None:
-    path = manifest_file(output, MONTH, NIGHT.isoformat())
-    before = path.read_bytes()
-    path.write_bytes(before.replace(b"fits", b"tifs"))
-    assert codes(output) == ["manifest_damaged"]
-    result = tiny_fleet.run(output)
-    assert found(result) == [(path.relative_to(output).as_posix(), "manifest_damaged")]
-    assert path.read_bytes() == before
-    check_repaired(output, tiny_fleet)
-
-
-def test_a_manifest_that_is_published_damaged_is_rebuilt(output: Path) -> None:
-    """Or one of an older version: the object store has no better one."""
-    path = manifest_file(output, MONTH, NIGHT.isoformat())
-    path.write_bytes(b'{"files": {}, "sha256": "0"}')
-    (fault,) = rebuild_manifests(output, lambda _: True)
-    assert (fault.code, fault.message[:9]) == ("manifest_damaged", "made anew")
-    assert codes(output) == []
-
-
-def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output: Path) -> None:
-    """Neither a damaged file nor one of another night; what other libraries wrote has its pages."""
-    (output / "manifest" / f"month={MONTH}" / f"{NIGHT}.json").unlink()
-    rot(night_file(output, FITS, NIGHT))
-    shutil.copy(night_file(output, PREDICTIONS, LATER), night_file(output, PREDICTIONS, NIGHT))
-    older, other = (night_file(output, table, NIGHT) for table in (QUALITY, PARAMETERS))
-    write_table(older, pl.read_parquet(older).drop("n_samples"))
-    pq.write_table(pq.read_table(other), other, write_page_checksum=True)
-    mine = shutil.copy(older, older.with_name("mine.parquet"))
-    result = tiny_fleet.run(output)
-    told = {fault.path: fault for fault in result.damage}
-    assert (
-        "7 files are proven to the last byte, 1 of other libraries by the checksums of their "
-        in (told[f"manifest/month={MONTH}/{NIGHT}.json"].message)
-    )
-    altered = [path for path, code in found(result) if code == "table_altered"]
-    assert altered == [f"{one}/month={MONTH}/{NIGHT}.parquet" for one in ("fits", "predictions")]
-    mine.unlink()
-    assert result.damage_left == ()
-    remove_aside(output)
-    tiny_fleet.run(output)
-    check_repaired(output, tiny_fleet)
-
-
-# A run's own files
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        f"ledger/M1/{MONTH}.json",
-        "ledger/M1/settings",
-        "ledger/M1/trends",
-        f"history/M1/{MONTH}.lz4",
-    ],
-)
-def test_own_files_are_named_and_mended_by_the_next_run(
-    tiny_fleet: TinyFleet, output: Path, name: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    rot(output / name)
-    code = "history_damaged" if "history" in name else "ledger_damaged"
-    assert [(fault.path, fault.code) for fault in verify_tables(output)] == [(name, code)]
-    # Trends are read where a night is made.
-    run_fleet(replace(tiny_fleet.request(output), force="history" in name))
-    assert f"{name} is damaged" in caplog.text
-    check_repaired(output, tiny_fleet)
-
-
-@pytest.mark.parametrize(
-    "name", [f"ledger/M9/{MONTH}.json", "ledger/M9/settings", f"history/M9/{MONTH}.lz4"]
-)
-def test_own_files_of_a_motor_that_there_is_no_more_are_mended_by_the_command(
-    tiny_fleet: TinyFleet, output: Path, name: str
-) -> None:
-    """No run reads or writes them: `check` was red for good."""
-    for folder in ("ledger", "history"):
-        shutil.copytree(output / folder / "M1", output / folder / "M9")
-    rot(output / name)
-    tiny_fleet.run(output)
-    assert len(codes(output)) == 1
-    before, after = mend_output(output, lambda _: False)
-    assert [fault.path for fault in before] == [name]
-    assert after == ()
-    assert not (output / name).exists()
-
-
-def test_a_damaged_ledger_of_nights_without_logs_is_mended_by_the_command(
-    output: Path, without_logs: Callable[..., TinyFleet]
-) -> None:
-    fleet = without_logs()
-    rot(output / "ledger" / "M1" / f"{MONTH}.json")
-    fleet.run(output)
-    assert codes(output) == ["ledger_damaged"]
-    assert mend_output(output, lambda _: False)[1] == ()
-    kept = read_rows(output, FITS, MOTORS)
-    assert fleet.run(output).damage == ()
-    assert read_rows(output, FITS, MOTORS).equals(kept, null_equal=True)
-
-
-# What people said
-
-
-def test_a_damaged_line_of_the_journal_is_put_back_from_the_table(
-    tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
-) -> None:
-    path = journal_file(output)
-    damaged = path.read_bytes().replace(b"nothing, 1", b"nothing, 7")
-    path.write_bytes(damaged)
-    assert len(read_decisions(output)) == 2
-    tiny_fleet.run(output)
-    assert read_decisions(output) == said
-    assert codes(output) == ["journal_damaged"]
-    assert mend_output(output, lambda _: False)[1] == ()
-    assert read_decisions(output) == said
-    (line,) = path.with_suffix(".damaged").read_bytes().splitlines()
-    assert line in damaged.splitlines()
-    record_decision(output, replace(said[0], note="and one more"))
-    assert len(read_decisions(output)) == 4
-
-
-def test_a_journal_that_is_gone_is_put_back_from_the_table(
-    tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
-) -> None:
-    journal_file(output).unlink()
-    tiny_fleet.run(output)
-    assert read_decisions(output) == said
-
-
-def test_a_line_that_people_took_out_stays_out(
-    tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
-) -> None:
-    path = journal_file(output)
-    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[1:]))
-    tiny_fleet.run(output)
-    assert read_decisions(output) == said[1:]
-
-
-def test_a_damaged_table_puts_nothing_back(
-    tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
-) -> None:
-    path = journal_file(output)
-    path.write_bytes(path.read_bytes().replace(b"nothing, 1", b"nothing, 7"))
-    rot(output / "tables" / "decisions" / "decisions.parquet")
-    tiny_fleet.run(output)
-    assert read_decisions(output) == (said[0], said[2])
-
-
-# Killed on the way
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize(
-    "step", [pytest.param(290, id="some"), pytest.param(7, marks=pytest.mark.full, id="many")]
-)
-def test_a_run_that_mends_may_be_killed_anywhere(
-    tiny_fleet: TinyFleet, tmp_path: Path, step: int
-) -> None:
-    point, disk = 20, Disk("killed", 0)
-    while point == 20 or disk.struck:
-        output = tmp_path / "out"
-        shutil.rmtree(output, ignore_errors=True)
-        shutil.copytree(tiny_fleet.after, output)
-        night_file(output, PREDICTIONS, NIGHT).unlink()
-        rot_of_footer(night_file(output, FITS, LATER))
-        rot(night_file(output, TRENDS, NIGHT))
-        manifest_file(output, "whole", "data_dictionary").unlink()
-        disk = Disk("killed", point)
-        with on(disk), suppress(Killed):
-            tiny_fleet.run(output, **EVERY_RUN)
-        assert tiny_fleet.run(output, **EVERY_RUN).damage_left == ()
-        assert remove_aside(output) == 2
-        check_repaired(output, tiny_fleet)
-        point += step
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize(
-    "step", [pytest.param(110, id="some"), pytest.param(11, marks=pytest.mark.full, id="many")]
-)
-def test_the_command_may_be_killed_anywhere(
-    tiny_fleet: TinyFleet, tmp_path: Path, output: Path, said: tuple[Decision, ...], step: int
-) -> None:
-    point, disk = 0, Disk("killed", 0)
-    copy = tmp_path / "copy"
-    while point == 0 or disk.struck:
-        point += step
-        shutil.rmtree(copy, ignore_errors=True)
-        shutil.copytree(output, copy)
-        night_file(copy, PREDICTIONS, NIGHT).unlink()
-        rot(night_file(copy, FITS, LATER))
-        rot(copy / "ledger" / "M1" / "settings")
-        journal = journal_file(copy)
-        journal.write_bytes(journal.read_bytes().replace(b"nothing, 1", b"nothing, 7"))
-        disk = Disk("killed", point)
-        with on(disk), suppress(Killed):
-            mend_output(copy, lambda _: False)
-        for _ in range(2):
-            after = mend_output(copy, lambda _: False)[1]
-        assert after == ()
-        assert read_decisions(copy) == said
-        tiny_fleet.run(copy)
-        check_tables_but_decisions(copy, tiny_fleet)
-
-
-def check_tables_but_decisions(output: Path, fleet: TinyFleet) -> None:
-    """Check the tables other than those which also hold what people said."""
-    for name in ("decisions/decisions.parquet", "latest/latest.parquet"):
-        shutil.copy(fleet.after / "tables" / name, output / "tables" / name)
-    check_tables(output, fleet)
-
-
-# As people see it
-
-
-def test_the_commands_tell_and_mend(
-    tiny_fleet: TinyFleet, output: Path, without_logs: Callable[..., TinyFleet], call: Call
-) -> None:
-    config = without_logs().fleet
-    path = night_file(output, PREDICTIONS, NIGHT)
-    name = name_of(path, output)
-    cut_off(path)
-    code, out, err = call("status", config, "--output", output)
-    assert code == 0
-    assert f"1 published files are damaged or missing, such as {name}: table_altered" in err
-    code, out, err = call("fit-fleet", config, "--output", output, "--dry-run")
-    assert code == 0
-    assert f"table_altered: {name}: " in err
-    code, out, err = call("fit-fleet", config, "--output", output)
-    assert code == 1
-    assert f"motor-leakage: table_missing: {name}: not made anew: the logs of that night are" in err
-    assert "damage: 1 files were damaged or missing, 1 are not repaired" in out
-    code, out, err = call("fit-fleet", config, "--output", output, "--json")
-    run = json.loads(out.splitlines()[-1])
-    assert [one["code"] for one in run["damage_left"]] == ["table_missing"]
-    code, out, err = call("check", "--tables", config, "--output", output)
-    assert code == 1
-    assert out.endswith(" table files, 2 faults\n")
-    code, out, err = call("check", "--tables", "--mend", config, "--output", output)
-    assert (code, out.endswith(" table files, 2 faults, 0 left\n")) == (0, True)
-    code, out, err = call("check", "--tables", config, "--output", output)
-    assert (code, err) == (0, "")
-    code, out, err = call("fit-fleet", config, "--output", output)
-    assert code == 0

@@ -40,8 +40,8 @@ STAGES = {
 # Those of a run whose fleet tells somebody of its alarms.
 OF_TELLING = {
     "opening the outbox": "pipeline.run.fleet.open_outbox",
-    "taking up": "pipeline.run.fleet.take_up",
-    "telling": "pipeline.run.fleet.deliver",
+    "taking up": "pipeline.run.telling.take_up",
+    "telling": "pipeline.run.telling.deliver",
     "told": "pipeline.telling.delivering.write_outbox",
 }
 # Those that a worker goes through.

@@ -46,12 +46,22 @@ def test_a_connection_lost_in_a_result_is_made_anew_and_nothing_is_half_read(
 LARGE = 200_000
 
 
-def large(plant: Plant) -> Plant:
+def test_an_error_in_the_middle_of_a_result_is_told(
+    database: PostgresServer, tmp_path: Path
+) -> None:
+    plant = large(Plant.at(tmp_path, database, nights=1), flow=f"1 / ({LARGE - 1} - n)")
+    (fault,) = plant.land(CLOCK - 2 * DAY).values()
+    assert fault.code == "database_query"
+    assert fault.message.endswith("division by zero")
+    assert not plant.files()
+
+
+def large(plant: Plant, flow: str = "n") -> Plant:
     """A night of more rows than a connection holds on their way."""
     plant.configure(
         logs_toml(
             f"SELECT {{start}} + n * interval '0.1 s' AS time, 100.0 AS pressure_difference, "
-            f"50.0 AS oil_temperature, 30.0 AS speed, n AS leakage_flow, {{end}} AS other "
+            f"50.0 AS oil_temperature, 30.0 AS speed, {flow} AS leakage_flow, {{end}} AS other "
             f"FROM generate_series(0, {LARGE - 1}) AS n"
         )
     )

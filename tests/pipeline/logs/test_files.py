@@ -21,15 +21,14 @@ from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.logs import files as logs
 from pipeline.logs.files import (
     LONGEST_LOG_DAYS,
-    PlausibleNights,
     covered,
     find_logs,
     inspect_log,
     labels_of,
-    place_failed,
     slice_night,
 )
 from pipeline.logs.ledger import FileRecord, content_hash
+from pipeline.logs.told_nights import PlausibleNights, place_failed
 
 UNITS = {
     "pressure_difference": "bar",

@@ -12,7 +12,6 @@ import matplotlib as mpl
 import pytest
 
 from leakage import Constant, Motor, Parameter
-from pipeline.cli import main
 from pipeline.config import load_fleet
 from pipeline.config.motor_types import OilFile
 from pipeline.config.settings import Settings
@@ -26,6 +25,8 @@ from pipeline.model_figures import (
     write_model_figures,
 )
 from pipeline.model_figures.canvas import ImageFormat, drawing, save
+from tests.pipeline.cli.test_cli import Call
+from tests.pipeline.cli.test_cli import call as call  # a fixture
 from tests.pipeline.model_figures.conftest import (
     DISTRIBUTOR,
     FIGURES,
@@ -189,16 +190,13 @@ def test_command_lists_what_it_wrote(tmp_path: Path) -> None:
 def test_command_with_bad_input(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    call: Call,
     arguments: list[str],
     code: int,
     message: str,
 ) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["motor-leakage", "model", *arguments])
-    with pytest.raises(SystemExit) as caught:
-        main()
-    out, err = capfd.readouterr()
-    assert (caught.value.code, out) == (code, "")
+    found, out, err = call("model", *arguments)
+    assert (found, out) == (code, "")
     assert message in err

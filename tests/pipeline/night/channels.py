@@ -9,6 +9,7 @@ from pipeline.ingest import RawChannel
 from pipeline.night.cleaning import CleanChannel
 
 SECOND = 1_000_000
+STEP = 100_000
 # Values that no rule of one sample minds, never twice the same, so that nothing is frozen.
 LIVELY = np.array([50.0, 50.3, 49.8, 50.1, 49.9, 50.2, 49.7])
 Floats = NDArray[np.float64]
@@ -33,3 +34,25 @@ def as_read(
 def refused_by(channel: CleanChannel) -> dict[str, int]:
     """Refused samples by each rule that refused any."""
     return {reason: count for reason, count in channel.counts.items() if count}
+
+
+def cleaned(
+    time_us: Times,
+    value: Floats,
+    refused: object = False,
+    *,
+    period_us: float | None = float(STEP),
+    longest_gap_us: float = 5.0 * STEP,
+    at_maximum: object = False,
+) -> CleanChannel:
+    n = len(time_us)
+    return CleanChannel(
+        time_us=np.asarray(time_us, np.int64),
+        value=np.asarray(value, np.float64),
+        refused=np.broadcast_to(np.asarray(refused, np.bool_), n).copy(),
+        at_maximum=np.broadcast_to(np.asarray(at_maximum, np.bool_), n).copy(),
+        period_us=period_us,
+        longest_gap_us=longest_gap_us,
+        counts={},
+        n_samples=n,
+    )

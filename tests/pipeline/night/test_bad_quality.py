@@ -17,7 +17,7 @@ from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
 from pipeline.night.fit_night import fit_night
-from pipeline.night.time_base import on_grid
+from pipeline.night.resampling import on_grid
 from pipeline.schema.fits import OK
 from tests.pipeline.night.channels import SECOND, Times, as_read, refused_by
 from tests.pipeline.simulated import (

@@ -100,6 +100,14 @@ def test_typical_period_is_the_median_of_any_steps(
     assert typical_period_us(time) == np.median(all_steps)
 
 
+@pytest.mark.parametrize("n", [0, 1, 2, 7, 8, 9, 15, 40])
+def test_steps_in_blocks_are_those_of_all_stamps(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(masks, "CACHED", 7)
+    time = np.cumsum(np.random.default_rng(n).integers(0, 3, n))
+    found = masks.steps_where(lambda steps: steps > 0, time)
+    np.testing.assert_array_equal(found, np.flatnonzero(np.diff(time) > 0))
+
+
 class TestMissing:
     """Design 3: `missing`, in a log whose rows are those of the fastest channel."""
 
@@ -226,11 +234,12 @@ class TestValues:
 
 
 def slow_hampel(value: Floats, window: int, threshold: float, resolution: float) -> list[bool]:
-    """The definition, sample by sample, where the window is whole."""
+    """The definition, sample by sample; beyond its ends the signal is mirrored."""
     half = window // 2
+    mirrored = np.pad(value, half, mode="reflect")
     flags = []
-    for centre in range(half, len(value) - half):
-        around = [float(one) for one in value[centre - half : centre + half + 1]]
+    for centre in range(len(value)):
+        around = [float(one) for one in mirrored[centre : centre + window]]
         middle = statistics.median(around)
         scaled_mad = statistics.median(abs(one - middle) for one in around) * 1.4826022185056018
         # A distance in steps of the sensor is not exceeded by a hundredth of one.
@@ -256,9 +265,8 @@ class TestHampel:
         value = np.cumsum(rng.standard_t(2, 120))
         if in_steps and resolution:
             value = np.round(value / resolution) * resolution
-        half = window // 2
         expected = slow_hampel(value, window, threshold, resolution)
-        assert spike(value, window, threshold, resolution)[half:-half].tolist() == expected
+        assert spike(value, window, threshold, resolution).tolist() == expected
 
     def test_mad_is_scaled_to_a_standard_deviation(self) -> None:
         """Median 0 and MAD 1, so the limit is 5 · 1.4826 = 7.413."""
@@ -402,22 +410,27 @@ class TestFrozen:
         rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
         time = np.cumsum(rng.choice([1, 1, 1, 1, 40], n)) * SECOND
         resolution = data.draw(st.sampled_from([0.0, 0.1]))
-        value = rng.integers(0, data.draw(st.integers(1, 4)), n) * 0.1
+        value = rng.integers(0, data.draw(st.integers(1, 4)), n).astype(np.float64)
+        value *= 0.1
         for _ in range(data.draw(st.integers(0, 4))):
             first = data.draw(st.integers(0, n - 1))
             value[first : first + data.draw(st.integers(1, 400))] = value[first]
         if resolution:
             value += rng.uniform(-0.02, 0.02, n)
         limit = data.draw(st.sampled_from([0.5, 5.0, 20.0, 100.0, 2000.0])) * SECOND
+        borders = np.flatnonzero(rng.random(n - 1) < data.draw(st.sampled_from([0.0, 0.1]))) + 1
+        gaps = np.zeros(n, dtype=np.int64)
+        gaps[borders] = time[borders] - time[borders - 1]
+        seen = time - np.cumsum(gaps)
         expected = np.zeros(n, dtype=bool)
         grids = [np.floor(value / 0.1 + at) for at in (0.25, 0.75)] if resolution else [value]
         for step in grids:
             first = 0
             for row in range(1, n + 1):
                 if row == n or step[row] != step[first]:
-                    expected[first:row] |= time[row - 1] - time[first] > limit
+                    expected[first:row] |= seen[row - 1] - seen[first] > limit
                     first = row
-        np.testing.assert_array_equal(frozen(time, value, resolution, limit), expected)
+        np.testing.assert_array_equal(frozen(time, value, resolution, limit, borders), expected)
 
     def test_time_counts_and_not_samples(self) -> None:
         assert self.judged(np.full(62, 42.0), rate_hz=1.0).counts["frozen"] == 62

@@ -11,7 +11,7 @@ import pytest
 
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
-from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, stated
+from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, of_stated
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.tolerances import assumed_sensors, tolerances
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
@@ -49,7 +49,7 @@ def test_parts_add_by_squares_and_an_unknown_model_adds_nothing() -> None:
 
 
 def test_assumed_sensors_are_in_no_stated_error_and_constants_in_no_sensor_error() -> None:
-    assert stated(BUDGET)["reference_leakage"] == pytest.approx(math.sqrt(16 + 4 + 1))
+    assert of_stated(BUDGET)["reference_leakage"] == pytest.approx(math.sqrt(16 + 4 + 1))
     assert of_sensors(BUDGET) == {"reference_leakage": pytest.approx(5.0)}
 
 

@@ -8,15 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from polars.testing import assert_frame_equal
 
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.config.oil_samples import OilSample
 from pipeline.demo import shipped_configs
 from pipeline.night.fit_night import NightOutcome, fit_night
-from pipeline.night.refit import PublishedNight, refit, with_free_roller
+from pipeline.night.refit import PublishedNight, refit, refit_in_form
 from pipeline.night.roller import is_roller_free
-from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, frame
+from pipeline.schema import BLOCK_STATISTICS, FITS, NIGHT_TABLES, PARAMETERS, frame
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
 DAYS = [NIGHT + dt.timedelta(days=number) for number in range(8)]
@@ -39,9 +40,13 @@ def night(spec: MotorSpec, speed_rpm: float | None = None) -> NightOutcome:
     return fit_night(spec, night_of(), raw(operation.time_us, operation.channels(flow)), {})
 
 
+def freed(spec: MotorSpec) -> MotorSpec:
+    return replace(spec, roller_is_free=True)
+
+
 def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSpec) -> None:
     stated = night(spec)
-    free = with_free_roller(spec, stated, None, {})
+    free = refit_in_form(freed(spec), stated, None, {})
     assert free is not None
     motor = spec.motor(NIGHT, "none")
     at = spec.settings.reference
@@ -60,6 +65,28 @@ def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSp
     assert after["is_refitted"] is False
 
 
+def test_a_night_read_with_its_scale_free_is_the_night_fitted_anew(spec: MotorSpec) -> None:
+    read, stated = night(freed(spec)), night(spec)
+    anew = refit_in_form(freed(spec), stated, None, {})
+    assert anew is not None
+    assert read.rows.keys() == anew.rows.keys()
+    for name in read.rows:
+        table = next(table for table in NIGHT_TABLES if table.name == name)
+        one, two = (frame(table, made.rows[name]) for made in (read, anew))
+        assert_frame_equal(one, two, check_exact=True)
+
+
+def test_its_stated_form_comes_back_from_the_free_one(spec: MotorSpec) -> None:
+    stated = night(spec)
+    back = refit_in_form(spec, night(freed(spec)), None, {})
+    assert back is not None
+    (one,), (two,) = stated.rows["fits"], back.rows["fits"]
+    assert (two["roller_is_free"], two["is_refitted"]) == (False, False)
+    assert two["columns"] == one["columns"]
+    for name in ("coefficients", "night_factor", "reference_leakage_l_per_min", "roller_scale"):
+        assert two[name] == pytest.approx(one[name], rel=1e-9, abs=1e-30), name
+
+
 def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorSpec) -> None:
     """The ± from the sensors as well, which is that of the new conditions."""
     made = night(spec).rows
@@ -74,8 +101,8 @@ def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorS
     moved = replace(spec, settings=spec.settings.model_copy(update={"reference": reference}))
     stated = refit(moved, published, {})
     assert stated is not None
-    anew = with_free_roller(moved, stated, published, {})
-    read = with_free_roller(moved, night(moved), None, {})
+    anew = refit_in_form(freed(moved), stated, published, {})
+    read = refit_in_form(freed(moved), night(moved), None, {})
     assert anew is not None
     assert read is not None
     (made_anew,), (made_read,) = anew.rows["fits"], read.rows["fits"]
@@ -92,7 +119,7 @@ def test_robust_weights_and_a_measured_oil_leave_the_scale_free(spec: MotorSpec)
         file=spec.file.model_copy(update={"oil_samples": (sample,)}),
     )
     stated = night(robust)
-    free = with_free_roller(robust, stated, None, {})
+    free = refit_in_form(freed(robust), stated, None, {})
     assert free is not None
     factors = [one.rows["fits"][0]["night_factor"] for one in (stated, free)]
     drawn, moved = (gram(one, 6 + number) for number, one in enumerate(factors))
@@ -112,7 +139,7 @@ def test_it_is_the_fit_of_a_type_whose_scale_is_free(tmp_path: Path, spec: Motor
     text = text.replace('motor_type = "CB560"', 'motor_type = "FREE"')
     text += "scale = { value = 1.0, minimum = 0.0, maximum = 10.0, fixed = false }\n"
     declared = load_motor(tmp_path / "free", motor_toml("M1", "FREE"), {"FREE": text})
-    free = with_free_roller(spec, night(spec), None, {})
+    free = refit_in_form(freed(spec), night(spec), None, {})
     assert free is not None
     (one,), (two,) = free.rows["fits"], night(declared).rows["fits"]
     assert one["columns"] == two["columns"]

@@ -17,8 +17,9 @@ from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.masks import spike
+from pipeline.night.resampling import on_grid
 from pipeline.night.sampling import Sampling, flow_from_counts, means_too_long, step_of_readings
-from pipeline.night.time_base import grid_period_us, on_grid
+from pipeline.night.time_base import grid_period_us
 from pipeline.schema.fits import FAILED, OK
 from tests.pipeline.night.channels import SECOND, Times, as_read, refused_by
 from tests.pipeline.simulated import (

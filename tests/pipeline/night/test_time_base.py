@@ -1,4 +1,4 @@
-"""The time base: interpolation against a slow reference, the grid, the joint rules."""
+"""The time base: the grid, and the joint rules."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from pipeline.config import Channel, Cleaning, Nights, TimeBase
 from pipeline.config.nights import Night, night
@@ -24,16 +23,11 @@ from pipeline.night.time_base import (
     Samples,
     bring_together,
     grid_period_us,
-    on_grid,
-    samples_before,
 )
+from tests.pipeline.night.channels import SECOND, STEP, Floats, Times, cleaned
 
-SECOND = 1_000_000
-STEP = 100_000
 START = 1_767_333_600 * SECOND  # 2026-01-02 06:00 UTC
 END = START + 24 * 3600 * SECOND
-Floats = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 UNITS = {
     "pressure_difference": "bar",
@@ -43,28 +37,6 @@ UNITS = {
     "speed": "rpm",
     "leakage_flow": "l/min",
 }
-
-
-def cleaned(
-    time_us: Times,
-    value: Floats,
-    refused: object = False,
-    *,
-    period_us: float | None = float(STEP),
-    longest_gap_us: float = 5.0 * STEP,
-    at_maximum: object = False,
-) -> CleanChannel:
-    n = len(time_us)
-    return CleanChannel(
-        time_us=np.asarray(time_us, np.int64),
-        value=np.asarray(value, np.float64),
-        refused=np.broadcast_to(np.asarray(refused, np.bool_), n).copy(),
-        at_maximum=np.broadcast_to(np.asarray(at_maximum, np.bool_), n).copy(),
-        period_us=period_us,
-        longest_gap_us=longest_gap_us,
-        counts={},
-        n_samples=n,
-    )
 
 
 def running(seconds: float, begin_us: int = START, rate_hz: int = 10) -> dict[str, CleanChannel]:
@@ -96,168 +68,6 @@ def together(
     keys = [(one.channel, one.reason) for one in found]
     assert len(keys) == len(set(keys))
     return samples, {(one.channel, one.reason): one for one in found}
-
-
-def slow_interpolation(channel: CleanChannel, grid: Times) -> tuple[list[float | None], list[bool]]:
-    """The definition, point by point: value where there is one, and whether the channel slept."""
-    times = channel.time_us.tolist()
-    values: list[float | None] = []
-    silent = []
-    for point in grid.tolist():
-        before = max((i for i, t in enumerate(times) if t <= point), default=None)
-        after = min((i for i, t in enumerate(times) if t >= point), default=None)
-        value = None
-        if before is None or after is None:
-            silent.append(True)
-        elif before == after:
-            silent.append(False)
-            if not channel.refused[before]:
-                value = float(channel.value[before])
-        else:
-            distance = times[after] - times[before]
-            silent.append(distance > channel.longest_gap_us)
-            good = not (channel.refused[before] or channel.refused[after] or silent[-1])
-            if good:
-                share = (point - times[before]) / distance
-                value = float((1 - share) * channel.value[before] + share * channel.value[after])
-        values.append(value)
-    return values, silent
-
-
-class TestInterpolation:
-    @given(
-        st.lists(st.integers(-50, 500), min_size=1, max_size=60).map(sorted),
-        st.integers(1, 40),
-        st.integers(1, 60),
-    )
-    def test_samples_before_are_those_of_a_search(
-        self, times: list[int], period: int, n: int
-    ) -> None:
-        time, grid = np.array(times, np.int64), 7 + period * np.arange(n, dtype=np.int64)
-        found = samples_before(time, grid, period)
-        assert found.tolist() == np.searchsorted(time, grid).tolist()
-
-    @given(
-        st.lists(st.integers(0, 400), unique=True, max_size=30),
-        st.integers(0, 2**32 - 1),
-        st.integers(1, 60),
-    )
-    def test_as_the_slow_definition(self, times: list[int], seed: int, longest: int) -> None:
-        rng = np.random.default_rng(seed)
-        time = np.array(sorted(times), np.int64)
-        value = rng.normal(0, 10, len(time))
-        refused = rng.random(len(time)) < 0.2
-        value[refused] = rng.choice([np.nan, np.inf, 1e9], refused.sum())
-        channel = cleaned(time, value, refused, period_us=10.0, longest_gap_us=longest)
-        grid = np.arange(-20, 420, 10, dtype=np.int64)
-        got, present, silent = on_grid(channel, grid, 10)
-        expected, asleep = slow_interpolation(channel, grid)
-        assert present.tolist() == [one is not None for one in expected]
-        assert silent.tolist() == asleep
-        np.testing.assert_allclose(
-            got[present], [one for one in expected if one is not None], rtol=1e-12, atol=1e-9
-        )
-        assert np.isnan(got[~present]).all()
-
-    @given(st.integers(0, 2**32 - 1))
-    def test_exact_at_samples(self, seed: int) -> None:
-        rng = np.random.default_rng(seed)
-        grid = np.arange(100, dtype=np.int64) * STEP
-        value = rng.normal(0, 1, 100) * 10.0 ** rng.integers(-8, 8, 100)
-        got, present, _ = on_grid(cleaned(grid, value), grid, STEP)
-        assert present.all()
-        np.testing.assert_array_equal(got, value)
-
-    def test_never_across_a_refused_sample(self) -> None:
-        """One refused temperature sample costs the nineteen points between its neighbours."""
-        time = np.arange(10, dtype=np.int64) * SECOND
-        channel = cleaned(
-            time, 50 + time / SECOND, time == 5 * SECOND, period_us=SECOND, longest_gap_us=5e6
-        )
-        grid = np.arange(91, dtype=np.int64) * STEP
-        got, present, silent = on_grid(channel, grid, STEP)
-        np.testing.assert_array_equal(np.flatnonzero(~present), range(41, 60))
-        np.testing.assert_allclose(got[present], 50 + grid[present] / SECOND, rtol=1e-15)
-        assert not silent.any()
-
-    def test_a_gap_begins_beyond_the_limit(self) -> None:
-        for distance, is_gap in ((5 * STEP, False), (5 * STEP + 1, True)):
-            time = np.array([0, distance], np.int64)
-            _, present, silent = on_grid(cleaned(time, np.ones(2)), np.array([STEP]), STEP)
-            assert silent.tolist() == [is_gap]
-            assert present.tolist() == [not is_gap]
-
-    def test_never_beyond_the_first_and_last_sample(self) -> None:
-        time = np.arange(5, 10, dtype=np.int64) * STEP
-        grid = np.arange(15, dtype=np.int64) * STEP
-        _, present, silent = on_grid(cleaned(time, np.ones(5)), grid, STEP)
-        np.testing.assert_array_equal(np.flatnonzero(present), range(5, 10))
-        np.testing.assert_array_equal(silent, ~present)
-
-    def test_refused_samples_at_the_end_are_no_silence(self) -> None:
-        """A sensor that is stuck until the log ends was heard; it was not believed."""
-        grid = np.arange(20, dtype=np.int64) * STEP
-        _, present, silent = on_grid(cleaned(grid, np.ones(20), grid >= 10 * STEP), grid, STEP)
-        assert not silent.any()
-        assert present.sum() == 10
-
-    def test_channel_without_samples(self) -> None:
-        none = np.zeros(0, np.int64)
-        channel = cleaned(none, np.zeros(0), period_us=None)
-        got, present, silent = on_grid(channel, np.arange(5) * STEP, STEP)
-        assert np.isnan(got).all()
-        assert not present.any()
-        assert silent.all()
-
-
-class TestAverage:
-    """Channels faster than the grid are averaged over its cells."""
-
-    TIME = np.arange(1000, dtype=np.int64) * 10_000
-    GRID = np.arange(1, 100, dtype=np.int64) * STEP
-
-    def test_mean_of_the_cell_around_each_point(self) -> None:
-        value = np.random.default_rng(1).normal(0, 1, 1000)
-        got, present, silent = on_grid(cleaned(self.TIME, value, period_us=1e4), self.GRID, STEP)
-        assert present.all()
-        assert not silent.any()
-        expected = [
-            value[(from_point >= -STEP // 2) & (from_point < STEP // 2)].mean()
-            for from_point in (self.TIME - point for point in self.GRID)
-        ]
-        np.testing.assert_allclose(got, expected, rtol=1e-12)
-
-    def test_noise_falls_as_by_averaging(self) -> None:
-        value = np.random.default_rng(1).normal(0, 1, 1000)
-        got, _, _ = on_grid(cleaned(self.TIME, value, period_us=1e4), self.GRID, STEP)
-        assert 0.25 < got.std() < 0.38  # 1 / √10 = 0.316
-
-    def test_refused_samples_do_not_count(self) -> None:
-        value = np.ones(1000)
-        refused = np.arange(1000) % 10 < 5
-        value[refused] = np.nan
-        got, present, _ = on_grid(
-            cleaned(self.TIME, value, refused, period_us=1e4), self.GRID, STEP
-        )
-        assert present.all()
-        np.testing.assert_array_equal(got, 1.0)
-
-    def test_less_than_half_of_a_cell_is_no_value(self) -> None:
-        refused = np.arange(1000) % 10 < 6
-        channel = cleaned(self.TIME, np.ones(1000), refused, period_us=1e4)
-        got, present, silent = on_grid(channel, self.GRID, STEP)
-        assert not present.any()
-        assert np.isnan(got).all()
-        assert not silent.any()
-
-    def test_a_gap_is_silence(self) -> None:
-        awake = (self.TIME < 3 * SECOND) | (self.TIME > 7 * SECOND)
-        channel = cleaned(self.TIME[awake], np.ones(awake.sum()), period_us=1e4)
-        _, present, silent = on_grid(channel, self.GRID, STEP)
-        asleep = (self.GRID > 3.1 * SECOND) & (self.GRID < 6.9 * SECOND)
-        assert silent[asleep].all()
-        assert not present[asleep].any()
-        assert present[(self.GRID < 2.9 * SECOND) | (self.GRID > 7.1 * SECOND)].all()
 
 
 class TestGridPeriod:

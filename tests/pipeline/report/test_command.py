@@ -6,34 +6,16 @@ import re
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from pipeline.cli import main
 from tests.conftest import OwnFleet
+from tests.pipeline.cli.test_cli import Call
+from tests.pipeline.cli.test_cli import call as call  # a fixture
 
 ROOT = Path(__file__).resolve().parents[3]
 MOTOR = "CB400-01"
-Called = tuple[int, str, str]
-Call = Callable[..., Called]
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
-    """Runs the command in this process; its code, and what it said on stdout and stderr."""
-
-    def run(*arguments: str | Path) -> Called:
-        monkeypatch.setattr(sys, "argv", ["motor-leakage", "report", *map(str, arguments)])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            main()
-        out, err = capfd.readouterr()
-        assert isinstance(caught.value.code, int)
-        return caught.value.code, out, err
-
-    return run
 
 
 def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
@@ -43,7 +25,7 @@ def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
     motor_file = fleet.parent / "motors" / f"{MOTOR}.toml"
     event = '\n[[events]]\ndate = 2026-01-03\nkind = "overhaul"\nnote = "new <b>seals</b>"\n'
     motor_file.write_text(motor_file.read_text("utf-8") + event, "utf-8")
-    code, out, err = call(fleet)
+    code, out, err = call("report", fleet)
     index = fleet.parent.parent / "out" / "report" / "index.html"
     assert (code, err) == (0, "")
     assert re.fullmatch(
@@ -54,30 +36,30 @@ def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
     page = (index.parent / "motors" / f"{MOTOR}.html").read_text("utf-8")
     assert '"kind":"overhaul","note":"new \\u003cb\\u003eseals' in page
     # The fleet's page alone tells when it was made.
-    assert call(fleet)[1].startswith("6 motors, 0 nights updated, 1 files written")
+    assert call("report", fleet)[1].startswith("6 motors, 0 nights updated, 1 file written")
 
 
 def test_the_tables_alone_will_do(call: Call, output: Path) -> None:
-    code, _, err = call("--output", output, "--nights", "1")
+    code, _, err = call("report", "--output", output, "--nights", "1")
     assert (code, err) == (0, "")
     # The fleet's name is that of the newest run.
     assert "<h1>Demo fleet</h1>" in (output / "report" / "index.html").read_text("utf-8")
 
 
 def test_some_motors_go_to_a_folder_of_their_own(call: Call, output: Path, tmp_path: Path) -> None:
-    code, _, err = call("--output", output, "--motors", MOTOR)
+    code, _, err = call("report", "--output", output, "--motors", MOTOR)
     assert code == 2
     assert "report_motors: --motors needs --to" in err
-    assert call("--output", output, "--motors", MOTOR, "--to", tmp_path / "one")[0] == 0
+    assert call("report", "--output", output, "--motors", MOTOR, "--to", tmp_path / "one")[0] == 0
     assert [page.stem for page in (tmp_path / "one" / "motors").iterdir()] == [MOTOR]
-    code, _, err = call("--output", output, "--motors", "X", "--to", tmp_path / "two")
+    code, _, err = call("report", "--output", output, "--motors", "X", "--to", tmp_path / "two")
     assert code == 2
     assert "unknown_motor: no motor X" in err
 
 
 def test_a_damaged_table_ends_with_1_and_is_named(call: Call, output: Path) -> None:
     next((output / "tables" / "starts").rglob("*.parquet")).write_bytes(b"PAR1")
-    code, out, err = call("--output", output)
+    code, out, err = call("report", "--output", output)
     assert code == 1
     assert "6 motors, 3 nights" in out
     assert re.search(r"store_read: 2026-01-0\d\.parquet of starts is damaged", err)
@@ -87,7 +69,7 @@ def test_a_damaged_table_ends_with_1_and_is_named(call: Call, output: Path) -> N
 def test_without_tables_it_ends_with_4(
     call: Call, own_fleet: OwnFleet, tmp_path: Path, with_config: bool
 ) -> None:
-    code, _, err = call(*([own_fleet(MOTOR)] if with_config else ["--output", tmp_path]))
+    code, _, err = call("report", *([own_fleet(MOTOR)] if with_config else ["--output", tmp_path]))
     assert code == 4
     assert "report_tables" in err
     assert "run fit-fleet first" in err

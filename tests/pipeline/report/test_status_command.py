@@ -12,12 +12,7 @@ import pytest
 
 from leakage.course.monitoring import ChangeSize
 from pipeline.errors import UsageError
-from pipeline.report.status import (
-    RAISED,
-    age_in_hours,
-    fleet_status,
-    last_alarm,
-)
+from pipeline.report.status import RAISED, age_in_hours, fleet_status, last_alarm
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file, write_table
@@ -49,9 +44,7 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 def test_the_command_prints_motors_and_the_last_good_run(
-    output: Path,
-    config: Path,
-    call: Call,
+    output: Path, config: Path, call: Call
 ) -> None:
     ran(output, 3.0)
     code, out, err = call("status", config)
@@ -88,12 +81,7 @@ def test_the_command_says_since_when_a_leakage_is_not_known_and_that_a_fit_is_po
     [(3.0, "26h", 0), (30.0, "26h", 1), (30.0, "2d", 0), (3.0, "90m", 1)],
 )
 def test_max_age(
-    output: Path,
-    config: Path,
-    call: Call,
-    hours_ago: float,
-    max_age: str,
-    expected: int,
+    output: Path, config: Path, call: Call, hours_ago: float, max_age: str, expected: int
 ) -> None:
     ran(output, hours_ago)
     code, _, err = call("status", config, "--max-age", max_age)
@@ -101,11 +89,7 @@ def test_max_age(
     assert ("which is too old" in err) == bool(expected)
 
 
-def test_max_age_counts_good_runs_alone(
-    output: Path,
-    config: Path,
-    call: Call,
-) -> None:
+def test_max_age_counts_good_runs_alone(output: Path, config: Path, call: Call) -> None:
     code, _, err = call("status", config, "--max-age", "26h")
     assert code == 1
     assert "last good run: never, which is too old" in err
@@ -117,9 +101,7 @@ def test_max_age_counts_good_runs_alone(
 
 
 def test_json_has_a_line_a_motor_and_one_for_the_fleet(
-    output: Path,
-    config: Path,
-    call: Call,
+    output: Path, config: Path, call: Call
 ) -> None:
     ran(output, 30.0)
     code, out, _ = call("status", config, "--json", "--max-age", "26h")
@@ -129,16 +111,9 @@ def test_json_has_a_line_a_motor_and_one_for_the_fleet(
     assert (fleet["event"], fleet["too_old"], fleet["findings"]) == ("fleet", True, 0)
 
 
-def test_acknowledged_found_and_counted(
-    output: Path,
-    config: Path,
-    call: Call,
-) -> None:
+def test_acknowledged_found_and_counted(output: Path, config: Path, call: Call) -> None:
     code, out, _ = call("ack", config, "M1", "K_piston_ring", "--note", "rings ordered")
-    assert (code, out) == (
-        0,
-        "M1: K_piston_ring, raised last on 2026-01-06: acknowledged\n",
-    )
+    assert (code, out) == (0, "M1: K_piston_ring, raised last on 2026-01-06: acknowledged\n")
     assert "(acknowledged: rings ordered)" in call("status", config)[1]
     assert "inspections" not in call("status", config)[2]
     finding = ("ack", config, "M1", "K_piston_ring", "--note", "worn", "--finding", "confirmed")
@@ -175,11 +150,7 @@ def test_acknowledged_found_and_counted(
     ],
 )
 def test_ack_of_what_is_not_there(
-    output: Path,
-    config: Path,
-    call: Call,
-    arguments: list[str],
-    words: str,
+    output: Path, config: Path, call: Call, arguments: list[str], words: str
 ) -> None:
     code, out, err = call("ack", config, *arguments)
     assert (code, out) == (2, "")
@@ -208,9 +179,7 @@ def test_parts_of_an_opened_motor_are_recorded_and_scored(
 
 
 def test_a_baseline_is_reset_with_a_night_and_a_reason(
-    output: Path,
-    config: Path,
-    call: Call,
+    output: Path, config: Path, call: Call
 ) -> None:
     code, out, _ = call("baseline", "reset", config, "M1", "2026-01-05", "--note", "new rings")
     assert (code, out) == (0, "M1: every baseline starts with the night 2026-01-05\n")
@@ -235,11 +204,7 @@ def test_a_baseline_is_reset_with_a_night_and_a_reason(
     ],
 )
 def test_a_reset_that_would_do_nothing_is_refused(
-    output: Path,
-    config: Path,
-    call: Call,
-    arguments: list[str],
-    words: str,
+    output: Path, config: Path, call: Call, arguments: list[str], words: str
 ) -> None:
     code, out, err = call("baseline", "reset", config, *arguments, "--note", "x")
     assert (code, out) == (2, "")

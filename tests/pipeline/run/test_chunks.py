@@ -17,9 +17,9 @@ import pytest
 import pipeline.run.motor_task
 from pipeline.config import Execution, load_fleet
 from pipeline.errors import EngineError
-from pipeline.run.chunks import run_motors
-from pipeline.run.fleet import RunRequest, _motors, run_fleet
+from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.motor_task import run_motor
+from pipeline.run.motors import run_motors, with_failures
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.workers.engine import nights_a_chunk
 from pipeline.workers.process import Loss
@@ -257,7 +257,7 @@ def test_a_night_of_a_chunk_that_kills_its_worker_process_costs_no_other(
         module.fit_night = fit_or_die
         return run_motor(task)
 
-    monkeypatch.setattr("pipeline.run.fleet.run_motor", run_or_die)
+    monkeypatch.setattr("pipeline.run.motors.run_motor", run_or_die)
     (outcome,) = run(fleet, tmp_path / "out", nights_a_part=2, backend="loky").outcomes
     assert dict(outcome.counts) == {"ok": 2, "failed": 1}
     assert outcome.error_code == "worker_died"
@@ -277,10 +277,10 @@ def test_an_engine_that_is_gone_before_the_chunks_costs_the_motors_that_are_left
 
     split = replace(workshop.task(), staging=tmp_path, nights_a_chunk=1)
     with pytest.raises(EngineError):
-        list(_motors(engine(die), [split]))
+        list(with_failures(engine(die), [split]))
     spec = replace(split.spec, file=split.spec.file.model_copy(update={"motor_id": "M2"}))
     other = replace(split, spec=spec, nights_a_chunk=0)
-    found = {one.motor_id: one for one in _motors(engine(die), [split, other])}
+    found = {one.motor_id: one for one in with_failures(engine(die), [split, other])}
     assert found["M2"].counts == {"ok": 2}
     assert (found["M1"].status, found["M1"].error_code) == ("failed", "scheduler_lost")
 

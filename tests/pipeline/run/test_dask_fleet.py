@@ -74,7 +74,7 @@ def test_a_night_that_its_process_dies_of_costs_no_other(
     fleet = mini_fleet(tmp_path, 1, 3)
     how = two_workers.execution(nights_a_part=2)
     with monkeypatch.context() as patched:
-        patched.setattr("pipeline.run.fleet.run_motor", die_in_a_night)
+        patched.setattr("pipeline.run.motors.run_motor", die_in_a_night)
         (outcome,) = run(fleet, output_of(fleet), how).outcomes
     assert (dict(outcome.counts), outcome.error_code) == ({"ok": 2, "failed": 1}, "worker_died")
     # Done once more, it has the figures of a run in which nothing died.
@@ -92,7 +92,7 @@ def test_a_motor_that_kills_every_worker_fails_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     fleet = own_fleet("CB400-01", "CB400-02")
-    monkeypatch.setattr("pipeline.run.fleet.run_motor", kill_worker_of_parquet)
+    monkeypatch.setattr("pipeline.run.motors.run_motor", kill_worker_of_parquet)
     result = run(fleet, output_of(fleet), two_workers.execution())
     assert status_of(result) == {"CB400-01": "ok", "CB400-02": "failed"}
     (failed,) = result.failed
@@ -141,7 +141,7 @@ def test_a_scheduler_lost_before_any_motor_was_done_publishes_nothing(
 ) -> None:
     fleet = own_fleet("CB400-02")
     with scheduler_with(1, "--no-nanny") as processes:
-        monkeypatch.setattr("pipeline.run.fleet.run_motor", kill_worker_of_parquet)
+        monkeypatch.setattr("pipeline.run.motors.run_motor", kill_worker_of_parquet)
         with pytest.raises(EngineError) as caught:
             run(fleet, output_of(fleet), processes.execution(scheduler_wait_s=1.0))
     assert caught.value.code == "scheduler_lost"

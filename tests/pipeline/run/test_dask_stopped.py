@@ -25,6 +25,7 @@ WAITING = """
 import sys, time
 from pathlib import Path
 import pipeline.run.fleet
+import pipeline.run.motors
 from pipeline.cli import main
 
 folder = Path(sys.argv.pop())
@@ -40,7 +41,7 @@ def wait(task):
     return run_motor(task)
 
 
-pipeline.run.fleet.run_motor = wait
+pipeline.run.motors.run_motor = wait
 main()
 """
 
@@ -99,7 +100,7 @@ def test_ctrl_c_publishes_what_is_finished_and_leaves_no_worker_behind(tmp_path:
         out, err = process.communicate(timeout=60)
         assert process.returncode == 130
         wait_until(lambda: not in_session(process.pid))
-    assert "interrupted; 1 nights of 1 motors" in out
+    assert "interrupted; 1 night of 1 motor " in out
     assert err == ""
     assert plain_run(fleet, output_of(fleet)) == (1, 0)
     plain_run(fleet, tmp_path / "plain")

@@ -27,6 +27,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.run.fleet
+import pipeline.run.motors
 import pipeline.store.publishing
 from pipeline.config import load_fleet
 from pipeline.errors import LockedError, StoreError
@@ -488,7 +489,7 @@ def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
             MISBEHAVIOUR["kill"]()
         return run_motor(task)
 
-    monkeypatch.setattr(pipeline.run.fleet, "run_motor", run_or_die)
+    monkeypatch.setattr(pipeline.run.motors, "run_motor", run_or_die)
     result = run(fleet, backend="loky")
     assert died.exists()
     assert status_of(result) == {CSV: "failed", PARQUET: "ok", MCAP: "ok"}
@@ -574,6 +575,7 @@ def test_nobody_else_may_enter_the_folder_of_staged_rows(tmp_path: Path) -> None
 WAITING = """
 import signal, sys
 import pipeline.run.fleet
+import pipeline.run.motors
 from pipeline.cli import main
 from pipeline.run.motor_task import run_motor
 
@@ -584,7 +586,7 @@ def run_or_wait(task):
         signal.pause()
     return run_motor(task)
 
-pipeline.run.fleet.run_motor = run_or_wait
+pipeline.run.motors.run_motor = run_or_wait
 main()
 """
 
@@ -640,7 +642,7 @@ def test_a_signal_keeps_what_is_done(
     (os.killpg if to_all else os.kill)(process.pid, number)
     out, err = process.communicate(timeout=60)
     assert process.returncode == code
-    assert out.startswith("interrupted; 3 nights of 1 motors")
+    assert out.startswith("interrupted; 3 nights of 1 motor ")
     assert "Traceback" not in err or to_all  # a worker may tell of its own interruption
     check_same_tables(output_of(fleet), fitted_output, CSV)
     assert rows(output_of(fleet), "fits", PARQUET).is_empty()

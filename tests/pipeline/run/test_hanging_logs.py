@@ -16,6 +16,7 @@ import pytest
 import pipeline.logs.files
 import pipeline.logs.motor_logs
 import pipeline.run.fleet
+import pipeline.run.motors
 from pipeline.cli import main
 from pipeline.clock import latest_us
 from pipeline.config import load_fleet
@@ -79,7 +80,7 @@ def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
 ) -> None:
     config = mini_fleet(tmp_path, 2, 2, 'backend = "loky"\nanswer_s = 3.0\n')
     os.mkfifo(tmp_path / "logs" / "M1" / f"{BLOCKS}.parquet")
-    monkeypatch.setattr(pipeline.run.fleet, "run_motor", opened_all_the_same)
+    monkeypatch.setattr(pipeline.run.motors, "run_motor", opened_all_the_same)
     published: dict[str, list[str]] = {}
 
     def look(outcome: MotorOutcome) -> None:

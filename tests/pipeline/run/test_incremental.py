@@ -17,7 +17,8 @@ import pytest
 import pipeline.config.hashes
 import pipeline.run.motor_task
 from pipeline.config import load_fleet
-from pipeline.run.fleet import RunRequest, plan_fleet, plan_trends, run_fleet
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.run.plans import plan_fleet, plan_trends
 from pipeline.run.tasks import MotorOutcome, Work
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop

@@ -21,11 +21,13 @@ import pipeline.run.motor_task
 from pipeline.config import load_fleet
 from pipeline.config.hashes import config_hash
 from pipeline.ingest import RawLog, read_log
-from pipeline.logs.files import PlausibleNights, find_logs, inspect_log, place_failed, slice_night
+from pipeline.logs.files import find_logs, inspect_log, slice_night
 from pipeline.logs.ledger import Ledger, NightRecord
+from pipeline.logs.told_nights import PlausibleNights, place_failed
 from pipeline.night.fit_night import NightOutcome, fit_night
-from pipeline.run.fleet import RunRequest, plan_fleet
 from pipeline.run.motor_task import run_motor
+from pipeline.run.plans import plan_fleet
+from pipeline.run.request import RunRequest
 from tests.pipeline.simulated import (
     NIGHT,
     SECOND_US,

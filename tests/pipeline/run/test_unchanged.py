@@ -39,7 +39,7 @@ def test_a_run_with_nothing_new_starts_no_worker(
         raise AssertionError("a worker is started")
 
     monkeypatch.setattr(pipeline.workers.local.Worker, "_start", forbidden)
-    monkeypatch.setattr("pipeline.run.fleet.run_motor", forbidden)
+    monkeypatch.setattr("pipeline.run.motors.run_motor", forbidden)
     fleet = replace(load_fleet(workshop.fleet), execution=BESIDE)
     (outcome,) = run_fleet(RunRequest(fleet)).outcomes
     assert (outcome.status, outcome.nights, outcome.ledger) == ("no_new_data", (), {})

@@ -14,7 +14,8 @@ import pytest
 import pipeline.store.tables
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
-from pipeline.run.fleet import RunRequest, plan_fleet, run_fleet
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.run.plans import plan_fleet
 from pipeline.run.tasks import Step, Work
 from pipeline.run.verification import verify_tables
 from pipeline.schema import QUALITY

@@ -12,7 +12,8 @@ import pytest
 
 from pipeline.config import Retention, load_fleet
 from pipeline.errors import UsageError
-from pipeline.run.fleet import RunRequest, plan_fleet
+from pipeline.run.plans import plan_fleet
+from pipeline.run.request import RunRequest
 from pipeline.run.verification import verify_tables
 from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES
 from pipeline.store.locks import locked

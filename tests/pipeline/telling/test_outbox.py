@@ -86,7 +86,7 @@ def test_one_that_is_named_no_more_begins_anew(
     deaf = Fake(refuses=lambda _: True)
     run(tmp_path, [row("M1")], deaf)
     run(tmp_path, [row("M1"), row("M2")])
-    assert "there is no command any more; 1 changes were not delivered" in caplog.text
+    assert "there is no command any more; not delivered: 1 change" in caplog.text
     again = Fake()
     run(tmp_path, [row("M1"), row("M2"), row("M3")], again)
     assert [one["motor_id"] for one in again.changes()] == ["M3"]
@@ -174,7 +174,7 @@ def test_ids_hang_on_fleet_receiver_and_rows_alone(tmp_path: Path) -> None:
 def test_what_was_not_taken_is_tried_again_by_the_next_run(tmp_path: Path) -> None:
     receiver = Fake(refuses=lambda _: True)
     (fault,) = run(tmp_path, [row("M1")], receiver)
-    assert fault == "alarms.command: out of ink; 1 changes wait for the next run"
+    assert fault == "alarms.command: out of ink; for the next run: 1 change"
     (backlog,) = backlogs(tmp_path, [receiver], FLEET)
     assert (backlog.undelivered, backlog.fault) == (1, "out of ink")
     assert backlog.since is not None

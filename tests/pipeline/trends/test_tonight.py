@@ -15,7 +15,7 @@ from polars.testing import assert_frame_equal
 
 import pipeline.run.publishing
 from pipeline.config import load_fleet
-from pipeline.logs import files as logs
+from pipeline.logs import told_nights
 from pipeline.report.explain import explain
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.publishing import fleets_tonight
@@ -363,7 +363,7 @@ def test_a_junk_file_long_ago_is_withdrawn_and_no_night_before_the_first(
     ago = NIGHT - 40 * DAY
     (workshop.logs / f"{ago}.parquet").write_bytes(JUNK)
     with monkeypatch.context() as patch:
-        patch.setattr(logs, "FARTHEST_NIGHT", 40_000 * DAY)
+        patch.setattr(told_nights, "FARTHEST_NIGHT", 40_000 * DAY)
         workshop.run()
     assert set(workshop.statuses()) == {ago, NIGHT}
     outcome = workshop.run()

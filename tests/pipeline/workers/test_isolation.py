@@ -18,6 +18,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.run.fleet
+import pipeline.run.motors
 import pipeline.run.publishing
 from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
@@ -274,7 +275,7 @@ def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str
     fleet = load_fleet(fleet_file)
     limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500})
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.run.fleet, "run_motor", run_or_misbehave)
+        patched.setattr(pipeline.run.motors, "run_motor", run_or_misbehave)
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
 
 
@@ -377,6 +378,7 @@ TRENDS_THAT_WAIT = """
 import signal, sys
 from pathlib import Path
 import pipeline.run.fleet
+import pipeline.run.motors
 from pipeline.cli import main
 
 marker = sys.argv.pop()
@@ -418,7 +420,7 @@ def test_a_signal_while_trends_are_made_keeps_the_fits(
     assert process.returncode == code
     assert err.startswith(f"motor-leakage: interrupted: stopped by {number.name}")
     assert len(err.splitlines()) == 1
-    assert "interrupted; 0 nights of 1 motors" in out
+    assert "interrupted; 0 nights of 1 motor " in out
     runs = pl.read_parquet(output_of(fleet) / "tables/runs/**/*.parquet").sort("started_at")
     assert runs["status"][-1] == "interrupted"
     again = replace(load_fleet(fleet), execution=Execution(backend="sequential"))

@@ -8,7 +8,9 @@ from tests.pipeline.setup.plants.plant import (
     ROWS,
     Place,
     Plant,
+    Signals,
     american,
+    one_table,
     stamp,
     table,
     tagged,
@@ -17,18 +19,21 @@ from tests.pipeline.setup.plants.plant import (
 
 
 def _pi_wide() -> Plant:
-    tags = ["HYM01:PDT101.PV", "HYM01:TT102.PV", "HYM01:ST103.PV", "HYM01:FT104.PV"]
-    text = table(
-        ["Timestamp", *tags],
-        [("dp", 1), ("temp", 1), ("speed", 1), ("flow", 1)],
-        form="%d-%b-%Y %H:%M:%S",
-    ).replace(f"{value('flow', 1, 5):.3f}\n", "No Data\n", 1)
-    names = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
-    return Plant(
+    signals: Signals = {
+        "PDT101": ("pressure_difference", "dp", None),
+        "TT102": ("oil_temperature", "temp", None),
+        "ST103": ("speed", "speed", None),
+        "FT104": ("leakage_flow", "flow", None),
+    }
+    return one_table(
         "PI, sampled, ISA tags without units",
-        {"export.csv": text},
-        {"HYM01": {name: Place(tag, None) for name, tag in zip(names, tags, strict=True)}},
-        named="export.csv",
+        "export.csv",
+        signals,
+        {"HYM01": 1},
+        "{motor}:{signal}.PV",
+        time="Timestamp",
+        form="%d-%b-%Y %H:%M:%S",
+        unread=(f"{value('flow', 1, 5):.3f}\n", "No Data\n"),
     )
 
 
@@ -61,7 +66,6 @@ def _pi_long() -> Plant:
 
 
 def _ignition() -> Plant:
-    header = "Mill3/Motor{n}/{t}"
     signals = {
         "HP Pressure (bar)": ("high_port_pressure", "high", "bar"),
         "LP Pressure (bar)": ("low_port_pressure", "low", "bar"),
@@ -69,22 +73,14 @@ def _ignition() -> Plant:
         "Shaft Speed (rpm)": ("speed", "speed", "rpm"),
         "Case Drain Flow (l/min)": ("leakage_flow", "flow", "l/min"),
     }
-    columns = [(n, t) for n in (1, 2, 3) for t in signals]
-    text = table(
-        ["t_stamp", *(header.format(n=n, t=t) for n, t in columns)],
-        [(signals[t][1], n) for n, t in columns],
-        form="%Y-%m-%d %H:%M:%S.000",
-    )
-    return Plant(
+    return one_table(
         "Ignition, tag paths, three motors in a table",
-        {"tags.csv": text},
-        {
-            f"Motor{n}": {
-                name: Place(header.format(n=n, t=t), unit) for t, (name, _, unit) in signals.items()
-            }
-            for n in (1, 2, 3)
-        },
-        named="tags.csv",
+        "tags.csv",
+        signals,
+        {f"Motor{n}": n for n in (1, 2, 3)},
+        "Mill3/{motor}/{signal}",
+        time="t_stamp",
+        form="%Y-%m-%d %H:%M:%S.000",
     )
 
 
@@ -155,47 +151,29 @@ def _wincc_wide() -> Plant:
         "Speisedruck [bar]": ("charge_pressure", "charge", "bar"),
         "Tanktemperatur [°C]": ("", "other", ""),
     }
-    return Plant(
+    return one_table(
         "WinCC, a table, German letters",
-        {
-            "Kurve.csv": table(
-                ["Zeitpunkt", *signals],
-                [(kind, 1) for _, kind, _ in signals.values()],
-                form="%d.%m.%Y %H:%M:%S",
-                separator=";",
-                decimal=",",
-            )
-        },
-        {"": {name: Place(t, unit) for t, (name, _, unit) in signals.items() if name}},
+        "Kurve.csv",
+        signals,
+        time="Zeitpunkt",
+        form="%d.%m.%Y %H:%M:%S",
+        separator=";",
+        decimal=",",
         encoding="cp1252",
-        named="Kurve.csv",
         line_end="\r\n",
     )
 
 
 def _dotted() -> Plant:
     signals = {
-        "PDT": ("pressure_difference", "dp", "bar"),
-        "TT": ("oil_temperature", "temp", "degC"),
-        "ST": ("speed", "speed", "rpm"),
-        "FT": ("leakage_flow", "flow", "l/min"),
+        "PDT [bar]": ("pressure_difference", "dp", "bar"),
+        "TT [degC]": ("oil_temperature", "temp", "degC"),
+        "ST [rpm]": ("speed", "speed", "rpm"),
+        "FT [l/min]": ("leakage_flow", "flow", "l/min"),
     }
-    motors = ("Mill3.Motor1", "Mill3.Motor2", "Mill4.Motor1")
-    columns = [(m, t) for m in motors for t in signals]
-    return Plant(
-        "OPC UA, dotted paths with ISA letters",
-        {
-            "opcua.csv": table(
-                ["time", *(f"{m}.{t} [{signals[t][2]}]" for m, t in columns)],
-                [(signals[t][1], motors.index(m)) for m, t in columns],
-            )
-        },
-        {
-            m: {name: Place(f"{m}.{t} [{unit}]", unit) for t, (name, _, unit) in signals.items()}
-            for m in motors
-        },
-        named="opcua.csv",
-    )
+    motors = {"Mill3.Motor1": 0, "Mill3.Motor2": 1, "Mill4.Motor1": 2}
+    name = "OPC UA, dotted paths with ISA letters"
+    return one_table(name, "opcua.csv", signals, motors, "{motor}.{signal}")
 
 
 def _quality() -> Plant:
@@ -230,24 +208,15 @@ def _american() -> Plant:
         "Case Drain GPM": ("leakage_flow", "flow", "us_gal/min"),
         "Ambient Temp DEGF": ("", "temp", ""),
     }
-    columns = [(n, t) for n in (201, 202) for t in signals]
-    return Plant(
+    return one_table(
         "A control system of the United States, two motors",
-        {
-            "dcs.csv": table(
-                ["Date/Time", *(f"HM-{n} {t}" for n, t in columns)],
-                [(signals[t][1], n - 200) for n, t in columns],
-                form="%m/%d/%Y %H:%M:%S",
-                convert=american,
-            )
-        },
-        {
-            f"HM-{n}": {
-                name: Place(f"HM-{n} {t}", unit) for t, (name, _, unit) in signals.items() if name
-            }
-            for n in (201, 202)
-        },
-        named="dcs.csv",
+        "dcs.csv",
+        signals,
+        {"HM-201": 1, "HM-202": 2},
+        "{motor} {signal}",
+        time="Date/Time",
+        form="%m/%d/%Y %H:%M:%S",
+        convert=american,
     )
 
 

@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 ROWS = 24
 START = datetime(2026, 1, 13, 6, 0)
@@ -26,6 +28,8 @@ class Place:
 
 
 Mapped = Mapping[str, Place | None]
+Signals = Mapping[str, tuple[str, str, str | None]]
+"""By name in the log: channel (empty: of none), kind of reading, and unit."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,46 @@ def table(
             cells += [quality] if quality else []
         lines.append(separator.join(cells))
     return "\n".join(lines) + "\n"
+
+
+def one_table(
+    name: str,
+    file: str,
+    signals: Signals,
+    motors: Mapping[str, int] = MappingProxyType({"": 1}),
+    column: str = "{signal}",
+    *,
+    time: str = "time",
+    asked: str = "",
+    above: str = "",
+    unread: tuple[str, str] = ("", ""),
+    encoding: str = "utf-8",
+    line_end: str = "\n",
+    **shape: Any,
+) -> Plant:
+    """A plant that has one wide table, the signals of one motor after those of another.
+
+    Motors are numbered as `value` has them; `column` is how a signal of a motor is called, `asked`
+    a channel of which the log does not say the column, `above` stands above the table, and
+    `unread` replaces the first of a reading by a word.
+    """
+    text = table(
+        [time, *(column.format(motor=motor, signal=one) for motor in motors for one in signals)],
+        [(kind, number) for number in motors.values() for _, kind, _ in signals.values()],
+        **shape,
+    )
+    mapped: dict[str, dict[str, Place | None]] = {
+        motor: {
+            channel: Place(column.format(motor=motor, signal=one), unit)
+            for one, (channel, _, unit) in signals.items()
+            if channel
+        }
+        for motor in motors
+    }
+    for own in mapped.values():
+        own |= {asked: ASK} if asked else {}
+    files = {file: above + (text.replace(*unread, 1) if unread[0] else text)}
+    return Plant(name, files, mapped, encoding, file, line_end)
 
 
 def tagged(

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from tests.pipeline.setup.plants.plant import ASK, ROWS, Place, Plant, stamp, table, tagged, value
+from tests.pipeline.setup.plants.plant import (
+    ROWS,
+    Place,
+    Plant,
+    Signals,
+    one_table,
+    stamp,
+    table,
+    tagged,
+    value,
+)
 
 
 def _grafana_wide() -> Plant:
-    signals = {
-        "Delta p {}": ("pressure_difference", "dp"),
-        "Oil temp {}": ("oil_temperature", "temp"),
-        "Speed {}": ("speed", "speed"),
-        "Drain flow {}": ("leakage_flow", "flow"),
+    signals: Signals = {
+        "Delta p": ("pressure_difference", "dp", None),
+        "Oil temp": ("oil_temperature", "temp", None),
+        "Speed": ("speed", "speed", None),
+        "Drain flow": ("leakage_flow", "flow", None),
     }
-    motors = ("Winch 1", "Winch 2")
-    header = [signal.format(motor) for motor in motors for signal in signals]
-    return Plant(
+    return one_table(
         "Grafana, series joined by time, the motor behind the name",
-        {
-            "panel-data.csv": table(
-                ["Time", *header],
-                [(kind, n) for n in (1, 2) for _, kind in signals.values()],
-                form="%Y-%m-%d %H:%M:%S",
-            )
-        },
-        {
-            motor: {name: Place(s.format(motor), None) for s, (name, _) in signals.items()}
-            for motor in motors
-        },
-        named="panel-data.csv",
+        "panel-data.csv",
+        signals,
+        {"Winch 1": 1, "Winch 2": 2},
+        "{signal} {motor}",
+        time="Time",
+        form="%Y-%m-%d %H:%M:%S",
     )
 
 
@@ -94,48 +94,34 @@ def _influx(tag_column: bool) -> Plant:
 
 def _excel_isa() -> Plant:
     signals = {
-        "PT101.PV": (None, "high", "bar"),
+        "PT101.PV": ("", "high", "bar"),
         "TT102.PV": ("oil_temperature", "temp", "degC"),
         "ST103.PV": ("speed", "speed", "rpm"),
         "FT104.PV": ("leakage_flow", "flow", "l/min"),
     }
-    mapped: dict[str, Place | None] = {
-        name: Place(tag, unit) for tag, (name, _, unit) in signals.items() if name
-    }
-    return Plant(
+    return one_table(
         "Excel, ISA tags with a row of units, one gauge pressure",
-        {
-            "trend.csv": table(
-                ["Date", *signals],
-                [(kind, 1) for _, kind, _ in signals.values()],
-                form="%d.%m.%Y %H:%M:%S",
-                separator=";",
-                decimal=",",
-                below=";bar;°C;rpm;l/min",
-            )
-        },
-        {"": mapped | {"pressure_difference": ASK}},
-        named="trend.csv",
+        "trend.csv",
+        signals,
+        time="Date",
+        asked="pressure_difference",
+        form="%d.%m.%Y %H:%M:%S",
+        separator=";",
+        decimal=",",
+        below=";bar;°C;rpm;l/min",
     )
 
 
-def _language(
-    name: str, signals: Mapping[str, tuple[str, str, str | None]], time: str, encoding: str
-) -> Plant:
-    return Plant(
+def _language(name: str, signals: Signals, time: str, encoding: str) -> Plant:
+    return one_table(
         name,
-        {
-            "log.csv": table(
-                [time, *signals],
-                [(kind, 1) for _, kind, _ in signals.values()],
-                form="%d/%m/%Y %H:%M:%S" if encoding == "utf-8" else "%Y-%m-%d %H:%M:%S",
-                separator=";",
-                decimal=",",
-            )
-        },
-        {"": {channel: Place(t, unit) for t, (channel, _, unit) in signals.items() if channel}},
+        "log.csv",
+        signals,
+        time=time,
+        form="%d/%m/%Y %H:%M:%S" if encoding == "utf-8" else "%Y-%m-%d %H:%M:%S",
+        separator=";",
+        decimal=",",
         encoding=encoding,
-        named="log.csv",
     )
 
 
@@ -191,29 +177,17 @@ def _french() -> Plant:
 def _wide_prefix() -> Plant:
     signals = {
         "dp": ("pressure_difference", "dp", "bar"),
-        "T_oil": ("oil_temperature", "temp", "°C"),
+        "T_oil": ("oil_temperature", "temp", "degC"),
         "n": ("speed", "speed", "rpm"),
         "Q_leak": ("leakage_flow", "flow", "l/min"),
     }
-    columns = [(n, t) for n in (1, 2, 3, 4) for t in signals]
-    canonical = {"°C": "degC"}
-    return Plant(
+    return one_table(
         "Excel, four motors by a prefix, a row of units",
-        {
-            "wide.csv": table(
-                ["time", *(f"W{n}_{t}" for n, t in columns)],
-                [(signals[t][1], n) for n, t in columns],
-                below="," + ",".join(signals[t][2] for _, t in columns),
-            )
-        },
-        {
-            f"W{n}": {
-                name: Place(f"W{n}_{t}", canonical.get(unit, unit))
-                for t, (name, _, unit) in signals.items()
-            }
-            for n in (1, 2, 3, 4)
-        },
-        named="wide.csv",
+        "wide.csv",
+        signals,
+        {f"W{n}": n for n in (1, 2, 3, 4)},
+        "{motor}_{signal}",
+        below=4 * ",bar,°C,rpm,l/min",
     )
 
 
@@ -268,15 +242,8 @@ def _rivals() -> Plant:
         "Flow 2 [l/min]": ("", "other", ""),
         "Winding temperature [°C]": ("", "other", ""),
     }
-    mapped: dict[str, Place | None] = {
-        name: Place(t, unit) for t, (name, _, unit) in signals.items() if name
-    }
-    return Plant(
-        "Two flows of which either may be the drain's",
-        {"bench.csv": table(["time", *signals], [(kind, 1) for _, kind, _ in signals.values()])},
-        {"": mapped | {"leakage_flow": ASK}},
-        named="bench.csv",
-    )
+    name = "Two flows of which either may be the drain's"
+    return one_table(name, "bench.csv", signals, asked="leakage_flow")
 
 
 TABLES: tuple[Plant, ...] = (

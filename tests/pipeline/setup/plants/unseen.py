@@ -5,10 +5,17 @@ Their first score stands in `docs/own_fleet.md` beside the last one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from tests.pipeline.setup.plants.control_systems import wincc_archive
-from tests.pipeline.setup.plants.plant import ROWS, Place, Plant, stamp, table, value
+from tests.pipeline.setup.plants.plant import (
+    ROWS,
+    Place,
+    Plant,
+    Signals,
+    one_table,
+    stamp,
+    table,
+    value,
+)
 
 NAMES = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 PORTS = ("high_port_pressure", "low_port_pressure", "oil_temperature", "speed", "leakage_flow")
@@ -16,58 +23,43 @@ PORTS = ("high_port_pressure", "low_port_pressure", "oil_temperature", "speed", 
 
 def _pi_af() -> Plant:
     """PI DataLink, sampled: attributes of two elements of the asset framework by their paths."""
-    kinds = {"Differential Pressure": "dp", "Oil Temperature": "temp", "Shaft Speed": "speed"}
-    kinds |= {"Case Drain Flow": "flow", "Winding Temperature": "other"}
-    path = r"\\AF01\Works\Mill 2\Drive {}|{}"
-    columns = [(motor, name) for motor in "AB" for name in kinds]
-    text = table(
-        ["Time", *(path.format(*column) for column in columns)],
-        [(kinds[name], "AB".index(motor)) for motor, name in columns],
-        form="%d-%b-%y %H:%M:%S",
-    )
-    return Plant(
+    signals: Signals = {
+        "Differential Pressure": ("pressure_difference", "dp", None),
+        "Oil Temperature": ("oil_temperature", "temp", None),
+        "Shaft Speed": ("speed", "speed", None),
+        "Case Drain Flow": ("leakage_flow", "flow", None),
+        "Winding Temperature": ("", "other", None),
+    }
+    return one_table(
         "PI DataLink, attributes of elements, digital states among the numbers",
-        {"datalink.csv": text.replace(f"{value('flow', 0, 7):.3f}", "I/O Timeout", 1)},
-        {
-            f"Drive {motor}": {
-                channel: Place(path.format(motor, name), None)
-                for channel, name in zip(NAMES, kinds, strict=False)
-            }
-            for motor in "AB"
-        },
-        named="datalink.csv",
+        "datalink.csv",
+        signals,
+        {"Drive A": 0, "Drive B": 1},
+        r"\\AF01\Works\Mill 2\{motor}|{signal}",
+        time="Time",
+        form="%d-%b-%y %H:%M:%S",
+        unread=(f"{value('flow', 0, 7):.3f}", "I/O Timeout"),
     )
 
 
 def _ignition_italian() -> Plant:
     """Ignition: paths below a tag provider, in Italian."""
-    signals = {
-        "Pressione_Mandata": "high",
-        "Pressione_Ritorno": "low",
-        "Temperatura_Olio": "temp",
-        "Giri_Motore": "speed",
-        "Portata_Drenaggio": "flow",
-        "Corrente_Pompa": "pump",
+    signals: Signals = {
+        "Pressione_Mandata": ("high_port_pressure", "high", None),
+        "Pressione_Ritorno": ("low_port_pressure", "low", None),
+        "Temperatura_Olio": ("oil_temperature", "temp", None),
+        "Giri_Motore": ("speed", "speed", None),
+        "Portata_Drenaggio": ("leakage_flow", "flow", None),
+        "Corrente_Pompa": ("", "pump", None),
     }
-    path = "[default]Frantoio/Motore{}/{}"
-    columns = [(n, name) for n in (1, 2) for name in signals]
-    return Plant(
+    return one_table(
         "Ignition, a tag provider, Italian",
-        {
-            "storico.csv": table(
-                ["t_stamp", *(path.format(*column) for column in columns)],
-                [(signals[name], n) for n, name in columns],
-                form="%Y-%m-%d %H:%M:%S",
-            )
-        },
-        {
-            f"Motore{n}": {
-                channel: Place(path.format(n, name), None)
-                for channel, name in zip(PORTS, signals, strict=False)
-            }
-            for n in (1, 2)
-        },
-        named="storico.csv",
+        "storico.csv",
+        signals,
+        {"Motore1": 1, "Motore2": 2},
+        "[default]Frantoio/{motor}/{signal}",
+        time="t_stamp",
+        form="%Y-%m-%d %H:%M:%S",
     )
 
 
@@ -153,7 +145,7 @@ def _influx_dutch() -> Plant:
 
 def _excel_portuguese() -> Plant:
     """Excel: date and time in columns of their own, a title above, in Portuguese."""
-    signals: Mapping[str, tuple[str, str, str]] = {
+    signals = {
         "Pressão diferencial (bar)": ("pressure_difference", "dp", "bar"),
         "Temperatura do óleo (°C)": ("oil_temperature", "temp", "degC"),
         "Rotação (rpm)": ("speed", "speed", "rpm"),
@@ -161,19 +153,16 @@ def _excel_portuguese() -> Plant:
         "Pressão da carcaça (bar)": ("case_pressure", "case", "bar"),
         "Nível do tanque (%)": ("", "other", ""),
     }
-    text = table(
-        ["Data;Hora", *signals],
-        [(kind, 1) for _, kind, _ in signals.values()],
+    return one_table(
+        "Excel, a title, date and time apart, Portuguese",
+        "registo.csv",
+        signals,
+        time="Data;Hora",
+        above="Registo do guincho 2\n\n",
         form="%d/%m/%Y;%H:%M:%S",
         separator=";",
         decimal=",",
-    )
-    return Plant(
-        "Excel, a title, date and time apart, Portuguese",
-        {"registo.csv": "Registo do guincho 2\n\n" + text},
-        {"": {channel: Place(t, unit) for t, (channel, _, unit) in signals.items() if channel}},
         encoding="cp1252",
-        named="registo.csv",
         line_end="\r\n",
     )
 

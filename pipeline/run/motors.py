@@ -7,15 +7,58 @@ done in one.
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
+from pipeline.config import Execution
+from pipeline.errors import EngineError
 from pipeline.run.tasks import MotorOutcome, MotorTask, lost, set_aside, without_lost_part
+from pipeline.run.unchanged import unchanged_motors
 from pipeline.schema.fits import FAILED
 from pipeline.workers.engine import RunTasks, results_of
+from pipeline.workers.process import Loss
+
+log = logging.getLogger(__name__)
 
 RunMotor = Callable[[MotorTask], MotorOutcome]
+
+
+def motor_outcomes(
+    run_tasks: RunTasks, tasks: Sequence[MotorTask], execution: Execution, *, first: bool
+) -> Iterator[MotorOutcome]:
+    """Outcomes of the motors with nothing new, then those of the others."""
+    done = set()
+    for outcome in unchanged_motors(tasks, execution):
+        done.add(outcome.motor_id)
+        yield outcome
+    others = [task for task in tasks if task.spec.motor_id not in done]
+    yield from with_failures(run_tasks, others, first=first)
+
+
+def with_failures(
+    run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool = False
+) -> Iterator[MotorOutcome]:
+    """Outcomes of motors and chunks; a motor for which no engine is left has failed."""
+    left = {task.spec.motor_id: task for task in tasks}
+    try:
+        for outcome in run_motors(run_tasks, run_motor, tasks, first=first):
+            if not outcome.chunk:
+                del left[outcome.motor_id]
+            yield outcome
+    except EngineError as error:
+        if len(left) == len(tasks):
+            raise
+        log.warning("%s; what is finished is kept", error)
+        yield from (lost(task, Loss(error.code, error.message)) for task in left.values())
+
+
+def run_motor(task: MotorTask) -> MotorOutcome:
+    """As `motor_task.run_motor`, with which a process loads the science."""
+    from pipeline.run import motor_task
+
+    return motor_task.run_motor(task)
 
 
 def run_motors(

@@ -1,0 +1,74 @@
+"""Alarms and metrics of a run, once it has published; neither costs anybody the run."""
+
+from __future__ import annotations
+
+import datetime as dt
+import logging
+from collections.abc import Sequence
+
+from pipeline.config import Fleet
+from pipeline.errors import StoreError
+from pipeline.run.metrics import metrics_text, write_metrics
+from pipeline.run.request import RunResult
+from pipeline.store.heartbeat import last_good_run
+from pipeline.store.working_copy import working_copy
+from pipeline.telling.delivering import deliver
+from pipeline.telling.delivery import Receiver
+from pipeline.telling.mail import EMAIL
+from pipeline.telling.outbox import add_summary, backlogs, is_waiting, take_up
+from pipeline.trends.rows.latest_states import published_states
+from pipeline.trends.rows.motor_states import urgency
+
+log = logging.getLogger(__name__)
+
+
+def queue_alarms(fleet: Fleet) -> None:
+    """Queue what was published; where that fails, the next run does it."""
+    today = dt.datetime.now(fleet.settings.nights.zone).date()
+    due = fleet.settings.alarms.email.summary_due(today)
+    try:
+        take_up(fleet.output, fleet.name)
+        if due is not None:
+            add_summary(fleet.output, EMAIL, fleet.name, due, lambda: _states(fleet))
+    except StoreError as error:
+        log.warning("alarms: %s; the next run tells of them", error)
+
+
+def _states(fleet: Fleet) -> list[dict[str, str]]:
+    """State of each motor for a summary, the most urgent first."""
+    states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])
+    return [
+        {"motor_id": one.motor_id, "state": one.state, "sentence": one.why}
+        for one in sorted(states, key=urgency)
+    ]
+
+
+def deliver_alarms(fleet: Fleet, receivers: Sequence[Receiver]) -> None:
+    """Deliver what waits; that it cannot be delivered costs nobody the run."""
+    try:
+        if is_waiting(fleet.output):
+            # What was delivered is to be known on every machine.
+            with working_copy(fleet.object_store, fleet.output):
+                for fault in deliver(fleet.output, receivers, fleet.name):
+                    log.warning("%s", fault)
+    except StoreError as error:
+        log.warning("alarms: %s; what was delivered may be delivered again", error)
+
+
+def measure(fleet: Fleet, receivers: Sequence[Receiver], result: RunResult) -> None:
+    """Write the metrics; that they cannot be written costs nobody the run."""
+    if fleet.metrics_file is None:
+        return
+    output = fleet.output
+    try:
+        text = metrics_text(
+            fleet,
+            published_states(output, [spec.motor_id for spec in fleet.motors]),
+            result.outcomes,
+            result.seconds_by_stage,
+            backlogs(output, receivers, fleet.name),
+            last_good_run(output),
+        )
+        write_metrics(fleet.metrics_file, text)
+    except StoreError as error:
+        log.warning("%s; there are no metrics of this run", error)
