@@ -98,8 +98,7 @@ class Circuit:
         By motor, the first night whose rows are others than in the run before.
         """
         said = {
-            name: tuple(one for one in self.said if one.motor_id == name)
-            for name in self.histories
+            name: tuple(one for one in self.said if one.motor_id == name) for name in self.histories
         }
         read = {
             name: Read(replace(up_to(one, last), decisions=said[name]), self.alarms_of(name))
