@@ -10,11 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.config.nights import night as night_labelled
-<<<<<<< HEAD
-from pipeline.config.periods import ChosenPeriods
-=======
-from pipeline.trends.nights.decisions import Decision
->>>>>>> main
 from pipeline.trends.nights.history import History
 
 Places = NDArray[np.intp]
