@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
 from leakage.course.baseline import Baseline
 from leakage.course.monitoring import monitor
@@ -164,27 +165,9 @@ def baseline_of(
 
 def _decoded(document: Mapping[str, Any]) -> LookBaseline | None:
     try:
-        return LookBaseline(
-            key=document["key"],
-            first_night=_date(document["first_night"]),
-            last_night=_date(document["last_night"]),
-            model_hash=document["model_hash"],
-            theta=tuple(document["theta"]),
-            per_kelvin=document["per_kelvin"],
-            reference_c=document["reference_c"],
-            errors=BlockErrors(**document["errors"]),
-            limit=document["limit"],
-            lowest=tuple(document["lowest"]),
-            highest=tuple(document["highest"]),
-            level=document["level"],
-            known_scale=document["known_scale"],
-        )
-    except (KeyError, TypeError, ValueError):
+        return TypeAdapter(LookBaseline).validate_python(document)
+    except ValidationError:
         return None
-
-
-def _date(value: str | dt.date) -> dt.date:
-    return value if isinstance(value, dt.date) else dt.date.fromisoformat(value)
 
 
 def _outdated(

@@ -162,34 +162,16 @@ def refit_in_form(
 ) -> NightOutcome | None:
     """A night's outcome in another form: with the rollers' scale estimated, or as stated.
 
-    What needs samples stays, and so do the marks of nights that were read.
-
-    Parameters
-    ----------
-    spec
-        The motor in the form in which it is to be fitted.
-    outcome
-        The night in the other form.
-    published
-        Its rows as published, of a night that was not read; None of one that was.
-    previous
-        The motor's model before, by flushing mode.
-
-    Returns
-    -------
-    NightOutcome or None
-        None where its rows do not suffice.
+    `spec` has the form, `published` the rows of a night that was not read. What needs samples
+    stays, and so does the mark of a night that was read. None where the rows do not suffice.
     """
     rows = outcome.rows
     if published is None:
         kinds = {one: BLOCK_STATISTICS.schema[one] for one in BLOCK_COLUMNS}
         blocks = pl.DataFrame(rows["block_statistics"], kinds)
         published = PublishedNight(outcome.night, (), (), (), blocks)
-    night = replace(
-        published,
-        **{name: rows.get(name, getattr(published, name)) for name in KEPT_TABLES},
-    )
-    made = refit(spec, night, previous)
+    known = {name: rows.get(name, getattr(published, name)) for name in KEPT_TABLES}
+    made = refit(spec, replace(published, **known), previous)
     if made is None:
         return None
     is_refitted = {row["flushing_mode"]: row["is_refitted"] for row in rows["fits"]}

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.config.nights import night as night_labelled
-from pipeline.config.periods import ChosenPeriods
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 
@@ -101,7 +100,7 @@ def _changed_settings(history: History) -> list[tuple[int, str]]:
     before: tuple[bytes, bytes, str] | None = None
     for place in known.tolist():
         label = history.nights[place]
-        if ChosenPeriods.of(spec.file.periods, night_labelled(label, spec.settings.nights)):
+        if spec.file.periods.within(night_labelled(label, spec.settings.nights)):
             continue
         now = (bytes(models[place]), bytes(modes[place]), spec.file.oil_on(label))
         if before is not None and now != before and now[2] == before[2]:
