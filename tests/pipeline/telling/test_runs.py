@@ -13,8 +13,7 @@ from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.store.atomic_files import remove_all
 from pipeline.telling import delivering
-from tests.pipeline.cli.test_cli import Call
-from tests.pipeline.cli.test_cli import call as call  # a fixture
+from tests.pipeline.calling import Call
 from tests.pipeline.telling.fleet import keep, run, told_fleet, write_config
 from tests.pipeline.telling.servers import Hook, hook
 
