@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.config import Nights
+from pipeline.config.preparation import Nights
 
 DAY = dt.timedelta(days=1)
 
@@ -38,6 +38,11 @@ def night(date: dt.date, nights: Nights) -> Night:
 def _end_us(date: dt.date, nights: Nights) -> int:
     local = dt.datetime.combine(date, dt.time(nights.end_hour), nights.zone)
     return int(local.timestamp()) * 1_000_000
+
+
+def microseconds(time: dt.datetime) -> int:
+    """A time as UTC microseconds."""
+    return (time - dt.datetime(1970, 1, 1, tzinfo=dt.UTC)) // dt.timedelta(microseconds=1)
 
 
 def night_of(time_us: int, nights: Nights) -> dt.date:

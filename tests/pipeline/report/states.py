@@ -12,7 +12,6 @@ import pytest
 from pipeline.schema import ALARMS, FITS, TRENDS, frame
 from pipeline.store.tables import night_file, write_table
 from pipeline.trends.nights.decisions import Decision
-from tests.pipeline.cli.test_cli import call as call  # a fixture
 from tests.pipeline.trends.nights import configure, night_of
 
 LAST = 5

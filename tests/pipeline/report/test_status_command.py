@@ -19,8 +19,7 @@ from pipeline.store.tables import night_file, write_table
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.rows.motor_states import TOLD
 from pipeline.trends.states.words import size_words
-from tests.pipeline.cli.test_cli import Call
-from tests.pipeline.cli.test_cli import call as call  # a fixture
+from tests.pipeline.calling import Call
 from tests.pipeline.report.states import LAST, NAMES, output, trend
 from tests.pipeline.trends.nights import night_of
 
