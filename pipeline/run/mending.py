@@ -34,7 +34,6 @@ from pipeline.store.manifest import (
 from pipeline.store.tables import (
     ENDING,
     PUT_ASIDE,
-    Proof,
     day_of_run,
     days_of,
     read_table,
@@ -45,6 +44,7 @@ from pipeline.store.verification import (
     OF_MOTORS,
     OF_TRENDS,
     TABLE_OF,
+    Proof,
     TableFault,
     compare_published,
     fault_of,
