@@ -19,7 +19,8 @@ from pipeline.schema import (
     Table,
     frame,
 )
-from pipeline.store.tables import night_file, table_folder, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import night_file, table_folder
 from pipeline.store.views import write_views
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.rows.alarm_rows import alarm_rows

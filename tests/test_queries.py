@@ -21,7 +21,8 @@ from pipeline.schema import (
     SENSITIVITIES,
     TREND_TABLES,
 )
-from pipeline.store.tables import night_file, read_table, table_folder, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import night_file, read_table, table_folder
 from pipeline.trends.rows.alarm_rows import alarm_rows
 from tests.pipeline.trends.nights import (
     night_of,

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ RANK_TOLERANCE = 1e-9
 LEAST_BLOCKS = 5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots: their usual size is worked out once
 class ShortBlocks:
     """Means over the short blocks that stored blocks are made of, in time order.
 
@@ -75,6 +76,11 @@ class ShortBlocks:
     means: Array
     number: NDArray[np.int64]
     stored: NDArray[np.int64]
+
+    @cached_property
+    def usual_n(self) -> float:
+        """Median number of samples."""
+        return float(np.median(self.n))
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +161,7 @@ def slow_errors(
         return NOT_SLOW
     memories, ratios = _grid()
     seen = float(np.average(means[:, rank] ** 2, weights=short.n))
-    largest = LARGEST_SLOW * seen * float(np.median(short.n)) / (variance * within)
+    largest = LARGEST_SLOW * seen * short.usual_n / (variance * within)
     memories, ratios = memories[ratios <= largest], ratios[ratios <= largest]
     rows, log_variance = _innovations(means, short, memories, ratios)
     information = gram.sum(axis=0) + _grams(rows.transpose(2, 0, 1))
@@ -276,7 +282,7 @@ def _within_errors(gram: Array, short: ShortBlocks, rank: int) -> tuple[float, f
     expected = basis.shape[1] - float(np.sum(leverage**2))
     if expected <= RANK_TOLERANCE:
         return variance, 1.0
-    most = max(float(np.median(short.n)) / LEAST_WITHIN, 1.0)
+    most = max(short.usual_n / LEAST_WITHIN, 1.0)
     within = float(np.sum(scores**2)) / (variance * expected)
     return variance, min(max(within, 1.0), most)
 
@@ -286,7 +292,7 @@ def _innovations(
 ) -> tuple[Array, Array]:
     """Whitened means, shape (k, c, g), and the logarithm of the determinant of their covariance."""
     noise = 1.0 / np.maximum(short.n, 0.5)
-    size = ratio / float(np.median(short.n))
+    size = ratio / short.usual_n
     steps = np.diff(short.number, prepend=short.number[:1]).tolist()
     fading = {step: memory**step for step in set(steps)}
     shares = {step: (faded**2, (1.0 - faded**2) * size) for step, faded in fading.items()}

@@ -114,7 +114,7 @@ def refit(
         return None
     tables = REFITTED_TABLES + STARTS_TABLES * with_starts
     charge_bar = next(iter(fits.values()))["mean_charge_over_case_bar"]
-    at, _ = conditions(spec, blocks, charge_bar)
+    at = conditions(spec, blocks, charge_bar)
     is_elsewhere = any(_is_elsewhere(spec, row) for row in fits.values())
     tables += SENSITIVITIES_TABLES * is_elsewhere
     rows: Rows = {name: [] for name in tables}
@@ -125,7 +125,7 @@ def refit(
         before |= _night_factor(spec, before)
         sensitivities = [row for row in night.sensitivities if row["flushing_mode"] == mode]
         if is_elsewhere:
-            sensitivities = _sensitivities(spec, night.label, fits[mode], sensitivities, at)
+            sensitivities = _sensitivities(spec, night.label, fits[mode], sensitivities, at[0])
             rows["sensitivities"] += [key | row for row in sensitivities]
         try:
             found = fit_stored_blocks(
@@ -133,7 +133,7 @@ def refit(
                 night.label,
                 mode,
                 blocks,
-                charge_bar,
+                at,
                 before["weight_inflation"],
                 sensitivities,
                 search=with_starts,

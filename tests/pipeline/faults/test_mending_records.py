@@ -20,8 +20,9 @@ from pipeline.schema import (
     PREDICTIONS,
     QUALITY,
 )
+from pipeline.store.encoding import write_table
 from pipeline.store.manifest import manifest_file
-from pipeline.store.tables import night_file, read_rows, write_table
+from pipeline.store.tables import night_file, read_rows
 from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
 from tests.pipeline.faults.damage import (
     MONTH,

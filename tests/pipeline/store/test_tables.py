@@ -27,11 +27,13 @@ from pipeline.schema import (
     RUNS,
     SCHEMA_VERSION,
     TABLES,
+    TREND_TABLES,
     Table,
     frame,
 )
 from pipeline.store import tables as store
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
+from pipeline.store.encoding import write_table
 from pipeline.store.night_files import (
     NewRows,
     NightFile,
@@ -50,7 +52,6 @@ from pipeline.store.tables import (
     read_table,
     run_file,
     table_folder,
-    write_table,
 )
 
 NIGHT = dt.date(2026, 1, 2)
@@ -125,6 +126,13 @@ class TestLayout:
         stated = parts.metadata.metadata[b"motor_leakage_schema_version"]
         assert int(stated) == SCHEMA_VERSION
         assert file.stat().st_mode & 0o777 == 0o644
+
+    def test_a_night_of_many_rows_is_written_in_pieces(self, tmp_path: Path) -> None:
+        path = tmp_path / "t.parquet"
+        many = pl.concat([rows(row("M1")), *[rows(row("M2"))] * 40_000])
+        write_table(path, many)
+        assert pq.ParquetFile(path).num_row_groups == 3
+        assert_frame_equal(read_table(path, QUALITY), many)
 
     def test_an_analyst_s_plain_read_sees_each_row(self, tmp_path: Path) -> None:
         for night in (NIGHT, LATER):
@@ -530,6 +538,36 @@ class TestStaged:
             found = rows_of(staged, night)
             assert found is not None
             assert_frame_equal(found, rows(*expected, run_id="run"))
+
+    def test_more_motors_than_are_read_together(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The rows of a night come sorted by its key, with motors that have none."""
+        monkeypatch.setattr("pipeline.store.night_files.MOTORS_AT_ONCE", 2)
+        staged = {}
+        for motor_id, reasons in {"D": "b", "B": "ba", "A": "", "E": "a", "C": "a"}.items():
+            path = tmp_path / "quality" / f"{motor_id}.arrow"
+            some = [
+                row(motor_id, reason, night=night) for night in (LATER, NIGHT) for reason in reasons
+            ]
+            stage(
+                path,
+                QUALITY,
+                {n: [one for one in some if one["night"] == n] for n in (LATER, NIGHT)},
+            )
+            staged[motor_id] = StagedRows(path)
+        found = new_rows(QUALITY, staged, NIGHT, LATER, "run")
+        for night in (NIGHT, LATER):
+            assert sorted(found[night].motor_ids) == list("ABCDE")
+            keys = found[night].rows.select(QUALITY.key).rows()
+            assert [(one[0], one[3]) for one in keys] == [
+                ("B", "a"), ("B", "b"), ("C", "a"), ("D", "b"), ("E", "a")
+            ]  # fmt: skip
+            assert {one[1] for one in keys} == {night}
+
+    def test_keys_begin_with_the_motor(self) -> None:
+        """So that motors which are put together one after the other are sorted."""
+        assert {table.key[0] for table in (*NIGHT_TABLES, *TREND_TABLES)} == {"motor_id"}
 
     def test_a_worker_that_outlives_its_run_leaves_nothing(self, tmp_path: Path) -> None:
         """The run's folder is gone: the worker must not make it anew."""
