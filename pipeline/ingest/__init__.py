@@ -67,7 +67,7 @@ def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None =
     """
     with readable(path):
         reader, file = _opened(path, logs, channels, latest_us)
-        return _read(reader, file, channels)
+        return _with_constants(checked(file, called(file, reader.read)), channels)
 
 
 def can_grow(path: Path, logs: Logs) -> bool:
@@ -173,10 +173,6 @@ def _opened(
     file = LogFile(path, logs, in_order, latest_us)
     reader = reader_of(file)
     return reader, with_options(file, reader)
-
-
-def _read(reader: Reader, file: LogFile, channels: Channels) -> RawLog:
-    return _with_constants(checked(file, called(file, reader.read)), channels)
 
 
 def _with_constants(log: RawLog, channels: Channels) -> RawLog:

@@ -106,6 +106,13 @@ class Summary(NamedTuple):
     declared: Declared  # a writer may leave them out
     statistics: Statistics | None  # None where the writer left them out
 
+    def stated_count(self, topic: str) -> int | None:
+        """Number of messages of a topic; None where the writer left it out."""
+        if self.statistics is None:
+            return None
+        same = [i for i, one in self.declared.channels.items() if one.topic == topic]
+        return sum(self.statistics.counts_by_channel.get(i, 0) for i in same)
+
 
 def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
     """Begins of the records that lie whole in a buffer, and the end of the last of them.
@@ -140,8 +147,13 @@ def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[
     return everywhere[at]
 
 
-def read_summary(path: Path, file: BinaryIO) -> Summary:
-    """Footer and summary section of an open file, after its first bytes."""
+def read_summary(path: Path) -> Summary:
+    """Footer and summary section of a file."""
+    with path.open("rb") as file:
+        return _summary(path, file)
+
+
+def _summary(path: Path, file: BinaryIO) -> Summary:
     if file.read(len(MAGIC)) != MAGIC:
         raise LogError("log_not_mcap", path, "the file does not begin as MCAP does")
     footer_start = file.seek(0, 2) - len(MAGIC) - _FOOTER.size

@@ -27,8 +27,8 @@ from pipeline.ingest.contract import LogFile, RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.mcap.cdr import ROS2_LANGUAGES, cdr_decoder
 from pipeline.ingest.mcap.json import json_decoder, require_json_field
-from pipeline.ingest.mcap.layout import ChannelRecord, Schema, read_summary
-from pipeline.ingest.mcap.messages import Messages, read_messages, stated_counts
+from pipeline.ingest.mcap.layout import ChannelRecord, Schema
+from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
 from pipeline.ingest.mcap.payloads import (
     Decoded,
     Decoder,
@@ -156,13 +156,7 @@ def mcap_time_span(file: LogFile) -> tuple[int, int]:
 
 def _summary_span(path: Path, logs: Logs, latest_us: int | None) -> tuple[int, int] | None:
     """Span that the summary states, if it does."""
-    try:
-        with path.open("rb") as file:
-            statistics = read_summary(path, file).statistics
-    except LogError as error:
-        if logs.salvage and error.code in ("log_truncated", "log_damaged"):
-            return None
-        raise
+    statistics = summary_of(path, salvage=logs.salvage)[0].statistics
     if statistics is None or not statistics.message_count:
         return None
     log_times = [statistics.first_log_time, statistics.last_log_time]
@@ -219,9 +213,12 @@ def _states(
 
 def _content(path: Path, logs: Logs, wanted: _Wanted) -> _Content:
     names = tuple(wanted)
-    counts = stated_counts(path, salvage=logs.salvage)
+    summary, _ = summary_of(path, salvage=logs.salvage)
     content = _Content(
-        {name: _no_parts(fields, counts.get(name, 0)) for name, fields in wanted.items()}
+        {
+            name: _no_parts(fields, summary.stated_count(name) or 0)
+            for name, fields in wanted.items()
+        }
     )
     decoders = _Decoders(np.empty(0, np.int16), np.empty(0, np.int16))
     known = -1

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise, takewhile
@@ -97,8 +96,8 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
     counts: NDArray[np.int64] = np.zeros(2**16, dtype=np.int64)
     declared = Declared()
     read_to = len(MAGIC)
+    summary, damage = summary_of(path, salvage=salvage)
     with path.open("rb") as file:
-        summary, damage = _summary(path, file, salvage=salvage)
         pieces = _data_section(path, file, summary.start, declared, damage is None)
         try:
             for messages in pieces:
@@ -121,35 +120,24 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
     )
 
 
-def stated_counts(path: Path, *, salvage: bool = False) -> dict[str, int]:
-    """Messages by topic, as the summary states them; none where it does not.
+def _has_place(error: LogError) -> bool:
+    return error.code in ("log_damaged", "log_truncated") and error.place != _ANYWHERE
+
+
+def summary_of(path: Path, *, salvage: bool = False) -> tuple[Summary, LogError | None]:
+    """The summary; with `salvage`, an empty one where it cannot be read, and why.
 
     Raises
     ------
     LogError
         As `read_messages`.
     """
-    with path.open("rb") as file:
-        summary, _ = _summary(path, file, salvage=salvage)
-    counts = Counter[str]()
-    for number, channel in summary.declared.channels.items():
-        if summary.statistics is not None:
-            counts[channel.topic] += summary.statistics.counts_by_channel.get(number, 0)
-    return dict(counts)
-
-
-def _has_place(error: LogError) -> bool:
-    return error.code in ("log_damaged", "log_truncated") and error.place != _ANYWHERE
-
-
-def _summary(path: Path, file: BinaryIO, *, salvage: bool) -> tuple[Summary, LogError | None]:
-    """The summary; where it cannot be read, and may be missing, an empty one and why."""
     try:
-        return read_summary(path, file), None
+        return read_summary(path), None
     except LogError as error:
         if not salvage or not _has_place(error):
             raise
-        return Summary(file.seek(0, 2), Declared(), None), error
+        return Summary(path.stat().st_size, Declared(), None), error
 
 
 def _loss(path: Path, damage: LogError, read_to: int, summary: Summary, count: int) -> str:

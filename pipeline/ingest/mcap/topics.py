@@ -43,8 +43,7 @@ def read_topics(path: Path) -> list[Topic]:
 
     No more is read than is needed to see each topic.
     """
-    with path.open("rb") as file:
-        summary = read_summary(path, file)
+    summary = read_summary(path)
     payloads: dict[str, list[Payloads]] = {}
     topics: dict[str, Topic] = {}
     schemas: dict[str, Schema] = {}
@@ -63,11 +62,8 @@ def read_topics(path: Path) -> list[Topic]:
 
 
 def _topic(channel: ChannelRecord, schema: Schema | None, summary: Summary) -> Topic:
-    count = None
-    if summary.statistics is not None:
-        same = [i for i, one in summary.declared.channels.items() if one.topic == channel.topic]
-        count = sum(summary.statistics.counts_by_channel.get(i, 0) for i in same)
-    return Topic(channel.topic, channel.encoding, "" if schema is None else schema.name, count)
+    name = "" if schema is None else schema.name
+    return Topic(channel.topic, channel.encoding, name, summary.stated_count(channel.topic))
 
 
 def _take(

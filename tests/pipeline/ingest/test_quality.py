@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -13,243 +11,36 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.writer import Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
 import pipeline.ingest.csv.log
 import pipeline.ingest.mcap.log
 from pipeline.config import ConfigError, load_fleet
 from pipeline.errors import LogError
-from pipeline.ingest import RawChannel, RawLog, read_log
+from pipeline.ingest import RawChannel, read_log
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.csv.text import read_lines
 from pipeline.ingest.quality import quality_states
+from tests.pipeline.ingest.quality_files import (
+    CASES,
+    EXPECTED,
+    NUMBERS,
+    PRESSURE,
+    SPEED,
+    csv_lines,
+    every_way,
+    json_mcap,
+    protobuf_mcap,
+    read,
+    schema_mcap,
+    text,
+    wide_csv,
+)
 from tests.pipeline.simulated import motor_toml, write_configs
 
 from .sources import Source, changed, column
-from .writers import iso, mcap_bytes
-
-SPEED = column("n", "rpm", quality_source="quality")
-PRESSURE = column("dp", "bar", quality_source="quality")
-
-
-@dataclass(frozen=True)
-class Case:
-    """A cell, its quality, and whether the sample is bad; by the words of the config."""
-
-    value: float | None
-    quality: str | float | None
-    is_bad: bool
-
-
-# OPC DA 3.00, 6.8: 192 good, 216 forced by hand, 64 uncertain, 24 no connection, 0 bad.
-CASES = (
-    Case(1.0, "Good", False),
-    Case(2.0, " GOOD", False),
-    Case(3.0, 192, False),
-    Case(4.0, "Bad", True),
-    Case(5.0, "Uncertain", True),
-    Case(6.0, 216, True),
-    Case(7.0, 0, True),
-    Case(8.0, None, True),  # a value of which nobody says that it is good
-    Case(None, 24, True),  # no value, and the log says why
-    Case(None, "Bad", True),
-    Case(None, "Good", False),
-    Case(None, None, False),  # no sample at all
-    Case(9.0, "good", False),
-)
-NUMBERS = tuple(
-    replace(case, quality={"Good": 192, " GOOD": 192, "good": 192, "Bad": 8}.get(case.quality, 64))
-    if isinstance(case.quality, str)
-    else case
-    for case in CASES
-)
-EXPECTED = [case.is_bad for case in CASES]
-
-
-def read(written: tuple[Path, Source]) -> RawLog:
-    path, source = written
-    return read_log(path, *source)
-
-
-def stamps() -> pa.Array:
-    return pa.array([T0_US + i for i in range(len(CASES))], pa.timestamp("us", "UTC"))
-
-
-def text(cell: object) -> str:
-    return "" if cell is None else str(cell)
-
-
-def csv_lines(head: str, row: Callable[[Case], str]) -> str:
-    rows = [f"{iso(T0_US + i)}Z,{row(case)}" for i, case in enumerate(CASES)]
-    return "\n".join([f"time,{head}", *rows, ""])
-
-
-def wide_csv(folder: Path) -> tuple[Path, Source]:
-    path = folder / "log.csv"
-    path.write_text(csv_lines("n,quality,x", lambda c: f"{text(c.value)},{text(c.quality)},1"))
-    return path, Source.of("csv", {"speed": SPEED})
-
-
-def wide_csv_with_bad_cells(folder: Path) -> tuple[Path, Source]:
-    """Another column holds no number somewhere, so that cells are parsed as text."""
-    path, source = wide_csv(folder)
-    lines = path.read_text().splitlines()
-    lines[2:4] = [line[:-1] + "---" for line in lines[2:4]]
-    lines[5] = lines[5][:-1] + "broken"
-    path.write_text("\n".join([*lines, ""]))
-    return path, source.but({"speed": SPEED, "oil_temperature": column("x", "degC")})
-
-
-def csv_with_a_token_for_a_value(folder: Path) -> tuple[Path, Source]:
-    """A token that stands for no value in one column is a valid answer in the other."""
-    path, source = wide_csv(folder)
-    path.write_text(path.read_text().replace("Z,,Bad", "Z,Bad,Bad").replace("Z,,24", "Z,---,24"))
-    return path, source
-
-
-def long_csv(folder: Path) -> tuple[Path, Source]:
-    path = folder / "log.csv"
-    lines = csv_lines("channel,value,quality", lambda c: f"n,{text(c.value)},{text(c.quality)}")
-    others = [f"{iso(T0_US + i)}Z,dp,{i},Bad\n" for i in range(5)]
-    path.write_text(lines + "".join(others))
-    other = column("dp", "bar")
-    channels = {"speed": SPEED, "pressure_difference": other}
-    return path, Source.of("csv", channels, layout="long")
-
-
-def csv_of_a_channel(folder: Path) -> tuple[Path, Source]:
-    path = folder / "speed.csv"
-    path.write_text(csv_lines("value,quality", lambda c: f"{text(c.value)},{text(c.quality)}"))
-    other = changed(PRESSURE, source="dp*", quality_source="other quality")
-    channels = {"speed": changed(SPEED, source="sp*"), "pressure_difference": other}
-    return path, Source.of("csv", channels, layout="file_per_channel")
-
-
-def table(cases: tuple[Case, ...], kind: pa.DataType) -> pa.Table:
-    as_text = pa.types.is_string(kind)
-    cells = [c.quality if c.quality is None or not as_text else str(c.quality) for c in cases]
-    return pa.table(
-        {
-            "time": stamps(),
-            "n": pa.array([c.value for c in cases], pa.float64()),
-            "quality": pa.array(cells, kind),
-        }
-    )
-
-
-def wide_parquet(
-    cases: tuple[Case, ...], kind: pa.DataType, *, encoded: bool = False
-) -> Callable[[Path], tuple[Path, Source]]:
-    def write(folder: Path) -> tuple[Path, Source]:
-        path = folder / "log.parquet"
-        content = table(cases, kind)
-        if encoded:
-            content = content.set_column(2, "quality", content["quality"].dictionary_encode())
-        pq.write_table(content, path, row_group_size=4)
-        return path, Source.of("parquet", {"speed": SPEED})
-
-    return write
-
-
-def nested_parquet(folder: Path) -> tuple[Path, Source]:
-    flat = table(CASES, pa.string())
-    nested = pa.StructArray.from_arrays(
-        [flat["n"].combine_chunks(), flat["quality"].combine_chunks()], ["v", "q"]
-    )
-    path = folder / "log.parquet"
-    pq.write_table(pa.table({"time": stamps(), "speed": nested}), path)
-    speed = column("speed.v", "rpm", quality_source="speed.q")
-    return path, Source.of("parquet", {"speed": speed})
-
-
-def long_parquet(folder: Path) -> tuple[Path, Source]:
-    flat = table(CASES, pa.string())
-    n = len(CASES)
-    rows = pa.table(
-        {
-            "time": pa.concat_arrays([stamps(), stamps()]),
-            "channel": ["n"] * n + ["dp"] * n,
-            "value": pa.concat_arrays([flat["n"].combine_chunks(), pa.array([1.0] * n)]),
-            "quality": pa.concat_arrays([flat["quality"].combine_chunks(), pa.nulls(n, "string")]),
-        }
-    )
-    path = folder / "log.parquet"
-    pq.write_table(rows, path, row_group_size=5)
-    other = column("dp", "bar")
-    channels = {"speed": SPEED, "pressure_difference": other}
-    return path, Source.of("parquet", channels, layout="long")
-
-
-def json_mcap(cases: tuple[Case, ...]) -> Callable[[Path], tuple[Path, Source]]:
-    def write(folder: Path) -> tuple[Path, Source]:
-        messages = [
-            ("/n", (T0_US + i) * 1000, json.dumps({"value": c.value, "q": {"code": c.quality}}))
-            for i, c in enumerate(cases)
-        ]
-        path = folder / "log.mcap"
-        path.write_bytes(mcap_bytes([(topic, at, data.encode()) for topic, at, data in messages]))
-        speed = changed(SPEED, source="/n", quality_source="/n.q.code")
-        return path, Source.of("mcap", {"speed": speed})
-
-    return write
-
-
-def schema_mcap(
-    folder: Path, schema: tuple[str, str, bytes], encoding: str, payloads: list[bytes]
-) -> tuple[Path, Source]:
-    path = folder / "log.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=200)
-        writer.start()
-        channel = writer.register_channel("/n", encoding, writer.register_schema(*schema))
-        for i, payload in enumerate(payloads):
-            writer.add_message(channel, (T0_US + i) * 1000, payload, 0)
-        writer.finish()
-    return path, Source.of("mcap", {"speed": changed(SPEED, source="/n")})
-
-
-def protobuf_mcap(folder: Path) -> tuple[Path, Source]:
-    """Fields that say whether they are set."""
-    file = descriptor_pb2.FileDescriptorProto(name="n.proto", package="t", syntax="proto2")
-    kind = file.message_type.add(name="N")
-    types = descriptor_pb2.FieldDescriptorProto
-    for number, (name, cpp) in enumerate(
-        [("value", types.TYPE_DOUBLE), ("quality", types.TYPE_UINT32)], 1
-    ):
-        kind.field.add(name=name, number=number, type=cpp, label=types.LABEL_OPTIONAL)
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    make = message_factory.GetMessageClass(pool.FindMessageTypeByName("t.N"))
-    payloads = []
-    for case in NUMBERS:
-        given = {"value": case.value, "quality": case.quality}
-        set_ones = {name: value for name, value in given.items() if value is not None}
-        payloads.append(make(**set_ones).SerializeToString())
-    files = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
-    return schema_mcap(folder, ("t.N", "protobuf", files), "protobuf", payloads)
-
-
-EVERY_WAY = {
-    "csv": wide_csv,
-    "csv-cell-by-cell": wide_csv_with_bad_cells,
-    "csv-tokens": csv_with_a_token_for_a_value,
-    "csv-long": long_csv,
-    "csv-file-per-channel": csv_of_a_channel,
-    "parquet-text": wide_parquet(CASES, pa.string()),
-    "parquet-dictionary": wide_parquet(CASES, pa.string(), encoded=True),
-    "parquet-int16": wide_parquet(NUMBERS, pa.int16()),
-    "parquet-float32": wide_parquet(NUMBERS, pa.float32()),
-    "parquet-nested": nested_parquet,
-    "parquet-long": long_parquet,
-    "mcap-json-mixed": json_mcap(CASES),
-    "mcap-json-numbers": json_mcap(NUMBERS),
-    "mcap-protobuf": protobuf_mcap,
-}
-every_way = pytest.mark.parametrize("write", EVERY_WAY.values(), ids=EVERY_WAY.keys())
 
 
 @every_way

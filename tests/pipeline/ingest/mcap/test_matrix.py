@@ -21,7 +21,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 import pipeline.ingest.mcap.log
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
-from tests.pipeline.ingest.mcap.test_log import (
+from tests.pipeline.ingest.mcap.json_files import (
     DP,
     chunk_record,
     file_of,

@@ -1,0 +1,321 @@
+"""Records, chunks and damage of MCAP files, against the official reader and the specification."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+import pipeline.ingest.mcap.json
+import pipeline.ingest.mcap.log
+import pipeline.ingest.mcap.messages
+from pipeline.errors import LogError
+from pipeline.ingest import read_log, time_span
+from pipeline.ingest.conformance import T0_US
+from pipeline.ingest.mcap.chunks import indexed_positions, offsets_in_chunk
+from pipeline.ingest.mcap.layout import record_offsets
+from pipeline.ingest.mcap.messages import read_messages
+from tests.pipeline.ingest.mcap.json_files import (
+    DP,
+    MAGIC,
+    ONE,
+    SOURCE,
+    T0_NS,
+    channel_record,
+    chunk_record,
+    error,
+    file_of,
+    message_record,
+    messages,
+    read,
+    record,
+    statistics_record,
+    text,
+)
+from tests.pipeline.ingest.sources import column
+from tests.pipeline.ingest.writers import mcap_bytes
+
+
+def walked(path: Path) -> list[tuple[str, int, int, bytes]]:
+    return [
+        (
+            piece.channels[int(channel)].topic,
+            int(log_time),
+            int(publish_time),
+            bytes(piece.buffer[start:end]),
+        )
+        for piece in read_messages(path)
+        for channel, log_time, publish_time, start, end in zip(
+            piece.channel_id,
+            piece.times("log_time"),
+            piece.times("publish_time"),
+            piece.payload_start,
+            piece.payload_end,
+            strict=True,
+        )
+    ]
+
+
+def by_the_official_reader(path: Path) -> list[tuple[str, int, int, bytes]]:
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        return [
+            (channel.topic, message.log_time, message.publish_time, message.data)
+            for _, channel, message in reader.iter_messages(log_time_order=False)
+        ]
+
+
+def test_files_laid_out_by_hand_as_the_specification_says_are_read(tmp_path: Path) -> None:
+    """So that the damaged ones below are damaged in one place each."""
+    summary = DP + statistics_record({1: 2})
+    start = len(file_of(DP, ONE, ONE)) - 37
+    footer = struct.pack("<BQQQ", 0x02, 20, start, 0)
+    checksum = zlib.crc32(summary + footer)
+    for data in (
+        file_of(DP, ONE, ONE),
+        file_of(DP, ONE, ONE, summary=summary),
+        file_of(DP, ONE, ONE, summary=summary, checksum=checksum),
+        file_of(chunk_record(DP + ONE + ONE, DP + ONE + ONE, ""), summary=summary),
+    ):
+        assert read(tmp_path, data).rows == 2
+        assert time_span(tmp_path / "log.mcap", *SOURCE) == (T0_US, T0_US)
+
+
+@pytest.mark.parametrize("use_chunking", [True, False])
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_the_walk_gives_what_the_official_reader_gives(
+    tmp_path: Path, compression: CompressionType, use_chunking: bool
+) -> None:
+    rng = np.random.default_rng(2)
+    path = tmp_path / "log.mcap"
+    sent = [
+        (f"topic {rng.integers(5)}", int(rng.integers(2**63)), rng.bytes(int(rng.integers(60))))
+        for _ in range(2000)
+    ]
+    path.write_bytes(
+        mcap_bytes(sent, compression=compression, use_chunking=use_chunking, chunk_size=900)
+    )
+    assert walked(path) == by_the_official_reader(path)
+    assert [(topic, time, payload) for topic, time, _, payload in walked(path)] == sent
+
+
+@pytest.mark.parametrize("block", [1, 9, 100, 1000])
+def test_records_may_cross_the_blocks_in_which_a_file_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
+) -> None:
+    monkeypatch.setattr(pipeline.ingest.mcap.messages, "_BLOCK", block)
+    path = tmp_path / "log.mcap"
+    sent = messages([b'{"value": %d}' % i * (1 + i % 3) for i in range(300)])
+    for use_chunking in (True, False):
+        path.write_bytes(mcap_bytes(sent, chunk_size=500, use_chunking=use_chunking))
+        assert [(topic, time, payload) for topic, time, _, payload in walked(path)] == sent
+
+
+def test_attachments_metadata_and_unknown_records_are_passed_over(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    writer = Writer(buffer, chunk_size=50)
+    writer.start()
+    number = writer.register_channel("dp", "json", 0)
+    for i in range(20):
+        writer.add_message(number, T0_NS + i, b'{"value": %d}' % i, 0)
+        writer.add_attachment(T0_NS, T0_NS, "photo.jpg", "image/jpeg", bytes(5000))
+        writer.add_metadata("shift", {"driver": "A"})
+    writer.finish()
+    channel = read(tmp_path, buffer.getvalue()).channels["pressure_difference"]
+    assert channel.value.tolist() == [float(i) for i in range(20)]
+    unknown = record(0x80, b"private") + record(0x7F, b"")
+    chunk = unknown + DP + unknown + ONE + unknown
+    log = read(tmp_path, file_of(unknown, chunk_record(chunk, chunk, ""), unknown))
+    assert log.channels["pressure_difference"].value.tolist() == [1.0]
+
+
+def test_bare_messages_and_chunks_keep_the_order_of_the_file(tmp_path: Path) -> None:
+    inside = message_record(1, T0_NS, b'{"value": 2}') + message_record(1, T0_NS, b'{"value": 3}')
+    last = message_record(1, T0_NS, b'{"value": 4}')
+    packed = zstandard.compress(inside)
+    log = read(tmp_path, file_of(DP, ONE, chunk_record(inside, packed, "zstd"), last))
+    assert log.channels["pressure_difference"].value.tolist() == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_recordings_of_others_are_walked_as_the_official_reader_does(foreign_files: Path) -> None:
+    paths = sorted((foreign_files / "mcap").glob("*.mcap"))
+    assert len(paths) >= 7
+    for path in paths:
+        assert walked(path) == by_the_official_reader(path)
+        for topic in {topic for topic, *_ in walked(path)}:
+            source = SOURCE.but({"pressure_difference": column(topic, "bar")})
+            with pytest.raises(LogError, match="'value'; there are") as raised:
+                read_log(path, *source)
+            assert raised.value.code == "log_column_missing"
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd", ""])
+@pytest.mark.parametrize("size", [0, 1, -1, 2**20, -(2**20)])
+def test_a_chunk_that_unfolds_to_another_size_is_damage(
+    tmp_path: Path, compression: str, size: int
+) -> None:
+    records = DP + ONE * 100
+    pack = {"lz4": lz4.frame.compress, "zstd": zstandard.compress, "": bytes}[compression]
+    wrong_size = max(len(records) + size, 0)
+    data = file_of(chunk_record(records, pack(records), compression, size=wrong_size, checksum=0))
+    if size == 0:
+        assert read(tmp_path, data).rows == 100
+    else:
+        assert error(tmp_path, data).code == "log_damaged"
+
+
+def test_a_zstd_frame_that_does_not_say_its_size_is_read(tmp_path: Path) -> None:
+    records = DP + ONE
+    packed = zstandard.ZstdCompressor(write_content_size=False).compress(records)
+    assert read(tmp_path, file_of(chunk_record(records, packed, "zstd"))).rows == 1
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd"])
+def test_a_chunk_that_unfolds_without_end_is_stopped(tmp_path: Path, compression: str) -> None:
+    bomb = bytes(2**26)
+    packed = {"lz4": lz4.frame.compress, "zstd": zstandard.compress}[compression](bomb)
+    small = chunk_record(bomb, packed, compression, size=1000)
+    assert error(tmp_path, file_of(small)).code == "log_damaged"
+    claimed = chunk_record(bomb, packed, compression, size=2**28 + 1)
+    assert error(tmp_path, file_of(claimed)).code == "log_too_large"
+
+
+@pytest.mark.parametrize("name", ["gzip", "LZ4", "zstd ", "none"])
+def test_an_unknown_compression_is_an_error(tmp_path: Path, name: str) -> None:
+    records = DP + ONE
+    wrong = error(tmp_path, file_of(chunk_record(records, records, name)))
+    assert wrong.code == "log_compression"
+    assert repr(name) in wrong.message
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        file_of(chunk_record(DP + ONE, DP + ONE, "", checksum=1)),
+        file_of(chunk_record(DP + ONE, b"no frame", "zstd")),
+        file_of(chunk_record(DP + ONE, b"no frame", "lz4")),
+        file_of(chunk_record(DP + ONE, DP + ONE, "", packed_size=2**40)),
+        file_of(chunk_record(DP + ONE[:-1], DP + ONE[:-1], "")),
+        file_of(record(0x06, b"short")),
+        file_of(record(0x06, struct.pack("<QQQI", 0, 0, 0, 0) + struct.pack("<I", 2**31))),
+        file_of(record(0x06, struct.pack("<QQQI", 0, 0, 0, 0) + b"\x01\0\0\0\xff" + bytes(8))),
+        file_of(DP, record(0x05, bytes(21))),
+        file_of(ONE),
+        file_of(DP, channel_record(1, "other"), ONE),
+        file_of(record(0x04, b"\x01\0\0\0\xff\xff\xff\xff")),
+        file_of(record(0x04, b"\x01\0\0\0\x01\0\0\0\xff\x00\0\0\0")),
+        file_of(record(0x04, struct.pack("<HH", 1, 0) + text("dp") + b"\x0a\0\0\0json"), ONE),
+        file_of(DP, ONE, data_end=b""),
+        file_of(DP, ONE, data_end=record(0x0F, struct.pack("<I", 1))),
+        file_of(DP, ONE, struct.pack("<BQ", 0x05, 2**63)),
+        file_of(DP, ONE, b"\x05"),
+        file_of(DP, ONE, behind=b"\x05\x01"),
+        file_of(DP, ONE)[:-8] + b"\0" + MAGIC,
+        MAGIC + MAGIC + bytes(29) + MAGIC,
+        file_of(DP, ONE)[:-37] + b"\x82" + file_of(DP, ONE)[-36:],
+        file_of(DP, ONE, checksum=1),
+        file_of(DP, ONE, summary=DP, checksum=1),
+        file_of(DP, ONE, summary=DP[:-1]),
+        file_of(DP, ONE, summary=record(0x0B, b"short")),
+        file_of(DP, ONE, summary=record(0x04, b"short")),
+        file_of(DP, ONE, summary=statistics_record({1: 2})),
+        file_of(DP, channel_record(2, "dq"), ONE, ONE, summary=statistics_record({1: 1, 2: 1})),
+        file_of(DP, ONE)[:-29] + struct.pack("<QQI", 2**40, 0, 0) + MAGIC,
+        file_of(DP, ONE)[:-29] + struct.pack("<QQI", 3, 0, 0) + MAGIC,
+    ],
+    ids=range(31),
+)
+def test_damage_is_found(tmp_path: Path, data: bytes) -> None:
+    assert error(tmp_path, data).code == "log_damaged"
+
+
+def test_a_record_too_long_for_memory_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline.ingest.mcap.messages, "LONGEST_RECORD", 1000)
+    monkeypatch.setattr(pipeline.ingest.mcap.messages, "_BLOCK", 100)
+    assert error(tmp_path, file_of(record(0x80, bytes(2000)))).code == "log_too_large"
+
+
+def test_a_summary_that_says_something_else_is_damage(tmp_path: Path) -> None:
+    data = bytearray(mcap_bytes(messages([b'{"value": 1}'] * 7), enable_crcs=False))
+    at = data.rindex(record(0x0B, struct.pack("<Q", 7) + bytes(0))[9:], 0)
+    assert read(tmp_path, bytes(data)).rows == 7
+    # A chunk whose opcode is damaged is a record of an unknown kind, and its messages are gone.
+    chunk = data.index(b"zstd") - 4 - 28 - 9
+    assert data[chunk] == 0x06
+    data[chunk] = 0x86
+    assert error(tmp_path, bytes(data)).code == "log_damaged"
+    assert at > chunk
+
+
+@pytest.mark.parametrize("use_chunking", [True, False])
+def test_a_file_cut_anywhere_is_truncated(tmp_path: Path, use_chunking: bool) -> None:
+    data = mcap_bytes(messages([b'{"value": 1}'] * 50), use_chunking=use_chunking)
+    for length in range(8, len(data), 13):
+        assert error(tmp_path, data[:length]).code == "log_truncated"
+    # A record that ends as a file does: what is there is the start of another file's data.
+    assert error(tmp_path, data[:-100] + data[-37:]).code == "log_damaged"
+
+
+def test_bytes_behind_the_end_are_not_the_end(tmp_path: Path) -> None:
+    data = mcap_bytes(messages([b'{"value": 1}']))
+    assert error(tmp_path, data + b"\0").code == "log_truncated"
+    assert error(tmp_path, data + data).code == "log_damaged"
+
+
+@given(
+    sizes=st.lists(st.integers(0, 40), max_size=12),
+    lies=st.lists(st.tuples(st.integers(0, 12), st.integers(-40, 40)), max_size=3),
+    data=st.data(),
+)
+def test_an_index_is_believed_only_as_far_as_it_is_true(
+    sizes: list[int], lies: list[tuple[int, int]], data: st.DataObject
+) -> None:
+    """Payloads look like records, so that a wrong position leads to what looks like one."""
+    inner = record(0x05, bytes(3))
+    messages = [message_record(1, T0_NS, (inner * 4)[:size]) for size in sizes]
+    records = memoryview(b"".join([DP, *messages, DP]))
+    offsets, _ = record_offsets(records)
+    positions = np.array(offsets[1:-1], np.int64)
+    for which, step in lies:
+        if which < positions.size:
+            positions[which] += step
+    some = data.draw(st.lists(st.booleans(), min_size=positions.size, max_size=positions.size))
+    hint = np.sort(positions[np.array(some, np.bool_)])
+    for cut in (len(records), data.draw(st.integers(0, len(records)))):
+        found, found_end = offsets_in_chunk(records[:cut], hint)
+        wanted, wanted_end = record_offsets(records[:cut])
+        assert (found.tolist(), found_end) == (wanted, wanted_end)
+
+
+def test_positions_come_from_sound_index_records_alone() -> None:
+    index = struct.pack("<HI", 1, 32) + struct.pack("<4Q", 5, 900, 6, 100)
+    other = struct.pack("<HI", 2, 16) + struct.pack("<2Q", 7, 500)
+    found = indexed_positions([memoryview(one) for one in (index, other, b"", b"\0", index[:-1])])
+    assert found.tolist() == [100, 500, 900, 900]
+    assert indexed_positions([]).tolist() == []
+
+
+@pytest.mark.parametrize("wrong", [1, 9, 2**63, 2**64 - 9])
+def test_a_file_whose_index_is_wrong_is_read_the_same(tmp_path: Path, wrong: int) -> None:
+    records = DP + ONE * 50
+    good = [len(DP) + i * len(ONE) for i in range(50)]
+    logs = []
+    for positions in ([], good, [*good[:-1], wrong]):
+        content = b"".join(struct.pack("<QQ", T0_NS, position) for position in positions)
+        index = record(0x07, struct.pack("<HI", 1, len(content)) + content)
+        data = file_of(chunk_record(records, records, ""), index if positions else b"")
+        logs.append(read(tmp_path, data))
+    for log in logs:
+        assert log.channels["pressure_difference"].value.tolist() == [1.0] * 50
