@@ -45,28 +45,16 @@ WORN: tuple[tuple[str, int, Wear], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """A motor's nights; n of them, k coefficients.
+    """A motor's nights; n of them, k coefficients."""
 
-    Attributes
-    ----------
-    truth, mean, half
-        Coefficients, what the filter says, and half-widths, shape (n, k).
-    leakage, leakage_half, leakage_truth
-        The same of the reference leakage, shape (n,).
-    own_leakage
-        At the night's mean conditions over all nights, shape (n,).
-    flow, columns
-        Mean flow and columns of each night, shapes (n,) and (n, c).
-    """
-
-    truth: Array
-    mean: Array
+    truth: Array  # coefficients, shape (n, k)
+    mean: Array  # of what the filter says of them, with its half-widths
     half: Array
-    leakage: Array
+    leakage: Array  # at the reference conditions, shape (n,), with its half-widths and the truth
     leakage_half: Array
     leakage_truth: Array
-    flow: Array
-    columns: Array
+    flow: Array  # mean of each night, shape (n,)
+    columns: Array  # mean of each night, shape (n, c)
 
     def indicators(self, first: int) -> dict[str, tuple[Array, float]]:
         """What is watched, with its floor; the baseline's model is of the first nights."""

@@ -188,10 +188,11 @@ def standing(nights: Sequence[Night], rows: Sequence[Rows]) -> Standing:
         frame(table, [row for one in rows for row in one[table.name]])
         for table in (FITS, PARAMETERS, OPERATION)
     )
-    history = rows_by_night([spec], *frames)[spec.motor_id]
+    layouts = {spec.motor_id: Layout.of(spec, FIRST)}
+    history = rows_by_night([spec], layouts, *frames)[spec.motor_id]
     first, blocks = dt.date.min, NightBlocks(CONFIGS, (), nights=nights)
-    filtered = with_misfit(with_filter(history, (), first), (), first)
-    return standing_of(Part.of(with_duty(filtered, (), first, blocks), ()), None, None)
+    filtered = with_misfit(with_filter(history, first), first)
+    return standing_of(Part.of(with_duty(filtered, first, blocks)), None, None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ appendix B, for inch, pound-force and the gallons).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -29,96 +28,74 @@ class Conversion(NamedTuple):
     shift: float = 0.0
 
 
-def _table(entries: dict[str, Conversion]) -> Mapping[str, Conversion]:
-    return MappingProxyType(entries)
-
-
 _PSI_PA = 4.4482216152605 / 0.0254**2
 _US_GALLON_L = 3.785411784
 _IMPERIAL_GALLON_L = 4.54609
 
-UNITS: Mapping[str, Mapping[str, Conversion]] = MappingProxyType(
-    {
-        "pressure": _table(
-            {
-                "bar": Conversion(1.0),
-                "mbar": Conversion(1.0, 1000.0),
-                "Pa": Conversion(1.0, 1e5),
-                "kPa": Conversion(1.0, 100.0),
-                "MPa": Conversion(10.0),
-                "psi": Conversion(_PSI_PA, 1e5),
-            }
-        ),
-        "temperature": _table(
-            {
-                "degC": Conversion(1.0),
-                "degF": Conversion(5.0, 9.0, shift=-32.0),
-                "K": Conversion(1.0, shift=-273.15),
-            }
-        ),
-        "speed": _table(
-            {
-                "rpm": Conversion(1.0),
-                "1/s": Conversion(60.0),
-                "rad/s": Conversion(30.0, np.pi),
-                "deg/s": Conversion(1.0, 6.0),
-            }
-        ),
-        "flow": _table(
-            {
-                "l/min": Conversion(1.0),
-                "l/h": Conversion(1.0, 60.0),
-                "l/s": Conversion(60.0),
-                "ml/min": Conversion(1.0, 1000.0),
-                "cm3/min": Conversion(1.0, 1000.0),
-                "cm3/s": Conversion(60.0, 1000.0),
-                "m3/h": Conversion(1000.0, 60.0),
-                "m3/s": Conversion(60000.0),
-                "us_gal/min": Conversion(_US_GALLON_L),
-                "imperial_gal/min": Conversion(_IMPERIAL_GALLON_L),
-            }
-        ),
-        "time": _table(
-            {
-                "h": Conversion(1.0),
-                "min": Conversion(1.0, 60.0),
-                "s": Conversion(1.0, 3600.0),
-                "d": Conversion(24.0),
-            }
-        ),
-        "kinematic viscosity": _table(
-            {
-                "mm2/s": Conversion(1.0),
-                "cSt": Conversion(1.0),
-                "m2/s": Conversion(1e6),
-            }
-        ),
-        "dynamic viscosity": _table(
-            {
-                "mPa.s": Conversion(1.0),
-                "cP": Conversion(1.0),
-                "Pa.s": Conversion(1000.0),
-            }
-        ),
-    }
-)
+UNITS: Mapping[str, Mapping[str, Conversion]] = {
+    "pressure": {
+        "bar": Conversion(1.0),
+        "mbar": Conversion(1.0, 1000.0),
+        "Pa": Conversion(1.0, 1e5),
+        "kPa": Conversion(1.0, 100.0),
+        "MPa": Conversion(10.0),
+        "psi": Conversion(_PSI_PA, 1e5),
+    },
+    "temperature": {
+        "degC": Conversion(1.0),
+        "degF": Conversion(5.0, 9.0, shift=-32.0),
+        "K": Conversion(1.0, shift=-273.15),
+    },
+    "speed": {
+        "rpm": Conversion(1.0),
+        "1/s": Conversion(60.0),
+        "rad/s": Conversion(30.0, np.pi),
+        "deg/s": Conversion(1.0, 6.0),
+    },
+    "flow": {
+        "l/min": Conversion(1.0),
+        "l/h": Conversion(1.0, 60.0),
+        "l/s": Conversion(60.0),
+        "ml/min": Conversion(1.0, 1000.0),
+        "cm3/min": Conversion(1.0, 1000.0),
+        "cm3/s": Conversion(60.0, 1000.0),
+        "m3/h": Conversion(1000.0, 60.0),
+        "m3/s": Conversion(60000.0),
+        "us_gal/min": Conversion(_US_GALLON_L),
+        "imperial_gal/min": Conversion(_IMPERIAL_GALLON_L),
+    },
+    "time": {
+        "h": Conversion(1.0),
+        "min": Conversion(1.0, 60.0),
+        "s": Conversion(1.0, 3600.0),
+        "d": Conversion(24.0),
+    },
+    "kinematic viscosity": {
+        "mm2/s": Conversion(1.0),
+        "cSt": Conversion(1.0),
+        "m2/s": Conversion(1e6),
+    },
+    "dynamic viscosity": {
+        "mPa.s": Conversion(1.0),
+        "cP": Conversion(1.0),
+        "Pa.s": Conversion(1000.0),
+    },
+}
 """Units that a log may be in, by quantity; the first of each is the canonical one."""
 
-QUANTITIES: Mapping[str, str] = MappingProxyType(
-    {
-        "pressure_difference": "pressure",
-        "high_port_pressure": "pressure",
-        "low_port_pressure": "pressure",
-        "charge_pressure": "pressure",
-        "case_pressure": "pressure",
-        "oil_temperature": "temperature",
-        "speed": "speed",
-        "leakage_flow": "flow",
-        "running_hours": "time",
-        "kinematic_viscosity": "kinematic viscosity",
-        "dynamic_viscosity": "dynamic viscosity",
-    }
-)
+QUANTITIES: Mapping[str, str] = {
+    "pressure_difference": "pressure",
+    "high_port_pressure": "pressure",
+    "low_port_pressure": "pressure",
+    "charge_pressure": "pressure",
+    "case_pressure": "pressure",
+    "oil_temperature": "temperature",
+    "speed": "speed",
+    "leakage_flow": "flow",
+    "running_hours": "time",
+    "kinematic_viscosity": "kinematic viscosity",
+    "dynamic_viscosity": "dynamic viscosity",
+}
 """Quantity of each channel."""
 
 RUNNING_HOURS = "running_hours"
@@ -198,25 +175,6 @@ def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float
 @np.errstate(over="ignore", invalid="ignore")
 def from_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
     """Readings of a channel in a unit of a log: the inverse of `to_canonical`.
-
-    Parameters
-    ----------
-    channel
-        One of `CHANNELS`.
-    values : (n,)
-        Readings in bar, °C, rpm or l/min.
-    unit
-        One of `UNITS` for the channel's quantity.
-
-    Returns
-    -------
-    (n,) float64
-        Readings [unit].
-
-    Raises
-    ------
-    UsageError
-        ``channel_unknown`` or ``unit_unknown``.
 
     Examples
     --------

@@ -138,21 +138,9 @@ def above_level(
 
 
 def level_severity(deviation: Array, sd: float, rule: Levels) -> Severities:
-    """Severity by the levels over the baseline.
+    """Severity by the levels over the baseline, 0, 1 or 2, shape (n,).
 
-    Parameters
-    ----------
-    deviation
-        Relative deviation from the baseline, shape (n,); nights that are not finite hold.
-    sd
-        Relative standard deviation of the nights, from the safe side.
-    rule
-        The levels.
-
-    Returns
-    -------
-    ndarray
-        0, 1 or 2, shape (n,).
+    Nights without a figure hold. `sd` is the relative scatter of the nights, from the safe side.
     """
     found = np.zeros(len(deviation), dtype=np.int64)
     sudden = sudden_nights(deviation, sd, rule)
@@ -164,16 +152,8 @@ def level_severity(deviation: Array, sd: float, rule: Levels) -> Severities:
 def sudden_nights(deviation: Array, sd: float, rule: Levels) -> NDArray[np.bool_]:
     """Nights that rose at once by more than both the alarm level and so many deviations.
 
-    Parameters
-    ----------
-    deviation, sd, rule
-        As for :func:`level_severity`.
-
-    Returns
-    -------
-    ndarray
-        True where a night lies so far above the median of the good nights before it, at most
-        `of_nights`, or above the baseline where there is none; shape (n,).
+    They lie so far above the median of the good nights before them, at most `of_nights`, or above
+    the baseline where there is none.
 
     Examples
     --------
@@ -194,20 +174,7 @@ def sudden_nights(deviation: Array, sd: float, rule: Levels) -> NDArray[np.bool_
 
 
 def limit_severity(values: Array, limits: Limits, rule: Levels) -> Severities:
-    """Severity by the limits of the motor type, which need no baseline.
-
-    Parameters
-    ----------
-    values
-        The indicator itself, shape (n,); nights that are not finite hold.
-    limits, rule
-        Absolute limits, and how many nights it takes.
-
-    Returns
-    -------
-    ndarray
-        0, 1 or 2, shape (n,).
-    """
+    """Severity by the limits of the motor type, 0, 1 or 2, shape (n,); they need no baseline."""
     found = np.zeros(len(values), dtype=np.int64)
     for severity, limit in ((1, limits.warning), (2, limits.alarm)):
         if limit is not None:

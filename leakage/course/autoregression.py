@@ -23,19 +23,7 @@ LEAST_PAIRS = 10
 
 
 def correlation_to_previous(phi: float, nights: Nights) -> Array:
-    """φ^Δt of each night to the one before.
-
-    Parameters
-    ----------
-    phi
-        Correlation of neighbouring nights, 0 ≤ φ < 1.
-    nights
-        Numbers of the nights, increasing, shape (n,).
-
-    Returns
-    -------
-    ndarray
-        Shape (n,); 0 for the first, which has none before it.
+    """φ^Δt of each night to the one before, shape (n,); 0 for the first, which has none before it.
 
     Examples
     --------
@@ -126,26 +114,12 @@ def estimated_phi(residuals: Array, nights: Nights) -> float:
 
 
 def variance_of_mean(phi: float, nights: Nights) -> float:
-    """Variance of the plain mean of nights, in units of the variance of one.
-
-    Parameters
-    ----------
-    phi
-        Correlation of neighbouring nights.
-    nights
-        Their numbers, shape (n,).
-
-    Returns
-    -------
-    float
-        1/n for φ = 0, towards 1 for φ towards 1.
+    """Variance of the plain mean of nights, shape (n,), in units of the variance of one.
 
     Examples
     --------
-    >>> variance_of_mean(0.0, np.arange(4))
-    0.25
-    >>> variance_of_mean(0.5, np.array([0, 1]))
-    0.75
+    >>> variance_of_mean(0.0, np.arange(4)), variance_of_mean(0.5, np.array([0, 1]))
+    (0.25, 0.75)
     """
     if phi <= 0.0:
         return 1.0 / len(nights)
@@ -153,20 +127,7 @@ def variance_of_mean(phi: float, nights: Nights) -> float:
 
 
 def variance_of_sum(weights: Array, phi: float, nights: Nights) -> float:
-    """Variance of a weighted sum of nights, in units of the variance of one.
-
-    Parameters
-    ----------
-    weights
-        Shape (n,).
-    phi
-        Correlation of neighbouring nights.
-    nights
-        Their numbers, shape (n,).
-
-    Returns
-    -------
-    float
+    """Variance of a weighted sum of nights, shape (n,), in units of the variance of one.
 
     Examples
     --------

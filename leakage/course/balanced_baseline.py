@@ -106,19 +106,9 @@ class Balance:
 
 
 def balance(features: Array, samples: Array, target: Array) -> Balance:
-    """Weights that give some blocks the means of now.
+    """Weights that give features of blocks, shape (m, k), the means of now, the target, shape (k,).
 
-    Parameters
-    ----------
-    features, samples
-        Of the blocks, shapes (m, k) and (m,).
-    target
-        Means of now, shape (k,).
-
-    Returns
-    -------
-    Balance
-        The nearest that there is where the means cannot be reached: see its imbalance.
+    The nearest that there is where the means cannot be reached: see its imbalance.
 
     Examples
     --------
@@ -268,20 +258,10 @@ class Rises:
 
 
 def told_rises(found: Rises, baseline_nights: int) -> Array:
-    """Rise of each night that is told, over up to ten nights to it.
+    """Rise of each night that is told, over up to ten nights to it, shape (n,).
 
-    Parameters
-    ----------
-    found
-        The nights, in order.
-    baseline_nights
-        Nights of the baseline: a night scatters as one of them does.
-
-    Returns
-    -------
-    ndarray
-        Shape (n,): the rise where it is certain and the flow closes with it; no rise where there
-        may be none; nan between the two.
+    The rise where it is certain and the flow closes with it; no rise where there may be none; nan
+    between the two. A night scatters as one of the baseline's nights does.
     """
     result = np.full(len(found.rise), np.nan)
     known = np.flatnonzero(np.isfinite(found.rise))

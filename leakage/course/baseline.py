@@ -138,15 +138,15 @@ class Baseline:
     first_night: int
     last_night: int
     n: int
-    mean: float
-    sd: float
-    phi: float
-    floored_sd: float
-    floored_phi: float
-    mean_error: float
-    floored_mean_error: float
-    sloped: bool
-    reason: str
+    mean: float = math.nan
+    sd: float = math.nan
+    phi: float = math.nan
+    floored_sd: float = math.nan
+    floored_phi: float = math.nan
+    mean_error: float = math.nan
+    floored_mean_error: float = math.nan
+    sloped: bool = False
+    reason: str = ""
 
     def highest_sd(self, coverage: float = 0.95) -> float:
         r"""Upper bound of the standard deviation of the nights [unit].
@@ -208,7 +208,8 @@ def fit_baseline(
         reason = (
             f"{len(good)} good nights; a provisional baseline needs {chosen.provisional_nights}"
         )
-        return _insufficient(nights[good], reason)
+        first, last = (int(one) for one in nights[good[[0, -1]]]) if len(good) else (0, 0)
+        return Baseline("insufficient", first, last, len(good), reason=reason)
     nights, values = nights[good], values[good]
     median = float(np.median(values))
     # About the median, so that a constant series has no scatter of rounding.
@@ -253,26 +254,6 @@ def floored_phi(sd: float, floored_sd: float, phi: float) -> float:
         return 0.0
     ratio = (sd / floored_sd) ** 2 * phi / (1.0 - phi)
     return round(ratio / (1.0 + ratio), 12)
-
-
-def _insufficient(nights: Nights, reason: str) -> Baseline:
-    nan = float("nan")
-    first, last = (int(nights[0]), int(nights[-1])) if len(nights) else (0, 0)
-    return Baseline(
-        status="insufficient",
-        first_night=first,
-        last_night=last,
-        n=len(nights),
-        mean=nan,
-        sd=nan,
-        phi=nan,
-        floored_sd=nan,
-        floored_phi=nan,
-        mean_error=nan,
-        floored_mean_error=nan,
-        sloped=False,
-        reason=reason,
-    )
 
 
 def _floor(mean: float, settings: BaselineSettings) -> float:

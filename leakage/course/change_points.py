@@ -20,12 +20,12 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.special import ndtri
 
 from leakage.course.autoregression import (
     Array,
@@ -60,14 +60,12 @@ class Step:
     ----------
     night
         Number of the first night after it.
-    size, lower, upper
-        Level after less level before, and its 95 % interval for that night [unit].
+    size
+        Level after less level before [unit].
     """
 
     night: int
     size: float
-    lower: float
-    upper: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,20 +80,14 @@ class Changes:
         In order of time; of ``step`` and ``trend_and_step``.
     trend_from_night
         Night on which the trend begins, the first one where it goes all along; None without one.
-    trend_per_night
-        Its slope [unit a night].
     bic
         Of each model that could be fitted, by name; differences of 10 are very strong evidence.
-    phi
-        Correlation of neighbouring nights under the winner.
     """
 
     model: ChangeModel
-    steps: tuple[Step, ...]
-    trend_from_night: int | None
-    trend_per_night: float | None
-    bic: dict[ChangeModel, float]
-    phi: float
+    steps: tuple[Step, ...] = ()
+    trend_from_night: int | None = None
+    bic: Mapping[ChangeModel, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,11 +96,9 @@ class _Fitted:
 
     name: ChangeModel
     bic: float
-    phi: float
     trend_from: int | None
     places: tuple[int, ...]
     coefficients: Array
-    covariance: Array
 
 
 def find_changes(nights: Nights, values: Array) -> Changes:
@@ -142,7 +132,7 @@ def find_changes(nights: Nights, values: Array) -> Changes:
     check_series(nights, values)
     kept = np.flatnonzero(np.isfinite(values))[-MOST_NIGHTS:]
     if len(kept) < LEAST_NIGHTS:
-        return Changes("too_few_nights", (), None, None, {}, 0.0)
+        return Changes("too_few_nights")
     nights, values = nights[kept], values[kept]
     sd = _noise(values)
     if sd <= 1e-12 * float(np.max(np.abs(values))):
@@ -150,7 +140,16 @@ def find_changes(nights: Nights, values: Array) -> Changes:
     steady = _without_odd_nights(values, sd)
     best = _best_models(nights, steady)
     winner = min(best.values(), key=lambda model: model.bic)
-    return _told(winner, nights, {name: model.bic for name, model in best.items()})
+    sizes = winner.coefficients[1 if winner.trend_from is None else 2 :]
+    return Changes(
+        model=winner.name,
+        steps=tuple(
+            Step(int(nights[place]), float(size))
+            for place, size in zip(winner.places, sizes, strict=True)
+        ),
+        trend_from_night=None if winner.trend_from is None else int(nights[winner.trend_from]),
+        bic={name: model.bic for name, model in best.items()},
+    )
 
 
 def _best_models(nights: Nights, values: Array) -> dict[ChangeModel, _Fitted]:
@@ -226,18 +225,14 @@ def _likeliest(
     best = int(np.argmin(twice))
     triangle = triangles[best]
     k = len(triangle) - 1
-    inverse = np.linalg.inv(triangle[:k, :k])
-    variance = float(triangle[k, k]) ** 2 / max(n - k - 1, 1)
     # σ, φ and every column; the night on which a step or a later trend begins is found, too.
     p = 2 + k + len(places) + (1 if trend_from else 0)
     return _Fitted(
         name=name,
         bic=float(twice[best]) + p * math.log(n),
-        phi=float(PHI_GRID[best]),
         trend_from=trend_from,
         places=places,
-        coefficients=inverse @ triangle[:k, k],
-        covariance=variance * inverse @ inverse.T,
+        coefficients=np.linalg.solve(triangle[:k, :k], triangle[:k, k]),
     )
 
 
@@ -322,28 +317,7 @@ def _without_noise(nights: Nights, values: Array) -> Changes:
     """A series that does not scatter: every night on which it moves is a step."""
     places = np.flatnonzero(np.diff(values)) + 1
     steps = tuple(
-        Step(int(nights[place]), size, size, size)
+        Step(int(nights[place]), float(values[place] - values[place - 1]))
         for place in places.tolist()
-        for size in (float(values[place] - values[place - 1]),)
     )
-    return Changes("step" if steps else "none", steps, None, None, {}, 0.0)
-
-
-def _told(winner: _Fitted, nights: Nights, bic: dict[ChangeModel, float]) -> Changes:
-    half = float(ndtri(0.975)) * np.sqrt(np.diag(winner.covariance))
-    first = 1 if winner.trend_from is None else 2
-    steps = tuple(
-        Step(int(nights[place]), float(size), float(size - width), float(size + width))
-        for place, size, width in zip(
-            winner.places, winner.coefficients[first:], half[first:], strict=True
-        )
-    )
-    begin = winner.trend_from
-    return Changes(
-        model=winner.name,
-        steps=steps,
-        trend_from_night=None if begin is None else int(nights[begin]),
-        trend_per_night=None if begin is None else float(winner.coefficients[1]),
-        bic=bic,
-        phi=winner.phi,
-    )
+    return Changes("step" if steps else "none", steps)

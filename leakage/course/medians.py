@@ -8,17 +8,7 @@ from leakage.course.autoregression import Array
 
 
 def row_medians(values: Array) -> Array:
-    """Median of each row over the values that are there.
-
-    Parameters
-    ----------
-    values
-        Shape (n, m) with m ≥ 1; nan where there is none.
-
-    Returns
-    -------
-    ndarray
-        Shape (n,); nan for a row without values.
+    """Median of each row over the values that are there, shape (n,); nan for a row without values.
 
     Examples
     --------

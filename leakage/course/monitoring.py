@@ -210,27 +210,11 @@ def monitor(
 def change_size(
     nights: Nights, values: Array, baseline: Baseline, onset: int, place: int
 ) -> ChangeSize:
-    """Size of a change on a night, with its 95 % interval.
+    """Size of a change that began at a place, on a later one, with its 95 % interval.
 
-    Parameters
-    ----------
-    nights, values
-        As for :func:`monitor`.
-    baseline
-        Baseline that serves the night.
-    onset, place
-        Places in the series of the night on which the change began, and of the night.
-
-    Returns
-    -------
-    ChangeSize
-        From up to ten good nights since the change began. The interval holds the scatter of the
-        nights and the error of the baseline.
-
-    Notes
-    -----
-    A mean over ten nights lags behind wear that continues. The size is therefore the end of the
-    straight line through them; with fewer than five nights it is their mean.
+    From up to ten good nights since it began. The interval holds the scatter of the nights and the
+    error of the baseline. A mean over ten nights lags behind wear that continues, so the size is
+    the end of the straight line through them; with fewer than five nights it is their mean.
     """
     recent = onset + np.flatnonzero(np.isfinite(values[onset : place + 1]))[-NIGHTS_OF_SIZE:]
     weights = weights_of_now(nights[recent])
@@ -244,18 +228,9 @@ def change_size(
 
 
 def weights_of_now(nights: Nights) -> Array:
-    """Weights with which some nights tell what an indicator is in the last of them.
+    """Weights with which some nights tell what an indicator is in the last of them, shape (n,).
 
-    Parameters
-    ----------
-    nights
-        Numbers of the nights, increasing, shape (n,).
-
-    Returns
-    -------
-    ndarray
-        Of the end of the straight line through them, shape (n,), which sum to 1; all alike for
-        fewer than five nights.
+    Of the end of the straight line through them, which sum to 1; all alike for fewer than five.
 
     Examples
     --------

@@ -162,13 +162,7 @@ def night_information(
 
 
 def first_state(scale: Array) -> FilterState:
-    """Knowledge before the first night: hardly any.
-
-    Parameters
-    ----------
-    scale
-        θ₀, the configured coefficients, shape (k,); positive.
-    """
+    """Knowledge before the first night, hardly any; `scale` is θ₀, positive, shape (k,)."""
     nothing = np.zeros(len(scale))
     return FilterState(scale.copy(), np.diag((AT_FIRST * scale) ** 2), nothing, nothing)
 

@@ -202,21 +202,11 @@ class CourseFits:
 
 
 def theil_sen(position: Array, values: Array) -> float:
-    """Median slope between pairs of points.
+    """Median slope between pairs of points at increasing positions.
 
-    Parameters
-    ----------
-    position
-        Shape (n,), increasing; pairs at one position do not count.
-    values
-        Shape (n,), finite.
-
-    Returns
-    -------
-    float
-        All pairs up to 200 points. Beyond, about 20 000 of them, at distances spread evenly from
-        the nearest points to the farthest, so that its cost does not grow; its standard error is
-        then within a tenth of that of all pairs.
+    All pairs up to 200 points. Beyond, about 20 000 of them, at distances spread evenly from the
+    nearest points to the farthest, so that its cost does not grow; its standard error is then
+    within a tenth of that of all pairs. Pairs at one position do not count.
 
     Examples
     --------
@@ -233,15 +223,7 @@ def theil_sen(position: Array, values: Array) -> float:
 def benjamini_hochberg(p_values: Array) -> Array:
     """q-values: the false discovery rate at which each hypothesis would just be told [2]_.
 
-    Parameters
-    ----------
-    p_values
-        Shape (n,); nan where there is none, which does not count.
-
-    Returns
-    -------
-    ndarray
-        Shape (n,); nan stays nan.
+    A p that is nan does not count, and its q is nan.
 
     Examples
     --------
@@ -259,13 +241,7 @@ def benjamini_hochberg(p_values: Array) -> Array:
 
 
 def check_series(nights: Nights, *columns: Array) -> None:
-    """Raise where arrays of a series do not belong together.
-
-    Raises
-    ------
-    ShapeError
-        ``shape`` or ``night_order``.
-    """
+    """Raise ``shape`` or ``night_order`` where arrays of a series do not belong together."""
     lengths = sorted({len(nights), *(len(column) for column in columns)})
     if len(lengths) > 1:
         raise ShapeError(

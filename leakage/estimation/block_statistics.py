@@ -103,7 +103,6 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
     z = np.asarray(z, dtype=np.float64)
     if z.ndim != 2:
         raise StatisticsError("shape", f"samples must be a matrix, not of shape {z.shape}")
-    _require_finite("samples", z)
     sizes = np.diff(borders)
     columns = z.shape[1]
     # Rows of zeros change no factor: blocks of unequal size share one batched call.
@@ -112,10 +111,11 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
     step = max(1, BATCH_NUMBERS // (rows * columns))
     for first in range(0, len(sizes), step):
         batch = slice(first, first + step)
-        padded = np.zeros((len(sizes[batch]), rows, columns))
+        padded = np.zeros((len(sizes[batch]), columns, rows))
         for block, begin, size in zip(padded, borders[:-1][batch], sizes[batch], strict=True):
-            block[:size] = z[begin : begin + size]
-        found[batch] = _triangular(padded)
+            block[:, :size] = z.T[:, begin : begin + size]
+        found[batch] = _triangular(padded.transpose(0, 2, 1))
+    _require_finite("samples", found)
     return found
 
 

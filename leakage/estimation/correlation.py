@@ -47,7 +47,7 @@ def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -
     series = np.zeros((2, int(place[-1]) + 1))
     series[0, place] = 1.0
     series[1, place] = values - values.mean()
-    together = Segments.of(np.arange(series.shape[1]))
+    together = Segments(np.array([0]), np.array([series.shape[1]]))
     pairs, products = lagged_products(series, together, longest_lag, [(0, 0), (1, 1)])
     pairs = np.round(pairs)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -59,20 +59,9 @@ def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -
 def correlation_time(values: Array, index: NDArray[np.int64], longest_lag: int) -> float:
     """Lag over which the autocorrelation falls to 1/e of what it is at lag one [samples].
 
-    Counted from lag one, so that white noise on top of a slow error does not hide the slow one.
-
-    Parameters
-    ----------
-    values, index
-        As for :func:`autocorrelation`.
-    longest_lag
-        Largest lag looked at [samples].
-
-    Returns
-    -------
-    float
-        0 for errors without memory; infinite where it is longer than `longest_lag`, or than the
-        series can tell.
+    Counted from lag one, so that white noise on top of a slow error does not hide the slow one. 0
+    for errors without memory; infinite where it is longer than `longest_lag`, or than the series
+    can tell.
 
     Notes
     -----
@@ -114,32 +103,21 @@ def slowest_correlation_time(
 ) -> float:
     """The longer of the correlation times of a series and of its means over cells [samples].
 
-    A slow error under a larger fast one falls to 1/e with the fast one; in means over cells that
-    are long against the fast one, the slow one is left.
-
-    Parameters
-    ----------
-    values, index, longest_lag
-        As for :func:`autocorrelation`.
-    cell
-        Length of a cell [samples].
-
-    Returns
-    -------
-    float
-        As from :func:`correlation_time`.
+    A slow error under a larger fast one falls to 1/e with the fast one; in means over cells of
+    `cell` samples, long against the fast one, the slow one is left.
     """
     fast = correlation_time(values, index, longest_lag)
-    number, first = np.unique(index // cell, return_index=True)
-    if len(number) < 4 or cell < 2:
+    if cell < 2:
         return fast
-    sizes = np.diff(np.append(first, len(values)))
+    cells = np.arange(index[0] // cell, index[-1] // cell + 1)
+    first = np.searchsorted(index, cells * cell)
+    sizes = np.diff(first, append=len(values))
     whole = sizes >= cell / 2
     means = np.add.reduceat(values, first)[whole] / sizes[whole]
     longest = min(longest_lag // cell, int(whole.sum()) // 4)
     if longest < 2:
         return fast
-    return max(fast, cell * correlation_time(means, number[whole], longest))
+    return max(fast, cell * correlation_time(means, cells[whole], longest))
 
 
 def memory_s(error: Array, index: NDArray[np.int64], period_s: float, rounding: float) -> float:
@@ -160,7 +138,7 @@ def memory_s(error: Array, index: NDArray[np.int64], period_s: float, rounding: 
         0 without memory; infinite where it is longer than the samples can tell.
     """
     longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
-    if longest <= 1 or not float(np.abs(error).max()) > rounding:
+    if longest <= 1 or not max(error.max(), -error.min()) > rounding:
         return 0.0
     return (
         slowest_correlation_time(error, index, longest, round(MEMORY_CELL_S / period_s)) * period_s

@@ -135,10 +135,6 @@ def identify(
         Factor on all standard errors, of robust weights.
     slow
         Memory of the errors from block to block; the same that whitened the factors.
-
-    Returns
-    -------
-    Identification
     """
     # A bound on which the minimum lies is no knowledge: every coefficient that is not fixed counts.
     free = ~fit.certificate.fixed
@@ -197,7 +193,7 @@ def _judge(
         return Judgement("fixed", "held at its configured value", None)
     if distribution is None:
         return Judgement("too_little_data", ONE_BLOCK, None)
-    interval = distribution.interval(_unit(place, len(certificate.fixed)))
+    interval = distribution.interval(np.eye(len(certificate.fixed))[place])
     unseen = _unseen(place, path, fit, distribution, interval, excitation)
     if unseen is not None:
         return replace(unseen, information=interval)
@@ -256,12 +252,6 @@ def _size(path: LeakagePath, estimate: float) -> float:
     A flushing may be configured as 0; then the estimate is used.
     """
     return path.configured_coefficient or abs(estimate)
-
-
-def _unit(place: int, length: int) -> Array:
-    contrast = np.zeros(length)
-    contrast[place] = 1.0
-    return contrast
 
 
 def _missing_operation(path: LeakagePath, excitation: Excitation, span: float) -> str:
@@ -357,47 +347,33 @@ def judge_leakage(
         return LeakageJudgement(leakage, None, "fixed", reason, interval)
     if distribution is None:
         return LeakageJudgement(leakage, None, "too_little_data", ONE_BLOCK)
-    within_reach, outside = _beyond(excitation, conditions)
-    judged = _judged_leakage(leakage, interval, within_reach, outside, systematic_l_per_min)
-    return replace(judged, information=interval)
+    beyond = _beyond(excitation, conditions)
+    verdict, reason = _of_leakage(leakage, interval, beyond, systematic_l_per_min)
+    return LeakageJudgement(leakage, interval, verdict, reason, interval)
 
 
-def _judged_leakage(
-    leakage: float,
-    interval: Interval | None,
-    within_reach: bool,
-    outside: str,
-    systematic_l_per_min: float,
-) -> LeakageJudgement:
-    """Verdict on a leakage: its range first, then what it rests on, then its width."""
+def _of_leakage(
+    leakage: float, interval: Interval | None, beyond: tuple[bool, str], systematic: float
+) -> tuple[str, str]:
+    """Verdict on a leakage and its reason: its range, then what it rests on, then its width."""
+    within_reach, outside = beyond
     if not within_reach:
-        return LeakageJudgement(leakage, interval, "outside_fitted_range", outside)
+        return "outside_fitted_range", outside
+    few = None if interval is None else _too_little(interval, LEAST_FREEDOM_LEAKAGE)
     if interval is None:
-        reason = "the samples do not span these conditions"
-        return _not_told(leakage, None, "not_identified", reason, outside)
-    few = _too_little(interval, LEAST_FREEDOM_LEAKAGE)
-    if few is not None:
+        verdict, reason = "not_identified", "the samples do not span these conditions"
+    elif few is not None:
         verdict = "too_little_data" if few.verdict == "too_little_data" else "not_identified"
-        return _not_told(leakage, interval, verdict, few.reason, outside)
-    width = float(np.hypot(interval.half_width, systematic_l_per_min)) / max(abs(leakage), 1e-300)
-    known = f"known to ± {100 * width:.1f} % only"
-    if outside:
-        if width <= WIDEST_EXTRAPOLATED:
-            return LeakageJudgement(leakage, interval, "extrapolated", outside)
-    elif width <= WIDEST_IDENTIFIED:
-        return LeakageJudgement(leakage, interval, "identified", "")
-    elif width <= WIDEST_UNCERTAIN:
-        return LeakageJudgement(leakage, interval, "uncertain", known)
-    return _not_told(leakage, interval, "not_identified", known, outside)
-
-
-def _not_told(
-    leakage: float, interval: Interval | None, verdict: str, reason: str, outside: str
-) -> LeakageJudgement:
-    """Outside of the samples' range, that is the verdict, and the rest a part of its reason."""
-    if outside:
-        verdict, reason = "outside_fitted_range", f"{outside}; {reason}"
-    return LeakageJudgement(leakage, interval, verdict, reason)
+        reason = few.reason
+    else:
+        width = float(np.hypot(interval.half_width, systematic)) / max(abs(leakage), 1e-300)
+        verdict, reason = "not_identified", f"known to ± {100 * width:.1f} % only"
+        if outside and width <= WIDEST_EXTRAPOLATED:
+            return "extrapolated", outside
+        if not outside and width <= WIDEST_UNCERTAIN:
+            return ("uncertain", reason) if width > WIDEST_IDENTIFIED else ("identified", "")
+    # Outside of the samples' range, that is the verdict, and the rest a part of its reason.
+    return ("outside_fitted_range", f"{outside}; {reason}") if outside else (verdict, reason)
 
 
 def is_outside(excitation: Excitation, conditions: OperatingConditions) -> bool:

@@ -124,12 +124,9 @@ class Misfit:
     def of(cls, numbers: Array) -> Misfit:
         """Misfit from a row made by :meth:`numbers`."""
         (n, flow), score, *upper = np.split(numbers, (2, 8, 29, 50))
-        wholes = []
-        for triangle in upper:
-            whole = np.zeros((len(COLUMNS),) * 2)
-            whole[UPPER] = triangle
-            wholes.append(whole + np.triu(whole, 1).T)
-        gram, information, meat = wholes
+        wholes = np.zeros((3, len(COLUMNS), len(COLUMNS)))
+        wholes[:, *UPPER] = upper
+        gram, information, meat = wholes + np.triu(wholes, 1).transpose(0, 2, 1)
         return cls(float(n), float(flow), gram, information, score, meat)
 
 
@@ -264,17 +261,7 @@ def _beside(whole: Array, places: NDArray[np.int64], needed: NDArray[np.bool_]) 
 
 
 def structured_misfit(nights: Sequence[Misfit]) -> StructuredMisfit:
-    """Structured misfit of some nights together; each has loss factors of its own.
-
-    Parameters
-    ----------
-    nights
-        One or more.
-
-    Returns
-    -------
-    StructuredMisfit
-    """
+    """Structured misfit of one or more nights together; each has loss factors of its own."""
     n = sum(night.n for night in nights)
     flow = sum(night.flow_l_per_min for night in nights) / n
     gram, information, score, meat = (
@@ -333,13 +320,7 @@ def _inverse(gram: Array) -> Array:
 
 
 def model_verdict(misfit: StructuredMisfit) -> ModelVerdict | None:
-    """Verdict on a model from a structured misfit.
-
-    Returns
-    -------
-    str or None
-        None where noise alone would seem a misfit large enough to disprove it.
-    """
+    """Verdict on a model; None where noise alone would seem a misfit that disproves it."""
     many = misfit.n_nights >= NIGHTS_TOGETHER
     disproved = DISPROVED_OVER_TEN if many else DISPROVED_IN_ONE
     noise = CLEAR * misfit.noise_share

@@ -56,7 +56,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh, lstsq, toeplitz
 from scipy.special import chdtrc
 
 from leakage.errors import ShapeError, StatisticsError
@@ -76,6 +75,8 @@ LEAST_EIGENVALUE = 1e-3
 FEWEST_SAMPLES = 40 * LONGEST_LAG
 # Inputs that differ from their mean by less than this share of their size do not vary.
 CONSTANT = 1e-12
+# Singular values below this share of the largest are rounding.
+EPSILON = float(np.finfo(np.float64).eps)
 
 TOO_MANY_GAPS = "too few samples follow one another without a gap"
 PASSED, FAILED, NOT_TESTED = "passed", "failed", "not_tested"
@@ -218,15 +219,17 @@ def analyse_residuals(
     shapes = {np.shape(one) for one in (error, index, *inputs.values())}
     if len(shapes) > 1 or np.ndim(error) != 1:
         raise ShapeError("shape", f"error, index and inputs must be of one length, got {shapes}")
-    if not all(np.isfinite(one).all() for one in (error, *inputs.values())):
+    ranges = {name: _range(one) for name, one in inputs.items()}
+    error_range = _range(error)
+    if not np.isfinite([error_range, *ranges.values()]).all():
         raise StatisticsError("not_finite", "errors or inputs hold a value that is not finite")
     n = len(error)
     mean = float(error.mean()) if n else math.nan
-    reason = _untestable(error, mean, rounding)
+    reason = _untestable(n, error_range, mean, rounding)
     if reason is not None:
         nothing = _untested(reason)
         return ResidualAnalysis(n, mean, nothing, dict.fromkeys(inputs, nothing), None)
-    varying = {name: one for name, one in inputs.items() if _varies(one)}
+    varying = {name: one for name, one in inputs.items() if _varies(*ranges[name])}
     moments = ResidualMoments.of(error, list(varying.values()), index, correlation_time)
     tested = {name: _independence(moments, place) for place, name in enumerate(varying)}
     constant = _untested("the input does not vary")
@@ -239,11 +242,18 @@ def analyse_residuals(
     )
 
 
-def _untestable(error: Array, mean: float, rounding: float) -> str | None:
-    if len(error) < FEWEST_SAMPLES:
-        return f"{len(error)} samples, {FEWEST_SAMPLES} are needed"
-    largest = float(np.abs(error).max())
-    if float(np.abs(error - mean).max()) <= max(rounding, ROUNDING * largest):
+def _range(values: Array) -> tuple[float, float]:
+    """Smallest and largest value; nan if one is nan, 0 without values."""
+    return (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
+
+
+def _untestable(
+    n: int, error_range: tuple[float, float], mean: float, rounding: float
+) -> str | None:
+    if n < FEWEST_SAMPLES:
+        return f"{n} samples, {FEWEST_SAMPLES} are needed"
+    lowest, highest = error_range
+    if max(highest - mean, mean - lowest) <= max(rounding, ROUNDING * max(highest, -lowest)):
         return "the errors are rounding"
     return None
 
@@ -253,8 +263,8 @@ def _untested(reason: str) -> LagTest:
     return LagTest(np.empty(0, dtype=np.int64), empty, empty, reason=reason)
 
 
-def _varies(values: Array) -> bool:
-    return bool(np.ptp(values) > CONSTANT * np.abs(values).max())
+def _varies(lowest: float, highest: float) -> bool:
+    return highest - lowest > CONSTANT * max(highest, -lowest)
 
 
 def _whiteness(moments: ResidualMoments) -> LagTest:
@@ -279,7 +289,7 @@ def _independence(moments: ResidualMoments, place: int) -> LagTest:
     inner = moments.inner[0]
     if inner < LEAST_INNER_SHARE * n:
         return LagTest(lags, values, bounds, reason=TOO_MANY_GAPS)
-    size, axes = eigh(toeplitz(_covariances(moments, place)))
+    size, axes = np.linalg.eigh(_covariances(moments, place)[np.abs(lags[:, None] - lags)])
     known = size > LEAST_EIGENVALUE * size[-1]
     components = axes[:, known].T @ moments.crossed_inside[place]
     scatter = size[known] * _uneven_variance(moments, place, axes[:, known])
@@ -294,7 +304,7 @@ def _uneven_variance(moments: ResidualMoments, place: int, axes: Array) -> Array
     weighted = moments.thinned_inputs[place] @ np.ascontiguousarray(axes[::-1])
     error, squares = moments.thinned_error, weighted**2
     # What follows the input is what is tested for, not scatter.
-    rest = error - weighted @ lstsq(weighted, error)[0]
+    rest = error - weighted @ np.linalg.lstsq(weighted, error, rcond=EPSILON)[0]
     apart = (error @ error) * squares.mean(axis=0)
     together = np.divide(rest**2 @ squares, apart, out=np.ones(len(apart)), where=apart > 0)
     found: Array = np.maximum(together, 1.0)

@@ -6,14 +6,20 @@ they are for.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from leakage.estimation.lagged_products import Array, Mask, Places, Segments, lagged_products
+from leakage.estimation.lagged_products import (
+    Array,
+    Mask,
+    Places,
+    Segments,
+    lagged_products,
+    products_near_ends,
+)
 
 # Lags that are looked at: −25 to 25 of cross-correlations, 1 to 25 of the autocorrelation.
 LONGEST_LAG = 25
@@ -29,7 +35,7 @@ THINNED_SAMPLES = 2_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualMoments:
-    """Correlations of errors and inputs within segments, all scaled to variances of 1.
+    """Correlations of errors and inputs within segments, scaled to variances of 1.
 
     Attributes
     ----------
@@ -47,7 +53,7 @@ class ResidualMoments:
         Number of inner samples that another inner one follows after 0 to 50, shape (51,).
     thinned_error, thinned_inputs
         Errors at some inner samples, shape (c,), and inputs from 25 samples before to 25 after each
-        of them, shape (inputs, c, 51).
+        of them, shape (inputs, c, 51); both without their means, not scaled.
     longest_sum
         Largest lag of the sums over lags.
     """
@@ -78,56 +84,39 @@ class ResidualMoments:
         correlation_time
             How long the errors remember [samples], may be infinite.
         """
-        n = len(error)
+        n, count = len(error), 1 + len(inputs)
         longest_sum = int(
             min(max(SHORTEST_SUM, CORRELATION_TIMES * correlation_time), n * LONGEST_SUM_SHARE)
         )
         longest = longest_sum + 2 * LONGEST_LAG
         segments = Segments.of(index)
         inner = segments.without_ends(LONGEST_LAG)
-        count = len(inputs) + 1
-        series = np.empty((count + 1, n))
-        for row, values in enumerate((error, *inputs)):
-            np.subtract(values, values.mean(), out=series[row])
-            series[row] /= math.sqrt(float(series[row] @ series[row]) / n)
-        is_inner = inner.mask(n)
-        np.multiply(series[0], is_inner, out=series[count])
-        thinned = _thinned(np.flatnonzero(is_inner))
-        columns = range(1, count)
-        places = [(one, one) for one in range(count)]
-        for whose in (0, count):
-            places += [(whose, u) for u in columns] + [(u, whose) for u in columns]
-        sums = lagged_products(series, segments, longest, places)
+        series = np.empty((count, n))
+        for row, values in zip(series, (error, *inputs), strict=True):
+            np.subtract(values, values.mean(), out=row)
+        places = [(one, one) for one in range(count)] + [(0, one) for one in range(1, count)]
+        sums = lagged_products(series, segments, longest, places, behind=LONGEST_LAG)
+        own, crossed = sums[:count, LONGEST_LAG:], sums[count:, : 2 * LONGEST_LAG + 1]
+        inside = crossed - products_near_ends(series, segments, LONGEST_LAG)
+        size = np.sqrt(own[:, 0] / n)
+        scale = size[0] * size[1:, None]
         pairs = segments.pair_counts(longest)
         told = pairs >= LEAST_PAIR_SHARE * n
-        own = np.where(told, sums[:count] / np.maximum(pairs, 1.0), 0.0)
-        future, past, inner_future, inner_past = sums[count:].reshape(4, len(inputs), longest + 1)[
-            :, :, : LONGEST_LAG + 1
-        ]
+        own = np.where(told, own / np.maximum(pairs, 1.0), 0.0) / size[:, None] ** 2
+        thinned = inner.samples(
+            np.linspace(0, inner.n - 1, min(THINNED_SAMPLES, inner.n)).round().astype(np.int64)
+        )
+        surroundings = sliding_window_view(series[1:], 2 * LONGEST_LAG + 1, axis=1)
         return cls(
             pairs=pairs,
             told=told,
             error=own[0],
             inputs=own[1:],
-            crossed=np.hstack([future[:, :0:-1], past]),
-            crossed_inside=np.hstack([inner_future[:, :0:-1], inner_past]),
+            # The lag of the sums is that of the input behind the error.
+            crossed=crossed[:, ::-1] / scale,
+            crossed_inside=inside[:, ::-1] / scale,
             inner=inner.pair_counts(2 * LONGEST_LAG),
             thinned_error=series[0, thinned],
-            thinned_inputs=_surroundings(series[1:count], thinned),
+            thinned_inputs=surroundings[:, thinned - LONGEST_LAG],
             longest_sum=longest_sum,
         )
-
-
-def _thinned(places: Places) -> Places:
-    if len(places) <= THINNED_SAMPLES:
-        return places
-    return places[np.linspace(0, len(places) - 1, THINNED_SAMPLES).round().astype(np.int64)]
-
-
-def _surroundings(inputs: Array, places: Places) -> Array:
-    """Inputs from 25 samples before each place to 25 after it, shape (inputs, c, 51)."""
-    width = 2 * LONGEST_LAG + 1
-    found = np.empty((len(inputs), len(places), width))
-    for row, values in zip(found, inputs, strict=True):
-        row[:] = sliding_window_view(values, width)[places - LONGEST_LAG]
-    return found

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -111,22 +112,23 @@ def split_into_blocks(
     length = round(settings.block_s * SECOND_US)
     if not len(time_us):
         return ()
-    number = (time_us - night_start_us) // length
-    starts = np.flatnonzero(np.diff(number, prepend=-1))
-    ends = np.append(starts[1:], len(time_us))
-    numbers, sizes = number[starts], ends - starts
+    first, last = ((int(time_us[at]) - night_start_us) // length for at in (0, -1))
+    numbers = np.arange(first, last + 1)
+    starts = np.searchsorted(time_us, night_start_us + numbers * length)
+    sizes = np.diff(starts, append=len(time_us))
+    numbers, starts, sizes = (one[sizes > 0] for one in (numbers, starts, sizes))
     parts = _parts(numbers, sizes, settings)
     if chosen_periods:
         parts = _parts_as_chosen(time_us, starts, chosen_periods)
     return tuple(
-        Block(
-            int(first),
-            int(end),
-            night_start_us + int(k) * length,
-            night_start_us + (int(k) + 1) * length,
-            part,
+        Block(first, first + size, begin_us, begin_us + length, part)
+        for first, size, begin_us, part in zip(
+            starts.tolist(),
+            sizes.tolist(),
+            (night_start_us + numbers * length).tolist(),
+            parts,
+            strict=True,
         )
-        for first, end, k, part in zip(starts, ends, numbers, parts, strict=True)
     )
 
 
@@ -173,28 +175,15 @@ def _interleaved(numbers: NDArray[np.int64], settings: Windows) -> list[str]:
 
 def merge_neighbours(blocks: tuple[Block, ...], maximum: int) -> tuple[Block, ...]:
     """Blocks for storage: neighbours of the same part merged until at most `maximum` are left."""
+    runs = [list(run) for _, run in groupby(blocks, lambda block: block.part)]
     group = 1
-    merged = blocks
-    while len(merged) > maximum and group < len(blocks):
+    while sum(-(-len(run) // group) for run in runs) > maximum and group < len(blocks):
         group += 1
-        merged = _merged_by(blocks, group)
-    return merged
-
-
-def _merged_by(blocks: tuple[Block, ...], group: int) -> tuple[Block, ...]:
-    merged: list[Block] = []
-    count = 0
-    for block in blocks:
-        if merged and merged[-1].part == block.part and count < group:
-            last = merged[-1]
-            merged[-1] = Block(
-                last.first_row, block.end_row, last.start_us, block.end_us, block.part
-            )
-            count += 1
-        else:
-            merged.append(block)
-            count = 1
-    return tuple(merged)
+    merged = (run[at : at + group] for run in runs for at in range(0, len(run), group))
+    return tuple(
+        Block(one[0].first_row, one[-1].end_row, one[0].start_us, one[-1].end_us, one[0].part)
+        for one in merged
+    )
 
 
 ShortMeans: TypeAlias = tuple[list[float] | None, ...]

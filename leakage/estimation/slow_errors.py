@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ RANK_TOLERANCE = 1e-9
 LEAST_BLOCKS = 5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots: their usual size is worked out once
 class ShortBlocks:
     """Means over the short blocks that stored blocks are made of, in time order.
 
@@ -75,6 +76,11 @@ class ShortBlocks:
     means: Array
     number: NDArray[np.int64]
     stored: NDArray[np.int64]
+
+    @cached_property
+    def usual_n(self) -> float:
+        """Median number of samples."""
+        return float(np.median(self.n))
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,10 +161,10 @@ def slow_errors(
         return NOT_SLOW
     memories, ratios = _grid()
     seen = float(np.average(means[:, rank] ** 2, weights=short.n))
-    largest = LARGEST_SLOW * seen * float(np.median(short.n)) / (variance * within)
+    largest = LARGEST_SLOW * seen * short.usual_n / (variance * within)
     memories, ratios = memories[ratios <= largest], ratios[ratios <= largest]
     rows, log_variance = _innovations(means, short, memories, ratios)
-    information = gram.sum(axis=0) + _grams(rows.transpose(1, 0, 2))
+    information = gram.sum(axis=0) + _grams(rows.transpose(2, 0, 1))
     x, score = information[:, :rank, :rank], information[:, :rank, rank]
     explained = np.einsum("gi,gi->g", score, np.linalg.solve(x, score[:, :, None])[:, :, 0])
     squares = (information[:, rank, rank] - explained) / (variance * within)
@@ -198,7 +204,7 @@ def _whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
     rows, _ = _innovations(
         short.means, short, np.array([errors.memory]), np.array([errors.variance_ratio])
     )
-    rows = rows[:, 0]
+    rows = rows[:, :, 0]
     ones = factors[:, :, -3]
     root = np.sqrt(np.maximum(np.einsum("bi,bi->b", ones, ones), 0.5))
     direction = ones / root[:, None]
@@ -276,7 +282,7 @@ def _within_errors(gram: Array, short: ShortBlocks, rank: int) -> tuple[float, f
     expected = basis.shape[1] - float(np.sum(leverage**2))
     if expected <= RANK_TOLERANCE:
         return variance, 1.0
-    most = max(float(np.median(short.n)) / LEAST_WITHIN, 1.0)
+    most = max(short.usual_n / LEAST_WITHIN, 1.0)
     within = float(np.sum(scores**2)) / (variance * expected)
     return variance, min(max(within, 1.0), most)
 
@@ -284,22 +290,25 @@ def _within_errors(gram: Array, short: ShortBlocks, rank: int) -> tuple[float, f
 def _innovations(
     means: Array, short: ShortBlocks, memory: Array, ratio: Array
 ) -> tuple[Array, Array]:
-    """Whitened means, shape (k, g, c), and the logarithm of the determinant of their covariance."""
-    noise = (1.0 / np.maximum(short.n, 0.5)).tolist()
-    size = ratio / float(np.median(short.n))
+    """Whitened means, shape (k, c, g), and the logarithm of the determinant of their covariance."""
+    noise = 1.0 / np.maximum(short.n, 0.5)
+    size = ratio / short.usual_n
     steps = np.diff(short.number, prepend=short.number[:1]).tolist()
     fading = {step: memory**step for step in set(steps)}
     shares = {step: (faded**2, (1.0 - faded**2) * size) for step, faded in fading.items()}
-    rows = np.empty((len(means), len(memory), means.shape[1]))
-    variance = np.empty(rows.shape[:2])
-    state, spread = np.zeros(rows.shape[1:]), size
-    for place, step in enumerate(steps):
+    spreads, after = np.empty((len(means), len(memory))), size
+    for step, one, spread in zip(steps, noise.tolist(), spreads, strict=True):
         kept, fresh = shares[step]
-        spread = kept * spread + fresh
-        np.add(spread, noise[place], out=variance[place])
-        state *= fading[step][:, None]
-        np.subtract(means[place], state, out=rows[place])
-        state += (spread / variance[place])[:, None] * rows[place]
-        spread = spread * noise[place] / variance[place]
-    rows /= np.sqrt(variance)[:, :, None]
+        np.add(kept * after, fresh, out=spread)
+        after = spread * one / (spread + one)
+    variance = spreads + noise[:, None]
+    gains = spreads / variance
+    rows = np.empty((*means.shape, len(memory)))
+    state, move = np.zeros(rows.shape[1:]), np.empty(rows.shape[1:])
+    for step, mean, row, gain in zip(steps, means[:, :, None], rows, gains, strict=True):
+        state *= fading[step]
+        np.subtract(mean, state, out=row)
+        np.multiply(gain, row, out=move)
+        state += move
+    rows /= np.sqrt(variance)[:, None]
     return rows, np.log(variance).sum(axis=0)

@@ -27,7 +27,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,15 +97,7 @@ class _Searches:
     inverse_scale: Array
 
     def only(self, rows: Mask) -> _Searches:
-        return _Searches(
-            self.place[rows],
-            self.x[rows],
-            self.residual[rows],
-            self.jacobian[rows],
-            self.cost[rows],
-            self.radius[rows],
-            self.inverse_scale[rows],
-        )
+        return _Searches(*(getattr(self, one.name)[rows] for one in fields(self)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +112,8 @@ class _Model:
 
     def value(self, step: Array) -> Array:
         """m of a step, shape (w,)."""
-        flow = np.einsum("wrk,wk->wr", self.jacobian, step)
-        quadratic = np.einsum("wr,wr->w", flow, flow) + np.sum(self.curvature * step**2, axis=1)
-        result: Array = quadratic / 2 + np.sum(self.gradient * step, axis=1)
-        return result
+        a, b = self.along(step, np.zeros_like(step))
+        return a + b
 
     def along(self, direction: Array, start: Array) -> tuple[Array, Array]:
         """Coefficients a, b of m(start + t direction) = a t² + b t + constant, shape (w,) each."""
@@ -138,6 +128,8 @@ class _Model:
         return a / 2, b
 
 
+# What is not finite fails a start, or loses a comparison; it never needs a warning.
+@np.errstate(all="ignore")
 def minimise(
     residual: Callable[[Array], Array],
     jacobian: Callable[[Array], Array],
@@ -175,19 +167,6 @@ def minimise(
     >>> ends.x.round(6).ravel()
     array([1.414214, 1.414214])
     """
-    # What is not finite fails a start, or loses a comparison; it never needs a warning.
-    with np.errstate(all="ignore"):
-        return _minimise(residual, jacobian, starts, (lower, upper), tolerances)
-
-
-def _minimise(
-    residual: Callable[[Array], Array],
-    jacobian: Callable[[Array], Array],
-    starts: Array,
-    box: tuple[Array, Array],
-    tolerances: Tolerances,
-) -> Ends:
-    lower, upper = box
     x = np.clip(starts, lower + INWARDS * (upper - lower), upper - INWARDS * (upper - lower))
     ends = Ends(x.copy(), np.full(len(x), FAILED), np.ones(len(x), dtype=np.int64))
     values, slopes = residual(x), jacobian(x)
@@ -213,7 +192,7 @@ def _minimise(
         if not rest.all():
             going = going.only(rest)
             continue
-        status = _advance(going, model, residual, jacobian, box, tolerances, ends)
+        status = _advance(going, model, residual, jacobian, (lower, upper), tolerances, ends)
         ends.x[going.place] = going.x
         ends.status[going.place] = status
         going = going.only(np.asarray(status == _GOING))
@@ -230,9 +209,9 @@ def _model(going: _Searches, lower: Array, upper: Array) -> tuple[_Model, Array]
     d = np.sqrt(distance * going.inverse_scale) * scale
     curvature = np.abs(gradient) * scale
     optimality = np.max(np.abs(gradient) * distance, axis=1)
-    first = going.radius == 0.0
     size = np.linalg.norm(going.x / d, axis=1)
-    going.radius[first] = np.where(size > 0, size, 1.0)[first]
+    first = np.where(size > 0, size, 1.0)
+    going.radius = np.where(going.radius == 0.0, first, going.radius)
     model = _Model(
         d=d,
         gradient=d * gradient,
@@ -253,12 +232,10 @@ def _advance(
     ends: Ends,
 ) -> NDArray[np.int64]:
     """Try one step of every search, in place; says of each why it ended, or that it goes on."""
-    lower, upper = box
     full = _trust_region_step(model, going.residual, going.radius)
-    scaled, predicted = _step_in_box(going, model, full, lower, upper)
-    target = np.clip(
-        going.x + model.d * scaled, np.nextafter(lower, upper), np.nextafter(upper, lower)
-    )
+    scaled, predicted = _step_in_box(going, model, full, box)
+    inside = np.nextafter(*box), np.nextafter(*box[::-1])
+    target = np.clip(going.x + model.d * scaled, *inside)
     ends.evaluations[going.place] += 1
     values = residual(target)
     cost = np.einsum("wr,wr->w", values, values) / 2
@@ -269,10 +246,9 @@ def _advance(
     step = np.linalg.norm(target - going.x, axis=1)
     status = _ended(going, reduction, ratio, step, tolerances)
     at_edge = length > 0.95 * going.radius
-    shrink = (ratio < 0.25) | ~np.isfinite(cost)
-    going.radius[:] = np.where(
-        shrink, 0.25 * length, np.where((ratio > 0.75) & at_edge, 2.0 * going.radius, going.radius)
-    )
+    shrink, grow = (ratio < 0.25) | ~np.isfinite(cost), (ratio > 0.75) & at_edge
+    sizes = [0.25 * length, 2.0 * going.radius]
+    going.radius = np.select([shrink, grow], sizes, going.radius)
     better = reduction > 0
     going.x[better], going.residual[better] = target[better], values[better]
     going.cost[better] = cost[better]
@@ -344,22 +320,20 @@ def _secular(weighted: Array, s: Array, alpha: Array, radius: Array) -> tuple[Ar
 
 
 def _step_in_box(
-    going: _Searches, model: _Model, full: Array, lower: Array, upper: Array
+    going: _Searches, model: _Model, full: Array, box: tuple[Array, Array]
 ) -> tuple[Array, Array]:
     """The best of the shortened, the reflected and the gradient step; and what it promises."""
-    room, hit = _to_bound(going.x, model.d * full, lower, upper)
+    room, hit = _to_bound(going.x, model.d * full, *box)
     fits = room > 1.0
     shortened = full * np.where(fits, 1.0, room)[:, None]
-    reflected = _reflected(going, model, shortened, full, hit, room, lower, upper)
+    reflected = _reflected(going, model, shortened, np.where(hit, -full, full), room, box)
     cut = shortened * np.where(fits, 1.0, model.interior)[:, None]
-    downhill = _downhill(going, model, lower, upper)
-    candidates = np.stack([cut, reflected, downhill])
+    candidates = np.stack([cut, reflected, _downhill(going, model, box)])
     values = np.stack([model.value(step) for step in candidates])
     values = np.where(np.isfinite(values), values, np.inf)
     values[1:, fits] = np.inf
-    best = np.argmin(values, axis=0)
-    rows = np.arange(len(full))
-    return candidates[best, rows], -values[best, rows]
+    best = np.argmin(values, axis=0), np.arange(len(full))
+    return candidates[best], -values[best]
 
 
 def _to_bound(x: Array, step: Array, lower: Array, upper: Array) -> tuple[Array, Mask]:
@@ -374,17 +348,14 @@ def _reflected(
     going: _Searches,
     model: _Model,
     shortened: Array,
-    full: Array,
-    hit: Mask,
+    mirrored: Array,
     room: Array,
-    lower: Array,
-    upper: Array,
+    box: tuple[Array, Array],
 ) -> Array:
     """From the bound that the full step meets, on along the step mirrored there."""
-    mirrored = np.where(hit, -full, full)
     to_edge = _to_edge(shortened, mirrored, going.radius)
     on_bound = going.x + model.d * shortened
-    to_next, _ = _to_bound(on_bound, model.d * mirrored, lower, upper)
+    to_next, _ = _to_bound(on_bound, model.d * mirrored, *box)
     longest = np.where(to_next < to_edge, model.interior * to_next, to_edge)
     reach = np.minimum(to_next, to_edge)
     shortest = np.where(reach > 0, (1.0 - model.interior) * room / reach, 0.0)
@@ -395,12 +366,12 @@ def _reflected(
     return step
 
 
-def _downhill(going: _Searches, model: _Model, lower: Array, upper: Array) -> Array:
+def _downhill(going: _Searches, model: _Model, box: tuple[Array, Array]) -> Array:
     """Along the negative gradient, to the lowest point within radius and box."""
     direction = -model.gradient
     length = np.linalg.norm(direction, axis=1)
     to_edge = going.radius / np.where(length > 0, length, 1.0)
-    to_bound, _ = _to_bound(going.x, model.d * direction, lower, upper)
+    to_bound, _ = _to_bound(going.x, model.d * direction, *box)
     longest = np.where(to_bound < to_edge, model.interior * to_bound, to_edge)
     a, b = model.along(direction, np.zeros_like(direction))
     step: Array = _lowest(a, b, np.zeros_like(longest), longest)[:, None] * direction

@@ -157,15 +157,17 @@ def lag_one_autocorrelation(residual: Array, consecutive: NDArray[np.bool_]) -> 
     float or None
         φ̂; None where there is no pair or no spread.
     """
-    if not consecutive.any():
+    apart = np.flatnonzero(~consecutive)
+    pairs = len(consecutive) - len(apart)
+    if not pairs:
         return None
     centred = residual - residual.mean()
     variance = float(centred @ centred) / len(centred)
     # The mean of equal residuals is off by rounding, which would correlate perfectly.
-    if variance <= (ROUNDING * float(np.abs(residual).max())) ** 2:
+    if variance <= (ROUNDING * float(max(residual.max(), -residual.min()))) ** 2:
         return None
-    products = (centred[1:] * centred[:-1])[consecutive]
-    return float(products.mean() / variance)
+    products = centred[1:] @ centred[:-1] - centred[apart + 1] @ centred[apart]
+    return float(products) / pairs / variance
 
 
 def effective_sample_count(n: int, autocorrelation: float | None) -> float | None:

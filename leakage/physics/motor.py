@@ -174,14 +174,16 @@ def regressors(
     """
     column_paths = motor.column_paths
     known_paths = [(path, path.configured_coefficient) for path in motor.known_paths]
-    columns = np.empty((len(conditions), len(column_paths) + 2)) if out is None else out
+    shape = (len(conditions), len(column_paths) + 2)
+    # Column by column in memory: each is written, and decomposed, on its own.
+    columns = np.empty(shape, order="F") if out is None else out
     for rows, sides in _chunks(motor, conditions):
         for index, path in enumerate(column_paths):
             columns[rows, index] = _regressor(path, sides)
         columns[rows, -2] = 1.0
-        columns[rows, -1] = 0.0
-        for path, coefficient in known_paths:
-            columns[rows, -1] += coefficient * _regressor(path, sides)
+        columns[rows, -1] = sum(
+            coefficient * _regressor(path, sides) for path, coefficient in known_paths
+        )
     return columns
 
 

@@ -183,6 +183,12 @@ def _full_walther_viscosity(plain: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _require_temperature_range(temperature_c: NDArray[np.float64]) -> None:
     lowest, highest = TEMPERATURE_RANGE_C
+    # One that is nan is not compared, but looked at below.
+    if (
+        temperature_c.min(initial=lowest) >= lowest
+        and temperature_c.max(initial=highest) <= highest
+    ):
+        return
     outside = (temperature_c < lowest) | (temperature_c > highest)
     if np.any(outside):
         raise ValidityError(

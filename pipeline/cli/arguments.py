@@ -41,9 +41,7 @@ Output = Annotated[
         help="Output folder instead of the config's; it goes into no object store.",
     ),
 ]
-Motors = Annotated[
-    str, typer.Option(help="Ids of the motors to do, with blanks between; all if empty.")
-]
+Motors = Annotated[str, typer.Option(help="Ids of the motors, with blanks between; all if empty.")]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Motors fitted at the same time.")]
 
 

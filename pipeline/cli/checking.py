@@ -14,7 +14,7 @@ from pipeline.cli.arguments import (
     EXIT_MOTORS_FAILED,
     EXIT_OK,
     AsJson,
-    absolute_folder,
+    Output,
     load,
     say,
 )
@@ -57,12 +57,7 @@ def check(
         bool,
         typer.Option("--mend", help="With --tables: repair damage, and give up what is lost."),
     ] = False,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            callback=absolute_folder, help="Output folder of the tables, instead of the config's."
-        ),
-    ] = None,
+    output: Output = None,
 ) -> None:
     """Check the config of a fleet and the ends of each log; nothing is fitted.
 
@@ -137,7 +132,7 @@ def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, me
 
 def _say_faults(faults: Iterable[TableFault], event: str, mark: str, *, as_json: bool) -> None:
     for one in faults:
-        words = f"motor-leakage: {mark}{one.code}: {one.path}: {one.message}"
+        words = f"motor-leakage: {mark}{one}"
         say(json.dumps({"event": event, **asdict(one)}) if as_json else words, err=True)
 
 

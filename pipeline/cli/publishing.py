@@ -11,6 +11,7 @@ from pipeline.cli.arguments import (
     EXIT_MOTORS_FAILED,
     EXIT_OK,
     ConfigFile,
+    Motors,
     Output,
     absolute_folder,
     in_order,
@@ -52,12 +53,7 @@ def report(
         Path | None,
         typer.Argument(metavar="CONFIG", help="The fleet file; optional, the tables are enough."),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            callback=absolute_folder, help="Output folder with the tables, instead of the config's."
-        ),
-    ] = None,
+    output: Output = None,
     to: Annotated[
         Path | None,
         typer.Option(
@@ -135,9 +131,7 @@ def export(
         Path | None, typer.Option(metavar="FILE", help="Write all tables into one DuckDB file.")
     ] = None,
     tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
-    motors: Annotated[
-        str, typer.Option(help="Ids of the motors, with blanks between; all if empty.")
-    ] = "",
+    motors: Motors = "",
     since: Annotated[str | None, typer.Option(help="First night, YYYY-MM-DD.")] = None,
     until: Annotated[str | None, typer.Option(help="Last night, YYYY-MM-DD.")] = None,
     bom: Annotated[

@@ -17,7 +17,6 @@ from typing import Any
 from leakage import Motor
 from pipeline.config.fleet import MotorSpec
 from pipeline.config.nights import night as night_labelled
-from pipeline.config.periods import ChosenPeriods
 from pipeline.config.readers import reader_entry, reader_version
 
 # Raise it when the code makes other statistics of the same samples: old blocks then never merge
@@ -173,13 +172,7 @@ def reading_hash(spec: MotorSpec) -> str:
 
 @dataclass(slots=True)
 class SettingsHashes:
-    """Hashes of the settings that shape a motor's nights; a night's oil and periods are dated.
-
-    Parameters
-    ----------
-    spec
-        The motor.
-    """
+    """Hashes of the settings that shape a motor's nights; a night's oil and periods are dated."""
 
     spec: MotorSpec
     _statistics: dict[object, str] = field(default_factory=dict)
@@ -188,7 +181,7 @@ class SettingsHashes:
     def statistics(self, night: dt.date) -> str:
         """Hash of all that shapes a night's statistics, from its samples on."""
         spec = self.spec
-        by_hand = ChosenPeriods.of(spec.file.periods, night_labelled(night, spec.settings.nights))
+        by_hand = spec.file.periods.within(night_labelled(night, spec.settings.nights))
         key = (spec.file.oil_on(night), by_hand)
         if key not in self._statistics:
             motor = spec.stated.motor(night, spec.file.flushing.mode)
@@ -290,7 +283,7 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
             for name, channel in spec.file.channels.items()
         },
     }
-    by_hand = ChosenPeriods.of(spec.file.periods, night_labelled(night, spec.settings.nights))
+    by_hand = spec.file.periods.within(night_labelled(night, spec.settings.nights))
     if settings["estimation"]["loss"] == "huber":
         document["weights"] = "of all kept samples"
     if by_hand:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import Any, Literal
 
 from pydantic import AwareDatetime, Field
 
 from leakage import Constant, Parameter
+from leakage.estimation.sample_blocks import ChosenPeriods, Stretch
 from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.config.channels import NEVER_CONSTANT, Channel, ChannelName, channel_faults
 from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import field_path
 from pipeline.config.logs import Logs
+from pipeline.config.nights import Night, microseconds
 from pipeline.config.oil_samples import OilSample, order_faults
 from pipeline.config.section import Id, NonNegative, Section
 
@@ -56,6 +58,19 @@ class Periods(Section):
             yield (), "expected each period as [from, to], the later time second", None
         if any(one[1] > other[0] for one, other in pairwise(periods)):
             yield (), "expected periods that do not overlap", None
+
+    def within(self, night: Night) -> ChosenPeriods:
+        """Those that touch a night, in order of time."""
+
+        def touching(chosen: Iterable[tuple[dt.datetime, dt.datetime]]) -> tuple[Stretch, ...]:
+            stretches = sorted((microseconds(begin), microseconds(end)) for begin, end in chosen)
+            return tuple(
+                (begin, end)
+                for begin, end in stretches
+                if begin < night.end_us and end > night.start_us
+            )
+
+        return ChosenPeriods(touching(self.training), touching(self.validation))
 
 
 class FlushingTable(Section):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.config import Nights
+from pipeline.config.preparation import Nights
 
 DAY = dt.timedelta(days=1)
 
@@ -40,15 +40,13 @@ def _end_us(date: dt.date, nights: Nights) -> int:
     return int(local.timestamp()) * 1_000_000
 
 
-def night_of(time_us: int, nights: Nights) -> dt.date:
-    """Label of the night in which a moment lies.
+def microseconds(time: dt.datetime) -> int:
+    """A time as UTC microseconds."""
+    return (time - dt.datetime(1970, 1, 1, tzinfo=dt.UTC)) // dt.timedelta(microseconds=1)
 
-    Parameters
-    ----------
-    time_us
-        UTC microseconds.
-    nights
-        Time zone and hour at which a night ends.
+
+def night_of(time_us: int, nights: Nights) -> dt.date:
+    """Label of the night in which a moment lies [µs since 1970].
 
     Examples
     --------

@@ -91,10 +91,7 @@ def write_demo(
 def shipped_configs() -> Path:
     """Folder of the shipped configs: the package's, or the repository's.
 
-    Raises
-    ------
-    UsageError
-        ``demo_configs``: there is none, the installation is not whole.
+    Raises UsageError (``demo_configs``) if there is none: the installation is not whole.
     """
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "shipped_configs", package.parent / "configs"):

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
 from leakage.course.baseline import Baseline
 from leakage.course.monitoring import monitor
@@ -127,13 +128,6 @@ def baseline_of(
 ) -> LookBaseline | str:
     """The motor's baseline, or why there is none.
 
-    Parameters
-    ----------
-    output
-        Output folder.
-    spec, record, decisions
-        The motor, the record of its trends, and what people said of it.
-
     Raises
     ------
     StoreError
@@ -164,27 +158,9 @@ def baseline_of(
 
 def _decoded(document: Mapping[str, Any]) -> LookBaseline | None:
     try:
-        return LookBaseline(
-            key=document["key"],
-            first_night=_date(document["first_night"]),
-            last_night=_date(document["last_night"]),
-            model_hash=document["model_hash"],
-            theta=tuple(document["theta"]),
-            per_kelvin=document["per_kelvin"],
-            reference_c=document["reference_c"],
-            errors=BlockErrors(**document["errors"]),
-            limit=document["limit"],
-            lowest=tuple(document["lowest"]),
-            highest=tuple(document["highest"]),
-            level=document["level"],
-            known_scale=document["known_scale"],
-        )
-    except (KeyError, TypeError, ValueError):
+        return TypeAdapter(LookBaseline).validate_python(document)
+    except ValidationError:
         return None
-
-
-def _date(value: str | dt.date) -> dt.date:
-    return value if isinstance(value, dt.date) else dt.date.fromisoformat(value)
 
 
 def _outdated(
@@ -217,11 +193,11 @@ def _made(
     if nights.history is None:
         return "the nightly run has not published a night yet"
     history = nights.history
-    eras = eras_of(history, decisions)
+    eras = eras_of(history)
     era = eras[-1]
     places = era.segment.first + np.flatnonzero(history.fitted[era.segment.first :])
     flow = indicators_of(history, eras)
-    baseline = _watched_baseline(history, decisions, flow)
+    baseline = _watched_baseline(history, flow)
     if era.model is None or baseline is None or len(places) < NIGHTS[0]:
         return (
             f"{len(places)} of {NIGHTS[0]} good nights for a baseline: whether the leakage changes "
@@ -273,14 +249,12 @@ def _blocks(
     return Blocks.joined(parts) if parts else None
 
 
-def _watched_baseline(
-    history: History, decisions: Sequence[Decision], indicators: Mapping[str, Indicator]
-) -> Baseline | None:
+def _watched_baseline(history: History, indicators: Mapping[str, Indicator]) -> Baseline | None:
     """Baseline of the drain flow that serves the alarms of the last night."""
-    segment = segments(history, decisions, DEVIATION)[-1]
+    segment = segments(history, DEVIATION)[-1]
     settings = monitor_settings(history.spec, indicators[DEVIATION], len(indicators))
-    here = slice(segment.first, segment.end)
-    followed = monitor(history.numbers[here], indicators[DEVIATION].watched[here], settings)
+    series = indicators[DEVIATION].watched[segment.here]
+    followed = monitor(history.numbers[segment.here], series, settings)
     return followed.baselines[-1] if followed.baselines else None
 
 

@@ -77,25 +77,10 @@ def looked_at(
     now_us: int,
     latest_us: int,
 ) -> tuple[LookState, list[Change]]:
-    """Take up what is new in a motor's logs.
+    """Take up what is new in a motor's logs: the state after it, and its changes in order.
 
-    Parameters
-    ----------
-    spec, baseline
-        The motor, and what it is compared with.
-    state
-        State before.
-    last_night
-        The last night that is published: a first look begins behind it.
-    now_us, latest_us
-        The time, and that after which samples are refused [µs since 1970].
-
-    Returns
-    -------
-    LookState
-        State after it.
-    list of Change
-        In order.
+    A first look begins behind `last_night`, the last that is published; samples after `latest_us`
+    are refused.
     """
     state, changes = _begun(spec, baseline, state, last_night, now_us)
     most_bytes = PASS_BYTES

@@ -129,7 +129,7 @@ def fit_stored_blocks(
     night: dt.date,
     mode: str,
     blocks: StoredBlocks,
-    charge_bar: float | None,
+    at: tuple[OperatingConditions, OperatingConditions],
     inflation: float,
     sensitivities: Sequence[Mapping[str, Any]],
     *,
@@ -143,8 +143,8 @@ def fit_stored_blocks(
         Motor, in the form in which it is fitted, night (it tells the oil) and mode of flushing.
     blocks
         Blocks of all kept samples.
-    charge_bar
-        Mean charge above case pressure; None in a model of one side.
+    at
+        The reference conditions, and the mean ones of the blocks: :func:`conditions`.
     inflation
         Factor on standard errors that robust weights ask for; 1 without them.
     sensitivities
@@ -171,17 +171,17 @@ def fit_stored_blocks(
         made = fit_blocks(samples, free)
     fitted, excitation = made.fit, samples.excitation
     identification = made.identified(excitation, inflation)
-    at = dict(zip((REFERENCE, OWN), conditions(spec, blocks, charge_bar), strict=True))
+    where = dict(zip((REFERENCE, OWN), at, strict=True))
     own_means = blocks.means()
     structured = None if stated.misfit is None else structured_misfit([stated.misfit])
     own_structured = structured
     if made is not stated and made.misfit is not None:
         own_structured = structured_misfit([made.misfit])
     errors = _errors(
-        made, identification, excitation, (own_structured, structured), at, sensitivities
+        made, identification, excitation, (own_structured, structured), where, sensitivities
     )
     reference, own = (
-        judge_leakage(fitted, identification, excitation, at[name], errors[name].beside_samples)
+        judge_leakage(fitted, identification, excitation, where[name], errors[name].beside_samples)
         for name in (REFERENCE, OWN)
     )
     total = {
@@ -204,7 +204,7 @@ def fit_stored_blocks(
             fitted.certificate.off_bounds,
             samples.means[:, 0] - own_means[1],
         ),
-        reference_conditions=at[REFERENCE],
+        reference_conditions=where[REFERENCE],
         reference=reference,
         own=own,
         bootstrap=block_bootstrap(

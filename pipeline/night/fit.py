@@ -38,15 +38,14 @@ def fit_modes(
     EstimationError
         If there are fewer samples than free coefficients.
     """
-    charge_bar = mean_charge_bar(spec, statistics.samples)
-    at = conditions(spec, blocks, charge_bar)
+    at = conditions(spec, blocks, mean_charge_bar(spec, statistics.samples))
     fits, rows = [], []
     for mode in spec.file.flushing.modes:
         motor = spec.stated.motor(night, mode)
         budget = _budget(spec, statistics, motor, at, night)
         sensitivities = sensitivity_rows(motor, budget, assumed_sensors(spec))
         found = fit_stored_blocks(
-            spec, night, mode, blocks, charge_bar, statistics.inflation, sensitivities
+            spec, night, mode, blocks, at, statistics.inflation, sensitivities
         )
         error = statistics.error_of(found.stated.training.coefficients)
         memory_s = _memory_s(statistics, error)

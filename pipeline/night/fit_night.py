@@ -21,7 +21,6 @@ from leakage.estimation.sample_blocks import TRAINING
 from pipeline.arrays import chosen_rows
 from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
-from pipeline.config.periods import ChosenPeriods
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, judged_channel, ordered_channel
@@ -279,7 +278,7 @@ def choose_parts(
         samples.period_us,
         night.start_us,
         settings.windows,
-        ChosenPeriods.of(file.periods, night),
+        file.periods.within(night),
     )
     counted = tuple(Quality.of("time_base", reason, mask) for reason, mask in masks.items())
     outside = reduce(np.logical_or, masks.values())

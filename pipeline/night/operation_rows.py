@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from itertools import pairwise
 from typing import Any
 
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 HOUR_US = 3_600_000_000
+# Samples that are counted together.
+NEIGHBOURS = 1 << 14
 
 
 def operation_row(
@@ -81,7 +84,7 @@ def _conditions(samples: Samples) -> Row:
         "mean_temperature_c": float(temperature.mean()),
         "mean_speed_rpm": float(speed.mean()),
         "mean_flow_l_per_min": float(samples.leakage_l_per_min.mean()),
-        "share_reversed": float(np.mean(samples.speed_rpm < 0)),
+        "share_reversed": np.count_nonzero(samples.speed_rpm < 0) / len(speed),
         "pressure_histogram": coarse_histogram(pressure, PRESSURE_EDGES_BAR),
         "temperature_histogram": coarse_histogram(temperature, TEMPERATURE_EDGES_C),
         "speed_histogram": coarse_histogram(speed, SPEED_EDGES_RPM),
@@ -96,10 +99,15 @@ def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
     >>> coarse_histogram(np.array([-3.0, 1.0, 2.5, 99.0]), (0.0, 2.0, 4.0))
     [2, 2]
     """
-    lowest, highest = values.min(initial=np.inf), values.max(initial=-np.inf)
-    # Most edges have nothing, or everything, below them: only those between are counted.
-    below = [
-        0 if edge <= lowest else len(values) if edge > highest else np.count_nonzero(values < edge)
-        for edge in edges[1:-1]
-    ]
-    return [int(end - begin) for begin, end in pairwise((0, *below, len(values)))]
+    last = len(edges) - 1
+    below = [0] * (last + 1)
+    # Most edges have nothing, or everything, of neighbouring samples below them: only the values
+    # about those between are counted.
+    for begin in range(0, len(values), NEIGHBOURS):
+        part = values[begin : begin + NEIGHBOURS]
+        split, full = (bisect_right(edges, limit, 1, last) for limit in (part.min(), part.max()))
+        for at in range(split, full):
+            below[at] += int(np.count_nonzero(part < edges[at]))
+        for at in range(full, last + 1):
+            below[at] += len(part)
+    return [end - start for start, end in pairwise(below)]

@@ -114,7 +114,7 @@ def refit(
         return None
     tables = REFITTED_TABLES + STARTS_TABLES * with_starts
     charge_bar = next(iter(fits.values()))["mean_charge_over_case_bar"]
-    at, _ = conditions(spec, blocks, charge_bar)
+    at = conditions(spec, blocks, charge_bar)
     is_elsewhere = any(_is_elsewhere(spec, row) for row in fits.values())
     tables += SENSITIVITIES_TABLES * is_elsewhere
     rows: Rows = {name: [] for name in tables}
@@ -125,7 +125,7 @@ def refit(
         before |= _night_factor(spec, before)
         sensitivities = [row for row in night.sensitivities if row["flushing_mode"] == mode]
         if is_elsewhere:
-            sensitivities = _sensitivities(spec, night.label, fits[mode], sensitivities, at)
+            sensitivities = _sensitivities(spec, night.label, fits[mode], sensitivities, at[0])
             rows["sensitivities"] += [key | row for row in sensitivities]
         try:
             found = fit_stored_blocks(
@@ -133,7 +133,7 @@ def refit(
                 night.label,
                 mode,
                 blocks,
-                charge_bar,
+                at,
                 before["weight_inflation"],
                 sensitivities,
                 search=with_starts,
@@ -162,34 +162,16 @@ def refit_in_form(
 ) -> NightOutcome | None:
     """A night's outcome in another form: with the rollers' scale estimated, or as stated.
 
-    What needs samples stays, and so do the marks of nights that were read.
-
-    Parameters
-    ----------
-    spec
-        The motor in the form in which it is to be fitted.
-    outcome
-        The night in the other form.
-    published
-        Its rows as published, of a night that was not read; None of one that was.
-    previous
-        The motor's model before, by flushing mode.
-
-    Returns
-    -------
-    NightOutcome or None
-        None where its rows do not suffice.
+    `spec` has the form, `published` the rows of a night that was not read. What needs samples
+    stays, and so does the mark of a night that was read. None where the rows do not suffice.
     """
     rows = outcome.rows
     if published is None:
         kinds = {one: BLOCK_STATISTICS.schema[one] for one in BLOCK_COLUMNS}
         blocks = pl.DataFrame(rows["block_statistics"], kinds)
         published = PublishedNight(outcome.night, (), (), (), blocks)
-    night = replace(
-        published,
-        **{name: rows.get(name, getattr(published, name)) for name in KEPT_TABLES},
-    )
-    made = refit(spec, night, previous)
+    known = {name: rows.get(name, getattr(published, name)) for name in KEPT_TABLES}
+    made = refit(spec, replace(published, **known), previous)
     if made is None:
         return None
     is_refitted = {row["flushing_mode"]: row["is_refitted"] for row in rows["fits"]}

@@ -48,14 +48,13 @@ def residual_columns(residuals: Sequence[PartResiduals]) -> Row:
             columns[f"{one.part}_independence"] = _together(tests)
     # The analysis of what was fitted comes last.
     fitted = {one.part: one for one in residuals}
-    training, validation = fitted[TRAINING], fitted[VALIDATION]
-    return columns | {
-        "n_effective_summed": training.analysis.n_effective,
-        "validation_n_effective": effective_sample_count(
-            validation.analysis.n, validation.lag_one_autocorrelation
-        ),
-        "validation_n_effective_summed": validation.analysis.n_effective,
-    }
+    for part, prefix in ((TRAINING, ""), (VALIDATION, "validation_")):
+        one = fitted[part]
+        columns[f"{prefix}n_effective"] = effective_sample_count(
+            one.analysis.n, one.lag_one_autocorrelation
+        )
+        columns[f"{prefix}n_effective_summed"] = one.analysis.n_effective
+    return columns | {"lag_one_autocorrelation": fitted[TRAINING].lag_one_autocorrelation}
 
 
 def _tests(residuals: Sequence[PartResiduals]) -> Iterator[tuple[Row, LagTest]]:

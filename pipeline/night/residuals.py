@@ -56,13 +56,12 @@ def night_residuals(
     `fitted_error` are the errors of all samples in the columns that were fitted.
     """
     samples = statistics.samples
-    inputs = np.stack(
-        [
-            np.abs(samples.pressure_difference_bar),
-            samples.oil_temperature_c,
-            np.abs(samples.speed_rpm),
-        ]
-    )
+    driving = statistics.conditions
+    inputs = [
+        driving.pressure_difference_pa,
+        driving.oil_temperature_c,
+        driving.speed_rpm,
+    ]
     columns = [(False, fitted_error, inputs)]
     if statistics.z is not statistics.unsmoothed:
         unsmoothed = statistics.unsmoothed @ -np.concatenate([coefficients, (1.0, -1.0)])
@@ -75,18 +74,25 @@ def night_residuals(
         for part in (TRAINING, VALIDATION):
             rows = chosen_rows(statistics.rows_of(part))
             chosen, index = error[rows], samples.index[rows]
-            by_name = dict(zip(INPUTS, seen[:, rows], strict=True))
+            by_name = {name: one[rows] for name, one in zip(INPUTS, seen, strict=True)}
             analysis = analyse_residuals(chosen, by_name, index, memory, rounding)
             lag_one = lag_one_autocorrelation(chosen, np.diff(index) == 1)
             found.append(PartResiduals(part, smoothed, analysis, lag_one))
     return tuple(found)
 
 
-def _smoothed(inputs: Array, statistics: NightStatistics, smoothing: Smoothing) -> Array:
-    """Inputs, shape (3, n), averaged with the rest, or as they are where only the flow was."""
+def _smoothed(
+    inputs: list[Array], statistics: NightStatistics, smoothing: Smoothing
+) -> list[Array]:
+    """Inputs averaged with the rest, or as they are where only the flow was."""
     if smoothing.apply_to == "leakage":
         return inputs
     samples = statistics.samples
-    return smooth(
-        inputs.T, samples.index, statistics.short_block, samples.period_us, smoothing.window_s
-    ).T
+    averaged = smooth(
+        np.column_stack(inputs),
+        samples.index,
+        statistics.short_block,
+        samples.period_us,
+        smoothing.window_s,
+    )
+    return list(averaged.T)

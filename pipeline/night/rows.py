@@ -15,14 +15,8 @@ from leakage.estimation.least_squares import Fit
 from leakage.estimation.model_verdict import LowSide, model_verdict, verdict_in_words
 from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
-from leakage.estimation.validation import (
-    Agreement,
-    agreement,
-    criteria,
-    effective_sample_count,
-    lag_one_autocorrelation,
-)
-from pipeline.arrays import chosen_rows, utc
+from leakage.estimation.validation import Agreement, agreement, criteria
+from pipeline.arrays import utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit, in_form
 from pipeline.night.fit import transport_delays_s
@@ -156,18 +150,12 @@ def _mode_columns(
     # As of a night fitted from its weighted blocks, which cannot tell how the samples agree.
     if spec.settings.estimation.loss != "squared":
         agrees = statistics.judged_on, mode.stated.training
-    chosen = chosen_rows(statistics.rows_of(TRAINING))
-    consecutive = np.diff(statistics.samples.index[chosen]) == 1
-    error = mode.prediction_error[chosen]
-    phi = lag_one_autocorrelation(error, consecutive)
     configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {
         "transport_delay_s": configured_delay,
         "estimated_transport_delay_s": estimated_delay,
         **search_columns(mode.stated.fit),
         "correlation_time_s": mode.memory_s,
-        "n_effective": effective_sample_count(len(error), phi),
-        "lag_one_autocorrelation": phi,
         "columns": list(mode.fit.motor.columns),
         "night_factor": upper_triangle(whole),
         **agreement_columns(spec, *agrees),

@@ -115,7 +115,7 @@ def prediction_rows(
     samples, z = statistics.samples, statistics.z
     pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
     # Not the error of the fit: its last bits would choose among samples that are alike.
-    error = z[:, -1] - z[:, :-1] @ np.append(modes[0].training.coefficients, 1.0)
+    error = z[:, -1] - z[:, :-1] @ np.append(modes[0].stated.training.coefficients, 1.0)
     chosen = keep_extremes([z[:, -1], error, pressure, speed], PREDICTION_POINTS)
     z = z[chosen]
     columns: Columns = {

@@ -16,7 +16,6 @@ from pipeline.config import MotorSpec
 from pipeline.config.fitting import Model
 from pipeline.config.hashes import model_hash
 from pipeline.config.nights import Night
-from pipeline.config.periods import ChosenPeriods
 from pipeline.night.time_base import Samples
 from pipeline.night.viscosity import driven
 
@@ -80,10 +79,10 @@ def night_statistics(
     """
     settings = spec.settings
     conditions = operating_conditions(spec, samples)
-    unsmoothed = np.empty((len(samples.index), len(motor.columns)))
+    unsmoothed = np.empty((len(samples.index), len(motor.columns)), order="F")
     regressors(motor, conditions, out=unsmoothed[:, :-1])
     unsmoothed[:, -1] = samples.leakage_l_per_min
-    by_hand = ChosenPeriods.of(spec.file.periods, night)
+    by_hand = spec.file.periods.within(night)
     smoothing, windows = settings.smoothing, settings.windows
     made = compress(
         unsmoothed,

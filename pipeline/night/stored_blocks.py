@@ -78,9 +78,10 @@ class StoredBlocks:
         cls, spec: MotorSpec, rows: Sequence[dict[str, Any]], factors: Array
     ) -> StoredBlocks:
         """Blocks that are about to be stored."""
-        schema = BLOCK_STATISTICS.schema
-        wanted = {name: schema[name] for name in BLOCK_COLUMNS}
-        return cls._scaled(spec, pl.DataFrame(rows, schema=wanted), factors, rows[0]["columns"])
+        known = "columns", "statistics"
+        wanted = {one: BLOCK_STATISTICS.schema[one] for one in BLOCK_COLUMNS if one not in known}
+        values = {name: [row.get(name) for row in rows] for name in wanted}
+        return cls._scaled(spec, pl.DataFrame(values, wanted), factors, rows[0]["columns"])
 
     @classmethod
     def _scaled(

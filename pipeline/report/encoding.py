@@ -50,10 +50,7 @@ def whole_numbers(values: ArrayLike) -> dict[str, str]:
 def script_json(document: Mapping[str, Any]) -> str:
     r"""JSON that may stand inside a script, of a page or of a file of its own.
 
-    Raises
-    ------
-    ValueError
-        If it holds NaN or infinity, which JSON has not.
+    Raises ValueError if it holds NaN or infinity, which JSON has not.
 
     Examples
     --------

@@ -38,12 +38,7 @@ PARTS_OF_A_TOTAL = {"samples": "statistical", "sensors": "sensor", "model": "mod
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
     """Explain a motor's night in words, line by line: the answer first, then what it rests on.
 
-    Raises
-    ------
-    UsageError
-        If there is no row of that motor and night.
-    StoreError
-        If a table is damaged.
+    Raises UsageError if there is no row of that motor and night, StoreError if a table is damaged.
     """
     fits = _rows(output, FITS, motor_id, night)
     if not fits:

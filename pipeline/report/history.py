@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import polars as pl
@@ -44,7 +45,7 @@ class Course:
         return known
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MotorHistory:
     """All nights of a motor."""
 
@@ -60,7 +61,7 @@ class MotorHistory:
         """Outcome of each night."""
         return self.fits["status"].to_list()
 
-    @property
+    @cached_property
     def leakages(self) -> dict[str, Course]:
         """Leakage by kind of conditions, the most comparable first; the bare drain flow last."""
         judged = self.course(REFERENCE)
@@ -78,7 +79,7 @@ class MotorHistory:
         known = (kind for kind, course in self.leakages.items() if course.is_known.any())
         return next(known, "reference")
 
-    @property
+    @cached_property
     def flow(self) -> Course:
         """Mean drain flow of each night, not fitted, l/min."""
         flow = self.course(FLOW).value

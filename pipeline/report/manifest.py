@@ -43,10 +43,7 @@ def short_hash(content: bytes) -> str:
 def read_report_manifest(folder: Path) -> ReportManifest | None:
     """The manifest of a report's folder; None where there is none that can be used.
 
-    Raises
-    ------
-    StoreError
-        If the folder holds something that is no report: nothing of it is ever overwritten.
+    Raises StoreError if the folder holds something else: nothing of it is ever overwritten.
     """
     path = folder / FILE
     if not path.exists():
@@ -86,10 +83,7 @@ def write_changed(
 ) -> tuple[str, int]:
     """Write a file unless it is there with that content.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    Raises StoreError if it cannot be written.
     """
     entry = (short_hash(content), len(content))
     if entry != before or not is_as_left(folder, name, entry):

@@ -51,12 +51,8 @@ FINDINGS = ("worn", "sound", "not opened")
 def write_paper(request: ReportRequest, motor_id: str, folder: Path) -> Path:
     """Write the page of a motor as PDF; its path.
 
-    Raises
-    ------
-    UsageError
-        If no table has a night of the motor.
-    StoreError
-        If a table is damaged, or the file cannot be written.
+    Raises UsageError if no table has a night of the motor, StoreError if a table is damaged or the
+    file cannot be written.
     """
     history = read_tables(request.output)
     (motor,) = motor_histories(history, [motor_id])

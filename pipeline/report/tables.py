@@ -79,10 +79,7 @@ class ReportTables:
 def read_night(output: Path, night: dt.date) -> dict[str, Read]:
     """Rows of one night by table, sorted by key; of fits' child tables those of primary fits.
 
-    Raises
-    ------
-    StoreError
-        If a file is of a newer version of the program.
+    Raises StoreError if a file is of a newer version of the program.
     """
     found: dict[str, Read] = {}
     for table in SHOWN_TABLES:
@@ -107,10 +104,7 @@ def _children(rows: pl.DataFrame, fits: pl.DataFrame) -> pl.DataFrame:
 def read_tables(output: Path) -> ReportTables:
     """All that is known of all nights, but for what only one night's figures need.
 
-    Raises
-    ------
-    StoreError
-        If a file is of a newer version of the program.
+    Raises StoreError if a file is of a newer version of the program.
     """
     fits = _read(partial(_files, output, FITS), FITS)
     runs = _read(partial(files_of, output, RUNS), RUNS, ["started_at", "fleet"])

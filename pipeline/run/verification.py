@@ -34,11 +34,11 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
 
 
 def _verify_sealed(output: Path) -> Iterator[TableFault]:
-    from pipeline.trends.nights.kept_nights import kept_folder, whole_table
+    from pipeline.trends.nights.kept_nights import decoded, kept_folder
 
     kinds: tuple[tuple[Path, str, Callable[[bytes], object]], ...] = (
         (output / "ledger", "ledger_damaged", unseal),
-        (kept_folder(output), "history_damaged", whole_table),
+        (kept_folder(output), "history_damaged", decoded),
     )
     for folder, code, unsealed in kinds:
         for path in sorted(folder.glob("*/*")):

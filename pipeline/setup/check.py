@@ -46,10 +46,7 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
     Of logs in an object store, which have to be copied for it, the first and the last few by name;
     of a database the newest nights that have rows.
 
-    Raises
-    ------
-    StoreError
-        If an object store cannot be read.
+    Raises StoreError if an object store cannot be read.
     """
     if spec.file.logs.database is None:
         return _checked(spec, logs_of(spec))

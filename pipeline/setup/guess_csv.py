@@ -57,10 +57,8 @@ class _Table:
 def csv_head(path: Path) -> CsvHead:
     """Read the head of a CSV.
 
-    Raises
-    ------
-    LogError
-        ``log_not_csv``: the first lines are no table, or no line above it has its names.
+    Raises LogError (``log_not_csv``) if the first lines are no table, or no line above it has its
+    names.
     """
     encoding = _encoding(path)
     lines = list(islice(_lines(path, encoding, _HEAD_BYTES), _MOST_LINES))

@@ -55,10 +55,7 @@ class LogGuess:
 def look(path: Path) -> LogGuess:
     """Tell the dialect, layout and channels of a log.
 
-    Raises
-    ------
-    LogError
-        The file cannot be read, or its lines are no table.
+    Raises LogError if the file cannot be read, or its lines are no table.
     """
     with readable(path):
         with path.open("rb") as file:
@@ -76,10 +73,7 @@ def suggest(path: Path) -> str:
     Whatever is a guess or missing has a comment. Of a log of a file a channel, the other channels
     lie beside this one.
 
-    Raises
-    ------
-    LogError
-        As of `look`.
+    Raises LogError as `look` does.
     """
     return "\n".join(_lines(path, look(path))) + "\n"
 

@@ -35,10 +35,7 @@ def deliver(
 ) -> tuple[str, ...]:
     """Deliver what waits in the outbox, which is written after each delivery; faults, as text.
 
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read or written: deliveries may then be repeated.
+    Raises StoreError if the outbox cannot be read or written: deliveries may then be repeated.
     """
     folder, faults = output / told.folder, []
     outbox = read_outbox(folder) or Outbox()

@@ -26,15 +26,7 @@ class Delivery:
 
 
 class UndeliveredError(Exception):
-    """A receiver has not taken a delivery.
-
-    Parameters
-    ----------
-    why
-        The reason, without secrets and words of the receiver.
-    hung
-        True if the deadline passed.
-    """
+    """A receiver has not taken a delivery: why, without secrets, and if the deadline passed."""
 
     def __init__(self, why: str, *, hung: bool = False) -> None:
         super().__init__(why)
@@ -43,15 +35,7 @@ class UndeliveredError(Exception):
 
 
 class Receiver(Protocol):
-    """A receiver of deliveries.
-
-    Attributes
-    ----------
-    name
-        Its name in the outbox, which stays when its address changes.
-    label
-        For people; without secrets.
-    """
+    """A receiver: its name in the outbox, which stays, and a label for people without secrets."""
 
     @property
     def name(self) -> str: ...
@@ -79,10 +63,7 @@ def talk(
     A thread does that and is abandoned at the deadline: neither the look-up of a name nor an
     answer that comes byte by byte has a time limit of its own.
 
-    Raises
-    ------
-    UndeliveredError
-        With the fault, or at the deadline.
+    Raises UndeliveredError with the fault, or at the deadline.
     """
     answers: list[str] = []
 
@@ -113,10 +94,8 @@ def fault_words(reason: object) -> str:
 def filled(setting: str, text: str) -> str:
     """A value of `[alarms]` with its environment variables.
 
-    Raises
-    ------
-    UndeliveredError
-        If one is not set, or holds characters that no header may; its content is not quoted.
+    Raises UndeliveredError if one is not set, or holds characters that no header may; its content
+    is not quoted.
     """
 
     def content(match: re.Match[str]) -> str:

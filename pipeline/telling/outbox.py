@@ -111,10 +111,7 @@ class Backlog:
 def read_outbox(output: Path) -> Outbox | None:
     """The outbox, from the first file that is whole; None without one.
 
-    Raises
-    ------
-    StoreError
-        If a file cannot be read, and none is whole.
+    Raises StoreError if a file cannot be read, and none is whole.
     """
     unreadable: StoreError | None = None
     for name in OUTBOX_FILES:
@@ -176,10 +173,7 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOL
     Rows that the run before has published and not taken up go to the receivers of that time. A new
     receiver gets none of them; the queue of one that the config names no more is dropped.
 
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read or written.
+    Raises StoreError if the outbox cannot be read or written.
     """
     before = read_outbox(output / told.folder)
     if not names and (before is None or not before.queues):
@@ -205,10 +199,7 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOL
 def take_up(output: Path, fleet: str, told: Told = TOLD_ALARMS) -> None:
     """Put new rows into all queues.
 
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read or written.
+    Raises StoreError if the outbox cannot be read or written.
     """
     before = read_outbox(output / told.folder)
     if before is not None and before.queues:
@@ -222,10 +213,7 @@ def add_summary(
 ) -> None:
     """Queue a summary for a receiver, once for each date that it is due on.
 
-    Raises
-    ------
-    StoreError
-        If the outbox, or what the rows are made from, cannot be read or written.
+    Raises StoreError if the outbox, or what the rows are made from, cannot be read or written.
     """
     outbox = read_outbox(output)
     queue = None if outbox is None else outbox.queues.get(name)
@@ -312,10 +300,7 @@ def _deliveries(
 def is_waiting(output: Path) -> bool:
     """True if a delivery waits.
 
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read.
+    Raises StoreError if the outbox cannot be read.
     """
     outbox = read_outbox(output)
     return outbox is not None and any(queue.waiting for queue in outbox.queues.values())
@@ -324,10 +309,7 @@ def is_waiting(output: Path) -> bool:
 def backlogs(output: Path, receivers: Sequence[Receiver], fleet: str) -> tuple[Backlog, ...]:
     """Undelivered rows of each receiver, those included that no run has taken up yet.
 
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read.
+    Raises StoreError if the outbox cannot be read.
     """
     outbox = read_outbox(output)
     if outbox is None or not receivers:

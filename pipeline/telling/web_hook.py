@@ -91,10 +91,7 @@ def signature(key: bytes, delivery_id: str, timestamp: int, content: bytes) -> s
 def signing_key(secret: str) -> bytes:
     """The key in a secret.
 
-    Raises
-    ------
-    UndeliveredError
-        If it is no Base64.
+    Raises UndeliveredError if it is no Base64.
     """
     text = secret.removeprefix(SECRET_PREFIX)
     try:

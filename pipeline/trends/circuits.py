@@ -36,18 +36,10 @@ def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
 
 @dataclass(frozen=True, slots=True)
 class Circuit:
-    """Motors of one oil circuit, and what is known of them before their nights are read.
+    """Motors of one oil circuit, and what is known of each before its nights are read.
 
-    Attributes
-    ----------
-    specs
-        The motors.
-    decisions
-        By motor, what people said of it.
-    records
-        By motor, what is remembered of its trends.
-    hashes
-        By motor, of all that shapes its trends beyond the tables.
+    By motor: what people said of it, what is remembered of its trends, and the hash of all that
+    shapes them beyond the tables.
     """
 
     specs: tuple[MotorSpec, ...]
@@ -165,25 +157,24 @@ def beginnings(
 
 
 def earlier_views(
-    history: History, decisions: Sequence[Decision], seen_from: Mapping[str, dt.date]
-) -> Iterator[tuple[dt.date, History, tuple[Decision, ...]]]:
+    history: History, seen_from: Mapping[str, dt.date]
+) -> Iterator[tuple[dt.date, History]]:
     """A motor as others saw it before a night, without what was entered later; latest night first.
 
     Nothing where all events and resets were entered in time.
     """
-    dates = _dates(history.spec, decisions)
+    dates = _dates(history.spec, history.decisions)
     late = {name: night for name, night in seen_from.items() if night > dates[name]}
     for until in sorted(set(late.values()), reverse=True):
-        yield until, *_without(history, decisions, {one for one in late if late[one] >= until})
+        yield until, _without(history, {one for one in late if late[one] >= until})
 
 
-def _without(
-    history: History, decisions: Sequence[Decision], names: Collection[str]
-) -> tuple[History, tuple[Decision, ...]]:
+def _without(history: History, names: Collection[str]) -> History:
     file = history.spec.file
     kept = tuple(one for one in file.events if _name(one) not in names)
     spec = replace(history.spec, file=file.model_copy(update={"events": kept}))
-    return replace(history, spec=spec), tuple(one for one in decisions if _name(one) not in names)
+    said = tuple(one for one in history.decisions if _name(one) not in names)
+    return replace(history, spec=spec, decisions=said)
 
 
 def _dates(spec: MotorSpec, decisions: Sequence[Decision]) -> dict[str, dt.date]:

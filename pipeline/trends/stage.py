@@ -36,7 +36,6 @@ from pipeline.trends.baselines.leakages import indicators_of
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of, earlier_views
 from pipeline.trends.figures.filtered_nights import with_filter
 from pipeline.trends.figures.indicators import DEVIATION, Indicator
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.reading import MotorNights, read_nights
 from pipeline.trends.nights.records import Records
@@ -124,9 +123,8 @@ def _run_circuit(
     parts: dict[str, Part] = {}
     for motor_id, history in histories.items() if spans else ():
         if motor_id not in done.failures:
-            said, until = circuit.decisions[motor_id], nights[motor_id].filter_from
-            seen = {} if alone else seen_from[motor_id]
-            part = done.guarded(motor_id, partial(_part, history, said, until, seen, blocks))
+            until, seen = nights[motor_id].filter_from, {} if alone else seen_from[motor_id]
+            part = done.guarded(motor_id, partial(_part, history, until, seen, blocks))
             if part is not None:
                 parts[motor_id] = part
                 done.filtered[motor_id] = part.history.records
@@ -156,19 +154,15 @@ def _failure(error: Exception) -> Loss:
 
 
 def _part(
-    history: History,
-    said: tuple[Decision, ...],
-    until: dt.date,
-    seen_from: Mapping[str, dt.date],
-    blocks: BlockFiles,
+    history: History, until: dt.date, seen_from: Mapping[str, dt.date], blocks: BlockFiles
 ) -> Part:
     """A motor before comparison with the others, its nights from `until` on filtered anew."""
-    filtered = with_misfit(with_filter(history, said, until), said, until)
-    part = Part.of(with_duty(filtered, said, until, blocks), said)
-    for night, then, said_then in earlier_views(history, said, seen_from):
+    filtered = with_misfit(with_filter(history, until), until)
+    part = Part.of(with_duty(filtered, until, blocks))
+    for night, then in earlier_views(history, seen_from):
         # By another baseline, which others hear of for some nights: not at its duty.
-        seen = without_duty(with_filter(then, said_then, dt.date.min))
-        part = part.seen_before(night, Part.of(seen, said_then))
+        seen = without_duty(with_filter(then, dt.date.min))
+        part = part.seen_before(night, Part.of(seen))
     return part
 
 
@@ -176,35 +170,24 @@ def _part(
 class Part:
     """A motor before comparison with the others of its oil circuit.
 
-    Attributes
-    ----------
-    history, decisions
-        Its nights, and the decisions of people on it.
-    eras, indicators
-        From `eras_of` and `indicators_of`.
-    flow
-        Contribution of its drain flow to the comparison with the other motors.
-    views
-        Views that the other motors have of it, the earliest first.
+    `flow` is its contribution to the comparison, `views` how the others see it, the earliest first.
     """
 
     history: History
-    decisions: tuple[Decision, ...]
     eras: tuple[Era, ...]
     indicators: Mapping[str, Indicator]
     flow: Contribution
     views: tuple[View, ...]
 
     @classmethod
-    def of(cls, history: History, decisions: tuple[Decision, ...]) -> Part:
-        eras = eras_of(history, decisions)
+    def of(cls, history: History) -> Part:
+        eras = eras_of(history)
         indicators = {
             name: at_duty(history, eras, one) for name, one in indicators_of(history, eras).items()
         }
-        own = segments(history, decisions, DEVIATION)
-        flow = contribution(history, indicators[DEVIATION], own)
+        flow = contribution(history, indicators[DEVIATION], segments(history, DEVIATION))
         views = (View(None, Explanations(history, eras)),)
-        return cls(history, decisions, eras, indicators, flow, views)
+        return cls(history, eras, indicators, flow, views)
 
     def seen_before(self, night: dt.date, earlier: Part) -> Part:
         """The same where the other motors of its circuit saw another one before a night."""
@@ -231,12 +214,12 @@ def standing_of(part: Part, peers: Peers | None, circuit: OilCircuit | None) -> 
     return Standing(
         part.history,
         part.eras,
-        watch(part.history, part.decisions, part.indicators),
+        watch(part.history, part.indicators),
         peers,
         why,
-        sudden_changes(part.history, part.decisions, part.indicators, why),
-        sensor_zeros(part.history, part.decisions),
-        model_course(part.history, part.decisions),
+        sudden_changes(part.history, part.indicators, why),
+        sensor_zeros(part.history),
+        model_course(part.history),
     )
 
 

@@ -21,22 +21,10 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class TrendTask:
-    """Oil circuits whose trends are to be made.
+    """Whole oil circuits whose trends are to be made, up to tonight.
 
-    Attributes
-    ----------
-    specs
-        The motors, whole circuits.
-    output, staging
-        Output folder, and where rows are left for the run to publish.
-    changed_from
-        By motor that was asked for: its first night with new rows; None where it has none.
-    tonight
-        Up to where each motor is judged.
-    decisions
-        What people said.
-    given_up
-        By motor: how this run's workers were lost in its trends, each time.
+    `changed_from` has the first night with new rows of each motor that was asked for, or None;
+    `given_up` how this run's workers were lost in a motor's trends.
     """
 
     specs: tuple[MotorSpec, ...]
@@ -50,18 +38,9 @@ class TrendTask:
 
 @dataclass(frozen=True, slots=True)
 class TrendOutcome:
-    """Outcome of the trends of some motors.
+    """By motor: number of staged nights, records to be stored once these are out, and failures.
 
-    Attributes
-    ----------
-    nights
-        Number of staged nights, by motor.
-    records
-        Records to be stored once the nights are published, by motor.
-    failures
-        Failures, by motor.
-    alarms
-        Staged rows of `alarms` that were not published before.
+    `alarms` are the staged rows of `alarms` that were not published before.
     """
 
     nights: Mapping[str, int] = field(default_factory=dict)

@@ -20,21 +20,13 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """Readings of a motor's channels in the order in which they were logged.
+    """Readings of a motor's channels in the order in which they were logged."""
 
-    Attributes
-    ----------
-    time_us : (n,)
-        Stamp of each row, UTC.
-    values
-        By channel, in its canonical unit, shape (n,) each; nan where there is no reading.
-    own_time_us
-        By channel, its own stamps where the channels do not share those of the row; shape (n,)
-        each. What has no reading was then not logged at all.
-    """
-
-    time_us: Times
+    time_us: Times  # stamp of each row, UTC, shape (n,)
+    # By channel, in its canonical unit, shape (n,) each; nan where there is no reading.
     values: Mapping[str, Values]
+    # By channel, its own stamps where the channels do not share those of the row; shape (n,) each.
+    # What has no reading was then not logged at all.
     own_time_us: Mapping[str, Times] = field(default_factory=dict)
 
     def samples(self) -> tuple[Times, NDArray[np.intp], Values]:
@@ -68,15 +60,7 @@ class Recorded:
 
 
 def recorded(recording: Recording, motor: MotorFile) -> Recorded:
-    """A night of the demo with the digits that its own log holds.
-
-    Parameters
-    ----------
-    recording
-        As simulated.
-    motor
-        Whose log rounds each reading in the unit that it is written in.
-    """
+    """A night of the demo with the digits that its own log holds, in the units written there."""
     values: dict[str, Values] = {}
     own: dict[str, Times] = {}
     recorded_late = motor.logs.format == "mcap" and motor.logs.time == "log_time"

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import pipeline.logs.database
+from pipeline.cli import main
+from pipeline.messages import FORM
+from tests.pipeline.calling import Call, Called
 from tests.pipeline.dask_processes import Processes, scheduler_with
 from tests.pipeline.plant_database import VARIABLE as ADDRESS_VARIABLE
 from tests.pipeline.postgres_server import PostgresServer, postgres_server
@@ -54,3 +59,22 @@ def database(postgres: PostgresServer, monkeypatch: pytest.MonkeyPatch) -> Itera
     monkeypatch.setattr(pipeline.logs.database, "WAITS_S", (0.0,))
     yield postgres
     postgres.end_connections()
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Call]:
+    """Runs the command in this process; its code, and what it said on stdout and stderr."""
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setenv(FORM, "")
+
+    def run(*arguments: str | Path) -> Called:
+        monkeypatch.setattr(sys, "argv", ["motor-leakage", *map(str, arguments)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as caught:
+            main()
+        out, err = capfd.readouterr()
+        assert isinstance(caught.value.code, int)
+        return caught.value.code, out, err
+
+    yield run
+    signal.signal(signal.SIGTERM, before)

@@ -24,19 +24,12 @@ from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.atomic_files import put
 from pipeline.store.sealed import read_if_whole
 from pipeline.store.tables import night_stamps, read_rows
-from pipeline.trends.nights.kept_nights import (
-    encoded_table,
-    head_of,
-    kept_folder,
-    values_of,
-    whole_table,
-)
+from pipeline.trends.nights.kept_nights import decoded, encoded, kept_folder
 from pipeline.trends.nights.records import Layout
 
 log = logging.getLogger(__name__)
 
 FILE = "baseline"
-COLUMNS = ("factors", "conditions", "nights")
 
 
 @dataclass(slots=True)
@@ -90,15 +83,15 @@ class BlockFiles:
         path, size = kept_folder(self.output) / spec.motor_id / FILE, len(layout.columns)
         of_what = {"records": layout.digest, "model": model, "files": self._stamps(nights)}
         key = hash_of(of_what | {"oil": [spec.measured_curve(night) for night in nights]})
-        table = read_if_whole(path, whole_table)
-        if table is not None and head_of(table)["key"] == key:
-            factors, conditions, labels = (values_of(table[name]) for name in COLUMNS)
+        kept = read_if_whole(path, decoded)
+        if kept is not None and kept[0]["key"] == key:
+            factors, conditions, labels = map(np.frombuffer, kept[1], (float, float, np.int64))
             return DutyBlocks(factors.reshape(-1, size, size), conditions.reshape(-1, 3), labels)
         found = self.of(spec, layout, nights, model)
         if found is not None:
-            columns = {name: getattr(found, name) for name in COLUMNS}
+            arrays = found.factors, found.conditions, found.nights
             try:
-                put(path, encoded_table({"key": key}, columns), durable=False)
+                put(path, encoded({"key": key}, *arrays), durable=False)
             except StoreError as error:
                 log.warning("%s; the next run reads the nights again", error)
         return found

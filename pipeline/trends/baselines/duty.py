@@ -34,7 +34,6 @@ from pipeline.trends.baselines.eras import Era
 from pipeline.trends.baselines.flow import column_sums, expected_flow
 from pipeline.trends.figures.baseline_model import bounds_of
 from pipeline.trends.figures.indicators import DEVIATION, OWN_REFERENCE, REFERENCE, Indicator
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.records import AS_BASELINE, BALANCED, HISTOGRAMS, OUTSIDE, whole_matrix
 from pipeline.trends.nights.segments import first_good, segments
@@ -56,14 +55,12 @@ CHANNELS = (
 UNCERTAIN = "at this duty the baseline does not tell a rise from its own error"
 
 
-def with_duty(
-    history: History, decisions: Sequence[Decision], until: dt.date, blocks: BlockFiles
-) -> History:
+def with_duty(history: History, until: dt.date, blocks: BlockFiles) -> History:
     """A history whose nights from one on are compared at their duty, those before as they are."""
     records = history.records.copy()
     begin = int(np.searchsorted(records["night"], np.datetime64(until)))
     records["duty"][begin:] = AS_BASELINE
-    for part in segments(history, decisions):
+    for part in segments(history):
         first = first_good(history, part)
         if len(first):
             later = np.arange(int(first[-1]) + 1, part.end)

@@ -18,7 +18,6 @@ from pipeline.trends.figures.temperature import (
     usual_temperatures,
     warming,
 )
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.segments import Segment, first_good, segments
 
@@ -29,22 +28,10 @@ Array = NDArray[np.float64]
 class Era:
     """A stretch of nights between two events that begin everything anew.
 
-    Attributes
-    ----------
-    segment
-        Its nights.
-    known_from
-        Place of the first night on which it is known what is frozen; the end of the segment where
-        it never is.
-    own
-        The motor's own reference conditions; None while they are not known.
-    model
-        θ of the first good nights together; None likewise.
-    temperature
-        Correction of loss factors for temperature, of the first good nights that tell it; None
-        where they do not.
-    temperature_from
-        Place of the last of those nights; the end of the segment while there are too few.
+    `known_from` is the first night that knows `own`, the motor's own reference conditions, and
+    `model`, θ of the first good nights together; the end of the segment where none does.
+    `temperature` is the correction of loss factors by the good nights up to `temperature_from`,
+    None where they do not tell it; that is the end of the segment while there are too few.
     """
 
     segment: Segment
@@ -55,9 +42,14 @@ class Era:
     temperature_from: int = 0
 
 
-def eras_of(history: History, decisions: Sequence[Decision]) -> tuple[Era, ...]:
+def era_at(eras: Sequence[Era], place: int) -> Era:
+    """The era of a night."""
+    return next(one for one in eras if place < one.segment.end)
+
+
+def eras_of(history: History) -> tuple[Era, ...]:
     """The eras of a motor; each is known from its first good nights, as a provisional baseline."""
-    return tuple(_era(history, segment) for segment in segments(history, decisions))
+    return tuple(_era(history, segment) for segment in segments(history))
 
 
 def _era(history: History, segment: Segment) -> Era:

@@ -7,7 +7,6 @@ night, so that a run follows its new nights alone.
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,7 +24,6 @@ from leakage.course.night_filter import (
 from leakage.course.temperature_correction import TemperatureCorrection
 from pipeline.night.rows import upper_triangle
 from pipeline.trends.figures.temperature import NIGHTS, FrozenCorrection, frozen_correction, warming
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.records import Layout, Records, whole_matrix
 from pipeline.trends.nights.segments import Segment, segments
@@ -43,11 +41,11 @@ LEVEL = 0.95
 WIDEST_COEFFICIENT, WIDEST_LEAKAGE = 0.5, 0.1
 
 
-def with_filter(history: History, decisions: Sequence[Decision], until: dt.date) -> History:
+def with_filter(history: History, until: dt.date) -> History:
     """A history whose nights from one on are followed by the filter, those before as they are."""
     records = history.records.copy()
     begin = int(np.searchsorted(records["night"], np.datetime64(until)))
-    for part in segments(history, decisions):
+    for part in segments(history):
         if part.end > begin:
             _follow_segment(history, records, part, max(begin, part.first))
     return replace(history, records=records)
@@ -152,12 +150,8 @@ def _state_of(record: Any, free: Mask) -> tuple[FilterState, Array]:
 class Filtered:
     """A linear combination of the filtered coefficients over a motor's nights, shape (n,) each.
 
-    Attributes
-    ----------
-    value, half
-        The figure and half-width of its 95 % interval; nan in nights without information.
-    n_nights
-        Nights behind it since the last event.
+    With the half-width of its 95 % interval, nan in nights without information, and the number of
+    nights behind it since the last event.
     """
 
     value: Array

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import polars as pl
@@ -37,53 +37,29 @@ WIDEST_ALONE = 0.02
 REFERENCE = "reference_leakage_l_per_min", "reference_leakage_lower", "reference_leakage_upper"
 REFERENCE_CONDITIONS = "reference_pressure_bar", "reference_temperature_c", "reference_speed_rpm"
 OWN = "own_pressure_bar", "own_temperature_c", "own_speed_rpm"
-FIT_COLUMNS = (
-    "motor_id",
-    "night",
-    "is_primary",
-    "status",
-    "reason",
-    "flushing_mode",
-    "columns",
-    "coefficients",
-    "coefficient_covariance",
-    "coefficient_response",
-    "night_factor",
-    "interval_status",
-    "reference_verdict",
-    "reference_reason",
-    "model_hash",
-    "model_misfit_statistics",
-    *REFERENCE,
-    *REFERENCE_CONDITIONS,
-    *OWN,
-    *SINGLE.values(),
-)
-PARAMETER_COLUMNS = (
-    "motor_id",
-    "night",
-    "flushing_mode",
-    "parameter",
-    "value",
-    "lower",
-    "upper",
-    "verdict",
-    "reason",
-)
-OPERATION_COLUMNS = ("motor_id", "night", "kept_hours", *OPERATED, *HISTOGRAMS)
+KEY = ("motor_id", "night")
+FITTED = ("is_primary", "status", "reason", "flushing_mode", "interval_status", "model_hash")
+STATISTICS = ("columns", "coefficients", "coefficient_covariance", "coefficient_response")
+VERDICTS = ("reference_verdict", "reference_reason", "model_misfit_statistics")
+AT_REFERENCE = (*REFERENCE, *REFERENCE_CONDITIONS, *OWN, *SINGLE.values())
+FIT_COLUMNS = (*KEY, *FITTED, *STATISTICS, "night_factor", *VERDICTS, *AT_REFERENCE)
+FIGURE = ("parameter", "value", "lower", "upper", "verdict", "reason")
+PARAMETER_COLUMNS = (*KEY, "flushing_mode", *FIGURE)
+OPERATION_COLUMNS = (*KEY, "kept_hours", *OPERATED, *HISTOGRAMS)
 # Value, ends, verdict and reason of a coefficient that a night has not.
 NOTHING_SAID = (None,) * 5
 
 
 def rows_by_night(
     specs: Sequence[MotorSpec],
+    layouts: Mapping[str, Layout],
     fits: pl.DataFrame,
     parameters: pl.DataFrame,
     operation: pl.DataFrame,
 ) -> dict[str, History]:
     """Histories of some motors from rows of `fits`, `parameters` and `operation`, by motor.
 
-    They have no nights without a row.
+    They have no nights without a row. The layouts are by motor.
     """
     by_motor = [
         {str(key[0]): part for key, part in rows.partition_by("motor_id", as_dict=True).items()}
@@ -94,7 +70,7 @@ def rows_by_night(
         own = by_motor[0].get(spec.motor_id)
         if own is None:
             continue
-        layout = Layout.of(spec, own["night"][0])
+        layout = layouts[spec.motor_id]
         records, words = records_of(
             spec,
             layout,
@@ -244,9 +220,7 @@ def _fill_figures(
     """Each coefficient where it is identified; otherwise why not."""
     said = {
         (night, mode, name): tuple(rest)
-        for night, mode, name, *rest in parameters.select(
-            "night", "flushing_mode", "parameter", "value", "lower", "upper", "verdict", "reason"
-        ).iter_rows()
+        for night, mode, name, *rest in parameters.select(PARAMETER_COLUMNS[1:]).iter_rows()
         if mode is not None
     }
     columns = []

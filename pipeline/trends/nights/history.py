@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pipeline.config import MotorSpec
 from pipeline.config.nights import nights_between
 from pipeline.schema.fits import NO_NEW_DATA
+from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.records import (
     GATED,
     Layout,
@@ -31,23 +32,17 @@ NO_LOG = f"{NO_NEW_DATA.replace('_', ' ')}: no log covers this night"
 
 @dataclass(frozen=True)
 class History:
-    """A motor's nights.
+    """A motor's nights, one record each, increasing, with people's decisions on it.
 
-    Attributes
-    ----------
-    spec, layout
-        The motor, and what its records hold.
-    records
-        One a night, increasing, shape (n,).
-    words
-        By place: why figures of a night do not count. Of nights that are not to be published anew
-        there may be none.
+    `words` has by place why figures of a night do not count; of nights that are not to be published
+    anew there may be none.
     """
 
     spec: MotorSpec
     layout: Layout
     records: Records
     words: Mapping[int, NightWords]
+    decisions: tuple[Decision, ...] = ()
 
     def __len__(self) -> int:
         return len(self.records)
@@ -135,4 +130,4 @@ def every_night(history: History, until: dt.date) -> History | None:
     gaps = np.setdiff1d(np.arange(len(labels)), places)
     words = dict.fromkeys(gaps.tolist(), nothing)
     words |= {int(places[place]): one for place, one in history.words.items() if place < len(known)}
-    return History(history.spec, history.layout, records, words)
+    return replace(history, records=records, words=words)

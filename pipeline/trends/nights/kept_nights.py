@@ -1,6 +1,6 @@
 """Records of a motor's nights as a run has read and filtered them, kept for the next one.
 
-One Parquet file a motor and month beside the tables. It only saves work: a night is read again
+One compressed file a motor and month beside the tables. It only saves work: a night is read again
 where a file is not the one that it was read from, and without any of it the same trends come out.
 """
 
@@ -11,20 +11,20 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+import lz4.frame
 import numpy as np
 import polars as pl
-import pyarrow as pa
-import pyarrow.parquet as pq
 import scipy
 from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
-from pipeline.store.atomic_files import put, remove
+from pipeline.store.atomic_files import put
 from pipeline.store.sealed import read_if_whole
 from pipeline.store.tables import month_stamps, night_stamps
 from pipeline.trends.nights.decisions import Decision
@@ -39,8 +39,10 @@ LOOKED_AT = (*READ, BLOCK_STATISTICS, ALARMS)
 # coarsest file systems count two seconds.
 SETTLED_NS = 10_000_000_000
 NO_FOLDER, NOT_SETTLED = 0, -1
-# Keys of a file's metadata, and fields of a month in the first.
-HEAD, DIGEST = b"month", b"sha256"
+SUFFIX, DIGEST_SIZE = ".lz4", 32
+# A line of JSON, and the bytes of arrays.
+Kept: TypeAlias = tuple[dict[str, Any], list[bytes]]
+# Fields of a month in the line.
 IN_HEAD = ("folders", "files", "blocks", "alarms", "states", "until")
 
 
@@ -77,80 +79,35 @@ class KeptMonth:
     def encoded(self, key: str) -> bytes:
         """Its file's content."""
         head = {"key": key} | {name: getattr(self, name) for name in IN_HEAD}
-        return encoded_table(
-            head, {name: self.records[name] for name in self.records.dtype.names or ()}
-        )
+        return encoded(head, self.records)
 
     @classmethod
-    def of(cls, table: pa.Table, key: str, layout: Layout) -> KeptMonth | None:
-        """A month from its table; None where it was made by other settings."""
-        head = head_of(table)
+    def of(cls, kept: Kept, key: str, layout: Layout) -> KeptMonth | None:
+        """A month from its file's content; None where it was made by other settings."""
+        head, (records,) = kept
         if head["key"] != key:
             return None
-        records = np.zeros(table.num_rows, dtype=layout.dtype)
-        for name in layout.dtype.names or ():
-            records[name] = values_of(table[name]).reshape(records[name].shape)
-        return cls(records=records, **{name: head[name] for name in IN_HEAD})
+        fields = {name: head[name] for name in IN_HEAD}
+        return cls(records=np.frombuffer(records, layout.dtype), **fields)
 
 
-def encoded_table(head: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """A kept file's content: a column an array, and all else with a digest in the metadata."""
-    text = json.dumps(head, separators=(",", ":"), sort_keys=True).encode()
-    table = pa.table({name: _column(values) for name, values in columns.items()})
-    digest = _digest(text, table)
-    sink = pa.BufferOutputStream()
-    pq.write_table(
-        table.replace_schema_metadata({HEAD: text, DIGEST: digest}),
-        sink,
-        # What is read every night is to be quick to read.
-        compression="lz4",
-        use_dictionary=False,
-        write_statistics=False,
-    )
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
+def encoded(head: Mapping[str, Any], *arrays: NDArray[Any]) -> bytes:
+    """A kept file's content: a digest, and compressed a line of JSON and the bytes of arrays."""
+    parts = [one.tobytes() for one in arrays]
+    line = json.dumps({**head, "sizes": [len(part) for part in parts]}, sort_keys=True)
+    packed: bytes = lz4.frame.compress(line.encode() + b"\n" + b"".join(parts))
+    return hashlib.sha256(packed).digest() + packed
 
 
-def head_of(table: pa.Table) -> dict[str, Any]:
-    """All that a kept file says beside its columns."""
-    head: dict[str, Any] = json.loads(table.schema.metadata[HEAD])
-    return head
-
-
-def whole_table(content: bytes) -> pa.Table | None:
-    """The table of a file's content; None where it is not as it was written."""
-    try:
-        table = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
-        metadata = table.schema.metadata
-        return table if metadata[DIGEST] == _digest(metadata[HEAD], table) else None
-    except (OSError, ValueError, KeyError, TypeError):
+def decoded(content: bytes) -> Kept | None:
+    """What `encoded` was given, the arrays as bytes; None where it is not as it was written."""
+    digest, packed = content[:DIGEST_SIZE], content[DIGEST_SIZE:]
+    if hashlib.sha256(packed).digest() != digest:
         return None
-
-
-def _column(values: NDArray[Any]) -> pa.Array:
-    """A field of records: a list a night where it has several numbers."""
-    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
-    if values.ndim == 1:
-        return flat
-    return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(values.shape[1:])))
-
-
-def values_of(column: pa.ChunkedArray) -> NDArray[Any]:
-    """All numbers of a column, night by night."""
-    whole = column.combine_chunks()
-    flat = whole.flatten() if pa.types.is_fixed_size_list(whole.type) else whole
-    values: NDArray[Any] = flat.to_numpy(zero_copy_only=False)
-    return values
-
-
-def _digest(head: bytes, table: pa.Table) -> bytes:
-    """SHA-256 of all that a month says."""
-    found = hashlib.sha256(head)
-    for name in table.column_names:
-        values = values_of(table[name])
-        found.update(name.encode())
-        found.update(b"\0".join(values.tolist()) if values.dtype == object else values.tobytes())
-    return found.hexdigest().encode()
+    line, arrays = lz4.frame.decompress(packed).split(b"\n", 1)
+    head = json.loads(line)
+    ends = np.cumsum([0, *head["sizes"]]).tolist()
+    return head, [arrays[begin:end] for begin, end in pairwise(ends)]
 
 
 def kept_folder(output: Path) -> Path:
@@ -175,9 +132,9 @@ def key_of(spec: MotorSpec, layout: Layout, decisions: Sequence[Decision]) -> st
 def read_months(output: Path, motor_id: str, key: str, layout: Layout) -> dict[str, KeptMonth]:
     """Kept records of a motor by month, if whole and made with the same key."""
     found = {}
-    for path in sorted((kept_folder(output) / motor_id).glob("*.parquet")):
-        table = read_if_whole(path, whole_table)
-        month = None if table is None else KeptMonth.of(table, key, layout)
+    for path in sorted((kept_folder(output) / motor_id).glob(f"*{SUFFIX}")):
+        kept = read_if_whole(path, decoded)
+        month = None if kept is None else KeptMonth.of(kept, key, layout)
         if month is not None:
             found[path.stem] = month
     return found
@@ -191,25 +148,15 @@ def write_month(output: Path, motor_id: str, month: str, key: str, kept: KeptMon
     StoreError
         If it cannot be written.
     """
-    folder = kept_folder(output) / motor_id
-    put(folder / f"{month}.parquet", kept.encoded(key), durable=False)
-    # As older versions named it.
-    remove(folder / month)
+    path = kept_folder(output) / motor_id / f"{month}{SUFFIX}"
+    put(path, kept.encoded(key), durable=False)
 
 
 @dataclass(slots=True)
 class TableFolders:
     """The folders of the tables that trends are made from, looked at once for many motors.
 
-    Parameters
-    ----------
-    output
-        Output folder.
-
-    Attributes
-    ----------
-    months
-        By YYYY-MM, when the folder of each table was last changed, where that tells.
+    `months` has by YYYY-MM when the folder of each table was last changed, where that tells.
     """
 
     output: Path

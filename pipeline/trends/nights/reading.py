@@ -76,6 +76,7 @@ def read_nights(
     alarms = set[str]().union(*(one.alarms for one in found.values()))
     made = rows_by_night(
         specs,
+        {motor_id: one.layout for motor_id, one in found.items()},
         *(
             read_rows(output, table, list(found), columns, nights=_dates(nights))
             for table, columns in (
@@ -93,7 +94,8 @@ def read_nights(
         told[row["motor_id"]].append(row)
     for spec in specs:
         one = found[spec.motor_id]
-        one.take_nights(spec, made.get(spec.motor_id), nights, tonight.of(spec.motor_id))
+        said = tuple(decisions[spec.motor_id])
+        one.take_nights(spec, said, made.get(spec.motor_id), nights, tonight.of(spec.motor_id))
         one.take_alarms(told[spec.motor_id], alarms)
     return found
 
@@ -187,7 +189,12 @@ class MotorNights:
         return {night: files.get(night, "") for night in nights}
 
     def take_nights(
-        self, spec: MotorSpec, made: History | None, nights: Collection[str], until: dt.date
+        self,
+        spec: MotorSpec,
+        decisions: tuple[Decision, ...],
+        made: History | None,
+        nights: Collection[str],
+        until: dt.date,
     ) -> None:
         """Put what was read, of all these nights, beside what is kept of the others."""
         kept = self._joined(one.records for one in self.months.values())
@@ -199,7 +206,7 @@ class MotorNights:
         if len(self._records):
             places = np.searchsorted(self._records["night"], new["night"]).tolist()
             words = {} if made is None else {places[at]: one for at, one in made.words.items()}
-            whole = History(spec, self.layout, self._records, words)
+            whole = History(spec, self.layout, self._records, words, decisions)
             self.history = every_night(whole, until)
 
     def take_alarms(self, rows: Sequence[Row], nights: Collection[str]) -> None:

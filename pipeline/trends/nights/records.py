@@ -181,17 +181,7 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class NightWords:
-    """Reasons why figures of a night do not count; empty where they do.
-
-    Attributes
-    ----------
-    status
-        For all figures.
-    reference
-        For the leakage at the reference conditions.
-    coefficients
-        For each coefficient of the layout.
-    """
+    """Why a night, its reference leakage or a coefficient does not count; empty where it does."""
 
     status: str
     reference: str

@@ -18,15 +18,7 @@ NIGHTS_BEFORE = 30
 
 @dataclass(frozen=True, slots=True)
 class RunningHours:
-    """Running hours since a motor's first night.
-
-    Attributes
-    ----------
-    total
-        At the end of each night [h], shape (n,).
-    estimated
-        Whether some of them belong to nights without a log, shape (n,).
-    """
+    """Running hours since the first night at the end of each; whether some are only estimated."""
 
     total: Array
     estimated: NDArray[np.bool_]

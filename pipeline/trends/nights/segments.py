@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.config.nights import night as night_labelled
-from pipeline.config.periods import ChosenPeriods
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 
 Places = NDArray[np.intp]
@@ -28,15 +26,7 @@ FIRST_NIGHTS = "first nights"
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Nights that are compared with one baseline.
-
-    Attributes
-    ----------
-    first, end
-        Places of its nights in the history, half open.
-    reason
-        What it begins with, in words.
-    """
+    """Nights that are compared with one baseline, half open, and what they begin with, in words."""
 
     first: int
     end: int
@@ -48,9 +38,7 @@ class Segment:
         return slice(self.first, self.end)
 
 
-def segments(
-    history: History, decisions: Sequence[Decision], indicator: str = ""
-) -> tuple[Segment, ...]:
+def segments(history: History, indicator: str = "") -> tuple[Segment, ...]:
     """The nights of an indicator by the baseline that they are compared with."""
     starts: dict[int, list[str]] = {}
     for place, reason in _changed_settings(history):
@@ -61,13 +49,18 @@ def segments(
         # What happened before the first night is nothing that its nights show.
         if event.date >= history.nights[0]:
             _begin(starts, history.first_from(event.date), words)
-    for one in decisions:
+    for one in history.decisions:
         if one.kind == "baseline_reset" and one.indicator in ("", indicator):
             note = f": {one.note}" if one.note else ""
             _begin(starts, history.first_from(one.night), f"reset from {one.night}{note}")
     starts.setdefault(0, [FIRST_NIGHTS])
     borders = [*sorted(starts), len(history)]
     return tuple(Segment(first, end, "; ".join(starts[first])) for first, end in pairwise(borders))
+
+
+def segment_at(parts: Sequence[Segment], place: int) -> Segment:
+    """The segment of a night."""
+    return next(one for one in parts if place < one.end)
 
 
 def first_good(history: History, segment: Segment) -> Places:
@@ -101,7 +94,7 @@ def _changed_settings(history: History) -> list[tuple[int, str]]:
     before: tuple[bytes, bytes, str] | None = None
     for place in known.tolist():
         label = history.nights[place]
-        if ChosenPeriods.of(spec.file.periods, night_labelled(label, spec.settings.nights)):
+        if spec.file.periods.within(night_labelled(label, spec.settings.nights)):
             continue
         now = (bytes(models[place]), bytes(modes[place]), spec.file.oil_on(label))
         if before is not None and now != before and now[2] == before[2]:

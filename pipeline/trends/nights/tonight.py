@@ -19,14 +19,9 @@ WITH_SAMPLES = (OK, STOOD_STILL, INSUFFICIENT_DATA)
 
 @dataclass(frozen=True, slots=True)
 class Tonight:
-    """The fleet's newest night with kept samples, and motors whose logs go further.
+    """The fleet's newest night with kept samples, since which motors without a log are silent.
 
-    Attributes
-    ----------
-    night
-        Motors without a log of it have been silent since their last.
-    further
-        By motor: its newest night with samples, after which it kept none of them.
+    `further` has by motor its newest night with samples after that, of which it kept none.
     """
 
     night: dt.date

@@ -11,6 +11,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.hashes import FIGURES_VERSION, READING_VERSION, STATISTICS_VERSION
 from pipeline.schema import ALARM_CONTENT
 from pipeline.trends.figures.indicators import MODEL_MISFIT, TEMPERATURE_EFFECT
+from pipeline.trends.nights.segments import segment_at
 from pipeline.trends.nights.trend_record import TRENDS_VERSION, Record
 from pipeline.trends.states.standing import CHANGED, RAISED, Standing
 from pipeline.trends.states.temperature_watch import NOT_TOLD
@@ -117,7 +118,7 @@ def _by_own_rules(standing: Standing, name: str, place: int, before: str, after:
     if after == "warning":
         return {"reason": one.words(place), "way": "change" if name == MODEL_MISFIT else "drift"}
     if after == INSUFFICIENT:
-        part = next(part for part in one.segments if place < part.end)
+        part = segment_at(one.segments, place)
         if place > part.first:
             return {"reason": NOT_TOLD, "way": "baseline"}
         return {"reason": f"a new baseline begins: {part.reason}", "way": "baseline"}

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from leakage.course.baseline import Baseline
 from leakage.course.cusum import cusum_limit
 from leakage.course.hypotheses import Posterior
-from leakage.course.slope import Slope, fit_slope
+from leakage.course.slope import fit_slope
 from leakage.course.time_to_limit import time_to_limit
 from pipeline.trends.figures.indicators import NO_BASELINE, PEER_DEVIATION, Indicator
 from pipeline.trends.nights.running import NIGHTS_BEFORE, coverage
 from pipeline.trends.rows.first_rows import first_rows, reference_flows
+from pipeline.trends.states.peers import Peers
 from pipeline.trends.states.standing import CHANGED, DAYS_A_YEAR, RAISED, Standing
 from pipeline.trends.states.zeros import HALF, NO_HALT, Zero
 from pipeline.trends.why.explanation_words import cannot_be_told
@@ -33,6 +34,8 @@ from pipeline.trends.why.reasons import (
 Row = dict[str, Any]
 Array = NDArray[np.float64]
 
+DIVERGED = "with one other motor: they diverge, nobody can tell which"
+
 
 def trend_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
     """Rows of `trends` of some nights."""
@@ -43,7 +46,7 @@ def trend_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
             yield from (shared | row for row in _derived(standing, name, place, flows))
         yield from (shared | row for row in first_rows(standing, place))
         if standing.peers is not None:
-            yield shared | _peer_row(standing, place)
+            yield shared | _peer_row(standing.peers, standing.diverged[place], place)
         for zero in standing.zeros.values():
             if np.isfinite(zero.value[: place + 1]).any():
                 yield shared | _zero_row(zero, place)
@@ -144,7 +147,7 @@ def _line(standing: Standing, name: str, place: int, baseline: Baseline | None) 
     here = slice(first, place + 1)
     numbers, series = standing.history.numbers[here], watched.series[here]
     hours = standing.hours.total[here]
-    line = fit_slope(numbers, series, standing.years[here], coverage=trend.confidence)
+    line = fit_slope(numbers, series, numbers / DAYS_A_YEAR, coverage=trend.confidence)
     by_hours = fit_slope(numbers, series, hours / 1000.0, coverage=trend.confidence, median=False)
     row = {
         "n_slope": line.n,
@@ -153,8 +156,11 @@ def _line(standing: Standing, name: str, place: int, baseline: Baseline | None) 
         "p_value": line.p_value,
         "theil_sen_per_year": line.theil_sen,
         "theil_sen_outside": line.theil_sen_outside if line.slope is not None else None,
-        **_slope_columns("per_year", line),
-        **_slope_columns("per_1000_h", by_hours),
+        **{
+            f"slope_{per}{end}": figure
+            for per, one in (("per_year", line), ("per_1000_h", by_hours))
+            for end, figure in (("", one.slope), ("_lower", one.lower), ("_upper", one.upper))
+        },
         "days_to_limit_status": "insufficient",
     }
     if baseline is None or line.slope is None:
@@ -192,9 +198,7 @@ def _derived(
         yield row | shown | gap
 
 
-def _peer_row(standing: Standing, place: int) -> Row:
-    peers, state = standing.peers, standing.diverged[place]
-    assert peers is not None
+def _peer_row(peers: Peers, state: str, place: int) -> Row:
     value = _finite(np.expm1(peers.deviation[place]))
     alone = int(peers.n_others[place]) == 1 and state in RAISED
     return {
@@ -204,9 +208,7 @@ def _peer_row(standing: Standing, place: int) -> Row:
         "n_nights": 1,
         "gated_reason": None if value is not None else "no figure of the circuit's motors",
         "state": state,
-        "state_reason": "with one other motor: they diverge, nobody can tell which"
-        if alone
-        else None,
+        "state_reason": DIVERGED if alone else None,
     }
 
 
@@ -240,14 +242,6 @@ def _figures(indicator: Indicator, place: int) -> Row:
         "n_nights": int(indicator.n_nights[place]) if told else 1,
         "gated_reason": (gated if told else NO_BASELINE) or None,
         "outside_fitted_range": told and bool(indicator.outside[place]),
-    }
-
-
-def _slope_columns(name: str, line: Slope) -> Row:
-    return {
-        f"slope_{name}": line.slope,
-        f"slope_{name}_lower": line.lower,
-        f"slope_{name}_upper": line.upper,
     }
 
 

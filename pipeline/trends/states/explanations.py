@@ -19,7 +19,7 @@ from leakage.course.growth import Blocks, Growth, growth
 from leakage.course.hypotheses import CommonFactor, Posterior, mean_factor, weigh
 from leakage.course.temperature_correction import TemperatureCorrection
 from leakage.estimation.block_statistics import with_path_known
-from pipeline.trends.baselines.eras import Era
+from pipeline.trends.baselines.eras import Era, era_at
 from pipeline.trends.figures.temperature import warming
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.records import Layout
@@ -35,13 +35,7 @@ Places = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanations:
-    """The explanations of a motor's changes, each made when it is asked for.
-
-    Attributes
-    ----------
-    history, eras
-        Its nights, and what is frozen with each baseline.
-    """
+    """The explanations of a motor's changes, each made when it is asked for."""
 
     history: History
     eras: tuple[Era, ...]
@@ -50,7 +44,7 @@ class Explanations:
 
     def era(self, place: int) -> Era:
         """The era of a night."""
-        return next(one for one in self.eras if place < one.segment.end)
+        return era_at(self.eras, place)
 
     def nights_of_now(self, place: int, begin: int) -> Places:
         """Places of the latest nights with statistics from one on."""
@@ -160,13 +154,7 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class OilCircuit:
-    """The motors of an oil circuit: what the others say of a motor's common factor.
-
-    Attributes
-    ----------
-    views
-        By motor, how the others saw it: the earliest view first.
-    """
+    """The motors of an oil circuit, by how the others saw each, the earliest view first."""
 
     views: Mapping[str, Sequence[View]]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -22,21 +21,20 @@ from leakage.estimation.model_verdict import (
     verdict_in_words,
 )
 from pipeline.trends.figures.indicators import MODEL_MISFIT
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.segments import Segment, segments
+from pipeline.trends.nights.segments import Segment, segment_at, segments
 from pipeline.trends.states.words import day
 from pipeline.trends.states.zeros import nights_rule
 
 Array = NDArray[np.float64]
 
 
-def with_misfit(history: History, decisions: Sequence[Decision], until: dt.date) -> History:
+def with_misfit(history: History, until: dt.date) -> History:
     """A history whose nights from one on have their misfit over ten, those before as they are."""
     records = history.records.copy()
     begin = int(np.searchsorted(records["night"], np.datetime64(until)))
     records["misfit_of_ten"][begin:] = np.nan
-    for part in segments(history, decisions):
+    for part in segments(history):
         for place in range(max(begin, part.first), part.end):
             found = _misfit_at(records, part, place)
             if found is not None and found.n_nights == NIGHTS_TOGETHER:
@@ -66,16 +64,10 @@ def _misfit_of_night(numbers: bytes) -> Misfit:
 
 @dataclass(frozen=True, slots=True)
 class ModelCourse:
-    """Whether a motor's model still describes it; shape (n,) each.
+    """A motor's model over its nights; shape (n,) each.
 
-    Attributes
-    ----------
-    history, segments
-        Its nights, and those that one baseline serves.
-    first
-        Misfit of the first ten nights, over the mean leakage, from when it was known; else nan.
-    state
-        insufficient, ok or warning: it has grown by what disproves a model.
+    `first` is the misfit of the first ten nights, over the mean leakage, from when it was known,
+    else nan; `state` is insufficient, ok, or warning where it has grown by what disproves a model.
     """
 
     history: History
@@ -85,8 +77,7 @@ class ModelCourse:
 
     def at(self, place: int) -> StructuredMisfit | None:
         """Misfit of the last ten nights that tell it; None without one."""
-        part = next(one for one in self.segments if place < one.end)
-        return _misfit_at(self.history.records, part, place)
+        return _misfit_at(self.history.records, segment_at(self.segments, place), place)
 
     def words(self, place: int) -> str:
         """A model that is disproved, in words; with the night since when, if it once was not."""
@@ -104,11 +95,11 @@ class ModelCourse:
         return day(self.history.nights[max(before, default=-1) + 1])
 
 
-def model_course(history: History, decisions: Sequence[Decision]) -> ModelCourse:
+def model_course(history: History) -> ModelCourse:
     """Misfit of a motor's model against that of its baseline."""
     share, noise = history.records["misfit_of_ten"].T
     first, state = np.full(len(history), np.nan), np.full(len(history), "insufficient", object)
-    parts = segments(history, decisions, MODEL_MISFIT)
+    parts = segments(history, MODEL_MISFIT)
     for part in parts:
         known = part.first + np.flatnonzero(np.isfinite(share[part.first : part.end]))
         if not len(known):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import overload
 
@@ -15,7 +15,7 @@ from leakage.course.alarms import OF_SEVERITY, Limits
 from leakage.course.hypotheses import Posterior
 from leakage.course.monitoring import ChangeSize, change_size, monitor
 from pipeline.config.nights import night as night_labelled
-from pipeline.trends.baselines.eras import Era
+from pipeline.trends.baselines.eras import Era, era_at
 from pipeline.trends.figures.indicators import DEVIATION, MODEL_MISFIT, TEMPERATURE_EFFECT
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.records import FLUSHING, OUTSIDE
@@ -68,6 +68,7 @@ class Standing:
     sudden: tuple[Sudden, ...]
     zeros: Mapping[str, Zero]
     model: ModelCourse
+    _onsets: dict[int, int] = field(default_factory=dict)
 
     @cached_property
     def hours(self) -> RunningHours:
@@ -75,12 +76,6 @@ class Standing:
         return running_hours(self.history)
 
     @cached_property
-    def years(self) -> Array:
-        """Years since the first night, shape (n,)."""
-        years: Array = self.history.numbers / DAYS_A_YEAR
-        return years
-
-    @property
     def is_outside(self) -> NDArray[np.bool_]:
         """Nights whose duty the baseline has not seen, shape (n,)."""
         outside: NDArray[np.bool_] = self.history.records["duty"] == OUTSIDE
@@ -205,7 +200,7 @@ class Standing:
 
     def era(self, place: int) -> Era:
         """The era of a night."""
-        return next(one for one in self.eras if place < one.segment.end)
+        return era_at(self.eras, place)
 
     def label(self, place: int) -> dt.date:
         """Label of a night."""
@@ -264,13 +259,16 @@ class Standing:
         A wear shows in one indicator before it does in another. A sudden change of the whole motor
         begins it anew.
         """
-        begins = [
-            onset
-            for name in self.watched
-            if self.told[name][place] in CHANGED
-            and (onset := self._onset_of_rise(name, place)) is not None
-        ]
-        return max([min([place, *begins]), *self._sudden_places(place)])
+        if place not in self._onsets:
+            begins = [
+                onset
+                for name in self.watched
+                if self.told[name][place] in CHANGED
+                and (onset := self._onset_of_rise(name, place)) is not None
+            ]
+            first = min([place, *begins])
+            self._onsets[place] = max([first, *self._sudden_places(place)])
+        return self._onsets[place]
 
     def _onset_of_rise(self, name: str, place: int) -> int | None:
         """The same as `onset`, of a rise that only the levels tell as well."""

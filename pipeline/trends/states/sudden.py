@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from leakage.course.hypotheses import Posterior
 from leakage.course.jumps import AFTER, LEAST_BEFORE, MOST_BEFORE, Jump, find_jumps, is_undone
 from pipeline.trends.figures.indicators import DEVIATION, Indicator
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.segments import Segment, segments
 from pipeline.trends.states.explanations import Why
@@ -84,16 +83,13 @@ class Sudden:
 
 def sudden_changes(
     history: History,
-    decisions: Sequence[Decision],
     indicators: Mapping[str, Indicator],
     why: Why,
 ) -> tuple[Sudden, ...]:
     """All sudden changes of a motor, in order of the nights on which they are told."""
     paths = {name: one for name, one in indicators.items() if one.path}
-    found = [
-        one for part in segments(history, decisions) for one in _of_paths(history, part, paths, why)
-    ]
-    for part in segments(history, decisions, DEVIATION):
+    found = [one for part in segments(history) for one in _of_paths(history, part, paths, why)]
+    for part in segments(history, DEVIATION):
         found += _falls(history, part, indicators[DEVIATION], why)
     told = sorted(found, key=lambda one: (one.told, KINDS.index(one.kind)))
     return tuple(
@@ -154,15 +150,7 @@ def _kind(steps: Mapping[str, _Step], n_paths: int, behind: Posterior | None) ->
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """Step of a path in a night.
-
-    Attributes
-    ----------
-    size
-        Logarithm of the step.
-    scatter
-        Scatter of the nights before, at least that of `LEAST_SCATTER`.
-    """
+    """Logarithm of the step of a path in a night, and scatter of the nights before it."""
 
     size: float
     scatter: float

@@ -15,7 +15,7 @@ from leakage.course.temperature_correction import (
     TemperatureCorrection,
     latest_slopes,
 )
-from pipeline.trends.baselines.eras import Era
+from pipeline.trends.baselines.eras import Era, era_at
 from pipeline.trends.baselines.flow import gap_ratio
 from pipeline.trends.figures.indicators import TEMPERATURE_EFFECT
 from pipeline.trends.nights.history import History
@@ -95,7 +95,7 @@ class TemperatureWatch:
 
     def frozen(self, place: int) -> TemperatureCorrection | None:
         """Effect that is frozen with the baseline; None while it is not known in a night."""
-        era = next(one for one in self.eras if place < one.segment.end)
+        era = era_at(self.eras, place)
         return era.temperature if place >= era.temperature_from else None
 
     @property

@@ -14,29 +14,17 @@ from leakage.course.cusum_limits import RATES
 from leakage.course.monitoring import Monitoring, MonitorSettings, monitor
 from pipeline.config import MotorSpec
 from pipeline.trends.figures.indicators import REFERENCE, Indicator
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.segments import Segment, segments
+from pipeline.trends.nights.segments import Segment, segment_at, segments
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """An indicator and what watching it has shown.
+    """An indicator and what watching it has shown; `series` is what was watched, shape (n,).
 
-    Attributes
-    ----------
-    indicator
-        Its figures over all nights.
-    series
-        What was watched, shape (n,).
-    segments
-        Nights by baseline.
-    found
-        Its states, segment by segment; places are those of the history.
-    settings
-        How it was watched.
+    `found` holds its states over all segments; places are those of the history.
     """
 
     indicator: Indicator
@@ -47,22 +35,18 @@ class Watched:
 
     def segment(self, place: int) -> Segment:
         """Segment of a night."""
-        return next(one for one in self.segments if place < one.end)
+        return segment_at(self.segments, place)
 
     def baseline(self, place: int) -> Baseline | None:
         """Baseline that serves a night; None before there is one."""
         return self.found.baseline_at(place) if self.found.has_baseline[place] else None
 
 
-def watch(
-    history: History,
-    decisions: Sequence[Decision],
-    indicators: Mapping[str, Indicator],
-) -> dict[str, Watched]:
+def watch(history: History, indicators: Mapping[str, Indicator]) -> dict[str, Watched]:
     """Watch every indicator of a motor."""
     watched = {}
     for name, indicator in indicators.items():
-        parts = segments(history, decisions, name)
+        parts = segments(history, name)
         settings = monitor_settings(history.spec, indicator, len(indicators))
         series = indicator.watched
         watched[name] = Watched(

@@ -12,7 +12,6 @@ from scipy.special import ndtri
 from leakage.course.alarms import Levels, above_level
 from leakage.course.sensor_zero import zero_course
 from pipeline.config import MotorSpec
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.segments import Segment, segments
 
@@ -75,9 +74,9 @@ class Zero:
         )
 
 
-def sensor_zeros(history: History, decisions: Sequence[Decision]) -> dict[str, Zero]:
+def sensor_zeros(history: History) -> dict[str, Zero]:
     """The zeros of a motor's sensors, by indicator."""
-    return {name: _zero(history, decisions, name) for name in (PRESSURE_ZERO, FLOW_ZERO)}
+    return {name: _zero(history, name) for name in (PRESSURE_ZERO, FLOW_ZERO)}
 
 
 def health(zeros: Sequence[Zero], place: int) -> str:
@@ -86,7 +85,7 @@ def health(zeros: Sequence[Zero], place: int) -> str:
     return "drifted" if "warning" in states else "ok" if "ok" in states else "unknown"
 
 
-def _zero(history: History, decisions: Sequence[Decision], name: str) -> Zero:
+def _zero(history: History, name: str) -> Zero:
     value, error = (history.records[column].copy() for column in COLUMNS[name])
     if name == FLOW_ZERO and history.spec.file.flushing.mode == "estimated":
         # What is flushed moves with it: nobody can tell which of the two has changed.
@@ -94,7 +93,7 @@ def _zero(history: History, decisions: Sequence[Decision], name: str) -> Zero:
     n = len(history)
     first, move, lower, upper = (np.full(n, np.nan) for _ in range(4))
     state = np.full(n, "insufficient", dtype=object)
-    parts = segments(history, decisions, name)
+    parts = segments(history, name)
     rule = nights_rule(history.spec)
     for part in parts:
         here = part.here

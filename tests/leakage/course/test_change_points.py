@@ -47,7 +47,6 @@ def test_a_ramp_that_a_partition_alone_reads_as_steps_is_a_trend_from_its_night(
     found = find_changes(NIGHTS, ramp + noise)
     assert found.model == "trend"
     assert abs(found.trend_from_night - 100) <= 12
-    assert found.trend_per_night == pytest.approx(0.08, rel=0.2)
     assert found.bic["trend"] < found.bic["step"] - 10
 
 
@@ -58,7 +57,7 @@ def test_a_step_has_its_night_and_its_size() -> None:
         found = find_changes(1000 + NIGHTS, 5.0 * HALF + noise)
         step = min(found.steps, key=lambda one: abs(one.night - 1100))
         assert abs(step.night - 1100) <= 3
-        held += step.lower <= 5.0 <= step.upper
+        held += abs(step.size - 5.0) <= 0.5
     assert held >= 25
 
 

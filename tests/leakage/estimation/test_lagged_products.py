@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from leakage.estimation.lagged_products import Segments, lagged_products
+from leakage.estimation.lagged_products import Segments, lagged_products, products_near_ends
 
 Array = NDArray[np.float64]
-BOTH_WAYS = [(0, 0), (1, 1), (0, 1), (1, 0)]
+PAIRS = [(0, 0), (1, 1), (0, 1), (1, 0)]
 
 
 def places(lengths: list[int], gap: int = 1) -> NDArray[np.int64]:
@@ -23,14 +23,15 @@ def places(lengths: list[int], gap: int = 1) -> NDArray[np.int64]:
     return np.concatenate(parts)
 
 
-def by_definition(series: Array, lengths: list[int], longest: int) -> Array:
+def by_definition(series: Array, lengths: list[int], longest: int, behind: int) -> Array:
     """Each pair of samples of a segment, one lag after the other."""
-    sums = np.zeros((len(BOTH_WAYS), longest + 1))
+    sums = np.zeros((len(PAIRS), behind + 1 + longest))
     for part in np.split(series, np.cumsum(lengths)[:-1], axis=1):
         n = part.shape[1]
-        for lag in range(min(longest, n - 1) + 1):
-            for row, (a, b) in enumerate(BOTH_WAYS):
-                sums[row, lag] += part[a, : n - lag] @ part[b, lag:]
+        for lag in range(max(-behind, 1 - n), min(longest, n - 1) + 1):
+            for row, (a, b) in enumerate(PAIRS):
+                first, second = part[a, max(-lag, 0) :], part[b, max(lag, 0) :]
+                sums[row, behind + lag] += first[: n - abs(lag)] @ second[: n - abs(lag)]
     return sums
 
 
@@ -38,13 +39,17 @@ def by_definition(series: Array, lengths: list[int], longest: int) -> Array:
 @given(
     lengths=st.lists(st.integers(1, 90), min_size=1, max_size=12),
     longest=st.integers(0, 120),
+    share_behind=st.floats(0.0, 1.0),
     gap=st.integers(1, 30),
     seed=st.integers(0, 1000),
 )
-def test_short_segments(lengths: list[int], longest: int, gap: int, seed: int) -> None:
+def test_short_segments(
+    lengths: list[int], longest: int, share_behind: float, gap: int, seed: int
+) -> None:
     series = np.random.default_rng(seed).normal(size=(2, sum(lengths)))
-    found = lagged_products(series, Segments.of(places(lengths, gap)), longest, BOTH_WAYS)
-    assert found == pytest.approx(by_definition(series, lengths, longest), abs=1e-10)
+    segments, behind = Segments.of(places(lengths, gap)), int(share_behind * longest)
+    found = lagged_products(series, segments, longest, PAIRS, behind)
+    assert found == pytest.approx(by_definition(series, lengths, longest, behind), abs=1e-10)
 
 
 @pytest.mark.parametrize("longest", [0, 1, 25, 350])
@@ -54,15 +59,31 @@ def test_short_segments(lengths: list[int], longest: int, gap: int, seed: int) -
 def test_segments_of_many_chunks(lengths: list[int], longest: int) -> None:
     """Around powers of two, where transforms change their length."""
     series = np.random.default_rng(1).normal(size=(2, sum(lengths)))
-    found = lagged_products(series, Segments.of(places(lengths)), longest, BOTH_WAYS)
-    assert found == pytest.approx(by_definition(series, lengths, longest), abs=1e-9)
+    behind = min(longest, 25)
+    found = lagged_products(series, Segments.of(places(lengths)), longest, PAIRS, behind)
+    assert found == pytest.approx(by_definition(series, lengths, longest, behind), abs=1e-9)
 
 
 def test_more_chunks_than_are_transformed_at_a_time() -> None:
     lengths = [40] * 3000
     series = np.random.default_rng(2).normal(size=(2, sum(lengths)))
-    found = lagged_products(series, Segments.of(places(lengths)), 25, BOTH_WAYS)
-    assert found == pytest.approx(by_definition(series, lengths, 25), abs=1e-9)
+    found = lagged_products(series, Segments.of(places(lengths)), 25, PAIRS)
+    assert found == pytest.approx(by_definition(series, lengths, 25, 0), abs=1e-9)
+
+
+@given(
+    lengths=st.lists(st.integers(1, 40), min_size=1, max_size=12),
+    margin=st.integers(1, 12),
+    seed=st.integers(0, 1000),
+)
+def test_products_near_the_ends(lengths: list[int], margin: int, seed: int) -> None:
+    """Those of a first series that is zero elsewhere."""
+    series = np.random.default_rng(seed).normal(size=(2, sum(lengths)))
+    near = [(np.arange(n) < margin) | (np.arange(n) >= n - margin) for n in lengths]
+    first = series * [np.concatenate(near), np.ones(sum(lengths))]
+    found = products_near_ends(series, Segments.of(places(lengths)), margin)
+    expected = by_definition(first, lengths, margin, margin)[PAIRS.index((0, 1))]
+    assert found == pytest.approx(expected[None], abs=1e-10)
 
 
 def test_lags_longer_than_every_segment_have_no_sum() -> None:
@@ -100,12 +121,13 @@ def test_segments_tell_what_they_hold(lengths: list[int], gap: int, margin: int)
     inner = np.concatenate(
         [(np.arange(n) >= margin) & (np.arange(n) < n - margin) for n in lengths]
     )
-    assert segments.without_ends(margin).mask(len(index)).tolist() == inner.tolist()
+    kept = segments.without_ends(margin)
+    assert kept.samples(np.arange(kept.n)).tolist() == np.flatnonzero(inner).tolist()
 
 
 def test_no_segment() -> None:
     nothing = Segments.of(np.arange(5)).without_ends(3)
     assert nothing.n == 0
     assert nothing.pair_counts(2).tolist() == [0, 0, 0]
-    assert not nothing.mask(5).any()
+    assert not len(nothing.samples(np.arange(0)))
     assert not lagged_products(np.ones((1, 5)), nothing, 2, [(0, 0)]).any()

@@ -1,28 +1,22 @@
-"""The command: exit codes, what goes to which stream, and help that helps."""
+"""Runs by the command: exit codes, what goes to which stream, lines for programs."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
-import shlex
-import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 import pytest
-from typer.main import get_command
 
 import pipeline.cli
 import pipeline.run.fleet
 import pipeline.store.publishing
-from pipeline.cli import app, main
 from pipeline.config.fleet import OWN_FOLDERS
 from pipeline.errors import StoreError
 from pipeline.store.night_files import (
@@ -30,60 +24,7 @@ from pipeline.store.night_files import (
     prepare_night,
 )
 from tests.conftest import OwnFleet
-
-CSV, PARQUET = "CB400-01", "CB400-02"
-COMMANDS = sorted(
-    command.name or command.callback.__name__.replace("_", "-")
-    for command in app.registered_commands
-    if command.callback
-)
-
-Called = tuple[int, str, str]
-Call = Callable[..., Called]
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Call]:
-    """Runs the command in this process; its code, and what it said on stdout and stderr."""
-    before = signal.getsignal(signal.SIGTERM)
-
-    def run(*arguments: str | Path) -> Called:
-        monkeypatch.setattr(sys, "argv", ["motor-leakage", *map(str, arguments)])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            main()
-        out, err = capfd.readouterr()
-        assert isinstance(caught.value.code, int)
-        return caught.value.code, out, err
-
-    yield run
-    signal.signal(signal.SIGTERM, before)
-
-
-def break_log(fleet: Path, motor: str) -> Path:
-    path = max((fleet.parent.parent / "demo" / "logs" / motor).iterdir())
-    path.write_bytes(b"nonsense" * 1000)
-    return path
-
-
-def change(fleet: Path, file: str, before: str, after: str) -> None:
-    path = fleet.parent / file
-    text = path.read_text(encoding="utf-8")
-    assert before in text
-    path.write_text(text.replace(before, after), encoding="utf-8")
-
-
-def without_workers(fleet: Path) -> Path:
-    """For tests of what the command says, not of how its work is spread."""
-    change(fleet, "fleet.toml", "[execution]\n", '[execution]\nbackend = "sequential"\n')
-    return fleet
-
-
-@pytest.fixture
-def fleet(own_fleet: OwnFleet) -> Path:
-    """Two motors that are fitted already: a run over them is quick."""
-    return without_workers(own_fleet(CSV, PARQUET, fitted=True))
-
+from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change, without_workers
 
 # Exit codes
 
@@ -356,15 +297,6 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     assert run["interrupted"] is False
 
 
-def test_json_lines_of_a_check(call: Call, fleet: Path) -> None:
-    broken = break_log(fleet, PARQUET)
-    code, out, _ = call("check", fleet, "--json")
-    assert code == 1
-    sound, faulty = map(json.loads, out.splitlines())
-    assert (sound["motor_id"], sound["faults"]) == (CSV, [])
-    assert broken.name in faulty["faults"][0]
-
-
 def test_stdout_stays_empty_of_all_but_json_when_the_config_is_broken(
     call: Call, fleet: Path
 ) -> None:
@@ -372,234 +304,3 @@ def test_stdout_stays_empty_of_all_but_json_when_the_config_is_broken(
     code, out, err = call("fit-fleet", fleet, "--json")
     assert (code, out) == (2, "")
     assert "execution.workers" in err
-
-
-# Check
-
-
-def test_check_prints_a_table_for_each_motor(call: Call, fleet: Path) -> None:
-    code, out, err = call("check", fleet)
-    assert (code, err) == (0, "")
-    *motors, last = out.split("\n\n")
-    assert [text.split(":")[0] for text in motors] == [CSV, PARQUET]
-    title, columns, *channels, worth = motors[0].splitlines()
-    assert worth.startswith("the motor ran ")
-    assert "3 nights, 2026-01-02 to 2026-01-04, 0 faults" in title
-    assert columns.startswith("channel\trate\tmedian\t")
-    assert {line.count("\t") for line in channels} == {columns.count("\t")}
-    assert channels[0].split("\t")[:2] == ["pressure_difference", "5 Hz"]
-    assert last.startswith("placeholders")
-
-
-def test_check_is_1_when_a_log_is_broken(call: Call, fleet: Path) -> None:
-    broken = break_log(fleet, PARQUET)
-    code, out, err = call("check", fleet)
-    assert code == 1
-    assert any(line.startswith(PARQUET) and "1 fault" in line for line in out.splitlines())
-    assert err.startswith(f"{PARQUET}: log_")
-    assert broken.name in err
-
-
-def test_check_is_1_where_there_is_no_log_at_all(call: Call, own_fleet: OwnFleet) -> None:
-    """A wrong folder or pattern must not pass for a sound fleet."""
-    fleet = own_fleet(CSV, PARQUET)
-    logs = fleet.parent.parent / "demo" / "logs"
-    for path in (logs / PARQUET).iterdir():
-        path.unlink()
-    code, out, err = call("check", fleet)
-    assert (code, err) == (0, "")
-    assert f"no file matches {PARQUET}/*.parquet below {logs}" in out
-    for path in (logs / CSV).iterdir():
-        path.unlink()
-    code, _, err = call("check", fleet)
-    assert code == 1
-    assert err == (
-        f"motor-leakage: no_logs: no log of any motor is below {logs}; correct folders.logs, or "
-        "logs.files\n"
-    )
-    code, _, err = call("check", fleet, "--json")
-    assert (code, json.loads(err)["code"]) == (1, "no_logs")
-
-
-@pytest.mark.parametrize(
-    "command", [("check", "--tables"), ("prune", "--tables", "starts", "--keep", "1")]
-)
-def test_2_where_there_are_no_tables(
-    call: Call, own_fleet: OwnFleet, tmp_path: Path, command: tuple[str, ...]
-) -> None:
-    """A wrong folder must not pass for sound tables, and none is made."""
-    elsewhere = tmp_path / "elsewhere"
-    name, *options = command
-    code, out, err = call(name, own_fleet(CSV), *options, "--output", elsewhere)
-    assert (code, out) == (2, "")
-    assert err.startswith(f"motor-leakage: no_tables: there are no tables in {elsewhere}")
-    assert not elsewhere.exists()
-
-
-# One night
-
-
-def test_fit_tells_of_a_night_and_publishes_nothing(call: Call, fleet: Path) -> None:
-    before = {path: path.stat().st_mtime_ns for path in fleet.parent.parent.rglob("*")}
-    code, out, err = call("fit", fleet, CSV, "2026-01-03")
-    assert (code, err) == (0, "")
-    assert out.startswith(f"{CSV}, night of 2026-01-03: fitted")
-    assert {path: path.stat().st_mtime_ns for path in fleet.parent.parent.rglob("*")} == before
-
-
-def test_fit_trains_on_one_period_and_validates_on_another(call: Call, fleet: Path) -> None:
-    periods = ("--train", "2026-01-02..2026-01-03", "--validate", "2026-01-04..2026-01-04")
-    code, out, err = call("fit", fleet, CSV, *periods)
-    assert (code, err) == (0, "")
-    assert out.startswith("CB")
-    assert "\nvalidation: fit" in out
-    for wrong in ((), ("--validate", "2026-01-02..2026-01-03"), ("2026-01-02", *periods)):
-        code, out, err = call("fit", fleet, CSV, *wrong)
-        assert (code, out) == (2, "")
-        assert "expected a NIGHT, or --train" in err
-
-
-def test_fit_of_a_night_without_a_log_is_wrong_usage(call: Call, fleet: Path) -> None:
-    code, out, err = call("fit", fleet, CSV, "2020-01-03")
-    assert (code, out) == (2, "")
-    assert f"no log of {CSV} covers the night of 2020-01-03: they cover 2026-01-02 to" in err
-    assert "fit-fleet" not in err
-    for path in (fleet.parent.parent / "demo" / "logs" / CSV).iterdir():
-        path.unlink()
-    code, _, err = call("fit", fleet, CSV, "2026-01-03")
-    assert code == 2
-    assert f"covers the night of 2026-01-03: no file matches {CSV}/*.csv below" in err
-
-
-def test_fit_of_a_named_log_that_is_absent_says_so(call: Call, fleet: Path) -> None:
-    change(fleet, f"motors/{CSV}.toml", f'"{CSV}/*.csv"', '"gone.csv"')
-    code, out, err = call("fit", fleet, CSV, "2026-01-03")
-    assert (code, out) == (1, "")
-    assert err == f"{CSV}: log_missing: gone.csv: named in the config and absent\n"
-
-
-# Help
-
-
-def test_help_lists_every_command(call: Call) -> None:
-    code, out, _ = call("--help")
-    assert code == 0
-    assert {"fit-fleet", "check", "demo"} <= set(COMMANDS)
-    assert all(command in out for command in COMMANDS)
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_of_each_command_shows_an_example(call: Call, command: str) -> None:
-    code, out, _ = call(command, "--help")
-    assert code == 0
-    assert f"Example: motor-leakage {command} " in re.sub(r"\s+", " ", out)
-
-
-def test_help_shows_what_is_written_in_it(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of it: markup swallows what stands in square brackets."""
-    monkeypatch.setenv("COLUMNS", "300")
-    for command in COMMANDS:
-        _, out, _ = call(command, "--help")
-        for parameter in get_command(app).commands[command].params:
-            written = parameter.help.replace("\\[", "[")
-            assert re.sub(r"\s+", " ", written) in re.sub(r"\s+", " ", out)
-    assert "those of [retention] if empty" in call("prune", "--help")[1]
-
-
-def test_examples_of_the_help_run_as_they_stand(
-    call: Call, demo_folder: Path, fitted_output: Path, tmp_path: Path, monkeypatch: Any
-) -> None:
-    """Each line, pasted where `motor-leakage demo . --nights 3` was run."""
-    shutil.copytree(demo_folder, tmp_path, dirs_exist_ok=True)
-    shutil.copytree(fitted_output, tmp_path / "out")
-    without_workers(tmp_path / "configs" / "fleet.toml")
-    monkeypatch.chdir(tmp_path)
-    docs = [
-        command.callback.__doc__ or "" for command in app.registered_commands if command.callback
-    ]
-    examples = re.findall(r"Example: motor-leakage (.*)", "\n".join(docs))
-    assert {example.split()[0] for example in examples} == set(COMMANDS)
-    for example in examples:
-        # The first was run before; three nights raise no alarm that could be acknowledged; a
-        # database is a server.
-        if example == "demo . --nights 3" or example.startswith("ack ") or " sql:" in example:
-            continue
-        code, _, err = call(*shlex.split(example))
-        # The demo's logs leave questions open, which is 1.
-        assert code == int(example.startswith("init ")), example
-        # Piped, `status` says on stderr what is no motor's.
-        said = ("last good run: ", "newest samples: ", "looks: ")
-        others = [line for line in err.splitlines() if not line.startswith(said)]
-        assert (others if example.startswith("status ") else err.splitlines()) == [], example
-
-
-def test_version(call: Call) -> None:
-    code, out, err = call("--version")
-    assert (code, out, err) == (0, f"motor-leakage {version('motor-leakage')}\n", "")
-
-
-NO_COMMAND_NEEDS = ("pandas", "matplotlib", "plotly", "jinja2", "ruptures", "pyarrow.dataset")
-NOT_FOR_STATUS = (*NO_COMMAND_NEEDS, "scipy", "joblib", "pyarrow.compute", "rich")
-
-
-def loaded_by(code: str, names: Sequence[str]) -> list[str]:
-    """Those of some modules that a fresh process has loaded after some code."""
-    code += f"\nimport sys; print(*(name for name in {names} if name in sys.modules))"
-    command = [sys.executable, "-c", code]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    return said.splitlines()[-1].split()
-
-
-def test_help_imports_nothing_heavy() -> None:
-    heavy = "polars", "scipy", "pyarrow", "numpy", "pipeline.run.fleet"
-    assert loaded_by("import pipeline.cli", heavy) == []
-
-
-def test_a_run_begins_without_what_it_does_not_need() -> None:
-    """Each of these takes as long to import as a third of the program."""
-    unused = (*NO_COMMAND_NEEDS, "duckdb", "scipy", "joblib", "pipeline.night.fit_night")
-    assert loaded_by("import pipeline.run.fleet", unused) == []
-
-
-def test_status_neither_fits_nor_draws(fleet: Path) -> None:
-    code = (
-        "import contextlib, pipeline.cli.state as s; from pathlib import Path; from typer import "
-        f"Exit\nwith contextlib.suppress(Exit): s.status(Path({str(fleet)!r}))"
-    )
-    unused = (*NOT_FOR_STATUS, "pipeline.night.fit_night", "leakage.course.monitoring")
-    assert loaded_by(code, unused) == []
-
-
-# As people start it
-
-
-def test_the_installed_command_from_demo_to_tables(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    command = Path(sys.executable).with_name("motor-leakage")
-
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [str(command), *arguments],
-            cwd=tmp_path,
-            env=os.environ | {"NO_COLOR": "1"},
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
-
-    made = run("demo", ".", "--nights", "1", "--minutes", "30", "--jobs", "1")
-    assert made.returncode == 0, made.stderr
-    fitted = run("fit-fleet", "configs/fleet.toml")
-    assert (fitted.returncode, fitted.stderr) == (0, "")
-    assert fitted.stdout.count(": ok (1 ok)") == 6
-    assert "\x1b" not in fitted.stdout
-    found = pl.read_parquet(tmp_path / "out" / "tables" / "fits" / "**" / "*.parquet")
-    assert found.filter("is_primary")["motor_id"].n_unique() == 6
-    (tmp_path / "mine" / "demo").mkdir(parents=True)
-    (tmp_path / "mine" / "demo" / "notes.txt").touch()
-    monkeypatch.chdir(tmp_path)
-    code, _, err = call("demo", "mine")
-    assert code == 2
-    assert "name another folder" in err

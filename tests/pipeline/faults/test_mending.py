@@ -28,8 +28,9 @@ from pipeline.schema import (
     TRENDS,
     Table,
 )
+from pipeline.store.encoding import write_table
 from pipeline.store.manifest import manifest_file
-from pipeline.store.tables import night_file, read_rows, run_file, write_table
+from pipeline.store.tables import night_file, read_rows, run_file
 from pipeline.trends.nights.from_tables import FIT_COLUMNS
 from tests.pipeline.faults.damage import (
     EVERY_RUN,

@@ -19,8 +19,7 @@ from pipeline.schema import (
 from pipeline.store.manifest import manifest_file
 from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions
-from tests.pipeline.cli.test_cli import Call
-from tests.pipeline.cli.test_cli import call as call  # a fixture
+from tests.pipeline.calling import Call
 from tests.pipeline.faults.damage import (
     EVERY_RUN,
     cut_off,

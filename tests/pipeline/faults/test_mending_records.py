@@ -20,8 +20,9 @@ from pipeline.schema import (
     PREDICTIONS,
     QUALITY,
 )
+from pipeline.store.encoding import write_table
 from pipeline.store.manifest import manifest_file
-from pipeline.store.tables import night_file, read_rows, write_table
+from pipeline.store.tables import night_file, read_rows
 from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
 from tests.pipeline.faults.damage import (
     MONTH,
@@ -114,7 +115,7 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
         f"ledger/M1/{MONTH}.json",
         "ledger/M1/settings",
         "ledger/M1/trends",
-        f"history/M1/{MONTH}.parquet",
+        f"history/M1/{MONTH}.lz4",
     ],
 )
 def test_own_files_are_named_and_mended_by_the_next_run(
@@ -130,7 +131,7 @@ def test_own_files_are_named_and_mended_by_the_next_run(
 
 
 @pytest.mark.parametrize(
-    "name", [f"ledger/M9/{MONTH}.json", "ledger/M9/settings", f"history/M9/{MONTH}.parquet"]
+    "name", [f"ledger/M9/{MONTH}.json", "ledger/M9/settings", f"history/M9/{MONTH}.lz4"]
 )
 def test_own_files_of_a_motor_that_there_is_no_more_are_mended_by_the_command(
     tiny_fleet: TinyFleet, output: Path, name: str

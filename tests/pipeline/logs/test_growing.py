@@ -2,145 +2,37 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import json
 import os
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-from mcap.writer import Writer
 
 import pipeline.logs.files
 import pipeline.logs.motor_logs
 from pipeline.config import load_fleet
 from pipeline.config.hashes import config_hash
 from pipeline.logs.files import change_of, look_at
-from pipeline.logs.ledger import read_ledger
 from pipeline.setup.check import check_fleet
-from tests.pipeline.simulated import CANONICAL, NIGHT, load_motor, motor_toml, operate
+from tests.pipeline.calling import Call
+from tests.pipeline.logs.growing_logs import (
+    MINUTES,
+    ROWS,
+    WRITERS,
+    Cells,
+    Logger,
+    Site,
+    logger,
+)
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
 from tests.pipeline.workshop import DAY, MINI, Workshop, check_same_figures
-
-MINUTES = 24.0
-ROWS = round(MINUTES * 60)
-PIECE = 60
-PATIENCE_S = 60.0
-Cells = dict[str, np.ndarray[Any, Any]]
-
-
-def csv_writer(path: Path, cells: Cells) -> Iterator[None]:
-    """Appends a minute of rows each time it is asked; what is written is on the disk."""
-    with path.open("w", encoding="utf-8") as file:
-        file.write(",".join(["time", *CANONICAL]) + "\n")
-        for begin in range(0, ROWS, PIECE):
-            for i in range(begin, begin + PIECE):
-                moment = dt.datetime.fromtimestamp(cells["time"][i] / 1e6, dt.UTC)
-                numbers = (repr(float(cells[name][i])) for name in CANONICAL)
-                file.write(",".join([moment.isoformat(), *numbers]) + "\n")
-            file.flush()
-            yield
-
-
-def parquet_writer(path: Path, cells: Cells) -> Iterator[None]:
-    """Row group by row group; without its end it is no Parquet yet."""
-    schema = pa.schema(
-        [("time", pa.timestamp("us", "UTC")), *((name, pa.float64()) for name in CANONICAL)]
-    )
-    with path.open("wb") as file, pq.ParquetWriter(file, schema) as writer:
-        for begin in range(0, ROWS, PIECE):
-            part = {name: cells[name][begin : begin + PIECE] for name in ("time", *CANONICAL)}
-            writer.write_table(
-                pa.table({n: pa.array(v, schema.field(n).type) for n, v in part.items()})
-            )
-            file.flush()
-            yield
-
-
-def mcap_writer(path: Path, cells: Cells) -> Iterator[None]:
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1000)
-        writer.start()
-        schema = writer.register_schema("Value", "jsonschema", b'{"type": "object"}')
-        ids = {name: writer.register_channel(name, "json", schema) for name in CANONICAL}
-        for begin in range(0, ROWS, PIECE):
-            for i in range(begin, begin + PIECE):
-                for name in CANONICAL:
-                    message = json.dumps({"value": float(cells[name][i])}).encode()
-                    writer.add_message(ids[name], int(cells["time"][i]) * 1000, message, 0)
-            file.flush()
-            yield
-        writer.finish()
-
-
-WRITERS: dict[str, Callable[[Path, Cells], Iterator[None]]] = {
-    "csv": csv_writer,
-    "parquet": parquet_writer,
-    "mcap": mcap_writer,
-}
-every_format = pytest.mark.parametrize("log_format", WRITERS)
-
-
-@dataclass
-class Logger:
-    """Another thread that writes a log, a minute of it at a time, and then closes it."""
-
-    steps: Iterator[None]
-    may_write: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
-    has_written: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
-
-    def work(self) -> None:
-        for _ in self.steps:
-            self.has_written.release()
-            self.may_write.acquire()
-        self.has_written.release()
-
-    def write(self, pieces: int = 1) -> None:
-        """Have it write on, and wait until that is done."""
-        for _ in range(pieces):
-            self.may_write.release()
-            assert self.has_written.acquire(timeout=PATIENCE_S)
-
-
-@contextmanager
-def logger(log_format: str, path: Path, cells: Cells) -> Iterator[Logger]:
-    one = Logger(WRITERS[log_format](path, cells))
-    thread = threading.Thread(target=one.work, daemon=True)
-    thread.start()
-    assert one.has_written.acquire(timeout=PATIENCE_S)
-    yield one
-    while thread.is_alive():  # to its end
-        one.may_write.release()
-        thread.join(0.01)
-
-
-@dataclass(frozen=True)
-class Site:
-    """A motor of one format, and what it did in two nights."""
-
-    workshop: Workshop
-    log_format: str
-    nights: dict[dt.date, Cells]
-
-    def path(self, label: dt.date) -> Path:
-        return self.workshop.logs / f"{label}.{self.log_format}"
-
-    def write(self, label: dt.date) -> None:
-        for _ in WRITERS[self.log_format](self.path(label), self.nights[label]):
-            pass
-
-    def known_files(self) -> set[str]:
-        output = self.workshop.folder / "out"
-        return set(read_ledger(output, "M1").files)
 
 
 @pytest.fixture
@@ -415,29 +307,20 @@ class TestSettling:
         site.workshop.take(text)
 
     def test_a_file_written_to_a_moment_ago_waits(self, site_of: Callable[[str], Site]) -> None:
+        """Half of one, too, which would fail."""
         site = site_of("parquet")
         self.configured(site, 3600.0)
         site.write(NIGHT)
-        outcome = site.workshop.run()
-        assert (outcome.nights, outcome.files["growing"]) == ((), 1)
-        assert "logs.settle_s is 3600" in outcome.growing[0]
         path = site.path(NIGHT)
+        whole = path.read_bytes()
+        path.write_bytes(whole[:-100])
+        outcome = site.workshop.run()
+        assert (outcome.status, outcome.nights, outcome.files["growing"]) == ("no_new_data", (), 1)
+        assert "logs.settle_s is 3600" in outcome.growing[0]
+        path.write_bytes(whole)
         an_hour_ago = path.stat().st_mtime - 3601
         os.utime(path, (an_hour_ago, an_hour_ago))
         assert site.workshop.run().nights == (NIGHT,)
-
-    def test_a_half_written_one_does_not_fail_meanwhile(
-        self, site_of: Callable[[str], Site]
-    ) -> None:
-        site = site_of("parquet")
-        self.configured(site, 3600.0)
-        site.write(NIGHT)
-        whole = site.path(NIGHT).read_bytes()
-        site.path(NIGHT).write_bytes(whole[:-100])
-        assert site.workshop.run().status == "no_new_data"
-        self.configured(site, 0.0)
-        outcome = site.workshop.run()
-        assert (outcome.status, outcome.error_code) == ("failed", "log_truncated")
 
     def test_a_clock_far_ahead_keeps_no_file_out(self, site_of: Callable[[str], Site]) -> None:
         site = site_of("parquet")
@@ -485,12 +368,8 @@ def test_the_check_notes_it_and_calls_it_no_fault(
 
 
 def test_the_command_says_so_and_ends_with_0(
-    site_of: Callable[[str], Site],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    site_of: Callable[[str], Site], monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:
-    from pipeline import cli
-
     site = site_of("csv")
     site.write(NIGHT)
     real = pipeline.logs.files.content_hash
@@ -500,15 +379,7 @@ def test_the_command_says_so_and_ends_with_0(
             file.write("2026")
         return real(path)
 
-    def call(*arguments: str) -> tuple[object, str, str]:
-        with monkeypatch.context() as patch:
-            patch.setattr(pipeline.logs.files, "content_hash", hashed)
-            patch.setattr(sys, "argv", ["motor-leakage", *arguments])
-            with pytest.raises(SystemExit) as ended:
-                cli.main()
-        out, err = capsys.readouterr()
-        return ended.value.code, out, err
-
+    monkeypatch.setattr(pipeline.logs.files, "content_hash", hashed)
     fleet = str(site.workshop.fleet)
     code, out, err = call("fit-fleet", fleet)
     assert code == 0

@@ -25,8 +25,7 @@ from pipeline.model_figures import (
     write_model_figures,
 )
 from pipeline.model_figures.canvas import ImageFormat, drawing, save
-from tests.pipeline.cli.test_cli import Call
-from tests.pipeline.cli.test_cli import call as call  # a fixture
+from tests.pipeline.calling import Call
 from tests.pipeline.model_figures.conftest import (
     DISTRIBUTOR,
     FIGURES,

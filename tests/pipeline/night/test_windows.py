@@ -19,6 +19,7 @@ from leakage.estimation.sample_blocks import (
     TRAINING,
     VALIDATION,
     Block,
+    ChosenPeriods,
     merge_neighbours,
     split_into_blocks,
 )
@@ -26,7 +27,6 @@ from pipeline.config import ConfigError, Nights, Windows
 from pipeline.config.hashes import model_hash
 from pipeline.config.motors import Periods
 from pipeline.config.nights import night
-from pipeline.config.periods import ChosenPeriods
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.windows import left_out, too_uniform
 from pipeline.schema.fits import INSUFFICIENT_DATA
@@ -315,8 +315,8 @@ def test_periods_of_other_nights_do_not_touch_this_one() -> None:
         )
     )
     nights = Nights()
-    assert ChosenPeriods.of(periods, night(dt.date(2026, 3, 2), nights)).training
-    assert not ChosenPeriods.of(periods, night(dt.date(2026, 3, 3), nights))
+    assert periods.within(night(dt.date(2026, 3, 2), nights)).training
+    assert not periods.within(night(dt.date(2026, 3, 3), nights))
 
 
 def night_with(folder: Path, more: str) -> NightOutcome:

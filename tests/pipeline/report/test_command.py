@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import OwnFleet
-from tests.pipeline.cli.test_cli import Call
-from tests.pipeline.cli.test_cli import call as call  # a fixture
+from tests.pipeline.calling import Call
 
 ROOT = Path(__file__).resolve().parents[3]
 MOTOR = "CB400-01"

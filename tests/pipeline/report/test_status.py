@@ -17,7 +17,6 @@ from pipeline.trends.rows.latest_states import motor_state
 from pipeline.trends.rows.motor_states import ORDER, LookStanding, MotorState, urgency
 from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.states.words import FALL
-from tests.pipeline.cli.test_cli import call as call  # a fixture
 from tests.pipeline.report.states import LAST, WORN, fits_of, rows_of, said, trend
 from tests.pipeline.trends.nights import Nights, motor, night_of, standing, step
 

@@ -11,8 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.pipeline.cli.test_cli import Call, Called
-from tests.pipeline.cli.test_cli import call as call  # a fixture
+from tests.pipeline.calling import Call, Called
 from tests.pipeline.simulated import CANONICAL, NIGHT, motor_toml, operate, write_log
 from tests.pipeline.workshop import Workshop
 

@@ -18,8 +18,7 @@ from typer.testing import CliRunner
 from pipeline.cli import app
 from pipeline.errors import LogError
 from pipeline.setup.suggest import suggest
-from tests.pipeline.cli.test_cli import Call
-from tests.pipeline.cli.test_cli import call as call  # a fixture
+from tests.pipeline.calling import Call
 from tests.pipeline.setup.suggested import (
     DAY_OR_MONTH,
     LABELS,

@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import polars as pl
-
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
-from tests.pipeline.trends.nights import Nights, configure, night_of, publish
+from tests.pipeline.trends.nights import Nights, configure, publish
 
 QUICK = '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
-# The leakage is 1.4 l/min, or 2.8 where it has doubled.
-LIMITS = "[limits]\nwarning_l_per_min = 0.5\nalarm_l_per_min = {alarm}\n"
+# The leakage is 1.4 l/min.
+LIMITS = "[limits]\nwarning_l_per_min = 0.5\nalarm_l_per_min = 1.0\n"
 N = 3
 
 
@@ -23,27 +21,17 @@ def keep(path: Path) -> str:
     return f"command = {json.dumps(['/bin/sh', '-c', script, str(path)])}"
 
 
-def told_fleet(folder: Path, alarms: str, n: int = N, alarm: float = 1.0) -> Path:
+def told_fleet(folder: Path, alarms: str) -> Path:
     """Publish some nights and write the config, with lines of `[alarms]`; the fleet's file."""
-    config = write_config(folder, alarms, alarm)
+    config = write_config(folder, alarms)
     (spec,) = load_fleet(config).motors
-    publish(folder / "out", Nights(spec, n).frames())
+    publish(folder / "out", Nights(spec, N).frames())
     return config
 
 
-def write_config(folder: Path, alarms: str, alarm: float = 1.0) -> Path:
+def write_config(folder: Path, alarms: str) -> Path:
     fleet = f"{QUICK}[alarms]\n{alarms}\n"
-    return configure(folder, fleet=fleet, limits=LIMITS.format(alarm=alarm))
-
-
-def add_night(folder: Path, place: int) -> None:
-    """Publish another night, with the flow of the others."""
-    (spec,) = load_fleet(folder / "configs" / "fleet.toml").motors
-    frames = Nights(spec, place + 1).frames()
-    publish(
-        folder / "out",
-        {name: rows.filter(pl.col("night") == night_of(place)) for name, rows in frames.items()},
-    )
+    return configure(folder, fleet=fleet, limits=LIMITS)
 
 
 def run(config: Path) -> RunResult:

@@ -13,9 +13,8 @@ from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.store.atomic_files import remove_all
 from pipeline.telling import delivering
-from tests.pipeline.cli.test_cli import Call
-from tests.pipeline.cli.test_cli import call as call  # a fixture
-from tests.pipeline.telling.fleet import add_night, keep, run, told_fleet, write_config
+from tests.pipeline.calling import Call
+from tests.pipeline.telling.fleet import keep, run, told_fleet, write_config
 from tests.pipeline.telling.servers import Hook, hook
 
 
@@ -62,32 +61,6 @@ def test_a_hook_that_fails_is_tried_again_by_a_run_with_nothing_new(
     assert len(server.posts) == 2
 
 
-def test_a_command_that_fails_is_tried_again_as_well(tmp_path: Path) -> None:
-    config = told_fleet(tmp_path, keep(tmp_path / "none" / "told"))
-    run(config)
-    write_config(tmp_path, keep(tmp_path / "told"))
-    run(config)
-    assert [len(one["changes"]) for one in told(tmp_path)] == [1]
-
-
-def test_a_hook_that_is_switched_on_later_is_told_of_what_comes(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    config = told_fleet(tmp_path, "warning_percent = 15.0")
-    run(config)
-    write_config(tmp_path, keep(tmp_path / "told"))
-    run(config)
-    assert told(tmp_path) == []
-    assert "the 1 rows of `alarms` so far are not sent" in caplog.text
-    # A limit above the leakage: what was raised is closed.
-    write_config(tmp_path, keep(tmp_path / "told"), alarm=2.0)
-    add_night(tmp_path, 3)
-    run(config)
-    (document,) = told(tmp_path)
-    states = [(one["change"], one["to_state"]) for one in document["changes"]]
-    assert ("changed", "warning") in states
-
-
 def test_what_is_made_anew_with_the_same_content_is_not_told_again(tmp_path: Path) -> None:
     config = told_fleet(tmp_path, keep(tmp_path / "told"))
     run(config)
@@ -98,17 +71,6 @@ def test_what_is_made_anew_with_the_same_content_is_not_told_again(tmp_path: Pat
     assert len(run(config).alarms) == 1  # new in the tables, and yet known
     assert (output / "tables" / "alarms").exists()
     assert len(told(tmp_path)) == 1
-
-
-def test_a_row_that_says_something_else_is_told_as_changed(tmp_path: Path) -> None:
-    config = told_fleet(tmp_path, keep(tmp_path / "told"))
-    run(config)
-    write_config(tmp_path, keep(tmp_path / "told"), alarm=1.2)
-    run(config)
-    first, second = (document["changes"][0] for document in told(tmp_path))
-    assert (first["change"], second["change"]) == ("new", "changed")
-    assert "limit of the motor type is 1 l/min" in first["reason"]
-    assert "limit of the motor type is 1.2 l/min" in second["reason"]
 
 
 def test_nothing_of_path_query_or_token_is_left_anywhere(

@@ -27,10 +27,12 @@ from pipeline.config.nights import nights_between
 from pipeline.demo import shipped_configs
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
-from pipeline.store.tables import night_file, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.from_tables import rows_by_night
 from pipeline.trends.nights.history import History, every_night
+from pipeline.trends.nights.records import Layout
 from pipeline.trends.stage import Part, neighbours_of, standing_of
 from pipeline.trends.states.model import with_misfit
 from pipeline.trends.states.standing import Standing
@@ -337,7 +339,8 @@ def histories(
             name: rows.filter(pl.col("night") <= night_of(until)) for name, rows in whole.items()
         }
     specs = [one.spec for one in motors]
-    by_motor = rows_by_night(specs, whole["fits"], whole["parameters"], whole["operation"])
+    layouts = {one.motor_id: Layout.of(one, FIRST) for one in specs}
+    by_motor = rows_by_night(specs, layouts, whole["fits"], whole["parameters"], whole["operation"])
     last = None if tonight is None else night_of(tonight)
     filled = {
         motor_id: every_night(one, last or one.nights[-1]) for motor_id, one in by_motor.items()
@@ -348,12 +351,12 @@ def histories(
 def standings(
     found: Mapping[str, History],
     decisions: Sequence[Decision] = (),
-    change: Callable[[History, tuple[Decision, ...]], History] = lambda one, _: one,
+    change: Callable[[History], History] = lambda one: one,
 ) -> dict[str, Standing]:
     """Standings of the motors of one oil circuit, or of one motor alone."""
     said = {name: tuple(d for d in decisions if d.motor_id == name) for name in found}
     parts = {
-        name: Part.of(with_misfit(change(one, said[name]), said[name], dt.date.min), said[name])
+        name: Part.of(with_misfit(change(replace(one, decisions=said[name])), dt.date.min))
         for name, one in found.items()
     }
     peers, circuit = neighbours_of(parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -51,14 +52,16 @@ def test_another_oil_counts_from_its_date_as_the_figures_since_are_others() -> N
 
 def test_an_earlier_view_is_without_what_came_later() -> None:
     seen = beginnings(SPEC, SAID, {OVERHAUL: night_of(25)}, night_of(35))
-    views = list(earlier_views(history(Nights(SPEC, 50)), SAID, seen))
+    whole = replace(history(Nights(SPEC, 50)), decisions=SAID)
+    views = list(earlier_views(whole, seen))
     assert [
-        (until, [one.kind for one in then.spec.file.events], said) for until, then, said in views
+        (until, [one.kind for one in then.spec.file.events], then.decisions)
+        for until, then in views
     ] == [
         (night_of(36), ["overhaul", "motor_exchanged"], ()),
         (night_of(25), ["motor_exchanged"], ()),
     ]
-    assert list(earlier_views(history(Nights(SPEC, 50)), SAID, DATED)) == []
+    assert list(earlier_views(whole, DATED)) == []
 
 
 def test_a_record_keeps_it_where_the_trends_are_forgotten(tmp_path: Path) -> None:

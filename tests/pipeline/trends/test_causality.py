@@ -83,9 +83,9 @@ def tank(seed: int) -> tuple[list[Nights], list[Decision]]:
 def stand(
     motors: Sequence[Nights], said: Sequence[Decision], blocks: pl.DataFrame, until: int
 ) -> dict[str, Standing]:
-    def followed(history: History, decisions: tuple[Decision, ...]) -> History:
+    def followed(history: History) -> History:
         own = blocks.filter(motor_id=history.spec.motor_id)
-        return with_filter(with_blocks(history, own), decisions, dt.date.min)
+        return with_filter(with_blocks(history, own), dt.date.min)
 
     return standings(histories(*motors, until=until, tonight=until), said, followed)
 

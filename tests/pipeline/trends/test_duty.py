@@ -16,12 +16,12 @@ from leakage.course.balanced_baseline import DutyBlocks
 from leakage.estimation.model_verdict import StructuredMisfit
 from pipeline.config import MotorSpec
 from pipeline.schema import BLOCK_STATISTICS
-from pipeline.store.tables import night_file, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import night_file
 from pipeline.trends.baselines import blocks as baseline_blocks
 from pipeline.trends.baselines.blocks import BlockFiles
 from pipeline.trends.baselines.duty import with_duty
 from pipeline.trends.figures.indicators import DEVIATION, REFERENCE
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.records import BALANCED, OUTSIDE, Layout
 from pipeline.trends.rows.trend_rows import trend_rows
@@ -44,10 +44,10 @@ PLACE = 2
 # A night at twice the load that the histograms of the others reach.
 HIGH = np.array([0] * 16 + [10] * 4)
 
-Change = Callable[[History, tuple[Decision, ...]], History]
+Change = Callable[[History], History]
 
 
-def outside(found: History, _: tuple[Decision, ...] = ()) -> History:
+def outside(found: History) -> History:
     records = found.records.copy()
     records["duty"][AT:] = OUTSIDE
     records["pressure_histogram"][AT:] = HIGH
@@ -57,7 +57,7 @@ def outside(found: History, _: tuple[Decision, ...] = ()) -> History:
 def balanced(rise: float, error: float, flow: float, share: float = 0.8) -> Change:
     """Nights whose sleeves have grown so much against the baseline at their duty."""
 
-    def change(found: History, _: tuple[Decision, ...]) -> History:
+    def change(found: History) -> History:
         records = found.records.copy()
         records["duty"][AT:] = BALANCED
         then = np.array(found.layout.configured)
@@ -78,7 +78,7 @@ def told(change: Change, wear: float = 0.4, limits: str = "") -> Standing:
 
 
 def test_a_loss_factor_that_is_the_dutys_is_no_rise() -> None:
-    plain, found = told(lambda one, _: one), told(balanced(0.0, 0.02, 0.0))
+    plain, found = told(lambda one: one), told(balanced(0.0, 0.02, 0.0))
     for name in (SLEEVE, DEVIATION, REFERENCE):
         assert plain.states[name][N - 1] in ("warning", "alarm")
         assert found.states[name][N - 1] == "ok"
@@ -140,7 +140,7 @@ def test_duty_wins_over_a_common_change_and_that_over_the_model() -> None:
 
 
 def test_no_path_is_named_where_the_model_has_changed() -> None:
-    found = told(lambda one, _: one)
+    found = told(lambda one: one)
     behind = path_behind(found, SLEEVE, N - 1)
     assert path_named(found, SLEEVE, N - 1, behind) == "balance_sleeve"
     changed = replace(found, model=replace(found.model, state=("warning",) * N))
@@ -195,10 +195,10 @@ def history_at(pressure_bar: float, first: int, last: int) -> History:
 def test_only_nights_of_another_duty_are_compared_and_each_once() -> None:
     files = Files(low=310.0)
     history = history_at(200.0, AT, AT + 3)
-    done = with_duty(history, (), dt.date.min, files)  # type: ignore[arg-type]
+    done = with_duty(history, dt.date.min, files)  # type: ignore[arg-type]
     assert files.asked == [night_of(place) for place in range(AT, AT + 3)]
     assert np.flatnonzero(done.records["duty"]).tolist() == [AT, AT + 1, AT + 2]
-    again = with_duty(done, (), night_of(AT + 2), files)  # type: ignore[arg-type]
+    again = with_duty(done, night_of(AT + 2), files)  # type: ignore[arg-type]
     assert files.asked[3:] == [night_of(AT + 2)]
     assert (again.records["duty"] == done.records["duty"]).all()
     assert not history.records["duty"].any()
@@ -206,7 +206,7 @@ def test_only_nights_of_another_duty_are_compared_and_each_once() -> None:
 
 def test_a_slightly_other_mean_is_the_same_duty() -> None:
     files = Files(low=310.0)
-    with_duty(history_at(150.0, AT, N), (), dt.date.min, files)  # type: ignore[arg-type]
+    with_duty(history_at(150.0, AT, N), dt.date.min, files)  # type: ignore[arg-type]
     assert files.asked == []
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -69,18 +70,16 @@ def read(nights: Nights, until: int | None = None, blocks: pl.DataFrame | None =
 
 
 def followed(nights: Nights, *said: Decision, until: int | None = None) -> History:
-    return with_filter(read(nights, until), said, dt.date.min)
+    return with_filter(replace(read(nights, until), decisions=said), dt.date.min)
 
 
 def stood(nights: Nights) -> Standing:
-    def change(one: History, said: tuple[Decision, ...]) -> History:
-        return with_filter(one, said, dt.date.min)
-
+    change = partial(with_filter, until=dt.date.min)
     return standings({"M1": read(nights)}, change=change)["M1"]
 
 
-def indicators(found: History, *said: Decision) -> dict[str, Indicator]:
-    return indicators_of(found, eras_of(found, said))
+def indicators(found: History) -> dict[str, Indicator]:
+    return indicators_of(found, eras_of(found))
 
 
 @pytest.mark.parametrize("kind", [POOR, NOTHING])
@@ -138,11 +137,11 @@ def test_a_run_that_goes_on_says_what_one_from_the_start_says(begin: int) -> Non
     """To the bit, so that what is kept of nights changes nothing."""
     nights = poor(*range(N), absent=frozenset({4, 5}))
     whole = followed(nights)
-    first = with_filter(read(nights, until=begin - 1), (), dt.date.min)
+    first = with_filter(read(nights, until=begin - 1), dt.date.min)
     records = read(nights).records
     places = np.searchsorted(records["night"], first.records["night"])
     records[places] = first.records
-    gone_on = with_filter(replace(whole, records=records), (), night_of(begin))
+    gone_on = with_filter(replace(whole, records=records), night_of(begin))
     assert gone_on.records.tobytes() == whole.records.tobytes()
 
 
@@ -155,7 +154,7 @@ def test_a_night_hangs_on_no_later_one() -> None:
 def test_nights_whose_blocks_were_pruned_say_nothing() -> None:
     nights = poor(*range(N), kind=NOTHING)
     blocks = blocks_of(nights).filter(pl.col("night") > night_of(4))
-    found = with_filter(read(nights, blocks=blocks), (), dt.date.min)
+    found = with_filter(read(nights, blocks=blocks), dt.date.min)
     assert found.records["followed"].tolist() == [0] * 5 + [1, 2, 3, 4, 5, 6, 7]
     assert "too few samples" in indicators(found)["K_piston_ring"].gated[2]
 

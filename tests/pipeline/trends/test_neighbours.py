@@ -97,8 +97,11 @@ class Circuit:
 
         By motor, the first night whose rows are others than in the run before.
         """
+        said = {
+            name: tuple(one for one in self.said if one.motor_id == name) for name in self.histories
+        }
         read = {
-            name: Read(up_to(one, last), self.alarms_of(name))
+            name: Read(replace(up_to(one, last), decisions=said[name]), self.alarms_of(name))
             for name, one in self.histories.items()
         }
         task = stage.TrendTask(

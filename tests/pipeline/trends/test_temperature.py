@@ -162,7 +162,7 @@ def test_what_warm_nights_tell_the_filter_is_brought_to_one_temperature() -> Non
     hidden = {(place, GAPS[2]): "not_excited" for place in range(60, N)}
     found = standings(
         histories(replace(nights, verdicts=hidden)),
-        change=lambda one, said: with_filter(one, said, dt.date.min),
+        change=lambda one: with_filter(one, dt.date.min),
     )["M1"]
     sleeve = found.watched[GAPS[2]].indicator
     assert (sleeve.n_nights[60:] > 1).all()

@@ -1,0 +1,119 @@
+"""`check`, and `fit` of one night."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import OwnFleet
+from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change
+
+# Check
+
+
+def test_check_prints_a_table_for_each_motor(call: Call, fleet: Path) -> None:
+    code, out, err = call("check", fleet)
+    assert (code, err) == (0, "")
+    *motors, last = out.split("\n\n")
+    assert [text.split(":")[0] for text in motors] == [CSV, PARQUET]
+    title, columns, *channels, worth = motors[0].splitlines()
+    assert worth.startswith("the motor ran ")
+    assert "3 nights, 2026-01-02 to 2026-01-04, 0 faults" in title
+    assert columns.startswith("channel\trate\tmedian\t")
+    assert {line.count("\t") for line in channels} == {columns.count("\t")}
+    assert channels[0].split("\t")[:2] == ["pressure_difference", "5 Hz"]
+    assert last.startswith("placeholders")
+
+
+def test_check_is_1_when_a_log_is_broken(call: Call, fleet: Path) -> None:
+    broken = break_log(fleet, PARQUET)
+    code, out, err = call("check", fleet)
+    assert code == 1
+    assert any(line.startswith(PARQUET) and "1 fault" in line for line in out.splitlines())
+    assert err.startswith(f"{PARQUET}: log_")
+    assert broken.name in err
+    code, out, _ = call("check", fleet, "--json")
+    assert code == 1
+    sound, faulty = map(json.loads, out.splitlines())
+    assert (sound["motor_id"], sound["faults"]) == (CSV, [])
+    assert broken.name in faulty["faults"][0]
+
+
+def test_check_is_1_where_there_is_no_log_at_all(call: Call, own_fleet: OwnFleet) -> None:
+    """A wrong folder or pattern must not pass for a sound fleet."""
+    fleet = own_fleet(CSV, PARQUET)
+    logs = fleet.parent.parent / "demo" / "logs"
+    for path in (logs / PARQUET).iterdir():
+        path.unlink()
+    code, out, err = call("check", fleet)
+    assert (code, err) == (0, "")
+    assert f"no file matches {PARQUET}/*.parquet below {logs}" in out
+    for path in (logs / CSV).iterdir():
+        path.unlink()
+    code, _, err = call("check", fleet)
+    assert code == 1
+    assert err == (
+        f"motor-leakage: no_logs: no log of any motor is below {logs}; correct folders.logs, or "
+        "logs.files\n"
+    )
+    code, _, err = call("check", fleet, "--json")
+    assert (code, json.loads(err)["code"]) == (1, "no_logs")
+
+
+@pytest.mark.parametrize(
+    "command", [("check", "--tables"), ("prune", "--tables", "starts", "--keep", "1")]
+)
+def test_2_where_there_are_no_tables(
+    call: Call, own_fleet: OwnFleet, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    """A wrong folder must not pass for sound tables, and none is made."""
+    elsewhere = tmp_path / "elsewhere"
+    name, *options = command
+    code, out, err = call(name, own_fleet(CSV), *options, "--output", elsewhere)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"motor-leakage: no_tables: there are no tables in {elsewhere}")
+    assert not elsewhere.exists()
+
+
+# One night
+
+
+def test_fit_tells_of_a_night_and_publishes_nothing(call: Call, fleet: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in fleet.parent.parent.rglob("*")}
+    code, out, err = call("fit", fleet, CSV, "2026-01-03")
+    assert (code, err) == (0, "")
+    assert out.startswith(f"{CSV}, night of 2026-01-03: fitted")
+    assert {path: path.stat().st_mtime_ns for path in fleet.parent.parent.rglob("*")} == before
+
+
+def test_fit_trains_on_one_period_and_validates_on_another(call: Call, fleet: Path) -> None:
+    periods = ("--train", "2026-01-02..2026-01-03", "--validate", "2026-01-04..2026-01-04")
+    code, out, err = call("fit", fleet, CSV, *periods)
+    assert (code, err) == (0, "")
+    assert out.startswith("CB")
+    assert "\nvalidation: fit" in out
+    for wrong in ((), ("--validate", "2026-01-02..2026-01-03"), ("2026-01-02", *periods)):
+        code, out, err = call("fit", fleet, CSV, *wrong)
+        assert (code, out) == (2, "")
+        assert "expected a NIGHT, or --train" in err
+
+
+def test_fit_of_a_night_without_a_log_is_wrong_usage(call: Call, fleet: Path) -> None:
+    code, out, err = call("fit", fleet, CSV, "2020-01-03")
+    assert (code, out) == (2, "")
+    assert f"no log of {CSV} covers the night of 2020-01-03: they cover 2026-01-02 to" in err
+    assert "fit-fleet" not in err
+    for path in (fleet.parent.parent / "demo" / "logs" / CSV).iterdir():
+        path.unlink()
+    code, _, err = call("fit", fleet, CSV, "2026-01-03")
+    assert code == 2
+    assert f"covers the night of 2026-01-03: no file matches {CSV}/*.csv below" in err
+
+
+def test_fit_of_a_named_log_that_is_absent_says_so(call: Call, fleet: Path) -> None:
+    change(fleet, f"motors/{CSV}.toml", f'"{CSV}/*.csv"', '"gone.csv"')
+    code, out, err = call("fit", fleet, CSV, "2026-01-03")
+    assert (code, out) == (1, "")
+    assert err == f"{CSV}: log_missing: gone.csv: named in the config and absent\n"
