@@ -23,9 +23,10 @@ from pipeline.config import load_fleet
 from pipeline.demo import write_demo
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import FITS, OPERATION, TRENDS, Table
+from pipeline.store.encoding import encode_table
 from pipeline.store.manifest import manifest_keys, update_manifest
 from pipeline.store.months import join_months, last_month_over
-from pipeline.store.tables import encode_table, night_file, read_rows
+from pipeline.store.tables import night_file, read_rows
 from pipeline.store.verification import compare_published
 from pipeline.trends.rows.latest_states import latest_states
 

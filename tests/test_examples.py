@@ -19,7 +19,8 @@ import typer.main
 
 from pipeline.cli import app
 from pipeline.schema import LATEST, frame
-from pipeline.store.tables import whole_file, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import whole_file
 from tests.pipeline.run.test_metrics import metrics
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

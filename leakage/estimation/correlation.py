@@ -59,20 +59,9 @@ def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -
 def correlation_time(values: Array, index: NDArray[np.int64], longest_lag: int) -> float:
     """Lag over which the autocorrelation falls to 1/e of what it is at lag one [samples].
 
-    Counted from lag one, so that white noise on top of a slow error does not hide the slow one.
-
-    Parameters
-    ----------
-    values, index
-        As for :func:`autocorrelation`.
-    longest_lag
-        Largest lag looked at [samples].
-
-    Returns
-    -------
-    float
-        0 for errors without memory; infinite where it is longer than `longest_lag`, or than the
-        series can tell.
+    Counted from lag one, so that white noise on top of a slow error does not hide the slow one. 0
+    for errors without memory; infinite where it is longer than `longest_lag`, or than the series
+    can tell.
 
     Notes
     -----
@@ -114,20 +103,8 @@ def slowest_correlation_time(
 ) -> float:
     """The longer of the correlation times of a series and of its means over cells [samples].
 
-    A slow error under a larger fast one falls to 1/e with the fast one; in means over cells that
-    are long against the fast one, the slow one is left.
-
-    Parameters
-    ----------
-    values, index, longest_lag
-        As for :func:`autocorrelation`.
-    cell
-        Length of a cell [samples].
-
-    Returns
-    -------
-    float
-        As from :func:`correlation_time`.
+    A slow error under a larger fast one falls to 1/e with the fast one; in means over cells of
+    `cell` samples, long against the fast one, the slow one is left.
     """
     fast = correlation_time(values, index, longest_lag)
     if cell < 2:

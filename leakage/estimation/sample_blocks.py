@@ -7,7 +7,7 @@ crosses a block's border, so blocks do not depend on the split.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Protocol, TypeAlias
 
@@ -179,10 +179,10 @@ def merge_neighbours(blocks: tuple[Block, ...], maximum: int) -> tuple[Block, ..
     group = 1
     while sum(-(-len(run) // group) for run in runs) > maximum and group < len(blocks):
         group += 1
-    groups = (run[at : at + group] for run in runs for at in range(0, len(run), group))
+    merged = (run[at : at + group] for run in runs for at in range(0, len(run), group))
     return tuple(
-        replace(merged[0], end_row=merged[-1].end_row, end_us=merged[-1].end_us)
-        for merged in groups
+        Block(one[0].first_row, one[-1].end_row, one[0].start_us, one[-1].end_us, one[0].part)
+        for one in merged
     )
 
 

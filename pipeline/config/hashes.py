@@ -172,13 +172,7 @@ def reading_hash(spec: MotorSpec) -> str:
 
 @dataclass(slots=True)
 class SettingsHashes:
-    """Hashes of the settings that shape a motor's nights; a night's oil and periods are dated.
-
-    Parameters
-    ----------
-    spec
-        The motor.
-    """
+    """Hashes of the settings that shape a motor's nights; a night's oil and periods are dated."""
 
     spec: MotorSpec
     _statistics: dict[object, str] = field(default_factory=dict)

@@ -26,17 +26,7 @@ from pipeline.config.settings import FleetFile, Settings
 
 
 def load_fleet(path: Path) -> Fleet:
-    """Read a fleet file and all files that it leads to.
-
-    Parameters
-    ----------
-    path
-        The fleet file.
-
-    Returns
-    -------
-    Fleet
-        Motors sorted by id, each fully resolved.
+    """Read a fleet file and all files that it leads to; motors are sorted by id, fully resolved.
 
     Raises
     ------

@@ -46,14 +46,7 @@ def microseconds(time: dt.datetime) -> int:
 
 
 def night_of(time_us: int, nights: Nights) -> dt.date:
-    """Label of the night in which a moment lies.
-
-    Parameters
-    ----------
-    time_us
-        UTC microseconds.
-    nights
-        Time zone and hour at which a night ends.
+    """Label of the night in which a moment lies [µs since 1970].
 
     Examples
     --------

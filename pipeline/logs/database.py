@@ -43,12 +43,7 @@ class DatabaseError(StoreError):
 class Connection:
     """A connection that is made when it is needed, and made anew where it was lost.
 
-    Parameters
-    ----------
-    database
-        As configured.
-    time_zone
-        Zone of time stamps that state none.
+    Time stamps that state no zone are in `time_zone`.
     """
 
     def __init__(self, database: Database, time_zone: str) -> None:

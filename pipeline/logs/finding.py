@@ -100,13 +100,7 @@ def states_of(root: Path, patterns: Iterable[str]) -> dict[str, State] | None:
 
 
 def answer(end: int) -> None:
-    """Answer each (root, patterns) that comes from a run with the states of these logs.
-
-    Parameters
-    ----------
-    end
-        File descriptor of the connection to the run.
-    """
+    """Answer each (root, patterns) that comes from a run with the states of these logs."""
     connection = Connection(end)
     tell(connection)
     with suppress(EOFError, OSError):

@@ -100,19 +100,8 @@ def land_nights(
 ) -> dict[str, LogError]:
     """Ask for the nights of a motor that are over and due, and write each to a file.
 
-    Parameters
-    ----------
-    spec
-        The motor, of a database.
-    latest
-        As `FolderLogs` takes it.
-    silent
-        Files of nights whose query did not end in time; they end the asking.
-
-    Returns
-    -------
-    dict
-        Errors of nights that had no answer yet, by name of the file that is missing.
+    Returns the errors of nights that had no answer yet, by name of the file that is missing. The
+    queries of the `silent` files did not end in time; they end the asking.
 
     Raises
     ------

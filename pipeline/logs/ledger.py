@@ -231,23 +231,10 @@ def forget_nights(
     keep: Collection[str] = (),
     refit: Collection[dt.date] = (),
 ) -> dict[str, set[dt.date]]:
-    """Let the next run make some nights anew, for all motors but some.
+    """Let the next run make nights anew whose tables were lost, for all motors but those to keep.
 
-    Parameters
-    ----------
-    output
-        Output folder.
-    nights
-        Labels of nights whose tables were lost.
-    keep
-        Ids of motors whose rows of these nights are published.
-    refit
-        Nights that may be fitted from their statistics if their logs are gone.
-
-    Returns
-    -------
-    dict of str to set
-        By motor, those of the nights with a fit.
+    Nights of `refit` may be fitted from their statistics if their logs are gone. Returns, by motor,
+    those of the nights with a fit.
 
     Raises
     ------

@@ -128,13 +128,6 @@ def baseline_of(
 ) -> LookBaseline | str:
     """The motor's baseline, or why there is none.
 
-    Parameters
-    ----------
-    output
-        Output folder.
-    spec, record, decisions
-        The motor, the record of its trends, and what people said of it.
-
     Raises
     ------
     StoreError

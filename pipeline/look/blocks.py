@@ -76,23 +76,10 @@ def blocks_within(
     first_us: int,
     end_us: int,
 ) -> tuple[Blocks, str]:
-    """Blocks of a part of a night, from samples that begin a little before it.
+    """Blocks of a part of a night with kept samples, and why there is none; else an empty text.
 
-    Parameters
-    ----------
-    spec, night
-        The motor, and the night.
-    channels
-        Raw samples.
-    first_us, end_us
-        Begin of the first block and end of the last [µs since 1970].
-
-    Returns
-    -------
-    Blocks
-        Those with kept samples.
-    str
-        Why there is none; else empty.
+    The samples begin a little before the part, whose blocks begin and end on `first_us` and
+    `end_us` [µs since 1970].
     """
     try:
         samples, quality = clean_channels(spec.file, spec.settings, night, channels)

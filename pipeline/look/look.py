@@ -75,21 +75,9 @@ class MotorLook:
 def look_at_fleet(
     fleet: Fleet, motors: Sequence[str] = (), clock: dt.datetime | None = None
 ) -> tuple[MotorLook, ...]:
-    """Look once at every motor of a fleet; one that fails costs no other.
+    """Look once at the motors of a fleet, all if none is named; one that fails costs no other.
 
-    Parameters
-    ----------
-    fleet
-        The config; its logs lie in a folder.
-    motors
-        Ids of the motors to look at; empty for all.
-    clock
-        The time; now where left out.
-
-    Returns
-    -------
-    tuple of MotorLook
-        Sorted by motor.
+    Its logs lie in a folder. The looks are sorted by motor.
 
     Raises
     ------

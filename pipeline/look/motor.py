@@ -18,14 +18,7 @@ from pipeline.logs.files import reaches_us, slice_night
 from pipeline.look.baseline import LookBaseline
 from pipeline.look.blocks import Blocks, block_us, blocks_within
 from pipeline.look.reading import PASS_BYTES, News, newest_us_of, read_news
-from pipeline.look.state import (
-    BLIND,
-    MOST_RECENT,
-    NOT_READY,
-    LookState,
-    Rise,
-    Scores,
-)
+from pipeline.look.state import BLIND, MOST_RECENT, NOT_READY, LookState, Rise, Scores
 from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW
 
 # Blocks before the first new one whose samples are cleaned with it, and the wait for the samples
@@ -77,25 +70,10 @@ def looked_at(
     now_us: int,
     latest_us: int,
 ) -> tuple[LookState, list[Change]]:
-    """Take up what is new in a motor's logs.
+    """Take up what is new in a motor's logs: the state after it, and its changes in order.
 
-    Parameters
-    ----------
-    spec, baseline
-        The motor, and what it is compared with.
-    state
-        State before.
-    last_night
-        The last night that is published: a first look begins behind it.
-    now_us, latest_us
-        The time, and that after which samples are refused [µs since 1970].
-
-    Returns
-    -------
-    LookState
-        State after it.
-    list of Change
-        In order.
+    A first look begins behind `last_night`, the last that is published; samples after `latest_us`
+    are refused.
     """
     state, changes = _begun(spec, baseline, state, last_night, now_us)
     most_bytes = PASS_BYTES

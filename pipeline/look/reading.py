@@ -57,18 +57,10 @@ def read_news(
     latest_us: int,
     most_bytes: int = PASS_BYTES,
 ) -> News | None:
-    """Read what is new, with the samples from a time on that are still needed; None: nothing is.
+    """Read what is new; None: nothing is.
 
-    Parameters
-    ----------
-    spec
-        The motor; its logs lie in a folder.
-    seen
-        Files as they were read last, by path relative to the log root.
-    needed_us, latest_us
-        Samples before the one are needed no more, after the other refused [µs since 1970].
-    most_bytes
-        Most bytes of a growing file.
+    Of the files, samples from `needed_us` on are still needed, and those after `latest_us` refused
+    [µs since 1970]. Of a growing file at most so many bytes are read.
     """
     paths, _ = find_logs(spec)
     present = {

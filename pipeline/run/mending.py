@@ -34,7 +34,6 @@ from pipeline.store.manifest import (
 from pipeline.store.tables import (
     ENDING,
     PUT_ASIDE,
-    Proof,
     day_of_run,
     days_of,
     read_table,
@@ -45,6 +44,7 @@ from pipeline.store.verification import (
     OF_MOTORS,
     OF_TRENDS,
     TABLE_OF,
+    Proof,
     TableFault,
     compare_published,
     fault_of,
@@ -150,7 +150,7 @@ class Damage:
         """Log faults that are new, and return them."""
         new = [one for one in faults if one.path not in self.found]
         for one in new[:FAULTS_TOLD]:
-            log.warning("%s: %s: %s", one.code, one.path, one.message)
+            log.warning("%s", one)
         if len(new) > FAULTS_TOLD:
             log.warning("and %d more; `check --tables` names all", len(new) - FAULTS_TOLD)
         self.found |= {one.path: one for one in new}

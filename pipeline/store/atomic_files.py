@@ -1,14 +1,13 @@
 """Files written whole or not at all, flushed and read back.
 
-The program writes to its output through this module alone, by a few calls of `os`: tests make each
-of them fail.
+The program writes to its output through this module and `journals` alone, by a few calls of `os`:
+tests make each of them fail.
 """
 
 from __future__ import annotations
 
 import ctypes
 import errno
-import fcntl
 import hashlib
 import io
 import os
@@ -36,7 +35,7 @@ AT_FDCWD, RENAME_EXCHANGE = -100, 2
 Write = Callable[[BinaryIO], object]
 
 
-class _Descriptor(io.RawIOBase):
+class Descriptor(io.RawIOBase):
     """A file that is being written, and the hash of its content."""
 
     def __init__(self, handle: int) -> None:
@@ -89,7 +88,7 @@ class Prepared:
         StoreError
             If that fails; the place then holds the old file, or already the new one.
         """
-        with _store_errors(self.path):
+        with store_errors(self.path):
             try:
                 os.replace(self.temporary, self.path)
             except BaseException:
@@ -113,7 +112,7 @@ def prepare(path: Path, write: Write | bytes, *, durable: bool = True) -> Prepar
         If it cannot be written, or is not read back as it was written; nothing is left of it.
     """
     temporary = path.parent / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}"
-    with _store_errors(path):
+    with store_errors(path):
         make_folders(path.parent)
         try:
             sha256 = _written(temporary, write, durable=durable)
@@ -129,7 +128,7 @@ def _written(path: Path, write: Write | bytes, *, durable: bool) -> str:
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, MODE)
     try:
         os.fchmod(handle, MODE)
-        file = _Descriptor(handle)
+        file = Descriptor(handle)
         with io.BufferedWriter(file, BUFFER) as stream:
             stream.write(write) if isinstance(write, bytes) else write(stream)
         if durable:
@@ -137,13 +136,14 @@ def _written(path: Path, write: Write | bytes, *, durable: bool) -> str:
             # Read back from the disk, if possible, not from the cache.
             if hasattr(os, "posix_fadvise"):
                 os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
-        _require_same(_hash_of(handle), file.hash.digest())
+        require_same(_hash_of(handle), file.hash.digest())
     finally:
         os.close(handle)
     return file.hash.hexdigest()
 
 
-def _require_same(found: bytes, expected: bytes) -> None:
+def require_same(found: bytes, expected: bytes) -> None:
+    """Raise `OSError` where what was read back is not what was written."""
     if found != expected:
         raise OSError(errno.EIO, "what was read back is not what was written")
 
@@ -197,68 +197,10 @@ def scratch(path: Path) -> Iterator[BinaryIO]:
         os.mkdir(path.parent)
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, MODE)
     try:
-        with io.BufferedWriter(_Descriptor(handle), BUFFER) as stream:
+        with io.BufferedWriter(Descriptor(handle), BUFFER) as stream:
             yield stream
     finally:
         os.close(handle)
-
-
-def append(path: Path, line: bytes) -> None:
-    """Append a line to a file, flush and read it back; a line cut off before it is ended first.
-
-    Others may append and read meanwhile.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written; the file is then cut back to what it was, if possible.
-    """
-    with _store_errors(path):
-        make_folders(path.parent)
-        handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, MODE)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX)
-            size = os.fstat(handle).st_size
-            torn = size > 0 and os.pread(handle, 1, size - 1) != b"\n"
-            content = b"\n" + line if torn else line
-            try:
-                _Descriptor(handle).write(memoryview(content))
-                os.fsync(handle)
-                _require_same(os.pread(handle, len(content), size), content)
-                if size == 0:
-                    flush_folder(path.parent)
-            except BaseException:
-                with suppress(OSError):
-                    os.ftruncate(handle, size)
-                raise
-        finally:
-            os.close(handle)
-
-
-def blank(path: Path, chosen: Callable[[bytes], Sequence[tuple[int, int]]]) -> None:
-    """Overwrite parts of a file with blanks; nobody appends to it meanwhile.
-
-    Parameters
-    ----------
-    path
-        The file.
-    chosen
-        Begin and end of each part, given the file's content.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written; some parts may be blank then.
-    """
-    with _store_errors(path):
-        handle = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX)
-            for begin, end in chosen(_content_of(handle)):
-                os.pwrite(handle, b" " * (end - begin), begin)
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 def make_private_folder(folder: Path) -> None:
@@ -317,7 +259,7 @@ def flush_folders(folders: Collection[Path]) -> None:
         If they cannot be flushed.
     """
     for folder in sorted(folders):
-        with _store_errors(folder):
+        with store_errors(folder):
             flush_folder(folder)
 
 
@@ -334,7 +276,7 @@ def move(path: Path, place: Path) -> None:
     StoreError
         If it cannot be renamed.
     """
-    with _store_errors(place):
+    with store_errors(place):
         os.replace(path, place)
         flush_folder(place.parent)
 
@@ -362,7 +304,7 @@ def exchange(folder: Path, place: Path) -> None:
     StoreError
         If the file system cannot do so; both then stay.
     """
-    with _store_errors(place):
+    with store_errors(place):
         os.chmod(folder, stat.S_IMODE(os.stat(place).st_mode))
         flush_folder(folder)
         library = ctypes.CDLL(None, use_errno=True)
@@ -385,7 +327,7 @@ def remove(path: Path) -> None:
     StoreError
         If it cannot be removed.
     """
-    with _store_errors(path, "removed"), suppress(FileNotFoundError):
+    with store_errors(path, "removed"), suppress(FileNotFoundError):
         os.unlink(path)
         flush_folder(path.parent)
 
@@ -431,12 +373,13 @@ def read(path: Path) -> bytes:
 def _read(path: Path) -> bytes:
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        return _content_of(handle)
+        return content_of(handle)
     finally:
         os.close(handle)
 
 
-def _content_of(handle: int) -> bytes:
+def content_of(handle: int) -> bytes:
+    """Content of an open file."""
     parts, place = [], 0
     while part := os.pread(handle, BUFFER, place):
         parts.append(part)
@@ -445,7 +388,7 @@ def _content_of(handle: int) -> bytes:
 
 
 @contextmanager
-def _store_errors(path: Path, what: str = "written") -> Iterator[None]:
+def store_errors(path: Path, what: str = "written") -> Iterator[None]:
     """Turn a failed system call into `StoreError`."""
     try:
         yield

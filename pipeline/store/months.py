@@ -28,6 +28,7 @@ from pipeline.schema import (
     Table,
 )
 from pipeline.store.atomic_files import can_exchange, exchange, flush_all, put, read, remove_all
+from pipeline.store.encoding import encode_table, parts_of, row_groups, write_parts
 from pipeline.store.manifest import (
     Key,
     Manifest,
@@ -37,16 +38,7 @@ from pipeline.store.manifest import (
     read_manifest,
     update_manifest,
 )
-from pipeline.store.tables import (
-    ENDING,
-    encode_table,
-    month_file,
-    month_stamps,
-    parts_of,
-    published_rows,
-    row_groups,
-    write_parts,
-)
+from pipeline.store.tables import ENDING, month_file, month_stamps, published_rows
 
 log = logging.getLogger(__name__)
 

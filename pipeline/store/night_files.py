@@ -22,19 +22,15 @@ import polars as pl
 import pyarrow as pa
 
 from pipeline.errors import StoreError
-from pipeline.schema import Table, arrow_table
+from pipeline.schema import Table, staged_table
 from pipeline.store.atomic_files import Prepared, move, prepare, read, scratch
-from pipeline.store.tables import (
-    PUT_ASIDE,
-    UNREADABLE,
-    damaged,
-    decode,
-    encode_table,
-    night_file,
-)
+from pipeline.store.encoding import encode_table
+from pipeline.store.tables import PUT_ASIDE, UNREADABLE, damaged, decode, night_file
 
 log = logging.getLogger(__name__)
 
+# Motors whose staged rows are read together: each has arrays of its own for each column.
+MOTORS_AT_ONCE = 32
 # Metadata of a staged file: its nights, with their numbers of rows.
 HEIGHTS = b"nights"
 # Column for the night under which a row is staged; its own may be absent.
@@ -83,16 +79,32 @@ def new_rows(
     table: Table, staged: Mapping[str, StagedRows], first: dt.date, last: dt.date, run_id: str
 ) -> dict[dt.date, NewRows]:
     """Staged rows of some nights, by night; those that no motor has done are left out."""
+    found: defaultdict[dt.date, list[NewRows]] = defaultdict(list)
+    # Keys begin with the motor, so what is sorted by some motors is sorted by all.
+    motor_ids = sorted(staged)
+    for at in range(0, len(motor_ids), MOTORS_AT_ONCE):
+        some = {motor_id: staged[motor_id] for motor_id in motor_ids[at : at + MOTORS_AT_ONCE]}
+        for night, new in _rows_of_some(table, some, first, last, run_id).items():
+            found[night].append(new)
+    return {
+        night: NewRows(
+            tuple(motor_id for new in news for motor_id in new.motor_ids),
+            pl.concat([new.rows for new in news]),
+        )
+        for night, news in found.items()
+    }
+
+
+def _rows_of_some(
+    table: Table, staged: Mapping[str, StagedRows], first: dt.date, last: dt.date, run_id: str
+) -> dict[dt.date, NewRows]:
+    """The same of motors that are read together: each step costs more a frame than a row."""
     parts = {motor_id: own.between(first, last) for motor_id, own in staged.items()}
-    motors: defaultdict[dt.date, list[str]] = defaultdict(list)
     heights: Counter[dt.date] = Counter()
-    for motor_id, (own, _) in parts.items():
+    for own, _ in parts.values():
         heights.update(own)
-        for night in own:
-            motors[night].append(motor_id)
-    if not motors:
+    if not heights:
         return {}
-    # All nights in one frame: each step costs more a frame than a row.
     every = pl.from_arrow(pa.concat_tables(rows for _, rows in parts.values()))
     assert isinstance(every, pl.DataFrame)
     nights = chain.from_iterable(
@@ -105,10 +117,13 @@ def new_rows(
         .select(table.schema.keys())
         .collect()
     )
-    ordered = sorted(motors)
+    ordered = sorted(heights)
     begins = accumulate((heights[night] for night in ordered), initial=0)
     return {
-        night: NewRows(tuple(motors[night]), rows.slice(begin, heights[night]))
+        night: NewRows(
+            tuple(motor_id for motor_id, (own, _) in parts.items() if night in own),
+            rows.slice(begin, heights[night]),
+        )
         for night, begin in zip(ordered, begins, strict=False)
     }
 
@@ -124,7 +139,7 @@ def stage(
         If they cannot be written.
     """
     of_nights = {night: list(rows) for night, rows in sorted(nights.items())}
-    every = arrow_table(table, chain.from_iterable(of_nights.values()), without="run_id")
+    every = staged_table(table, chain.from_iterable(of_nights.values()))
     heights = {str(night): len(rows) for night, rows in of_nights.items()}
     every = every.replace_schema_metadata({HEIGHTS: json.dumps(heights)})
     try:

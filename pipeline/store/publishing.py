@@ -16,6 +16,7 @@ import polars as pl
 from pipeline.errors import StoreError
 from pipeline.schema import Table, frame
 from pipeline.store.atomic_files import flush_folders, move
+from pipeline.store.encoding import encode_table
 from pipeline.store.manifest import (
     Key,
     Manifest,
@@ -36,7 +37,6 @@ from pipeline.store.night_files import (
 from pipeline.store.tables import (
     PUT_ASIDE,
     days_of,
-    encode_table,
     month_file,
     night_file,
     read_rows,

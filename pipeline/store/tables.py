@@ -1,47 +1,32 @@
 """Tables on disk: one Parquet file for each table and night, replaced whole or not at all.
 
-Nights of a month that is long over are joined in
-one file (`pipeline/store/months.py`), night after night; its footer says which, with their rows.
+Nights of a month that is long over are joined in one file (`pipeline/store/months.py`).
 """
 
 from __future__ import annotations
 
 import datetime as dt
 import hashlib
-import json
 import logging
 import os
 import re
-from bisect import bisect_right
 from calendar import monthrange
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from enum import Enum
-from itertools import accumulate, chain
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import polars as pl
-import pyarrow as pa
-import pyarrow.parquet as pq
-from polars.exceptions import PanicException, PolarsError
 
 from pipeline.errors import StoreError, UsageError
 from pipeline.schema import SCHEMA_VERSION, Table
-from pipeline.store.atomic_files import put, read
+from pipeline.store.atomic_files import read
+from pipeline.store.encoding import DAMAGE, VERSION_KEY, from_parquet, parts_of
 from pipeline.store.manifest import MONTH_PREFIX, Manifest, manifest_key, read_manifest
 
 log = logging.getLogger(__name__)
 
 Made = TypeVar("Made")
 
-VERSION_KEY = "motor_leakage_schema_version"
-# Nights (or runs) of a joined file and their numbers of rows, in the order of its rows.
-PARTS_KEY = "motor_leakage_parts"
-# Joined nights share a row group up to about so many rows.
-ROWS_A_GROUP = 122_880
-# Zstandard takes three times as long to write and to read files of a night, and saves nothing where
-# only texts have a dictionary.
-COMPRESSION = "snappy"
 # Most tries to read files that were listed and are gone.
 TIMES_LISTED = 3
 # Ending of a damaged file that a run has put aside.
@@ -51,8 +36,6 @@ ENDING = ".parquet"
 # Files that are decoded together; more would take memory and save no time.
 FILES_AT_ONCE = 32
 MONTH_FOLDER = re.compile(r"month=\d{4}-(0[1-9]|1[0-2])")
-# Raised by reading a damaged file; a damaged name gives UnicodeDecodeError, a ValueError.
-DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
 
 
 def files_of(output: Path, table: Table) -> list[Path]:
@@ -98,26 +81,6 @@ def place_of(output: Path, table: Table, night: dt.date) -> Path | None:
     """File with a table's night, its own or that of its joined month; None without one."""
     places = (night_file(output, table, night), month_file(output, table, f"{night:%Y-%m}"))
     return next((path for path in places if path.exists()), None)
-
-
-def parts_of(path: Path) -> dict[str, int]:
-    """Numbers of rows of a file by night (or start of a run), in the order of its rows.
-
-    Raises
-    ------
-    StoreError
-        If its footer is damaged.
-    """
-    try:
-        return _parts(pq.read_metadata(path)) or {path.stem: 0}
-    except DAMAGE as error:
-        raise StoreError("store_read", f"{path.name} is damaged: {error}") from error
-
-
-def _parts(footer: pq.FileMetaData) -> dict[str, int]:
-    """The same of a joined file; empty for another."""
-    told = (footer.metadata or {}).get(PARTS_KEY.encode())
-    return {} if told is None else {str(name): int(rows) for name, rows in json.loads(told)}
 
 
 def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
@@ -216,113 +179,6 @@ def _entries(folder: Path) -> list[os.DirEntry[str]]:
         ) from error
 
 
-def write_table(path: Path, rows: pl.DataFrame) -> str:
-    """Write a table file whole or not at all, and return its SHA-256.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written; the old file then stays.
-    """
-    return put(path, encode_table(path.name, rows))
-
-
-def encode_table(name: str, rows: pl.DataFrame) -> bytes:
-    """Rows as the bytes of a Parquet file, decoded again and compared.
-
-    Raises
-    ------
-    StoreError
-        If they cannot be encoded, or are decoded otherwise.
-    """
-    try:
-        encoded = _as_parquet(rows, SCHEMA_VERSION)
-        decoded = pl.from_arrow(_from_parquet(encoded))
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise StoreError("store_write", f"{name} cannot be written: {error}") from error
-    assert isinstance(decoded, pl.DataFrame)
-    if not decoded.equals(rows, null_equal=True):
-        raise StoreError("store_write", f"{name}: what is read back is not what was written")
-    return encoded
-
-
-def _as_parquet(rows: pl.DataFrame, version: int, parts: Mapping[str, int] | None = None) -> bytes:
-    begins = accumulate((parts or {}).values(), initial=0)
-    named = [
-        (name, rows.slice(begin, count))
-        for begin, (name, count) in zip(begins, (parts or {}).items(), strict=False)
-    ]
-    stream = pa.BufferOutputStream()
-    write_parts(stream, named or [("", rows)], version)
-    return bytes(stream.getvalue())
-
-
-def write_parts(
-    stream: Any, parts: Iterable[tuple[str, pl.DataFrame]], version: int = SCHEMA_VERSION
-) -> None:
-    """Write a file of the rows of named nights to a stream; an empty name is not noted."""
-    counts: list[tuple[str, int]] = []
-
-    def counted() -> Iterator[pl.DataFrame]:
-        for name, rows in parts:
-            counts.append((name, rows.height))
-            yield rows
-
-    groups = (one.to_arrow(compat_level=pl.CompatLevel.oldest()) for one in row_groups(counted()))
-    first = next(groups)
-    texts = [column.name for column in first.schema if pa.types.is_large_string(column.type)]
-    with pq.ParquetWriter(
-        stream,
-        first.schema,
-        compression=COMPRESSION,
-        use_dictionary=texts,
-        write_page_checksum=True,
-        store_schema=False,
-    ) as table:
-        for group in chain([first], groups):
-            table.write_table(group, row_group_size=max(group.num_rows, 1))
-        # Metadata of the schema would be left out with it.
-        told = {VERSION_KEY: str(version)}
-        if any(name for name, _ in counts):
-            told[PARTS_KEY] = json.dumps(counts, separators=(",", ":"))
-        table.add_key_value_metadata(told)
-
-
-def row_groups(parts: Iterable[pl.DataFrame]) -> Iterator[pl.DataFrame]:
-    """Nights put together up to the rows of a row group; each lies whole in one."""
-    waiting: list[pl.DataFrame] = []
-    for rows in parts:
-        waiting.append(rows)
-        if sum(one.height for one in waiting) >= ROWS_A_GROUP:
-            yield pl.concat(waiting, rechunk=True)
-            waiting = []
-    if waiting:
-        yield pl.concat(waiting, rechunk=True)
-
-
-def _from_parquet(
-    encoded: bytes, names: Collection[str] | None = None, columns: Sequence[str] | None = None
-) -> pa.Table:
-    """Rows of a file's content; of a joined file those of some nights alone, if they are named."""
-    file = pq.ParquetFile(pa.BufferReader(encoded), page_checksum_verification=True)
-    parts = _parts(file.metadata)
-    if names is None or not parts:
-        return file.read(columns=columns, use_threads=False)
-    sizes = (file.metadata.row_group(place).num_rows for place in range(file.num_row_groups))
-    begins = list(accumulate(sizes, initial=0))
-    groups: dict[int, pa.Table] = {}
-    found, begin = [], 0
-    for name, count in parts.items():
-        if name in names:
-            # A night lies in one row group; one without rows may lie behind the last.
-            place = min(bisect_right(begins, begin), file.num_row_groups) - 1
-            if place not in groups:
-                groups[place] = file.read_row_group(place, columns=columns, use_threads=False)
-            found.append(groups[place].slice(begin - begins[place], count))
-        begin += count
-    return pa.concat_tables(found or [file.read_row_group(0, columns=columns).slice(0, 0)])
-
-
 def read_table(path: Path, table: Table, nights: Collection[dt.date] | None = None) -> pl.DataFrame:
     """Rows of a table file; columns that an older version lacks are null.
 
@@ -346,7 +202,7 @@ def decode(
 ) -> pl.DataFrame:
     """Rows of a table file's content; raises as `read_table`."""
     try:
-        rows, _ = _rows_of(path, table, encoded, names)
+        rows, _ = rows_and_version(path, table, encoded, names)
         absent = [
             pl.lit(None, dtype=kind).alias(name)
             for name, kind in table.schema.items()
@@ -357,11 +213,11 @@ def decode(
         raise damaged(path, table, error) from error
 
 
-def _rows_of(
+def rows_and_version(
     path: Path, table: Table, encoded: bytes, names: Collection[str] | None = None
 ) -> tuple[pl.DataFrame, int]:
     """Rows of a table file, and its schema version."""
-    content = _from_parquet(encoded, names)
+    content = from_parquet(encoded, names)
     version = int((content.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
     if version > SCHEMA_VERSION:
         # This version of the program would lose its new columns.
@@ -501,45 +357,10 @@ def _published_content(output: Path, path: Path, table: Table) -> bytes:
         manifest = read_manifest(output, *manifest_key(name)) or Manifest()
         content, accepted = read(path), manifest.accepted(name)
         if not accepted:
-            _rows_of(path, table, content)  # which checks its pages and names
+            rows_and_version(path, table, content)  # which checks its pages and names
         if not accepted or hashlib.sha256(content).hexdigest() in accepted:
             return content
     raise damaged(path, table, ValueError("it is not what its manifest says"))
-
-
-class Proof(Enum):
-    """Evidence for a file that no manifest lists.
-
-    `WHOLE`: encoding its rows again gives the same bytes, the footer too. `PAGES`: only the
-    checksums of its pages hold, as another version of PyArrow or Polars wrote it.
-    """
-
-    WHOLE = "whole"
-    PAGES = "pages"
-
-
-def prove(path: Path, table: Table) -> tuple[str, Proof]:
-    """SHA-256 of a table file that no manifest lists, and its proof.
-
-    Raises
-    ------
-    StoreError
-        If it is damaged, of a newer version of the program, or has rows of other nights.
-    """
-    try:
-        content = read(path)
-        rows, version = _rows_of(path, table, content)
-        parts = _parts(pq.read_metadata(pa.BufferReader(content)))
-        of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in rows.columns
-        nights = (
-            {str(night) for night in rows["night"].unique().drop_nulls()} if of_night else set()
-        )
-        if nights - (parts.keys() or {path.stem}):
-            raise ValueError("it has rows of other nights")
-        same = _as_parquet(rows, version, parts) == content
-    except DAMAGE as error:
-        raise damaged(path, table, error) from error
-    return hashlib.sha256(content).hexdigest(), Proof.WHOLE if same else Proof.PAGES
 
 
 def run_file(output: Path, table: Table, started: dt.datetime) -> Path:

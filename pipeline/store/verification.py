@@ -11,13 +11,19 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from pipeline.errors import StoreError
 from pipeline.messages import counted
-from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
+from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES, Table
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, read
+from pipeline.store.encoding import DAMAGE, as_parquet, parts_told
 from pipeline.store.manifest import (
+    MONTH_PREFIX,
     WHOLE,
     Key,
     Manifest,
@@ -25,12 +31,47 @@ from pipeline.store.manifest import (
     manifest_key,
     read_manifest,
 )
-from pipeline.store.tables import ENDING, PUT_ASIDE, Proof, prove
+from pipeline.store.tables import ENDING, PUT_ASIDE, damaged, rows_and_version
 
 AGAIN = "a run makes it anew"
 TABLE_OF = {table.name: table for table in TABLES}
 OF_MOTORS = {table.name for table in NIGHT_TABLES}
 OF_TRENDS = {table.name for table in TREND_TABLES}
+
+
+class Proof(Enum):
+    """Evidence for a file that no manifest lists.
+
+    `WHOLE`: encoding its rows again gives the same bytes, the footer too. `PAGES`: only the
+    checksums of its pages hold, as another version of PyArrow or Polars wrote it.
+    """
+
+    WHOLE = "whole"
+    PAGES = "pages"
+
+
+def prove(path: Path, table: Table) -> tuple[str, Proof]:
+    """SHA-256 of a table file that no manifest lists, and its proof.
+
+    Raises
+    ------
+    StoreError
+        If it is damaged, of a newer version of the program, or has rows of other nights.
+    """
+    try:
+        content = read(path)
+        rows, version = rows_and_version(path, table, content)
+        parts = parts_told(pq.read_metadata(pa.BufferReader(content)))
+        of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in rows.columns
+        nights = (
+            {str(night) for night in rows["night"].unique().drop_nulls()} if of_night else set()
+        )
+        if nights - (parts.keys() or {path.stem}):
+            raise ValueError("it has rows of other nights")
+        same = as_parquet(rows, version, parts) == content
+    except DAMAGE as error:
+        raise damaged(path, table, error) from error
+    return hashlib.sha256(content).hexdigest(), Proof.WHOLE if same else Proof.PAGES
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +93,9 @@ class TableFault:
     path: str
     code: str
     message: str
+
+    def __str__(self) -> str:
+        return f"{self.code}: {self.path}: {self.message}"
 
 
 @dataclass(frozen=True, slots=True)

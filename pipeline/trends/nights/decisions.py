@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import append, blank, read
+from pipeline.store.atomic_files import read
+from pipeline.store.journals import append, blank
 from pipeline.store.sealed import seal, unseal
 
 log = logging.getLogger(__name__)

@@ -22,7 +22,8 @@ import pipeline.export.csv
 from pipeline.errors import StoreError, UsageError
 from pipeline.export.csv import Selection, as_text, export_csv, tables_named
 from pipeline.schema import DATA_DICTIONARY, FITS, INPUT_FILES, TABLES, TIMESTAMP, Table, frame
-from pipeline.store.tables import night_file, read_table, table_folder, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import night_file, read_table, table_folder
 from tests.pipeline.calling import Call
 
 NIGHT = dt.date(2026, 1, 3)

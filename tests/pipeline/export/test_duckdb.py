@@ -11,7 +11,8 @@ import pytest
 from pipeline.errors import StoreError, UsageError
 from pipeline.export.duckdb import export_duckdb
 from pipeline.schema import FITS, INPUT_FILES, TABLES, frame
-from pipeline.store.tables import files_of, read_table, table_folder, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import files_of, read_table, table_folder
 
 
 def test_the_file_has_every_row_and_the_views(fitted_output: Path, tmp_path: Path) -> None:

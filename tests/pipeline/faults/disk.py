@@ -12,9 +12,11 @@ from typing import Any, Literal
 
 import pytest
 
-from pipeline.store import atomic_files as landing
+from pipeline.store import atomic_files, journals
 
-# The calls of `pipeline.store.atomic_files`, and how each of them fails on a disk.
+# All that the program writes to its output goes through these.
+DOORS = (atomic_files, journals)
+# Their calls, and how each of them fails on a disk.
 CALLS = {
     "open": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
     "chmod": (errno.EIO,),
@@ -132,5 +134,6 @@ def _flipped(content: bytes) -> bytes:
 def on(disk: Disk) -> Iterator[Disk]:
     """Let the program write to a disk."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(landing, "os", disk)
+        for door in DOORS:
+            patched.setattr(door, "os", disk)
         yield disk

@@ -35,11 +35,6 @@ class Tally:
     survived: Counter[str] = field(default_factory=Counter)
     ends: Counter[str] = field(default_factory=Counter)
 
-    def __iadd__(self, other: Tally) -> Tally:
-        self.survived += other.survived
-        self.ends += other.ends
-        return self
-
 
 def count_points(fleet: TinyFleet, output: Path, kind: Kind) -> int:
     """Number of calls of a run that can fail in a way; the run passes if none of them fails."""

@@ -4,28 +4,21 @@ from __future__ import annotations
 
 import datetime as dt
 import json
-import os
 import shutil
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 
 from pipeline.run.verification import verify_tables
 from pipeline.schema import QUALITY, frame
 from pipeline.store.manifest import manifest_file, read_manifest
-from pipeline.store.night_files import (
-    NewRows,
-    prepare_night,
-)
-from pipeline.store.tables import (
-    night_file,
-)
+from pipeline.store.night_files import NewRows, prepare_night
+from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
 from tests.pipeline.faults.disk import Disk, Killed, on
-from tests.pipeline.faults.fleet import LATER, TinyFleet, check_tables, remembered_fits
+from tests.pipeline.faults.fleet import TinyFleet, check_tables, remembered_fits
 from tests.pipeline.simulated import NIGHT
 
 # Who runs or ran: nothing is made from it.
@@ -145,26 +138,6 @@ def test_no_flipped_bit_gets_into_a_new_file(output: Path, size: int) -> None:
         file = prepare_night(output, QUALITY, NIGHT, new, lambda rows: rows, accepted)
         file.drop()
         assert file.lost_rows, bit
-
-
-def test_a_run_puts_a_damaged_file_aside_and_the_next_one_makes_all_of_it_anew(
-    output: Path, tiny_fleet: TinyFleet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In the footer, where no checksum of Parquet's would tell; seen when its night is made."""
-    monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: lambda _: False)
-    journal_file(output).unlink()
-    path = night_file(output, QUALITY, LATER)
-    whole, state = path.read_bytes(), path.stat()
-    flip(path, whole, 8 * (len(whole) - 100))
-    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
-    (output / "ledger" / "M2" / f"{LATER:%Y-%m}.json").unlink()
-    tiny_fleet.run(output)
-    assert pl.read_parquet(path)["motor_id"].unique().to_list() == ["M2"]
-    assert [fault.code for fault in verify_tables(output)] == ["table_unlisted"]
-    path.with_suffix(".damaged").unlink()
-    tiny_fleet.run(output)
-    check_tables(output, tiny_fleet)
-    assert list(verify_tables(output)) == []
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")

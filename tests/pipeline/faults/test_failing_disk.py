@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.store import atomic_files as landing
+from pipeline.store import atomic_files
 from tests.pipeline.faults import disk
-from tests.pipeline.faults.disk import CALLS, KINDS, QUICK_KINDS, Disk, Kind, on
+from tests.pipeline.faults.disk import CALLS, DOORS, KINDS, QUICK_KINDS, Disk, Kind, on
 from tests.pipeline.faults.fleet import TinyFleet
 from tests.pipeline.faults.sweep import count_points, try_points
 
@@ -118,7 +118,7 @@ def test_nothing_reaches_the_disk_but_through_the_one_door(
 
             return {"write": write, "close": close}.get(name, real)
 
-    doors = {landing.__file__, disk.__file__, __file__}
+    doors = {disk.__file__, __file__, *(str(door.__file__) for door in DOORS)}
     strangers: list[tuple[str, str]] = []
     listening = True
 
@@ -134,9 +134,9 @@ def test_nothing_reaches_the_disk_but_through_the_one_door(
 
     def remove_all(folder: Path) -> None:
         staged.extend(contents(folder).values())
-        landing_remove_all(folder)
+        really_remove_all(folder)
 
-    landing_remove_all = landing.remove_all
+    really_remove_all = atomic_files.remove_all
     sys.addaudithook(listen)  # there is no way to take it away again, only to close its ears
     with pytest.MonkeyPatch.context() as patched, on(Watched("EIO", 0)):
         patched.setattr("pipeline.run.fleet.remove_all", remove_all)
@@ -169,14 +169,14 @@ def contents(folder: Path) -> dict[str, str]:
     }
 
 
-def test_every_call_of_the_door_can_be_failed() -> None:
-    """Every call of `os` that it makes can be made to fail, or changes nothing on the disk."""
+def test_every_call_of_the_doors_can_be_failed() -> None:
+    """Every call of `os` that they make can be made to fail, or changes nothing on the disk."""
     harmless = {
         "close", "fstat", "lstat", "scandir", "posix_fadvise", "sync",
         "O_APPEND", "O_CLOEXEC", "O_CREAT", "O_EXCL", "O_RDONLY", "O_RDWR", "O_TRUNC", "O_WRONLY",
         "POSIX_FADV_DONTNEED", "fsencode", "strerror",
     }  # fmt: skip
-    source = Path(landing.__file__).read_text("utf-8")
+    source = "".join(Path(str(door.__file__)).read_text("utf-8") for door in DOORS)
     used = {name.split("(")[0].split(")")[0] for name in source.split("os.")[1:]}
     used = {"".join(c for c in name.split()[0] if c.isalnum() or c == "_") for name in used}
     assert set(CALLS) <= used

@@ -9,7 +9,9 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +21,7 @@ import pipeline.run.motors
 import pipeline.run.publishing
 from pipeline.run.motor_task import run_motor
 from pipeline.run.publishing import run_trends
-from pipeline.run.tasks import MotorOutcome, MotorTask
-from pipeline.trends.tasks import TrendOutcome, TrendTask
+from pipeline.run.tasks import MotorTask
 from tests.pipeline.faults.fleet import (
     MOTORS,
     TinyFleet,
@@ -32,6 +33,7 @@ from tests.pipeline.faults.sweep import count_points
 from tests.pipeline.faults.victim import OF_MOTORS, OF_TRENDS, STAGES, at_entry, die
 
 Kill = Callable[[Path, str, int], None]
+Run = Callable[[Any], Any]
 
 
 @pytest.fixture(scope="module")
@@ -84,19 +86,21 @@ def kill_and_repair(fleet: TinyFleet, output: Path, kill: Kill, stage: str, numb
     check_repaired(output, fleet)
 
 
-@pytest.mark.parametrize("stage", ["fitting", "landing", "remembering", "trends"])
-def test_killed_in_a_stage(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill, stage: str) -> None:
-    kill_and_repair(tiny_fleet, tmp_path / "out", kill, stage, 2 if stage == "landing" else 1)
+SOME = (("fitting", 1), ("landing", 2), ("remembering", 1), ("trends", 1))
+ENTERED_ONCE = (("trends", 2), ("publishing the run", 2))
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("number", [1, 2])
-@pytest.mark.parametrize("stage", STAGES)
-def test_killed_in_every_stage(
+@pytest.mark.parametrize(
+    ("stage", "number"),
+    [
+        pytest.param(*one, marks=() if one in SOME else pytest.mark.full)
+        for one in product(STAGES, (1, 2))
+        if one not in ENTERED_ONCE
+    ],
+)
+def test_killed_in_a_stage(
     tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill, stage: str, number: int
 ) -> None:
-    if (stage, number) in (("trends", 2), ("publishing the run", 2)):
-        number = 1  # entered once
     kill_and_repair(tiny_fleet, tmp_path / "out", kill, stage, number)
 
 
@@ -123,33 +127,13 @@ def test_killed_at_many_calls(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill,
 # killed in `tests/pipeline/run/test_fleet.py`: starting some takes longer than all of the above.)
 
 
-def killing_motor(stage: str, motor: str, marker: Path | None) -> Callable[..., MotorOutcome]:
-    """A motor's task that dies in a stage: always, or only until a marker is there."""
+def killing(run: Run, stage: str, motor: str, marker: Path | None) -> Run:
+    """A motor's task, of its nights or its trends, that dies in a stage; once, if with a marker."""
 
-    def run_or_die(task: MotorTask) -> MotorOutcome:
-        if task.spec.motor_id != motor or (marker and marker.exists()):
-            return run_motor(task)
-
-        def then() -> None:
-            if marker:
-                marker.touch()
-            die()
-
-        patched = at_entry(stage, 1, then)
-        try:
-            return run_motor(task)
-        finally:
-            patched.undo()
-
-    return run_or_die
-
-
-def killing_trends(stage: str, motor: str, marker: Path | None) -> Callable[..., TrendOutcome]:
-    """The same of a task of trends."""
-
-    def run_or_die(task: TrendTask) -> TrendOutcome:
-        if task.specs[0].motor_id != motor or (marker and marker.exists()):
-            return run_trends(task)
+    def run_or_die(task: Any) -> Any:
+        spec = task.spec if isinstance(task, MotorTask) else task.specs[0]
+        if spec.motor_id != motor or (marker and marker.exists()):
+            return run(task)
 
         def then() -> None:
             if marker:
@@ -158,7 +142,7 @@ def killing_trends(stage: str, motor: str, marker: Path | None) -> Callable[...,
 
         patched = at_entry(stage, 1, then)
         try:
-            return run_trends(task)
+            return run(task)
         finally:
             patched.undo()
 
@@ -172,9 +156,11 @@ def check_worker(
     output, motor = fleet.copy(tmp_path / "out"), MOTORS[1]
     marker = None if always else tmp_path / "died"
     if stage in OF_MOTORS:
-        patched.setattr(pipeline.run.motors, "run_motor", killing_motor(stage, motor, marker))
+        patched.setattr(pipeline.run.motors, "run_motor", killing(run_motor, stage, motor, marker))
     else:
-        patched.setattr(pipeline.run.publishing, "run_trends", killing_trends(stage, motor, marker))
+        patched.setattr(
+            pipeline.run.publishing, "run_trends", killing(run_trends, stage, motor, marker)
+        )
         # A task a motor: one alone would be done in this very process.
         patched.setattr(pipeline.run.publishing, "MOTORS_A_TREND_TASK", 1)
     result = fleet.run(output, workers=2, backend="loky")

@@ -28,8 +28,9 @@ from pipeline.schema import (
     TRENDS,
     Table,
 )
+from pipeline.store.encoding import write_table
 from pipeline.store.manifest import manifest_file
-from pipeline.store.tables import night_file, read_rows, run_file, write_table
+from pipeline.store.tables import night_file, read_rows, run_file
 from pipeline.trends.nights.from_tables import FIT_COLUMNS
 from tests.pipeline.faults.damage import (
     EVERY_RUN,
@@ -43,12 +44,7 @@ from tests.pipeline.faults.damage import (
     rot,
     rot_of_footer,
 )
-from tests.pipeline.faults.fleet import (
-    LATER,
-    MOTORS,
-    TinyFleet,
-    check_repaired,
-)
+from tests.pipeline.faults.fleet import LATER, MOTORS, TinyFleet, check_repaired
 from tests.pipeline.simulated import NIGHT
 
 pytestmark = pytest.mark.usefixtures("_quick")

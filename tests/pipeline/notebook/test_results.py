@@ -13,8 +13,9 @@ from pipeline.errors import StoreError, UsageError
 from pipeline.notebook import open_tables, plot_course
 from pipeline.notebook.results import Tables
 from pipeline.schema import ALARMS, FITS, TRENDS, frame
+from pipeline.store.encoding import write_table
 from pipeline.store.manifest import update_manifest
-from pipeline.store.tables import night_file, write_table
+from pipeline.store.tables import night_file
 
 FIRST = dt.date(2026, 1, 30)
 NIGHTS = [FIRST + dt.timedelta(days=at) for at in range(4)]

@@ -12,7 +12,8 @@ import pytest
 
 from pipeline.report.build import ReportRequest, build_report
 from pipeline.schema import TABLES
-from pipeline.store.tables import read_table, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import read_table
 from tests.conftest import made_once
 
 if TYPE_CHECKING:

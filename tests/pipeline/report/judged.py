@@ -12,7 +12,8 @@ import polars as pl
 
 from pipeline.report.build import KnownMotor, ReportRequest, build_report
 from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TRENDS, frame
-from pipeline.store.tables import night_file, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import Decision, record_decision
 from tests.pipeline.report.conftest import change_table
 

@@ -10,7 +10,8 @@ import polars as pl
 import pytest
 
 from pipeline.schema import ALARMS, FITS, TRENDS, frame
-from pipeline.store.tables import night_file, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import Decision
 from tests.pipeline.trends.nights import configure, night_of
 

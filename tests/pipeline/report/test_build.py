@@ -21,8 +21,9 @@ from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
 from pipeline.report.build import KnownMotor, ReportRequest, ReportResult, build_report
 from pipeline.schema import FITS, PARAMETERS, PREDICTIONS, TRENDS
+from pipeline.store.encoding import VERSION_KEY, write_table
 from pipeline.store.sealed import put_sealed, read_sealed, seal, unseal
-from pipeline.store.tables import VERSION_KEY, night_file, read_table, write_table
+from pipeline.store.tables import night_file, read_table
 from tests.pipeline.report.conftest import change_table
 from tests.pipeline.report.packed import night_file as read_night_file
 from tests.pipeline.report.packed import page_payload, unpacked

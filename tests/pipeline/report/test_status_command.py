@@ -14,8 +14,9 @@ from leakage.course.monitoring import ChangeSize
 from pipeline.errors import UsageError
 from pipeline.report.status import RAISED, age_in_hours, fleet_status, last_alarm
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
+from pipeline.store.encoding import write_table
 from pipeline.store.publishing import Publisher
-from pipeline.store.tables import night_file, write_table
+from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.rows.motor_states import TOLD
 from pipeline.trends.states.words import size_words

@@ -26,18 +26,17 @@ from pipeline.store.night_files import (
 from pipeline.store.publishing import Publisher
 from pipeline.store.retention import old_files, prune
 from pipeline.store.tables import (
-    Proof,
     files_of,
     month_file,
     night_file,
     night_paths,
     night_stamps,
     nights_back,
-    prove,
     read_rows,
     read_table,
     table_folder,
 )
+from pipeline.store.verification import Proof, prove
 from tests.pipeline.faults.disk import Disk, Killed, on
 from tests.pipeline.store.test_tables import row
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.schema import ALARMS, frame
-from pipeline.store.tables import night_file, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import night_file
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Delivery, UndeliveredError
 from pipeline.telling.outbox import (

@@ -27,7 +27,8 @@ from pipeline.config.nights import nights_between
 from pipeline.demo import shipped_configs
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
-from pipeline.store.tables import night_file, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.from_tables import rows_by_night
 from pipeline.trends.nights.history import History, every_night

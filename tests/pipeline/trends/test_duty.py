@@ -16,7 +16,8 @@ from leakage.course.balanced_baseline import DutyBlocks
 from leakage.estimation.model_verdict import StructuredMisfit
 from pipeline.config import MotorSpec
 from pipeline.schema import BLOCK_STATISTICS
-from pipeline.store.tables import night_file, write_table
+from pipeline.store.encoding import write_table
+from pipeline.store.tables import night_file
 from pipeline.trends.baselines import blocks as baseline_blocks
 from pipeline.trends.baselines.blocks import BlockFiles
 from pipeline.trends.baselines.duty import with_duty

@@ -20,8 +20,9 @@ from pipeline.errors import StoreError
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, TREND_TABLES, Table
+from pipeline.store.encoding import write_table
 from pipeline.store.retention import old_files, prune
-from pipeline.store.tables import night_file, read_rows, write_table
+from pipeline.store.tables import night_file, read_rows
 from pipeline.trends import stage
 from pipeline.trends.nights import kept_nights, reading
 from pipeline.trends.nights.decisions import record_decision
