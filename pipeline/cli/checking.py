@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.cli.arguments import (
-    EXIT_MOTORS_FAILED,
-    EXIT_OK,
-    AsJson,
-    Output,
-    load,
-    say,
-)
+from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, AsJson, Output, load, say
 from pipeline.cli.tables import print_table
 from pipeline.errors import UsageError
 from pipeline.messages import counted, error_line
@@ -132,7 +125,7 @@ def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, me
 
 def _say_faults(faults: Iterable[TableFault], event: str, mark: str, *, as_json: bool) -> None:
     for one in faults:
-        words = f"motor-leakage: {mark}{one.code}: {one.path}: {one.message}"
+        words = f"motor-leakage: {mark}{one}"
         say(json.dumps({"event": event, **asdict(one)}) if as_json else words, err=True)
 
 

@@ -55,7 +55,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
     output = request.fleet.output
     for fault in compare_published(output, manifest_keys(output), lambda _: False).faults:
         line = {"event": "table_fault", **asdict(fault)}
-        words = f"motor-leakage: {fault.code}: {fault.path}: {fault.message}"
+        words = f"motor-leakage: {fault}"
         say(json.dumps(line) if as_json else words, err=True)
     if not as_json:
         say(f"to be done: {counted(total, 'night')}")
@@ -165,7 +165,7 @@ class Reporter:
         for code, count in _by_code(result).items():
             say(f"{code}: {counted(count, 'motor')}")
         for fault in result.damage_left:
-            say(f"motor-leakage: {fault.code}: {fault.path}: {fault.message}", err=True)
+            say(f"motor-leakage: {fault}", err=True)
         if result.damage:
             n, left = counted(len(result.damage), "file"), len(result.damage_left)
             say(f"damaged or missing: {n}, of which not repaired: {left}")

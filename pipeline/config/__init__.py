@@ -1,4 +1,10 @@
-"""Typed config: the only door for settings."""
+"""Typed config: the only door for settings.
+
+`loading` reads a fleet's files, with the faults that only show between them (`cross_checks`), into
+`fleet`. A file a model: `settings` (fleet file; its sections are in `preparation`, `fitting`,
+`watching` and `execution`), `motors` (with `logs`, `channels` and `databases`), `motor_types`,
+`oil_samples`. `hashes` says what a change of settings makes anew; `nights` are the days of a fleet.
+"""
 
 from pipeline.config.channels import Channel
 from pipeline.config.execution import Execution, Retention

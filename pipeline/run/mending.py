@@ -150,7 +150,7 @@ class Damage:
         """Log faults that are new, and return them."""
         new = [one for one in faults if one.path not in self.found]
         for one in new[:FAULTS_TOLD]:
-            log.warning("%s: %s: %s", one.code, one.path, one.message)
+            log.warning("%s", one)
         if len(new) > FAULTS_TOLD:
             log.warning("and %d more; `check --tables` names all", len(new) - FAULTS_TOLD)
         self.found |= {one.path: one for one in new}

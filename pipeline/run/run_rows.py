@@ -71,7 +71,7 @@ def publish_run(
         "n_nights": result.n_nights,
         "seconds": result.seconds,
         **result.seconds_by_stage,
-        "damage": [f"{one.code}: {one.path}: {one.message}" for one in result.damage],
+        "damage": [str(one) for one in result.damage],
     }
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
     publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})

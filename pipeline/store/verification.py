@@ -94,6 +94,9 @@ class TableFault:
     code: str
     message: str
 
+    def __str__(self) -> str:
+        return f"{self.code}: {self.path}: {self.message}"
+
 
 @dataclass(frozen=True, slots=True)
 class Comparison:

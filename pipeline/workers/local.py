@@ -139,6 +139,7 @@ class Crew:
         """Each task with what came of it, as they finish."""
         waiting = deque(tasks)
         at_work: dict[Worker, Task] = {}
+        finished: list[tuple[Task, Done[Result] | Loss]] = []
         try:
             while waiting or at_work:
                 while waiting and len(at_work) < n_workers:
@@ -146,12 +147,16 @@ class Crew:
                     worker = self._idle(at_work)
                     worker.begin(function, task, execution)
                     at_work[worker] = task
+                # Workers go on while somebody looks at what is finished.
+                yield from finished
                 _wait_for_news(at_work)
-                for worker, task in tuple(at_work.items()):
-                    outcome = worker.outcome()
-                    if outcome is not None:
-                        del at_work[worker]
-                        yield task, outcome
+                found = [(worker, worker.outcome()) for worker in at_work]
+                finished = [
+                    (at_work.pop(worker), outcome)
+                    for worker, outcome in found
+                    if outcome is not None
+                ]
+            yield from finished
         finally:
             # Nobody waits any more for what these do.
             for worker in at_work:

@@ -12,6 +12,7 @@ import pytest
 
 import pipeline.logs.database
 from pipeline.cli import main
+from pipeline.messages import FORM
 from tests.pipeline.calling import Call, Called
 from tests.pipeline.dask_processes import Processes, scheduler_with
 from tests.pipeline.plant_database import VARIABLE as ADDRESS_VARIABLE
@@ -64,6 +65,7 @@ def database(postgres: PostgresServer, monkeypatch: pytest.MonkeyPatch) -> Itera
 def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Call]:
     """Runs the command in this process; its code, and what it said on stdout and stderr."""
     before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setenv(FORM, "")
 
     def run(*arguments: str | Path) -> Called:
         monkeypatch.setattr(sys, "argv", ["motor-leakage", *map(str, arguments)])

@@ -8,30 +8,12 @@ import logging
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from pipeline.cli import main
 from pipeline.messages import FORM, JsonLine, error_line, speak_as_told
-
-Called = Callable[..., tuple[object, list[str], list[str]]]
-
-
-@pytest.fixture
-def called(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Called:
-    """Runs the command in this process: its exit code, and its lines on stdout and stderr."""
-    monkeypatch.setenv(FORM, "")
-
-    def run(*arguments: str) -> tuple[object, list[str], list[str]]:
-        monkeypatch.setattr(sys, "argv", ["motor-leakage", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        out, err = capfd.readouterr()
-        return ended.value.code, out.splitlines(), err.splitlines()
-
-    return run
+from tests.pipeline.calling import Call
 
 
 def test_a_record_is_one_line_with_its_traceback() -> None:
@@ -56,23 +38,23 @@ def test_a_record_is_one_line_with_its_traceback() -> None:
     assert "ValueError: invalid literal" in record["traceback"]
 
 
-def test_errors_and_wrong_usage_are_objects(called: Called, tmp_path: Path) -> None:
+def test_errors_and_wrong_usage_are_objects(call: Call, tmp_path: Path) -> None:
     for arguments, code, words in (
         (("fit-fleet", "--json", "--no-such"), "usage", "No such option: --no-such"),
         (("fit-fleet", "--json", str(tmp_path / "none.toml")), "config", "cannot be read"),
         (("fit-fleet", "--json"), "usage", "CONFIG"),
     ):
-        exit_code, out, err = called(*arguments)
-        (line,) = map(json.loads, err)
-        assert (exit_code, out) == (2, [])
+        exit_code, out, err = call(*arguments)
+        line = json.loads(err)
+        assert (exit_code, out) == (2, "")
         assert (line["event"], line["code"], line["exit_code"]) == ("error", code, 2)
         assert words in line["message"]
 
 
-def test_people_get_a_line(called: Called, tmp_path: Path) -> None:
-    exit_code, _, err = called("fit-fleet", str(tmp_path / "none.toml"))
+def test_people_get_a_line(call: Call, tmp_path: Path) -> None:
+    exit_code, _, err = call("fit-fleet", str(tmp_path / "none.toml"))
     assert exit_code == 2
-    assert err[0] == "motor-leakage: config: 1 config fault"
+    assert err.startswith("motor-leakage: config: 1 config fault\n")
 
 
 def test_a_message_with_line_ends_stays_one_line() -> None:

@@ -3,8 +3,8 @@
 
 (() => {
   const { COLOURS, page, style, decode, limits, text, word } = motorLeakage;
-  const { DAY_MS, MARKED_NIGHTS, places, nights, overNights, marks, band, line, known } =
-    motorLeakage.overNights;
+  const { DAY_MS, MARKED_NIGHTS, isoDay, places, nights } = motorLeakage.overNights;
+  const { overNights, marks, band, line, levelLine, known } = motorLeakage.overNights;
 
   const { first } = page;
   const course = (packed) => ({
@@ -28,20 +28,10 @@
   const outcome = (place) => word("statuses", page.statuses[places[place]]);
 
   function level(name, values) {
-    return {
-      type: "scatter",
-      mode: "lines",
-      name: `level of ${name}`,
-      x: nights,
-      y: values,
-      line: {
-        color: LEVEL_COLOURS[name],
-        width: 1.5,
-        dash: name === "alarm" ? "longdash" : "dot",
-        shape: "hv",
-      },
+    const dash = name === "alarm" ? "longdash" : "dot";
+    return levelLine(`level of ${name}`, nights, values, LEVEL_COLOURS[name], dash, 1.5, {
       hovertemplate: `%{x|%Y-%m-%d}: %{y:.3g} %<extra>${name}, ${inTemplate(first.limitsOf)}</extra>`,
-    };
+    });
   }
 
   overNights("course-gaps", () => {
@@ -159,9 +149,7 @@
     const start = Date.parse(page.nights[0]);
     const days = Math.round((Date.parse(page.nights.at(-1)) - start) / DAY_MS) + 1;
     const place = new Map(page.nights.map((night, at) => [night, at]));
-    const labels = Array.from({ length: days }, (_, day) =>
-      new Date(start + day * DAY_MS).toISOString().slice(0, 10),
-    );
+    const labels = Array.from({ length: days }, (_, day) => isoDay(start + day * DAY_MS));
     const at = labels.map((night) => place.get(night));
     const status = at.map((one) => page.statuses[one]);
     const said = (code, reason) => `${word("statuses", code)} ${text(reason ?? "")}`;

@@ -102,26 +102,20 @@
     ]
       .filter(Boolean)
       .join(", ");
+    const flow = (name, values, line, label) => ({
+      type: "scatter",
+      mode: "lines",
+      name: label,
+      x: part.time,
+      y: values,
+      line,
+      hovertemplate: `%{y:.4g} l/min<extra>${name}</extra>`,
+    });
+    const [grey, red] = [COLOURS.quiet, COLOURS.vermilion];
     return {
       traces: [
-        {
-          type: "scatter",
-          mode: "lines",
-          name: "measured",
-          x: part.time,
-          y: part.measured,
-          line: { width: 1.4, color: "#8a949e" },
-          hovertemplate: "%{y:.4g} l/min<extra>measured</extra>",
-        },
-        {
-          type: "scatter",
-          mode: "lines",
-          name: `model (${figures})`,
-          x: part.time,
-          y: part.predicted,
-          line: { width: 1.2, color: COLOURS.vermilion, dash: "solid" },
-          hovertemplate: "%{y:.4g} l/min<extra>model</extra>",
-        },
+        flow("measured", part.measured, { width: 1.4, color: grey }, "measured"),
+        flow("model", part.predicted, { width: 1.2, color: red }, `model (${figures})`),
       ],
       layout: {
         xaxis: { type: "date", title: "UTC" },

@@ -9,8 +9,8 @@ motorLeakage.overNights = (() => {
 
   /* The axis of time that all charts share: whoever zooms, all follow. */
   const DAY_MS = 86400000;
-  const shifted = (night, days) =>
-    new Date(Date.parse(night) + days * DAY_MS).toISOString().slice(0, 10);
+  const isoDay = (ms) => new Date(ms).toISOString().slice(0, 10);
+  const shifted = (night, days) => isoDay(Date.parse(night) + days * DAY_MS);
   const WHOLE = [shifted(page.nights[0], -1), shifted(page.nights.at(-1), 1)];
   let span = WHOLE;
   const linked = () => [...document.querySelectorAll("[data-drawn=chart] .plot.over-nights")];
@@ -171,18 +171,31 @@ motorLeakage.overNights = (() => {
     };
   }
 
+  /* A level in steps from night to night. */
+  const levelLine = (name, x, y, colour, dash, width, extra) => ({
+    type: "scatter",
+    mode: "lines",
+    name,
+    x,
+    y,
+    line: { color: colour, width, dash, shape: "hv" },
+    ...extra,
+  });
+
   const known = (values) => values.some((value) => value !== null);
 
   return {
     places,
     nights,
     DAY_MS,
+    isoDay,
     MARKED_NIGHTS,
     overNights,
     markNight,
     marks,
     band,
     line,
+    levelLine,
     known,
   };
 })();

@@ -5,12 +5,12 @@
   const { COLOURS, ABSENT, page, decode, plain, text, format, element, table, word, unit } =
     motorLeakage;
   const { withRemark, probability, menu } = motorLeakage;
-  const { DAY_MS, overNights, marks, band, known } = motorLeakage.overNights;
+  const { DAY_MS, isoDay, overNights, marks, band, levelLine, known } = motorLeakage.overNights;
 
   const { baselines, change_points: changePoints } = page.trend;
   const indicators = page.trend.indicators.map((one) => ({
     ...one,
-    nights: decode(one.days).map((day) => new Date(day * DAY_MS).toISOString().slice(0, 10)),
+    nights: decode(one.days).map((day) => isoDay(day * DAY_MS)),
     state: [...one.states].map((place) => page.trend.order[Number(place)]),
   }));
   const LOOKS = {
@@ -30,17 +30,11 @@
   const label = (one) => (unitOf(one) ? `${one.name}, ${unitOf(one)}` : one.name);
 
   function step(one, name, values, colour, dash, yaxis) {
-    return {
-      type: "scatter",
-      mode: "lines",
-      name,
+    return levelLine(name, one.nights, values, colour, dash, 1.2, {
       legendgroup: name,
-      x: one.nights,
-      y: values,
       yaxis,
-      line: { color: colour, width: 1.2, dash, shape: "hv" },
       hovertemplate: `%{x|%Y-%m-%d}: %{y:.4g}<extra>${name}</extra>`,
-    };
+    });
   }
 
   function course(one) {

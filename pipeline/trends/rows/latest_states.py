@@ -147,7 +147,7 @@ def motor_state(
         leakage_l_per_min=leakage.get("value"),
         deviation_percent=leakage.get("deviation_percent"),
         sensor_health=worst["sensor_health"],
-        state_since=None if is_ok else _state_since(worst, trends),
+        state_since=None if is_ok else _since(worst, trends, [worst["state"]]),
         leakage_night=leakage_night,
         change_start=began,
         leakage_indicator=leakage.get("indicator"),
@@ -162,7 +162,7 @@ def motor_state(
         model_verdict=misfit.get("model_verdict"),
         oil=next(iter(oils), None) or "",
         path=_paths(worst, watched),
-        known_since=_known_since(worst, trends),
+        known_since=_since(worst, trends, CHANGED) if worst["state"] in CHANGED else None,
         gap_change_lower=gap.get("lower"),
         gap_change_upper=gap.get("upper"),
         **{name: worst[name] for name in LIMITS},
@@ -244,20 +244,9 @@ def _paths(worst: Row, watched: pl.DataFrame) -> str | None:
     return " and ".join(name.removeprefix("K_") for name in gaps)
 
 
-def _known_since(worst: Row, trends: pl.DataFrame) -> dt.date | None:
-    """First night of an indicator's stretch of states that tell a change; None if it has none."""
+def _since(worst: Row, trends: pl.DataFrame, states: Sequence[str]) -> dt.date:
+    """First night of the stretch of some states up to a row of tonight, which has one of them."""
     own = trends.filter(indicator=worst["indicator"]).sort("night")
-    is_told = pl.col("state").is_in(CHANGED)
-    before = _last(own.filter(~is_told))
-    told = own.filter(is_told) if before is None else own.filter(is_told, pl.col("night") > before)
-    return None if worst["state"] not in CHANGED else told["night"][0]
-
-
-def _state_since(worst: Row, trends: pl.DataFrame) -> dt.date | None:
-    """First night of the state of a row of tonight."""
-    own = trends.filter(indicator=worst["indicator"]).sort("night")
-    before = _last(own.filter(pl.col("state") != worst["state"]))
-    after = own if before is None else own.filter(pl.col("night") > before)
-    first = after["night"].min()
-    assert first is None or isinstance(first, dt.date)
+    before = _last(own.filter(~pl.col("state").is_in(states)))
+    first: dt.date = (own if before is None else own.filter(pl.col("night") > before))["night"][0]
     return first

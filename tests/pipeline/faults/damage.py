@@ -24,8 +24,8 @@ def flip(path: Path, place: int) -> None:
 
 
 def rot(path: Path) -> None:
-    """Flip a bit of the content; of a table, in its first pages."""
-    flip(path, min(path.stat().st_size // 3, 200))
+    """Flip a bit of the content; of a table, in a first page, whose header no checksum covers."""
+    flip(path, min(path.stat().st_size // 3, 210))
 
 
 def rot_of_footer(path: Path) -> None:

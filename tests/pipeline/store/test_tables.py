@@ -21,13 +21,10 @@ from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import (
-    BLOCK_STATISTICS,
-    NIGHT_TABLES,
     QUALITY,
     RUNS,
     SCHEMA_VERSION,
     TABLES,
-    TREND_TABLES,
     Table,
     frame,
 )
@@ -37,10 +34,7 @@ from pipeline.store.encoding import write_table
 from pipeline.store.night_files import (
     NewRows,
     NightFile,
-    StagedRows,
-    new_rows,
     prepare_night,
-    stage,
 )
 from pipeline.store.tables import (
     month_stamps,
@@ -500,127 +494,3 @@ class TestPublish:
             write_table(run_file(tmp_path, RUNS, started), one)
         files = sorted((table_folder(tmp_path, RUNS) / "month=2026-01").iterdir())
         assert [read_table(path, RUNS)["run_id"].to_list() for path in files] == [["r"], ["r"]]
-
-
-def rows_of(staged: StagedRows, night: dt.date, table: Table = QUALITY) -> pl.DataFrame | None:
-    """Staged rows of a motor's night; None where it was not staged."""
-    found = new_rows(table, {"A": staged}, night, night, "run").get(night)
-    return None if found is None else found.rows
-
-
-class TestStaged:
-    def staged(
-        self, tmp_path: Path, nights: Mapping[dt.date, list[Row]], table: Table = QUALITY
-    ) -> StagedRows:
-        path = tmp_path / "staging" / table.name / "A.arrow"
-        path.parent.parent.mkdir()
-        stage(path, table, nights)
-        return StagedRows(path)
-
-    @given(
-        st.dictionaries(
-            st.dates(dt.date(2026, 1, 1), dt.date(2026, 3, 1)),
-            st.integers(0, 3),
-            min_size=1,
-            max_size=8,
-        )
-    )
-    def test_nights_without_rows_keep_their_place(
-        self, tmp_path_factory: pytest.TempPathFactory, sizes: dict[dt.date, int]
-    ) -> None:
-        nights = {
-            night: [row("A", str(one), night.toordinal(), night) for one in range(size)]
-            for night, size in sizes.items()
-        }
-        staged = self.staged(tmp_path_factory.mktemp("staged"), nights)
-        assert staged.nights == sorted(sizes)
-        for night, expected in nights.items():
-            found = rows_of(staged, night)
-            assert found is not None
-            assert_frame_equal(found, rows(*expected, run_id="run"))
-
-    def test_more_motors_than_are_read_together(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """The rows of a night come sorted by its key, with motors that have none."""
-        monkeypatch.setattr("pipeline.store.night_files.MOTORS_AT_ONCE", 2)
-        staged = {}
-        for motor_id, reasons in {"D": "b", "B": "ba", "A": "", "E": "a", "C": "a"}.items():
-            path = tmp_path / "quality" / f"{motor_id}.arrow"
-            some = [
-                row(motor_id, reason, night=night) for night in (LATER, NIGHT) for reason in reasons
-            ]
-            stage(
-                path,
-                QUALITY,
-                {n: [one for one in some if one["night"] == n] for n in (LATER, NIGHT)},
-            )
-            staged[motor_id] = StagedRows(path)
-        found = new_rows(QUALITY, staged, NIGHT, LATER, "run")
-        for night in (NIGHT, LATER):
-            assert sorted(found[night].motor_ids) == list("ABCDE")
-            keys = found[night].rows.select(QUALITY.key).rows()
-            assert [(one[0], one[3]) for one in keys] == [
-                ("B", "a"), ("B", "b"), ("C", "a"), ("D", "b"), ("E", "a")
-            ]  # fmt: skip
-            assert {one[1] for one in keys} == {night}
-
-    def test_keys_begin_with_the_motor(self) -> None:
-        """So that motors which are put together one after the other are sorted."""
-        assert {table.key[0] for table in (*NIGHT_TABLES, *TREND_TABLES)} == {"motor_id"}
-
-    def test_a_worker_that_outlives_its_run_leaves_nothing(self, tmp_path: Path) -> None:
-        """The run's folder is gone: the worker must not make it anew."""
-        with pytest.raises(StoreError, match="cannot be staged"):
-            stage(tmp_path / "gone" / "quality" / "A.arrow", QUALITY, {NIGHT: []})
-        assert list(tmp_path.iterdir()) == []
-
-    def test_more_motors_than_a_process_may_open_files(self, tmp_path: Path) -> None:
-        staged = self.staged(tmp_path, {NIGHT: [row("A")]})
-        before = len(list(Path("/proc/self/fd").iterdir()))
-        kept = [StagedRows(tmp_path / "staging" / "quality" / "A.arrow") for _ in range(5)]
-        found = [rows_of(one, NIGHT) for one in kept]
-        assert len(list(Path("/proc/self/fd").iterdir())) == before
-        for one in found:
-            assert one is not None
-            assert_frame_equal(one, rows_of(staged, NIGHT))
-
-    def test_night_that_was_not_done(self, tmp_path: Path) -> None:
-        assert rows_of(self.staged(tmp_path, {NIGHT: []}), LATER) is None
-
-    @pytest.mark.parametrize("table", NIGHT_TABLES, ids=[table.name for table in NIGHT_TABLES])
-    def test_every_type_survives_to_the_table(self, tmp_path: Path, table: Table) -> None:
-        one = {name: value for name, value in example(table).items() if name != "run_id"}
-        staged = self.staged(tmp_path, {NIGHT: [one], LATER: []}, table)
-        found, empty = rows_of(staged, NIGHT, table), rows_of(staged, LATER, table)
-        assert found is not None
-        assert empty is not None
-        publish_night(tmp_path, table, NIGHT, {"A": found, "B": empty}, "run")
-        expected = frame(table, [{**one, "run_id": "run"}])
-        assert_frame_equal(read_table(night_file(tmp_path, table, NIGHT), table), expected)
-
-    def test_rows_outlive_the_staging_folder(self, tmp_path: Path) -> None:
-        """They are read lazily from a map of the file, which the run removes at its end."""
-        staged = self.staged(tmp_path, {NIGHT: [row("A"), row("A", "spike")]})
-        found = rows_of(staged, NIGHT)
-        (tmp_path / "staging" / "quality" / "A.arrow").unlink()
-        assert found is not None
-        assert found["reason"].to_list() == ["gap", "spike"]
-
-    def test_long_statistics(self, tmp_path: Path) -> None:
-        """A night of 96 blocks with their factors."""
-        begin = dt.datetime(2026, 1, 1, 6, tzinfo=dt.UTC)
-        blocks = [
-            {
-                "motor_id": "A",
-                "night": NIGHT,
-                "block_start": begin + dt.timedelta(minutes=15 * number),
-                "statistics": [number + place / 7 for place in range(21)],
-            }
-            for number in range(96)
-        ]
-        found = rows_of(
-            self.staged(tmp_path, {NIGHT: blocks}, BLOCK_STATISTICS), NIGHT, BLOCK_STATISTICS
-        )
-        assert found is not None
-        assert found["statistics"].to_list() == [block["statistics"] for block in blocks]
