@@ -26,7 +26,8 @@ def _pyarrow_csv() -> Reader:
 
 
 def _batch_mcap() -> Reader:
-    from pipeline.config.motors import Channel, Channels, Logs
+    from pipeline.config.channels import Channel, Channels
+    from pipeline.config.logs import Logs
     from pipeline.ingest import read_log
 
     channels: Channels = {

@@ -22,6 +22,7 @@ import pyarrow.json as arrow_json
 from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, readings_of
+from pipeline.ingest.mcap.layout import fields_at
 from pipeline.ingest.mcap.messages import read_messages
 from pipeline.ingest.mcap.payloads import (
     NANOSECONDS,
@@ -167,8 +168,8 @@ def _table(payloads: Payloads, types: Mapping[FieldPath, pa.DataType]) -> pa.Tab
     # the next would go through.
     if schema is None or not payloads.length.all():
         return None
-    first = payloads.text[payloads.start]
-    last = payloads.text[payloads.start + payloads.length - 1]
+    first = fields_at(payloads.text.data, payloads.start, "u1")
+    last = fields_at(payloads.text.data, payloads.start + payloads.length - 1, "u1")
     if not ((first == ord("{")).all() and (last == ord("}")).all()):
         return None
     block_size = max(2**20, 2 * int(payloads.length.max()))

@@ -144,6 +144,10 @@ def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[
     everywhere: NDArray[Any] = np.ndarray(
         (len(buffer) - kind.itemsize + 1,), kind, buffer, strides=(1,)
     )
+    # Messages of one length lie in equal steps.
+    step = int(at[1] - at[0]) if at.size > 1 else 1
+    if step > 0 and (np.diff(at) == step).all():
+        return everywhere[at[0] : at[-1] + 1 : step].copy()
     return everywhere[at]
 
 

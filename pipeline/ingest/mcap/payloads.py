@@ -68,8 +68,10 @@ def payloads_of(
 ) -> Payloads:
     """Payloads of the chosen messages, one at least, with the topics and times of all messages."""
     starts, ends = messages.payload_start[chosen], messages.payload_end[chosen]
-    text, length = _as_lines(messages.buffer, starts, ends), ends - starts
-    return Payloads(text, _starts(length), length, topic[chosen], time_ns[chosen])
+    length = ends - starts
+    line_starts = _starts(length)
+    text = _as_lines(messages.buffer, starts, ends, line_starts)
+    return Payloads(text, line_starts, length, topic[chosen], time_ns[chosen])
 
 
 def stacked(parts: Sequence[Payloads]) -> Payloads:
@@ -123,7 +125,10 @@ def _starts(length: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _as_lines(
-    buffer: memoryview, starts: NDArray[np.int64], ends: NDArray[np.int64]
+    buffer: memoryview,
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    line_starts: NDArray[np.int64],
 ) -> NDArray[np.uint8]:
     """The payloads from `starts` to `ends`, each with a newline before it."""
     length = ends - starts
@@ -136,5 +141,5 @@ def _as_lines(
         pieces = pa.Array.from_buffers(pa.large_binary(), edges.size - 1, buffers)
         lines = pieces.take(pa.array(np.arange(0, edges.size - 1, 2)))
         text = np.frombuffer(lines.buffers()[2], np.uint8, int((length + 1).sum()))
-    text[_starts(length) - 1] = _NEWLINE
+    text[line_starts - 1] = _NEWLINE
     return text

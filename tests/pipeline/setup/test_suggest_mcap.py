@@ -301,7 +301,7 @@ def test_messages_that_are_not_read_are_listed_with_the_reason(tmp_path: Path) -
     path = write(tmp_path, [("/x", T0_US, b"abc")], {"/x": schema}, "flatbuffer")
     toml = suggest(path)
     assert comments(toml)[1:3] == [
-        "  /x: flatbuffer Thing, 1 messages",
+        "  /x: flatbuffer Thing, 1 message",
         "    not read: messages in 'flatbuffer'",
     ]
     assert "not found, give source and unit: pressure_difference, oil_temperature" in toml
