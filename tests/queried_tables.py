@@ -10,15 +10,7 @@ from typing import Any
 
 import polars as pl
 
-from pipeline.schema import (
-    DECISIONS,
-    FITS,
-    PARAMETERS,
-    TREND_TABLES,
-    TRENDS,
-    Table,
-    frame,
-)
+from pipeline.schema import DECISIONS, FITS, PARAMETERS, TREND_TABLES, TRENDS, Table, frame
 from pipeline.store.encoding import write_table
 from pipeline.store.tables import night_file, table_folder
 from pipeline.store.views import write_views
@@ -28,15 +20,7 @@ from pipeline.trends.rows.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.stage import with_q_values
 from pipeline.trends.states.standing import Standing
-from tests.pipeline.trends.nights import (
-    Nights,
-    motor,
-    named,
-    ramp,
-    reset,
-    standing,
-    step,
-)
+from tests.pipeline.trends.nights import Nights, motor, named, ramp, reset, standing, step
 
 EARLIER = dt.timedelta(days=40)
 NEWEST = dt.date(2026, 1, 4)

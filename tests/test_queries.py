@@ -24,9 +24,7 @@ from pipeline.schema import (
 from pipeline.store.encoding import write_table
 from pipeline.store.tables import night_file, read_table, table_folder
 from pipeline.trends.rows.alarm_rows import alarm_rows
-from tests.pipeline.trends.nights import (
-    night_of,
-)
+from tests.pipeline.trends.nights import night_of
 from tests.queried_tables import (
     EARLIER,
     FAILED,

@@ -97,7 +97,9 @@ class ResidualMoments:
         places = [(one, one) for one in range(count)] + [(0, one) for one in range(1, count)]
         sums = lagged_products(series, segments, longest, places, behind=LONGEST_LAG)
         own, crossed = sums[:count, LONGEST_LAG:], sums[count:, : 2 * LONGEST_LAG + 1]
-        inside = crossed - products_near_ends(series, segments, LONGEST_LAG)
+        inside = np.zeros_like(crossed)
+        if inner.n:
+            inside = crossed - products_near_ends(series, segments, LONGEST_LAG)
         size = np.sqrt(own[:, 0] / n)
         scale = size[0] * size[1:, None]
         pairs = segments.pair_counts(longest)

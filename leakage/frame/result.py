@@ -384,7 +384,8 @@ class FrameFit:
 
 def columns_of(motor: Motor, samples: FrameSamples) -> Array:
     """Columns of the samples as ``motor.columns``, shape (n, c)."""
-    z = np.empty((len(samples.time_us), len(motor.columns)))
+    # Column by column in memory as in the nightly run: other sums differ in their last bits.
+    z = np.empty((len(samples.time_us), len(motor.columns)), order="F")
     regressors(motor, samples.conditions, out=z[:, :-1])
     z[:, -1] = samples.measured_l_per_min
     return z

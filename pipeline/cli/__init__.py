@@ -7,16 +7,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from pipeline.cli import (
-    checking,
-    housekeeping,
-    looking,
-    model,
-    publishing,
-    runs,
-    starting,
-    state,
-)
+from pipeline.cli import checking, housekeeping, looking, model, publishing, runs, starting, state
 from pipeline.cli.arguments import (
     EXIT_INTERRUPTED,
     EXIT_LOCKED,

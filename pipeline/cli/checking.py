@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.cli.arguments import (
-    EXIT_MOTORS_FAILED,
-    EXIT_OK,
-    AsJson,
-    Output,
-    load,
-    say,
-)
+from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, AsJson, Output, load, say
 from pipeline.cli.tables import print_table
 from pipeline.errors import UsageError
 from pipeline.messages import counted, error_line

@@ -9,13 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from pipeline.config.faults import Misfit
-from pipeline.config.receivers import (
-    Secret,
-    WebAddress,
-    WebHeaders,
-    is_mail_address,
-    mail_server,
-)
+from pipeline.config.receivers import Secret, WebAddress, WebHeaders, is_mail_address, mail_server
 from pipeline.config.section import NonNegative, Positive, Section, Share
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")

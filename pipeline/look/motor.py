@@ -18,14 +18,7 @@ from pipeline.logs.files import reaches_us, slice_night
 from pipeline.look.baseline import LookBaseline
 from pipeline.look.blocks import Blocks, block_us, blocks_within
 from pipeline.look.reading import PASS_BYTES, News, newest_us_of, read_news
-from pipeline.look.state import (
-    BLIND,
-    MOST_RECENT,
-    NOT_READY,
-    LookState,
-    Rise,
-    Scores,
-)
+from pipeline.look.state import BLIND, MOST_RECENT, NOT_READY, LookState, Rise, Scores
 from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW
 
 # Blocks before the first new one whose samples are cleaned with it, and the wait for the samples

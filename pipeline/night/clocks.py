@@ -26,19 +26,35 @@ LOOKED_AT = 1000
 
 def typical_period_us(time_us: Times) -> float | None:
     """Median distance of consecutive samples [µs]; None for fewer than two."""
-    return median_step_us(np.diff(time_us)) if len(time_us) > 1 else None
+    return period_and_alike(time_us)[0]
 
 
-def median_step_us(steps: Times) -> float:
-    """Exactly `numpy.median`, without its sorting out of a million steps that are all alike.
+def period_and_alike(time_us: Times) -> tuple[float | None, int]:
+    """Typical period, and the number of steps of just that length.
+
+    Most steps are alike: some tell which length that is, and a count proves it.
+    """
+    n = len(time_us) - 1
+    if n < 1:
+        return None, 0
+    apart = max(1, n // LOOKED_AT)
+    likely = int(np.median(time_us[1::apart] - time_us[:-1:apart]))
+    n_alike = n - len(steps_where(lambda steps: steps != likely, time_us))
+    if 2 * n_alike > n:
+        return float(likely), n_alike
+    steps = np.diff(time_us)
+    period = _median(steps)
+    return period, int(np.count_nonzero(steps == period))
+
+
+def _median(steps: Times) -> float:
+    """Exactly `numpy.median`, without its sorting of a million steps.
 
     Some of the steps tell between which two values the median should lie, and counts prove it.
     """
     n = len(steps)
     some = np.sort(steps[:: max(1, n // LOOKED_AT)])
     low, high = some[len(some) * 2 // 5], some[len(some) * 3 // 5]
-    if low == high and 2 * np.count_nonzero(steps == low) > n:
-        return float(low)
     below, up_to = np.count_nonzero(steps < low), np.count_nonzero(steps <= high)
     middle = np.array([(n - 1) // 2, n // 2])
     if not below <= middle[0] <= middle[1] < up_to:
@@ -91,8 +107,7 @@ def _longest_increasing(stamps: list[int]) -> list[int]:
 def duplicate_time(time_us: Times, backward: Mask) -> Mask:
     """Samples, among those that are not backward, that repeat the time of the one before."""
     mask, forward = np.zeros(len(time_us), dtype=np.bool_), ~backward
-    stamps = time_us[forward]
-    again = np.flatnonzero(stamps[1:] == stamps[:-1]) + 1
+    again = steps_where(lambda steps: steps == 0, time_us[forward]) + 1
     if len(again):
         mask[np.flatnonzero(forward)[again]] = True
     return mask

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times, Values
@@ -123,37 +123,37 @@ def spike(
     """
     mask = np.zeros(len(value), dtype=np.bool_)
     half = window // 2
-    edges = [0, *borders.tolist(), len(value)]
-    whole = [(first, end) for first, end in pairwise(edges) if end - first >= window]
-    if not whole:
+    if len(value) < window:
         return mask
-    mirrored = np.concatenate(
-        [
-            part
-            for first, end in whole
-            for part in (
-                value[first + half : first : -1],
-                value[first:end],
-                value[end - 2 : end - 2 - half : -1],
-            )
-        ]
-    )
-    windows = np.lib.stride_tricks.sliding_window_view(mirrored, window)
     floor = (threshold + STEP_ROUNDING) * resolution
     # Only what is farther away than the floor can be a spike: few windows need their deviation.
-    far = np.flatnonzero(_far_from_median(mirrored, half, floor))
-    found = np.zeros(len(windows), dtype=np.bool_)
-    for chunk in range(0, len(far), WINDOWS):
-        some = far[chunk : chunk + WINDOWS]
-        part = windows[some]
+    far = np.flatnonzero(_far_from_median(value, half, floor))
+    windows = sliding_window_view(value, window)
+    mask[half + far] = _stands_out(windows, far, threshold, floor)
+    # Beside the ends of each stretch windows are mirrored.
+    edges = np.concatenate([[0], borders, [len(value)]])
+    lengths = np.diff(edges)
+    mask &= np.repeat(lengths >= window, lengths)
+    first, last = edges[:-1][lengths >= window, None], edges[1:][lengths >= window, None] - 1
+    beside = np.arange(half)
+    inward = np.abs(beside[:, None] + np.arange(-half, half + 1))
+    rows = np.concatenate([first + beside, last - beside]).ravel()
+    places = np.concatenate([first[:, None] + inward, last[:, None] - inward])
+    windows = value[places].reshape(-1, window)
+    mask[rows] = _stands_out(windows, np.arange(len(rows)), threshold, floor)
+    return mask
+
+
+def _stands_out(windows: Values, rows: NDArray[np.intp], threshold: float, floor: float) -> Mask:
+    """Some of the windows whose middle value is too far from their median."""
+    found, half = np.empty(len(rows), dtype=np.bool_), windows.shape[1] // 2
+    for chunk in range(0, len(rows), WINDOWS):
+        part = windows[rows[chunk : chunk + WINDOWS]]
         distance = np.abs(part - np.partition(part, half, axis=1)[:, half, None])
         deviation = np.partition(distance, half, axis=1)[:, half]
-        found[some] = distance[:, half] > np.maximum(floor, threshold * MAD_TO_SD * deviation)
-    place = 0
-    for first, end in whole:
-        mask[first:end] = found[place : place + end - first]
-        place += end - first + 2 * half
-    return mask
+        limit = np.maximum(floor, threshold * MAD_TO_SD * deviation)
+        found[chunk : chunk + WINDOWS] = distance[:, half] > limit
+    return found
 
 
 def _far_from_median(value: Values, half: int, floor: float) -> Mask:
@@ -237,7 +237,8 @@ def _suspects(
     places = np.searchsorted(time_us, marks[1:])
     places = places[places < n]
     first, last = places[:-1] - 1, places[1:]
-    looked_at = np.linspace(first, last, LOOKED_AT_A_STRETCH, dtype=np.intp)
+    shares = np.arange(LOOKED_AT_A_STRETCH)[:, None]
+    looked_at = first + (last - first) * shares // (LOOKED_AT_A_STRETCH - 1)
     alike = np.zeros(len(first), dtype=np.bool_)
     for step in _steps(value[looked_at], resolution):
         alike |= (step == step[0]).all(axis=0)

@@ -16,7 +16,7 @@ from pipeline.night.clocks import (
     backward_time,
     duplicate_time,
     jittered,
-    median_step_us,
+    period_and_alike,
     stray_time,
     typical_period_us,
     written_late,
@@ -79,7 +79,7 @@ class Stamps:
 
     def period_us(self, time_us: Times, blank: Mask | None = None) -> float | None:
         """As `typical_period_us`, of the stamps whose cells are not blank."""
-        period, n_alike = self.once(time_us, "period", lambda: _period_us(time_us))
+        period, n_alike = self.once(time_us, "period", lambda: period_and_alike(time_us))
         n_blank = 0 if blank is None else np.count_nonzero(blank)
         if blank is None or not n_blank:
             return period
@@ -102,13 +102,6 @@ class Stamps:
         if key not in self._known:
             self._known[key] = time_us, find()
         return cast(Found, self._known[key][1])
-
-
-def _period_us(time_us: Times) -> tuple[float | None, int]:
-    """Typical period of some stamps, and the number of steps of just that length."""
-    steps = np.diff(time_us)
-    period = median_step_us(steps) if len(steps) else None
-    return period, int(np.count_nonzero(steps == period))
 
 
 def order_of(time_us: Times, *, puts_in_order: bool) -> Order:

@@ -15,14 +15,7 @@ from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import NIGHT_TABLES, TABLES
-from tests.pipeline.simulated import (
-    FLEET,
-    Operation,
-    motor_toml,
-    operate,
-    write_configs,
-    write_log,
-)
+from tests.pipeline.simulated import FLEET, Operation, motor_toml, operate, write_configs, write_log
 
 DAY = dt.timedelta(days=1)
 MINUTES = 24.0

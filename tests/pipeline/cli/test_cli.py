@@ -19,10 +19,7 @@ import pipeline.run.fleet
 import pipeline.store.publishing
 from pipeline.config.fleet import OWN_FOLDERS
 from pipeline.errors import StoreError
-from pipeline.store.night_files import (
-    NightFile,
-    prepare_night,
-)
+from pipeline.store.night_files import NightFile, prepare_night
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change, without_workers
 

@@ -8,11 +8,7 @@ import pytest
 
 from pipeline.config import ConfigError, load_fleet
 from pipeline.logs.landing import nightly_query
-from tests.pipeline.plant_database import (
-    FILES,
-    QUERY,
-    logs_toml,
-)
+from tests.pipeline.plant_database import FILES, QUERY, logs_toml
 from tests.pipeline.postgres_server import SECRET
 from tests.pipeline.simulated import CANONICAL, motor_toml, write_configs
 from tests.pipeline.workshop import MINI, QUICK

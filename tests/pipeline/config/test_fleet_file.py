@@ -6,11 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline.config.shipped import (
-    check_fault,
-    faults,
-    load,
-)
+from tests.pipeline.config.shipped import check_fault, faults, load
 
 
 @pytest.mark.parametrize(

@@ -10,15 +10,7 @@ import pytest
 
 from pipeline.config import ConfigError, Fault, load_fleet
 from pipeline.demo import shipped_configs
-from tests.pipeline.config.shipped import (
-    MOTOR,
-    OIL,
-    TYPE,
-    change,
-    faults,
-    load,
-    only_fault,
-)
+from tests.pipeline.config.shipped import MOTOR, OIL, TYPE, change, faults, load, only_fault
 
 MOTOR_IDS = ["CB1120-01", "CB1120-02", "CB400-01", "CB400-02", "CB560-01", "CB560-02"]
 

@@ -77,23 +77,22 @@ class TestClockChange:
         assert night(AUTUMN, OSLO).start_us == utc(2026, 10, 24, 4)
         assert night(AUTUMN, OSLO).end_us == utc(2026, 10, 25, 5)
 
-    @pytest.mark.parametrize(("end_hour", "spring"), [(1, 24), (2, 24), (3, 23), (4, 23)])
-    def test_end_hour_around_the_skipped_one(self, end_hour: int, spring: int) -> None:
-        """02:00 does not exist on 29 March: that night ends when the clock jumps, at 03:00."""
-        nights = Nights(time_zone="Europe/Oslo", end_hour=end_hour)
-        assert hours(SPRING, nights) == spring
-        assert hours(SPRING, nights) + hours(SPRING + DAY, nights) == 47
-        if end_hour == 2:
-            assert night(SPRING, nights).end_us == utc(2026, 3, 29, 1)
-
-    @pytest.mark.parametrize(("end_hour", "autumn"), [(1, 24), (2, 24), (3, 25), (4, 25)])
-    def test_end_hour_around_the_repeated_one(self, end_hour: int, autumn: int) -> None:
-        """02:00 comes twice on 25 October: the night ends with its first pass."""
-        nights = Nights(time_zone="Europe/Oslo", end_hour=end_hour)
-        assert hours(AUTUMN, nights) == autumn
-        assert hours(AUTUMN, nights) + hours(AUTUMN + DAY, nights) == 49
-        if end_hour == 2:
-            assert night(AUTUMN, nights).end_us == utc(2026, 10, 25, 0)
+    @pytest.mark.parametrize(
+        ("label", "lengths", "both", "end"),
+        [
+            (SPRING, (24, 24, 23, 23), 47, (2026, 3, 29, 1)),
+            (AUTUMN, (24, 24, 25, 25), 49, (2026, 10, 25, 0)),
+        ],
+    )
+    def test_end_hour_around_the_skipped_and_the_repeated_one(
+        self, label: dt.date, lengths: tuple[int, ...], both: int, end: tuple[int, ...]
+    ) -> None:
+        """A night that ends at 02:00 ends when the clock jumps, or with the hour's first pass."""
+        for end_hour, length in enumerate(lengths, start=1):
+            nights = Nights(time_zone="Europe/Oslo", end_hour=end_hour)
+            assert hours(label, nights) == length
+            assert hours(label, nights) + hours(label + DAY, nights) == both
+        assert night(label, Nights(time_zone="Europe/Oslo", end_hour=2)).end_us == utc(*end)
 
     def test_both_passes_of_the_repeated_hour(self) -> None:
         nights = Nights(time_zone="Europe/Oslo", end_hour=2)

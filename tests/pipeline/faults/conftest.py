@@ -11,10 +11,7 @@ import pytest
 
 from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
 from tests.conftest import made_once
-from tests.pipeline.faults.fleet import (
-    TinyFleet,
-    remembered_fits,
-)
+from tests.pipeline.faults.fleet import TinyFleet, remembered_fits
 from tests.pipeline.simulated import NIGHT
 
 

@@ -14,13 +14,8 @@ import pytest
 from pipeline.run.verification import verify_tables
 from pipeline.schema import QUALITY, frame
 from pipeline.store.manifest import manifest_file, read_manifest
-from pipeline.store.night_files import (
-    NewRows,
-    prepare_night,
-)
-from pipeline.store.tables import (
-    night_file,
-)
+from pipeline.store.night_files import NewRows, prepare_night
+from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
 from tests.pipeline.faults.disk import Disk, Killed, on
 from tests.pipeline.faults.fleet import TinyFleet, check_tables, remembered_fits

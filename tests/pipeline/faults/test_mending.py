@@ -44,12 +44,7 @@ from tests.pipeline.faults.damage import (
     rot,
     rot_of_footer,
 )
-from tests.pipeline.faults.fleet import (
-    LATER,
-    MOTORS,
-    TinyFleet,
-    check_repaired,
-)
+from tests.pipeline.faults.fleet import LATER, MOTORS, TinyFleet, check_repaired
 from tests.pipeline.simulated import NIGHT
 
 pytestmark = pytest.mark.usefixtures("_quick")

@@ -11,11 +11,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.run.mending import mend_output
-from pipeline.schema import (
-    FITS,
-    PREDICTIONS,
-    TRENDS,
-)
+from pipeline.schema import FITS, PREDICTIONS, TRENDS
 from pipeline.store.manifest import manifest_file
 from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions
@@ -29,12 +25,7 @@ from tests.pipeline.faults.damage import (
     rot_of_footer,
 )
 from tests.pipeline.faults.disk import Disk, Killed, on
-from tests.pipeline.faults.fleet import (
-    LATER,
-    TinyFleet,
-    check_repaired,
-    check_tables,
-)
+from tests.pipeline.faults.fleet import LATER, TinyFleet, check_repaired, check_tables
 from tests.pipeline.simulated import NIGHT
 
 pytestmark = pytest.mark.usefixtures("_quick")

@@ -14,29 +14,13 @@ import pytest
 from pipeline.run.fleet import run_fleet
 from pipeline.run.mending import mend_output, rebuild_manifests
 from pipeline.run.verification import verify_tables
-from pipeline.schema import (
-    FITS,
-    PARAMETERS,
-    PREDICTIONS,
-    QUALITY,
-)
+from pipeline.schema import FITS, PARAMETERS, PREDICTIONS, QUALITY
 from pipeline.store.encoding import write_table
 from pipeline.store.manifest import manifest_file
 from pipeline.store.tables import night_file, read_rows
 from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
-from tests.pipeline.faults.damage import (
-    MONTH,
-    codes,
-    found,
-    remove_aside,
-    rot,
-)
-from tests.pipeline.faults.fleet import (
-    LATER,
-    MOTORS,
-    TinyFleet,
-    check_repaired,
-)
+from tests.pipeline.faults.damage import MONTH, codes, found, remove_aside, rot
+from tests.pipeline.faults.fleet import LATER, MOTORS, TinyFleet, check_repaired
 from tests.pipeline.simulated import NIGHT
 
 pytestmark = pytest.mark.usefixtures("_quick")

@@ -22,15 +22,7 @@ from pipeline.config.hashes import config_hash
 from pipeline.logs.files import change_of, look_at
 from pipeline.setup.check import check_fleet
 from tests.pipeline.calling import Call
-from tests.pipeline.logs.growing_logs import (
-    MINUTES,
-    ROWS,
-    WRITERS,
-    Cells,
-    Logger,
-    Site,
-    logger,
-)
+from tests.pipeline.logs.growing_logs import MINUTES, ROWS, WRITERS, Cells, Logger, Site, logger
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
 from tests.pipeline.workshop import DAY, MINI, Workshop, check_same_figures
 

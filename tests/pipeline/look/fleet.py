@@ -21,14 +21,7 @@ from pipeline.look.look import MotorLook, look_at_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import LOOKS
 from pipeline.store.tables import read_table
-from tests.pipeline.simulated import (
-    Operation,
-    motor_toml,
-    night_of,
-    operate,
-    raw,
-    write_configs,
-)
+from tests.pipeline.simulated import Operation, motor_toml, night_of, operate, raw, write_configs
 from tests.pipeline.workshop import DAY, MINI, QUICK
 
 FIRST = dt.date(2026, 1, 2)
