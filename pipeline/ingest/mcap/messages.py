@@ -48,7 +48,7 @@ _TIMES = {"log_time": 15, "publish_time": 23}
 """Places of the times in it."""
 
 _INDEX_HEAD = struct.Struct("<BQHI")
-_BLOCK = 2 * 2**20
+_BLOCK = 8 * 2**20
 _ANYWHERE = "data section"
 """Place of a damage that may lie before any message: nothing can be salvaged then."""
 
