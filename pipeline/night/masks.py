@@ -14,7 +14,7 @@ from pipeline.arrays import Mask, Times, Values
 MAD_TO_SD = 1.482602218505602
 # Samples, and windows of the Hampel filter, that are worked on at a time: what is computed from
 # them stays in the cache.
-CACHED, WINDOWS = 16_384, 4096
+CACHED, WINDOWS = 32_768, 4096
 NO_BORDERS = np.empty(0, dtype=np.intp)
 # Samples of a possible stretch of frozen values that are looked at before all of them are.
 LOOKED_AT_A_STRETCH = 16
