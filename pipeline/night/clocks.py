@@ -184,8 +184,7 @@ def jittered(time_us: Times, period_us: float | None) -> Mask:
     if not period_us:
         return mask
     # Nearly all steps are of one period: only the others are worth a division.
-    whole_us = int(period_us)
-    other = steps_where(lambda steps: steps != whole_us, time_us)
+    other = steps_where(lambda steps: steps != int(period_us), time_us)
     steps = time_us[other + 1] - time_us[other]
     whole = np.maximum(np.round(steps / period_us), 1.0)
     mask[other + 1] = np.abs(steps - whole * period_us) > JITTER_SHARE * period_us

@@ -106,11 +106,8 @@ def _at_or_before(
     """The last sample at or before some places of a grid; -1 where there is none."""
     if COUNTED_ABOVE * len(places) < len(grid_us):
         return np.searchsorted(time_us, grid_us[places], side="right") - 1
-    # Counting is quicker than searching for most of a grid.
-    n = len(grid_us)
-    due = -((grid_us[0] - time_us) // period_us)
-    counts = np.bincount(np.clip(due, 0, n, out=due), minlength=n)
-    found: NDArray[np.intp] = np.cumsum(counts[:n])[places] - 1
+    due = np.clip(-((grid_us[0] - time_us) // period_us), 0, len(grid_us))
+    found: NDArray[np.intp] = np.cumsum(np.bincount(due, minlength=len(grid_us)))[places] - 1
     return found
 
 
