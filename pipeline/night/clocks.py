@@ -24,9 +24,21 @@ JITTER_SHARE = 0.25
 LOOKED_AT = 1000
 
 
-def typical_period_us(time_us: Times) -> float | None:
-    """Median distance of consecutive samples [µs]; None for fewer than two."""
-    return period_and_alike(time_us)[0]
+def typical_period_us(
+    time_us: Times, left_out: Mask | None = None, found: tuple[float | None, int] | None = None
+) -> float | None:
+    """Median distance of consecutive samples [µs]; None for fewer than two.
+
+    Of those not left out, where these are named; `found` as `period_and_alike` has it of all.
+    """
+    period, n_alike = found or period_and_alike(time_us)
+    n_left_out = 0 if left_out is None else np.count_nonzero(left_out)
+    if left_out is None or not n_left_out:
+        return period
+    # One left out takes two steps away and leaves one: it stays the median of a majority.
+    if 2 * (n_alike - 2 * n_left_out) > len(time_us) - 1 - n_left_out:
+        return period
+    return period_and_alike(time_us[~left_out])[0]
 
 
 def period_and_alike(time_us: Times) -> tuple[float | None, int]:
@@ -127,7 +139,7 @@ def written_late(time_us: Times, backward: Mask) -> Mask:
     [False, False, False, False, False, True]
     """
     mask = np.zeros(len(time_us), dtype=np.bool_)
-    period = typical_period_us(time_us[~backward]) if backward.any() else None
+    period = typical_period_us(time_us, backward) if backward.any() else None
     if period is None:
         return mask
     rows = np.flatnonzero(backward)
@@ -145,7 +157,7 @@ def stray_time(time_us: Times, late: Mask) -> Mask:
     back in order and this one lies near nothing, this one has the wrong stamp.
     """
     stray = np.zeros(len(time_us), dtype=np.bool_)
-    period = typical_period_us(time_us[~late]) if late.any() else None
+    period = typical_period_us(time_us, late) if late.any() else None
     if period is None:
         return stray
     beside = np.append(late[1:], False) | np.append(False, late[:-1])
@@ -172,7 +184,7 @@ def jittered(time_us: Times, period_us: float | None) -> Mask:
     if not period_us:
         return mask
     # Nearly all steps are of one period: only the others are worth a division.
-    other = steps_where(lambda steps: steps != period_us, time_us)
+    other = steps_where(lambda steps: steps != int(period_us), time_us)
     steps = time_us[other + 1] - time_us[other]
     whole = np.maximum(np.round(steps / period_us), 1.0)
     mask[other + 1] = np.abs(steps - whole * period_us) > JITTER_SHARE * period_us
