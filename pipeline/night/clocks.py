@@ -24,9 +24,21 @@ JITTER_SHARE = 0.25
 LOOKED_AT = 1000
 
 
-def typical_period_us(time_us: Times) -> float | None:
-    """Median distance of consecutive samples [µs]; None for fewer than two."""
-    return period_and_alike(time_us)[0]
+def typical_period_us(
+    time_us: Times, left_out: Mask | None = None, found: tuple[float | None, int] | None = None
+) -> float | None:
+    """Median distance of consecutive samples [µs]; None for fewer than two.
+
+    Of those not left out, where these are named; `found` as `period_and_alike` has it of all.
+    """
+    period, n_alike = found or period_and_alike(time_us)
+    n_left_out = 0 if left_out is None else np.count_nonzero(left_out)
+    if left_out is None or not n_left_out:
+        return period
+    # One left out takes two steps away and leaves one: it stays the median of a majority.
+    if 2 * (n_alike - 2 * n_left_out) > len(time_us) - 1 - n_left_out:
+        return period
+    return period_and_alike(time_us[~left_out])[0]
 
 
 def period_and_alike(time_us: Times) -> tuple[float | None, int]:
@@ -74,13 +86,14 @@ def backward_time(time_us: Times) -> Mask:
     if not len(falls):
         return mask
     # Between two falls stamps are in order: the latest before, and the earliest after each fall.
-    lengths = np.diff(falls, append=len(time_us))
-    latest = np.repeat(np.maximum.accumulate(time_us[falls - 1]), lengths)
-    lengths = np.diff(falls, prepend=0)
-    earliest = np.repeat(np.minimum.accumulate(time_us[falls][::-1])[::-1], lengths)
+    latest = np.maximum.accumulate(time_us[falls - 1])
+    earliest = np.minimum.accumulate(time_us[falls][::-1])[::-1]
     # A stamp in order with all others belongs to any longest subsequence: few are left to search.
-    mask[falls[0] :] = time_us[falls[0] :] < latest
-    mask[: falls[-1]] |= time_us[: falls[-1]] > earliest
+    edges = [0, *falls.tolist(), len(time_us)]
+    for begin, end, high in zip(edges[1:-1], edges[2:], latest, strict=True):
+        mask[begin : begin + time_us[begin:end].searchsorted(high)] = True
+    for begin, end, low in zip(edges[:-2], edges[1:-1], earliest, strict=True):
+        mask[begin + time_us[begin:end].searchsorted(low, "right") : end] = True
     doubtful = np.flatnonzero(mask)
     mask[doubtful[_longest_increasing(time_us[doubtful].tolist())]] = False
     return mask
@@ -127,7 +140,7 @@ def written_late(time_us: Times, backward: Mask) -> Mask:
     [False, False, False, False, False, True]
     """
     mask = np.zeros(len(time_us), dtype=np.bool_)
-    period = typical_period_us(time_us[~backward]) if backward.any() else None
+    period = typical_period_us(time_us, backward) if backward.any() else None
     if period is None:
         return mask
     rows = np.flatnonzero(backward)
@@ -145,7 +158,7 @@ def stray_time(time_us: Times, late: Mask) -> Mask:
     back in order and this one lies near nothing, this one has the wrong stamp.
     """
     stray = np.zeros(len(time_us), dtype=np.bool_)
-    period = typical_period_us(time_us[~late]) if late.any() else None
+    period = typical_period_us(time_us, late) if late.any() else None
     if period is None:
         return stray
     beside = np.append(late[1:], False) | np.append(False, late[:-1])
@@ -172,7 +185,7 @@ def jittered(time_us: Times, period_us: float | None) -> Mask:
     if not period_us:
         return mask
     # Nearly all steps are of one period: only the others are worth a division.
-    other = steps_where(lambda steps: steps != period_us, time_us)
+    other = steps_where(lambda steps: steps != int(period_us), time_us)
     steps = time_us[other + 1] - time_us[other]
     whole = np.maximum(np.round(steps / period_us), 1.0)
     mask[other + 1] = np.abs(steps - whole * period_us) > JITTER_SHARE * period_us

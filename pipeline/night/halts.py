@@ -81,10 +81,10 @@ def settled_halts(
         ]
         if not len(flow) or not all(len(port) for _, port in ports):
             continue
+        if any(np.ptp(port) > settings.depressurised_below_bar for _, port in ports):
+            continue
         bar = sum(sign * float(np.median(port)) for sign, port in ports)
-        if abs(bar) <= settings.depressurised_below_bar and all(
-            np.ptp(port) <= settings.depressurised_below_bar for _, port in ports
-        ):
+        if abs(bar) <= settings.depressurised_below_bar:
             zeros.append((bar, float(np.median(flow))))
     if not zeros:
         return Halts()

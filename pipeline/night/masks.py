@@ -14,7 +14,7 @@ from pipeline.arrays import Mask, Times, Values
 MAD_TO_SD = 1.482602218505602
 # Samples, and windows of the Hampel filter, that are worked on at a time: what is computed from
 # them stays in the cache.
-CACHED, WINDOWS = 16_384, 4096
+CACHED, WINDOWS = 32_768, 4096
 NO_BORDERS = np.empty(0, dtype=np.intp)
 # Samples of a possible stretch of frozen values that are looked at before all of them are.
 LOOKED_AT_A_STRETCH = 16
@@ -133,8 +133,10 @@ def spike(
     # Beside the ends of each stretch windows are mirrored.
     edges = np.concatenate([[0], borders, [len(value)]])
     lengths = np.diff(edges)
-    mask &= np.repeat(lengths >= window, lengths)
-    first, last = edges[:-1][lengths >= window, None], edges[1:][lengths >= window, None] - 1
+    long = lengths >= window
+    for begin, end in zip(edges[:-1][~long].tolist(), edges[1:][~long].tolist(), strict=True):
+        mask[begin:end] = False
+    first, last = edges[:-1][long, None], edges[1:][long, None] - 1
     beside = np.arange(half)
     inward = np.abs(beside[:, None] + np.arange(-half, half + 1))
     rows = np.concatenate([first + beside, last - beside]).ravel()
@@ -257,11 +259,9 @@ def near(events_us: Times, time_us: Times, before_us: float, after_us: float) ->
     apart = first[1:] > end[:-1]
     first = first[np.append(True, apart)[: len(first)]]
     end = end[np.append(apart, True)[: len(end)]]
-    borders = np.column_stack([first, end]).ravel()
-    n = len(time_us)
-    mask: Mask = np.repeat(
-        np.arange(len(borders) + 1) % 2 == 1, np.diff(borders, prepend=0, append=n)
-    )
+    mask = np.zeros(len(time_us), dtype=np.bool_)
+    for begin, stop in zip(first.tolist(), end.tolist(), strict=True):
+        mask[begin:stop] = True
     return mask
 
 

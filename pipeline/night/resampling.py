@@ -24,6 +24,8 @@ CELL_SHARE = 0.5
 MEAN_REACH = 0.6
 # Equal steps in a row from which on they are worth a look of their own.
 EVEN_STEPS = 256
+# Samples are counted, not searched for, where more than one of so many times of the grid needs one.
+COUNTED_ABOVE = 4
 
 
 class OnGrid(NamedTuple):
@@ -95,7 +97,18 @@ class _Places(NamedTuple):
         for one in even:
             other[one.place : one.place + one.n * one.apart + 1] = False
         others = np.flatnonzero(other)
-        return cls(even, others, np.searchsorted(time_us, grid_us[others], side="right") - 1)
+        return cls(even, others, _at_or_before(time_us, grid_us, period_us, others))
+
+
+def _at_or_before(
+    time_us: Times, grid_us: Times, period_us: int, places: NDArray[np.intp]
+) -> NDArray[np.intp]:
+    """The last sample at or before some places of a grid; -1 where there is none."""
+    if COUNTED_ABOVE * len(places) < len(grid_us):
+        return np.searchsorted(time_us, grid_us[places], side="right") - 1
+    due = np.clip(-((grid_us[0] - time_us) // period_us), 0, len(grid_us))
+    found: NDArray[np.intp] = np.cumsum(np.bincount(due, minlength=len(grid_us)))[places] - 1
+    return found
 
 
 def _even_stretches(time_us: Times, grid_us: Times, period_us: int) -> list[_Even]:
@@ -146,7 +159,8 @@ def _fill_even(
         part[place : place + n * apart].reshape(n, apart)[:, 1:] for part in found
     )
     rise = channel.value[right] - channel.value[left]
-    value[:] = channel.value[left, None] + np.arange(1, apart) / apart * rise[:, None]
+    np.multiply(np.arange(1, apart) / apart, rise[:, None], out=value)
+    value += channel.value[left, None]
     asleep = np.full(n, apart * period_us > channel.longest_gap_us)
     if channel.ends is not None:
         asleep |= channel.ends[left]

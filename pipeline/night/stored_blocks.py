@@ -18,7 +18,7 @@ from leakage.estimation.sample_blocks import TRAINING, short_blocks_within
 from leakage.estimation.slow_errors import ShortBlocks
 from pipeline.config import MotorSpec
 from pipeline.night.viscosity import driven, mean_ratio, viscosity_ratios
-from pipeline.schema import BLOCK_STATISTICS
+from pipeline.schema import BLOCK_STATISTICS, staged_table
 
 Array = NDArray[np.float64]
 
@@ -78,10 +78,9 @@ class StoredBlocks:
         cls, spec: MotorSpec, rows: Sequence[dict[str, Any]], factors: Array
     ) -> StoredBlocks:
         """Blocks that are about to be stored."""
-        known = "columns", "statistics"
-        wanted = {one: BLOCK_STATISTICS.schema[one] for one in BLOCK_COLUMNS if one not in known}
-        values = {name: [row.get(name) for row in rows] for name in wanted}
-        return cls._scaled(spec, pl.DataFrame(values, wanted), factors, rows[0]["columns"])
+        stored = pl.from_arrow(staged_table(BLOCK_STATISTICS, rows))
+        assert isinstance(stored, pl.DataFrame)
+        return cls._scaled(spec, stored, factors, rows[0]["columns"])
 
     @classmethod
     def _scaled(

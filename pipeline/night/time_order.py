@@ -79,14 +79,8 @@ class Stamps:
 
     def period_us(self, time_us: Times, blank: Mask | None = None) -> float | None:
         """As `typical_period_us`, of the stamps whose cells are not blank."""
-        period, n_alike = self.once(time_us, "period", lambda: period_and_alike(time_us))
-        n_blank = 0 if blank is None else np.count_nonzero(blank)
-        if blank is None or not n_blank:
-            return period
-        # A blank cell takes two steps away and leaves one: it stays the median of a majority.
-        if 2 * (n_alike - 2 * n_blank) > len(time_us) - 1 - n_blank:
-            return period
-        return typical_period_us(time_us[~blank])
+        found = self.once(time_us, "period", lambda: period_and_alike(time_us))
+        return typical_period_us(time_us, blank, found)
 
     def n_jittered(self, time_us: Times, period_us: float | None) -> int:
         """Number of samples that are `jittered`."""

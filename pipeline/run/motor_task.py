@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import polars as pl
 from polars.exceptions import PanicException
-from threadpoolctl import threadpool_limits
 
 from pipeline.config.hashes import SettingsHashes
 from pipeline.config.nights import night
@@ -39,7 +38,7 @@ from pipeline.store.night_files import (
 from pipeline.store.tables import (
     read_rows,
 )
-from pipeline.workers.process import Loss, loss_of, sign_of_life
+from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
 
@@ -53,7 +52,7 @@ def run_motor(task: MotorTask) -> MotorOutcome:
         If there is not enough memory for what all its nights need.
     """
     speak_as_told()
-    with threadpool_limits(1):
+    with one_thread():
         try:
             return _done(task)
         except StoreError as error:

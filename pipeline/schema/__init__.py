@@ -140,7 +140,8 @@ def staged_table(table: Table, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
         If a row has a column that the table has not, or a value that its column cannot hold.
     """
     schema = _staged_schema(table)
-    return pa.Table.from_pylist(_known(rows, table.name, schema.names), schema)
+    every = pa.array(_known(rows, table.name, schema.names), pa.struct(schema))
+    return pa.Table.from_struct_array(every)
 
 
 @cache

@@ -15,9 +15,10 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import accumulate, chain, repeat
+from itertools import accumulate, chain
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pyarrow as pa
 
@@ -105,18 +106,14 @@ def _rows_of_some(
         heights.update(own)
     if not heights:
         return {}
-    every = pl.from_arrow(pa.concat_tables(rows for _, rows in parts.values()))
+    # As one chunk: Polars takes chunks over one by one.
+    every = pl.from_arrow(pa.concat_tables(rows for _, rows in parts.values()).combine_chunks())
     assert isinstance(every, pl.DataFrame)
-    nights = chain.from_iterable(
-        repeat(night, height) for own, _ in parts.values() for night, height in own.items()
-    )
-    rows = (
-        every.lazy()
-        .with_columns(pl.lit(run_id).alias("run_id"), pl.Series(STAGED_NIGHT, nights, pl.Date))
-        .sort(STAGED_NIGHT, *table.key)
-        .select(table.schema.keys())
-        .collect()
-    )
+    labels = [night for own, _ in parts.values() for night in own]
+    counts = [height for own, _ in parts.values() for height in own.values()]
+    nights = pl.Series(STAGED_NIGHT, np.repeat(np.array(labels, dtype="M8[D]"), counts))
+    rows = every.with_columns(nights, run_id=pl.lit(run_id)).sort(STAGED_NIGHT, *table.key)
+    rows = rows[list(table.schema)]
     ordered = sorted(heights)
     begins = accumulate((heights[night] for night in ordered), initial=0)
     return {

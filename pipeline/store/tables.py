@@ -293,8 +293,8 @@ def read_rows(
             for at in range(0, len(paths), FILES_AT_ONCE)
         ]
 
-    empty = pl.DataFrame(schema={name: table.schema[name] for name in chosen})
-    return pl.concat([empty, *while_listed(read_all)])
+    found = while_listed(read_all)
+    return pl.concat(found) if found else pl.DataFrame(schema={n: table.schema[n] for n in chosen})
 
 
 def by_file(output: Path, table: Table, nights: Iterable[dt.date]) -> dict[Path, list[str]]:

@@ -17,7 +17,6 @@ from typing import TypeVar
 
 import numpy as np
 import polars as pl
-from threadpoolctl import threadpool_limits
 
 from leakage.course.slope import benjamini_hochberg
 from pipeline.errors import StoreError
@@ -52,7 +51,7 @@ from pipeline.trends.states.sudden import sudden_changes
 from pipeline.trends.states.watch import watch
 from pipeline.trends.states.zeros import sensor_zeros
 from pipeline.trends.tasks import Row, TrendOutcome, TrendTask, task_circuit
-from pipeline.workers.process import Loss, loss_of, sign_of_life
+from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
 
@@ -61,7 +60,7 @@ Made = TypeVar("Made")
 
 def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
-    with threadpool_limits(1):
+    with one_thread():
         circuits = [
             task_circuit(task.output, group, task.decisions) for group in circuits_of(task.specs)
         ]

@@ -14,10 +14,13 @@ import resource
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import cache
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
+
+from threadpoolctl import ThreadpoolController
 
 log = logging.getLogger(__name__)
 
@@ -167,6 +170,18 @@ def attempt(function: Callable[[Task], Result], task: Task) -> Done[Result] | Lo
     except BaseException as error:  # a panic in Polars is no Exception
         log.exception("a task failed")
         return loss_of(error)
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Linear algebra on one thread: workers are as many as there are cores."""
+    limited: AbstractContextManager[object] = _thread_pools().limit(limits=1)
+    return limited
+
+
+@cache
+def _thread_pools() -> ThreadpoolController:
+    """Libraries with threads of their own; to look for them takes longer than to limit them."""
+    return ThreadpoolController()
 
 
 def loss_of(error: BaseException) -> Loss:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from leakage.estimation.validation import is_poor
 from pipeline.errors import StoreError
 from pipeline.schema import FITS, LATEST, TRENDS
 from pipeline.store.tables import published_rows, read_rows, whole_file
+from pipeline.trends.figures.indicators import BASELINE_PROGRESS
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.tonight import WITH_SAMPLES
 from pipeline.trends.rows.motor_states import (
@@ -118,27 +119,28 @@ def motor_state(
     )
     if trends.is_empty():
         return state
-    tonight = trends.filter(pl.col("night") == pl.col("night").max())
-    watched = tonight.filter(pl.col("n_slope").is_not_null())
+    newest = trends.filter(pl.col("night") == pl.col("night").max())
+    tonight = {row["indicator"]: row for row in newest.iter_rows(named=True)}
+    watched = [row for row in tonight.values() if row["n_slope"] is not None]
     worst = min(
-        watched.iter_rows(named=True),
-        key=lambda row: (ORDER.index(row["state"]), -(row["deviation_percent"] or 0.0)),
+        watched, key=lambda row: (ORDER.index(row["state"]), -(row["deviation_percent"] or 0.0))
     )
     # A motor that never sees the fleet's conditions is judged by its other indicators.
-    if worst["state"] in ("insufficient", "stale") and "ok" in set(watched["state"]):
+    if worst["state"] in ("insufficient", "stale") and any(one["state"] == "ok" for one in watched):
         worst = worst | {"state": "ok"}
     if worst["state"] == "insufficient":
-        progress = tonight.filter(indicator="baseline_progress")["state_reason"]
-        worst = worst | {"state_reason": next(iter(progress), worst["state_reason"])}
+        worst = worst | {"state_reason": tonight.get(BASELINE_PROGRESS, worst)["state_reason"]}
     is_ok = worst["state"] == "ok"
-    drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
-    effects = tonight.filter(indicator=TEMPERATURE_EFFECT, state="ok")["state_reason"]
-    oils = tonight.filter(indicator=OIL_VISCOSITY)["state_reason"]
-    misfit = next(tonight.filter(indicator=MODEL_MISFIT).iter_rows(named=True), {})
-    began = tonight.filter(pl.col("state").is_in(CHANGED))["change_start"].max()
-    assert began is None or isinstance(began, dt.date)
-    leakage_night, leakage = _leakage(trends, began)
-    gap = _largest_gap_change(trends, began)
+    drifts = [
+        row["state_reason"]
+        for name, row in tonight.items()
+        if name in SENSORS and row["state"] == "warning"
+    ]
+    effect, misfit = tonight.get(TEMPERATURE_EFFECT, {}), tonight.get(MODEL_MISFIT, {})
+    starts = [row["change_start"] for row in tonight.values() if row["state"] in CHANGED]
+    began = max((one for one in starts if one), default=None)
+    leakage_night, leakage = _leakage(trends, tonight, began)
+    gap = _largest_gap_change(trends, tonight, began)
     found = replace(
         state,
         state=worst["state"],
@@ -157,10 +159,10 @@ def motor_state(
         gap_path=gap["indicator"].removeprefix(GAP) if gap else None,
         gap_change_percent=gap.get("value"),
         limit_dates="" if is_ok else limit_dates(worst),
-        temperature_effect=next(iter(effects), None) or "",
+        temperature_effect=(effect.get("state") == "ok" and effect["state_reason"]) or "",
         model_misfit=misfit.get("state_reason") or "",
         model_verdict=misfit.get("model_verdict"),
-        oil=next(iter(oils), None) or "",
+        oil=tonight.get(OIL_VISCOSITY, {}).get("state_reason") or "",
         path=_paths(worst, watched),
         known_since=_since(worst, trends, CHANGED) if worst["state"] in CHANGED else None,
         gap_change_lower=gap.get("lower"),
@@ -177,9 +179,11 @@ def _last(rows: pl.DataFrame) -> dt.date | None:
     return night
 
 
-def _leakage(trends: pl.DataFrame, change_start: dt.date | None) -> tuple[dt.date | None, Row]:
+def _leakage(
+    trends: pl.DataFrame, tonight: Mapping[str, Row], change_start: dt.date | None
+) -> tuple[dt.date | None, Row]:
     """Last night and row of the reference leakage, of the fleet's conditions or the motor's own."""
-    found = [one for name in REFERENCES if (one := _newest(trends, name, change_start))]
+    found = [one for name in REFERENCES if (one := _newest(trends, tonight, name, change_start))]
     return next((one for one in found if one[1]), found[0] if found else (None, {}))
 
 
@@ -191,26 +195,34 @@ def _verdict(fits: pl.DataFrame, night: dt.date | None, leakage: Row) -> str | N
     return None if rows.is_empty() else str(rows[0])
 
 
-def _largest_gap_change(trends: pl.DataFrame, change_start: dt.date | None) -> Row:
+def _largest_gap_change(
+    trends: pl.DataFrame, tonight: Mapping[str, Row], change_start: dt.date | None
+) -> Row:
     """Row of the gap that has changed most; empty without one."""
     names = sorted(name for name in trends["indicator"].unique() if name.startswith(GAP))
-    found = [_newest(trends, name, change_start) for name in names]
+    found = [_newest(trends, tonight, name, change_start) for name in names]
     rows = [one[1] for one in found if one and one[1]]
     return max(rows, key=lambda row: abs(row["value"]), default={})
 
 
 def _newest(
-    trends: pl.DataFrame, indicator: str, change_start: dt.date | None
+    trends: pl.DataFrame,
+    tonight: Mapping[str, Row],
+    indicator: str,
+    change_start: dt.date | None,
 ) -> tuple[dt.date, Row] | None:
     """Night and row of an indicator's newest figure; the row is empty where it no longer holds."""
-    own = trends.filter(indicator=indicator).sort("night")
-    known = own.filter(pl.col("value").is_not_null())
-    if known.is_empty():
-        return None
-    last, tonight = known.row(-1, named=True), own.row(-1, named=True)
+    last = tonight.get(indicator, {})
+    holds = True
+    if last.get("value") is None:
+        own = trends.filter(indicator=indicator).sort("night")
+        known = own.filter(pl.col("value").is_not_null())
+        if known.is_empty():
+            return None
+        # Without a baseline nothing says when a figure is stale.
+        last, newest = known.row(-1, named=True), own.row(-1, named=True)
+        holds = last["night"] == newest["night"] or newest["state"] not in ("stale", "insufficient")
     night = last["night"]
-    # Without a baseline nothing says when a figure is stale.
-    holds = night == tonight["night"] or tonight["state"] not in ("stale", "insufficient")
     is_now = holds and (change_start is None or night >= change_start)
     return night, last if is_now else {}
 
@@ -235,13 +247,13 @@ def _poor_fit(fits: pl.DataFrame) -> str:
     return ""
 
 
-def _paths(worst: Row, watched: pl.DataFrame) -> str | None:
+def _paths(worst: Row, watched: Sequence[Row]) -> str | None:
     """Paths behind the worst indicator: all gaps in its state, if it is one of a gap."""
     if not worst["indicator"].startswith("K_"):
         return None if worst["path"] is None else str(worst["path"])
-    beside = watched.filter(pl.col("indicator").str.starts_with("K_"), state=worst["state"])
-    gaps = dict.fromkeys((worst["indicator"], *beside["indicator"]))
-    return " and ".join(name.removeprefix("K_") for name in gaps)
+    beside = [one["indicator"] for one in watched if one["state"] == worst["state"]]
+    gaps = [worst["indicator"], *(name for name in beside if name.startswith("K_"))]
+    return " and ".join(name.removeprefix("K_") for name in dict.fromkeys(gaps))
 
 
 def _since(worst: Row, trends: pl.DataFrame, states: Sequence[str]) -> dt.date:
