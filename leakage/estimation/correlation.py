@@ -1,4 +1,4 @@
-"""Autocorrelation of prediction errors in series with gaps; no pair spans a gap."""
+"""Autocorrelation of prediction errors in series with gaps, over the pairs that exist."""
 
 from __future__ import annotations
 
@@ -43,17 +43,45 @@ def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -
     array([ 1., -1.,  1.])
     """
     place = index - index[0]
-    # Of what is present, and of the values; 0 where a sample is missing.
-    series = np.zeros((2, int(place[-1]) + 1))
-    series[0, place] = 1.0
-    series[1, place] = values - values.mean()
-    together = Segments(np.array([0]), np.array([series.shape[1]]))
-    pairs, products = lagged_products(series, together, longest_lag, [(0, 0), (1, 1)])
-    pairs = np.round(pairs)
+    pairs = _pair_counts(place, longest_lag)
+    products = _products(values - values.mean(), place, longest_lag)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(pairs > 0, products / pairs, np.nan)
         result: Array = mean / mean[0] if mean[0] > 0 else np.full(longest_lag + 1, np.nan)
     return result
+
+
+def _products(values: Array, place: NDArray[np.int64], longest_lag: int) -> Array:
+    """Sums of x(t) x(t + k), across gaps too: x is 0 where a sample is missing."""
+    series = np.zeros((1, int(place[-1]) + 1))
+    series[0, place] = values
+    together = Segments(np.array([0]), np.array([series.shape[1]]))
+    products: Array = lagged_products(series, together, longest_lag, [(0, 0)])[0]
+    return products
+
+
+def _pair_counts(place: NDArray[np.int64], longest_lag: int) -> Array:
+    """Number of pairs at lags from 0, across gaps too.
+
+    Over the lags it is made of straight lines, which meet where two ends of segments are that far
+    apart: two begins or two ends bend it down, a begin and an end up.
+    """
+    segments = Segments.of(place)
+    # With an end every few samples, transforms are faster.
+    if len(segments.begins) * longest_lag > 2 * len(place):
+        return np.round(_products(np.ones(len(place)), place, longest_lag))
+    ends = np.column_stack([place[segments.begins], place[segments.ends - 1] + 1]).ravel()
+    bends = np.zeros(longest_lag + 1)
+    bends[0] = len(segments.begins)
+    for neighbour in range(1, len(ends)):
+        apart = ends[neighbour:] - ends[:-neighbour]
+        near = apart[apart <= longest_lag]
+        if not len(near):
+            break
+        bends += (-1.0) ** neighbour * np.bincount(near, minlength=longest_lag + 1)
+    lost = np.cumsum(np.cumsum(bends))
+    counts: Array = len(place) - np.append(0.0, lost[:-1])
+    return counts
 
 
 def correlation_time(values: Array, index: NDArray[np.int64], longest_lag: int) -> float:

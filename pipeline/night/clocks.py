@@ -86,13 +86,14 @@ def backward_time(time_us: Times) -> Mask:
     if not len(falls):
         return mask
     # Between two falls stamps are in order: the latest before, and the earliest after each fall.
-    lengths = np.diff(falls, append=len(time_us))
-    latest = np.repeat(np.maximum.accumulate(time_us[falls - 1]), lengths)
-    lengths = np.diff(falls, prepend=0)
-    earliest = np.repeat(np.minimum.accumulate(time_us[falls][::-1])[::-1], lengths)
+    latest = np.maximum.accumulate(time_us[falls - 1])
+    earliest = np.minimum.accumulate(time_us[falls][::-1])[::-1]
     # A stamp in order with all others belongs to any longest subsequence: few are left to search.
-    mask[falls[0] :] = time_us[falls[0] :] < latest
-    mask[: falls[-1]] |= time_us[: falls[-1]] > earliest
+    edges = [0, *falls.tolist(), len(time_us)]
+    for begin, end, high in zip(edges[1:-1], edges[2:], latest, strict=True):
+        mask[begin : begin + time_us[begin:end].searchsorted(high)] = True
+    for begin, end, low in zip(edges[:-2], edges[1:-1], earliest, strict=True):
+        mask[begin + time_us[begin:end].searchsorted(low, "right") : end] = True
     doubtful = np.flatnonzero(mask)
     mask[doubtful[_longest_increasing(time_us[doubtful].tolist())]] = False
     return mask

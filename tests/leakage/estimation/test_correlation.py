@@ -15,12 +15,13 @@ from leakage.estimation.correlation import (
 )
 
 
-def test_it_equals_the_sum_over_pairs_across_no_gap() -> None:
+@pytest.mark.parametrize("n", [70, 115])
+def test_it_equals_the_sum_over_pairs_with_many_gaps_or_few(n: int) -> None:
     generator = np.random.default_rng(1)
-    index = np.sort(generator.choice(120, size=70, replace=False))
-    values = generator.normal(size=70)
+    index = np.sort(generator.choice(120, size=n, replace=False))
+    values = generator.normal(size=n)
     centred = dict(zip(index.tolist(), (values - values.mean()).tolist(), strict=True))
-    variance = sum(value * value for value in centred.values()) / 70
+    variance = sum(value * value for value in centred.values()) / n
     for lag, found in enumerate(autocorrelation(values, index, 15)):
         pairs = [centred[i] * centred[i + lag] for i in centred if i + lag in centred]
         assert found == pytest.approx(sum(pairs) / len(pairs) / variance, abs=1e-12)
