@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import polars as pl
-from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import SECOND_US, utc
 from pipeline.clock import EPOCH, MICROSECOND, latest_us, now
@@ -40,6 +39,7 @@ from pipeline.trends.circuits import circuits_of, decisions_of
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.trend_record import read_record
 from pipeline.versions import own_version
+from pipeline.workers.process import one_thread
 
 log = logging.getLogger(__name__)
 
@@ -88,7 +88,7 @@ def look_at_fleet(
     """
     output, receivers = fleet.output, receivers_of(fleet.settings.alarms)
     wanted = [one for one in fleet.motors if not motors or one.motor_id in motors]
-    with locked(output / TOLD_LOOKS.folder), threadpool_limits(1):
+    with locked(output / TOLD_LOOKS.folder), one_thread():
         open_outbox(output, [one.name for one in receivers], fleet.name, TOLD_LOOKS)
         said = decisions_of(wanted, read_decisions(output))
         found: list[MotorLook] = []
