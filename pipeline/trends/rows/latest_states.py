@@ -13,7 +13,6 @@ from leakage.estimation.validation import is_poor
 from pipeline.errors import StoreError
 from pipeline.schema import FITS, LATEST, TRENDS
 from pipeline.store.tables import published_rows, read_rows, whole_file
-from pipeline.trends.figures.indicators import BASELINE_PROGRESS
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.tonight import WITH_SAMPLES
 from pipeline.trends.rows.motor_states import (
@@ -129,7 +128,7 @@ def motor_state(
     if worst["state"] in ("insufficient", "stale") and any(one["state"] == "ok" for one in watched):
         worst = worst | {"state": "ok"}
     if worst["state"] == "insufficient":
-        worst = worst | {"state_reason": tonight.get(BASELINE_PROGRESS, worst)["state_reason"]}
+        worst = worst | {"state_reason": tonight.get("baseline_progress", worst)["state_reason"]}
     is_ok = worst["state"] == "ok"
     drifts = [
         row["state_reason"]

@@ -110,11 +110,11 @@ class TestLayout:
         assert path == tmp_path / "tables" / "quality" / "month=2026-01" / "2026-01-02.parquet"
 
     def test_written_so_that_every_reader_can(self, file: Path) -> None:
-        """Snappy is the one codec of the format that each engine has; modes are for all users."""
+        """Texts alone have a dictionary; modes are for all users."""
         parts = pq.ParquetFile(file)
         group = parts.metadata.row_group(0)
         columns = [group.column(place) for place in range(group.num_columns)]
-        assert {column.compression for column in columns} == {"SNAPPY"}
+        assert {column.compression for column in columns} == {"ZSTD"}
         texts = {column.path_in_schema for column in columns if column.has_dictionary_page}
         assert texts == {"motor_id", "channel", "reason", "run_id"}
         stated = parts.metadata.metadata[b"motor_leakage_schema_version"]
