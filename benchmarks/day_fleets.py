@@ -73,14 +73,17 @@ def logs_of(config: Path) -> list[Path]:
 
 
 def add_nights(config: Path, n: int) -> None:
-    """Give each motor of a fleet with Parquet logs the log of its day on n later days, too."""
+    """Give each motor of a fleet with Parquet logs the log of its day on n days before, too.
+
+    Not after: a log of days to come is refused.
+    """
     logs = config.parent.parent / "demo" / "logs"
     whole = pq.read_table(logs_of(config)[0])
     for number in range(1, n + 1):
         for place, motor in enumerate(sorted(logs.iterdir())):
-            path = motor / f"later{number:04}.parquet"
+            path = motor / f"before{number:04}.parquet"
             if not place:
-                pq.write_table(later(whole, number), first := path)
+                pq.write_table(later(whole, -number), first := path)
             else:
                 os.link(first, path)
 
