@@ -19,13 +19,7 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from benchmarks.results_file import write_results
-from benchmarks.simulated_nights import (
-    REFERENCE,
-    held_levels,
-    motor,
-    true_coefficients,
-    warming_up,
-)
+from benchmarks.simulated_nights import REFERENCE, held_levels, motor, true_coefficients, warming_up
 from leakage import Motor, OperatingConditions, SpeedCurve, regressors
 from leakage.estimation.block_statistics import factors, merge, with_free_known
 from leakage.estimation.certificate import certify

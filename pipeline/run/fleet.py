@@ -25,22 +25,13 @@ from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
 from pipeline.run.motors import motor_outcomes
 from pipeline.run.plans import task_of
-from pipeline.run.publishing import (
-    fleets_tonight,
-    publish_latest,
-    publish_motors,
-    publish_trends,
-)
+from pipeline.run.publishing import fleets_tonight, publish_latest, publish_motors, publish_trends
 from pipeline.run.request import RunRequest, RunResult
 from pipeline.run.run_rows import STAGES, config_hash_of, publish_run, run_id_of
 from pipeline.run.tasks import MotorOutcome
 from pipeline.run.telling import deliver_alarms, measure, queue_alarms
 from pipeline.schema.fits import FAILED
-from pipeline.store.atomic_files import (
-    make_private_folder,
-    remove_all,
-    remove_leftovers,
-)
+from pipeline.store.atomic_files import make_private_folder, remove_all, remove_leftovers
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.locks import locked

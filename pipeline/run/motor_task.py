@@ -32,12 +32,8 @@ from pipeline.run.tasks import MOST_GIVEN_UP, MotorOutcome, MotorTask, Work, los
 from pipeline.schema import INPUT_FILES, NIGHT_TABLES
 from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK
 from pipeline.store.atomic_files import scratch
-from pipeline.store.night_files import (
-    stage,
-)
-from pipeline.store.tables import (
-    read_rows,
-)
+from pipeline.store.night_files import stage
+from pipeline.store.tables import read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)

@@ -14,14 +14,7 @@ from pipeline.errors import StoreError
 from pipeline.night.fit_night import NightOutcome, PreviousModel
 from pipeline.night.refit import PublishedNight, judge_again, refit, refit_in_form
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
-from pipeline.schema import (
-    BLOCK_STATISTICS,
-    FIT_KEY_NAMES,
-    FITS,
-    PARAMETERS,
-    SENSITIVITIES,
-    Table,
-)
+from pipeline.schema import BLOCK_STATISTICS, FIT_KEY_NAMES, FITS, PARAMETERS, SENSITIVITIES, Table
 from pipeline.schema.fits import OK
 from pipeline.store.tables import read_rows
 

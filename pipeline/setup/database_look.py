@@ -16,13 +16,7 @@ from pipeline.config.databases import END, START, Database
 from pipeline.config.nights import Night, night, night_of, nights_between
 from pipeline.errors import UsageError
 from pipeline.logs.database import Connection, DatabaseError
-from pipeline.logs.landing import (
-    between,
-    identifier,
-    nights_with_rows,
-    stored_type,
-    write_parquet,
-)
+from pipeline.logs.landing import between, identifier, nights_with_rows, stored_type, write_parquet
 from pipeline.setup.plant import Proposal, ProposedMotor, Question, propose
 from pipeline.store.atomic_files import put
 

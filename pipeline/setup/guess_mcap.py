@@ -12,21 +12,9 @@ from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.ingest.mcap.payloads import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.messages import counted
-from pipeline.setup.guess_channels import (
-    best_by_channel,
-    channel_of,
-    preference,
-    unit_of,
-    words_of,
-)
+from pipeline.setup.guess_channels import best_by_channel, channel_of, preference, unit_of, words_of
 from pipeline.setup.guess_layout import VALUE_WORDS, GuessedSource
-from pipeline.setup.guess_times import (
-    TimeGuess,
-    guess_time,
-    is_stamp,
-    is_time_name,
-    number_format,
-)
+from pipeline.setup.guess_times import TimeGuess, guess_time, is_stamp, is_time_name, number_format
 from pipeline.setup.motor_groups import groups_of
 from pipeline.units import QUANTITIES
 

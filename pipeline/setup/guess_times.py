@@ -12,11 +12,7 @@ import pyarrow as pa
 
 from pipeline.clock import latest_us
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
-from pipeline.ingest.time_stamps import (
-    placed,
-    written_as_numbers,
-    written_as_text,
-)
+from pipeline.ingest.time_stamps import placed, written_as_numbers, written_as_text
 from pipeline.ingest.wall_clock import TimeStamps
 from pipeline.logs.told_nights import date_in
 

@@ -23,12 +23,7 @@ from pipeline.setup.guess_channels import (
     preference,
 )
 from pipeline.setup.guess_files import VARYING, suffix_of
-from pipeline.setup.guess_layout import (
-    Candidate,
-    GuessedSource,
-    is_quality_name,
-    unit_said,
-)
+from pipeline.setup.guess_layout import Candidate, GuessedSource, is_quality_name, unit_said
 from pipeline.setup.motor_groups import Group, groups_of
 from pipeline.setup.suggest import LogGuess, look
 from pipeline.setup.vocabulary import PORT_PRESSURES

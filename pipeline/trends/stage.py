@@ -21,13 +21,8 @@ import polars as pl
 from leakage.course.slope import benjamini_hochberg
 from pipeline.errors import StoreError
 from pipeline.schema import TREND_TABLES, TRENDS
-from pipeline.store.night_files import (
-    stage,
-)
-from pipeline.store.tables import (
-    nights_back,
-    read_rows,
-)
+from pipeline.store.night_files import stage
+from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.baselines.blocks import BlockFiles
 from pipeline.trends.baselines.duty import at_duty, with_duty, without_duty
 from pipeline.trends.baselines.eras import Era, eras_of

@@ -33,7 +33,7 @@ Result = TypeVar("Result")
 
 # Read by the libraries as a worker loads them. With all threads each, workers would fight for the
 # cores; Arrow's own allocator reserves a gibibyte at once, which would count as used. The C library
-# (glibc; others ignore it) keeps what arrays of up to 64 MiB took: fresh pages are a tenth of a
+# (glibc; others ignore it) keeps the pages of arrays of up to 64 MiB: fresh ones take 8 % of a
 # motor-day at 10 Hz.
 ENVIRONMENT: Mapping[str, str] = {
     "POLARS_MAX_THREADS": "1",

@@ -173,7 +173,10 @@ def attempt(function: Callable[[Task], Result], task: Task) -> Done[Result] | Lo
 
 
 def one_thread() -> AbstractContextManager[object]:
-    """Linear algebra on one thread: workers are as many as there are cores."""
+    """Linear algebra on one thread: workers are as many as there are cores.
+
+    It limits the libraries that the process has loaded at the first call.
+    """
     limited: AbstractContextManager[object] = _thread_pools().limit(limits=1)
     return limited
 

@@ -14,12 +14,7 @@ from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.cdr_walk import HEAD, ORDERS, Found, TooManySteps, walked
 from pipeline.ingest.mcap.fields import wanted_kinds
 from pipeline.ingest.mcap.layout import Schema
-from pipeline.ingest.mcap.payloads import (
-    Decoded,
-    Decoder,
-    Payloads,
-    stamps_of_parts,
-)
+from pipeline.ingest.mcap.payloads import Decoded, Decoder, Payloads, stamps_of_parts
 from pipeline.ingest.mcap.ros2_types import Message, Ros2Place
 from pipeline.ingest.mcap.ros2idl import ros2idl_definitions
 from pipeline.ingest.mcap.ros2msg import ros2msg_definitions

@@ -29,22 +29,10 @@ from pipeline.ingest.mcap.cdr import ROS2_LANGUAGES, cdr_decoder
 from pipeline.ingest.mcap.json import json_decoder, require_json_field
 from pipeline.ingest.mcap.layout import ChannelRecord, Schema
 from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
-from pipeline.ingest.mcap.payloads import (
-    Decoded,
-    Decoder,
-    Payloads,
-    Rows,
-    payloads_of,
-    stacked,
-)
+from pipeline.ingest.mcap.payloads import Decoded, Decoder, Payloads, Rows, payloads_of, stacked
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
 from pipeline.ingest.quality import BLANK, quality_states
-from pipeline.ingest.time_stamps import (
-    WrittenStamps,
-    from_epoch,
-    placed,
-    written_as_numbers,
-)
+from pipeline.ingest.time_stamps import WrittenStamps, from_epoch, placed, written_as_numbers
 from pipeline.ingest.wall_clock import TimeStamps
 
 _PIECE = 2**20

@@ -24,13 +24,7 @@ from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.fields import Place, wanted_kinds
 from pipeline.ingest.mcap.layout import Schema
-from pipeline.ingest.mcap.payloads import (
-    Decoded,
-    Decoder,
-    Numbers,
-    Payloads,
-    stamps_of_parts,
-)
+from pipeline.ingest.mcap.payloads import Decoded, Decoder, Numbers, Payloads, stamps_of_parts
 
 _Step = Callable[[Any], Any]
 

@@ -10,12 +10,7 @@ from leakage.course.growth import Shift
 from leakage.course.hypotheses import PROBABLE, Posterior
 from leakage.physics.oil import dynamic_viscosity_pa_s
 from pipeline.trends.nights.history import History
-from pipeline.trends.why.oil import (
-    grade_of,
-    mean_temperature_c,
-    oil_as_measured,
-    water_in_oil,
-)
+from pipeline.trends.why.oil import grade_of, mean_temperature_c, oil_as_measured, water_in_oil
 
 # Standard error up to which a change with temperature says something [1/K].
 WIDEST_BETA = 0.001

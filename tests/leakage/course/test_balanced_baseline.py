@@ -8,14 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from leakage.course.balanced_baseline import (
-    RIDGE,
-    DutyBlocks,
-    Rises,
-    balance,
-    compare,
-    told_rises,
-)
+from leakage.course.balanced_baseline import RIDGE, DutyBlocks, Rises, balance, compare, told_rises
 from leakage.estimation.block_statistics import factors
 
 Array = NDArray[np.float64]

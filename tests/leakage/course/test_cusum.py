@@ -9,13 +9,7 @@ import pytest
 from scipy.stats import norm
 
 from leakage.course.baseline import BaselineSettings, fit_baseline
-from leakage.course.cusum import (
-    BASELINE_ERRORS,
-    REFERENCE_VALUE,
-    WINSORISED_AT,
-    cusum,
-    cusum_limit,
-)
+from leakage.course.cusum import BASELINE_ERRORS, REFERENCE_VALUE, WINSORISED_AT, cusum, cusum_limit
 from leakage.course.cusum_limits import FLOOR_LIMITS, LENGTHS, LIMITS, PHI, RATES
 from leakage.errors import ParameterError, ShapeError
 from tests.leakage.made_nights import autoregression, known_baseline

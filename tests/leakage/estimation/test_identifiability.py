@@ -9,12 +9,7 @@ import pytest
 
 from leakage import Motor, OperatingConditions, leakage_l_per_min
 from leakage.estimation.block_statistics import factors, merge
-from leakage.estimation.identifiability import (
-    Excitation,
-    Identification,
-    identify,
-    judge_leakage,
-)
+from leakage.estimation.identifiability import Excitation, Identification, identify, judge_leakage
 from leakage.estimation.least_squares import Fit, fit
 from leakage.estimation.multi_start import SearchSettings
 from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors

@@ -12,12 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.ingest.conformance import T0_US
-from pipeline.ingest.time_stamps import (
-    from_epoch,
-    placed,
-    written_as_text,
-    written_as_timestamps,
-)
+from pipeline.ingest.time_stamps import from_epoch, placed, written_as_text, written_as_timestamps
 from pipeline.ingest.wall_clock import TimeStamps, from_naive
 
 from .writers import iso

@@ -13,11 +13,7 @@ from matplotlib.lines import Line2D
 from pipeline.config import load_fleet
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.demo import shipped_configs
-from pipeline.model_figures import (
-    ModelSubject,
-    choose,
-    model_figures,
-)
+from pipeline.model_figures import ModelSubject, choose, model_figures
 from pipeline.model_figures.canvas import drawing
 
 FIGURES = [
@@ -77,7 +73,7 @@ def thickness(axes: Axes, name: str, x: float) -> float:
 def words(figure: Figure) -> str:
     """All that is written around the panels and above them."""
     texts = [*figure.texts, *(one.title for one in figure.axes)]
-    titles = [one._left_title.get_text() for one in figure.axes]  # type: ignore[attr-defined]
+    titles = [one.get_title(loc="left") for one in figure.axes]
     return "\n".join([*(text.get_text() for text in texts), *titles]).replace("\n", " ")
 
 

@@ -10,11 +10,7 @@ import pytest
 from leakage import Constant, FilmPressure, Parameter
 from pipeline.config.motor_types import OilFile
 from pipeline.config.settings import Settings
-from pipeline.model_figures import (
-    ModelSubject,
-    model_figures,
-    subject_of,
-)
+from pipeline.model_figures import ModelSubject, model_figures, subject_of
 from pipeline.model_figures.canvas import pen
 from tests.pipeline.model_figures.conftest import (
     DISTRIBUTOR,
@@ -86,7 +82,7 @@ def test_ring_leaks_most_where_it_should(
     for axes, largest in ((constant, 40.0), (film, bar)):
         (marked,) = (one for one in axes.lines if one.get_gid() == "maximum")
         assert round(float(np.asarray(marked.get_xdata())[0]), 2) == largest
-        assert f"maximum at {largest:.2f} bar" in axes._left_title.get_text()  # type: ignore[attr-defined]
+        assert f"maximum at {largest:.2f} bar" in axes.get_title(loc="left")
 
 
 def test_gap_without_deformation_has_no_maximum_to_mark(cb560: ModelSubject) -> None:

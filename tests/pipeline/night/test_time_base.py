@@ -18,12 +18,7 @@ from pipeline.ingest import RawChannel, RawLog
 from pipeline.logs.files import slice_night
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
-from pipeline.night.time_base import (
-    Quality,
-    Samples,
-    bring_together,
-    grid_period_us,
-)
+from pipeline.night.time_base import Quality, Samples, bring_together, grid_period_us
 from tests.pipeline.night.channels import SECOND, STEP, Floats, Times, cleaned
 
 START = 1_767_333_600 * SECOND  # 2026-01-02 06:00 UTC

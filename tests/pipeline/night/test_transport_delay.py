@@ -21,14 +21,7 @@ from pipeline.night.transport_delay import (
     shifted,
 )
 from pipeline.schema.fits import OK
-from tests.pipeline.simulated import (
-    NIGHT,
-    load_motor,
-    motor_toml,
-    night_of,
-    operate,
-    raw,
-)
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
 Floats = NDArray[np.float64]
 LINE: dict[str, Any] = {"line_length_m": 2.0, "line_inner_diameter_mm": 12.0}

@@ -10,14 +10,7 @@ import polars as pl
 from pipeline.report.history import motor_histories
 from pipeline.report.tables import ReportTables
 from pipeline.report.trends import changes_of_state, motor_states, trend_payload
-from pipeline.schema import (
-    ALARMS,
-    BASELINES,
-    CHANGE_POINTS,
-    FITS,
-    TRENDS,
-    frame,
-)
+from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, FITS, TRENDS, frame
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.rows.latest_states import motor_state
 from tests.pipeline.report.nights import FIRST, ONE_DAY, fit

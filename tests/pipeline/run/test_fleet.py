@@ -35,14 +35,8 @@ from pipeline.run.fleet import RunRequest, RunResult, run_fleet, staging_folder
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import FITS, NIGHT_TABLES, TABLES
-from pipeline.store.night_files import (
-    NightFile,
-    prepare_night,
-)
-from pipeline.store.tables import (
-    night_file,
-    read_table,
-)
+from pipeline.store.night_files import NightFile, prepare_night
+from pipeline.store.tables import night_file, read_table
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import MISBEHAVIOUR
 

@@ -28,13 +28,7 @@ from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.motor_task import run_motor
 from pipeline.run.plans import plan_fleet
 from pipeline.run.request import RunRequest
-from tests.pipeline.simulated import (
-    NIGHT,
-    SECOND_US,
-    night_of,
-    raw,
-    write_log,
-)
+from tests.pipeline.simulated import NIGHT, SECOND_US, night_of, raw, write_log
 from tests.pipeline.workshop import DAY, MINUTES, QUICK, Workshop, check_same_figures
 
 

@@ -12,12 +12,7 @@ import pyarrow as pa
 
 from pipeline.ingest import RawLog, read_log
 from pipeline.setup.suggest import suggest
-from tests.pipeline.setup.text_logs import (
-    EPOCH,
-    Label,
-    Samples,
-    in_unit,
-)
+from tests.pipeline.setup.text_logs import EPOCH, Label, Samples, in_unit
 from tests.pipeline.simulated import load_motor
 
 HEAD = 'motor_id = "M1"\nmotor_type = "CB560"\noil = "vg68"\n'

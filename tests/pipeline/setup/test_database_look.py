@@ -15,14 +15,7 @@ from pipeline.errors import UsageError
 from pipeline.ingest import read_log
 from pipeline.logs.landing import land_nights
 from pipeline.setup.check import check_fleet, check_motor
-from tests.pipeline.plant_database import (
-    FIRST,
-    QUERY,
-    VARIABLE,
-    Plant,
-    latest,
-    table,
-)
+from tests.pipeline.plant_database import FIRST, QUERY, VARIABLE, Plant, latest, table
 from tests.pipeline.postgres_server import SECRET, PostgresServer
 from tests.pipeline.workshop import Workshop
 

@@ -32,13 +32,7 @@ from tests.pipeline.setup.suggested import (
     times_of,
     us_of,
 )
-from tests.pipeline.setup.text_logs import (
-    TextLog,
-    in_unit,
-    long,
-    of_one_channel,
-    wide,
-)
+from tests.pipeline.setup.text_logs import TextLog, in_unit, long, of_one_channel, wide
 
 # CSV, a column a channel
 

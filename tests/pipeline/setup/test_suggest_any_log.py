@@ -29,14 +29,7 @@ from tests.pipeline.setup.suggested import (
     times_of,
     us_of,
 )
-from tests.pipeline.setup.text_logs import (
-    Label,
-    TextLog,
-    in_unit,
-    long,
-    of_one_channel,
-    wide,
-)
+from tests.pipeline.setup.text_logs import Label, TextLog, in_unit, long, of_one_channel, wide
 
 NAMES = {
     "pressure_difference": ("dp", "Delta P", "Druck", "PressureDiff", "tryck"),

@@ -20,9 +20,7 @@ from pipeline.store import atomic_files, months
 from pipeline.store.heartbeat import last_good_run
 from pipeline.store.manifest import manifest_keys, read_manifest
 from pipeline.store.months import join_months, last_month_over, part_month, settle
-from pipeline.store.night_files import (
-    stage,
-)
+from pipeline.store.night_files import stage
 from pipeline.store.publishing import Publisher
 from pipeline.store.retention import old_files, prune
 from pipeline.store.tables import (

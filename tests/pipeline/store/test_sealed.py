@@ -12,14 +12,7 @@ import pytest
 
 from pipeline.errors import StoreError
 from pipeline.store import sealed
-from pipeline.store.sealed import (
-    DamagedError,
-    put_sealed,
-    read_if_whole,
-    read_sealed,
-    seal,
-    unseal,
-)
+from pipeline.store.sealed import DamagedError, put_sealed, read_if_whole, read_sealed, seal, unseal
 
 DOCUMENT = {"model": [7.5e-14, 0.0], "night": "2026-01-02", "wear": "µ", "none": None}
 CONTENT = seal(DOCUMENT)

@@ -20,22 +20,11 @@ from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
-from pipeline.schema import (
-    QUALITY,
-    RUNS,
-    SCHEMA_VERSION,
-    TABLES,
-    Table,
-    frame,
-)
+from pipeline.schema import QUALITY, RUNS, SCHEMA_VERSION, TABLES, Table, frame
 from pipeline.store import tables as store
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
 from pipeline.store.encoding import write_table
-from pipeline.store.night_files import (
-    NewRows,
-    NightFile,
-    prepare_night,
-)
+from pipeline.store.night_files import NewRows, NightFile, prepare_night
 from pipeline.store.tables import (
     month_stamps,
     night_file,

@@ -15,11 +15,7 @@ from pipeline.store.encoding import write_table
 from pipeline.store.tables import night_file
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Delivery, UndeliveredError
-from pipeline.telling.outbox import (
-    backlogs,
-    open_outbox,
-    take_up,
-)
+from pipeline.telling.outbox import backlogs, open_outbox, take_up
 
 FLEET = "Mill"
 FIRST = dt.date(2026, 2, 17)

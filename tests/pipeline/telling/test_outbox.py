@@ -12,13 +12,7 @@ from pipeline.schema import ALARMS
 from pipeline.store.tables import night_file
 from pipeline.telling.delivering import MOST_FAILURES, PAUSES_S, deliver
 from pipeline.telling.delivery import Delivery
-from pipeline.telling.outbox import (
-    MOST_CHANGES,
-    OUTBOX_FILES,
-    backlogs,
-    open_outbox,
-    take_up,
-)
+from pipeline.telling.outbox import MOST_CHANGES, OUTBOX_FILES, backlogs, open_outbox, take_up
 from tests.pipeline.telling.made_alarms import FIRST, FLEET, Fake, publish, row, run, undelivered
 
 # Who is told of what

@@ -12,16 +12,7 @@ from pipeline.trends.rows.alarm_rows import alarm_rows
 from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.states.standing import RAISED, Standing
 from pipeline.trends.why.reasons import path_behind, path_named, why_state
-from tests.pipeline.trends.nights import (
-    OIL,
-    Nights,
-    histories,
-    motor,
-    named,
-    ramp,
-    standings,
-    step,
-)
+from tests.pipeline.trends.nights import OIL, Nights, histories, motor, named, ramp, standings, step
 
 N, AT = 110, 80
 THIN = {OIL: step(N, AT, 0.25)}

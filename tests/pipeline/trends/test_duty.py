@@ -28,15 +28,7 @@ from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.states.standing import Standing
 from pipeline.trends.why.reasons import path_behind, path_named, why_not_named, why_state
 from tests.pipeline.trends.blocks import blocks_of
-from tests.pipeline.trends.nights import (
-    OIL,
-    Nights,
-    histories,
-    motor,
-    night_of,
-    standings,
-    step,
-)
+from tests.pipeline.trends.nights import OIL, Nights, histories, motor, night_of, standings, step
 
 N, AT = 60, 40
 SLEEVE = "K_balance_sleeve"

@@ -14,15 +14,7 @@ from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.states.standing import Standing
 from pipeline.trends.why.oil import oil_as_measured, viscosity_ratio
 from pipeline.trends.why.reasons import path_behind, why_state
-from tests.pipeline.trends.nights import (
-    OIL,
-    Nights,
-    histories,
-    motor,
-    night_of,
-    standing,
-    step,
-)
+from tests.pipeline.trends.nights import OIL, Nights, histories, motor, night_of, standing, step
 
 N, AT = 110, 80
 

@@ -15,13 +15,9 @@ from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, BASELINES, TREND_TABLES, TRENDS, Table, frame
-from pipeline.store.night_files import (
-    stage,
-)
+from pipeline.store.night_files import stage
 from pipeline.store.publishing import Publisher
-from pipeline.store.tables import (
-    read_rows,
-)
+from pipeline.store.tables import read_rows
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.nights.tonight import Tonight

@@ -12,10 +12,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from hypothesis import strategies as st
 
 from pipeline.config.field_paths import field_path
-from tests.pipeline.ingest.mcap_files import (
-    Value,
-    mcap_of,
-)
+from tests.pipeline.ingest.mcap_files import Value, mcap_of
 
 Field = descriptor_pb2.FieldDescriptorProto
 NAME = "motor.Hydraulics"

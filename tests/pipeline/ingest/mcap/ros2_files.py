@@ -12,10 +12,7 @@ import mcap_ros2._dynamic
 from mcap_ros2._cdr import CdrWriter, EncapsulationKind
 from mcap_ros2._dynamic import serialize_dynamic
 
-from tests.pipeline.ingest.mcap_files import (
-    error_of,
-    mcap_of,
-)
+from tests.pipeline.ingest.mcap_files import error_of, mcap_of
 
 NAME = "motor_msgs/msg/Hydraulics"
 

@@ -23,10 +23,7 @@ from tests.pipeline.ingest.mcap.protobuf_files import (
     protobuf,
     set_of,
 )
-from tests.pipeline.ingest.mcap_files import (
-    all_values,
-    official_messages,
-)
+from tests.pipeline.ingest.mcap_files import all_values, official_messages
 
 
 @st.composite
