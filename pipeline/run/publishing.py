@@ -97,6 +97,9 @@ def publish_trends(
         return dict.fromkeys(changed, Loss(error.code, error.message)), [], False
     if tonight is None:
         return {}, [], False
+    # As many tasks for each worker, as far as circuits allow.
+    workers = fleet.execution.workers
+    n_tasks = workers * ceil(len(changed) / (workers * MOTORS_A_TREND_TASK))
     tasks = trend_tasks(
         fleet.motors,
         fleet.output,
@@ -104,7 +107,7 @@ def publish_trends(
         changed,
         tonight,
         decisions,
-        min(MOTORS_A_TREND_TASK, ceil(len(changed) / fleet.execution.workers)),
+        ceil(len(changed) / max(n_tasks, 1)),
     )
     made: list[TrendOutcome] = []
     try:

@@ -504,7 +504,7 @@ def test_a_task_writes_into_its_staging_and_nowhere_else(workshop: Workshop) -> 
     new = {path for path in workshop.folder.rglob("*") if path.is_file()} - before
     assert new
     assert all(path.is_relative_to(task.staging) for path in new)
-        assert all("M1" in (path.stem, path.parent.name) for path in new)
+    assert all("M1" in (path.stem, path.parent.name) for path in new)
 
 
 # The ledger
