@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from math import ceil
 from pathlib import Path
@@ -40,6 +40,7 @@ from pipeline.trends.nights.tonight import Tonight, tonight_of
 from pipeline.trends.nights.trend_record import forget_records, note_touched, write_record
 from pipeline.trends.rows.latest_states import latest_states
 from pipeline.trends.rows.motor_states import latest_rows
+from pipeline.trends.rows.q_values import with_q_values
 from pipeline.trends.tasks import (
     TrendOutcome,
     TrendTask,
@@ -84,17 +85,27 @@ def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Led
     return months
 
 
+@dataclass(frozen=True, slots=True)
+class PublishedTrends:
+    """Failures by motor, new rows of `alarms`, and whether an interrupt came while publishing.
+
+    `tonight` is None where the tables have none, or could not be read.
+    """
+
+    tonight: Tonight | None = None
+    failures: Mapping[str, Loss] = field(default_factory=dict)
+    alarms: Sequence[Mapping[str, Any]] = ()
+    interrupted: bool = False
+
+
 def publish_trends(
     fleet: Fleet,
     clock: dt.datetime,
     publisher: Publisher,
     outcomes: Sequence[MotorOutcome],
     run_tasks: RunTasks,
-) -> tuple[Mapping[str, Loss], list[Mapping[str, Any]], bool]:
-    """Make and publish the trends of the run's motors.
-
-    Returns failures by motor, new alarms, and whether an interrupt came while publishing.
-    """
+) -> PublishedTrends:
+    """Make and publish the trends of the run's motors."""
     decisions = read_decisions(fleet.output)
     said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
     publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
@@ -102,9 +113,9 @@ def publish_trends(
     try:
         tonight = fleets_tonight(fleet, clock)
     except StoreError as error:
-        return dict.fromkeys(changed, Loss(error.code, error.message)), [], False
+        return PublishedTrends(failures=dict.fromkeys(changed, Loss(error.code, error.message)))
     if tonight is None:
-        return {}, [], False
+        return PublishedTrends()
     tasks = trend_tasks(
         fleet.motors,
         fleet.output,
@@ -124,7 +135,7 @@ def publish_trends(
     # All tasks first: a night's q-values are over the slopes of the whole fleet.
     with interrupts_held() as came:
         alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
-    return failures, alarms, bool(came)
+    return PublishedTrends(tonight, failures, alarms, bool(came))
 
 
 def publish_latest(publisher: Publisher, fleet: Fleet) -> None:
@@ -184,8 +195,6 @@ def _publish_trend_rows(
     """Publish what the tasks have staged; returns the new rows of `alarms`."""
     if not made:
         return []
-    from pipeline.trends.stage import with_q_values
-
     fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
     lost: list[Collection[str]] = []
 
