@@ -7,6 +7,8 @@ import datetime as dt
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.clock import EPOCH
+
 Values = NDArray[np.float64]
 """Readings, shape (n,)."""
 
@@ -35,4 +37,4 @@ def chosen_rows(mask: Mask) -> Mask | slice:
 
 def utc(microseconds: int) -> dt.datetime:
     """A time stamp as the tables hold it."""
-    return dt.datetime(1970, 1, 1, tzinfo=dt.UTC) + dt.timedelta(microseconds=int(microseconds))
+    return EPOCH + dt.timedelta(microseconds=int(microseconds))
