@@ -94,9 +94,7 @@ class ResidualMoments:
         series = np.empty((count, n))
         for row, values in zip(series, (error, *inputs), strict=True):
             np.subtract(values, values.mean(), out=row)
-        places = [(one, one) for one in range(count)] + [(0, one) for one in range(1, count)]
-        sums = lagged_products(series, segments, longest, places, behind=LONGEST_LAG)
-        own, crossed = sums[:count, LONGEST_LAG:], sums[count:, : 2 * LONGEST_LAG + 1]
+        own, crossed = lagged_products(series, segments, longest, LONGEST_LAG)
         inside = np.zeros_like(crossed)
         if inner.n:
             inside = crossed - products_near_ends(series, segments, LONGEST_LAG)
