@@ -67,7 +67,10 @@ def _outcome(
             return None
         seen = SeenLogs({name: known[name] for name in states})
         nights = MotorNights(replace(task, looked_at=seen), published)
-        return nights.outcome() if nights.is_quiet else None
+        if not nights.is_quiet:
+            return None
+        nights.stage_ledger()
+        return nights.outcome()
     except (Exception, PanicException):
         return None
 

@@ -23,7 +23,7 @@ from typing import Any, Generic, TypeVar
 
 from pipeline.config import Execution
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import scratch
+from pipeline.store.atomic_files import put
 from pipeline.store.object_store import ObjectStore
 from pipeline.workers.local import Worker, run_task
 from pipeline.workers.process import Done, Loss
@@ -145,7 +145,7 @@ def do_task(
         return found if isinstance(found, Loss) else Staged(found.result, {})
     with tempfile.TemporaryDirectory(prefix="motor-leakage-") as name:
         folder = Path(name)
-        put(brought, folder)
+        put_all(brought, folder)
         found = _in_a_process(function, replace(task, staging=folder), limits)
         if isinstance(found, Loss):
             return found
@@ -175,11 +175,10 @@ def _call(content: bytes) -> Any:
     return function(task)
 
 
-def put(contents: Mapping[str, bytes], folder: Path) -> None:
-    """Write files into folders of a folder."""
+def put_all(contents: Mapping[str, bytes], folder: Path) -> None:
+    """Write scratch files below a folder; raises as `put`."""
     for name, content in contents.items():
-        with scratch(folder / name) as stream:
-            stream.write(content)
+        put(folder / name, content, durable=False)
 
 
 def own_address() -> str:
