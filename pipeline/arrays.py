@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import datetime as dt
-
 import numpy as np
 from numpy.typing import NDArray
-
-from pipeline.clock import EPOCH
 
 Values = NDArray[np.float64]
 """Readings, shape (n,)."""
@@ -33,8 +29,3 @@ def chosen_rows(mask: Mask) -> Mask | slice:
     """
     first, n = int(mask.argmax()) if len(mask) else 0, int(np.count_nonzero(mask))
     return slice(first, first + n) if mask[first : first + n].all() else mask
-
-
-def utc(microseconds: int) -> dt.datetime:
-    """A time stamp as the tables hold it."""
-    return EPOCH + dt.timedelta(microseconds=int(microseconds))

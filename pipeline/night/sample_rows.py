@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from leakage import Motor
 from leakage.estimation.sample_blocks import Block
 from leakage.physics.motor import speed_beyond_curve
-from pipeline.arrays import utc
+from pipeline.clock import utc
 from pipeline.night.block_fit import BlockFit
 from pipeline.night.operation_rows import histogram_between
 from pipeline.night.statistics import NightStatistics

@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-import polars as pl
 
-from leakage.course.slope import benjamini_hochberg
 from pipeline.errors import StoreError
 from pipeline.schema import TREND_TABLES, TRENDS
 from pipeline.store.night_files import stage
@@ -264,24 +262,3 @@ def new_alarms(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
     made = {row["night"] for row in rows}
     before = {said(row) for row in published if row["night"] in made}
     return [row for row in rows if said(row) not in before]
-
-
-def with_q_values(
-    rows: pl.DataFrame, motor_ids: Sequence[str], false_discovery_rate: float
-) -> pl.DataFrame:
-    """A night's trends with q-values for some motors, over the slopes of the whole fleet.
-
-    Those of other motors stay as they were published.
-    """
-    p_values = rows["p_value"].fill_null(np.nan).to_numpy()
-    q_values = np.full(len(p_values), np.nan)
-    indicators = rows["indicator"].to_numpy()
-    for name in np.unique(indicators) if len(indicators) else ():
-        family = indicators == name
-        q_values[family] = benjamini_hochberg(p_values[family])
-    new = pl.col("motor_id").is_in(list(motor_ids))
-    q_value = pl.Series(q_values, dtype=pl.Float64).fill_nan(None)
-    return rows.with_columns(
-        q_value=pl.when(new).then(q_value).otherwise(pl.col("q_value")),
-        is_trend=pl.when(new).then(q_value < false_discovery_rate).otherwise(pl.col("is_trend")),
-    )

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from leakage.course.slope import benjamini_hochberg
+from leakage.course.false_discoveries import benjamini_hochberg
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.verification import verify_tables
@@ -30,7 +30,8 @@ from pipeline.trends.nights.trend_record import (
     write_record,
 )
 from pipeline.trends.rows.alarm_rows import rules_now
-from pipeline.trends.stage import new_alarms, with_q_values
+from pipeline.trends.rows.q_values import with_q_values
+from pipeline.trends.stage import new_alarms
 from pipeline.trends.tasks import TrendTask, trend_tasks
 from pipeline.workers.process import Loss
 from tests.pipeline.trends.nights import (
