@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import sys
 from typing import Annotated, NoReturn
 
@@ -97,6 +99,9 @@ def _say(error: MotorLeakageError, code: int, *, as_json: bool) -> None:
 
 def main() -> NoReturn:
     """Run the command; every expected error is one message on stderr and a stated exit code."""
+    # A command is short: few collections of garbage, and none as it ends.
+    gc.set_threshold(10_000)
+    atexit.register(gc.freeze)
     # Before anything is parsed: a fault in the arguments is a message, too.
     as_json = "--json" in sys.argv[1:]
     speak(as_json=as_json)
