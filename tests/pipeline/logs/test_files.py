@@ -29,6 +29,7 @@ from pipeline.logs.files import (
 )
 from pipeline.logs.ledger import FileRecord, content_hash
 from pipeline.logs.told_nights import PlausibleNights, place_failed
+from pipeline.messages import counted
 
 UNITS = {
     "pressure_difference": "bar",
@@ -225,7 +226,7 @@ class TestWildStamps:
             path = write(tmp_path / "a.csv", [*wrong, *every_minute(n=n)])
             record = fully_read(path, spec)
             assert record.nights == (LABEL.isoformat(),)
-            assert f"{n} time stamps" in str(record.message)
+            assert counted(n, "time stamp") in str(record.message)
 
     def test_a_log_that_claims_50_years(self, spec: MotorSpec, tmp_path: Path) -> None:
         """Its nights are bounded, whatever it says, and what is left out is told."""
