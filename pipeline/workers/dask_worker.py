@@ -10,12 +10,10 @@ the same limits hold, and what a task does to its process costs the worker nothi
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
 import pickle
 import platform
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -166,31 +164,15 @@ def _in_a_process(
     from distributed.protocol.pickle import dumps
 
     global _process
-    with _may_have_children():
-        if _process is None:
-            _process = Worker()
-        return run_task(_process, _call, dumps((function, task)), limits)
+    if _process is None:
+        _process = Worker()
+    return run_task(_process, _call, dumps((function, task)), limits)
 
 
 def _call(content: bytes) -> Any:
     """In the process: do a task, whichever it is."""
     function, task = pickle.loads(content)  # noqa: S301 - from the worker above it
     return function(task)
-
-
-@contextmanager
-def _may_have_children() -> Iterator[None]:
-    """Let this process start others: Dask's nanny makes its workers daemons, which may not.
-
-    The rule is there so that no child is left behind; ours ends with its worker by itself.
-    """
-    settings = multiprocessing.current_process()._config  # type: ignore[attr-defined]
-    was_daemon = settings.pop("daemon", None)
-    try:
-        yield
-    finally:
-        if was_daemon is not None:
-            settings["daemon"] = was_daemon
 
 
 def put_all(contents: Mapping[str, bytes], folder: Path) -> None:

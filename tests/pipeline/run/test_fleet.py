@@ -39,7 +39,7 @@ from pipeline.schema import FITS, NIGHT_TABLES, TABLES
 from pipeline.store.night_files import NightFile, prepare_night
 from pipeline.store.tables import night_file, read_table
 from tests.conftest import OwnFleet
-from tests.pipeline.misbehaviour import MISBEHAVIOUR
+from tests.pipeline.misbehaviour import MISBEHAVIOUR, Carried
 
 FIRST = dt.date(2026, 1, 2)
 NIGHTS = [FIRST, FIRST + dt.timedelta(days=1), FIRST + dt.timedelta(days=2)]
@@ -484,7 +484,7 @@ def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
             MISBEHAVIOUR["kill"]()
         return run_motor(task)
 
-    monkeypatch.setattr(pipeline.run.motors, "run_motor", run_or_die)
+    monkeypatch.setattr(pipeline.run.motors, "run_motor", Carried(run_or_die))
     result = run(fleet, backend="loky")
     assert died.exists()
     assert status_of(result) == {CSV: "failed", PARQUET: "ok", MCAP: "ok"}
