@@ -118,12 +118,12 @@ class Columns:
     def vectors(self, name: str, size: int) -> Array:
         """A column of lists as an array, nan where a list is absent or of another length."""
         if name not in self._made:
-            lists = self.rows[name].to_arrow()
-            lengths = np.diff(lists.offsets.to_numpy()) * np.asarray(lists.is_valid())
-            numbers = lists.values.to_numpy(zero_copy_only=False)
-            self._made[name] = lists.offsets.to_numpy()[:-1], lengths, numbers
-        begins, lengths, numbers = self._made[name]
-        whole = lengths[self.here] == size
+            lengths = self.rows[name].list.len().fill_null(0)
+            numbers = self.rows[name].filter(lengths > 0).explode().to_numpy()
+            sizes = lengths.to_numpy().astype(np.intp)
+            self._made[name] = np.cumsum(sizes) - sizes, sizes, numbers
+        begins, sizes, numbers = self._made[name]
+        whole = sizes[self.here] == size
         result = np.full((len(whole), size), np.nan)
         result[whole] = numbers[begins[self.here][whole, None] + np.arange(size)]
         return result
