@@ -52,7 +52,7 @@ from benchmarks.whole_runs import (
 )
 
 STORED = RESULTS / "speed.json"
-READERS = {"parquet": "pyarrow_parquet", "csv": "pyarrow_csv", "mcap": "batch_mcap"}
+READERS = {"parquet": "pyarrow_parquet", "csv": "pyarrow_csv", "mcap": "plain_mcap"}
 GOALS = {"parquet": 9.0, "csv": 3.0, "mcap": 1.3}
 # Logs of a fleet in `hundred`, and the most passes over them: each takes some ten minutes.
 HUNDRED, HUNDRED_REPEATS = 100, 3

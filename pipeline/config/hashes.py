@@ -12,6 +12,8 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import version
 from typing import Any
 
 from leakage import Motor
@@ -55,6 +57,12 @@ UNSHAPING: Mapping[str, Any] = {
 # Key of a motor whose rollers' scale is free.
 ROLLER = "roller"
 TOLERANCES = {"offset_tolerance", "gain_tolerance_percent"}
+
+
+@cache
+def own_version() -> str:
+    """Version of motor-leakage."""
+    return version("motor-leakage")
 
 
 def settings_of(spec: MotorSpec) -> dict[str, str]:

@@ -12,11 +12,12 @@ from pydantic import AwareDatetime, Field
 from leakage import Constant, Parameter
 from leakage.estimation.sample_blocks import ChosenPeriods, Stretch
 from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
+from pipeline.clock import microseconds
 from pipeline.config.channels import NEVER_CONSTANT, Channel, ChannelName, channel_faults
 from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import field_path
 from pipeline.config.logs import Logs
-from pipeline.config.nights import Night, microseconds
+from pipeline.config.nights import Night
 from pipeline.config.oil_samples import OilSample, order_faults
 from pipeline.config.section import Id, NonNegative, Section
 

@@ -17,10 +17,10 @@ from typing import Any
 
 import polars as pl
 
-from pipeline.arrays import SECOND_US, utc
-from pipeline.clock import EPOCH, MICROSECOND, latest_us, now
+from pipeline.arrays import SECOND_US
+from pipeline.clock import latest_us, microseconds, now, utc
 from pipeline.config import Fleet, MotorSpec
-from pipeline.config.hashes import config_hash, hash_of
+from pipeline.config.hashes import config_hash, hash_of, own_version
 from pipeline.errors import MotorLeakageError, StoreError
 from pipeline.look.baseline import baseline_of
 from pipeline.look.motor import Change, change_within, looked_at, without_baseline
@@ -38,7 +38,6 @@ from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import circuits_of, decisions_of
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.trend_record import read_record
-from pipeline.versions import own_version
 from pipeline.workers.process import one_thread
 
 log = logging.getLogger(__name__)
@@ -143,7 +142,7 @@ def _looked_at(
             state, changes = without_baseline(spec, before, str(baseline), last_night)
             return state, changes, ""
         state, given = verdicts(output, spec, baseline, before, record.last_night)
-        now_us = (clock - EPOCH) // MICROSECOND
+        now_us = microseconds(clock)
         state, changes = looked_at(
             spec, baseline, state, record.last_night, now_us, latest_us(clock)
         )

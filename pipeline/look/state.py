@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from leakage.course.step_detection import StepWatch
-from pipeline.arrays import utc
+from pipeline.clock import utc
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.trends.rows.motor_states import LookStanding
 

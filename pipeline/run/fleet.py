@@ -218,7 +218,7 @@ def _run(
     publisher = Publisher(fleet.output, staging, run_id)
     with interrupts_held() as came:
         damage.look_into(_keys_of(finished))
-        n_nights = publish_motors(publisher, finished, {one.motor_id: one for one in request.specs})
+        n_nights = publish_motors(publisher, finished)
     interrupted = interrupted or bool(came)
     ends.append(time.perf_counter())
     heartbeat.say(stage="trends")

@@ -192,6 +192,7 @@ class _Making(MotorNights):
         sign_of_life("")
         with self.timed("store_s"):
             self._stage()
+            self.stage_ledger()
         n_refitted = sum(map(is_refit, self.done.values()))
         return replace(self.outcome(), n_refitted=n_refitted)
 

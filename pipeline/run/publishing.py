@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import ceil
 from pathlib import Path
@@ -14,11 +14,10 @@ from typing import Any
 import polars as pl
 
 from pipeline.clock import latest_us
-from pipeline.config import Fleet, MotorSpec
-from pipeline.config.hashes import settings_of
+from pipeline.config import Fleet
 from pipeline.config.nights import night_of
 from pipeline.errors import EngineError, StoreError
-from pipeline.logs.ledger import Ledger, forget_nights, write_months, write_settings
+from pipeline.logs.ledger import forget_nights, ledger_folder
 from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import (
     ALARMS,
@@ -32,6 +31,7 @@ from pipeline.schema import (
     data_dictionary,
     frame,
 )
+from pipeline.store.atomic_files import take_over
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import month_stamps, published_rows, whole_file
@@ -57,32 +57,24 @@ log = logging.getLogger(__name__)
 MOTORS_A_TREND_TASK = 32
 
 
-def publish_motors(
-    publisher: Publisher, outcomes: Sequence[MotorOutcome], specs: Mapping[str, MotorSpec]
-) -> int:
-    """Publish what the motors' tasks have staged, then what was remembered of it."""
+def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> int:
+    """Publish the rows that the motors' tasks have staged, then their ledgers."""
+    output, staging = publisher.output, publisher.staging
+
+    def forget(nights: Collection[dt.date], keep: Collection[str]) -> None:
+        for place in (output, staging):
+            forget_nights(place, nights, keep)
+
     for outcome in outcomes:
         if outcome.nights:
-            note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
+            note_touched(output, outcome.motor_id, min(outcome.nights))
     # Of a motor without a new night there may be the row of a log that is of none.
     staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
-    publisher.nights(NIGHT_TABLES, staged, forget_nights)
+    publisher.nights(NIGHT_TABLES, staged, forget)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
-    for outcome in outcomes:
-        write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
-        if outcome.finished:
-            spec = replace(specs[outcome.motor_id], roller_is_free=outcome.roller_is_free)
-            write_settings(publisher.output, outcome.motor_id, settings_of(spec))
+    for motor_id in staged:
+        take_over(ledger_folder(staging, motor_id), ledger_folder(output, motor_id))
     return sum(len(outcome.nights) for outcome in outcomes)
-
-
-def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Ledger]:
-    """The ledger of a motor, but for nights whose published rows were lost."""
-    months = dict(outcome.ledger)
-    for night, kept in publisher.lost.items():
-        if outcome.motor_id not in kept:
-            months = {month: ledger.without({night}) for month, ledger in months.items()}
-    return months
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +108,9 @@ def publish_trends(
         return PublishedTrends(failures=dict.fromkeys(changed, Loss(error.code, error.message)))
     if tonight is None:
         return PublishedTrends()
+    # As many tasks for each worker, as far as circuits allow.
+    workers = fleet.execution.workers
+    n_tasks = workers * ceil(len(changed) / (workers * MOTORS_A_TREND_TASK))
     tasks = trend_tasks(
         fleet.motors,
         fleet.output,
@@ -123,7 +118,7 @@ def publish_trends(
         changed,
         tonight,
         decisions,
-        min(MOTORS_A_TREND_TASK, ceil(len(changed) / fleet.execution.workers)),
+        ceil(len(changed) / max(n_tasks, 1)),
     )
     made: list[TrendOutcome] = []
     try:
@@ -198,9 +193,9 @@ def _publish_trend_rows(
     fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
     lost: list[Collection[str]] = []
 
-    def forget(output: Path, _: Collection[dt.date], keep: Collection[str]) -> None:
+    def forget(_: Collection[dt.date], keep: Collection[str]) -> None:
         lost.append(keep)
-        forget_records(output, keep)
+        forget_records(publisher.output, keep)
 
     finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
     publisher.nights(TREND_TABLES, fresh, forget, {TRENDS.name: finish})

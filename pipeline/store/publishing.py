@@ -47,7 +47,7 @@ from pipeline.store.tables import (
 # Completes all rows of a night, given the motors whose rows are new.
 Finish = Callable[[pl.DataFrame, Sequence[str]], pl.DataFrame]
 # Lets the next run make nights anew for all motors but some.
-Forget = Callable[[Path, Collection[dt.date], Collection[str]], object]
+Forget = Callable[[Collection[dt.date], Collection[str]], object]
 # Nights of motors that are prepared together.
 NIGHTS_AT_ONCE = 400
 
@@ -65,11 +65,8 @@ class Publisher:
 
     Attributes
     ----------
-    lost
-        Nights of which a file was damaged, with the motors whose rows are new: those of the others
-        have to be made anew.
     damaged
-        Files that were put aside for it, by path relative to the folder of the tables.
+        Files that were damaged and put aside, by path relative to the folder of the tables.
     months
         Months in which it has published nights, YYYY-MM.
     """
@@ -77,7 +74,6 @@ class Publisher:
     output: Path
     staging: Path
     run_id: str
-    lost: dict[dt.date, set[str]] = field(default_factory=dict)
     damaged: list[str] = field(default_factory=list)
     months: set[str] = field(default_factory=set)
 
@@ -140,8 +136,7 @@ class Publisher:
         self.damaged.append(name)
         for night in days_of(month):
             new = {motor_id for motor_id, rows in staged.items() if night in rows.nights}
-            self.lost.setdefault(night, set()).update(new)
-            forget(self.output, (night,), new)
+            forget((night,), new)
         move(path, path.with_suffix(PUT_ASIDE))
         update_manifest(self.output, month, month, {name: None})
 
@@ -199,8 +194,7 @@ class Publisher:
                     if file.lost_rows:
                         if file.before is not None:
                             self.damaged.append(name)
-                        self.lost.setdefault(night, set()).update(rows.motor_ids)
-                        forget(self.output, (night,), set(rows.motor_ids))
+                        forget((night,), set(rows.motor_ids))
             self._land(files)
             undone.pop_all()
 

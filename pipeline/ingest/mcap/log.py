@@ -215,9 +215,10 @@ def _content(path: Path, logs: Logs, wanted: _Wanted) -> _Content:
         if len(messages.channels) != known:
             _add_decoders(path, logs, wanted, messages, decoders)
             known = len(messages.channels)
-        topic, times = decoders.topic[messages.channel_id], messages.times(_time_of_record(logs))
+        topic = decoders.topic.take(messages.channel_id)
+        times = messages.times(_time_of_record(logs))
         in_turn = _is_shared(decoders)
-        for number, chosen in _runs(decoders.number[messages.channel_id], in_turn=in_turn):
+        for number, chosen in _runs(decoders.number.take(messages.channel_id), in_turn=in_turn):
             # Messages of one topic keep their order, whatever decodes them.
             for other in [other for other in held if in_turn and other != number]:
                 _decode(path, decoders, other, held.pop(other), names, content)

@@ -22,7 +22,7 @@ import scipy
 from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
-from pipeline.config.hashes import hash_of
+from pipeline.config.hashes import hash_of, own_version
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
 from pipeline.store.atomic_files import put
 from pipeline.store.sealed import read_if_whole
@@ -30,7 +30,6 @@ from pipeline.store.tables import month_stamps, night_stamps
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.records import Layout, Records, record_digest, record_type
 from pipeline.trends.nights.trend_record import trend_hash
-from pipeline.versions import own_version
 
 # Tables that a record is made from.
 READ = (FITS, PARAMETERS, OPERATION)

@@ -31,6 +31,7 @@ import pipeline.run.motors
 import pipeline.store.publishing
 from pipeline.config import load_fleet
 from pipeline.errors import LockedError, StoreError
+from pipeline.logs.ledger import Ledger, read_ledger
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet, staging_folder
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
@@ -38,7 +39,7 @@ from pipeline.schema import FITS, NIGHT_TABLES, TABLES
 from pipeline.store.night_files import NightFile, prepare_night
 from pipeline.store.tables import night_file, read_table
 from tests.conftest import OwnFleet
-from tests.pipeline.misbehaviour import MISBEHAVIOUR
+from tests.pipeline.misbehaviour import MISBEHAVIOUR, Carried
 
 FIRST = dt.date(2026, 1, 2)
 NIGHTS = [FIRST, FIRST + dt.timedelta(days=1), FIRST + dt.timedelta(days=2)]
@@ -483,13 +484,13 @@ def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
             MISBEHAVIOUR["kill"]()
         return run_motor(task)
 
-    monkeypatch.setattr(pipeline.run.motors, "run_motor", run_or_die)
+    monkeypatch.setattr(pipeline.run.motors, "run_motor", Carried(run_or_die))
     result = run(fleet, backend="loky")
     assert died.exists()
     assert status_of(result) == {CSV: "failed", PARQUET: "ok", MCAP: "ok"}
     (lost,) = result.failed
     assert lost.error_code == "worker_died"
-    assert not lost.ledger
+    assert read_ledger(output_of(fleet), CSV) == Ledger()
     check_same_tables(output_of(fleet), fitted_output, PARQUET, MCAP)
     assert rows(output_of(fleet), "fits", CSV).is_empty()
     last = rows(output_of(fleet), "motor_outcomes", CSV).sort("started_at").row(-1, named=True)

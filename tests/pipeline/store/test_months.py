@@ -36,7 +36,7 @@ from pipeline.store.tables import (
 )
 from pipeline.store.verification import Proof, prove
 from tests.pipeline.faults.disk import Disk, Killed, on
-from tests.pipeline.store.test_tables import row
+from tests.pipeline.store.made_rows import row
 
 Step = Callable[[Path], object]
 

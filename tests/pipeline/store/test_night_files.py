@@ -16,7 +16,7 @@ from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, NIGHT_TABLES, QUALITY, TREND_TABLES, Table, frame
 from pipeline.store.night_files import StagedRows, new_rows, stage
 from pipeline.store.tables import night_file, read_table
-from tests.pipeline.store.test_tables import LATER, NIGHT, Row, example, publish_night, row, rows
+from tests.pipeline.store.made_rows import LATER, NIGHT, Row, example, publish_night, row, rows
 
 
 def rows_of(staged: StagedRows, night: dt.date, table: Table = QUALITY) -> pl.DataFrame | None:

@@ -31,6 +31,7 @@ from pipeline.workers.process import ITEMS_A_SIGN, Loss
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import (
     MISBEHAVIOUR,
+    Carried,
     count_beside_or_die,
     die_once,
     do,
@@ -275,7 +276,7 @@ def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str
     fleet = load_fleet(fleet_file)
     limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500})
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.run.motors, "run_motor", run_or_misbehave)
+        patched.setattr(pipeline.run.motors, "run_motor", Carried(run_or_misbehave))
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
 
 
@@ -359,7 +360,7 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
         module.indicators_of = die
         return run_trends(task)
 
-    monkeypatch.setattr(pipeline.run.publishing, "run_trends", run_or_die)
+    monkeypatch.setattr(pipeline.run.publishing, "run_trends", Carried(run_or_die))
     limits = execution().model_copy(update={"timeout_s": 60.0, "memory_limit_mib": 1500})
     result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
     assert [one.motor_id for one in result.failed] == [BAD]
@@ -380,6 +381,7 @@ from pathlib import Path
 import pipeline.run.fleet
 import pipeline.run.motors
 from pipeline.cli import main
+from tests.pipeline.misbehaviour import Carried
 
 marker = sys.argv.pop()
 
@@ -388,7 +390,7 @@ def wait(task):
     while True:
         signal.pause()
 
-pipeline.run.publishing.run_trends = wait
+pipeline.run.publishing.run_trends = Carried(wait)
 main()
 """
 
@@ -409,6 +411,7 @@ def test_a_signal_while_trends_are_made_keeps_the_fits(
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        cwd=Path(__file__).parents[3],
     )
     try:
         wait_until(marker.exists)
