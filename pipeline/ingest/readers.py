@@ -66,6 +66,7 @@ def _its_faults(file: LogFile, entry: EntryPoint, what: str) -> Iterator[None]:
             yield
     except (LogError, OSError, MemoryError):
         raise
+    # An installed reader is anybody's code, over any library: it may raise whatever there is.
     except (Exception, SystemExit) as error:
         if entry.dist is None:
             raise

@@ -20,6 +20,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.logs.finding import find, legible
 from pipeline.logs.ledger import FileRecord, content_hash
+from pipeline.messages import counted
 from pipeline.workers.process import asking, reading
 
 # Stamps this far from the middle of their log come from a wrong clock; a log that covers more has
@@ -192,7 +193,9 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
     stamps = log.stamps()
     notes = list(log.notes)
     unparsed = {name: part.unparsed for name, part in log.channels.items() if part.unparsed}
-    notes += [f"{count} cells of {name} hold no number" for name, count in unparsed.items()]
+    notes += [
+        f"{counted(count, 'cell')} of {name} without a number" for name, count in unparsed.items()
+    ]
     notes += _blank_channels(record, log, spec)
     if not stamps:
         notes.append("no samples")
@@ -224,7 +227,7 @@ def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.
     far = np.abs(stamps - middle) > LONGEST_LOG_DAYS / 2 * DAY_US
     if far.any():
         notes.append(
-            f"{len(np.unique(stamps[far]))} time stamps lie over a year from the others and are "
+            f"{counted(np.unique(stamps[far]).size, 'time stamp')} over a year from the others, "
             "left out"
         )
     near: NDArray[np.int64] = stamps[~far]

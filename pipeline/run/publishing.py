@@ -70,7 +70,7 @@ def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> in
             note_touched(output, outcome.motor_id, min(outcome.nights))
     # Of a motor without a new night there may be the row of a log that is of none.
     staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
-    publisher.nights(NIGHT_TABLES, staged, forget)
+    publisher.nights("nights", NIGHT_TABLES, staged, forget)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     for motor_id in staged:
         take_over(ledger_folder(staging, motor_id), ledger_folder(output, motor_id))
@@ -198,7 +198,7 @@ def _publish_trend_rows(
         forget_records(publisher.output, keep)
 
     finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
-    publisher.nights(TREND_TABLES, fresh, forget, {TRENDS.name: finish})
+    publisher.nights("trends", TREND_TABLES, fresh, forget, {TRENDS.name: finish})
     for motor_id, record in [item for one in made for item in one.records.items()]:
         if all(motor_id in keep for keep in lost):
             write_record(publisher.output, motor_id, record)

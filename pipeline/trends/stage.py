@@ -18,7 +18,7 @@ from typing import TypeVar
 import numpy as np
 
 from pipeline.errors import StoreError
-from pipeline.schema import TREND_TABLES, TRENDS
+from pipeline.schema import TREND_TABLES, TRENDS, Table
 from pipeline.store.night_files import stage
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.baselines.blocks import BlockFiles
@@ -235,11 +235,12 @@ def _stage_motor(
         "change_points": change_point_rows(standing, places),
     }
     labels = [*(history.nights[place] for place in places), *gone]
+    staged: dict[Table, dict[dt.date, list[Row]]] = {}
     for table in TREND_TABLES:
-        nights: dict[dt.date, list[Row]] = {label: [] for label in labels}
+        staged[table] = {label: [] for label in labels}
         for row in made[table.name]:
-            nights[row["night"]].append(row)
-        stage(task.staging / table.name / f"{motor_id}.arrow", table, nights)
+            staged[table][row["night"]].append(row)
+    stage(task.staging / "trends" / f"{motor_id}.arrow", staged)
     told = [row for row in alarms if not row["is_silent"]]
     return len(places), new_alarms(told, published)
 

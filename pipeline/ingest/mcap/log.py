@@ -120,7 +120,7 @@ def read_mcap_log(file: LogFile) -> RawLog:
             }
     in_order: dict[str, RawChannel] = {name: found[name] for name in channels}
     rows = sum(int(np.count_nonzero(judged_stamps.readable)) for judged_stamps in stamps)
-    refused = {reason.replace("rows", "messages", 1): n for reason, n in refused.items()}
+    refused = {reason.replace("row", "message", 1): n for reason, n in refused.items()}
     return raw_log(in_order, rows, refused, [content.loss] if content.loss else [])
 
 

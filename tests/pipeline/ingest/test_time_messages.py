@@ -67,7 +67,7 @@ def test_a_number_beyond_any_time_is_counted(tmp_path: Path, time_format: str, c
     good = example_of(time_format)
     source = Source.of("csv", SPEED, separator=";", time_format=time_format)
     found = read_log(log(tmp_path, good, cell, good), *source)
-    assert found.notes == ("1 rows without a readable time",)
+    assert found.notes == ("1 row without a readable time",)
     assert found.channels["speed"].time_us.tolist() == [1740808800_000000] * 2
 
 

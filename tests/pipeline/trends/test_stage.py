@@ -148,8 +148,8 @@ def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
         ]
         for place, before, after in ((20, "ok", "warning"), (25, "warning", "alarm"))
     }
-    stage(tmp_path / "alarms" / "M1.arrow", ALARMS, by_old_rules)
-    Publisher(output, tmp_path, "old").nights((ALARMS,), ["M1"], lambda *_: None)
+    stage(tmp_path / "trends" / "M1.arrow", {ALARMS: by_old_rules})
+    Publisher(output, tmp_path, "old").nights("trends", (ALARMS,), ["M1"], lambda *_: None)
     record = read_record(output, "M1")
     assert record is not None
     rules = rules_now(motor())
