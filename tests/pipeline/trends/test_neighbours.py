@@ -128,8 +128,12 @@ class Circuit:
             write_record(self.folder, name, record)
         return [row for row in outcome.alarms if row["motor_id"] != "M1"]
 
-    def _take(self, path: Path, table: Table, nights: Mapping[dt.date, list[Row]]) -> None:
-        self.told |= {(path.stem, table.name, night): rows for night, rows in nights.items()}
+    def _take(self, path: Path, tables: Mapping[Table, Mapping[dt.date, list[Row]]]) -> None:
+        self.told |= {
+            (path.stem, table.name, night): rows
+            for table, nights in tables.items()
+            for night, rows in nights.items()
+        }
 
     def alarms_of(self, name: str) -> list[Row]:
         """The published rows of `alarms` of a motor."""
