@@ -25,9 +25,10 @@ from pipeline.trends.baselines.blocks import BlockFiles
 from pipeline.trends.baselines.duty import at_duty, with_duty, without_duty
 from pipeline.trends.baselines.eras import Era, eras_of
 from pipeline.trends.baselines.leakages import indicators_of
-from pipeline.trends.circuits import Circuit, circuits_of, decisions_of, earlier_views
+from pipeline.trends.circuits import Circuit, earlier_views
 from pipeline.trends.figures.filtered_nights import with_filter
 from pipeline.trends.figures.indicators import DEVIATION, Indicator
+from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.reading import MotorNights, read_nights
 from pipeline.trends.nights.records import Records
@@ -43,7 +44,7 @@ from pipeline.trends.states.standing import Standing
 from pipeline.trends.states.sudden import sudden_changes
 from pipeline.trends.states.watch import watch
 from pipeline.trends.states.zeros import sensor_zeros
-from pipeline.trends.tasks import Row, TrendOutcome, TrendTask, task_circuit
+from pipeline.trends.tasks import Row, TrendOutcome, TrendTask
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -54,20 +55,18 @@ Made = TypeVar("Made")
 def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
     with one_thread():
-        circuits = [
-            task_circuit(task.output, group, task.decisions) for group in circuits_of(task.specs)
-        ]
-        specs = [spec for circuit in circuits for spec in circuit.specs]
-        said = decisions_of(specs, task.decisions)
-        first = [circuit.first_nights(task.changed_from, task.tonight) for circuit in circuits]
-        since = {motor_id: night for one in first for motor_id, night in one.items()}
+        said: dict[str, tuple[Decision, ...]] = {}
+        since: dict[str, dt.date] = {}
+        for circuit in task.circuits:
+            said |= circuit.decisions
+            since |= circuit.first_nights(task.changed_from, task.tonight)
         try:
-            nights = read_nights(task.output, specs, said, since, task.tonight)
+            nights = read_nights(task.output, task.specs, said, since, task.tonight)
         except StoreError as error:
             return TrendOutcome(failures=dict.fromkeys(said, _failure(error)))
         done = _Done(dict(task.given_up))
         blocks = BlockFiles(task.output, list(said))
-        for circuit in circuits:
+        for circuit in task.circuits:
             _run_circuit(task, circuit, nights, blocks, done)
         for motor_id, one in nights.items():
             one.keep(motor_id, done.filtered.get(motor_id))
@@ -249,6 +248,8 @@ def _withdrawn(output: Path, history: History, first: dt.date) -> list[dt.date]:
     """Nights from one on in which a motor has published trends, and that are none of its nights."""
     published = takewhile(lambda night: night >= first, nights_back(output, TRENDS))
     others = set(published).difference(history.nights)
+    if not others:
+        return []
     rows = read_rows(output, TRENDS, [history.spec.motor_id], ("night",), nights=others)
     return sorted(set(rows["night"]))
 
