@@ -69,7 +69,7 @@ test-full: $(READY) ## all tests, with the long ones
 	$(BIN)/pytest -n 2
 
 bench: $(READY)  ## the benchmarks, into benchmarks/results/
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks all
 
 validate: $(READY) ## figures of docs/real_machines.md: DATA=folder of the pump rig's records
 	$(BIN)/python -m validation pump_rig $(DATA) --page docs/real_machines.md

@@ -158,7 +158,7 @@ def _cases(folder: Path) -> list[Case]:
         Case("motor-night without reading / QR of as many samples", fitting, qr, 10),
         Case("Parquet, ours / PyArrow", reading("parquet"), parquet, 10),
         Case("CSV, ours / PyArrow", reading("csv"), csv, 2),
-        Case("MCAP, ours / official reader", reading("mcap"), fastest("official_mcap", "mcap")),
+        Case("MCAP, ours / plain reader", reading("mcap"), fastest("plain_mcap", "mcap")),
         Case("statistics of blocks / QR of as many samples",
              lambda: factors(matrix, borders), qr, 3),
         Case("fit from statistics / QR of as many samples",

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -25,36 +26,53 @@ def _pyarrow_csv() -> Reader:
     return lambda path: csv.read_csv(path, csv.ReadOptions(use_threads=False))
 
 
-def _batch_mcap() -> Reader:
-    from pipeline.config.channels import Channel, Channels
-    from pipeline.config.logs import Logs
-    from pipeline.ingest import read_log
+def _plain_mcap() -> Reader:
+    """JSON of chunked files, nothing checked: no reader of a package comes near.
 
-    channels: Channels = {
-        "pressure_difference": Channel(source="/mill/motor_1/pressure_difference", unit="bar"),
-        "oil_temperature": Channel(source="/mill/motor_1/oil_temperature", unit="degC"),
-        "speed": Channel(source="/mill/motor_1/speed", unit="rpm"),
-        "leakage_flow": Channel(source="/mill/motor_1/drain_flow", unit="l/min"),
-    }
-    logs = Logs(format="mcap", files=("*.mcap",), time="publish_time")
-    return lambda path: read_log(path, logs, channels)
-
-
-def _official_mcap() -> Reader:
-    import io
-
-    import polars as pl
+    The `mcap` package finds the chunks. Its records one by one take twenty times as long, and a
+    walk from length to length in Python five times.
+    """
+    import numpy as np
+    import pyarrow as pa
+    from mcap.data_stream import ReadDataStream
     from mcap.reader import make_reader
+    from mcap.records import Chunk
+    from pyarrow import json
 
-    def read(path: Path) -> pl.DataFrame:
-        topics, times, payloads = [], [], []
+    def positions(indexes: bytes) -> Any:
+        parts, at = [], 0
+        while at < len(indexes):
+            (size,) = struct.unpack_from("<I", indexes, at + 11)
+            parts.append(np.frombuffer(indexes, "<u8", size // 8, at + 15)[1::2])
+            at += 15 + size
+        return np.sort(np.concatenate(parts)).astype(np.int64)
+
+    def columns(records: bytes, start: Any) -> tuple[Any, Any, Any]:
+        def at(place: int, kind: str) -> Any:
+            room = len(records) - np.dtype(kind).itemsize + 1
+            return np.ndarray((room,), kind, records, strides=(1,))[start + place]
+
+        text = np.frombuffer(records, np.uint8).copy()
+        text[start + 30] = ord("\n")
+        edges = np.column_stack([start + 30, start + 9 + at(1, "<u8").astype(np.int64)])
+        buffers = [None, pa.py_buffer(np.append(edges, edges[-1, 1])), pa.py_buffer(text)]
+        pieces = pa.Array.from_buffers(pa.large_binary(), edges.size, buffers)
+        lines = pieces.take(pa.array(np.arange(0, edges.size, 2))).buffers()[2]
+        options = json.ReadOptions(use_threads=False, block_size=2**20)
+        return at(9, "<u2"), at(23, "<u8"), json.read_json(pa.BufferReader(lines), options)
+
+    def read(path: Path) -> list[tuple[Any, Any, Any]]:
+        found = []
         with path.open("rb") as file:
-            for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
-                topics.append(channel.topic)
-                times.append(message.publish_time)
-                payloads.append(message.data)
-        frame = pl.read_ndjson(io.BytesIO(b"\n".join(payloads)))
-        return frame.with_columns(topic=pl.Series(topics), time=pl.Series(times))
+            for index in make_reader(file).get_summary().chunk_indexes:
+                file.seek(index.chunk_start_offset + 9)
+                chunk = Chunk.read(ReadDataStream(file))
+                codec = pa.Codec(chunk.compression)
+                records = codec.decompress(chunk.data, chunk.uncompressed_size, asbytes=True)
+                file.seek(index.chunk_start_offset + index.chunk_length)
+                start = positions(file.read(index.message_index_length))
+                found.append(columns(records, start))
+        return found
 
     return read
 
@@ -62,8 +80,7 @@ def _official_mcap() -> Reader:
 READERS: dict[str, Callable[[], Reader]] = {
     "pyarrow_parquet": _pyarrow_parquet,
     "pyarrow_csv": _pyarrow_csv,
-    "batch_mcap": _batch_mcap,
-    "official_mcap": _official_mcap,
+    "plain_mcap": _plain_mcap,
 }
 
 

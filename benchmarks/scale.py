@@ -298,7 +298,7 @@ def _kind(process: psutil.Process) -> str:
     words = " ".join(process.cmdline())
     if "resource_tracker" in words:
         return KINDS[3]
-    return KINDS[2] if "popen_loky" in words else KINDS[1]
+    return KINDS[2] if "import serve" in words else KINDS[1]
 
 
 def _year(folder: Path) -> Part:

@@ -42,6 +42,7 @@ from benchmarks.day_fleets import (
 from benchmarks.results_file import RESULTS, Part, nights_of_history, write_parts
 from benchmarks.whole_runs import (
     Cost,
+    compile_sources,
     elapsed,
     first_night,
     fit_command,
@@ -52,7 +53,7 @@ from benchmarks.whole_runs import (
 )
 
 STORED = RESULTS / "speed.json"
-READERS = {"parquet": "pyarrow_parquet", "csv": "pyarrow_csv", "mcap": "batch_mcap"}
+READERS = {"parquet": "pyarrow_parquet", "csv": "pyarrow_csv", "mcap": "plain_mcap"}
 GOALS = {"parquet": 9.0, "csv": 3.0, "mcap": 1.3}
 # Logs of a fleet in `hundred`, and the most passes over them: each takes some ten minutes.
 HUNDRED, HUNDRED_REPEATS = 100, 3
@@ -84,6 +85,7 @@ def main(options: Sequence[str] = ()) -> None:
     parser.add_argument("--motors", type=int, default=12)
     asked = parser.parse_args(list(options))
     stored = json.loads(STORED.read_text("utf-8")) if STORED.exists() else {}
+    compile_sources()
     for name in asked.only.split(","):
         with tempfile.TemporaryDirectory() as folder:
             begin = time.perf_counter()

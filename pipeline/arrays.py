@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,8 +29,3 @@ def chosen_rows(mask: Mask) -> Mask | slice:
     """
     first, n = int(mask.argmax()) if len(mask) else 0, int(np.count_nonzero(mask))
     return slice(first, first + n) if mask[first : first + n].all() else mask
-
-
-def utc(microseconds: int) -> dt.datetime:
-    """A time stamp as the tables hold it."""
-    return dt.datetime(1970, 1, 1, tzinfo=dt.UTC) + dt.timedelta(microseconds=int(microseconds))

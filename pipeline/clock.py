@@ -1,4 +1,4 @@
-"""The run's clock, by which samples and nights lie too far ahead to be any."""
+"""Times as UTC microseconds since 1970, and the run's clock."""
 
 from __future__ import annotations
 
@@ -10,6 +10,16 @@ EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 FARTHEST_AHEAD = dt.timedelta(days=1)
 
 
+def microseconds(time: dt.datetime) -> int:
+    """A time as UTC microseconds."""
+    return (time - EPOCH) // MICROSECOND
+
+
+def utc(time_us: int) -> dt.datetime:
+    """A time stamp as the tables hold it."""
+    return EPOCH + int(time_us) * MICROSECOND
+
+
 def now() -> dt.datetime:
     """The time of this machine."""
     return dt.datetime.now(dt.UTC)
@@ -17,4 +27,4 @@ def now() -> dt.datetime:
 
 def latest_us(clock: dt.datetime | None = None) -> int:
     """Latest time that a log may hold by a clock, this machine's by default [µs since 1970]."""
-    return ((clock or now()) + FARTHEST_AHEAD - EPOCH) // MICROSECOND
+    return microseconds((clock or now()) + FARTHEST_AHEAD)

@@ -17,8 +17,8 @@ from pipeline.store.views import write_views
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.rows.alarm_rows import alarm_rows
 from pipeline.trends.rows.baseline_rows import baseline_rows, change_point_rows
+from pipeline.trends.rows.q_values import with_q_values
 from pipeline.trends.rows.trend_rows import trend_rows
-from pipeline.trends.stage import with_q_values
 from pipeline.trends.states.standing import Standing
 from tests.pipeline.trends.nights import Nights, motor, named, ramp, reset, standing, step
 

@@ -10,8 +10,6 @@ References
 ----------
 .. [1] P. K. Sen, "Estimates of the regression coefficient based on Kendall's tau", *Journal of the
    American Statistical Association*, 63(324), 1968.
-.. [2] Y. Benjamini and Y. Hochberg, "Controlling the false discovery rate", *Journal of the Royal
-   Statistical Society B*, 57(1), 1995.
 """
 
 from __future__ import annotations
@@ -218,26 +216,6 @@ def theil_sen(position: Array, values: Array) -> float:
     rise = values[second] - values[first]
     apart = run > 0
     return float(np.median(rise[apart] / run[apart]))
-
-
-def benjamini_hochberg(p_values: Array) -> Array:
-    """q-values: the false discovery rate at which each hypothesis would just be told [2]_.
-
-    A p that is nan does not count, and its q is nan.
-
-    Examples
-    --------
-    >>> benjamini_hochberg(np.array([0.01, 0.04, np.nan, 0.03])).round(6).tolist()
-    [0.03, 0.04, nan, 0.04]
-    """
-    q_values = np.full(len(p_values), np.nan)
-    known = np.flatnonzero(np.isfinite(p_values))
-    if not len(known):
-        return q_values
-    order = known[np.argsort(p_values[known], kind="stable")]
-    scaled = p_values[order] * len(order) / np.arange(1, len(order) + 1)
-    q_values[order] = np.minimum(np.minimum.accumulate(scaled[::-1])[::-1], 1.0)
-    return q_values
 
 
 def check_series(nights: Nights, *columns: Array) -> None:

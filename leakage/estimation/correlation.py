@@ -56,7 +56,8 @@ def _products(values: Array, place: NDArray[np.int64], longest_lag: int) -> Arra
     series = np.zeros((1, int(place[-1]) + 1))
     series[0, place] = values
     together = Segments(np.array([0]), np.array([series.shape[1]]))
-    products: Array = lagged_products(series, together, longest_lag, [(0, 0)])[0]
+    own, _ = lagged_products(series, together, longest_lag)
+    products: Array = own[0]
     return products
 
 

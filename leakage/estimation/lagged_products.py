@@ -8,7 +8,8 @@ over all t for which t and t + k lie in the same segment, a stretch of samples w
 sums are exact up to rounding. Segments of about the same length are transformed together, each in
 a row that zeros fill up, and their products are taken in the frequency domain [1]_: the cost is
 that of a few passes over the samples, however many lags and segments there are. A long segment is
-cut into chunks, each with what it reaches ahead and behind.
+cut into pieces that overlap by the longest lag: each pair is within a piece, and those within an
+overlap, which are in two, are taken off once.
 
 References
 ----------
@@ -18,10 +19,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +28,11 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Places = NDArray[np.int64]
 Spectra = NDArray[np.complex128]
-# Length, and the transforms of the samples that chunks own and see, shape (s, c, length // 2 + 1).
-Transforms: TypeAlias = Iterator[tuple[int, Spectra, Spectra]]
 
 # Lengths of transforms: short ones waste time between calls, long ones leave the cache.
-SHORTEST_TRANSFORM, SHORTEST_LONGEST_TRANSFORM = 16, 4096
-# Points of a series that are transformed at a time.
-BATCH_POINTS = 1 << 14
+SHORTEST_TRANSFORM, SHORTEST_LONGEST_TRANSFORM = 16, 1 << 14
+# Points of all series that are transformed at a time.
+BATCH_POINTS = 1 << 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,12 +108,8 @@ class Segments:
 
 
 def lagged_products(
-    series: Array,
-    segments: Segments,
-    longest_lag: int,
-    pairs: Sequence[tuple[int, int]],
-    behind: int = 0,
-) -> Array:
+    series: Array, segments: Segments, longest_lag: int, crossed_lag: int = 0
+) -> tuple[Array, Array]:
     """Sums of products a(t) b(t + k) over pairs within one segment.
 
     Parameters
@@ -127,48 +119,41 @@ def lagged_products(
     segments
         Where the samples have no gap.
     longest_lag
-        Largest lag k [samples].
-    pairs
-        Which series are a and b; a series with itself gives its autocovariance.
-    behind
-        Largest lag of the other sign [samples], not above `longest_lag`.
+        Largest lag k of each series with itself [samples].
+    crossed_lag
+        Largest lag of either sign of the first series with each other one [samples], not above
+        `longest_lag`.
 
     Returns
     -------
-    ndarray
-        For each pair the sums at lags −behind to `longest_lag`, shape (p, behind + 1 +
-        longest_lag); 0 where no pair of samples has that lag.
+    own
+        For each series the sums with itself at lags 0 to `longest_lag`, shape (s, longest_lag + 1);
+        0 where no pair of samples has that lag.
+    crossed
+        For each b but the first series, which is a, the sums at lags −crossed_lag to crossed_lag,
+        shape (s − 1, 2 crossed_lag + 1).
 
     Examples
     --------
-    >>> values = np.array([[1.0, 2, 3, 4, 5]])
-    >>> lagged_products(values, Segments.of(np.array([0, 1, 2, 7, 8])), 2, [(0, 0)]).round(9)
-    array([[55., 28.,  3.]])
+    >>> values = np.array([[1.0, 2, 3, 4, 5], [0, 1, 0, 1, 0]])
+    >>> own, crossed = lagged_products(values, Segments.of(np.array([0, 1, 2, 7, 8])), 2, 1)
+    >>> own.round(9) + 0.0
+    array([[55., 28.,  3.],
+           [ 2.,  0.,  0.]])
+    >>> crossed.round(9) + 0.0
+    array([[8., 6., 1.]])
     """
-    size = SHORTEST_LONGEST_TRANSFORM
-    while size < 4 * (longest_lag + 1):
-        size *= 2
-    is_whole = segments.lengths <= size - behind - longest_lag
-    transforms = chain(
-        _whole(series, segments[is_whole], longest_lag),
-        _cut(series, segments[~is_whole], behind, longest_lag, size),
-    )
-    # Sums over chunks of conj(A) B for each pair, by the length of the transform.
-    spectra: dict[int, Spectra] = {}
-    for length, owned, seen in transforms:
-        spectrum = spectra.setdefault(
-            length, np.zeros((len(pairs), length // 2 + 1), dtype=np.complex128)
-        )
-        for total, (a, b) in zip(spectrum, pairs, strict=True):
-            total += (owned[a].conj() * seen[b]).sum(axis=0)
-    sums = np.zeros((len(pairs), behind + 1 + longest_lag))
-    for length, spectrum in spectra.items():
-        found = np.fft.irfft(spectrum, length)
-        # Of a short transform, one half stands for lags ahead and the other for lags behind.
-        ahead, back = (min(lag, (length - 1) // 2) for lag in (longest_lag, behind))
-        sums[:, behind : behind + ahead + 1] += found[:, : ahead + 1]
-        sums[:, behind - back : behind] += found[:, length - back :]
-    return sums
+    own = np.zeros((len(series), longest_lag + 1))
+    crossed = np.zeros((len(series) - 1, 2 * crossed_lag + 1))
+    pieces, overlaps = _pieces(segments, longest_lag)
+    for sign, some in ((1.0, pieces), (-1.0, overlaps)):
+        for length, (power, product) in _spectra(series, some, longest_lag).items():
+            # Of a short transform, one half stands for lags ahead and the other for lags behind.
+            ahead, reach = (min(lag, (length - 1) // 2) for lag in (longest_lag, crossed_lag))
+            own[:, : ahead + 1] += sign * np.fft.irfft(power, length)[:, : ahead + 1]
+            lags = np.arange(-reach, reach + 1)
+            crossed[:, crossed_lag + lags] += sign * np.fft.irfft(product, length)[:, lags]
+    return own, crossed
 
 
 def products_near_ends(series: Array, segments: Segments, margin: int) -> Array:
@@ -196,7 +181,7 @@ def products_near_ends(series: Array, segments: Segments, margin: int) -> Array:
     """
     lags, own = np.arange(2 * margin + 1), np.arange(margin)[:, None]
     sums = np.zeros((len(series) - 1, len(lags)))
-    step = max(1, BATCH_POINTS // (2 * margin))
+    step = max(1, BATCH_POINTS // (len(series) * 2 * margin))
     for first in range(0, len(segments.begins), step):
         part = segments[first : first + step]
         begins, ends = np.tile(part.begins, 2)[:, None], np.tile(part.ends, 2)[:, None]
@@ -214,43 +199,51 @@ def products_near_ends(series: Array, segments: Segments, margin: int) -> Array:
     return sums
 
 
-def _whole(series: Array, segments: Segments, longest_lag: int) -> Transforms:
-    """Transforms of whole segments, of which those of about one length share a batch."""
+def _pieces(segments: Segments, longest_lag: int) -> tuple[Segments, Segments]:
+    """Segments, of which long ones are cut into overlapping pieces; and the overlaps."""
+    length = SHORTEST_LONGEST_TRANSFORM
+    while length < 4 * (longest_lag + 1):
+        length *= 2
+    longest = length - longest_lag
+    step = longest - longest_lag
+    counts = np.maximum(-((longest_lag - segments.lengths) // step), 1)
+    place = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    begins = np.repeat(segments.begins, counts) + step * place
+    ends = np.minimum(begins + longest, np.repeat(segments.ends, counts))
+    again = begins[place > 0]
+    return Segments(begins, ends - begins), Segments(again, np.full(len(again), longest_lag))
+
+
+def _spectra(
+    series: Array, segments: Segments, longest_lag: int
+) -> dict[int, tuple[Array, Spectra]]:
+    """Sums of |A|², shape (s, f), and conj(A) B, shape (s − 1, f), by length of the transform."""
     order = np.argsort(-segments.lengths)
     needed = segments.lengths + np.minimum(longest_lag, segments.lengths - 1)
+    sums: dict[int, tuple[Array, Spectra]] = {}
     first = 0
     while first < len(order):
         length = _transform_length(int(needed[order[first]]))
-        batch = segments[order[first : first + max(1, BATCH_POINTS // length)]]
-        seen = _transformed(series, length, batch.begins, batch.begins, batch.ends)
-        yield length, seen, seen
+        batch = segments[order[first : first + max(1, BATCH_POINTS // (len(series) * length))]]
+        spectra = _transformed(series, batch, length)
+        shape = len(series) - 1, length // 2 + 1
+        power, product = sums.setdefault(
+            length, (np.zeros((shape[0] + 1, shape[1], 2)), np.zeros(shape, dtype=np.complex128))
+        )
+        product += (spectra[0].conj() * spectra[1:]).sum(axis=1)
+        parts = spectra.view(np.float64)
+        power += np.square(parts, out=parts).sum(axis=1).reshape(power.shape)
         first += len(batch.begins)
+    return {length: (power.sum(axis=2), product) for length, (power, product) in sums.items()}
 
 
-def _cut(series: Array, segments: Segments, behind: int, ahead: int, length: int) -> Transforms:
-    """Transforms of the chunks of long segments, each with the samples that it reaches."""
-    longest, step = length - behind - ahead, max(1, BATCH_POINTS // length)
-    for begin, end in zip(segments.begins, segments.ends, strict=True):
-        for first in range(begin, end, step * longest):
-            begins = np.arange(first, min(first + step * longest, end), longest)
-            seen_from = np.maximum(begins - behind, begin)
-            ends = np.minimum(begins + longest, end)
-            yield (
-                length,
-                _transformed(series, length, seen_from, begins, ends),
-                _transformed(series, length, seen_from, seen_from, np.minimum(ends + ahead, end)),
-            )
-
-
-def _transformed(
-    series: Array, length: int, origins: Places, begins: Places, ends: Places
-) -> Spectra:
-    """Transforms of rows from the origins on, zero outside begins and ends."""
-    rows = np.zeros((len(series), len(begins), length))
-    for row, (origin, begin, end) in enumerate(
-        zip(origins.tolist(), begins.tolist(), ends.tolist(), strict=True)
+def _transformed(series: Array, segments: Segments, length: int) -> Spectra:
+    """Transforms of rows that begin with a segment each, shape (s, rows, length // 2 + 1)."""
+    rows = np.zeros((len(series), len(segments.begins), length))
+    for row, (begin, n) in enumerate(
+        zip(segments.begins.tolist(), segments.lengths.tolist(), strict=True)
     ):
-        rows[:, row, begin - origin : end - origin] = series[:, begin:end]
+        rows[:, row, :n] = series[:, begin : begin + n]
     return np.fft.rfft(rows)
 
 

@@ -59,9 +59,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from leakage.errors import ShapeError, StatisticsError
-from leakage.estimation.lagged_products import Array, Mask, Places
+from leakage.estimation.lagged_products import Array, Mask, Places, Segments
 from leakage.estimation.residual_moments import LONGEST_LAG, ResidualMoments
-from leakage.estimation.validation import ROUNDING, summed_effective_sample_count
+from leakage.estimation.validation import (
+    ROUNDING,
+    lag_one_autocorrelation,
+    summed_effective_sample_count,
+)
 
 # Half-width of a normal 99 % band, and the probability beyond it.
 BAND, LEVEL = 2.576, 0.01
@@ -73,8 +77,6 @@ LEAST_INNER_SHARE = 0.5
 LEAST_EIGENVALUE = 1e-3
 # With fewer samples the statistics are not distributed as they should be.
 FEWEST_SAMPLES = 40 * LONGEST_LAG
-# Inputs that differ from their mean by less than this share of their size do not vary.
-CONSTANT = 1e-12
 # Singular values below this share of the largest are rounding.
 EPSILON = float(np.finfo(np.float64).eps)
 
@@ -156,6 +158,8 @@ class ResidualAnalysis:
     n_effective
         Equivalent number of independent samples, by the sum of the errors' correlations; None if
         the correlation time is too long to be estimated.
+    lag_one_autocorrelation
+        Correlation of each error with the one before it; None where there is no pair, or no spread.
     """
 
     n: int
@@ -163,6 +167,7 @@ class ResidualAnalysis:
     whiteness: LagTest
     independence: Mapping[str, LagTest]
     n_effective: float | None
+    lag_one_autocorrelation: float | None
 
 
 def analyse_residuals(
@@ -219,40 +224,35 @@ def analyse_residuals(
     shapes = {np.shape(one) for one in (error, index, *inputs.values())}
     if len(shapes) > 1 or np.ndim(error) != 1:
         raise ShapeError("shape", f"error, index and inputs must be of one length, got {shapes}")
-    ranges = {name: _range(one) for name, one in inputs.items()}
-    error_range = _range(error)
-    if not np.isfinite([error_range, *ranges.values()]).all():
+    n, segments = len(error), Segments.of(index)
+    # A mean is finite if all values are.
+    means = [float(one.mean()) if n else math.nan for one in (error, *inputs.values())]
+    if n and not np.isfinite(means).all():
         raise StatisticsError("not_finite", "errors or inputs hold a value that is not finite")
-    n = len(error)
-    mean = float(error.mean()) if n else math.nan
-    reason = _untestable(n, error_range, mean, rounding)
+    lag_one = lag_one_autocorrelation(error, segments.begins)
+    reason = _untestable(error, means[0], rounding)
     if reason is not None:
         nothing = _untested(reason)
-        return ResidualAnalysis(n, mean, nothing, dict.fromkeys(inputs, nothing), None)
-    varying = {name: one for name, one in inputs.items() if _varies(*ranges[name])}
-    moments = ResidualMoments.of(error, list(varying.values()), index, correlation_time)
-    tested = {name: _independence(moments, place) for place, name in enumerate(varying)}
+        return ResidualAnalysis(n, means[0], nothing, dict.fromkeys(inputs, nothing), None, lag_one)
+    moments = ResidualMoments.of([error, *inputs.values()], means, segments, correlation_time)
     constant = _untested("the input does not vary")
     return ResidualAnalysis(
         n,
-        mean,
+        means[0],
         _whiteness(moments),
-        {name: tested.get(name, constant) for name in inputs},
+        {
+            name: _independence(moments, place) if varies else constant
+            for place, (name, varies) in enumerate(zip(inputs, moments.varies, strict=True))
+        },
         summed_effective_sample_count(n, moments.error[moments.told]),
+        lag_one,
     )
 
 
-def _range(values: Array) -> tuple[float, float]:
-    """Smallest and largest value; nan if one is nan, 0 without values."""
-    return (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
-
-
-def _untestable(
-    n: int, error_range: tuple[float, float], mean: float, rounding: float
-) -> str | None:
-    if n < FEWEST_SAMPLES:
-        return f"{n} samples, {FEWEST_SAMPLES} are needed"
-    lowest, highest = error_range
+def _untestable(error: Array, mean: float, rounding: float) -> str | None:
+    if len(error) < FEWEST_SAMPLES:
+        return f"{len(error)} samples, {FEWEST_SAMPLES} are needed"
+    lowest, highest = float(error.min()), float(error.max())
     if max(highest - mean, mean - lowest) <= max(rounding, ROUNDING * max(highest, -lowest)):
         return "the errors are rounding"
     return None
@@ -261,10 +261,6 @@ def _untestable(
 def _untested(reason: str) -> LagTest:
     empty = np.empty(0)
     return LagTest(np.empty(0, dtype=np.int64), empty, empty, reason=reason)
-
-
-def _varies(lowest: float, highest: float) -> bool:
-    return highest - lowest > CONSTANT * max(highest, -lowest)
 
 
 def _whiteness(moments: ResidualMoments) -> LagTest:

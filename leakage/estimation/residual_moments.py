@@ -15,7 +15,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from leakage.estimation.lagged_products import (
     Array,
     Mask,
-    Places,
     Segments,
     lagged_products,
     products_near_ends,
@@ -29,6 +28,8 @@ SHORTEST_SUM, CORRELATION_TIMES = 300, 10.0
 LONGEST_SUM_SHARE = 0.25
 # A lag with fewer pairs than this share of the samples goes into no sum and no statistic.
 LEAST_PAIR_SHARE = 0.2
+# Inputs whose deviation is below this share of their mean do not vary.
+CONSTANT = 1e-12
 # Samples that tell whether errors are larger where an input moves; evenly thinned.
 THINNED_SAMPLES = 2_000
 
@@ -43,6 +44,8 @@ class ResidualMoments:
         N_k, shape (longest sum + 51,).
     told
         Whether enough pairs tell of a lag, shape (longest sum + 51,).
+    varies
+        Inputs that vary, shape (inputs,); correlations of the others mean nothing.
     error, inputs
         Autocorrelations at lags from 0, 0 where too few pairs tell; shapes (longest sum + 51,) and
         (inputs, longest sum + 51).
@@ -60,6 +63,7 @@ class ResidualMoments:
 
     pairs: Array
     told: Mask
+    varies: Mask
     error: Array
     inputs: Array
     crossed: Array
@@ -71,36 +75,39 @@ class ResidualMoments:
 
     @classmethod
     def of(
-        cls, error: Array, inputs: Sequence[Array], index: Places, correlation_time: float
+        cls,
+        series: Sequence[Array],
+        means: Sequence[float],
+        segments: Segments,
+        correlation_time: float,
     ) -> ResidualMoments:
-        """Moments of errors and inputs that vary.
+        """Moments of errors that vary, and of inputs.
 
         Parameters
         ----------
-        error, inputs
-            In time order, shape (n,) each.
-        index
-            Place of each sample on an even time base, increasing, shape (n,).
+        series, means
+            Errors and inputs in time order, shape (n,) each, and their means.
+        segments
+            Where the samples have no gap.
         correlation_time
             How long the errors remember [samples], may be infinite.
         """
-        n, count = len(error), 1 + len(inputs)
+        n = segments.n
         longest_sum = int(
             min(max(SHORTEST_SUM, CORRELATION_TIMES * correlation_time), n * LONGEST_SUM_SHARE)
         )
         longest = longest_sum + 2 * LONGEST_LAG
-        segments = Segments.of(index)
         inner = segments.without_ends(LONGEST_LAG)
-        series = np.empty((count, n))
-        for row, values in zip(series, (error, *inputs), strict=True):
-            np.subtract(values, values.mean(), out=row)
-        places = [(one, one) for one in range(count)] + [(0, one) for one in range(1, count)]
-        sums = lagged_products(series, segments, longest, places, behind=LONGEST_LAG)
-        own, crossed = sums[:count, LONGEST_LAG:], sums[count:, : 2 * LONGEST_LAG + 1]
+        centred = np.empty((len(series), n))
+        for row, values, mean in zip(centred, series, means, strict=True):
+            np.subtract(values, mean, out=row)
+        own, crossed = lagged_products(centred, segments, longest, LONGEST_LAG)
         inside = np.zeros_like(crossed)
         if inner.n:
-            inside = crossed - products_near_ends(series, segments, LONGEST_LAG)
+            inside = crossed - products_near_ends(centred, segments, LONGEST_LAG)
         size = np.sqrt(own[:, 0] / n)
+        varies = size > CONSTANT * np.abs(means)
+        size[~varies] = 1.0
         scale = size[0] * size[1:, None]
         pairs = segments.pair_counts(longest)
         told = pairs >= LEAST_PAIR_SHARE * n
@@ -108,17 +115,18 @@ class ResidualMoments:
         thinned = inner.samples(
             np.linspace(0, inner.n - 1, min(THINNED_SAMPLES, inner.n)).round().astype(np.int64)
         )
-        surroundings = sliding_window_view(series[1:], 2 * LONGEST_LAG + 1, axis=1)
+        surroundings = sliding_window_view(centred[1:], 2 * LONGEST_LAG + 1, axis=1)
         return cls(
             pairs=pairs,
             told=told,
+            varies=varies[1:],
             error=own[0],
             inputs=own[1:],
             # The lag of the sums is that of the input behind the error.
             crossed=crossed[:, ::-1] / scale,
             crossed_inside=inside[:, ::-1] / scale,
             inner=inner.pair_counts(2 * LONGEST_LAG),
-            thinned_error=series[0, thinned],
+            thinned_error=centred[0, thinned],
             thinned_inputs=surroundings[:, thinned - LONGEST_LAG],
             longest_sum=longest_sum,
         )

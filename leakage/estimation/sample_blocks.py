@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import chain, groupby
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -232,22 +232,16 @@ def short_blocks_within(
     whole = short_blocks(factors, number)
     if not any(inside):
         return whole
-    size = factors.shape[2] + 1
-    parts = []
-    for place, values in enumerate(inside):
-        if values:
-            part = np.reshape(values, (-1, size)).astype(np.float64)
-            part[:, 0] += number[place]
-            if scale is not None:
-                part[:, 2:] *= np.delete(scale[place], -3)
-        else:
-            means = np.delete(whole.means[place], -3)
-            part = np.array([[number[place], whole.n[place], *means]])
-        parts.append(part)
-    table = np.concatenate(parts)
-    return ShortBlocks(
-        table[:, 1],
-        np.insert(table[:, 2:], -2, 1.0, axis=1),
-        table[:, 0].astype(np.int64),
-        np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
-    )
+    itself = np.column_stack(
+        [np.zeros(len(factors)), whole.n, np.delete(whole.means, -3, axis=1)]
+    ).tolist()
+    parts = [values or own for values, own in zip(inside, itself, strict=True)]
+    table = np.array([*chain.from_iterable(parts)]).reshape(-1, len(itself[0]))
+    stored = np.repeat(np.arange(len(parts)), [len(part) // len(itself[0]) for part in parts])
+    table[:, 0] += number[stored]
+    if scale is not None:
+        # Those of the factors are on the scale already.
+        since = np.where(np.array([*map(bool, inside)])[:, None], np.delete(scale, -3, axis=1), 1.0)
+        table[:, 2:] *= since[stored]
+    means = np.insert(table[:, 2:], -2, 1.0, axis=1)
+    return ShortBlocks(table[:, 1], means, table[:, 0].astype(np.int64), stored)

@@ -142,31 +142,31 @@ def criteria(cost: float, d: int, n: float) -> Criteria:
     return Criteria(fpe, aic, aicc, likelihood + d * math.log(n))
 
 
-def lag_one_autocorrelation(residual: Array, consecutive: NDArray[np.bool_]) -> float | None:
+def lag_one_autocorrelation(residual: Array, begins: NDArray[np.int64]) -> float | None:
     """Correlation of each residual with the one before it in the same stretch of samples.
 
     Parameters
     ----------
     residual
         Prediction errors in time order, shape (n,) [l/min].
-    consecutive
-        Whether sample i + 1 directly follows sample i on the time base, shape (n − 1,).
+    begins
+        First sample of each stretch without a gap, shape (s,).
 
     Returns
     -------
     float or None
         φ̂; None where there is no pair or no spread.
     """
-    apart = np.flatnonzero(~consecutive)
-    pairs = len(consecutive) - len(apart)
+    pairs = len(residual) - len(begins)
     if not pairs:
         return None
-    centred = residual - residual.mean()
+    mean = float(residual.mean())
+    centred = residual - mean
     variance = float(centred @ centred) / len(centred)
     # The mean of equal residuals is off by rounding, which would correlate perfectly.
-    if variance <= (ROUNDING * float(max(residual.max(), -residual.min()))) ** 2:
+    if variance <= (ROUNDING * mean) ** 2:
         return None
-    products = centred[1:] @ centred[:-1] - centred[apart + 1] @ centred[apart]
+    products = centred[1:] @ centred[:-1] - centred[begins[1:]] @ centred[begins[1:] - 1]
     return float(products) / pairs / variance
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
@@ -10,18 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.errors import LeakageError
+from leakage.estimation.block_fit import BlockEstimate
 from leakage.estimation.block_statistics import criterion, merge
-from leakage.estimation.certificate import certify
+from leakage.estimation.certificate import Certificate, certify
+from leakage.estimation.identifiability import Identification
+from leakage.estimation.least_squares import Fit
 from leakage.estimation.multi_start import Parametrisation
+from leakage.estimation.residual_analysis import ResidualAnalysis
 from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
-from leakage.physics.conditions import OperatingConditions
+from leakage.frame.samples import FrameSamples
+from leakage.physics.conditions import PASCALS_PER_BAR, OperatingConditions
 from leakage.physics.motor import path_flows_l_per_min, regressors
 from leakage.physics.paths import Constant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from leakage.frame.result import FrameFit, Part
 
 Array = NDArray[np.float64]
 # Points of a curve over time: more are not seen.
@@ -33,22 +36,21 @@ GAP = 5
 REACH = 2.0
 
 
-def plot(found: FrameFit, ax: Axes | None = None) -> Axes:
+def plot(samples: FrameSamples, parts: NDArray[np.str_], predicted: Array, ax: Axes | None) -> Axes:
     """Measured and predicted flow over time, with the parts."""
     axes = ax or plt.subplots(figsize=(9, 3.5), layout="constrained")[1]
-    samples = found.samples
     step = -(-len(samples.time_us) // MOST_POINTS)
     few = slice(None, None, step)
     time: NDArray[Any] = samples.time_us[few] / SECOND_US
     if samples.on_clock:
         time = samples.time_us[few].astype("datetime64[us]")
     axes.plot(time, samples.measured_l_per_min[few], ".", ms=2, color="0.6", label="measured")
-    predicted, apart = found.predict()[few], np.diff(samples.time_us[few], prepend=0)
     # The line ends where samples are left out.
-    predicted[apart > GAP * step * samples.period_us] = np.nan
-    axes.plot(time, predicted, lw=1, label="predicted")
+    apart = np.diff(samples.time_us[few], prepend=0)
+    line = np.where(apart > GAP * step * samples.period_us, np.nan, predicted[few])
+    axes.plot(time, line, lw=1, label="predicted")
     for part, colour in ((TRAINING, "tab:green"), (VALIDATION, "tab:orange")):
-        inside = found.parts[few] == part
+        inside = parts[few] == part
         if inside.any():
             axes.fill_between(
                 time,
@@ -66,11 +68,12 @@ def plot(found: FrameFit, ax: Axes | None = None) -> Axes:
     return axes
 
 
-def plot_residuals(found: FrameFit, part: Part, axes: Sequence[Axes] | None = None) -> list[Axes]:
+def plot_residuals(
+    tests: ResidualAnalysis, period_s: float, axes: Sequence[Axes] | None
+) -> list[Axes]:
     """Autocorrelation of the errors, and their correlation with each input, with 99 % bands."""
-    tests = found.residual_tests(part)
     panels = {"errors": tests.whiteness, **tests.independence}
-    found_axes, period_s = _panels(axes, len(panels)), found.samples.period_us / SECOND_US
+    found_axes = _panels(axes, len(panels))
     for ax, (name, test) in zip(found_axes, panels.items(), strict=True):
         ax.axhline(0.0, color="0.7", lw=0.8)
         ax.set(title=f"{name.replace('_', ' ')}: {test.verdict.replace('_', ' ')}")
@@ -86,51 +89,50 @@ def plot_residuals(found: FrameFit, part: Part, axes: Sequence[Axes] | None = No
 
 
 def plot_leakage(
-    found: FrameFit, temperature_c: float | None, speed_rpm: float | None, ax: Axes | None = None
+    fit: Fit, at: OperatingConditions, half_widths: Callable[..., Array], ax: Axes | None
 ) -> Axes:
     """Leakage by path over pressure, with the band of the sum: samples, model, sensors."""
     axes = ax or plt.subplots(figsize=(7, 4), layout="constrained")[1]
-    samples, charge = found.samples, found.samples.charge_over_case_bar
-    celsius = float(samples.oil_temperature_c.mean()) if temperature_c is None else temperature_c
-    rpm = float(samples.speed_rpm.mean()) if speed_rpm is None else speed_rpm
-    bar = np.linspace(*found.blocks.excitation.pressure_bar, CURVE_POINTS)
-    at = OperatingConditions.from_bar(
-        bar, celsius, rpm, None if charge is None else float(charge.mean())
-    )
-    theta = found.estimate.fit.coefficients
-    flows = path_flows_l_per_min(found.motor, at, found.estimate.fit.coefficients_by_path)
-    leaking = [path.name for path in found.motor.paths if not isinstance(path, Constant)]
+    bar = at.pressure_difference_pa / PASCALS_PER_BAR
+    flows = path_flows_l_per_min(fit.motor, at, fit.coefficients_by_path)
+    leaking = [path.name for path in fit.motor.paths if not isinstance(path, Constant)]
     labels = [name.replace("_", " ") for name in leaking]
     axes.stackplot(bar, [flows[name] for name in leaking], labels=labels, alpha=0.5)
-    rows = regressors(found.motor, at)
-    total = rows[:, :-2] @ theta[:-1] + rows[:, -1]
-    half = found.total_half_widths(rows, at)
+    rows = regressors(fit.motor, at)
+    total = rows[:, :-2] @ fit.coefficients[:-1] + rows[:, -1]
+    half = half_widths(rows, at)
     axes.plot(bar, total, color="black", lw=1.2, label="sum")
     axes.fill_between(bar, total - half, total + half, color="black", alpha=0.3, lw=0)
     axes.set(
         xlabel="pressure difference [bar]",
         ylabel="leakage [l/min]",
-        title=f"{celsius:.1f} °C, {rpm:.0f} rpm; band: total ±",
+        title=f"{at.oil_temperature_c[0]:.1f} °C, {at.speed_rpm[0]:.0f} rpm; band: total ±",
     )
     _legend_beside(axes)
     return axes
 
 
-def plot_profile(found: FrameFit, axes: Sequence[Axes] | None = None) -> list[Axes]:
+def plot_profile(
+    estimate: BlockEstimate, identification: Identification, axes: Sequence[Axes] | None
+) -> list[Axes]:
     """Profile of the criterion over each coefficient, in units of its interval.
 
     The others are fitted anew at each value, within their bounds. The scale is that of the
     interval: at its limits the curve is at 1, as far as no bound is in the way.
     """
-    places = found.free_places
-    if not places:
+    parametrisation = Parametrisation.of(estimate.fit.motor)
+    lower, upper = parametrisation.coefficient_bounds()
+    best, whole = estimate.fit.certificate, merge(estimate.whitened)
+    paths = {
+        place: path
+        for place, path in enumerate(parametrisation.paths)
+        if path is not None and not best.fixed[place]
+    }
+    if not paths:
         raise LeakageError("motor_paths", "nothing of this motor is estimated")
-    panels = _panels(axes, len(places))
-    whole = merge(found.estimate.whitened)
-    lower, upper = Parametrisation.of(found.motor).coefficient_bounds()
-    best = found.estimate.fit.certificate
-    for ax, place in zip(panels, places, strict=True):
-        path, judged = found.paths[place], found.identification.coefficients[place]
+    panels = _panels(axes, len(paths))
+    for ax, (place, path) in zip(panels, paths.items(), strict=True):
+        judged = identification.coefficients[place]
         value = float(best.coefficients[place])
         told = judged.information
         ax.set(title=f"{path.coefficient_name}: {judged.verdict.replace('_', ' ')}")
@@ -142,7 +144,7 @@ def plot_profile(found: FrameFit, axes: Sequence[Axes] | None = None) -> list[Ax
         rise = np.array([_cost(whole, lower, upper, place, one) for one in grid])
         rise -= criterion(whole, best.coefficients)
         free = np.eye(len(lower))[place]
-        scale = _rise_at(whole, found, free, told.half_width) if told is not None else 1.0
+        scale = _rise_at(whole, best, free, told.half_width) if told is not None else 1.0
         ax.plot(grid, rise / scale)
         if told is not None:
             ax.axvspan(value - told.half_width, value + told.half_width, alpha=0.15, lw=0)
@@ -159,11 +161,10 @@ def _cost(whole: Array, lower: Array, upper: Array, place: int, value: float) ->
     return certify(whole, lower, upper).cost
 
 
-def _rise_at(whole: Array, found: FrameFit, free: Array, half_width: float) -> float:
+def _rise_at(whole: Array, best: Certificate, free: Array, half_width: float) -> float:
     """Rise of the unbounded criterion at the limit of an interval."""
-    fixed = found.estimate.fit.certificate.fixed
     columns = whole[:, :-2]
-    others = columns[:, ~fixed & (free == 0.0)]
+    others = columns[:, ~best.fixed & (free == 0.0)]
     own = columns @ free
     scale = np.linalg.norm(others, axis=0)
     others = others[:, scale > 0.0] / scale[scale > 0.0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -98,11 +98,6 @@ class FrameFit:
         """Path of each coefficient by its place in θ."""
         paths = Parametrisation.of(self.motor).paths
         return {at: path for at, path in enumerate(paths) if path is not None}
-
-    @property
-    def free_places(self) -> list[int]:
-        """Places in θ of the coefficients that are estimated."""
-        return np.flatnonzero(~self.estimate.fit.certificate.fixed).tolist()
 
     @property
     def params(self) -> dict[str, float]:
@@ -200,7 +195,7 @@ class FrameFit:
             self.estimate.fit, self.identification, self.blocks.excitation, at, systematic
         )
 
-    def total_half_widths(self, rows: Array, at: OperatingConditions) -> Array:
+    def _total_half_widths(self, rows: Array, at: OperatingConditions) -> Array:
         """Total ± of the leakage at some conditions, by their regressors [l/min]; nan: unknown."""
         contrasts = np.column_stack([rows[:, :-2], np.zeros(len(rows))])
         told = self.identification.distribution
@@ -214,7 +209,8 @@ class FrameFit:
 
     def judged(self) -> FrameFit:
         """The fit with what the model and the sensors can do to its coefficients."""
-        free, beside = self.free_places, np.zeros_like(self.beside_samples)
+        free = np.flatnonzero(~self.estimate.fit.certificate.fixed).tolist()
+        beside = np.zeros_like(self.beside_samples)
         beside[free] = self._model_errors(np.eye(len(beside))[free], COEFFICIENT_FACTOR)
         sensors = self._sensors().coefficients()
         if sensors is not None:
@@ -316,31 +312,26 @@ class FrameFit:
 
     def columns(self) -> dict[str, list[Any]]:
         """Estimates as columns, one row a coefficient."""
-        return {name: list(values) for name, values in self._columns()}
-
-    def _columns(self) -> Iterator[tuple[str, Any]]:
-        paths, intervals = self.paths, list(self.conf_int().values())
-        judged = list(self.judgements.values())
-        halves = [
-            one.information.half_width if one.interval and one.information else None
-            for one in judged
+        paths, intervals = self.paths.values(), self.conf_int().values()
+        judged = self.judgements.values()
+        totals = [
+            math.hypot(one.information.half_width, self.beside_samples[at])
+            if one.interval and one.information
+            else None
+            for at, one in zip(self.paths, judged, strict=True)
         ]
-        yield "parameter", (path.coefficient_name for path in paths.values())
-        yield "path", (path.name for path in paths.values())
-        yield "unit", (path.coefficient_unit for path in paths.values())
-        yield "value", self.params.values()
-        yield "lower", (None if one is None else one[0] for one in intervals)
-        yield "upper", (None if one is None else one[1] for one in intervals)
-        yield (
-            "total_half_width",
-            (
-                None if half is None else math.hypot(half, self.beside_samples[at])
-                for at, half in zip(paths, halves, strict=True)
-            ),
-        )
-        yield "configured", (path.configured_coefficient for path in paths.values())
-        yield "verdict", (one.verdict for one in judged)
-        yield "reason", (one.reason for one in judged)
+        return {
+            "parameter": [path.coefficient_name for path in paths],
+            "path": [path.name for path in paths],
+            "unit": [path.coefficient_unit for path in paths],
+            "value": list(self.params.values()),
+            "lower": [None if one is None else one[0] for one in intervals],
+            "upper": [None if one is None else one[1] for one in intervals],
+            "total_half_width": totals,
+            "configured": [path.configured_coefficient for path in paths],
+            "verdict": [one.verdict for one in judged],
+            "reason": [one.reason for one in judged],
+        }
 
     def to_polars(self) -> pl.DataFrame:
         """The estimates as a frame of Polars."""
@@ -354,7 +345,7 @@ class FrameFit:
         """Measured and predicted flow over time, with the parts."""
         from leakage.frame import plots
 
-        return plots.plot(self, ax)
+        return plots.plot(self.samples, self.parts, self.predict(), ax)
 
     def plot_residuals(
         self, part: Part = "validation", axes: Sequence[Axes] | None = None
@@ -362,7 +353,8 @@ class FrameFit:
         """Autocorrelation of the errors, and their correlation with each input, with 99 % bands."""
         from leakage.frame import plots
 
-        return plots.plot_residuals(self, part, axes)
+        period_s = self.samples.period_us / SECOND_US
+        return plots.plot_residuals(self.residual_tests(part), period_s, axes)
 
     def plot_leakage(
         self,
@@ -373,13 +365,20 @@ class FrameFit:
         """Leakage by path over pressure, with the total ± of the sum; at the means by default."""
         from leakage.frame import plots
 
-        return plots.plot_leakage(self, temperature_c, speed_rpm, ax)
+        samples, charge = self.samples, self.samples.charge_over_case_bar
+        at = OperatingConditions.from_bar(
+            np.linspace(*self.blocks.excitation.pressure_bar, plots.CURVE_POINTS),
+            samples.oil_temperature_c.mean() if temperature_c is None else temperature_c,
+            samples.speed_rpm.mean() if speed_rpm is None else speed_rpm,
+            None if charge is None else charge.mean(),
+        )
+        return plots.plot_leakage(self.estimate.fit, at, self._total_half_widths, ax)
 
     def plot_profile(self, axes: Sequence[Axes] | None = None) -> list[Axes]:
         """Profile of the criterion over each coefficient that is estimated."""
         from leakage.frame import plots
 
-        return plots.plot_profile(self, axes)
+        return plots.plot_profile(self.estimate, self.identification, axes)
 
 
 def columns_of(motor: Motor, samples: FrameSamples) -> Array:

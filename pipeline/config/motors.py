@@ -12,13 +12,14 @@ from pydantic import AwareDatetime, Field
 from leakage import Constant, Parameter
 from leakage.estimation.sample_blocks import ChosenPeriods, Stretch
 from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
+from pipeline.clock import microseconds
 from pipeline.config.channels import NEVER_CONSTANT, Channel, ChannelName, channel_faults
 from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import field_path
 from pipeline.config.logs import Logs
-from pipeline.config.nights import Night, microseconds
+from pipeline.config.nights import Night
 from pipeline.config.oil_samples import OilSample, order_faults
-from pipeline.config.section import Id, NonNegative, Section
+from pipeline.config.section import Id, NonNegative, Section, left_out
 
 
 class Event(Section):
@@ -128,9 +129,9 @@ class MotorFile(Section):
     """The log files."""
     channels: dict[ChannelName, Channel]
     """Where each channel stands in the log."""
-    flushing: FlushingTable = FlushingTable()
+    flushing: FlushingTable = left_out()
     """Flow added before the sensor."""
-    periods: Periods = Periods()
+    periods: Periods = left_out()
     """Training and validation set by hand."""
     events: tuple[Event, ...] = ()
     """Dated events; they start a new baseline."""

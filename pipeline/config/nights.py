@@ -40,11 +40,6 @@ def _end_us(date: dt.date, nights: Nights) -> int:
     return int(local.timestamp()) * 1_000_000
 
 
-def microseconds(time: dt.datetime) -> int:
-    """A time as UTC microseconds."""
-    return (time - dt.datetime(1970, 1, 1, tzinfo=dt.UTC)) // dt.timedelta(microseconds=1)
-
-
 def night_of(time_us: int, nights: Nights) -> dt.date:
     """Label of the night in which a moment lies [µs since 1970].
 

@@ -16,7 +16,7 @@ from pipeline.config import Channel, MotorFile
 from pipeline.demo.mcap_writer import mcap_bytes
 from pipeline.demo.noise import FloatArray
 from pipeline.demo.sensors import Recording
-from pipeline.units import conversion
+from pipeline.units import from_canonical
 
 STAMP_FORMAT: Final = "%Y-%m-%dT%H:%M:%S%.3fZ"
 
@@ -41,8 +41,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def as_logged(channel: str, values: FloatArray, source: Channel) -> FloatArray:
     """Values as the log holds them: the inverse of what the reader does."""
-    numerator, denominator, shift = conversion(channel, source.unit)
-    in_unit = values * denominator / numerator - shift
+    in_unit = from_canonical(channel, values, source.unit)
     return np.round((in_unit - source.offset) / source.scale, 6) + 0.0  # no -0.0
 
 

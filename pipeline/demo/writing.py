@@ -7,15 +7,15 @@ import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NoReturn
 
-from joblib import Parallel, delayed
-
-from pipeline.config import MotorSpec, load_fleet
+from pipeline.config import Execution, MotorSpec, load_fleet
 from pipeline.demo.fleet import DEMO_FLEET, DemoNight, Plan, truth_document
 from pipeline.demo.log_writers import replacing, write_log
 from pipeline.demo.recording import record_night
-from pipeline.errors import UsageError
+from pipeline.errors import EngineError, UsageError
+from pipeline.workers.local import run_tasks
+from pipeline.workers.process import Loss
 
 # Says that a folder is ours to clear.
 MARKER: Final = ".motor-leakage-demo"
@@ -169,24 +169,25 @@ def _write_logs(
     logs: Path, nights: Sequence[DemoNight], workers: int, progress: Progress | None
 ) -> None:
     """Write all logs, some nights a task."""
-    parallel = Parallel(
-        n_jobs=workers,
-        backend="sequential" if workers == 1 else "loky",
-        return_as="generator_unordered",
-    )
-    tasks = (
-        delayed(_write_nights)(logs, nights[first : first + NIGHTS_A_TASK])
+    limits = Execution(workers=workers, backend="sequential" if workers == 1 else "loky")
+    tasks = [
+        (logs, nights[first : first + NIGHTS_A_TASK])
         for first in range(0, len(nights), NIGHTS_A_TASK)
-    )
+    ]
     written = 0
-    for files in parallel(tasks):
+    for files in run_tasks(_write_nights, tasks, _lost, limits):
         written += files
         if progress is not None:
             progress(written, len(nights))
 
 
-def _write_nights(logs: Path, nights: Sequence[DemoNight]) -> int:
+def _lost(_: object, loss: Loss) -> NoReturn:
+    raise EngineError(loss.code, f"the demo's logs cannot be written: {loss.how}")
+
+
+def _write_nights(task: tuple[Path, Sequence[DemoNight]]) -> int:
     """Write the logs of some nights; a task of one worker."""
+    logs, nights = task
     for night in nights:
         motor = night.spec.file
         name = f"{motor.motor_id}_{night.label}.{motor.logs.format}"

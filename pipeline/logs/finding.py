@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from pipeline.errors import one_line
-from pipeline.workers.process import asking, tell, told_alive
+from pipeline.workers.process import asking, told_alive
 
 # Size, time of the last change [ns] and inode.
 State = tuple[int, int, int]
@@ -99,11 +99,9 @@ def states_of(root: Path, patterns: Iterable[str]) -> dict[str, State] | None:
     return None if absent else found
 
 
-def answer(end: int) -> None:
+def answer(run: Connection) -> None:
     """Answer each (root, patterns) that comes from a run with the states of these logs."""
-    connection = Connection(end)
-    tell(connection)
     with suppress(EOFError, OSError):
         while True:
-            root, patterns = connection.recv()
-            connection.send(states_of(root, patterns))
+            root, patterns = run.recv()
+            run.send(states_of(root, patterns))

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.clock import EPOCH, FARTHEST_AHEAD, MICROSECOND, latest_us
+from pipeline.clock import FARTHEST_AHEAD, MICROSECOND, latest_us, utc
 from pipeline.config import MotorSpec
 from pipeline.config.databases import END, START, Database
 from pipeline.config.logs import Logs
@@ -229,7 +229,7 @@ def between(sql: str, start_us: int, end_us: int) -> str:
 
 
 def _stamp(time_us: int) -> str:
-    return f"TIMESTAMPTZ '{EPOCH + time_us * MICROSECOND}'"
+    return f"TIMESTAMPTZ '{utc(time_us)}'"
 
 
 def _database(spec: MotorSpec) -> Database:

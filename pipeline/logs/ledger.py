@@ -191,7 +191,9 @@ def _read_month(path: Path) -> Ledger:
     return Ledger(files, nights)
 
 
-def write_months(output: Path, motor_id: str, months: Mapping[str, Ledger]) -> None:
+def write_months(
+    output: Path, motor_id: str, months: Mapping[str, Ledger], *, durable: bool = True
+) -> None:
     """Write some months of a motor's ledger; raises as `put_sealed`."""
     for month, ledger in months.items():
         document: dict[str, Any] = {
@@ -200,7 +202,8 @@ def write_months(output: Path, motor_id: str, months: Mapping[str, Ledger]) -> N
                 label.isoformat(): asdict(record) for label, record in sorted(ledger.nights.items())
             },
         }
-        put_sealed(ledger_folder(output, motor_id) / f"{month}.json", document)
+        path = ledger_folder(output, motor_id) / f"{month}.json"
+        put_sealed(path, document, durable=durable)
 
 
 def settings_file(output: Path, motor_id: str) -> Path:
@@ -208,10 +211,9 @@ def settings_file(output: Path, motor_id: str) -> Path:
     return ledger_folder(output, motor_id) / "settings"
 
 
-def read_settings(output: Path, motor_id: str) -> dict[str, str]:
-    """Settings of a motor's last run by dotted key; empty without a record."""
-    document = read_if_whole(settings_file(output, motor_id), unseal) or {}
-    return {str(key): str(value) for key, value in document.items()}
+def read_settings(output: Path, motor_id: str) -> dict[str, Any]:
+    """Settings of a motor's last run, as `settings_of` has them; empty without a record."""
+    return read_if_whole(settings_file(output, motor_id), unseal) or {}
 
 
 def as_published(output: Path, spec: MotorSpec) -> MotorSpec:
@@ -220,9 +222,11 @@ def as_published(output: Path, spec: MotorSpec) -> MotorSpec:
     return replace(spec, roller_is_free=is_free)
 
 
-def write_settings(output: Path, motor_id: str, settings: Mapping[str, str]) -> None:
+def write_settings(
+    output: Path, motor_id: str, settings: Mapping[str, Any], *, durable: bool = True
+) -> None:
     """Keep the settings of a motor's run, to name changes in the next; raises as `put_sealed`."""
-    put_sealed(settings_file(output, motor_id), settings)
+    put_sealed(settings_file(output, motor_id), settings, durable=durable)
 
 
 def forget_nights(

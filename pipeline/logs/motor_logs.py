@@ -12,7 +12,7 @@ from typing import Any
 
 from polars.exceptions import PanicException
 
-from pipeline.arrays import utc
+from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import reading_hash
 from pipeline.config.nights import Night, night_of, nights_between

@@ -17,10 +17,10 @@ from typing import Any
 
 import polars as pl
 
-from pipeline.arrays import SECOND_US, utc
-from pipeline.clock import EPOCH, MICROSECOND, latest_us, now
+from pipeline.arrays import SECOND_US
+from pipeline.clock import latest_us, microseconds, now, utc
 from pipeline.config import Fleet, MotorSpec
-from pipeline.config.hashes import config_hash, hash_of
+from pipeline.config.hashes import config_hash, hash_of, own_version
 from pipeline.errors import MotorLeakageError, StoreError
 from pipeline.look.baseline import baseline_of
 from pipeline.look.motor import Change, change_within, looked_at, without_baseline
@@ -38,7 +38,6 @@ from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import circuits_of, decisions_of
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.trend_record import read_record
-from pipeline.versions import own_version
 from pipeline.workers.process import one_thread
 
 log = logging.getLogger(__name__)
@@ -54,22 +53,12 @@ WHAT_TO_DO = "look at the motor and its drain filter now, and compare the drain 
 
 @dataclass(frozen=True, slots=True)
 class MotorLook:
-    """Result of a look at a motor.
-
-    Attributes
-    ----------
-    motor_id, state
-        The motor, and its state after it.
-    rows
-        New rows of `looks`, without ``run_id``.
-    fault
-        Why it could not be looked at; empty where it was.
-    """
+    """Result of a look at a motor."""
 
     motor_id: str
-    state: LookState
-    rows: tuple[Row, ...] = ()
-    fault: str = ""
+    state: LookState  # after it
+    rows: tuple[Row, ...] = ()  # new rows of `looks`, without ``run_id``
+    fault: str = ""  # why it could not be looked at; empty where it was
 
 
 def look_at_fleet(
@@ -79,12 +68,7 @@ def look_at_fleet(
 
     Its logs lie in a folder. The looks are sorted by motor.
 
-    Raises
-    ------
-    LockedError
-        If another look is under way.
-    StoreError
-        If nothing can be published.
+    Raises LockedError if another look is under way; StoreError if nothing can be published.
     """
     output, receivers = fleet.output, receivers_of(fleet.settings.alarms)
     wanted = [one for one in fleet.motors if not motors or one.motor_id in motors]
@@ -143,7 +127,7 @@ def _looked_at(
             state, changes = without_baseline(spec, before, str(baseline), last_night)
             return state, changes, ""
         state, given = verdicts(output, spec, baseline, before, record.last_night)
-        now_us = (clock - EPOCH) // MICROSECOND
+        now_us = microseconds(clock)
         state, changes = looked_at(
             spec, baseline, state, record.last_night, now_us, latest_us(clock)
         )
@@ -214,10 +198,7 @@ def _change_since(rise: Rise, state: LookState) -> float | None:
 def publish_looks(output: Path, rows: Sequence[Row], run_id: str) -> None:
     """Publish rows of `looks`: a file a day, with a manifest that no nightly run writes.
 
-    Raises
-    ------
-    StoreError
-        If they cannot be published.
+    Raises StoreError if they cannot be published.
     """
     by_day: defaultdict[dt.date, list[Row]] = defaultdict(list)
     for row in rows:

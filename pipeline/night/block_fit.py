@@ -6,7 +6,7 @@ import datetime as dt
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -95,9 +95,6 @@ class BlockFit:
         without such a curve.
     memory_s
         Time over which the training errors forget [s]; it needs samples, nan without.
-    prediction_error
-        Prediction errors of all samples by the training fit [l/min], shape (n,); empty without
-        samples.
     residuals
         Residual analyses of training and validation samples; empty without samples.
     """
@@ -120,7 +117,6 @@ class BlockFit:
     errors: Mapping[str, ErrorParts]
     roller: RollerScale | None = None
     memory_s: float = math.nan
-    prediction_error: Array = field(default_factory=lambda: np.empty(0))
     residuals: tuple[PartResiduals, ...] = ()
 
 

@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import LeakageError, Motor, OperatingConditions, regressors
-from leakage.estimation.correlation import memory_s
-from leakage.estimation.sample_blocks import TRAINING
 from leakage.estimation.sensitivities import ErrorBudget, error_budget
-from pipeline.arrays import chosen_rows
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit, conditions, fit_stored_blocks
 from pipeline.night.parameter_rows import Row, sensitivity_rows
-from pipeline.night.residuals import ROUNDING, night_residuals
+from pipeline.night.residuals import night_residuals
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.tolerances import assumed_sensors, tolerances
@@ -44,12 +41,8 @@ def fit_modes(
         motor = spec.stated.motor(night, mode)
         budget = _budget(spec, statistics, motor, at, night)
         sensitivities = sensitivity_rows(motor, budget, assumed_sensors(spec))
-        found = fit_stored_blocks(
-            spec, night, mode, blocks, at, statistics.inflation, sensitivities
-        )
-        error = statistics.error_of(found.stated.training.coefficients)
-        memory_s = _memory_s(statistics, error)
-        fits.append(replace(found, memory_s=memory_s, prediction_error=error))
+        inflation = statistics.inflation
+        fits.append(fit_stored_blocks(spec, night, mode, blocks, at, inflation, sensitivities))
         rows += [{"flushing_mode": mode} | row for row in sensitivities]
     return tuple(fits), rows
 
@@ -57,32 +50,13 @@ def fit_modes(
 def with_residuals(
     spec: MotorSpec, statistics: NightStatistics, modes: tuple[BlockFit, ...]
 ) -> tuple[BlockFit, ...]:
-    """Fits with the analyses of what they leave unexplained."""
-    smoothing = spec.settings.smoothing
-    return tuple(
-        replace(
-            mode,
-            residuals=night_residuals(
-                statistics,
-                mode.stated.training.coefficients,
-                mode.prediction_error,
-                mode.memory_s,
-                smoothing,
-            ),
-        )
-        for mode in modes
-    )
-
-
-def _memory_s(statistics: NightStatistics, error: Array) -> float:
-    """Time over which the prediction errors of the training samples forget [s]."""
-    samples, rows = statistics.samples, chosen_rows(statistics.rows_of(TRAINING))
-    return memory_s(
-        error[rows],
-        samples.index[rows],
-        samples.period_us / 1e6,
-        ROUNDING * float(np.abs(samples.leakage_l_per_min).max()),
-    )
+    """Fits with the memory of their errors, and the analyses of what they leave unexplained."""
+    smoothing, fits = spec.settings.smoothing, []
+    for mode in modes:
+        theta = mode.stated.training.coefficients
+        memory_s, residuals = night_residuals(statistics, theta, smoothing)
+        fits.append(replace(mode, memory_s=memory_s, residuals=residuals))
+    return tuple(fits)
 
 
 def transport_delays_s(

@@ -168,10 +168,11 @@ def _far_from_median(value: Values, half: int, floor: float) -> Mask:
     far = np.empty(n, dtype=np.bool_)
     for begin in range(0, n, CACHED):
         part = value[begin : begin + CACHED + 2 * half]
+        high, low = part + floor, part - floor
         not_below, not_above = np.zeros((2, len(part)), dtype=np.min_scalar_type(2 * half))
         for lag in range(1, half + 1):
-            step = part[lag:] - part[:-lag]
-            rises, falls = (step <= floor).view(np.uint8), (step >= -floor).view(np.uint8)
+            rises = (part[lag:] <= high[:-lag]).view(np.uint8)
+            falls = (part[lag:] >= low[:-lag]).view(np.uint8)
             not_below[lag:] += rises
             not_below[:-lag] += falls
             not_above[lag:] += falls

@@ -51,10 +51,11 @@ def residual_columns(residuals: Sequence[PartResiduals]) -> Row:
     for part, prefix in ((TRAINING, ""), (VALIDATION, "validation_")):
         one = fitted[part]
         columns[f"{prefix}n_effective"] = effective_sample_count(
-            one.analysis.n, one.lag_one_autocorrelation
+            one.analysis.n, one.analysis.lag_one_autocorrelation
         )
         columns[f"{prefix}n_effective_summed"] = one.analysis.n_effective
-    return columns | {"lag_one_autocorrelation": fitted[TRAINING].lag_one_autocorrelation}
+    training = fitted[TRAINING].analysis
+    return columns | {"lag_one_autocorrelation": training.lag_one_autocorrelation}
 
 
 def _tests(residuals: Sequence[PartResiduals]) -> Iterator[tuple[Row, LagTest]]:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.estimation.correlation import memory_s
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from leakage.estimation.smoothing import smooth
-from leakage.estimation.validation import lag_one_autocorrelation
 from pipeline.arrays import chosen_rows
 from pipeline.config import Smoothing
 from pipeline.night.statistics import NightStatistics
@@ -34,28 +34,26 @@ class PartResiduals:
         Whether columns and inputs were smoothed as for the fit.
     analysis
         What was found.
-    lag_one_autocorrelation
-        Correlation of each error with the one before it; None where there is no pair, or no spread.
     """
 
     part: str
     smoothed: bool
     analysis: ResidualAnalysis
-    lag_one_autocorrelation: float | None
 
 
 def night_residuals(
-    statistics: NightStatistics,
-    coefficients: Array,
-    fitted_error: Array,
-    correlation_time_s: float,
-    smoothing: Smoothing,
-) -> tuple[PartResiduals, ...]:
-    """Residual analyses of a fit: of training and validation, unsmoothed and, if any, smoothed.
+    statistics: NightStatistics, coefficients: Array, smoothing: Smoothing
+) -> tuple[float, tuple[PartResiduals, ...]]:
+    """Memory of the training errors [s], and residual analyses of training and validation.
 
-    `fitted_error` are the errors of all samples in the columns that were fitted.
+    The analyses are of unsmoothed columns and, if the fit's were smoothed, of those after them.
     """
     samples = statistics.samples
+    parts = {part: chosen_rows(statistics.rows_of(part)) for part in (TRAINING, VALIDATION)}
+    rounding = ROUNDING * float(np.abs(samples.leakage_l_per_min).max())
+    period_s, training = samples.period_us / 1e6, parts[TRAINING]
+    fitted_error = statistics.error_of(coefficients)
+    memory = memory_s(fitted_error[training], samples.index[training], period_s, rounding)
     driving = statistics.conditions
     inputs = [
         driving.pressure_difference_pa,
@@ -67,18 +65,15 @@ def night_residuals(
         unsmoothed = statistics.unsmoothed @ -np.concatenate([coefficients, (1.0, -1.0)])
         columns = [(False, unsmoothed, inputs)]
         columns.append((True, fitted_error, _smoothed(inputs, statistics, smoothing)))
-    memory = correlation_time_s * 1e6 / samples.period_us
-    rounding = ROUNDING * float(np.abs(samples.leakage_l_per_min).max())
     found = []
     for smoothed, error, seen in columns:
-        for part in (TRAINING, VALIDATION):
-            rows = chosen_rows(statistics.rows_of(part))
-            chosen, index = error[rows], samples.index[rows]
+        for part, rows in parts.items():
             by_name = {name: one[rows] for name, one in zip(INPUTS, seen, strict=True)}
-            analysis = analyse_residuals(chosen, by_name, index, memory, rounding)
-            lag_one = lag_one_autocorrelation(chosen, np.diff(index) == 1)
-            found.append(PartResiduals(part, smoothed, analysis, lag_one))
-    return tuple(found)
+            analysis = analyse_residuals(
+                error[rows], by_name, samples.index[rows], memory / period_s, rounding
+            )
+            found.append(PartResiduals(part, smoothed, analysis))
+    return memory, tuple(found)
 
 
 def _smoothed(

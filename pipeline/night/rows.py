@@ -16,7 +16,7 @@ from leakage.estimation.model_verdict import LowSide, model_verdict, verdict_in_
 from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from leakage.estimation.validation import Agreement, agreement, criteria
-from pipeline.arrays import utc
+from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit, in_form
 from pipeline.night.fit import transport_delays_s

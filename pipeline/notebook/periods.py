@@ -6,14 +6,13 @@ import datetime as dt
 from pathlib import Path
 
 from leakage.frame.result import FrameFit
+from pipeline.clock import microseconds, utc
 from pipeline.config import Fleet, Nights
 from pipeline.config.nights import night, night_of, nights_between
 from pipeline.errors import UsageError
 from pipeline.notebook.preparing import Prepared, motor_of, prepare_nights
 
 Moments = tuple[dt.datetime, dt.datetime]
-EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
-MICROSECOND = dt.timedelta(microseconds=1)
 
 
 def fit_periods(
@@ -58,8 +57,7 @@ def _period(text: str, nights: Nights) -> Moments:
     begin, _, end = text.partition("..")
     try:
         first, last = (dt.date.fromisoformat(part) for part in (begin, end))
-        here = night(first, nights).start_us, night(last, nights).end_us
-        found = (EPOCH + here[0] * MICROSECOND, EPOCH + here[1] * MICROSECOND)
+        found = (utc(night(first, nights).start_us), utc(night(last, nights).end_us))
     except ValueError:
         try:
             found = (_moment(begin), _moment(end))
@@ -78,5 +76,5 @@ def _moment(text: str) -> dt.datetime:
 
 
 def _labels(period: Moments, nights: Nights) -> list[dt.date]:
-    first, last = ((moment - EPOCH) // MICROSECOND for moment in period)
+    first, last = map(microseconds, period)
     return nights_between(night_of(first, nights), night_of(last - 1, nights))

@@ -184,19 +184,17 @@ def _leakage(fit: Row) -> Iterator[str]:
 
 
 def _figure(fit: Row, name: str) -> str:
-    """Value with its interval and its systematic ±, as far as there are any."""
+    """Value with its interval and its total ±, as far as there are any."""
     text = f"{fit[f'{name}_l_per_min']:.4g} l/min"
     if fit[f"{name}_lower"] is not None:
         text += f" [{fit[f'{name}_lower']:.4g}, {fit[f'{name}_upper']:.4g}]"
-    if fit[f"{name}_systematic"] is not None:
-        text += f" ± {fit[f'{name}_systematic']:.2g} from stated tolerances"
     if fit[f"{name}_total_half_width"] is not None:
         parts = (
             f"{part} {fit[f'{name}_{column}_half_width']:.2g}"
             for part, column in PARTS_OF_A_TOTAL.items()
             if fit[f"{name}_{column}_half_width"] is not None
         )
-        text += f"; in all ± {fit[f'{name}_total_half_width']:.2g} ({', '.join(parts)})"
+        text += f", in all ± {fit[f'{name}_total_half_width']:.2g} ({', '.join(parts)})"
     stem = name.removesuffix("_leakage")
     verdict, reason = fit[f"{stem}_verdict"], fit[f"{stem}_reason"]
     if verdict not in ("identified", "fixed"):
@@ -216,19 +214,24 @@ def _verdicts(rows: list[Row]) -> Iterator[str]:
 
 
 def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
-    """The largest systematic effects on the leakage that was published."""
+    """Systematic errors of the leakage that was published, and the largest of them."""
     known = fit["reference_leakage_l_per_min"] is not None
     name = "reference_leakage" if known else "own_conditions_leakage"
     effects = [row for row in rows if row["indicator"] == name]
     leakage = fit[f"{name}_l_per_min"]
     if not effects or not leakage:
         return
+    if fit[f"{name}_systematic"] is not None:
+        yield (
+            f"{name.replace('_', ' ')} ± {fit[f'{name}_systematic']:.2g} l/min from stated "
+            "tolerances; what constants do alike on all nights is not in the ± above"
+        )
     largest = sorted(effects, key=lambda row: -abs(row["effect"]))[:LARGEST_EFFECTS]
     told = ", ".join(
         f"{row['source']} of {_tolerance(row)} {100 * row['effect'] / leakage:+.1f} %"
         for row in largest
     )
-    yield f"largest of the {name.replace('_', ' ')}: {told}"
+    yield f"largest: {told}"
 
 
 def _tolerance(row: Row) -> str:

@@ -10,11 +10,11 @@ import polars as pl
 
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.history import MotorHistory
-from pipeline.report.tables import ReportTables, by_motor
+from pipeline.report.tables import ReportTables
 from pipeline.report.words import plain
-from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TRENDS, frame
+from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TRENDS
 from pipeline.thinning import keep_extremes
-from pipeline.trends.rows.latest_states import motor_state
+from pipeline.trends.rows import latest_states
 from pipeline.trends.rows.motor_states import ORDER, LookStanding, MotorState
 from pipeline.trends.states.words import limit_dates, name_of
 
@@ -61,21 +61,10 @@ def motor_states(
     history: ReportTables, motors: Iterable[str], looks: Mapping[str, LookStanding]
 ) -> dict[str, MotorState]:
     """The state of each motor, the same that `motor-leakage status` prints."""
-    trends = by_motor(history.rows(TRENDS))
-    fits = by_motor(history.fits)
-    no_trends, no_fits = frame(TRENDS, []), history.fits.clear()
-    return {
-        motor_id: replace(
-            motor_state(
-                motor_id,
-                trends.get(motor_id, no_trends),
-                fits.get(motor_id, no_fits),
-                [one for one in history.decisions if one.motor_id == motor_id],
-            ),
-            look=looks.get(motor_id),
-        )
-        for motor_id in motors
-    }
+    found = latest_states.motor_states(
+        [*motors], history.rows(TRENDS), history.fits, history.decisions
+    )
+    return {one.motor_id: replace(one, look=looks.get(one.motor_id)) for one in found}
 
 
 def trend_payload(motor: MotorHistory, history: ReportTables) -> Payload:

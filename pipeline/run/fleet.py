@@ -11,11 +11,10 @@ import logging
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from pipeline.config import Fleet
 from pipeline.config.fleet import LANDED_FOLDER
@@ -25,7 +24,7 @@ from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
 from pipeline.run.motors import motor_outcomes
 from pipeline.run.plans import task_of
-from pipeline.run.publishing import fleets_tonight, publish_latest, publish_motors, publish_trends
+from pipeline.run.publishing import PublishedTrends, publish_latest, publish_motors, publish_trends
 from pipeline.run.request import RunRequest, RunResult
 from pipeline.run.run_rows import STAGES, config_hash_of, publish_run, run_id_of
 from pipeline.run.tasks import MotorOutcome
@@ -219,24 +218,22 @@ def _run(
     publisher = Publisher(fleet.output, staging, run_id)
     with interrupts_held() as came:
         damage.look_into(_keys_of(finished))
-        n_nights = publish_motors(publisher, finished, {one.motor_id: one for one in request.specs})
+        n_nights = publish_motors(publisher, finished)
     interrupted = interrupted or bool(came)
     ends.append(time.perf_counter())
     heartbeat.say(stage="trends")
-    failures: Mapping[str, Loss] = {}
-    alarms: Sequence[Mapping[str, Any]] = ()
+    trends = PublishedTrends()
     if not interrupted:
         try:
-            failures, alarms, interrupted = publish_trends(
-                fleet, request.clock, publisher, finished, run_tasks
-            )
+            trends = publish_trends(fleet, request.clock, publisher, finished, run_tasks)
+            interrupted = trends.interrupted
         except KeyboardInterrupt:
             interrupted = True
     with interrupts_held() as came:
         publish_latest(publisher, fleet)
     interrupted = interrupted or bool(came)
-    finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
-    codes = {outcome.error_code for outcome in finished} | {one.code for one in failures.values()}
+    finished = [_with_trends(one, trends.failures.get(one.motor_id)) for one in finished]
+    codes = {one.error_code for one in finished} | {one.code for one in trends.failures.values()}
     if "store_read" in codes:
         # What a task could not read is found and named; the next run makes it anew.
         damage.look_into(manifest_keys(fleet.output))
@@ -250,7 +247,7 @@ def _run(
         n_nights,
         interrupted,
         seconds=ends[-1] - begin,
-        alarms=tuple(alarms),
+        alarms=tuple(trends.alarms),
         seconds_by_stage={name: end - start for name, start, end in stages},
         damage=tuple(damage.found.values()),
         damage_left=tuple(damage.left({one.motor_id: one.nights for one in finished})),
@@ -258,21 +255,21 @@ def _run(
     heartbeat.say(stage="recording")
     with interrupts_held() as came:
         publish_run(publisher, request, result, started, config_hash)
-    interrupted = interrupted or bool(came) or not _join_months(fleet, request.clock, publisher)
+    interrupted = interrupted or bool(came) or not _join_months(fleet, trends, publisher)
     return replace(result, interrupted=interrupted)
 
 
-def _join_months(fleet: Fleet, clock: dt.datetime, publisher: Publisher) -> bool:
+def _join_months(fleet: Fleet, trends: PublishedTrends, publisher: Publisher) -> bool:
     """Join the files of months that are long over, but for those with a night of this run.
 
     Where that fails, the next run does it. False if it was interrupted.
     """
     nights = fleet.execution.join_months_after
+    if trends.tonight is None or not nights:
+        return True
     try:
-        tonight = fleets_tonight(fleet, clock) if nights else None
-        if tonight is not None:
-            last = last_month_over(tonight.night, nights)
-            join_months(fleet.output, publisher.staging, last, publisher.months)
+        last = last_month_over(trends.tonight.night, nights)
+        join_months(fleet.output, publisher.staging, last, publisher.months)
     except StoreError as error:
         log.warning("%s; the next run joins its month", error)
     except KeyboardInterrupt:

@@ -17,18 +17,19 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.config.hashes import SettingsHashes, hash_of, settings_of, why_anew
+from pipeline.config.hashes import ROLLER, SettingsHashes, hash_of, settings_of, why_anew
 from pipeline.config.nights import nights_between
 from pipeline.errors import StoreError
 from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import (
     Ledger,
     NightRecord,
-    as_published,
     changed_months,
     ledger_folder,
     read_ledger,
     read_settings,
+    write_months,
+    write_settings,
 )
 from pipeline.logs.motor_logs import LogShelf
 from pipeline.logs.told_nights import is_guess
@@ -121,6 +122,7 @@ class MotorNights:
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.memory_of_chunks_mib = 0.0
         self.remembered = read_ledger(task.output, task.spec.motor_id)
+        self.settings_before = read_settings(task.output, task.spec.motor_id)
         if published is None:
             published = set(nights_back(task.output, FITS))
         self.before = _still_published(self.remembered, published)
@@ -144,7 +146,7 @@ class MotorNights:
                 if label not in self.withdrawn
             },
         )
-        self.form = as_published(task.output, self.spec)
+        self.form = replace(self.spec, roller_is_free=ROLLER in self.settings_before)
         self.hashes = SettingsHashes(self.form)
         # Nights whose form this run changed: as they told the scale before.
         self.first_told: dict[dt.date, bool | None] = {}
@@ -200,8 +202,7 @@ class MotorNights:
     @cached_property
     def _why_anew(self) -> str:
         """Settings that changed since the last run, in words."""
-        before = read_settings(self.task.output, self.spec.motor_id)
-        return why_anew(before, settings_of(self.form))
+        return why_anew(self.settings_before, settings_of(self.form))
 
     def open_nights(self) -> dict[dt.date, Step]:
         """Nights still to do within the asked-for range."""
@@ -286,6 +287,15 @@ class MotorNights:
         label = min(label for label, one in self.done.items() if one.status == status)
         return f"night {label}: {self.done[label].reason}"
 
+    def stage_ledger(self) -> None:
+        """Stage what of the ledger and the settings has changed; raises as `put_sealed`."""
+        staging, motor_id = self.task.staging, self.spec.motor_id
+        after = Ledger({**self.before.files, **self.logs.finished(self.done)}, self.records)
+        write_months(staging, motor_id, changed_months(self.remembered, after), durable=False)
+        settings = settings_of(self.form)
+        if settings != self.settings_before:
+            write_settings(staging, motor_id, settings, durable=False)
+
     def outcome(self) -> MotorOutcome:
         counts = Counter(outcome.status for outcome in self.done.values())
         errors: list[tuple[str | None, str | None]] = [
@@ -319,10 +329,6 @@ class MotorNights:
             nights = ", ".join(map(str, sorted(self.withdrawn)))
             gone = f"withdrawn, as no log has samples of them: {nights}"
             message = "; ".join(one for one in (message, gone) if one)
-        after = Ledger(
-            {**self.before.files, **self.logs.finished(self.done)},
-            self.records,
-        )
         return MotorOutcome(
             motor_id=self.spec.motor_id,
             status=status,
@@ -335,8 +341,6 @@ class MotorNights:
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
             files=self.logs.counts(self.done),
             growing=tuple(self.logs.growing()),
-            roller_is_free=self.form.roller_is_free,
-            ledger=changed_months(self.remembered, after),
             seconds=dict(self.seconds),
             peak_memory_mib=max(peak_memory_mib(), self.memory_of_chunks_mib),
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import ceil
 from pathlib import Path
@@ -14,11 +14,10 @@ from typing import Any
 import polars as pl
 
 from pipeline.clock import latest_us
-from pipeline.config import Fleet, MotorSpec
-from pipeline.config.hashes import settings_of
+from pipeline.config import Fleet
 from pipeline.config.nights import night_of
 from pipeline.errors import EngineError, StoreError
-from pipeline.logs.ledger import Ledger, forget_nights, write_months, write_settings
+from pipeline.logs.ledger import forget_nights, ledger_folder
 from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import (
     ALARMS,
@@ -32,14 +31,16 @@ from pipeline.schema import (
     data_dictionary,
     frame,
 )
+from pipeline.store.atomic_files import take_over
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import month_stamps, published_rows, whole_file
 from pipeline.trends.nights.decisions import journal_file, read_decisions
 from pipeline.trends.nights.tonight import Tonight, tonight_of
-from pipeline.trends.nights.trend_record import forget_records, note_touched, write_record
+from pipeline.trends.nights.trend_record import forget_records, note_touched, publish_record
 from pipeline.trends.rows.latest_states import latest_states
 from pipeline.trends.rows.motor_states import latest_rows
+from pipeline.trends.rows.q_values import with_q_values
 from pipeline.trends.tasks import (
     TrendOutcome,
     TrendTask,
@@ -56,32 +57,38 @@ log = logging.getLogger(__name__)
 MOTORS_A_TREND_TASK = 32
 
 
-def publish_motors(
-    publisher: Publisher, outcomes: Sequence[MotorOutcome], specs: Mapping[str, MotorSpec]
-) -> int:
-    """Publish what the motors' tasks have staged, then what was remembered of it."""
+def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> int:
+    """Publish the rows that the motors' tasks have staged, then their ledgers."""
+    output, staging = publisher.output, publisher.staging
+
+    def forget(nights: Collection[dt.date], keep: Collection[str]) -> None:
+        for place in (output, staging):
+            forget_nights(place, nights, keep)
+
     for outcome in outcomes:
         if outcome.nights:
-            note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
+            note_touched(output, outcome.motor_id, min(outcome.nights))
     # Of a motor without a new night there may be the row of a log that is of none.
     staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
-    publisher.nights(NIGHT_TABLES, staged, forget_nights)
+    publisher.nights("nights", NIGHT_TABLES, staged, forget)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
-    for outcome in outcomes:
-        write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
-        if outcome.finished:
-            spec = replace(specs[outcome.motor_id], roller_is_free=outcome.roller_is_free)
-            write_settings(publisher.output, outcome.motor_id, settings_of(spec))
+    for motor_id in staged:
+        files = sorted(ledger_folder(staging, motor_id).glob("*"))
+        take_over(files, ledger_folder(output, motor_id))
     return sum(len(outcome.nights) for outcome in outcomes)
 
 
-def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Ledger]:
-    """The ledger of a motor, but for nights whose published rows were lost."""
-    months = dict(outcome.ledger)
-    for night, kept in publisher.lost.items():
-        if outcome.motor_id not in kept:
-            months = {month: ledger.without({night}) for month, ledger in months.items()}
-    return months
+@dataclass(frozen=True, slots=True)
+class PublishedTrends:
+    """Failures by motor, new rows of `alarms`, and whether an interrupt came while publishing.
+
+    `tonight` is None where the tables have none, or could not be read.
+    """
+
+    tonight: Tonight | None = None
+    failures: Mapping[str, Loss] = field(default_factory=dict)
+    alarms: Sequence[Mapping[str, Any]] = ()
+    interrupted: bool = False
 
 
 def publish_trends(
@@ -90,11 +97,8 @@ def publish_trends(
     publisher: Publisher,
     outcomes: Sequence[MotorOutcome],
     run_tasks: RunTasks,
-) -> tuple[Mapping[str, Loss], list[Mapping[str, Any]], bool]:
-    """Make and publish the trends of the run's motors.
-
-    Returns failures by motor, new alarms, and whether an interrupt came while publishing.
-    """
+) -> PublishedTrends:
+    """Make and publish the trends of the run's motors."""
     decisions = read_decisions(fleet.output)
     said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
     publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
@@ -102,9 +106,12 @@ def publish_trends(
     try:
         tonight = fleets_tonight(fleet, clock)
     except StoreError as error:
-        return dict.fromkeys(changed, Loss(error.code, error.message)), [], False
+        return PublishedTrends(failures=dict.fromkeys(changed, Loss(error.code, error.message)))
     if tonight is None:
-        return {}, [], False
+        return PublishedTrends()
+    # As many tasks for each worker, as far as circuits allow.
+    workers = fleet.execution.workers
+    n_tasks = workers * ceil(len(changed) / (workers * MOTORS_A_TREND_TASK))
     tasks = trend_tasks(
         fleet.motors,
         fleet.output,
@@ -112,7 +119,7 @@ def publish_trends(
         changed,
         tonight,
         decisions,
-        min(MOTORS_A_TREND_TASK, ceil(len(changed) / fleet.execution.workers)),
+        ceil(len(changed) / max(n_tasks, 1)),
     )
     made: list[TrendOutcome] = []
     try:
@@ -124,7 +131,7 @@ def publish_trends(
     # All tasks first: a night's q-values are over the slopes of the whole fleet.
     with interrupts_held() as came:
         alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
-    return failures, alarms, bool(came)
+    return PublishedTrends(tonight, failures, alarms, bool(came))
 
 
 def publish_latest(publisher: Publisher, fleet: Fleet) -> None:
@@ -184,19 +191,17 @@ def _publish_trend_rows(
     """Publish what the tasks have staged; returns the new rows of `alarms`."""
     if not made:
         return []
-    from pipeline.trends.stage import with_q_values
-
     fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
     lost: list[Collection[str]] = []
 
-    def forget(output: Path, _: Collection[dt.date], keep: Collection[str]) -> None:
+    def forget(_: Collection[dt.date], keep: Collection[str]) -> None:
         lost.append(keep)
-        forget_records(output, keep)
+        forget_records(publisher.output, keep)
 
     finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
-    publisher.nights(TREND_TABLES, fresh, forget, {TRENDS.name: finish})
-    for motor_id, record in [item for one in made for item in one.records.items()]:
+    publisher.nights("trends", TREND_TABLES, fresh, forget, {TRENDS.name: finish})
+    for motor_id in [motor_id for one in made for motor_id in one.nights]:
         if all(motor_id in keep for keep in lost):
-            write_record(publisher.output, motor_id, record)
+            publish_record(publisher.output, publisher.staging, motor_id)
     new = [row for one in made for row in one.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import datetime as dt
 import hashlib
+import platform
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 
 from pipeline.config.hashes import config_hash as hash_of_config
-from pipeline.config.hashes import hash_of
+from pipeline.config.hashes import hash_of, own_version
 from pipeline.logs.motor_logs import FATES
 from pipeline.run.request import RunRequest, RunResult
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import MOTOR_OUTCOMES, RUNS, SCHEMA_VERSION
 from pipeline.store.publishing import Publisher
 from pipeline.store.views import write_views
-from pipeline.versions import own_version, versions
 
 # Seconds of a motor's task by stage, as `motor_outcomes` names them, and of a run, as `runs` does.
 MOTOR_STAGES = (
@@ -27,6 +28,8 @@ MOTOR_STAGES = (
     "store_s",
 )
 STAGES = ("motors_s", "publish_s", "trends_s")
+# Packages whose versions `runs` has.
+DEPENDENCIES = ("polars", "pyarrow", "numpy", "scipy")
 
 
 def config_hash_of(tasks: Sequence[MotorTask]) -> str:
@@ -61,7 +64,9 @@ def publish_run(
         if result.failed
         else "ok",
         "fleet": fleet.name,
-        **versions(),
+        "version": own_version(),
+        "python_version": platform.python_version(),
+        **{f"{name}_version": version(name) for name in DEPENDENCIES},
         "schema_version": SCHEMA_VERSION,
         "config_hash": config_hash,
         "seed": min(seeds),

@@ -12,7 +12,7 @@ from pipeline.clock import latest_us
 from pipeline.config import MotorSpec
 from pipeline.logs.files import NEW_LOG
 from pipeline.logs.finding import legible
-from pipeline.logs.ledger import Ledger, SeenLogs
+from pipeline.logs.ledger import SeenLogs
 from pipeline.schema.fits import FAILED
 from pipeline.workers.process import Loss
 
@@ -139,8 +139,6 @@ class MotorOutcome:
         Nights that were fitted anew from their stored statistics, without a log.
     reasons
         Nights by why they were made anew.
-    ledger
-        What is to be remembered of the months that changed, once its rows are published.
     seconds
         Time by stage.
     peak_memory_mib
@@ -151,8 +149,6 @@ class MotorOutcome:
         File of the chunk that was made or failed; empty for a whole motor.
     chunks_done
         Chunks of the motor that are done by now, and all of them; (0, 0) for a whole motor.
-    roller_is_free
-        Whether the scale of the motor's rollers is estimated.
     to_do
         Chunks that are to be made first; empty: the motor is done.
     """
@@ -169,13 +165,11 @@ class MotorOutcome:
     growing: tuple[str, ...] = ()
     n_refitted: int = 0
     reasons: Mapping[str, int] = field(default_factory=dict)
-    ledger: Mapping[str, Ledger] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_memory_mib: float | None = None
     is_set_aside: bool = False
     chunk: str = ""
     chunks_done: tuple[int, int] = (0, 0)
-    roller_is_free: bool = False
     to_do: tuple[MotorTask, ...] = ()
 
     @property

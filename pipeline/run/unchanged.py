@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import datetime as dt
 import subprocess
-import sys
 from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
-from multiprocessing import Pipe
-from pathlib import Path
 from typing import cast
 
 from polars.exceptions import PanicException
@@ -21,14 +18,13 @@ from polars.exceptions import PanicException
 from pipeline.config import Execution
 from pipeline.config.hashes import reading_hash
 from pipeline.errors import StoreError
-from pipeline.logs import finding
 from pipeline.logs.finding import State, states_of
 from pipeline.logs.ledger import FileRecord, SeenLogs, ledger_folder, read_ledger
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import FITS
 from pipeline.store.tables import nights_back
-from pipeline.workers.process import SignOfLife
+from pipeline.workers.process import SignOfLife, start
 
 # So long its end is waited for [s]: in a call to a disk that hangs no process ends.
 GRACE_S = 1.0
@@ -71,7 +67,10 @@ def _outcome(
             return None
         seen = SeenLogs({name: known[name] for name in states})
         nights = MotorNights(replace(task, looked_at=seen), published)
-        return nights.outcome() if nights.is_quiet else None
+        if not nights.is_quiet:
+            return None
+        nights.stage_ledger()
+        return nights.outcome()
     except (Exception, PanicException):
         return None
 
@@ -97,15 +96,7 @@ def _states(
     if execution.backend == "sequential":
         yield from (states_of(root, patterns) for root, patterns in asked)
         return
-    connection, theirs = Pipe()
-    end = theirs.fileno()
-    source = str(Path(finding.__file__).parents[2])
-    program = f"import sys; sys.path.insert(0, {source!r}); from pipeline.logs import finding; "
-    program += f"finding.answer({end})"
-    looker = subprocess.Popen(  # noqa: S603 - it is this program
-        [sys.executable, "-P", "-c", program], pass_fds=[end], start_new_session=True
-    )
-    theirs.close()
+    looker, connection = start("pipeline.logs.finding.answer")
     try:
         for one in asked:
             connection.send(one)

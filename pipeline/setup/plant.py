@@ -67,10 +67,7 @@ class Proposal:
 def propose(source: Path, answers: Mapping[str, str]) -> Proposal:
     """Propose a fleet from a log, or a folder of logs.
 
-    Raises
-    ------
-    LogError
-        There is no log, or none can be read.
+    Raises LogError if there is no log, or none can be read.
     """
     if not source.exists():
         raise LogError("log_missing", source, "there is no such file or folder")
@@ -79,7 +76,7 @@ def propose(source: Path, answers: Mapping[str, str]) -> Proposal:
         raise LogError("log_empty", source, f"there is no log ({', '.join(_SUFFIXES)}) in it")
     root = source.resolve() if source.is_dir() else source.resolve().parent
     motors: list[ProposedMotor] = []
-    questions: dict[str, Question] = {}
+    asked = _Asked(answers)
     unused: dict[str, None] = {}
     faults: list[str] = []
     split: set[str] = set()
@@ -97,16 +94,15 @@ def propose(source: Path, answers: Mapping[str, str]) -> Proposal:
                 continue  # of a motor that is there already
             split.add(folder)
             name = folder.rpartition("/")[2] or root.name
-        asked = _Asked(answers, name)
+        asked.log, before = name, len(asked.open)
         found = list(_motors(guess, pattern, name, asked, unused))
-        if not found and not asked.open:
+        if not found and len(asked.open) == before:
             columns = ", ".join(one[0] for one in guess.layout.candidates[:_SHOWN])
             faults.append(f"no_motor: {pattern}: its columns are no motor's: {columns}")
         motors += found
-        questions |= asked.open
-    if unread and unread == len(faults) and not motors and not questions:
+    if unread and unread == len(faults) and not motors and not asked.open:
         raise LogError("log_not_readable", source, f"no log of it can be read: {faults[0]}")
-    return Proposal(root, _apart(motors), tuple(questions.values()), tuple(unused), tuple(faults))
+    return Proposal(root, _apart(motors), tuple(asked.open.values()), tuple(unused), tuple(faults))
 
 
 def _logs_below(folder: Path) -> Iterator[Path]:
@@ -130,12 +126,13 @@ def _kinds(files: Sequence[Path], root: Path) -> Iterator[tuple[str, Path, str]]
 
 
 class _Asked:
-    """Questions about a log that have no answer yet."""
+    """Questions that have no answer yet."""
 
-    def __init__(self, answers: Mapping[str, str], log: str) -> None:
+    def __init__(self, answers: Mapping[str, str]) -> None:
         self.answers = answers
-        self.log = log
+        self.log = ""  # in which it is asked
         self.open: dict[str, Question] = {}
+        self.alike: dict[tuple[str, ...], tuple[str, Sequence[str]]] = {}
 
     def ask(
         self, key: str, text: str, choices: Iterable[str] = (), known: Iterable[str] = ()
@@ -146,12 +143,23 @@ class _Asked:
         """
         likely, allowed = tuple(choices), tuple(known) or tuple(choices)
         if key not in self.answers:
-            self.open[key] = Question(key, text, likely)
+            self.open.setdefault(key, Question(key, text, likely))
             return None
         if allowed and self.answers[key] not in allowed:
             message = f"{key}: got {self.answers[key]!r}; expected one of {', '.join(allowed)}"
             raise UsageError("answer", message)
         return self.answers[key]
+
+    def which(self, own: str, motor: str, text: str, places: Sequence[str]) -> str | None:
+        """The place of a motor's channel, ``motor_id.channel``.
+
+        Motors whose places are called alike but for the motor take the answer of the first.
+        """
+        kind = (own.rpartition(".")[2], *(_rest(place, motor) for place in places))
+        first = self.alike.setdefault(kind, (own, places))
+        key, choices = (own, places) if own in self.answers else first
+        answer = self.ask(key, text, choices)
+        return None if answer is None else places[choices.index(answer)]
 
 
 def _motors(
@@ -178,9 +186,10 @@ def _motors(
             told = {_pressure_or_channel(one): [one] for one in own_sources}
             sources = {
                 channel: _with_unit(one, guess, asked, name or log)
-                for channel, one in _chosen(motor_id, told, asked)
+                for channel, one in _chosen(motor_id, name or log, told, asked)
             }
-            yield from _complete(ProposedMotor(name, motor_id, logs, sources, {}), guess, asked)
+            motor = ProposedMotor(name, motor_id, logs, sources, {})
+            yield _complete(motor, told, guess, asked)
         unused |= dict.fromkeys(guess.layout.unused)
         return
     yield from _grouped(guess, logs, log, asked, unused)
@@ -212,7 +221,7 @@ def _grouped(
         rivals = _rivals(group, candidates)
         sources = {
             channel: _with_unit(source, guess, asked, group.name)
-            for channel, source in _chosen(motor_id, rivals, asked)
+            for channel, source in _chosen(motor_id, group.name or log, rivals, asked)
         }
         quality = {
             channel: qualities.get(source.source, guess.layout.quality)
@@ -221,24 +230,27 @@ def _grouped(
         used = {source.source for source in sources.values()}
         unused |= dict.fromkeys(name for name in group.signals if name not in used)
         motor = ProposedMotor(group.name, motor_id, logs, sources, quality)
-        yield from _complete(motor, guess, asked)
+        yield _complete(motor, rivals, guess, asked)
 
 
-def _complete(motor: ProposedMotor, guess: LogGuess, asked: _Asked) -> Iterator[ProposedMotor]:
-    """The motor, and questions about channels that it has to have."""
+def _complete(
+    motor: ProposedMotor, rivals: Iterable[str], guess: LogGuess, asked: _Asked
+) -> ProposedMotor:
+    """The motor, and questions about channels that it has to have and of which there is none."""
     sources = dict(motor.sources)
     by_name = {one[0]: one for one in guess.layout.candidates}
+    there = {"pressure_difference" if one == "bare" else one for one in rivals}
     for channel in missing_channels(motor.sources):
-        key = f"{motor.motor_id}.{channel}"
-        if key in asked.open:
+        if channel in there:
             continue
-        text = f"{motor.motor_id}: no {channel.replace('_', ' ')} was found: which is it?"
-        named = asked.ask(key, text, by_name)
+        own, words = f"{motor.motor_id}.{channel}", channel.replace("_", " ")
+        text = f"{motor.motor_id}, and motors alike: no {words} was found: which is it?"
+        named = asked.which(own, motor.name or asked.log, text, tuple(by_name))
         if named is not None:
             sources[channel] = _with_unit(
                 _source(channel, by_name[named]), guess, asked, motor.name
             )
-    yield replace(motor, sources={name: sources[name] for name in CHANNELS if name in sources})
+    return replace(motor, sources={name: sources[name] for name in CHANNELS if name in sources})
 
 
 def _logs(guess: LogGuess, files: Sequence[str], asked: _Asked) -> dict[str, Any]:
@@ -294,7 +306,7 @@ def _rivals(group: Group, candidates: Mapping[str, Candidate]) -> dict[str, list
 
 
 def _chosen(
-    motor_id: str, rivals: Mapping[str, Sequence[GuessedSource]], asked: _Asked
+    motor_id: str, motor: str, rivals: Mapping[str, Sequence[GuessedSource]], asked: _Asked
 ) -> Iterator[tuple[str, GuessedSource]]:
     """The source of each channel; asked where several fit."""
     for found, own in rivals.items():
@@ -304,8 +316,8 @@ def _chosen(
             continue
         names = [_place(one) for one in own]
         words = channel.replace("_", " ")
-        text = f"{motor_id}: {', '.join(names)} may be the {words}: which is it?"
-        named = asked.ask(f"{motor_id}.{channel}", text, names)
+        text = f"{motor_id}, and motors alike: {', '.join(names)} may be the {words}: which is it?"
+        named = asked.which(f"{motor_id}.{channel}", motor, text, names)
         yield from ((channel, one) for one in own if _place(one) == named)
 
 
@@ -320,12 +332,16 @@ def _with_unit(source: GuessedSource, guess: LogGuess, asked: _Asked, motor: str
     text = f"unit of {source.channel.replace('_', ' ')} ({place}: {shown}): which is it?"
     units = tuple(UNITS[QUANTITIES[source.channel]])
     likely = likely_units(source.channel, known) or units
-    whole = rf"(?<![^\W_]){re.escape(motor)}(?![^\W_])"
-    rest = re.sub(r"([._/: -])[._/: -]+", r"\1", re.sub(whole, "", place)).strip("._/: -")
-    key = f"unit of {rest or source.channel}"
+    key = f"unit of {_rest(place, motor) or source.channel}"
     if key in asked.answers and asked.answers[key] not in likely:
         key = f"{key} in {asked.log}"
     return replace(source, unit=asked.ask(key, text, likely, units))
+
+
+def _rest(place: str, motor: str) -> str:
+    """The name of a column or tag without the motor's."""
+    whole = rf"(?<![^\W_]){re.escape(motor)}(?![^\W_])"
+    return re.sub(r"([._/: -])[._/: -]+", r"\1", re.sub(whole, "", place)).strip("._/: -")
 
 
 def _plain(name: str) -> str:

@@ -95,7 +95,7 @@ class Prepared:
                 self.drop()
                 raise
             if self.durable and flush:
-                flush_folder(self.path.parent)
+                flush_path(self.path.parent)
 
     def drop(self) -> None:
         """Remove it; its place stays as it is."""
@@ -232,18 +232,18 @@ def make_folders(folder: Path) -> None:
     for one in reversed(absent):
         with suppress(FileExistsError):
             os.mkdir(one)
-        flush_folder(one.parent)
+        flush_path(one.parent)
 
 
-def flush_folder(folder: Path) -> None:
-    """Flush the names in a folder.
+def flush_path(path: Path) -> None:
+    """Flush a file, or the names in a folder.
 
     Raises
     ------
     OSError
         If they cannot be flushed.
     """
-    handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(handle)
     finally:
@@ -260,7 +260,7 @@ def flush_folders(folders: Collection[Path]) -> None:
     """
     for folder in sorted(folders):
         with store_errors(folder):
-            flush_folder(folder)
+            flush_path(folder)
 
 
 def flush_all() -> None:
@@ -278,7 +278,25 @@ def move(path: Path, place: Path) -> None:
     """
     with store_errors(place):
         os.replace(path, place)
-        flush_folder(place.parent)
+        flush_path(place.parent)
+
+
+def take_over(files: Sequence[Path], folder: Path) -> None:
+    """Move scratch files into a folder of the same disk, where they survive a power cut.
+
+    Raises
+    ------
+    StoreError
+        If that fails; each file is at one of both places.
+    """
+    if not files:
+        return
+    with store_errors(folder):
+        make_folders(folder)
+        for file in files:
+            flush_path(file)
+            os.replace(file, folder / file.name)
+        flush_path(folder)
 
 
 def can_exchange(folder: Path) -> bool:
@@ -306,7 +324,7 @@ def exchange(folder: Path, place: Path) -> None:
     """
     with store_errors(place):
         os.chmod(folder, stat.S_IMODE(os.stat(place).st_mode))
-        flush_folder(folder)
+        flush_path(folder)
         library = ctypes.CDLL(None, use_errno=True)
         names = os.fsencode(folder), os.fsencode(place)
         try:
@@ -315,8 +333,8 @@ def exchange(folder: Path, place: Path) -> None:
             raise OSError(errno.ENOSYS, "this system cannot exchange folders") from None
         if failed:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-        flush_folder(place.parent)
-        flush_folder(folder.parent)
+        flush_path(place.parent)
+        flush_path(folder.parent)
 
 
 def remove(path: Path) -> None:
@@ -329,7 +347,7 @@ def remove(path: Path) -> None:
     """
     with store_errors(path, "removed"), suppress(FileNotFoundError):
         os.unlink(path)
-        flush_folder(path.parent)
+        flush_path(path.parent)
 
 
 def remove_all(folder: Path) -> None:

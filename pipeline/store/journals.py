@@ -12,7 +12,7 @@ from pipeline.store.atomic_files import (
     MODE,
     Descriptor,
     content_of,
-    flush_folder,
+    flush_path,
     make_folders,
     require_same,
     store_errors,
@@ -42,7 +42,7 @@ def append(path: Path, line: bytes) -> None:
                 os.fsync(handle)
                 require_same(os.pread(handle, len(content), size), content)
                 if size == 0:
-                    flush_folder(path.parent)
+                    flush_path(path.parent)
             except BaseException:
                 with suppress(OSError):
                     os.ftruncate(handle, size)

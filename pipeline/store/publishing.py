@@ -47,7 +47,7 @@ from pipeline.store.tables import (
 # Completes all rows of a night, given the motors whose rows are new.
 Finish = Callable[[pl.DataFrame, Sequence[str]], pl.DataFrame]
 # Lets the next run make nights anew for all motors but some.
-Forget = Callable[[Path, Collection[dt.date], Collection[str]], object]
+Forget = Callable[[Collection[dt.date], Collection[str]], object]
 # Nights of motors that are prepared together.
 NIGHTS_AT_ONCE = 400
 
@@ -65,11 +65,8 @@ class Publisher:
 
     Attributes
     ----------
-    lost
-        Nights of which a file was damaged, with the motors whose rows are new: those of the others
-        have to be made anew.
     damaged
-        Files that were put aside for it, by path relative to the folder of the tables.
+        Files that were damaged and put aside, by path relative to the folder of the tables.
     months
         Months in which it has published nights, YYYY-MM.
     """
@@ -77,12 +74,12 @@ class Publisher:
     output: Path
     staging: Path
     run_id: str
-    lost: dict[dt.date, set[str]] = field(default_factory=dict)
     damaged: list[str] = field(default_factory=list)
     months: set[str] = field(default_factory=set)
 
     def nights(
         self,
+        folder: str,
         tables: Iterable[Table],
         motor_ids: Sequence[str],
         forget: Forget,
@@ -92,6 +89,8 @@ class Publisher:
 
         Parameters
         ----------
+        folder
+            Below the staging folder, with a file of staged rows a motor.
         tables, motor_ids
             Tables, and motors whose rows are published.
         forget
@@ -105,8 +104,15 @@ class Publisher:
         StoreError
             If a file cannot be written.
         """
-        staged = {table: self.staged(table, motor_ids) for table in tables}
-        nights = {n for motors in staged.values() for rows in motors.values() for n in rows.nights}
+        paths = {one: self.staging / folder / f"{one}.arrow" for one in motor_ids}
+        files = {one: StagedRows(path) for one, path in paths.items() if path.exists()}
+        staged = {
+            table: {one: file for one, file in files.items() if table.name in file.heights}
+            for table in tables
+        }
+        nights = {
+            night for file in files.values() for some in file.heights.values() for night in some
+        }
         months = {f"{night:%Y-%m}" for night in nights}
         self.months |= months
         for month in sorted(months):
@@ -125,12 +131,6 @@ class Publisher:
             }
             self._publish(new, forget, finish or {})
 
-    def staged(self, table: Table, motor_ids: Sequence[str]) -> dict[str, StagedRows]:
-        """Staged rows of a table by motor, of those that have some."""
-        folder = self.staging / table.name
-        paths = {motor_id: folder / f"{motor_id}.arrow" for motor_id in motor_ids}
-        return {motor_id: StagedRows(path) for motor_id, path in paths.items() if path.exists()}
-
     def _give_up(
         self, table: Table, month: str, staged: Mapping[str, StagedRows], forget: Forget
     ) -> None:
@@ -139,9 +139,10 @@ class Publisher:
         name = path.relative_to(self.output / "tables").as_posix()
         self.damaged.append(name)
         for night in days_of(month):
-            new = {motor_id for motor_id, rows in staged.items() if night in rows.nights}
-            self.lost.setdefault(night, set()).update(new)
-            forget(self.output, (night,), new)
+            new = {
+                motor_id for motor_id, rows in staged.items() if night in rows.heights[table.name]
+            }
+            forget((night,), new)
         move(path, path.with_suffix(PUT_ASIDE))
         update_manifest(self.output, month, month, {name: None})
 
@@ -152,8 +153,8 @@ class Publisher:
         """
         key = list(table.key)
         places: defaultdict[dt.date, list[pl.DataFrame]] = defaultdict(list)
-        nights = sorted({night for rows in staged.values() for night in rows.nights})
-        if not nights:
+        nights = sorted({night for rows in staged.values() for night in rows.heights[table.name]})
+        if len(nights) < 2:
             return
         for night, new in new_rows(table, staged, nights[0], nights[-1], self.run_id).items():
             if new.rows.height:
@@ -199,8 +200,7 @@ class Publisher:
                     if file.lost_rows:
                         if file.before is not None:
                             self.damaged.append(name)
-                        self.lost.setdefault(night, set()).update(rows.motor_ids)
-                        forget(self.output, (night,), set(rows.motor_ids))
+                        forget((night,), set(rows.motor_ids))
             self._land(files)
             undone.pop_all()
 

@@ -97,8 +97,8 @@ def read_if_whole(path: Path, unsealed: Callable[[bytes], Content | None]) -> Co
         return None
 
 
-def put_sealed(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a document, unless it is there already.
+def put_sealed(path: Path, document: Mapping[str, Any], *, durable: bool = True) -> None:
+    """Write a document, unless it is there already; `durable` as for `put`.
 
     Raises
     ------
@@ -109,4 +109,4 @@ def put_sealed(path: Path, document: Mapping[str, Any]) -> None:
     with suppress(OSError):
         if read(path) == content:
             return
-    put(path, content)
+    put(path, content, durable=durable)

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from uuid import uuid4
 
 from pipeline.config import Execution
-from pipeline.errors import EngineError, StoreError
-from pipeline.workers.dask_worker import Staged, StrangeWorkerError, Surroundings, do_task, put
+from pipeline.errors import EngineError
+from pipeline.workers.dask_worker import Staged, StrangeWorkerError, Surroundings, do_task, put_all
 from pipeline.workers.process import Loss, loss_of
 
 if TYPE_CHECKING:
@@ -84,20 +84,10 @@ class DaskEngine:
                 if isinstance(outcome, Loss):
                     yield lost(task, outcome)
                     continue
-                _bring(outcome.staged, getattr(task, "staging", None))
+                put_all(outcome.staged, getattr(task, "staging", Path()))
                 yield outcome.result
         finally:
             flight.cancel()
-
-
-def _bring(staged: Mapping[str, bytes], folder: Path | None) -> None:
-    """Put what a task has staged where the run looks for it."""
-    if not staged or folder is None:
-        return
-    try:
-        put(staged, folder)
-    except OSError as error:
-        raise StoreError("store_write", f"rows cannot be staged: {error}") from error
 
 
 def _needed(task: object) -> dict[str, bytes]:

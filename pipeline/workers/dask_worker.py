@@ -10,12 +10,10 @@ the same limits hold, and what a task does to its process costs the worker nothi
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
 import pickle
 import platform
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -25,7 +23,7 @@ from typing import Any, Generic, TypeVar
 
 from pipeline.config import Execution
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import scratch
+from pipeline.store.atomic_files import put
 from pipeline.store.object_store import ObjectStore
 from pipeline.workers.local import Worker, run_task
 from pipeline.workers.process import Done, Loss
@@ -147,7 +145,7 @@ def do_task(
         return found if isinstance(found, Loss) else Staged(found.result, {})
     with tempfile.TemporaryDirectory(prefix="motor-leakage-") as name:
         folder = Path(name)
-        put(brought, folder)
+        put_all(brought, folder)
         found = _in_a_process(function, replace(task, staging=folder), limits)
         if isinstance(found, Loss):
             return found
@@ -166,10 +164,9 @@ def _in_a_process(
     from distributed.protocol.pickle import dumps
 
     global _process
-    with _may_have_children():
-        if _process is None:
-            _process = Worker()
-        return run_task(_process, _call, dumps((function, task)), limits)
+    if _process is None:
+        _process = Worker()
+    return run_task(_process, _call, dumps((function, task)), limits)
 
 
 def _call(content: bytes) -> Any:
@@ -178,26 +175,10 @@ def _call(content: bytes) -> Any:
     return function(task)
 
 
-@contextmanager
-def _may_have_children() -> Iterator[None]:
-    """Let this process start others: Dask's nanny makes its workers daemons, which may not.
-
-    The rule is there so that no child is left behind; ours ends with its worker by itself.
-    """
-    settings = multiprocessing.current_process()._config  # type: ignore[attr-defined]
-    was_daemon = settings.pop("daemon", None)
-    try:
-        yield
-    finally:
-        if was_daemon is not None:
-            settings["daemon"] = was_daemon
-
-
-def put(contents: Mapping[str, bytes], folder: Path) -> None:
-    """Write files into folders of a folder."""
+def put_all(contents: Mapping[str, bytes], folder: Path) -> None:
+    """Write scratch files below a folder; raises as `put`."""
     for name, content in contents.items():
-        with scratch(folder / name) as stream:
-            stream.write(content)
+        put(folder / name, content, durable=False)
 
 
 def own_address() -> str:

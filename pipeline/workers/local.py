@@ -11,17 +11,18 @@ import logging
 import os
 import re
 import signal
+import subprocess
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
+from multiprocessing import Pipe
 from multiprocessing.connection import wait
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
-from pipeline.workers.process import Assignment, Done, Loss, SignOfLife, attempt, serve
+from pipeline.workers.process import Assignment, Done, Loss, SignOfLife, attempt, start
 
 if TYPE_CHECKING:
     from pipeline.config import Execution
@@ -200,38 +201,23 @@ class Worker:
         self._start()
 
     def _start(self) -> None:
-        from joblib.externals.loky.backend import get_context
-
-        context = get_context("loky")
-        self.connection, theirs = context.Pipe()
-        self.stderr, their_stderr = context.Pipe(duplex=False)
+        self.stderr, theirs = Pipe(duplex=False)
         os.set_blocking(self.stderr.fileno(), False)
-        # A daemon is ended when the run ends, however that comes.
-        self.process = context.Process(
-            target=serve,
-            args=(theirs, their_stderr, os.getpid()),
-            env=ENVIRONMENT,
-            daemon=True,
+        self.process, self.connection = start(
+            "pipeline.workers.process.serve", ENVIRONMENT, theirs.fileno()
         )
-        self.is_killed = False
-        with _deaf_to_interrupts():
-            self.process.start()
-        # Once it is the only one to hold them, they close with it.
         theirs.close()
-        their_stderr.close()
+        self.is_killed = False
 
     def begin(self, function: Callable[[Any], Any], task: object, execution: Execution) -> None:
         """Give it a task, and its limits."""
-        if self.is_killed or self.process.exitcode is not None:
+        if self.is_killed or self.process.poll() is not None:
             self._start()
         self.execution = execution
         self.sign, self.last_words, self.is_late = SignOfLife(), b"", False
         self.due = time.monotonic() + START_S
-        from joblib.externals.loky.backend.reduction import dumps
-
         with suppress(ConnectionError):  # dead already: heard of in a moment
-            given = Assignment(function, task, execution.memory_limit_mib)
-            self.connection.send_bytes(dumps(given))
+            self.connection.send(Assignment(function, task, execution.memory_limit_mib))
 
     def outcome(self) -> Done[Any] | Loss | None:
         """Outcome of its task; None while it is at work."""
@@ -240,7 +226,7 @@ class Worker:
             if time.monotonic() < self.due:
                 return None
             self.is_late = True
-            os.kill(self.process.pid, signal.SIGALRM)
+            self.process.send_signal(signal.SIGALRM)
             return self._loss()
         try:
             message: SignOfLife | Done[Any] | Loss = self.connection.recv()
@@ -259,7 +245,7 @@ class Worker:
 
     def _loss(self) -> Loss:
         """The loss that the worker died of."""
-        self.process.join(GRACE_S)
+        self._wait_for_end()
         self.kill()
         self._pass_on_stderr()
         words = self.last_words.decode("utf-8", "replace")
@@ -271,7 +257,7 @@ class Worker:
         if self.is_late:
             how = f"not done within {self._limit_s:g} s"
         else:
-            how = f"its worker process ended with {_died(self.process.exitcode)}"
+            how = f"its worker process ended with {_died(self.process.returncode)}"
             how += f": {no_memory.group().strip()}" if no_memory else ""
         how += f", at {self.sign.part}" if self.sign.part else ""
         if frame := FRAME.search(words):
@@ -292,23 +278,13 @@ class Worker:
 
         Not for ever: in a call to a disk that hangs not even SIGKILL ends one.
         """
-        if self.process.exitcode is None:
-            os.kill(self.process.pid, signal.SIGKILL)
-            self.process.join(GRACE_S)
+        self.process.kill()
+        self._wait_for_end()
         self.is_killed = True
 
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Have processes that are started here ignore what a terminal sends to all of them."""
-    if threading.current_thread() is not threading.main_thread():  # only there it can be set
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+    def _wait_for_end(self) -> None:
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(GRACE_S)
 
 
 def _died(exit_code: int | None) -> str:

@@ -12,11 +12,13 @@ import logging
 import os
 import resource
 import signal
+import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
@@ -193,28 +195,56 @@ def loss_of(error: BaseException) -> Loss:
     return Loss("task_memory" if isinstance(error, MemoryError) else "internal", how)
 
 
-def serve(run: Connection, stderr: Connection, run_pid: int) -> None:
-    """Do tasks until there is nobody left who sends any.
+def start(
+    program: str, environment: Mapping[str, str] | None = None, stderr: int | None = None
+) -> tuple[subprocess.Popen[bytes], Connection]:
+    """Start a process beside this one, and open a connection to it.
+
+    It is a fresh one: a fork of a process with threads may hang.
 
     Parameters
     ----------
-    run
-        Assignments come from here, outcomes go back.
+    program
+        A function, such as ``pipeline.workers.process.serve``; it is given the connection.
+    environment
+        Variables that it has beside those of this process.
     stderr
-        Takes what is written to stderr.
-    run_pid
-        Process of the run.
+        File that takes what it writes to stderr; None: that of this process.
     """
-    os.dup2(stderr.fileno(), sys.stderr.fileno())
-    stderr.close()
+    ours, theirs = Pipe()
+    module, _, function = program.rpartition(".")
+    code = (
+        f"import sys; sys.path[:] = {sys.path}; from {module} import {function}; "
+        "from pipeline.workers.process import connected; "
+        f"{function}(connected({theirs.fileno()}, {os.getpid()}))"
+    )
+    process = subprocess.Popen(  # noqa: S603 - it is this program
+        [sys.executable, "-c", code],
+        env={**os.environ, **(environment or {})},
+        pass_fds=[theirs.fileno()],
+        stderr=stderr,
+        # Out of reach of what a terminal sends to all processes: the run decides what ends.
+        start_new_session=True,
+    )
+    # Once the process is the only one to hold it, the end closes with it.
+    theirs.close()
+    return process, ours
+
+
+def connected(end: int, run_pid: int) -> Connection:
+    """In a started process: its connection to the run, whose death it does not outlive."""
     _end_with_the_run(run_pid)
-    # A terminal sends it to all processes; the run decides what comes of its tasks.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    connection = Connection(end)
+    tell(connection)
+    return connection
+
+
+def serve(run: Connection) -> None:
+    """Do the tasks that a run sends, until there is nobody left who sends any."""
     # The run sends SIGALRM when the time is up. Told from C, without the interpreter, which may
     # hang; then the process dies of it.
     faulthandler.enable()
     faulthandler.register(signal.SIGALRM, chain=True)
-    tell(run)
     while True:
         try:
             given: Assignment = run.recv()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +48,7 @@ def _decompress(path: Path, name: str, packed: memoryview, size: int, where: str
         )
     codec = _COMPRESSIONS[name]
     try:
-        # As a stream: it unfolds no further than is asked for, and says how far it came.
-        records = packed if codec is None else _first_bytes(packed, codec, size + 1)
+        records = packed if codec is None else _unfolded(packed, codec, size)
     except (OSError, pa.ArrowException) as error:
         raise LogError("log_damaged", path, f"it does not decompress: {error}", where) from error
     if len(records) != size:
@@ -56,9 +56,13 @@ def _decompress(path: Path, name: str, packed: memoryview, size: int, where: str
     return records
 
 
-def _first_bytes(packed: memoryview, codec: str, count: int) -> memoryview:
+def _unfolded(packed: memoryview, codec: str, size: int) -> memoryview:
+    """The bytes, as far as they go, but one more than `size` at most."""
+    if codec == "zstd":
+        with suppress(OSError):  # exactly so many bytes, or an error
+            return memoryview(pa.decompress(packed, size, codec))
     with pa.CompressedInputStream(pa.BufferReader(pa.py_buffer(packed)), codec) as stream:
-        return memoryview(stream.read_buffer(count))
+        return memoryview(stream.read_buffer(size + 1))
 
 
 def indexed_positions(indexes: Sequence[memoryview]) -> NDArray[np.int64]:

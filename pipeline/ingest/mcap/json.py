@@ -1,8 +1,9 @@
 """JSON messages: many payloads are laid out as lines and parsed at once.
 
-Where a piece does not come out as one object a line, with a number or null in each wanted field, it
-is parsed message by message, so that what is no number is found and counted. Both ways give what
-the `json` module gives.
+Of messages that differ in one number alone, only the number is parsed (`one_number`). Where a piece
+does not come out as one object a line, with a number or null in each wanted field, it is parsed
+message by message, so that what is no number is found and counted. Each way gives what the `json`
+module gives.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.mcap.layout import fields_at
 from pipeline.ingest.mcap.messages import read_messages
+from pipeline.ingest.mcap.one_number import one_number
 from pipeline.ingest.mcap.payloads import (
     NANOSECONDS,
     SECONDS,
@@ -54,7 +56,14 @@ def json_decoder(
     A stamp is a number or text in a format, or an object of seconds and nanoseconds.
     """
 
+    is_one_number = len(fields) == 1 and stamp is None and not qualities
+
     def decode(payloads: Payloads) -> Decoded:
+        if is_one_number:
+            (only,) = fields
+            numbers = one_number(payloads, lambda one: _value(json_object(one), only))
+            if numbers is not None:
+                return Decoded({only: readings_of(numbers)}, None)
         types = _quality_types(payloads, qualities)
         for kinds in _stamp_kinds(payloads, stamp, time_format):
             decoded = _at_once(payloads, fields, kinds, time_format, types)
@@ -101,7 +110,7 @@ def _stamp_kinds(
     """
     if stamp is None:
         return [{}]
-    value = _value(_first(payloads), stamp)
+    value = _value(json_object(payloads.first), stamp)
     if isinstance(value, str):
         return [{stamp: pa.string()}]
     if isinstance(value, dict) and (names := _names(value)):
@@ -117,7 +126,7 @@ def _quality_types(
     payloads: Payloads, qualities: Sequence[FieldPath]
 ) -> dict[FieldPath, pa.DataType]:
     """Types of the qualities, as the first message has them."""
-    first = _first(payloads) if qualities else None
+    first = json_object(payloads.first) if qualities else None
     types: dict[FieldPath, pa.DataType] = {}
     for path in qualities:
         value = _value(first, path)
@@ -126,10 +135,6 @@ def _quality_types(
         if isinstance(value, bool):
             types[path] = pa.bool_()
     return types
-
-
-def _first(payloads: Payloads) -> dict[str, Any] | None:
-    return json_object(payloads.text[payloads.start[0] :][: payloads.length[0]].tobytes())
 
 
 def _names(value: Mapping[str, Any]) -> tuple[str, str] | None:

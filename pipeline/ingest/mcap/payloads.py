@@ -35,6 +35,11 @@ class Payloads:
     topic: NDArray[np.int16]  # position among the wanted topics
     time_ns: NDArray[np.uint64]  # log or publish time
 
+    @property
+    def first(self) -> bytes:
+        """The first payload; there is one at least."""
+        return self.text[self.start[0] :][: self.length[0]].tobytes()
+
     def each(self) -> Iterator[bytes]:
         """One payload after the other."""
         text = self.text.tobytes()
@@ -68,10 +73,8 @@ def payloads_of(
 ) -> Payloads:
     """Payloads of the chosen messages, one at least, with the topics and times of all messages."""
     starts, ends = messages.payload_start[chosen], messages.payload_end[chosen]
-    length = ends - starts
-    line_starts = _starts(length)
-    text = _as_lines(messages.buffer, starts, ends, line_starts)
-    return Payloads(text, line_starts, length, topic[chosen], time_ns[chosen])
+    text, placed = cut_out(messages.buffer, starts, ends, _NEWLINE)
+    return Payloads(text, placed, ends - starts, topic[chosen], time_ns[chosen])
 
 
 def stacked(parts: Sequence[Payloads]) -> Payloads:
@@ -124,22 +127,22 @@ def _starts(length: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.cumsum(length + 1) - length
 
 
-def _as_lines(
-    buffer: memoryview,
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    line_starts: NDArray[np.int64],
-) -> NDArray[np.uint8]:
-    """The payloads from `starts` to `ends`, each with a newline before it."""
+def cut_out(
+    buffer: memoryview, starts: NDArray[np.int64], ends: NDArray[np.int64], between: int
+) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Texts from `starts` to `ends`, one at least, each with the byte `between` before it.
+
+    Returns them one behind the other, and where each begins. A byte stands before each in `buffer`.
+    """
     length = ends - starts
-    # The byte before a payload, which is of its record's head, makes room for the newline.
+    placed = _starts(length)
     if (length == length[0]).all():
         text = fields_at(buffer, starts - 1, f"V{length[0] + 1}").view(np.uint8)
     else:
         edges = np.append(np.column_stack([starts - 1, ends]), ends[-1])
         buffers = [None, pa.py_buffer(edges), pa.py_buffer(buffer)]
         pieces = pa.Array.from_buffers(pa.large_binary(), edges.size - 1, buffers)
-        lines = pieces.take(pa.array(np.arange(0, edges.size - 1, 2)))
-        text = np.frombuffer(lines.buffers()[2], np.uint8, int((length + 1).sum()))
-    text[line_starts - 1] = _NEWLINE
-    return text
+        texts = pieces.take(pa.array(np.arange(0, edges.size - 1, 2)))
+        text = np.frombuffer(texts.buffers()[2], np.uint8, int((length + 1).sum()))
+    text[placed - 1] = between
+    return text, placed

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from leakage.course.alarms import OF_SEVERITY, Limits
 from leakage.course.hypotheses import Posterior
 from leakage.course.monitoring import ChangeSize, change_size, monitor
+from pipeline.clock import utc
 from pipeline.config.nights import night as night_labelled
 from pipeline.trends.baselines.eras import Era, era_at
 from pipeline.trends.figures.indicators import DEVIATION, MODEL_MISFIT, TEMPERATURE_EFFECT
@@ -35,7 +36,6 @@ CHANGED = (*RAISED, "common_cause")
 DAYS_A_YEAR = 365.25
 # Nights for which it stays told that a rise is the oil circuit's.
 LONGEST_MEMORY = 60
-UTC_EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,7 @@ class Standing:
     def end_of(self, place: int) -> dt.datetime:
         """End of a night, UTC."""
         night = night_labelled(self.label(place), self.history.spec.settings.nights)
-        return UTC_EPOCH + dt.timedelta(microseconds=night.end_us)
+        return utc(night.end_us)
 
     def health(self, place: int) -> str:
         """Health of the sensors, from their zeros at halts."""

@@ -1,36 +1,18 @@
-"""Residual analysis: the definitions pair by pair, series of known answers, and false alarms."""
+"""Residual analysis: series of known answers, false alarms, and what cannot be tested."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import lfilter
-from scipy.stats import binom, chi2
-from threadpoolctl import threadpool_limits
+from scipy.stats import binom
 
 from leakage.errors import ShapeError, StatisticsError
 from leakage.estimation.residual_analysis import LagTest, ResidualAnalysis, analyse_residuals
-
-Array = NDArray[np.float64]
-Generator = np.random.Generator
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread() -> Iterator[None]:
-    """As in a run; many small products would wait for one another."""
-    with threadpool_limits(1):
-        yield
-
-
-def autoregression(phi: float, n: int, generator: Generator) -> Array:
-    """Stationary AR(1) of unit variance."""
-    start = [phi * generator.normal()]
-    series, _ = lfilter([math.sqrt(1 - phi * phi)], [1.0, -phi], generator.normal(size=n), zi=start)
-    return np.asarray(series)
+from tests.leakage.estimation.made_errors import Array, Generator, autoregression, one
 
 
 def held(n: int, hold: int, generator: Generator) -> Array:
@@ -40,171 +22,7 @@ def held(n: int, hold: int, generator: Generator) -> Array:
     return np.asarray(series)
 
 
-def one(
-    error: Array, u: Array, index: NDArray[np.int64] | None = None, memory: float = 0.0
-) -> LagTest:
-    places = np.arange(len(error), dtype=np.int64) if index is None else index
-    return analyse_residuals(error, {"u": u}, places, memory).independence["u"]
-
-
-# --- the definitions, pair by pair ------------------------------------------------------------
-
-
-def gappy(n: int, generator: Generator) -> NDArray[np.int64]:
-    """Places of n samples: every hundredth or so is missing, and a long stretch in the middle."""
-    steps = np.where(generator.uniform(size=n) < 0.01, generator.integers(2, 9, n), 1)
-    steps[n // 2] = 4000
-    return np.cumsum(steps)
-
-
-def segments_of(index: NDArray[np.int64]) -> list[NDArray[np.intp]]:
-    return np.split(np.arange(len(index)), np.flatnonzero(np.diff(index) != 1) + 1)
-
-
-def covariance(a: Array, b: Array, lag: int, segments: list[NDArray[np.intp]]) -> tuple[float, int]:
-    """Mean of a(t) b(t − lag) over pairs within a segment, and how many there are."""
-    total, pairs = 0.0, 0
-    for rows in segments:
-        for t in rows:
-            if rows[0] <= t - lag <= rows[-1]:
-                total += a[t] * b[t - lag]
-                pairs += 1
-    return total / max(pairs, 1), pairs
-
-
-@pytest.fixture(scope="module", params=["whole", "gaps"])
-def example(request: pytest.FixtureRequest) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Errors that remember, and an input that does too and of which they depend a little."""
-    generator = np.random.default_rng(11)
-    n = 1400
-    index = np.arange(n) if request.param == "whole" else gappy(n, generator)
-    u = 40.0 + 7.0 * autoregression(0.9, n, generator)
-    error = 0.3 + 0.02 * autoregression(0.7, n, generator) + 0.0002 * np.roll(u, 4)
-    return error, u, index
-
-
-def test_autocorrelation_is_that_of_the_definition(
-    example: tuple[Array, Array, NDArray[np.int64]],
-) -> None:
-    error, _, index = example
-    found = analyse_residuals(error, {}, index)
-    assert found.mean_l_per_min == pytest.approx(sum(error) / len(error), rel=1e-12)
-    centred = error - error.mean()
-    variance = float(np.mean(centred**2))
-    statistic = 0.0
-    n, test = len(error), found.whiteness
-    assert test.lags.tolist() == list(range(26))
-    assert test.values[0] == pytest.approx(1.0, rel=1e-12)
-    assert np.isnan(test.bounds[0])
-    for lag in range(1, 26):
-        value, pairs = covariance(centred, centred, lag, segments_of(index))
-        assert test.values[lag] == pytest.approx(value / variance, abs=1e-12)
-        assert test.bounds[lag] == pytest.approx(2.576 / math.sqrt(pairs), rel=1e-12)
-        statistic += (n + 2) / n * pairs * (value / variance) ** 2
-    assert test.statistic == pytest.approx(statistic, rel=1e-11)
-    assert test.degrees_of_freedom == 25
-    assert test.p_value == pytest.approx(float(chi2.sf(statistic, 25)), rel=1e-9)
-
-
-def test_without_gaps_the_figure_is_that_of_ljung_and_box() -> None:
-    """n (n + 2) Σ r²/(n − k), r(k) = Σ ε(t) ε(t − k) / Σ ε², as in their paper."""
-    series = np.random.default_rng(3).normal(size=1500)
-    z = series - series.mean()
-    n = len(z)
-    r = [float(z[k:] @ z[:-k] / (z @ z)) for k in range(1, 26)]
-    q = n * (n + 2) * sum(rk**2 / (n - k) for k, rk in enumerate(r, start=1))
-    assert analyse_residuals(series, {}, np.arange(n)).whiteness.statistic == pytest.approx(q)
-
-
-def test_cross_correlation_and_band_are_those_of_the_definition(
-    example: tuple[Array, Array, NDArray[np.int64]],
-) -> None:
-    error, u, index = example
-    segments = segments_of(index)
-    e, v = error - error.mean(), u - u.mean()
-    size = float(np.sqrt(np.mean(e**2) * np.mean(v**2)))
-    test = one(error, u, index)
-    p = 1.0
-    for lag in range(1, 301):
-        own, pairs = covariance(e, e, lag, segments)
-        if pairs >= 0.2 * len(e):
-            p += 2 * own * covariance(v, v, lag, segments)[0] / size**2
-    assert p > 1.5
-    assert test.lags.tolist() == list(range(-25, 26))
-    for lag, value, bound in zip(test.lags, test.values, test.bounds, strict=True):
-        expected, pairs = covariance(e, v, int(lag), segments)
-        assert value == pytest.approx(expected / size, abs=1e-12)
-        assert bound == pytest.approx(2.576 * math.sqrt(p / pairs), rel=1e-9)
-
-
-def test_independence_statistic_is_that_of_the_definition(
-    example: tuple[Array, Array, NDArray[np.int64]],
-) -> None:
-    """Π by its double sum, r sample by sample, κ from all inner samples; LAPACK for the rest."""
-    error, u, index = example
-    segments = segments_of(index)
-    e = (error - error.mean()) / error.std()
-    v = (u - u.mean()) / u.std()
-    inner = {int(t) for rows in segments for t in rows if rows[0] + 25 <= t <= rows[-1] - 25}
-    r = np.array([sum(e[t] * v[t - k] for t in inner) for k in range(-25, 26)]) / len(inner)
-
-    def correlation(a: Array, lag: int) -> float:
-        value, pairs = covariance(a, a, abs(lag), segments)
-        return value if pairs >= 0.2 * len(a) else 0.0
-
-    errors = {lag: correlation(e, lag) for lag in range(301)}
-    inputs = {lag: correlation(v, lag) for lag in range(351)}
-    follows = [sum(t + lag in inner for t in inner) / len(inner) for lag in range(51)]
-
-    def pi(d: int) -> float:
-        return sum(
-            follows[min(abs(tau), 50)] * errors[abs(tau)] * inputs[abs(tau + d)]
-            for tau in range(-300, 301)
-        )
-
-    matrix = np.array([[pi(abs(j - k)) for k in range(51)] for j in range(51)])
-    size, axes = np.linalg.eigh(matrix)
-    statistic, freedom = 0.0, 0
-    rows = np.array(sorted(inner))
-    windows = np.stack([v[rows - k] for k in range(-25, 26)], axis=1)
-    weighted = windows @ axes[:, size > 1e-3 * size.max()]
-    # Residuals of a regression by its normal equations.
-    slopes = np.linalg.solve(weighted.T @ weighted, weighted.T @ e[rows])
-    rest = e[rows] - weighted @ slopes
-    for value, axis in zip(size, axes.T, strict=True):
-        if value > 1e-3 * size.max():
-            f = windows @ axis
-            kappa = np.mean(rest**2 * f**2) / (np.mean(e[rows] ** 2) * np.mean(f**2))
-            statistic += len(inner) * float(axis @ r) ** 2 / (value * max(kappa, 1.0))
-            freedom += 1
-    test = one(error, u, index)
-    assert test.degrees_of_freedom == freedom
-    assert test.statistic == pytest.approx(statistic, rel=1e-7)
-    assert test.p_value == pytest.approx(float(chi2.sf(statistic, freedom)), rel=1e-5)
-
-
-def test_variance_is_summed_over_ten_correlation_times() -> None:
-    """P of errors that remember for 200 samples needs more than 300 lags."""
-    generator = np.random.default_rng(12)
-    n = 60_000
-    error, u = (autoregression(math.exp(-1 / 200), n, generator) for _ in range(2))
-    expected = (1 + math.exp(-2 / 200)) / (1 - math.exp(-2 / 200))
-    for memory, share in ((0.0, 1 - math.exp(-2 * 300 / 200)), (200.0, 1.0)):
-        found = (one(error, u, memory=memory).bounds[25] / 2.576) ** 2 * n
-        assert found == pytest.approx(share * expected, rel=0.15)
-
-
-def test_variance_has_a_floor() -> None:
-    """Errors that swing to and fro in step with an input of another pace: P near or below 0."""
-    t = np.arange(4000)
-    generator = np.random.default_rng(13)
-    error = np.cos(np.pi * t) + 0.05 * generator.normal(size=4000)
-    u = autoregression(0.95, 4000, generator)
-    bounds = one(error, u).bounds
-    assert bounds[25] == pytest.approx(2.576 * math.sqrt(0.1 / 4000), rel=0.01)
-
-
-# --- series with a known answer ---------------------------------------------------------------
+# series with a known answer
 
 
 def test_white_errors_pass_both() -> None:
@@ -342,9 +160,6 @@ def test_arguments_are_not_changed() -> None:
     assert (u == kept[1]).all()
 
 
-# --- how often errors that depend on nothing fail ---------------------------------------------
-
-
 def rate(draw: Callable[[Generator], tuple[ResidualAnalysis, str]], times: int) -> int:
     """In how many of `times` draws a test failed."""
     generator = np.random.default_rng(31)
@@ -359,6 +174,9 @@ def rate(draw: Callable[[Generator], tuple[ResidualAnalysis, str]], times: int) 
 def acceptable(times: int, level: float) -> tuple[float, float]:
     """Range of 99.9 % of counts at a failure rate of 1 %, the upper end at a rate of `level`."""
     return binom.ppf(0.0005, times, 0.01), binom.ppf(0.9995, times, level)
+
+
+# how often errors that depend on nothing fail
 
 
 def test_false_alarms_of_white_series() -> None:
@@ -408,13 +226,13 @@ def test_errors_that_are_larger_at_some_pressures_are_no_dependence() -> None:
     assert rate(draw, 120) <= acceptable(120, 0.02)[1]
 
 
-# --- what cannot be tested --------------------------------------------------------------------
-
-
 def check_untested(test: LagTest, words: str) -> None:
     assert test.verdict == "not_tested"
     assert (test.statistic, test.degrees_of_freedom, test.p_value) == (None, None, None)
     assert words in (test.reason or "")
+
+
+# what cannot be tested
 
 
 @pytest.mark.parametrize("n", [0, 1, 999])
@@ -444,7 +262,7 @@ def test_an_input_that_does_not_vary(value: float) -> None:
     found = analyse_residuals(error, {"still": np.full(2000, value), "u": u}, np.arange(2000))
     check_untested(found.independence["still"], "does not vary")
     assert list(found.independence) == ["still", "u"]
-    assert found.independence["u"].p_value == one(error, u).p_value
+    assert found.independence["u"].p_value == pytest.approx(one(error, u).p_value, rel=1e-9)
 
 
 def test_samples_that_stand_alone() -> None:
@@ -489,7 +307,7 @@ def test_values_that_are_not_finite_are_refused(bad: float) -> None:
     assert refused.value.code == "not_finite"
 
 
-# --- how much the errors tell -----------------------------------------------------------------
+# how much the errors tell
 
 
 @pytest.mark.parametrize(("phi", "white"), [(0.0, 0.0), (0.9, 0.0), (0.98, 1.0)])

@@ -31,10 +31,10 @@ STAGES = {
     "announcing": "pipeline.store.publishing.announce",
     "landing": "pipeline.store.atomic_files.Prepared.land",
     "recording": "pipeline.store.publishing.update_manifest",
-    "remembering": "pipeline.run.publishing.write_months",
+    "remembering": "pipeline.run.publishing.take_over",
     "trends": "pipeline.trends.stage.read_nights",
     "staging trends": "pipeline.trends.stage.stage",
-    "remembering trends": "pipeline.run.publishing.write_record",
+    "remembering trends": "pipeline.run.publishing.publish_record",
     "publishing the run": "pipeline.store.publishing.Publisher.of_run",
 }
 # Those of a run whose fleet tells somebody of its alarms.

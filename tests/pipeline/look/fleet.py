@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import utc
+from pipeline.clock import utc
 from pipeline.config import Fleet, MotorSpec, load_fleet
 from pipeline.look.baseline import LookBaseline, calibrated
 from pipeline.look.blocks import Blocks, blocks_within

@@ -34,11 +34,6 @@ Array = NDArray[np.float64]
 TWO_HOURS = 120.0
 
 
-@pytest.fixture
-def spec(tmp_path: Path) -> MotorSpec:
-    return load_motor(tmp_path, motor_toml("M1"))
-
-
 def noise(n: int, seed: int = 1, sd: float = 0.01) -> Array:
     return sd * np.random.default_rng(seed).standard_normal(n)
 

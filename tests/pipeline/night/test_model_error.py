@@ -36,11 +36,6 @@ def outcome(spec: MotorSpec, flow_of: MotorSpec | None = None) -> NightOutcome:
     return fit_night(spec, night_of(), raw(operation.time_us, operation.channels(flow)), {})
 
 
-@pytest.fixture
-def spec(tmp_path: Path) -> MotorSpec:
-    return load_motor(tmp_path, motor_toml("M1"))
-
-
 def test_parts_add_by_squares_and_an_unknown_model_adds_nothing() -> None:
     assert ErrorParts(3.0, 4.0, 12.0).total == pytest.approx(13.0)
     assert ErrorParts(3.0, 4.0, None).total == pytest.approx(5.0)

@@ -24,11 +24,6 @@ DAYS = [NIGHT + dt.timedelta(days=number) for number in range(8)]
 TRUE_SCALE = 0.6
 
 
-@pytest.fixture
-def spec(tmp_path: Path) -> MotorSpec:
-    return load_motor(tmp_path, motor_toml("M1"))
-
-
 def night(spec: MotorSpec, speed_rpm: float | None = None) -> NightOutcome:
     """Two hours of a motor whose rollers leak less than their curve says."""
     operation = operate(minutes=120.0)

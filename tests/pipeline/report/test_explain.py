@@ -33,7 +33,9 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) 
         "l/min (root mean square)",
         "training errors: not white (25 of 25 lags outside the 99 % band)",
         "training errors: independent of ",
-        "Systematic errors\n  largest of the reference leakage: oil_temperature offset of 1 °C -",
+        "Systematic errors\n  reference leakage ± 0.0",
+        "l/min from stated tolerances; what constants do alike on all nights is not in the ± above",
+        "largest: oil_temperature offset of 1 °C -",
         "leakage_flow offset of 0.02 l/min +",
     ):
         assert words in told
@@ -45,6 +47,7 @@ def test_the_answer_stands_first_and_each_part_under_its_title(fitted_output: Pa
     titles = [line for before, line in pairwise(told) if not before]
     assert titles == ["Paths", "Systematic errors", "Fit", "Errors of the fit", "Data"]
     assert told[1].startswith("reference leakage")
+    assert told[1].count("±") == told[2].count("±") == 1
     under = {line for line in told if line.startswith("  ")}
     assert len(told) == 3 + 2 * len(titles) + len(under)
 

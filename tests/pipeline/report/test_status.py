@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from pipeline.report.status import last_findings
 from pipeline.report.words import STATES
 from pipeline.schema import FITS, TRENDS, frame
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.rows.latest_states import motor_state
+from pipeline.trends.rows.latest_states import motor_states
 from pipeline.trends.rows.motor_states import ORDER, LookStanding, MotorState, urgency
 from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.states.words import FALL
@@ -21,8 +22,15 @@ from tests.pipeline.report.states import LAST, WORN, fits_of, rows_of, said, tre
 from tests.pipeline.trends.nights import Nights, motor, night_of, standing, step
 
 
+def state_of(
+    motor_id: str, trends: pl.DataFrame, fits: pl.DataFrame, decisions: Sequence[Decision]
+) -> MotorState:
+    (found,) = motor_states([motor_id], trends, fits, decisions)
+    return found
+
+
 def test_a_motor_is_as_its_worst_indicator_tonight() -> None:
-    found = motor_state("M1", rows_of("M1", K_piston_ring=WORN), fits_of("M1"), ())
+    found = state_of("M1", rows_of("M1", K_piston_ring=WORN), fits_of("M1"), ())
     assert (found.state, found.indicator) == ("alarm", "K_piston_ring")
     assert found.reason == "K_piston_ring is alarm"
     assert found.leakage_l_per_min == 1.4
@@ -34,7 +42,7 @@ def test_the_headline_names_every_part_in_alarm() -> None:
     rows = [
         one | {"run_id": "r"} for one in trend_rows(standing(Nights(motor(), 110, worn)), [109])
     ]
-    found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
+    found = state_of("M1", frame(TRENDS, rows), fits_of("M1"), ())
     assert (found.state, found.indicator) == ("alarm", "K_balance_sleeve")
     assert found.reason is not None
     assert found.reason.startswith("balance sleeve gap +")
@@ -45,7 +53,7 @@ def test_the_headline_names_every_part_in_alarm() -> None:
 def test_a_motor_without_a_baseline_says_how_far_it_has_come_and_what_it_drains() -> None:
     rows = [one | {"run_id": "r"} for one in trend_rows(standing(Nights(motor(), 5)), [4])]
     others = [one for one in rows if one["indicator"] != "reference_leakage"]
-    found = motor_state("M1", frame(TRENDS, others), fits_of("M1"), ())
+    found = state_of("M1", frame(TRENDS, others), fits_of("M1"), ())
     assert (found.state, found.leakage_indicator) == ("insufficient", "comparable_drain_flow")
     assert found.reason == "5 of 15 good nights for a baseline (first nights)"
     # A healthy motor drains what its configured gaps leak (CB560, model.md, section 3).
@@ -77,7 +85,7 @@ def test_a_leakage_that_says_nothing_of_now_is_not_told_as_current(
 ) -> None:
     rows = of_leakage("reference_leakage", UNKNOWN, **tonight)
     rows += of_leakage("K_piston_ring", [1.0] * 6, **ring)
-    found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
+    found = state_of("M1", frame(TRENDS, rows), fits_of("M1"), ())
     assert found.leakage_night == night_of(1)
     expected = (1.4, 0.0) if known else (None, None)
     assert (found.leakage_l_per_min, found.deviation_percent) == expected
@@ -86,13 +94,13 @@ def test_a_leakage_that_says_nothing_of_now_is_not_told_as_current(
 def test_the_leakage_at_the_motors_own_conditions_stands_in_where_it_alone_is_known() -> None:
     rows = of_leakage("reference_leakage", UNKNOWN, state="stale")
     rows += of_leakage("own_reference_leakage", [2.0] * 6)
-    found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
+    found = state_of("M1", frame(TRENDS, rows), fits_of("M1"), ())
     assert (found.leakage_l_per_min, found.leakage_night) == (2.0, night_of(LAST))
 
 
 def test_the_leakage_has_its_indicator_and_interval() -> None:
     rows = of_leakage("reference_leakage", [1.3, 1.4], lower=1.35, upper=1.45)
-    found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
+    found = state_of("M1", frame(TRENDS, rows), fits_of("M1"), ())
     assert found.leakage_indicator == "reference_leakage"
     assert (found.leakage_lower, found.leakage_upper) == (1.35, 1.45)
 
@@ -109,17 +117,17 @@ def test_the_gap_that_changed_most_is_one_known_since_the_change(
     rows += of_leakage("gap_change_sleeve", [8.0, 4.0, 4.0, 4.0], n_slope=None)
     change = {} if began is None else {"state": "alarm", "change_start": night_of(began)}
     rows += of_leakage("K_piston_ring", [1.0] * 4, **change)
-    found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
+    found = state_of("M1", frame(TRENDS, rows), fits_of("M1"), ())
     assert (found.gap_path, found.gap_change_percent) == expected
 
 
 def test_a_last_night_that_failed_is_told_and_comes_before_motors_in_order() -> None:
     failed = {"run_id": "r", "motor_id": "M1", "night": night_of(6), "status": "failed"}
     fits = pl.concat([fits_of("M1"), frame(FITS, [failed | {"reason": "the log is cut"}])])
-    found = motor_state("M1", rows_of("M1"), fits, ())
+    found = state_of("M1", rows_of("M1"), fits, ())
     assert (found.state, found.failure) == ("ok", "night of 2026-01-08 failed: the log is cut")
     assert found.why == f"no change of external leakage; {found.failure}"
-    fine = motor_state("M0", rows_of("M0"), fits_of("M0"), ())
+    fine = state_of("M0", rows_of("M0"), fits_of("M0"), ())
     assert fine.failure == ""
     assert urgency(found) < urgency(fine)
 
@@ -130,7 +138,7 @@ def test_a_poor_fit_of_the_last_good_night_is_told() -> None:
             {"run_id": "r", "motor_id": "M1", "night": night_of(night), "is_primary": True} | fit
             for night, fit in enumerate(fits)
         ]
-        return motor_state("M1", rows_of("M1"), frame(FITS, rows), ()).poor_fit
+        return state_of("M1", rows_of("M1"), frame(FITS, rows), ()).poor_fit
 
     good = {"status": "ok", "training_fit_percent": 99.0, "validation_fit_percent": 0.0}
     poor = good | {"validation_fit_percent": -1295.0}
@@ -143,16 +151,16 @@ def test_a_poor_fit_of_the_last_good_night_is_told() -> None:
 
 def test_an_alarm_of_the_past_is_past() -> None:
     over = [*WORN[:5], "ok"]
-    found = motor_state("M1", rows_of("M1", K_piston_ring=over), fits_of("M1"), ())
+    found = state_of("M1", rows_of("M1", K_piston_ring=over), fits_of("M1"), ())
     assert (found.state, found.indicator, found.reason) == ("ok", None, None)
 
 
 def test_a_motor_that_never_sees_the_fleets_conditions_is_judged_by_its_others() -> None:
     missing = ["insufficient"] * (LAST + 1)
-    found = motor_state("M1", rows_of("M1", reference_leakage=missing), fits_of("M1"), ())
+    found = state_of("M1", rows_of("M1", reference_leakage=missing), fits_of("M1"), ())
     assert found.state == "ok"
     both = rows_of("M1", reference_leakage=missing, K_piston_ring=missing)
-    assert motor_state("M1", both, fits_of("M1"), ()).state == "insufficient"
+    assert state_of("M1", both, fits_of("M1"), ()).state == "insufficient"
 
 
 def test_a_sensor_alone_makes_no_motor_ok_and_one_that_drifts_is_named() -> None:
@@ -165,7 +173,7 @@ def test_a_sensor_alone_makes_no_motor_ok_and_one_that_drifts_is_named() -> None
     )
     missing = ["insufficient"] * (LAST + 1)
     rows = rows_of("M1", reference_leakage=missing, K_piston_ring=missing)
-    assert motor_state("M1", pl.concat([rows, zero]), fits_of("M1"), ()).state == "insufficient"
+    assert state_of("M1", pl.concat([rows, zero]), fits_of("M1"), ()).state == "insufficient"
     moved = trend(
         "M1",
         LAST,
@@ -175,7 +183,7 @@ def test_a_sensor_alone_makes_no_motor_ok_and_one_that_drifts_is_named() -> None
         deviation_percent=None,
         state_reason="the zero of the flow sensor has moved",
     )
-    found = motor_state("M1", pl.concat([rows_of("M1"), frame(TRENDS, [moved])]), fits_of("M1"), ())
+    found = state_of("M1", pl.concat([rows_of("M1"), frame(TRENDS, [moved])]), fits_of("M1"), ())
     assert (found.state, found.indicator) == ("ok", None)
     assert found.reason == "the zero of the flow sensor has moved"
 
@@ -183,13 +191,13 @@ def test_a_sensor_alone_makes_no_motor_ok_and_one_that_drifts_is_named() -> None
 def test_a_silent_motor_is_stale() -> None:
     stale = ["ok"] * 3 + ["stale"] * 3
     rows = rows_of("M1", reference_leakage=stale, K_piston_ring=stale)
-    found = motor_state("M1", rows, fits_of("M1", 3), ())
+    found = state_of("M1", rows, fits_of("M1", 3), ())
     assert found.state == "stale"
     assert found.last_good_night == night_of(2)
 
 
 def test_without_trends_there_is_a_state_too() -> None:
-    found = motor_state("M1", rows_of("M2").clear(), fits_of("M1", 2), ())
+    found = state_of("M1", rows_of("M2").clear(), fits_of("M1", 2), ())
     assert (found.state, found.reason) == ("insufficient", "no trends yet")
 
 
@@ -197,7 +205,7 @@ def test_what_was_said_since_the_state_began_is_shown() -> None:
     rows = rows_of("M1", K_piston_ring=WORN)
 
     def shown(*decisions: Decision) -> str:
-        return motor_state("M1", rows, fits_of("M1"), decisions).acknowledged
+        return state_of("M1", rows, fits_of("M1"), decisions).acknowledged
 
     assert shown() == ""
     assert shown(said(4, note="rings ordered")) == "rings ordered"
@@ -278,7 +286,7 @@ def test_the_parts_in_the_worst_state_and_since_when_it_is_known() -> None:
         for n, state in enumerate(course)
     ]
     rows[3] |= {"deviation_percent": 60.0}
-    found = motor_state("M", frame(TRENDS, rows), frame(FITS, []), [])
+    found = state_of("M", frame(TRENDS, rows), frame(FITS, []), [])
     assert found.path == "balance_sleeve and balance_piston"
     # The warning of the first night had ended.
     assert found.known_since == night_of(2)
@@ -288,10 +296,10 @@ def test_the_parts_in_the_worst_state_and_since_when_it_is_known() -> None:
 def test_a_sudden_rise_within_the_day_comes_first_and_a_clear_look_is_not_shown() -> None:
     since = dt.datetime(2026, 3, 2, 14, 30, tzinfo=dt.UTC)
     rise = LookStanding("look_now", since, "drain flow +82 % [75, 90]", told=1)
-    worn = motor_state("M1", rows_of("M1", K_piston_ring=WORN), fits_of("M1"), ())
-    broken = replace(motor_state("M2", rows_of("M2"), fits_of("M2"), ()), look=rise)
+    worn = state_of("M1", rows_of("M1", K_piston_ring=WORN), fits_of("M1"), ())
+    broken = replace(state_of("M2", rows_of("M2"), fits_of("M2"), ()), look=rise)
     clear = LookStanding("clear", since, "x")
-    quiet = replace(motor_state("M3", rows_of("M3"), fits_of("M3"), ()), look=clear)
+    quiet = replace(state_of("M3", rows_of("M3"), fits_of("M3"), ()), look=clear)
     assert min((worn, quiet, broken), key=urgency).motor_id == "M2"
     assert "look now since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
     assert "clear" not in quiet.why

@@ -12,7 +12,7 @@ from pipeline.report.tables import ReportTables
 from pipeline.report.trends import changes_of_state, motor_states, trend_payload
 from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, FITS, TRENDS, frame
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.rows.latest_states import motor_state
+from pipeline.trends.rows import latest_states
 from tests.pipeline.report.nights import FIRST, ONE_DAY, fit
 from tests.pipeline.report.packed import unpacked
 
@@ -73,7 +73,7 @@ def test_states_are_those_of_the_command_status() -> None:
     for motor_id, said in {"M": [SEEN], "N": [], "new": []}.items():
         trends, fits = read.trends["trends"], read.fits
         own = (trends.filter(motor_id=motor_id), fits.filter(motor_id=motor_id))
-        assert found[motor_id] == motor_state(motor_id, *own, said)
+        assert [found[motor_id]] == latest_states.motor_states([motor_id], *own, said)
     assert found["M"].why == "sleeve +38 % [29, 47] (acknowledged: ordered a sleeve)"
     assert (found["new"].state, found["new"].why) == ("insufficient", "no night yet")
 

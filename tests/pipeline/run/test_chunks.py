@@ -24,7 +24,8 @@ from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.workers.engine import nights_a_chunk
 from pipeline.workers.process import Loss
 from tests.conftest import OwnFleet
-from tests.pipeline.run.test_fleet import check_same_tables, rows
+from tests.pipeline.misbehaviour import Carried
+from tests.pipeline.run.demo_runs import check_same_tables, rows
 from tests.pipeline.simulated import write_log
 from tests.pipeline.workshop import DAY, Workshop
 
@@ -257,7 +258,7 @@ def test_a_night_of_a_chunk_that_kills_its_worker_process_costs_no_other(
         module.fit_night = fit_or_die
         return run_motor(task)
 
-    monkeypatch.setattr("pipeline.run.motors.run_motor", run_or_die)
+    monkeypatch.setattr("pipeline.run.motors.run_motor", Carried(run_or_die))
     (outcome,) = run(fleet, tmp_path / "out", nights_a_part=2, backend="loky").outcomes
     assert dict(outcome.counts) == {"ok": 2, "failed": 1}
     assert outcome.error_code == "worker_died"

@@ -42,7 +42,7 @@ def test_a_run_with_nothing_new_starts_no_worker(
     monkeypatch.setattr("pipeline.run.motors.run_motor", forbidden)
     fleet = replace(load_fleet(workshop.fleet), execution=BESIDE)
     (outcome,) = run_fleet(RunRequest(fleet)).outcomes
-    assert (outcome.status, outcome.nights, outcome.ledger) == ("no_new_data", (), {})
+    assert (outcome.status, outcome.nights) == ("no_new_data", ())
     assert outcome.files == {"unchanged": 2}
 
 

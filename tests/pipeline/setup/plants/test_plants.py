@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -99,6 +100,31 @@ def test_forty_motors_are_a_line_each(tmp_path: Path) -> None:
     assert len(files) == 41
     assert files["motors/W7.toml"] == 'motor_id = "W7"\n'
     assert files["fleet.toml"].count("[defaults.channels.") == 4
+
+
+def test_motors_alike_are_asked_about_once(tmp_path: Path) -> None:
+    def log_of(motors: Sequence[str], line: str) -> str:
+        tags = ("dp [bar]", "T [°C]", "n [rpm]", "flow_1 [l/min]", "flow_2 [l/min]")
+        header = [f"{name}_{tag}" for name in motors for tag in tags]
+        rows = [f"2026-01-13T06:00:{i:02}Z" + line * len(motors) for i in range(9)]
+        return "\n".join([",".join(["time", *header]), *rows, ""])
+
+    line = ",200.5,45.5,30.5,1.5,1.6"
+    for name in ("A", "B"):
+        (tmp_path / "plant" / name).mkdir(parents=True)
+        text = log_of([f"{name}1", f"{name}2"], line)
+        (tmp_path / "plant" / name / f"{name}_2026-01-13.csv").write_text(text, "utf-8")
+    (question,) = propose(tmp_path / "plant", {}).questions
+    assert question.key == "A1.leakage_flow"
+    answers = {"A1.leakage_flow": "A1_flow_2 [l/min]", "B1.leakage_flow": "B1_flow_1 [l/min]"}
+    found = propose(tmp_path / "plant", answers)
+    assert not found.questions
+    assert {one.motor_id: one.sources["leakage_flow"].source for one in found.motors} == {
+        "A1": "A1_flow_2 [l/min]",
+        "A2": "A2_flow_2 [l/min]",
+        "B1": "B1_flow_1 [l/min]",
+        "B2": "B2_flow_2 [l/min]",
+    }
 
 
 @pytest.mark.parametrize("column", ["Maschinen-Nr", "where"])

@@ -1,0 +1,18 @@
+"""Problems of least squares in a box."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from leakage.estimation.block_statistics import Array
+from leakage.estimation.multi_start import Parametrisation
+from tests.leakage.placeholders import placeholder_motor
+
+MOTOR = placeholder_motor(flushing="estimated", flushing_l_per_min=2.0)
+LOWER, UPPER = Parametrisation.of(MOTOR).coefficient_bounds()
+WIDE = np.full(4, 1e3)
+
+
+def column_norms(z: Array) -> Array:
+    norms = np.linalg.norm(z[:, :-2], axis=0)
+    return np.where(norms > 0, norms, 1.0)

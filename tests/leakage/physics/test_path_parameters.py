@@ -1,0 +1,180 @@
+"""Parameters of the paths: gradients, bounds, feasible gaps, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from leakage.errors import ParameterError
+from leakage.physics.paths import Constant, Laminar, LeakagePath, Parameter, SpeedCurve
+from tests.leakage.physics.declared_paths import COEFFICIENTS_M3, EACH_LAW, FAMILY, vector
+from tests.leakage.placeholders import (
+    balance_piston,
+    balance_sleeve,
+    cam_roller,
+    eccentricity,
+    gap,
+    piston_ring,
+)
+
+
+@EACH_LAW
+@given(data=st.data())
+def test_gradient_is_the_slope_of_the_coefficient(path: LeakagePath, data: st.DataObject) -> None:
+    values = [
+        data.draw(st.floats(p.minimum + 0.05 * (p.maximum - p.minimum), p.maximum), label=p.name)
+        for p in path.parameters
+    ]
+    gradient = path.coefficient_gradient(values)
+    assert gradient.shape == (len(values),)
+    for index, value in enumerate(values):
+        step = 1e-4 * value
+        low, high = (
+            path.coefficient([*values[:index], value + sign * step, *values[index + 1 :]])
+            for sign in (-1.0, 1.0)
+        )
+        assert gradient[index] == pytest.approx((high - low) / (2.0 * step), rel=1e-6)
+
+
+def test_gradient_by_eccentricity_vanishes_where_the_part_is_concentric() -> None:
+    assert balance_piston().coefficient_gradient([10.0, 0.0])[1] == 0.0
+
+
+@EACH_LAW
+@given(data=st.data())
+def test_coefficient_stays_within_its_bounds(path: LeakagePath, data: st.DataObject) -> None:
+    values = [data.draw(st.floats(p.minimum, p.maximum), label=p.name) for p in path.parameters]
+    lowest, highest = path.coefficient_bounds()
+    assert lowest <= path.coefficient(values) <= highest
+
+
+def test_bounds_are_reached_and_a_fixed_parameter_shrinks_them() -> None:
+    free = balance_piston()
+    assert free.coefficient_bounds() == (
+        free.coefficient([1.0, 0.0]),
+        free.coefficient([60.0, 1.0]),
+    )
+    half = replace(free, eccentricity=eccentricity("p", 0.4, fixed=True))
+    assert half.coefficient_bounds() == (
+        free.coefficient([1.0, 0.4]),
+        free.coefficient([60.0, 0.4]),
+    )
+    assert half.is_free
+    whole = replace(half, gap=gap("p", 10.0, fixed=True))
+    assert not whole.is_free
+    assert whole.coefficient_bounds() == (whole.configured_coefficient,) * 2
+
+
+@given(coefficient_m3=COEFFICIENTS_M3)
+def test_feasible_gaps_lie_a_factor_1_357_apart(coefficient_m3: float) -> None:
+    lowest, highest = balance_sleeve().feasible_gap_um(coefficient_m3)
+    assert highest / lowest == pytest.approx(2.5 ** (1.0 / 3.0), rel=1e-12)
+    assert round(highest / lowest, 3) == 1.357
+
+
+def test_feasible_gap_follows_the_formula_and_the_eccentricitys_bounds() -> None:
+    # h between (6lK/(2.5nπr))^⅓ and (6lK/(nπr))^⅓, divided by 1.1 for the sleeve.
+    concentric = (6 * 0.020 * 4.373874e-14 / (32 * math.pi * 0.020)) ** (1 / 3) / 1.1 * 1e6
+    sleeve = balance_sleeve()
+    assert sleeve.feasible_gap_um(4.373874e-14)[1] == pytest.approx(concentric, rel=1e-12)
+    fixed = replace(sleeve, eccentricity=eccentricity("s", 0.3, fixed=True))
+    assert fixed.feasible_gap_um(4.373874e-14) == pytest.approx((12.0, 12.0), rel=1e-7)
+    assert piston_ring().feasible_gap_um(7.506312e-14) == pytest.approx((8.0, 8.0), rel=1e-7)
+
+
+def test_inverse_map_takes_arrays_and_refuses_what_has_no_gap() -> None:
+    piston = balance_piston()
+    assert piston.gap_um_from_coefficient([0.0, 1.558230e-14], 0.4) == pytest.approx(
+        [0.0, 10.0], rel=1e-7
+    )
+    for coefficient, e in ((-1e-15, 0.0), (1e-15, 1.5), (1e-15, math.nan)):
+        with pytest.raises(ParameterError, match="no gap height"):
+            piston.gap_um_from_coefficient(coefficient, e)
+
+
+def test_names_and_units_of_coefficients_in_tables() -> None:
+    assert [(path.coefficient_name, path.coefficient_unit) for path in FAMILY] == [
+        ("K_o", "m3"),
+        ("K_p", "m3"),
+        ("K_s", "m3"),
+        ("scale_r", "1"),
+        ("K_d", "m3"),
+        ("C_f", "l_per_min"),
+    ]
+
+
+def test_roller_is_known_unless_its_scale_is_free() -> None:
+    assert not cam_roller().is_free
+    assert cam_roller(free=True).is_free
+
+
+@pytest.mark.parametrize(
+    ("value", "minimum", "maximum"),
+    [
+        (0.5, 1.0, 60.0),
+        (61.0, 1.0, 60.0),
+        (8.0, 60.0, 1.0),
+        (math.nan, 1.0, 60.0),
+        (8, 1, math.inf),
+    ],
+)
+def test_parameter_outside_its_bounds_is_refused(
+    value: float, minimum: float, maximum: float
+) -> None:
+    with pytest.raises(ParameterError, match="h_o"):
+        Parameter("h_o", "um", value, minimum, maximum)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"count": 0}, "count"),
+        ({"radius_m": -0.035}, "radius_m"),
+        ({"length_m": math.nan}, "length_m"),
+        ({"height_factor": 0.0}, "height_factor"),
+        ({"deformation_pressure_pa": 0.0}, "deformation_pressure_pa"),
+        ({"gap": Parameter("h_o", "mm", 0.008, 0.001, 0.06)}, "expects 'um'"),
+        ({"gap": Parameter("h_o", "um", 8.0, -1.0, 60.0)}, "within 0"),
+        ({"eccentricity": Parameter("e_o", "1", 0.5, 0.0, 1.5)}, "within 0 to 1"),
+    ],
+)
+def test_annular_gap_with_nonsense_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ParameterError, match=message) as caught:
+        replace(piston_ring(), **change)  # type: ignore[arg-type]
+    assert "'o'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"coefficients": ()},
+        {"coefficients": (math.nan, 1.0)},
+        {"speed_minimum_rpm": 125.0},
+        {"speed_minimum_rpm": -1.0},
+        {"speed_maximum_rpm": math.inf},
+        {"reference_pressure_pa": 0.0},
+        {"reference_viscosity_pa_s": -0.035},
+        {"scale": Parameter("scale_r", "um", 1.0, 0.0, 5.0)},
+    ],
+)
+def test_speed_curve_with_nonsense_is_refused(change: dict[str, object]) -> None:
+    with pytest.raises(ParameterError, match="'r'"):
+        replace(cam_roller(), **change)  # type: ignore[arg-type]
+
+
+def test_negative_flows_are_refused() -> None:
+    with pytest.raises(ParameterError, match="C_f"):
+        Constant("f", Parameter("C_f", "l_per_min", 0.0, -1.0, 20.0))
+    with pytest.raises(ParameterError, match="C_d"):
+        Laminar("d", 1, Parameter("C_d", "m3", 0.0, -1e-15, 0.0))
+    with pytest.raises(ParameterError, match="count"):
+        Laminar("d", 0, Parameter("C_d", "m3", 0.0, 0.0, 0.0))
+
+
+def test_any_degree_of_curve_is_a_declaration() -> None:
+    line = SpeedCurve("r", 1, (2.0, 1.0), 0.0, 10.0, 1.0, 1.0, Parameter("s", "1", 1, 0, 2, True))
+    assert line.curve_l_per_min(vector(0.0, 3.0, 99.0)).tolist() == [1.0, 7.0, 21.0]

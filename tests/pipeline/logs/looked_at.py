@@ -1,0 +1,34 @@
+"""Log files of a motor, and what is found in them."""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import replace
+from pathlib import Path
+
+from pipeline.config import Channel, MotorSpec
+from pipeline.config.logs import Logs
+from pipeline.logs.files import inspect_log
+from pipeline.logs.ledger import FileRecord
+
+UNITS = {
+    "pressure_difference": "bar",
+    "oil_temperature": "degC",
+    "speed": "rpm",
+    "leakage_flow": "l/min",
+}
+EVENING = dt.datetime(2026, 1, 1, 22, tzinfo=dt.UTC)
+
+
+def with_files(spec: MotorSpec, *files: str) -> MotorSpec:
+    channels = {name: Channel(source=name, unit=unit) for name, unit in UNITS.items()}
+    update = {"logs": Logs(format="csv", files=files), "channels": channels}
+    return replace(spec, file=spec.file.model_copy(update=update))
+
+
+def looked_at(path: Path, spec: MotorSpec, before: FileRecord | None = None) -> FileRecord:
+    return inspect_log(path.relative_to(spec.log_root).as_posix(), path, before, spec)
+
+
+def us(time: dt.datetime) -> int:
+    return int(time.timestamp()) * 1_000_000

@@ -1,0 +1,295 @@
+"""The rules on values: ranges, spikes, and sensors that are frozen."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.config import Channel, Cleaning
+from pipeline.night import masks
+from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.cleaning import CleanChannel, clean_channel
+from pipeline.night.masks import at_maximum, frozen, out_of_range, spike
+from tests.pipeline.night.channels import SECOND, Floats, lively, refused_by, stamps
+from tests.pipeline.night.cleaned import RULES, raw
+
+
+class TestValues:
+    """Not finite, out of range, at the sensor's maximum."""
+
+    def test_reading_that_is_not_finite_is_not_missing(self) -> None:
+        value = lively(100)
+        value[[10, 20, 30]] = np.nan, np.inf, -np.inf
+        cleaned = clean_channel(raw(stamps(100), value), RULES)
+        assert cleaned.counts["not_finite"] == cleaned.counts["any"] == 3
+        assert cleaned.counts["missing"] == cleaned.counts["spike"] == 0
+        np.testing.assert_array_equal(np.flatnonzero(cleaned.refused), [10, 20, 30])
+
+    def test_range_includes_its_ends(self) -> None:
+        value = np.array([-1.1, -1.0, 0.0, 450.0, 450.1, np.nan])
+        assert out_of_range(value, (-1.0, 450.0)).tolist() == [True, *[False] * 3, True, False]
+
+    def test_maximum_to_half_of_the_resolution(self) -> None:
+        value = np.array([19.98, 19.9899, 19.9901, 20.0 - 1e-12, 20.0, 20.02, np.nan])
+        found = at_maximum(value, 20.0, 0.02).tolist()
+        assert found == [False, False, True, True, True, True, False]
+        assert at_maximum(value, 20.0, 0.0).tolist() == [*[False] * 3, True, True, True, False]
+        assert not at_maximum(value, None, 0.02).any()
+
+    def test_several_rules_count_each_and_once_under_any(self) -> None:
+        """At its maximum the sensor is out of range here, too."""
+        value = lively(200)
+        value[100:104] = 120.0
+        rules = replace(RULES, sensor_maximum=120.0)
+        cleaned = clean_channel(raw(stamps(200), value), rules)
+        assert refused_by(cleaned) == {"out_of_range": 4, "at_maximum": 4, "any": 4}
+        np.testing.assert_array_equal(np.flatnonzero(cleaned.at_maximum), range(100, 104))
+
+    def test_one_bad_value_costs_its_neighbours_nothing(self) -> None:
+        for bad in (np.nan, np.inf, 1e30, -5.0, 70.0):
+            value = lively(100)
+            value[50] = bad
+            cleaned = clean_channel(raw(stamps(100), value), RULES)
+            assert np.flatnonzero(cleaned.refused).tolist() == [50]
+
+
+def slow_hampel(value: Floats, window: int, threshold: float, resolution: float) -> list[bool]:
+    """The definition, sample by sample; beyond its ends the signal is mirrored."""
+    half = window // 2
+    mirrored = np.pad(value, half, mode="reflect")
+    flags = []
+    for centre in range(len(value)):
+        around = [float(one) for one in mirrored[centre : centre + window]]
+        middle = statistics.median(around)
+        scaled_mad = statistics.median(abs(one - middle) for one in around) * 1.4826022185056018
+        # A distance in steps of the sensor is not exceeded by a hundredth of one.
+        limit = max(threshold * scaled_mad, (threshold + 0.01) * resolution)
+        flags.append(abs(value[centre] - middle) > limit)
+    return flags
+
+
+class TestHampel:
+    """Window of 11, 5 scaled MAD, never below the sensor's resolution."""
+
+    @given(
+        st.integers(0, 2**32 - 1),
+        st.sampled_from([3, 5, 11, 21]),
+        st.sampled_from([2.0, 3.0, 5.0]),
+        st.sampled_from([0.0, 0.1, 1.0]),
+        st.booleans(),
+    )
+    def test_as_the_slow_definition(
+        self, seed: int, window: int, threshold: float, resolution: float, in_steps: bool
+    ) -> None:
+        rng = np.random.default_rng(seed)
+        value = np.cumsum(rng.standard_t(2, 120))
+        if in_steps and resolution:
+            value = np.round(value / resolution) * resolution
+        expected = slow_hampel(value, window, threshold, resolution)
+        assert spike(value, window, threshold, resolution).tolist() == expected
+
+    def test_mad_is_scaled_to_a_standard_deviation(self) -> None:
+        """Median 0 and MAD 1, so the limit is 5 · 1.4826 = 7.413."""
+        around = np.array([-1.0, 1.0, 0.0, 1.5, -1.0, -1.5, 1.0, 0.0, -1.0, 1.0])
+        for centre, is_spike in ((7.40, False), (7.42, True)):
+            value = np.insert(around, 5, centre)
+            assert spike(value, 11, 5.0, 0.0)[5] == is_spike
+
+    def test_coarse_signal_keeps_its_steps(self) -> None:
+        """MAD 0 without the floor: each lone step of the sensor would be a spike."""
+        value = np.full(50, 20.0)
+        value[[10, 30]] = 20.1, 20.5
+        assert not spike(value, 11, 5.0, 0.1).any()
+        value[30] = 20.6
+        assert np.flatnonzero(spike(value, 11, 5.0, 0.1)).tolist() == [30]
+
+    @given(st.floats(-50, 50), st.floats(-20, 20))
+    def test_ramp_has_no_spike(self, offset: float, slope: float) -> None:
+        assert not spike(offset + slope * np.arange(60.0), 11, 5.0, 0.1).any()
+
+    @given(st.floats(-1000, 1000), st.integers(8, 52))
+    def test_lasting_step_has_no_spike(self, height: float, at: int) -> None:
+        value = lively(60)
+        value[at:] += height
+        assert not spike(value, 11, 5.0, 0.1).any()
+
+    @pytest.mark.parametrize("at", [0, 1, 4, 5, 30, 58, 59])
+    def test_lone_spike_is_found_wherever_it_stands(self, at: int) -> None:
+        value = lively(60)
+        value[at] += 40.0
+        assert np.flatnonzero(spike(value, 11, 5.0, 0.1)).tolist() == [at]
+
+    def test_five_in_a_row_are_found_and_six_are_a_level(self) -> None:
+        for count in (5, 6):
+            value = lively(60)
+            value[30 : 30 + count] += 40.0
+            found = spike(value, 11, 5.0, 0.1)
+            assert found[30 : 30 + count].all() == (count == 5)
+
+    def test_fewer_samples_than_a_window_are_not_judged(self) -> None:
+        value = lively(10)
+        value[5] = 1e6
+        assert not spike(value, 11, 5.0, 0.1).any()
+
+    def test_parts_between_borders_are_judged_by_themselves(self) -> None:
+        value = np.random.default_rng(5).standard_t(2, 300)
+        borders = np.array([10, 21, 90, 291])
+        alone = [spike(part, 11, 5.0, 0.1) for part in np.split(value, borders)]
+        found = spike(value, 11, 5.0, 0.1, borders)
+        np.testing.assert_array_equal(found, np.concatenate(alone))
+        assert found[:21].any()
+        assert not found[:10].any()
+
+    def test_chunks_change_nothing(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        value = np.random.default_rng(3).standard_t(2, 1000)
+        whole = spike(value, 11, 5.0, 0.1)
+        monkeypatch.setattr(masks, "WINDOWS", 7)
+        monkeypatch.setattr(masks, "CACHED", 7)
+        np.testing.assert_array_equal(spike(value, 11, 5.0, 0.1), whole)
+        assert whole.any()
+
+    @given(st.floats(0.1, 10), st.floats(-100, 100))
+    def test_scale_and_offset_change_nothing(self, scale: float, offset: float) -> None:
+        value = np.random.default_rng(4).standard_t(2, 300)
+        scaled = spike(value * scale + offset, 11, 5.0, 0.1 * scale)
+        np.testing.assert_array_equal(spike(value, 11, 5.0, 0.1), scaled)
+
+
+class TestAcrossAGap:
+    """Samples before a gap change nothing after it."""
+
+    @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 40.0, -45.0]))
+    def test_samples_before_a_gap_do_not_judge_those_after_it(
+        self, seed: int, level: float
+    ) -> None:
+        after = 50.0 + np.random.default_rng(seed).standard_t(2, 60)
+        time = np.append(stamps(60), stamps(60) + 60 * SECOND)
+        alone = clean_channel(raw(time[60:], after), RULES)
+        both = clean_channel(raw(time, np.append(lively(60) + level, after)), RULES)
+        np.testing.assert_array_equal(both.refused[60:], alone.refused)
+
+    def test_a_spike_beside_a_gap_is_found(self) -> None:
+        time = np.append(stamps(60), stamps(60) + 60 * SECOND)
+        value = lively(120)
+        value[[59, 60]] += 40.0
+        found = clean_channel(raw(time, value), RULES)
+        assert np.flatnonzero(found.refused).tolist() == [59, 60]
+
+
+class TestFrozen:
+    """60 s without a change beyond the resolution; temperature 900 s."""
+
+    def judged(self, value: Floats, rate_hz: float = 10.0, **rules: float) -> CleanChannel:
+        return clean_channel(
+            raw(stamps(len(value), rate_hz), value),
+            replace(RULES, **rules),  # type: ignore[arg-type]
+        )
+
+    def test_all_samples_of_a_stretch_longer_than_the_limit(self) -> None:
+        value = lively(2000)
+        value[500:1102] = 42.0
+        refused = np.flatnonzero(self.judged(value).refused)
+        np.testing.assert_array_equal(refused, range(500, 1102))
+
+    def test_a_stretch_of_just_the_limit_is_credible(self) -> None:
+        value = lively(2000)
+        value[500:1101] = 42.0  # first to last: 60.0 s
+        assert self.judged(value).counts["frozen"] == 0
+
+    @given(st.floats(10.0, 90.0), st.integers(0, 2**32 - 1))
+    def test_noise_below_the_resolution_is_no_change_wherever_it_lies(
+        self, level: float, seed: int
+    ) -> None:
+        noise = np.random.default_rng(seed).uniform(-0.24, 0.24, 900) * RULES.resolution
+        cleaned = self.judged(level + noise)
+        assert cleaned.counts["frozen"] == 900
+
+    @given(st.integers(100, 900))
+    def test_one_step_of_the_sensor_is_a_change(self, step: int) -> None:
+        value = np.resize([step, step + 1.0], 900) * RULES.resolution
+        assert self.judged(value).counts["frozen"] == 0
+
+    @given(st.floats(0.0, 5.0), st.sampled_from([0.1, 0.02, 1.0]))
+    def test_never_where_the_value_moves_beyond_the_resolution(
+        self, start: float, resolution: float
+    ) -> None:
+        """A ramp of just over a step in the limit's time."""
+        value = start + np.arange(900) * resolution / 600 * 1.01
+        assert self.judged(value, resolution=resolution).counts["frozen"] == 0
+
+    def test_without_a_resolution_values_must_be_equal(self) -> None:
+        still = np.full(900, 42.0)
+        assert frozen(stamps(900), still, 0.0, 60 * SECOND).all()
+        still[::100] += 1e-9
+        assert not frozen(stamps(900), still, 0.0, 60 * SECOND).any()
+
+    @given(st.data())
+    def test_as_looked_at_pair_by_pair(self, data: st.DataObject) -> None:
+        """Few samples tell where no stretch can be: what is found is what all of them tell."""
+        n = data.draw(st.integers(1, 1500))
+        rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+        time = np.cumsum(rng.choice([1, 1, 1, 1, 40], n)) * SECOND
+        resolution = data.draw(st.sampled_from([0.0, 0.1]))
+        value = rng.integers(0, data.draw(st.integers(1, 4)), n).astype(np.float64)
+        value *= 0.1
+        for _ in range(data.draw(st.integers(0, 4))):
+            first = data.draw(st.integers(0, n - 1))
+            value[first : first + data.draw(st.integers(1, 400))] = value[first]
+        if resolution:
+            value += rng.uniform(-0.02, 0.02, n)
+        limit = data.draw(st.sampled_from([0.5, 5.0, 20.0, 100.0, 2000.0])) * SECOND
+        borders = np.flatnonzero(rng.random(n - 1) < data.draw(st.sampled_from([0.0, 0.1]))) + 1
+        gaps = np.zeros(n, dtype=np.int64)
+        gaps[borders] = time[borders] - time[borders - 1]
+        seen = time - np.cumsum(gaps)
+        expected = np.zeros(n, dtype=bool)
+        grids = [np.floor(value / 0.1 + at) for at in (0.25, 0.75)] if resolution else [value]
+        for step in grids:
+            first = 0
+            for row in range(1, n + 1):
+                if row == n or step[row] != step[first]:
+                    expected[first:row] |= seen[row - 1] - seen[first] > limit
+                    first = row
+        np.testing.assert_array_equal(frozen(time, value, resolution, limit, borders), expected)
+
+    def test_time_counts_and_not_samples(self) -> None:
+        assert self.judged(np.full(62, 42.0), rate_hz=1.0).counts["frozen"] == 62
+        assert self.judged(np.full(600, 42.0), rate_hz=100.0).counts["frozen"] == 0
+
+    def test_a_gap_adds_no_time(self) -> None:
+        """The same reading before and after a night in the garage: nobody saw it frozen."""
+        value = lively(400)
+        value[195:205] = 50.1
+        time = stamps(400)
+        time[200:] += 3600 * SECOND
+        assert refused_by(clean_channel(raw(time, value), RULES)) == {}
+
+    def test_sensor_frozen_on_both_sides_of_a_gap(self) -> None:
+        time = stamps(1400)
+        time[700:] += 3600 * SECOND
+        cleaned = clean_channel(raw(time, np.full(1400, 42.0)), RULES)
+        assert cleaned.counts["frozen"] == 1400
+
+    def test_speed_of_a_halted_motor_is_not_frozen(self) -> None:
+        """An encoder at rest says 0 for hours; that is a standstill, not a fault."""
+        rules = ChannelRules.of(
+            "speed", Channel(source="n", unit="rpm", resolution=0.1), Cleaning()
+        )
+        value = lively(3000)
+        value[1000:2000] = 0.0
+        assert refused_by(clean_channel(raw(stamps(3000), value), rules)) == {}
+        value[1000:2000] = 30.0
+        stuck = clean_channel(raw(stamps(3000), value), rules)
+        assert refused_by(stuck) == {"frozen": 1000, "any": 1000}
+
+    def test_pressure_of_zero_is_frozen(self) -> None:
+        rules = ChannelRules.of(
+            "pressure_difference", Channel(source="p", unit="bar", resolution=0.1), Cleaning()
+        )
+        cleaned = clean_channel(raw(stamps(1000), np.zeros(1000)), rules)
+        assert cleaned.counts["frozen"] == 1000
