@@ -232,7 +232,7 @@ def _spectra(
         )
         product += (spectra[0].conj() * spectra[1:]).sum(axis=1)
         parts = spectra.view(np.float64)
-        power += np.square(parts, out=parts).sum(axis=1).reshape(power.shape)
+        power += np.einsum("srf,srf->sf", parts, parts).reshape(power.shape)
         first += len(batch.begins)
     return {length: (power.sum(axis=2), product) for length, (power, product) in sums.items()}
 
