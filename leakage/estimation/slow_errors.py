@@ -291,25 +291,24 @@ def _innovations(
     means: Array, short: ShortBlocks, memory: Array, ratio: Array
 ) -> tuple[Array, Array]:
     """Whitened means, shape (k, c, g), and the logarithm of the determinant of their covariance."""
-    noise, size = 1.0 / np.maximum(short.n, 0.5)[:, None], ratio / short.usual_n
-    steps, which = np.unique(np.diff(short.number), return_inverse=True)
-    fading = (memory ** steps[:, None])[which]
-    faded = fading * noise[:-1]
-    # Variance of each mean about what those before say of it: the filter's, without its gains.
-    highest = (1.0 - fading**2) * size + fading * faded + noise[1:]
-    variance = np.empty((len(means), len(memory)))
-    variance[0] = size + noise[0]
-    for high, told, before, after in zip(
-        highest, faded**2, variance[:-1], variance[1:], strict=True
-    ):
-        np.divide(told, before, out=after)
-        np.subtract(high, after, out=after)
-    # What they say: what was said of the mean before, moved towards it, and faded.
-    kept = faded / variance[:-1]
-    moves = (fading - kept)[:, None] * means[:-1, :, None]
-    expected = np.zeros((*means.shape, len(memory)))
-    for share, move, earlier, later in zip(kept, moves, expected[:-1], expected[1:], strict=True):
-        np.multiply(share, earlier, out=later)
-        later += move
-    rows = (means[:, :, None] - expected) / np.sqrt(variance)[:, None]
+    noise = 1.0 / np.maximum(short.n, 0.5)
+    size = ratio / short.usual_n
+    steps = np.diff(short.number, prepend=short.number[:1]).tolist()
+    fading = {step: memory**step for step in set(steps)}
+    shares = {step: (faded**2, (1.0 - faded**2) * size) for step, faded in fading.items()}
+    spreads, after = np.empty((len(means), len(memory))), size
+    for step, one, spread in zip(steps, noise.tolist(), spreads, strict=True):
+        kept, fresh = shares[step]
+        np.add(kept * after, fresh, out=spread)
+        after = spread * one / (spread + one)
+    variance = spreads + noise[:, None]
+    gains = spreads / variance
+    rows = np.empty((*means.shape, len(memory)))
+    state, move = np.zeros(rows.shape[1:]), np.empty(rows.shape[1:])
+    for step, mean, row, gain in zip(steps, means[:, :, None], rows, gains, strict=True):
+        state *= fading[step]
+        np.subtract(mean, state, out=row)
+        np.multiply(gain, row, out=move)
+        state += move
+    rows /= np.sqrt(variance)[:, None]
     return rows, np.log(variance).sum(axis=0)
