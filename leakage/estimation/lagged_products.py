@@ -205,6 +205,8 @@ def _pieces(segments: Segments, longest_lag: int) -> tuple[Segments, Segments]:
     while length < 4 * (longest_lag + 1):
         length *= 2
     longest = length - longest_lag
+    if segments.lengths.max(initial=0) <= longest:
+        return segments, segments[:0]
     step = longest - longest_lag
     counts = np.maximum(-((longest_lag - segments.lengths) // step), 1)
     place = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
