@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import datetime as dt
 import json
 import platform
 import re
@@ -91,7 +92,7 @@ def _write(name: str, title: str, body: Sequence[str]) -> None:
         f"# {title}",
         "",
         f"Python {platform.python_version()}, {platform.machine()}, made by "
-        f"`python -m benchmarks {name}`.",
+        f"`python -m benchmarks {name}` on {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M} UTC.",
         "",
         *body,
     ]

@@ -56,9 +56,10 @@ def keep_extremes(columns: Sequence[ArrayLike], points: int) -> NDArray[np.int64
     borders = np.linspace(0, n, n_bins + 1).round().astype(np.int64).tolist()
     kept = [0, n - 1]
     for curve in curves:
-        missing = np.isnan(curve)
         low = high = curve
-        if missing.any():
+        # The smallest is nan where any is, without a mask of all.
+        if np.isnan(curve.min()):
+            missing = np.isnan(curve)
             low, high = np.where(missing, np.inf, curve), np.where(missing, -np.inf, curve)
         for begin, end in pairwise(borders):
             kept += (begin + low[begin:end].argmin(), begin + high[begin:end].argmax())

@@ -29,7 +29,7 @@ from leakage.errors import StatisticsError
 Array = NDArray[np.float64]
 
 # Numbers that are decomposed at a time: more would leave the cache.
-BATCH_NUMBERS = 1 << 17
+BATCH_NUMBERS = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +111,10 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
     step = max(1, BATCH_NUMBERS // (rows * columns))
     for first in range(0, len(sizes), step):
         batch = slice(first, first + step)
+        if step == 1 and sizes[first] >= columns:
+            # A block that fills the cache is decomposed where it lies.
+            found[first] = _triangular(z[None, borders[first] : borders[first + 1]])
+            continue
         padded = np.zeros((len(sizes[batch]), columns, rows))
         for block, begin, size in zip(padded, borders[:-1][batch], sizes[batch], strict=True):
             block[:, :size] = z.T[:, begin : begin + size]

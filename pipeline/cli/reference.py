@@ -254,7 +254,7 @@ def _key_rows(part: Schema, root: Schema, prefix: str, unit: str = "") -> Iterat
         yield (
             f"`{prefix}{name}`",
             _kind(target, root),
-            "required" if name in part.get("required", ()) else _default(field),
+            "required" if name in part.get("required", ()) else _default(field, target),
             own if counts else "",
             _paragraph(field.get("description") or target["description"]),
         )
@@ -280,12 +280,10 @@ def _kind(field: Schema, root: Schema) -> str:
     return f"{kind} {', '.join(limits.values())}".strip()
 
 
-def _default(field: Schema) -> str:
+def _default(field: Schema, target: Schema) -> str:
     """The default; nothing for a table, whose keys have theirs."""
-    if "default" not in field:
-        return ""
-    value = field["default"]
-    if value and isinstance(value, Mapping):
+    value = field.get("default")
+    if "default" not in field or (value == {} and "properties" in target):
         return ""
     return "none" if value is None else f"`{json.dumps(value, ensure_ascii=False)}`"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +13,8 @@ from pipeline.cli.arguments import say
 from pipeline.messages import counted
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from pipeline.run.fleet import RunRequest, RunResult
     from pipeline.run.tasks import MotorOutcome
 
@@ -65,34 +68,24 @@ class Reporter:
     """Progress of a run: a bar on a terminal, plain lines elsewhere, JSON if asked for."""
 
     def __init__(self, as_json: bool, n_motors: int) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
         self.as_json = as_json
-        self.console = Console(stderr=True)
-        self.bar = Progress(
-            TextColumn("motors"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.description}"),
-            console=self.console,
-            disable=as_json or not self.console.is_terminal,
-        )
-        self.task = self.bar.add_task("", total=n_motors)
+        self.bar = _bar(n_motors) if sys.stderr.isatty() and not as_json else None
 
     def __enter__(self) -> Reporter:
-        self.bar.start()
+        if self.bar:
+            self.bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.bar.stop()
+        if self.bar:
+            self.bar.stop()
 
     def motor(self, outcome: MotorOutcome) -> None:
         """A motor has finished, or a chunk of one."""
         if outcome.chunk:
             self._chunk(outcome.motor_id, *outcome.chunks_done)
             return
-        self.bar.update(self.task, advance=1, description=outcome.motor_id)
+        self._advance(outcome.motor_id, motors=1)
         counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.counts.items()))
         if self.as_json:
             line = {
@@ -117,13 +110,17 @@ class Reporter:
     def _chunk(self, motor_id: str, n_done: int, n: int) -> None:
         """A chunk of a motor has finished: on the bar, or in at most ten lines a motor."""
         words = f"{motor_id}: {n_done} of {n} chunks"
-        self.bar.update(self.task, description=words)
-        if self.console.is_terminal and not self.as_json:
+        self._advance(words, motors=0)
+        if self.bar:
             return
         if CHUNK_LINES * n_done // n == CHUNK_LINES * (n_done - 1) // n:
             return
         line = {"event": "chunks", "motor_id": motor_id, "done": n_done, "of": n}
         say(json.dumps(line) if self.as_json else words)
+
+    def _advance(self, words: str, *, motors: int) -> None:
+        if self.bar:
+            self.bar.update(self.bar.task_ids[0], advance=motors, description=words)
 
     def summary(self, result: RunResult, output: Path) -> None:
         """The run has finished."""
@@ -177,6 +174,21 @@ class Reporter:
                     f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}"
                     f"{rules}"
                 )
+
+
+def _bar(n_motors: int) -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    words = (
+        TextColumn("motors"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.description}"),
+    )
+    bar = Progress(*words, console=Console(stderr=True))
+    bar.add_task("", total=n_motors)
+    return bar
 
 
 def _by_stage(result: RunResult) -> dict[str, float]:

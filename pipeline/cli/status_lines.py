@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+import shutil
 import sys
 from collections import Counter
 from collections.abc import Iterator
@@ -38,8 +39,9 @@ COLUMNS = (
     "sensors",
     "what",
 )
-# On a terminal the last column has these, too, and needs the room.
-IN_WORDS = ("since", "against baseline", "sensors")
+# On a terminal the last column has these, too, and needs the room; on a narrow one all that it can.
+IN_WORDS = {"since", "against baseline", "sensors"}
+NARROW, MORE_IN_WORDS = 110, {"gap change", "last good night"}
 
 
 def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool) -> None:
@@ -52,7 +54,10 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
         return
     rows = [dict(zip(COLUMNS, _cells(motor), strict=True)) for motor in found.motors]
     on_terminal = sys.stdout.isatty()
-    columns = [one for one in COLUMNS if not (on_terminal and one in IN_WORDS)]
+    left_out = IN_WORDS if on_terminal else set()
+    if on_terminal and shutil.get_terminal_size().columns < NARROW:
+        left_out = IN_WORDS | MORE_IN_WORDS
+    columns = [one for one in COLUMNS if one not in left_out]
     styles = [COLOURS.get(motor.state, "") for motor in found.motors]
     print_table(columns, ([row[one] for one in columns] for row in rows), name, styles)
     for line in _fleet_lines(found, too_old=too_old):

@@ -16,7 +16,7 @@ from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, LeakagePath
 from leakage.physics.simulated_curves import fit_deformation_pressure, fit_speed_curve
 from leakage.physics.walther import walther_coefficients
 from pipeline.config.faults import Misfit
-from pipeline.config.section import Id, NonNegative, Positive, Section
+from pipeline.config.section import Id, NonNegative, Positive, Section, left_out
 
 BAR = 1e5
 MILLIMETRE = 1e-3
@@ -127,7 +127,7 @@ class AnnularGapPath(PathSection):
     constant viscosity, to which X is fitted."""
     deformation_tolerance_percent: NonNegative = 0.0
     """Stated tolerance of the deformation constant; 0: none stated."""
-    gap_um: GapHeight = GapHeight()
+    gap_um: GapHeight = left_out()
     """Gap height."""
     eccentricity: Eccentricity | None = None
     """Eccentricity, if the path has one."""
@@ -187,7 +187,7 @@ class SpeedCurvePath(PathSection):
     """Dynamic viscosity of the simulation."""
     curve_tolerance_percent: NonNegative = 0.0
     """Stated tolerance of the curve's level; 0: none stated."""
-    scale: Scale = Scale()
+    scale: Scale = left_out()
     """Factor on the curve."""
 
     def misfits(self) -> Iterator[Misfit]:
@@ -258,7 +258,7 @@ class MotorTypeFile(Section):
     """Leakage paths of the type."""
     surface_roughness_um: tuple[Positive, Positive] = (0.2, 0.2)
     """R_a of the two surfaces of a gap, for the film thickness ratio."""
-    limits: LeakageLimits = LeakageLimits()
+    limits: LeakageLimits = left_out()
     """Absolute limits, where there are any."""
 
     def misfits(self) -> Iterator[Misfit]:

@@ -19,7 +19,7 @@ from pipeline.config.field_paths import field_path
 from pipeline.config.logs import Logs
 from pipeline.config.nights import Night
 from pipeline.config.oil_samples import OilSample, order_faults
-from pipeline.config.section import Id, NonNegative, Section
+from pipeline.config.section import Id, NonNegative, Section, left_out
 
 
 class Event(Section):
@@ -129,9 +129,9 @@ class MotorFile(Section):
     """The log files."""
     channels: dict[ChannelName, Channel]
     """Where each channel stands in the log."""
-    flushing: FlushingTable = FlushingTable()
+    flushing: FlushingTable = left_out()
     """Flow added before the sensor."""
-    periods: Periods = Periods()
+    periods: Periods = left_out()
     """Training and validation set by hand."""
     events: tuple[Event, ...] = ()
     """Dated events; they start a new baseline."""

@@ -19,26 +19,26 @@ from pipeline.config.preparation import (
     TransportDelay,
     Windows,
 )
-from pipeline.config.section import Section
+from pipeline.config.section import Section, left_out
 from pipeline.config.watching import Alarms, Look, Trend
 
 
 class Settings(Section):
     """All that a motor's file may override."""
 
-    nights: Nights = Nights()
-    time_base: TimeBase = TimeBase()
-    cleaning: Cleaning = Cleaning()
-    transport_delay: TransportDelay = TransportDelay()
-    smoothing: Smoothing = Smoothing()
-    windows: Windows = Windows()
-    model: Model = Model()
-    estimation: Estimation = Estimation()
-    reference: ReferenceConditions = ReferenceConditions()
-    sensor_health: SensorHealth = SensorHealth()
-    trend: Trend = Trend()
-    alarms: Alarms = Alarms()
-    look: Look = Look()
+    nights: Nights = left_out()
+    time_base: TimeBase = left_out()
+    cleaning: Cleaning = left_out()
+    transport_delay: TransportDelay = left_out()
+    smoothing: Smoothing = left_out()
+    windows: Windows = left_out()
+    model: Model = left_out()
+    estimation: Estimation = left_out()
+    reference: ReferenceConditions = left_out()
+    sensor_health: SensorHealth = left_out()
+    trend: Trend = left_out()
+    alarms: Alarms = left_out()
+    look: Look = left_out()
 
     def misfits(self) -> Iterator[Misfit]:
         """Smoothing that reaches beyond a block."""
@@ -52,10 +52,10 @@ class FleetFile(Settings):
 
     name: str = Field(min_length=1)
     """The fleet's name, as reports show it."""
-    folders: Folders = Folders()
-    execution: Execution = Execution()
-    retention: Retention = Retention()
-    metrics: Metrics = Metrics()
+    folders: Folders = left_out()
+    execution: Execution = left_out()
+    retention: Retention = left_out()
+    metrics: Metrics = left_out()
     defaults: dict[str, Any] = Field({})
     """Any part of a motor's file, for motors that do not state it: tables are merged key by key,
     but a channel's that names a `source` or a `constant` stands alone. `{name_in_log}` in a text is

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from pipeline.config.faults import Misfit
 from pipeline.config.receivers import Secret, WebAddress, WebHeaders, is_mail_address, mail_server
-from pipeline.config.section import NonNegative, Positive, Section, Share
+from pipeline.config.section import NonNegative, Positive, Section, Share, left_out
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
@@ -102,7 +102,7 @@ class Alarms(Section):
     webhook_secret: Secret = ""
     """`${NAME}`: environment variable with the secret in Base64, which signs posts as in Standard
     Webhooks; empty: no signature."""
-    email: Email = Email()
+    email: Email = left_out()
     """Mail over SMTP ([trends.md](trends.md#10-notifications))."""
 
     def misfits(self) -> Iterator[Misfit]:

@@ -57,10 +57,7 @@ class Exported:
 def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
     """Tables by their names; all of them where none is named.
 
-    Raises
-    ------
-    UsageError
-        ``unknown_table``, if there is no table of a name.
+    Raises UsageError (``unknown_table``) if there is no table of a name.
     """
     known = {table.name: table for table in TABLES}
     strangers = [name for name in names if name not in known]

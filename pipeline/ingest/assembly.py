@@ -16,10 +16,11 @@ from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.channels import Channel
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.contract import LogFile, RawChannel, RawLog, different_stamps
+from pipeline.ingest.contract import LogFile, RawChannel, RawLog, different_stamps, ends
 from pipeline.ingest.quality import is_bad, quality_states
 from pipeline.ingest.time_stamps import example_of, from_epoch
 from pipeline.ingest.wall_clock import TimeStamps
+from pipeline.messages import counted
 from pipeline.units import canonical_unit, to_canonical
 
 _T = TypeVar("_T", bound=np.generic)
@@ -109,8 +110,8 @@ def raw_channel(
         raise LogError(
             "log_type",
             path,
-            f"{channel.source} (channel {name}) holds no number in {unparsed} cells, such "
-            f"as {readings.example!r}: give the right column, decimal sign or missing_tokens",
+            f"{channel.source} (channel {name}) holds no number in {counted(unparsed, 'cell')}, "
+            f"such as {readings.example!r}: give the right column, decimal sign or missing_tokens",
             channel.source,
         )
     return _frozen(RawChannel(time_us, readings.raw, readings.missing, unparsed, bad))
@@ -146,9 +147,9 @@ def judged(
     if ahead:
         past = [replace(p, readable=p.readable & ~_future(p, latest)) for p in parts]
     return past, {
-        "rows without a readable time": unreadable - skipped,
-        "rows at a local time that the zone's clock change leaves out": skipped,
-        "rows with a time more than a day in the future": ahead,
+        "row without a readable time": unreadable - skipped,
+        "row at a local time that the zone's clock change leaves out": skipped,
+        "row with a time more than a day in the future": ahead,
     }
 
 
@@ -225,31 +226,32 @@ def raw_log(
     refused: Mapping[str, int],
     remarks: Sequence[str] = (),
 ) -> RawLog:
-    """Log from its channels, with a note for each reason for which something was left out."""
-    times = different_stamps(channels.values())
+    """Log from its channels, with a note for each reason for which something was left out.
+
+    A reason begins with the noun of what is counted.
+    """
+    first_us, last_us = ends(different_stamps(channels.values())) or (None, None)
     return RawLog(
         channels=channels,
         rows=rows,
-        first_us=min((int(time_us.min()) for time_us in times), default=None),
-        last_us=max((int(time_us.max()) for time_us in times), default=None),
-        notes=tuple(f"{count} {reason}" for reason, count in refused.items() if count)
-        + tuple(remarks),
+        first_us=first_us,
+        last_us=last_us,
+        notes=(*(_note(reason, count) for reason, count in refused.items() if count), *remarks),
         refused_rows=sum(refused.values()),
     )
 
 
+def _note(reason: str, count: int) -> str:
+    noun, _, what = reason.partition(" ")
+    return f"{counted(count, noun)} {what}"
+
+
 def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
     """Smallest and largest time stamp of a file's parts; none is an error ``log_empty``."""
-    times = [part for part in parts if part.size]
-    if not times:
+    found = ends(parts)
+    if found is None:
         raise LogError("log_empty", path, "the log holds no samples, so it has no time span")
-    return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
-
-
-def span_of_log(path: Path, log: RawLog) -> tuple[int, int]:
-    """Smallest and largest time stamp of a log as read; none is an error ``log_empty``."""
-    ends = [] if log.first_us is None else [log.first_us, log.last_us]
-    return span(path, [np.array(ends, np.int64)])
+    return found
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import stat
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -20,6 +20,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.logs.finding import find, legible
 from pipeline.logs.ledger import FileRecord, content_hash
+from pipeline.messages import counted
 from pipeline.workers.process import asking, reading
 
 # Stamps this far from the middle of their log come from a wrong clock; a log that covers more has
@@ -192,16 +193,18 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
     stamps = log.stamps()
     notes = list(log.notes)
     unparsed = {name: part.unparsed for name, part in log.channels.items() if part.unparsed}
-    notes += [f"{count} cells of {name} hold no number" for name, count in unparsed.items()]
+    notes += [
+        f"{counted(count, 'cell')} of {name} without a number" for name, count in unparsed.items()
+    ]
     notes += _blank_channels(record, log, spec)
-    if not stamps:
+    if log.first_us is None or log.last_us is None:
         notes.append("no samples")
         return replace(record, rows=log.rows, message="; ".join(notes))
-    first, last = _ends(stamps)
+    first, last = log.first_us, log.last_us
     if last - first > LONGEST_LOG_DAYS / 2 * DAY_US:
         every = np.concatenate([channel.time_us for channel in log.channels.values()])
-        stamps = [_near_the_others(every, notes)]
-        first, last = _ends(stamps)
+        near = _near_the_others(every, notes)
+        stamps, first, last = [near], int(near.min()), int(near.max())
     labels = set().union(*(nights_of(part, spec.settings.nights) for part in stamps))
     return replace(
         record,
@@ -213,10 +216,6 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
     )
 
 
-def _ends(stamps: Sequence[NDArray[np.int64]]) -> tuple[int, int]:
-    return min(int(part.min()) for part in stamps), max(int(part.max()) for part in stamps)
-
-
 def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.int64]:
     """Stamps without those that lie over a year from most; a note counts them."""
     # A stamp that there is, not a mean of two: it is never far from itself.
@@ -224,7 +223,7 @@ def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.
     far = np.abs(stamps - middle) > LONGEST_LOG_DAYS / 2 * DAY_US
     if far.any():
         notes.append(
-            f"{len(np.unique(stamps[far]))} time stamps lie over a year from the others and are "
+            f"{counted(np.unique(stamps[far]).size, 'time stamp')} over a year from the others, "
             "left out"
         )
     near: NDArray[np.int64] = stamps[~far]

@@ -62,45 +62,26 @@ NIGHTS_OF_LEVEL = 5
 
 @dataclass(frozen=True, slots=True)
 class LookBaseline:
-    """Frozen baseline.
+    """Frozen baseline."""
 
-    Attributes
-    ----------
-    key
-        Hash of all that it is made from.
-    first_night, last_night
-        Its nights.
-    model_hash
-        Of its statistics; new blocks of another are not compared with it.
-    theta
-        Coefficients; the last is the flushing.
-    per_kelvin, reference_c
-        Change of the loss factors with temperature [1/K], 0 where none is certain, around [°C].
-    errors
-        Errors of its blocks.
-    limit
-        Limit of the statistic.
-    lowest, highest
-        Temperature [°C], pressure difference [bar] and speed [rpm] that it has seen.
-    level
-        Deviation of the latest nights from it [-]: what they have told is no step of today.
-    known_scale
-        Known flow of its model over the stated one where the rollers' scale is free, and then it
-        changes with temperature as all flows do; None where it is fixed.
-    """
-
-    key: str
+    key: str  # hash of all that it is made from
     first_night: dt.date
     last_night: dt.date
-    model_hash: str
-    theta: tuple[float, ...]
+    model_hash: str  # of its statistics; new blocks of another are not compared with it
+    theta: tuple[float, ...]  # coefficients; the last is the flushing
+    # per_kelvin, reference_c: change of the loss factors with temperature [1/K], 0 where none is
+    # certain, around [°C].
     per_kelvin: float
     reference_c: float
     errors: BlockErrors
     limit: float
+    # lowest, highest: temperature [°C], pressure difference [bar] and speed [rpm] that it has seen.
     lowest: tuple[float, ...]
     highest: tuple[float, ...]
+    # Deviation of the latest nights from it [-]: what they have told is no step of today.
     level: float = 0.0
+    # Known flow of its model over the stated one where the rollers' scale is free, and then it
+    # changes with temperature as all flows do; None where it is fixed.
     known_scale: float | None = None
 
     def flows(self, blocks: Blocks) -> tuple[Array, Array]:
@@ -128,10 +109,7 @@ def baseline_of(
 ) -> LookBaseline | str:
     """The motor's baseline, or why there is none.
 
-    Raises
-    ------
-    StoreError
-        If a published table is damaged, or the baseline cannot be kept.
+    Raises StoreError if a published table is damaged, or the baseline cannot be kept.
     """
     if record is None:
         return "the nightly run has not published a night yet"

@@ -29,20 +29,11 @@ NO_CAUSE = ("any", "incomplete", "guard", "gap")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
-    """Short blocks in order of time.
+    """Short blocks in order of time."""
 
-    Attributes
-    ----------
-    start_us
-        Begin of each, UTC microseconds, shape (b,).
-    means
-        Means of the statistics' columns, shape (b, c).
-    conditions
-        Mean temperature [°C], pressure difference [bar] and speed [rpm], shape (b, 3).
-    """
-
-    start_us: Times
-    means: Array
+    start_us: Times  # begin of each, UTC microseconds, shape (b,)
+    means: Array  # means of the statistics' columns, shape (b, c)
+    # Mean temperature [°C], pressure difference [bar] and speed [rpm], shape (b, 3).
     conditions: Array
 
     @classmethod

@@ -53,22 +53,12 @@ WHAT_TO_DO = "look at the motor and its drain filter now, and compare the drain 
 
 @dataclass(frozen=True, slots=True)
 class MotorLook:
-    """Result of a look at a motor.
-
-    Attributes
-    ----------
-    motor_id, state
-        The motor, and its state after it.
-    rows
-        New rows of `looks`, without ``run_id``.
-    fault
-        Why it could not be looked at; empty where it was.
-    """
+    """Result of a look at a motor."""
 
     motor_id: str
-    state: LookState
-    rows: tuple[Row, ...] = ()
-    fault: str = ""
+    state: LookState  # after it
+    rows: tuple[Row, ...] = ()  # new rows of `looks`, without ``run_id``
+    fault: str = ""  # why it could not be looked at; empty where it was
 
 
 def look_at_fleet(
@@ -78,12 +68,7 @@ def look_at_fleet(
 
     Its logs lie in a folder. The looks are sorted by motor.
 
-    Raises
-    ------
-    LockedError
-        If another look is under way.
-    StoreError
-        If nothing can be published.
+    Raises LockedError if another look is under way; StoreError if nothing can be published.
     """
     output, receivers = fleet.output, receivers_of(fleet.settings.alarms)
     wanted = [one for one in fleet.motors if not motors or one.motor_id in motors]
@@ -213,10 +198,7 @@ def _change_since(rise: Rise, state: LookState) -> float | None:
 def publish_looks(output: Path, rows: Sequence[Row], run_id: str) -> None:
     """Publish rows of `looks`: a file a day, with a manifest that no nightly run writes.
 
-    Raises
-    ------
-    StoreError
-        If they cannot be published.
+    Raises StoreError if they cannot be published.
     """
     by_day: defaultdict[dt.date, list[Row]] = defaultdict(list)
     for row in rows:

@@ -35,31 +35,15 @@ TWO_SIDED_95 = 1.96
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A change of state, or the verdict of a night on a rise.
+    """A change of state, or the verdict of a night on a rise."""
 
-    Attributes
-    ----------
-    time_us
-        When [µs since 1970].
-    before, after
-        States.
-    reason
-        In words.
-    rise
-        The rise that it tells or ends; None without one.
-    verdict
-        ``told``, ``confirmed`` or ``withdrawn``; empty without one.
-    night
-        Night that gave the verdict.
-    """
-
-    time_us: int
+    time_us: int  # when [µs since 1970]
     before: str
     after: str
     reason: str
-    rise: Rise | None = None
-    verdict: str = ""
-    night: dt.date | None = None
+    rise: Rise | None = None  # the rise that it tells or ends; None without one
+    verdict: str = ""  # ``told``, ``confirmed`` or ``withdrawn``; empty without one
+    night: dt.date | None = None  # night that gave the verdict
 
 
 def looked_at(

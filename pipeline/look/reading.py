@@ -28,21 +28,12 @@ HEAD_BYTES, TAIL_BYTES = 4096, 256
 
 @dataclass(frozen=True, slots=True)
 class News:
-    """Samples that were read.
+    """Samples that were read."""
 
-    Attributes
-    ----------
-    logs
-        What was read, in order of time.
-    files
-        All files as they are now known, by path relative to the log root.
-    fault
-        Why a file could not be read; empty without one.
-    """
-
-    logs: tuple[RawLog, ...]
+    logs: tuple[RawLog, ...]  # what was read, in order of time
+    # All files as they are now known, by path relative to the log root.
     files: Mapping[str, FileSeen]
-    fault: str = ""
+    fault: str = ""  # why a file could not be read; empty without one
 
     @property
     def is_all(self) -> bool:

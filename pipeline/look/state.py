@@ -32,29 +32,17 @@ class End:
 
 @dataclass(frozen=True, slots=True)
 class FileSeen:
-    """A log file as it was read last.
+    """A log file as it was read last."""
 
-    Attributes
-    ----------
-    size, modified_ns, inode
-        While they stay, it has nothing new.
-    newest_us
-        Newest sample [µs since 1970]; 0 without one.
-    ends
-        Of a growing file: reading goes on behind the last one before all samples still needed.
-    digest
-        Of what stands at the file's begin and before the first of them.
-    is_read
-        False where a growing file was left before its end.
-    """
-
+    # size, modified_ns, inode: while they stay, it has nothing new.
     size: int
     modified_ns: int
     inode: int
-    newest_us: int = 0
+    newest_us: int = 0  # newest sample [µs since 1970]; 0 without one
+    # Of a growing file: reading goes on behind the last one before all samples still needed.
     ends: tuple[End, ...] = ()
-    digest: str = ""
-    is_read: bool = True
+    digest: str = ""  # of what stands at the file's begin and before the first of them
+    is_read: bool = True  # False where a growing file was left before its end
 
     def is_same(self, other: FileSeen) -> bool:
         """True if a file was not written to in between."""
@@ -64,23 +52,15 @@ class FileSeen:
 
 @dataclass(frozen=True, slots=True)
 class Rise:
-    """A sudden rise that was told.
+    """A sudden rise that was told."""
 
-    Attributes
-    ----------
-    began_us, told_us
-        Begin of its first block, and end of the block that told it [µs since 1970].
-    change, half_width
-        Relative rise, and the half-width of its 95 % interval.
-    level
-        Deviation from the baseline above which it rose [-].
-    """
-
+    # began_us, told_us: begin of its first block, end of the block that told it [µs since 1970].
     began_us: int
     told_us: int
+    # change, half_width: relative rise, and the half-width of its 95 % interval.
     change: float
     half_width: float
-    level: float = 0.0
+    level: float = 0.0  # deviation from the baseline above which it rose [-]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,53 +74,28 @@ class Scores:
 
 @dataclass(frozen=True, slots=True)
 class LookState:
-    """State after a look.
+    """State after a look."""
 
-    Attributes
-    ----------
-    state, since_us, reason
-        One of the four states, since when [µs since 1970; 0: never], and why.
-    files
-        Log files as they were read, by path relative to the log root.
-    next_us
-        Begin of the next block; 0 before the first look.
-    newest_us
-        Newest sample that was read; 0 without one.
-    block_end_us, warm_from_us
-        End of the last block with kept samples, and from when on the motor is warm.
-    judged_us
-        End of the last block that was judged.
-    cause
-        Why the latest samples were not judged.
-    baseline
-        Key of the baseline that the filter belongs to.
-    watch
-        The filter.
-    recent
-        End, expected flow, and measured less expected [l/min] of the latest judged blocks.
-    rise
-        The rise that is told; None where none is.
-    waiting
-        Rises that no night has confirmed or withdrawn yet.
-    scores
-        How many were.
-    """
-
+    # state, since_us, reason: one of four, since when [µs since 1970; 0: never], and why.
     state: str = NOT_READY
     since_us: int = 0
     reason: str = "no look yet"
+    # Log files as they were read, by path relative to the log root.
     files: Mapping[str, FileSeen] = field(default_factory=dict)
-    next_us: int = 0
-    newest_us: int = 0
+    next_us: int = 0  # begin of the next block; 0 before the first look
+    newest_us: int = 0  # newest sample that was read; 0 without one
+    # block_end_us, warm_from_us: end of the last block with kept samples, and from when on the
+    # motor is warm.
     block_end_us: int = 0
     warm_from_us: int = 0
-    judged_us: int = 0
-    cause: str = ""
-    baseline: str = ""
+    judged_us: int = 0  # end of the last block that was judged
+    cause: str = ""  # why the latest samples were not judged
+    baseline: str = ""  # key of the baseline that the filter belongs to
     watch: StepWatch | None = None
+    # End, expected flow, and measured less expected [l/min] of the latest judged blocks.
     recent: tuple[tuple[int, float, float], ...] = ()
-    rise: Rise | None = None
-    waiting: tuple[Rise, ...] = ()
+    rise: Rise | None = None  # the rise that is told; None where none is
+    waiting: tuple[Rise, ...] = ()  # rises that no night has confirmed or withdrawn yet
     scores: Scores = Scores()
 
 
@@ -152,10 +107,7 @@ def state_file(output: Path, motor_id: str) -> Path:
 def read_state(output: Path, motor_id: str) -> LookState:
     """State of a motor's looks; that before the first look where there is none, or it is damaged.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be read.
+    Raises StoreError if it cannot be read.
     """
     document = read_if_whole(state_file(output, motor_id), unseal)
     try:
@@ -210,10 +162,7 @@ def write_state(output: Path, motor_id: str, state: LookState) -> None:
 def look_standings(output: Path, motor_ids: Iterable[str]) -> dict[str, LookStanding]:
     """Standings of some motors that were looked at, by motor.
 
-    Raises
-    ------
-    StoreError
-        If a state cannot be read.
+    Raises StoreError if a state cannot be read.
     """
     found = {}
     for motor_id in motor_ids:

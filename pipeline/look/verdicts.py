@@ -33,10 +33,7 @@ def verdicts(
 ) -> tuple[LookState, list[Change]]:
     """Let published nights confirm or withdraw what was told.
 
-    Raises
-    ------
-    StoreError
-        If a published table is damaged.
+    Raises StoreError if a published table is damaged.
     """
     changes = []
     for rise in state.waiting:

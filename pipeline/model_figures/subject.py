@@ -156,11 +156,8 @@ def subject_of(motor_type: MotorTypeFile, oil: OilFile, settings: Settings) -> M
 def choose(fleet: Fleet, motor_type: str, oil: str | None = None) -> ModelSubject:
     """Find a motor type and its oil, by default that of the fleet's first motor of the type.
 
-    Raises
-    ------
-    UsageError
-        If there is no such type (``unknown_type``), or no such oil, or none that is meant
-        (``unknown_oil``).
+    Raises UsageError if there is no such type (``unknown_type``), or no such oil, or none that is
+    meant (``unknown_oil``).
     """
     if motor_type not in fleet.motor_types:
         known = ", ".join(sorted(fleet.motor_types))

@@ -73,12 +73,8 @@ def write_model_figures(
 
     The folder is made; files of the same names are replaced, others stay.
 
-    Raises
-    ------
-    UsageError
-        ``model_range``, if the model does not hold over the range of a figure.
-    StoreError
-        ``store_write``, if a file cannot be written.
+    Raises UsageError (``model_range``) if the model does not hold over the range of a figure,
+    StoreError (``store_write``) if a file cannot be written.
     """
     written = []
     with drawing():

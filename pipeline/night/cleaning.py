@@ -184,7 +184,8 @@ def _judged(
 def _within(chosen: Mask, flags: Mask) -> Mask:
     """Flags of the chosen samples laid back among all of them."""
     mask = np.zeros(len(chosen), dtype=np.bool_)
-    mask[chosen] = flags
+    if flags.any():
+        mask[chosen] = flags
     return mask
 
 

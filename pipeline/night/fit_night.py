@@ -321,7 +321,7 @@ def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:
     uniform = too_uniform(
         {
             "pressure": np.abs(samples.pressure_difference_bar[training]),
-            "speed": np.abs(samples.speed_rpm[training]),
+            "speed": statistics.conditions.speed_rpm[training],
             "temperature": samples.oil_temperature_c[training],
         },
         spec.settings.windows,

@@ -20,7 +20,7 @@ Row = dict[str, Any]
 
 HOUR_US = 3_600_000_000
 # Samples that are counted together.
-NEIGHBOURS = 1 << 14
+NEIGHBOURS = 1 << 16
 
 
 def operation_row(
@@ -99,15 +99,17 @@ def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
     >>> coarse_histogram(np.array([-3.0, 1.0, 2.5, 99.0]), (0.0, 2.0, 4.0))
     [2, 2]
     """
+    pieces = (values[begin : begin + NEIGHBOURS] for begin in range(0, len(values), NEIGHBOURS))
+    counted = (histogram_between(one, one.min(), one.max(), edges) for one in pieces)
+    return [sum(counts) for counts in zip(*counted, strict=True)]
+
+
+def histogram_between(
+    values: Array, lowest: float, highest: float, edges: tuple[float, ...]
+) -> list[int]:
+    """The same of values whose limits are known: only edges between these are counted at."""
     last = len(edges) - 1
-    below = [0] * (last + 1)
-    # Most edges have nothing, or everything, of neighbouring samples below them: only the values
-    # about those between are counted.
-    for begin in range(0, len(values), NEIGHBOURS):
-        part = values[begin : begin + NEIGHBOURS]
-        split, full = (bisect_right(edges, limit, 1, last) for limit in (part.min(), part.max()))
-        for at in range(split, full):
-            below[at] += int(np.count_nonzero(part < edges[at]))
-        for at in range(full, last + 1):
-            below[at] += len(part)
+    split, full = (bisect_right(edges, limit, 1, last) for limit in (lowest, highest))
+    between = (int(np.count_nonzero(values < edge)) for edge in edges[split:full])
+    below = [0] * split + [*between] + [len(values)] * (last + 1 - full)
     return [end - start for start, end in pairwise(below)]

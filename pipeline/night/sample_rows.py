@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor
+from leakage.estimation.sample_blocks import Block
 from leakage.physics.motor import speed_beyond_curve
 from pipeline.clock import utc
 from pipeline.night.block_fit import BlockFit
-from pipeline.night.operation_rows import coarse_histogram
+from pipeline.night.operation_rows import histogram_between
 from pipeline.night.statistics import NightStatistics
 from pipeline.night.time_base import Quality
 from pipeline.night.viscosity import SensorRatio
@@ -53,29 +54,25 @@ def statistics_rows(
 ) -> list[Row]:
     """Rows of `block_statistics`, with the viscosity by the log over the data sheet's."""
     samples, blocks = statistics.samples, statistics.blocks
-    first_rows = np.array([block.first_row for block in blocks])
-    sizes = np.array([block.n for block in blocks])
-    n_reversed = np.add.reduceat(samples.speed_rpm < 0, first_rows, dtype=np.int64)
-    n_beyond = np.add.reduceat(
-        speed_beyond_curve(motor, samples.speed_rpm), first_rows, dtype=np.int64
-    )
+    speed = statistics.conditions.speed_rpm
+    n_reversed = _counts(samples.speed_rpm < 0, blocks)
     upper = np.triu_indices(statistics.factors.shape[-1])
     columns: Columns = {
         "block_start": [utc(block.start_us) for block in blocks],
         "block_end": [utc(block.end_us) for block in blocks],
         "part": [block.part for block in blocks],
-        "n": sizes.tolist(),
+        "n": [block.n for block in blocks],
         "statistics": statistics.factors[:, *upper].tolist(),
-        "share_reversed": (n_reversed / sizes).tolist(),
-        "n_beyond_curve": n_beyond.tolist(),
+        "share_reversed": [n / block.n for n, block in zip(n_reversed, blocks, strict=True)],
+        "n_beyond_curve": _counts(speed_beyond_curve(motor, speed), blocks),
         "short_means": statistics.short_means,
     }
     for name, unit, values, edges in (
         ("pressure", "bar", np.abs(samples.pressure_difference_bar), PRESSURE_EDGES_BAR),
         ("temperature", "c", samples.oil_temperature_c, TEMPERATURE_EDGES_C),
-        ("speed", "rpm", np.abs(samples.speed_rpm), SPEED_EDGES_RPM),
+        ("speed", "rpm", speed, SPEED_EDGES_RPM),
     ):
-        columns |= _spread(name, unit, values, first_rows, edges)
+        columns |= _spread(name, unit, values, blocks, edges)
     if viscosity is not None:
         columns["viscosity_ratio"] = [viscosity.at(one) for one in columns["mean_temperature_c"]]
     shared = {
@@ -95,16 +92,28 @@ def _rows(columns: Columns, shared: Mapping[str, Any]) -> list[Row]:
     ]
 
 
+def _counts(mask: NDArray[np.bool_], blocks: Sequence[Block]) -> list[int]:
+    """Samples of a mask by block."""
+    return [int(np.count_nonzero(mask[block.first_row : block.end_row])) for block in blocks]
+
+
 def _spread(
-    name: str, unit: str, values: Array, first_rows: NDArray[np.int64], edges: tuple[float, ...]
+    name: str, unit: str, values: Array, blocks: Sequence[Block], edges: tuple[float, ...]
 ) -> Columns:
     """Means, limits and coarse histograms of a channel by block."""
-    blocks = np.split(values, first_rows[1:])
+    first_rows = np.array([block.first_row for block in blocks])
+    lowest, highest = (
+        limit.reduceat(values, first_rows).tolist() for limit in (np.minimum, np.maximum)
+    )
+    parts = [values[block.first_row : block.end_row] for block in blocks]
     return {
-        f"mean_{name}_{unit}": [float(block.mean()) for block in blocks],
-        f"minimum_{name}_{unit}": np.minimum.reduceat(values, first_rows).tolist(),
-        f"maximum_{name}_{unit}": np.maximum.reduceat(values, first_rows).tolist(),
-        f"{name}_histogram": [coarse_histogram(block, edges) for block in blocks],
+        f"mean_{name}_{unit}": [float(part.sum() / len(part)) for part in parts],
+        f"minimum_{name}_{unit}": lowest,
+        f"maximum_{name}_{unit}": highest,
+        f"{name}_histogram": [
+            histogram_between(part, low, high, edges)
+            for part, low, high in zip(parts, lowest, highest, strict=True)
+        ],
     }
 
 
@@ -113,7 +122,7 @@ def prediction_rows(
 ) -> list[Row]:
     """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
     samples, z = statistics.samples, statistics.z
-    pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
+    pressure, speed = np.abs(samples.pressure_difference_bar), statistics.conditions.speed_rpm
     # Not the error of the fit: its last bits would choose among samples that are alike.
     error = z[:, -1] - z[:, :-1] @ np.append(modes[0].stated.training.coefficients, 1.0)
     chosen = keep_extremes([z[:, -1], error, pressure, speed], PREDICTION_POINTS)

@@ -55,10 +55,7 @@ def fleet_status(
 ) -> FleetStatus:
     """The state of some motors, and undelivered changes by receiver.
 
-    Raises
-    ------
-    StoreError
-        If a table is damaged.
+    Raises StoreError if a table is damaged.
     """
     motors = published_states(output, motor_ids)
     decisions = read_decisions(output)
@@ -114,10 +111,7 @@ def last_alarm(
 
     The name is that in the tables (``K_piston_ring``) or in words (piston ring gap).
 
-    Raises
-    ------
-    UsageError
-        ``no_alarm``: there was none; the message lists the alarms so far.
+    Raises UsageError (``no_alarm``) if there was none; the message lists the alarms so far.
     """
     rows = read_rows(output, ALARMS, [motor_id], ("motor_id", "night", "indicator", "to_state"))
     raised = rows.filter(pl.col("to_state").is_in(list(states)))

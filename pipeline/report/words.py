@@ -61,7 +61,7 @@ LEAKAGE_KINDS: Final[Mapping[str, str]] = {
     "own": "leakage at each night's conditions",
     "flow": "drain flow as measured",
 }
-SENSORS: Final[Mapping[str, str]] = {"ok": "where they were", "drifted": "have moved"}
+SENSORS: Final[Mapping[str, str]] = {"ok": "unchanged", "drifted": "moved"}
 # A state has the name that the tables have; the pages say its meaning beside.
 STATES: Final[Mapping[str, str]] = {
     "alarm": "an indicator lies beyond its alarm limit",

@@ -298,9 +298,9 @@ class _Making(MotorNights):
             for table in NIGHT_TABLES:
                 by_table[table.name][label] = []
         by_table["input_files"] = self._file_rows(by_table["input_files"].keys())
-        for table in NIGHT_TABLES:
-            if nights := by_table[table.name]:
-                stage(self.task.staging / table.name / f"{self.spec.motor_id}.arrow", table, nights)
+        staged = {table: by_table[table.name] for table in NIGHT_TABLES if by_table[table.name]}
+        if staged:
+            stage(self.task.staging / "nights" / f"{self.spec.motor_id}.arrow", staged)
 
     def _file_rows(self, staged: Collection[dt.date]) -> dict[dt.date, list[Row]]:
         """Rows of `input_files` of some nights, and of those which a file's row leaves or enters.

@@ -39,12 +39,8 @@ def propose_from_database(variable: str, query: str, answers: Mapping[str, str])
     `variable` is the environment variable with the database's address, `query` as
     `logs.database.query`; empty: that of a table, which is asked for if there are several.
 
-    Raises
-    ------
-    DatabaseError
-        ``database_empty``: there are no rows; or the database does not answer.
-    UsageError
-        The query is none, or no table has a time.
+    Raises DatabaseError if there are no rows (``database_empty``) or the database does not answer,
+    UsageError if the query is none, or no table has a time.
     """
     database = _as_configured(variable, query or f"SELECT {START}, {END}")
     with Connection(database, "UTC") as connection:

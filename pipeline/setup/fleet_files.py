@@ -52,10 +52,7 @@ def fleet_files(proposal: Proposal, folder: Path, motor_type: str, oil: str) -> 
 def write_fleet(files: Mapping[str, str], folder: Path, types: Path, motor_type: str) -> None:
     """Write a fleet's files, the motor type and the oils that ship beside them.
 
-    Raises
-    ------
-    UsageError
-        ``file_exists``: one of them is there; nothing is written then.
+    Raises UsageError (``file_exists``) if one of them is there; nothing is written then.
     """
     copies = [f"motor_types/{motor_type}.toml"]
     copies += [f"oils/{path.name}" for path in sorted((types / "oils").glob("*.toml"))]

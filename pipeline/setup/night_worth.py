@@ -39,7 +39,8 @@ def night_worth(
     """Running minutes a night, the conditions in them, and what they tell, in words.
 
     A sample counts for the typical distance of two, so that gaps count for nothing. Conditions are
-    the 5th to 95th percentiles while the motor ran.
+    the 5th to 95th percentiles while the motor ran: ramps beside halts, which a night refuses, tell
+    no path.
     """
     speed = channels["speed"]
     is_running = (np.abs(speed.value) > spec.settings.cleaning.standstill_rpm) & _valid(
@@ -53,9 +54,10 @@ def night_worth(
     inputs = _inputs(spec, channels, is_running)
     if not inputs:
         return f"the motor ran {minutes:.3g} minutes a night, without a pressure and temperature"
-    reached = []
+    reached, is_usual = [], np.ones_like(inputs[0], dtype=np.bool_)
     for (name, (full, unit)), values in zip(_RANGES.items(), inputs, strict=True):
         low, high = np.percentile(values, (5, 95), method="nearest")
+        is_usual &= (values >= low) & (values <= high)
         share = min((high - low) / full, 1.0)
         reached.append(f"{name} {low:.3g} to {high:.3g} {unit} ({100 * share:.0f} %)")
     ran = (
@@ -64,7 +66,8 @@ def night_worth(
     )
     if minutes < needed:
         return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
-    return f"{ran}: leakage every night, {_paths_told(spec, label, inputs, minutes)}"
+    usual = [values[is_usual] for values in inputs]
+    return f"{ran}: leakage every night, {_paths_told(spec, label, usual, minutes)}"
 
 
 def _valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:

@@ -67,10 +67,7 @@ class Proposal:
 def propose(source: Path, answers: Mapping[str, str]) -> Proposal:
     """Propose a fleet from a log, or a folder of logs.
 
-    Raises
-    ------
-    LogError
-        There is no log, or none can be read.
+    Raises LogError if there is no log, or none can be read.
     """
     if not source.exists():
         raise LogError("log_missing", source, "there is no such file or folder")

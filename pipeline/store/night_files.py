@@ -12,10 +12,10 @@ import hashlib
 import json
 import logging
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, chain
+from math import ceil
 from pathlib import Path
 
 import numpy as np
@@ -30,42 +30,49 @@ from pipeline.store.tables import PUT_ASIDE, UNREADABLE, damaged, decode, night_
 
 log = logging.getLogger(__name__)
 
+# Rows of one table, by night.
+StagedNights = Mapping[dt.date, Sequence[Mapping[str, object]]]
 # Motors whose staged rows are read together: each has arrays of its own for each column.
 MOTORS_AT_ONCE = 32
-# Metadata of a staged file: its nights, with their numbers of rows.
-HEIGHTS = b"nights"
 # Column for the night under which a row is staged; its own may be absent.
 STAGED_NIGHT = "staged night"
+# Arrow maps arrays without a copy at multiples of so many bytes; its streams are as long.
+ALIGNMENT = 8
 
 
 class StagedRows:
-    """Staged rows of one motor and table, night after night.
+    """Staged rows of one motor: an index in the first line of a file, then an Arrow stream a table.
 
     The file is open only while it is read: a fleet has more of them than a process may open.
+
+    Attributes
+    ----------
+    heights
+        By name of a table, its staged nights, in order, with their numbers of rows.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        with self._opened() as file:
-            heights = json.loads(file.schema.metadata[HEIGHTS])
-        self.heights = {dt.date.fromisoformat(text): height for text, height in heights.items()}
+        with path.open("rb") as file:
+            index = json.loads(file.readline())
+            ends = accumulate((size for size, _ in index.values()), initial=file.tell())
+        self._begins = dict(zip(index, ends, strict=False))
+        self.heights = {
+            name: {dt.date.fromisoformat(night): height for night, height in heights.items()}
+            for name, (_, heights) in index.items()
+        }
 
-    @property
-    def nights(self) -> list[dt.date]:
-        """Nights that were staged, in order; some have no rows."""
-        return list(self.heights)
-
-    @contextmanager
-    def _opened(self) -> Iterator[pa.ipc.RecordBatchFileReader]:
-        with pa.memory_map(str(self._path)) as content, pa.ipc.open_file(content) as file:
-            yield file
-
-    def between(self, first: dt.date, last: dt.date) -> tuple[dict[dt.date, int], pa.Table]:
-        """Heights of some nights, and their rows."""
-        chosen = {night: n for night, n in self.heights.items() if first <= night <= last}
-        begin = sum(height for night, height in self.heights.items() if night < first)
-        with self._opened() as file:
-            return chosen, file.read_all().slice(begin, sum(chosen.values()))
+    def between(
+        self, table: Table, first: dt.date, last: dt.date
+    ) -> tuple[dict[dt.date, int], pa.Table]:
+        """Heights of some nights of a table, and their rows."""
+        heights = self.heights[table.name]
+        chosen = {night: height for night, height in heights.items() if first <= night <= last}
+        begin = sum(height for night, height in heights.items() if night < first)
+        with pa.memory_map(str(self._path)) as content:
+            content.seek(self._begins[table.name])
+            with pa.ipc.open_stream(content) as stream:
+                return chosen, stream.read_all().slice(begin, sum(chosen.values()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +86,7 @@ class NewRows:
 def new_rows(
     table: Table, staged: Mapping[str, StagedRows], first: dt.date, last: dt.date, run_id: str
 ) -> dict[dt.date, NewRows]:
-    """Staged rows of some nights, by night; those that no motor has done are left out."""
+    """Staged rows of some nights of a table; nights that no motor has done are left out."""
     found: defaultdict[dt.date, list[NewRows]] = defaultdict(list)
     # Keys begin with the motor, so what is sorted by some motors is sorted by all.
     motor_ids = sorted(staged)
@@ -100,7 +107,7 @@ def _rows_of_some(
     table: Table, staged: Mapping[str, StagedRows], first: dt.date, last: dt.date, run_id: str
 ) -> dict[dt.date, NewRows]:
     """The same of motors that are read together: each step costs more a frame than a row."""
-    parts = {motor_id: own.between(first, last) for motor_id, own in staged.items()}
+    parts = {motor_id: own.between(table, first, last) for motor_id, own in staged.items()}
     heights: Counter[dt.date] = Counter()
     for own, _ in parts.values():
         heights.update(own)
@@ -125,23 +132,29 @@ def _rows_of_some(
     }
 
 
-def stage(
-    path: Path, table: Table, nights: Mapping[dt.date, Iterable[Mapping[str, object]]]
-) -> None:
-    """Write a motor's rows of one table for the run to publish, nights without rows included.
+def stage(path: Path, tables: Mapping[Table, StagedNights]) -> None:
+    """Write a motor's rows by table and night for the run to publish, nights without rows included.
 
     Raises
     ------
     StoreError
         If they cannot be written.
     """
-    of_nights = {night: list(rows) for night, rows in sorted(nights.items())}
-    every = staged_table(table, chain.from_iterable(of_nights.values()))
-    heights = {str(night): len(rows) for night, rows in of_nights.items()}
-    every = every.replace_schema_metadata({HEIGHTS: json.dumps(heights)})
+    streams, index = [], {}
+    for table, nights in tables.items():
+        in_order = sorted(nights)
+        rows = staged_table(table, chain.from_iterable(nights[night] for night in in_order))
+        sink = pa.BufferOutputStream()
+        with pa.ipc.new_stream(sink, rows.schema) as stream:
+            stream.write_table(rows)
+        streams.append(sink.getvalue())
+        index[table.name] = streams[-1].size, {str(night): len(nights[night]) for night in in_order}
+    line = json.dumps(index).encode() + b"\n"
     try:
-        with scratch(path) as stream, pa.ipc.new_file(stream, every.schema) as staged:
-            staged.write_table(every)
+        with scratch(path) as file:
+            file.write(line.rjust(ceil(len(line) / ALIGNMENT) * ALIGNMENT))
+            for content in streams:
+                file.write(content)
     except OSError as error:
         raise StoreError("store_write", f"rows cannot be staged: {error}") from error
 

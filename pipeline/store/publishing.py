@@ -79,6 +79,7 @@ class Publisher:
 
     def nights(
         self,
+        folder: str,
         tables: Iterable[Table],
         motor_ids: Sequence[str],
         forget: Forget,
@@ -88,6 +89,8 @@ class Publisher:
 
         Parameters
         ----------
+        folder
+            Below the staging folder, with a file of staged rows a motor.
         tables, motor_ids
             Tables, and motors whose rows are published.
         forget
@@ -101,8 +104,15 @@ class Publisher:
         StoreError
             If a file cannot be written.
         """
-        staged = {table: self.staged(table, motor_ids) for table in tables}
-        nights = {n for motors in staged.values() for rows in motors.values() for n in rows.nights}
+        paths = {one: self.staging / folder / f"{one}.arrow" for one in motor_ids}
+        files = {one: StagedRows(path) for one, path in paths.items() if path.exists()}
+        staged = {
+            table: {one: file for one, file in files.items() if table.name in file.heights}
+            for table in tables
+        }
+        nights = {
+            night for file in files.values() for some in file.heights.values() for night in some
+        }
         months = {f"{night:%Y-%m}" for night in nights}
         self.months |= months
         for month in sorted(months):
@@ -121,12 +131,6 @@ class Publisher:
             }
             self._publish(new, forget, finish or {})
 
-    def staged(self, table: Table, motor_ids: Sequence[str]) -> dict[str, StagedRows]:
-        """Staged rows of a table by motor, of those that have some."""
-        folder = self.staging / table.name
-        paths = {motor_id: folder / f"{motor_id}.arrow" for motor_id in motor_ids}
-        return {motor_id: StagedRows(path) for motor_id, path in paths.items() if path.exists()}
-
     def _give_up(
         self, table: Table, month: str, staged: Mapping[str, StagedRows], forget: Forget
     ) -> None:
@@ -135,7 +139,9 @@ class Publisher:
         name = path.relative_to(self.output / "tables").as_posix()
         self.damaged.append(name)
         for night in days_of(month):
-            new = {motor_id for motor_id, rows in staged.items() if night in rows.nights}
+            new = {
+                motor_id for motor_id, rows in staged.items() if night in rows.heights[table.name]
+            }
             forget((night,), new)
         move(path, path.with_suffix(PUT_ASIDE))
         update_manifest(self.output, month, month, {name: None})
@@ -147,8 +153,8 @@ class Publisher:
         """
         key = list(table.key)
         places: defaultdict[dt.date, list[pl.DataFrame]] = defaultdict(list)
-        nights = sorted({night for rows in staged.values() for night in rows.nights})
-        if not nights:
+        nights = sorted({night for rows in staged.values() for night in rows.heights[table.name]})
+        if len(nights) < 2:
             return
         for night, new in new_rows(table, staged, nights[0], nights[-1], self.run_id).items():
             if new.rows.height:

@@ -46,10 +46,7 @@ class Receiver(Protocol):
     def take(self, delivery: Delivery) -> None:
         """Take a delivery, within a deadline.
 
-        Raises
-        ------
-        UndeliveredError
-            If it was not taken, or that is not known.
+        Raises UndeliveredError if it was not taken, or that is not known.
         """
 
 

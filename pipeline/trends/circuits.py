@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from pipeline.config import MotorSpec
 from pipeline.config.motors import Event
+from pipeline.logs.ledger import as_published
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.tonight import Tonight
 from pipeline.trends.nights.trend_record import Record, read_record, trend_hash
@@ -48,17 +49,15 @@ class Circuit:
     hashes: Mapping[str, str]
 
     @classmethod
-    def of(
-        cls,
-        output: Path,
-        specs: Sequence[MotorSpec],
-        decisions: Mapping[str, tuple[Decision, ...]],
-    ) -> Circuit:
+    def of(cls, output: Path, specs: Sequence[MotorSpec], decisions: Iterable[Decision]) -> Circuit:
+        """A circuit with its motors as their fits are published, and what is remembered of them."""
+        specs = [as_published(output, one) for one in specs]
+        said = decisions_of(specs, decisions)
         return cls(
             tuple(specs),
-            decisions,
+            said,
             {one.motor_id: read_record(output, one.motor_id) for one in specs},
-            {one.motor_id: trend_hash(one, decisions[one.motor_id]) for one in specs},
+            {one.motor_id: trend_hash(one, said[one.motor_id]) for one in specs},
         )
 
     def first_nights(

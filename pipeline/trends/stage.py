@@ -18,21 +18,22 @@ from typing import TypeVar
 import numpy as np
 
 from pipeline.errors import StoreError
-from pipeline.schema import TREND_TABLES, TRENDS
+from pipeline.schema import TREND_TABLES, TRENDS, Table
 from pipeline.store.night_files import stage
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.baselines.blocks import BlockFiles
 from pipeline.trends.baselines.duty import at_duty, with_duty, without_duty
 from pipeline.trends.baselines.eras import Era, eras_of
 from pipeline.trends.baselines.leakages import indicators_of
-from pipeline.trends.circuits import Circuit, circuits_of, decisions_of, earlier_views
+from pipeline.trends.circuits import Circuit, earlier_views
 from pipeline.trends.figures.filtered_nights import with_filter
 from pipeline.trends.figures.indicators import DEVIATION, Indicator
+from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.reading import MotorNights, read_nights
 from pipeline.trends.nights.records import Records
 from pipeline.trends.nights.segments import segments
-from pipeline.trends.nights.trend_record import Record
+from pipeline.trends.nights.trend_record import Record, write_record
 from pipeline.trends.rows.alarm_rows import RECOMPUTED, alarm_rows, marked, rules_now
 from pipeline.trends.rows.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.rows.trend_rows import trend_rows
@@ -43,7 +44,7 @@ from pipeline.trends.states.standing import Standing
 from pipeline.trends.states.sudden import sudden_changes
 from pipeline.trends.states.watch import watch
 from pipeline.trends.states.zeros import sensor_zeros
-from pipeline.trends.tasks import Row, TrendOutcome, TrendTask, task_circuit
+from pipeline.trends.tasks import Row, TrendOutcome, TrendTask
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -54,24 +55,22 @@ Made = TypeVar("Made")
 def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
     with one_thread():
-        circuits = [
-            task_circuit(task.output, group, task.decisions) for group in circuits_of(task.specs)
-        ]
-        specs = [spec for circuit in circuits for spec in circuit.specs]
-        said = decisions_of(specs, task.decisions)
-        first = [circuit.first_nights(task.changed_from, task.tonight) for circuit in circuits]
-        since = {motor_id: night for one in first for motor_id, night in one.items()}
+        said: dict[str, tuple[Decision, ...]] = {}
+        since: dict[str, dt.date] = {}
+        for circuit in task.circuits:
+            said |= circuit.decisions
+            since |= circuit.first_nights(task.changed_from, task.tonight)
         try:
-            nights = read_nights(task.output, specs, said, since, task.tonight)
+            nights = read_nights(task.output, task.specs, said, since, task.tonight)
         except StoreError as error:
             return TrendOutcome(failures=dict.fromkeys(said, _failure(error)))
         done = _Done(dict(task.given_up))
         blocks = BlockFiles(task.output, list(said))
-        for circuit in circuits:
+        for circuit in task.circuits:
             _run_circuit(task, circuit, nights, blocks, done)
         for motor_id, one in nights.items():
             one.keep(motor_id, done.filtered.get(motor_id))
-        return TrendOutcome(done.nights, done.records, done.failures, tuple(done.alarms))
+        return TrendOutcome(done.nights, done.failures, tuple(done.alarms))
 
 
 @dataclass(slots=True)
@@ -81,7 +80,6 @@ class _Done:
     failures: dict[str, Loss]
     filtered: dict[str, Records] = field(default_factory=dict)
     nights: dict[str, int] = field(default_factory=dict)
-    records: dict[str, Record] = field(default_factory=dict)
     alarms: list[Row] = field(default_factory=list)
 
     def guarded(self, motor_id: str, make: Callable[[], Made]) -> Made | None:
@@ -127,16 +125,14 @@ def _run_circuit(
             continue
         stand = partial(standing_of, part, peers.get(motor_id), neighbours)
         published, before = nights[motor_id].published, circuit.records[motor_id]
-        made = done.guarded(motor_id, partial(_stage_motor, task, stand, span, published, before))
+        rules = rules_now(part.history.spec)
+        record = Record(circuit.hashes[motor_id], span[1], None, seen_from[motor_id], rules)
+        made = done.guarded(
+            motor_id, partial(_stage_motor, task, stand, span, published, before, record)
+        )
         if made is not None:
             done.nights[motor_id], new = made
             done.alarms += new
-            done.records[motor_id] = Record(
-                circuit.hashes[motor_id],
-                span[1],
-                beginnings=seen_from[motor_id],
-                rules=rules_now(part.history.spec),
-            )
 
 
 def _failure(error: Exception) -> Loss:
@@ -221,14 +217,15 @@ def _stage_motor(
     span: tuple[dt.date, dt.date],
     published: Sequence[Row],
     before: Record | None,
+    record: Record,
 ) -> tuple[int, list[Row]]:
-    """Stage the rows of some nights of a motor; how many nights, and the new rows of `alarms`."""
+    """Stage rows of some nights of a motor, and its record; the nights' number, and new alarms."""
     standing = stand()
     history, motor_id = standing.history, standing.history.spec.motor_id
     gone = _withdrawn(task.output, history, span[0])
     places = [place for place, night in enumerate(history.nights) if span[0] <= night <= span[1]]
-    rules = rules_now(history.spec)
-    alarms = marked(alarm_rows(standing, places, published), published, before, rules)
+    rows = alarm_rows(standing, places, published)
+    alarms = marked(rows, published, before, record.rules or {})
     made = {
         "trends": trend_rows(standing, places),
         "alarms": alarms,
@@ -236,11 +233,13 @@ def _stage_motor(
         "change_points": change_point_rows(standing, places),
     }
     labels = [*(history.nights[place] for place in places), *gone]
+    staged: dict[Table, dict[dt.date, list[Row]]] = {}
     for table in TREND_TABLES:
-        nights: dict[dt.date, list[Row]] = {label: [] for label in labels}
+        staged[table] = {label: [] for label in labels}
         for row in made[table.name]:
-            nights[row["night"]].append(row)
-        stage(task.staging / table.name / f"{motor_id}.arrow", table, nights)
+            staged[table][row["night"]].append(row)
+    stage(task.staging / "trends" / f"{motor_id}.arrow", staged)
+    write_record(task.staging, motor_id, record, durable=False)
     told = [row for row in alarms if not row["is_silent"]]
     return len(places), new_alarms(told, published)
 
@@ -249,6 +248,8 @@ def _withdrawn(output: Path, history: History, first: dt.date) -> list[dt.date]:
     """Nights from one on in which a motor has published trends, and that are none of its nights."""
     published = takewhile(lambda night: night >= first, nights_back(output, TRENDS))
     others = set(published).difference(history.nights)
+    if not others:
+        return []
     rows = read_rows(output, TRENDS, [history.spec.motor_id], ("night",), nights=others)
     return sorted(set(rows["night"]))
 

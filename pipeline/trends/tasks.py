@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config import MotorSpec
-from pipeline.logs.ledger import as_published
-from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
+from pipeline.trends.circuits import Circuit, circuits_of
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.tonight import Tonight
-from pipeline.trends.nights.trend_record import Record
 from pipeline.workers.process import Loss
 
 Row = dict[str, Any]
@@ -27,24 +25,27 @@ class TrendTask:
     `given_up` how this run's workers were lost in a motor's trends.
     """
 
-    specs: tuple[MotorSpec, ...]
+    circuits: tuple[Circuit, ...]
     output: Path
     staging: Path
     changed_from: Mapping[str, dt.date | None]
     tonight: Tonight
-    decisions: tuple[Decision, ...] = ()
     given_up: Mapping[str, Loss] = field(default_factory=dict)
+
+    @property
+    def specs(self) -> list[MotorSpec]:
+        """The motors."""
+        return [spec for circuit in self.circuits for spec in circuit.specs]
 
 
 @dataclass(frozen=True, slots=True)
 class TrendOutcome:
-    """By motor: number of staged nights, records to be stored once these are out, and failures.
+    """By motor: number of staged nights, and failures; of each with nights a record is staged.
 
     `alarms` are the staged rows of `alarms` that were not published before.
     """
 
     nights: Mapping[str, int] = field(default_factory=dict)
-    records: Mapping[str, Record] = field(default_factory=dict)
     failures: Mapping[str, Loss] = field(default_factory=dict)
     alarms: tuple[Row, ...] = ()
 
@@ -59,29 +60,20 @@ def trend_tasks(
     motors_a_task: int,
 ) -> list[TrendTask]:
     """Tasks of whole circuits with nights to be made, of about so many motors each."""
-    wanted = [
-        group
-        for group in circuits_of(specs)
-        if any(one.motor_id in changed_from for one in group)
-        and task_circuit(output, group, decisions).is_due(changed_from, tonight)
-    ]
-    batches: list[list[MotorSpec]] = [[]]
-    for group in wanted:
-        if len(batches[-1]) >= motors_a_task:
-            batches.append([])
-        batches[-1] += group
+    batches: list[list[Circuit]] = [[]]
+    for group in circuits_of(specs):
+        if not any(one.motor_id in changed_from for one in group):
+            continue
+        circuit = Circuit.of(output, group, decisions)
+        if circuit.is_due(changed_from, tonight):
+            if sum(len(one.specs) for one in batches[-1]) >= motors_a_task:
+                batches.append([])
+            batches[-1].append(circuit)
     return [
-        TrendTask(tuple(batch), output, staging, changed_from, tonight, decisions)
+        TrendTask(tuple(batch), output, staging, changed_from, tonight)
         for batch in batches
         if batch
     ]
-
-
-def task_circuit(
-    output: Path, specs: Sequence[MotorSpec], decisions: Sequence[Decision]
-) -> Circuit:
-    published = [as_published(output, one) for one in specs]
-    return Circuit.of(output, published, decisions_of(published, decisions))
 
 
 def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:

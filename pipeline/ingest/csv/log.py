@@ -186,7 +186,7 @@ class _Reader:
     def log(self) -> RawLog:
         """All that was read."""
         self.require_rows_of_one_width()
-        ragged = "rows with too many or too few cells"
+        ragged = "row with too many or too few cells"
         if self.ragged:
             first = self.first_ragged
             ragged += f", the first in line {self._line(first)} with {first.cells}"
@@ -194,7 +194,7 @@ class _Reader:
             {
                 "last row without a line end (it may be cut)": self.torn,
                 ragged: self.ragged,
-                "lines that repeat the header": self.header.repeated,
+                "line equal to the header": self.header.repeated,
             }
         )
 

@@ -25,7 +25,7 @@ from pipeline.store.atomic_files import put
 from pipeline.store.sealed import read_if_whole
 from pipeline.store.tables import night_stamps, read_rows
 from pipeline.trends.nights.kept_nights import decoded, encoded, kept_folder
-from pipeline.trends.nights.records import Layout
+from pipeline.trends.nights.records import Layout, record_digest
 
 log = logging.getLogger(__name__)
 
@@ -81,7 +81,7 @@ class BlockFiles:
     ) -> DutyBlocks | None:
         """The same of a baseline's nights, as kept by a run before where that still holds."""
         path, size = kept_folder(self.output) / spec.motor_id / FILE, len(layout.columns)
-        of_what = {"records": layout.digest, "model": model, "files": self._stamps(nights)}
+        of_what = {"records": record_digest(layout), "model": model, "files": self._stamps(nights)}
         key = hash_of(of_what | {"oil": [spec.measured_curve(night) for night in nights]})
         kept = read_if_whole(path, decoded)
         if kept is not None and kept[0]["key"] == key:

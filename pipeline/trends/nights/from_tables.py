@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import accumulate
+from typing import Any, TypeAlias
 
 import numpy as np
 import polars as pl
@@ -46,7 +50,8 @@ FIT_COLUMNS = (*KEY, *FITTED, *STATISTICS, "night_factor", *VERDICTS, *AT_REFERE
 FIGURE = ("parameter", "value", "lower", "upper", "verdict", "reason")
 PARAMETER_COLUMNS = (*KEY, "flushing_mode", *FIGURE)
 OPERATION_COLUMNS = (*KEY, "kept_hours", *OPERATED, *HISTOGRAMS)
-# Value, ends, verdict and reason of a coefficient that a night has not.
+# Value, ends, verdict and reason of a coefficient, by motor, night, mode and name.
+Figures: TypeAlias = Mapping[tuple[Any, ...], tuple[Any, ...]]
 NOTHING_SAID = (None,) * 5
 
 
@@ -61,92 +66,109 @@ def rows_by_night(
 
     They have no nights without a row. The layouts are by motor.
     """
-    by_motor = [
-        {str(key[0]): part for key, part in rows.partition_by("motor_id", as_dict=True).items()}
-        for rows in (fits.filter("is_primary").sort("night"), parameters, operation)
-    ]
+    fits = fits.filter("is_primary").sort(KEY)
+    rows = Columns(fits.join(operation, on=KEY, how="left", maintain_order="left"))
+    told = parameters.select(PARAMETER_COLUMNS).drop_nulls("flushing_mode")
+    figures = {row[:4]: row[4:] for row in told.iter_rows()}
+    nights = Counter(rows.values("motor_id"))
+    ends = dict(zip(nights, accumulate(nights.values()), strict=True))
     found = {}
     for spec in specs:
-        own = by_motor[0].get(spec.motor_id)
-        if own is None:
+        if (n := nights[spec.motor_id]) == 0:
             continue
-        layout = layouts[spec.motor_id]
-        records, words = records_of(
-            spec,
-            layout,
-            own,
-            by_motor[1].get(spec.motor_id, parameters.clear()),
-            by_motor[2].get(spec.motor_id, operation.clear()),
-        )
+        layout, end = layouts[spec.motor_id], ends[spec.motor_id]
+        records, words = records_of(spec, layout, rows.between(end - n, end), figures)
         found[spec.motor_id] = History(spec, layout, records, dict(enumerate(words)))
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Columns of rows as arrays, each made once for the rows of all motors; some of the rows.
+
+    An expression of Polars takes longer than all else for the one row that a motor has of tonight.
+    """
+
+    rows: pl.DataFrame
+    here: slice = field(default_factory=lambda: slice(None))
+    _made: dict[str, Any] = field(default_factory=dict)
+
+    def between(self, first: int, end: int) -> Columns:
+        """Those of some rows."""
+        return replace(self, here=slice(first, end))
+
+    def numbers(self, name: str) -> Array:
+        """A column, nan where it is null."""
+        if name not in self._made:
+            self._made[name] = np.asarray(self.rows[name].to_numpy(), dtype=np.float64)
+        numbers: Array = self._made[name][self.here]
+        return numbers
+
+    def values(self, name: str) -> list[Any]:
+        """A column as Python has it."""
+        if name not in self._made:
+            self._made[name] = self.rows[name].to_list()
+        values: list[Any] = self._made[name][self.here]
+        return values
+
+    def texts(self, name: str) -> list[str]:
+        """A column, empty where it is null."""
+        return [text or "" for text in self.values(name)]
+
+    def vectors(self, name: str, size: int) -> Array:
+        """A column of lists as an array, nan where a list is absent or of another length."""
+        if name not in self._made:
+            lengths = self.rows[name].list.len().fill_null(0)
+            numbers = self.rows[name].filter(lengths > 0).explode().to_numpy()
+            sizes = lengths.to_numpy().astype(np.intp)
+            self._made[name] = np.cumsum(sizes) - sizes, sizes, numbers
+        begins, sizes, numbers = self._made[name]
+        whole = sizes[self.here] == size
+        result = np.full((len(whole), size), np.nan)
+        result[whole] = numbers[begins[self.here][whole, None] + np.arange(size)]
+        return result
+
+
 def records_of(
-    spec: MotorSpec,
-    layout: Layout,
-    fits: pl.DataFrame,
-    parameters: pl.DataFrame,
-    operation: pl.DataFrame,
+    spec: MotorSpec, layout: Layout, rows: Columns, figures: Figures
 ) -> tuple[Records, list[NightWords]]:
-    """Records of a motor's nights, from their rows."""
-    records = blank_records(layout, fits["night"].to_list())
-    has_intervals = fits["interval_status"].str.starts_with(OK).fill_null(False)
-    records["fitted"] = (fits["status"] == OK) & has_intervals
-    records["mode"] = _texts(fits, "flushing_mode")
-    records["model"] = _texts(fits, "model_hash")
+    """Records of a motor's nights, from their rows and the published figures of coefficients."""
+    records = blank_records(layout, rows.values("night"))
+    records["fitted"] = [
+        status == OK and interval.startswith(OK)
+        for status, interval in zip(
+            rows.values("status"), rows.texts("interval_status"), strict=True
+        )
+    ]
+    records["mode"], records["model"] = rows.texts("flushing_mode"), rows.texts("model_hash")
+    for name in ("kept_hours", *OPERATED):
+        records[name] = rows.numbers(name)
     for name, column in SINGLE.items():
-        records[name] = _numbers(fits, column)
-    for place, column in enumerate(OWN):
-        records["own"][:, place] = _numbers(fits, column)
-    records["misfit"] = _vectors(fits, "model_misfit_statistics", MISFIT_NUMBERS)
-    expected = list(layout.columns)
-    same = np.array([columns == expected for columns in fits["columns"].to_list()], dtype=np.bool_)
+        records[name] = rows.numbers(column)
+    for name, bins in zip(HISTOGRAMS, BINS, strict=True):
+        records[name] = np.nan_to_num(rows.vectors(name, bins))
+    records["own"] = np.column_stack([rows.numbers(column) for column in OWN])
+    records["misfit"] = rows.vectors("model_misfit_statistics", MISFIT_NUMBERS)
+    expected, theta = list(layout.columns), len(layout.free)
+    same = np.array([columns == expected for columns in rows.values("columns")], dtype=np.bool_)
     for name, column, size in (
-        ("theta", "coefficients", len(layout.columns) - 2),
-        ("covariance", "coefficient_covariance", triangle(len(layout.columns) - 2)),
-        ("response", "coefficient_response", len(layout.columns) - 2),
-        ("factor", "night_factor", triangle(len(layout.columns))),
+        ("theta", "coefficients", theta),
+        ("covariance", "coefficient_covariance", triangle(theta)),
+        ("response", "coefficient_response", theta),
+        ("factor", "night_factor", triangle(len(expected))),
     ):
-        records[name] = np.where(same[:, None], _vectors(fits, column, size), np.nan)
+        records[name] = np.where(same[:, None], rows.vectors(column, size), np.nan)
     # Nights of before have none.
     records["response"] = np.nan_to_num(records["response"])
     _fill_noise(layout, records)
-    _fill_operation(records, fits, operation)
-    statuses = _status_words(fits)
-    reference = _fill_reference(spec, records, fits)
-    coefficients = _fill_figures(layout, records, fits, parameters)
+    statuses = _status_words(rows)
+    reference = _fill_reference(spec, records, rows)
+    coefficients = _fill_figures(layout, records, rows, figures)
     words = [
         NightWords(status, status or why, tuple(status or one for one in each))
         for status, why, each in zip(statuses, reference, coefficients, strict=True)
     ]
     return records, words
-
-
-# Column by column, as an expression of Polars takes longer for the one row of tonight.
-
-
-def _numbers(rows: pl.DataFrame, column: str) -> Array:
-    """A column, nan where it is null."""
-    return np.asarray(rows[column].to_numpy(), dtype=np.float64)
-
-
-def _texts(rows: pl.DataFrame, column: str) -> list[str]:
-    """A column, empty where it is null."""
-    return [text or "" for text in rows[column].to_list()]
-
-
-def _vectors(rows: pl.DataFrame, column: str, size: int) -> Array:
-    """A column of lists as an array, nan where a list is absent or of another length."""
-    lists = rows[column].to_arrow()
-    result = np.full((len(lists), size), np.nan)
-    offsets = lists.offsets.to_numpy()
-    whole = np.diff(offsets) == size
-    whole &= np.asarray(lists.is_valid())
-    if whole.any():
-        values = lists.values.to_numpy(zero_copy_only=False)
-        result[whole] = values[offsets[:-1][whole, None] + np.arange(size)]
-    return result
 
 
 def _fill_noise(layout: Layout, records: Records) -> None:
@@ -163,18 +185,10 @@ def _fill_noise(layout: Layout, records: Records) -> None:
     records["freedom"][known] = 1.0
 
 
-def _fill_operation(records: Records, fits: pl.DataFrame, operation: pl.DataFrame) -> None:
-    rows = fits.select("night").join(operation, on="night", how="left", maintain_order="left")
-    for name in ("kept_hours", *OPERATED):
-        records[name] = _numbers(rows, name)
-    for name, bins in zip(HISTOGRAMS, BINS, strict=True):
-        records[name] = np.nan_to_num(_vectors(rows, name, bins))
-
-
-def _status_words(fits: pl.DataFrame) -> list[str]:
+def _status_words(rows: Columns) -> list[str]:
     """Reason why a night has no usable fit, by night; empty where it has one."""
     words = []
-    columns = (fits[name].to_list() for name in ("status", "reason", "interval_status"))
+    columns = (rows.values(name) for name in ("status", "reason", "interval_status"))
     for status, reason, interval in zip(*columns, strict=True):
         if status == OK:
             words.append("" if interval == OK else interval or "no intervals")
@@ -183,16 +197,15 @@ def _status_words(fits: pl.DataFrame) -> list[str]:
     return words
 
 
-def _fill_reference(spec: MotorSpec, records: Records, fits: pl.DataFrame) -> list[str]:
+def _fill_reference(spec: MotorSpec, records: Records, rows: Columns) -> list[str]:
     """Leakage at the reference conditions, where it can be trusted; otherwise why not."""
     asked = spec.settings.reference
     now = (asked.pressure_bar, asked.temperature_c, asked.speed_rpm)
-    before = np.column_stack([_numbers(fits, name) for name in REFERENCE_CONDITIONS])
+    before = np.column_stack([rows.numbers(name) for name in REFERENCE_CONDITIONS])
     elsewhere = np.isfinite(before).all(axis=1) & (before != now).any(axis=1)
-    verdicts, reasons = _texts(fits, "reference_verdict"), _texts(fits, "reference_reason")
+    verdicts, reasons = rows.texts("reference_verdict"), rows.texts("reference_reason")
     records["outside"] = [verdict in OUTSIDE_THE_SAMPLES for verdict in verdicts]
-    for place, column in enumerate(REFERENCE):
-        records["reference"][:, place] = _numbers(fits, column)
+    records["reference"] = np.column_stack([rows.numbers(name) for name in REFERENCE])
     value, low, high = records["reference"].T
     words = []
     for verdict, reason, other, half in zip(
@@ -215,20 +228,13 @@ def too_wide(half: float) -> str:
 
 
 def _fill_figures(
-    layout: Layout, records: Records, fits: pl.DataFrame, parameters: pl.DataFrame
+    layout: Layout, records: Records, rows: Columns, figures: Figures
 ) -> list[tuple[str, ...]]:
     """Each coefficient where it is identified; otherwise why not."""
-    said = {
-        (night, mode, name): tuple(rest)
-        for night, mode, name, *rest in parameters.select(PARAMETER_COLUMNS[1:]).iter_rows()
-        if mode is not None
-    }
     columns = []
+    keys = list(zip(*map(rows.values, (*KEY, "flushing_mode")), strict=True))
     for place, name in enumerate(layout.coefficients):
-        found = [
-            said.get((night, mode, name), NOTHING_SAID)
-            for night, mode in fits.select("night", "flushing_mode").iter_rows()
-        ]
+        found = [figures.get((*key, name), NOTHING_SAID) for key in keys]
         values = np.array([one[:3] for one in found], dtype=np.float64)
         records["figures"][:, place] = values.reshape(-1, 3)
         verdicts, reasons = ([one[end] or "" for one in found] for end in (3, 4))
@@ -240,7 +246,7 @@ def _fill_figures(
         trusted = records["fitted"] & np.array([not one for one in words], dtype=np.bool_)
         records["figures"][~trusted, place] = np.nan
         columns.append(words)
-    return list(zip(*columns, strict=True)) if columns else [()] * fits.height
+    return list(zip(*columns, strict=True)) if columns else [()] * len(keys)
 
 
 def _gate(verdict: str, reason: str) -> str:

@@ -22,14 +22,14 @@ import scipy
 from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
-from pipeline.config.hashes import config_hash, hash_of, own_version
+from pipeline.config.hashes import hash_of, own_version
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
 from pipeline.store.atomic_files import put
 from pipeline.store.sealed import read_if_whole
 from pipeline.store.tables import month_stamps, night_stamps
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.nights.records import Layout, Records
-from pipeline.trends.nights.trend_record import TRENDS_VERSION, resets_of
+from pipeline.trends.nights.records import Layout, Records, record_digest, record_type
+from pipeline.trends.nights.trend_record import trend_hash
 
 # Tables that a record is made from.
 READ = (FITS, PARAMETERS, OPERATION)
@@ -87,7 +87,7 @@ class KeptMonth:
         if head["key"] != key:
             return None
         fields = {name: head[name] for name in IN_HEAD}
-        return cls(records=np.frombuffer(records, layout.dtype), **fields)
+        return cls(records=np.frombuffer(records, record_type(layout)), **fields)
 
 
 def encoded(head: Mapping[str, Any], *arrays: NDArray[Any]) -> bytes:
@@ -118,12 +118,10 @@ def key_of(spec: MotorSpec, layout: Layout, decisions: Sequence[Decision]) -> st
     """Hash of all that shapes what is kept of a motor beyond the tables."""
     return hash_of(
         {
-            "trends": TRENDS_VERSION,
+            "trends": trend_hash(spec, decisions),
             "program": own_version(),
             "libraries": (np.__version__, scipy.__version__, pl.__version__),
-            "records": layout.digest,
-            "config": config_hash(spec),
-            "resets": resets_of(decisions),
+            "records": record_digest(layout),
         }
     )
 

@@ -35,7 +35,7 @@ from pipeline.trends.nights.kept_nights import (
     read_months,
     write_month,
 )
-from pipeline.trends.nights.records import Layout, Records, blank_records
+from pipeline.trends.nights.records import Layout, Records, blank_records, record_type
 from pipeline.trends.nights.tonight import Tonight
 
 log = logging.getLogger(__name__)
@@ -229,7 +229,7 @@ class MotorNights:
     def _joined(self, parts: Iterable[Records]) -> Records:
         """Records by night."""
         # As bytes: for a concatenation the types of all fields would be compared.
-        whole = np.frombuffer(b"".join(part.tobytes() for part in parts), self.layout.dtype)
+        whole = np.frombuffer(b"".join(part.tobytes() for part in parts), record_type(self.layout))
         sorted_: Records = whole[np.argsort(whole["night"], kind="stable")]
         return sorted_
 

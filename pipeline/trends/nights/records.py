@@ -86,11 +86,12 @@ class Layout:
         flushing = (FLUSHING,) if spec.file.flushing.mode == "estimated" else ()
         parameters = Parametrisation.of(motor)
         lower, upper = parameters.coefficient_bounds()
-        stated = spec.stated.motor(night, spec.file.flushing.mode).standard
         names_of_paths = tuple(path.name for path in motor.column_paths)
         standard = None
-        if stated is not None and stated.name in names_of_paths:
-            standard = names_of_paths.index(stated.name), stated.configured_coefficient
+        if spec.roller_is_free:
+            stated = spec.stated.motor(night, spec.file.flushing.mode).standard
+            if stated is not None:
+                standard = names_of_paths.index(stated.name), stated.configured_coefficient
         return cls(
             names_of_paths,
             names + flushing,
@@ -114,49 +115,6 @@ class Layout:
         return replace(stored, factors=with_free_known(stored.factors, *self.standard))
 
     @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of a record."""
-        n, theta = len(self.coefficients), len(self.columns) - 2
-        return np.dtype(
-            [
-                ("night", "M8[D]"),
-                ("fitted", "?"),
-                ("outside", "?"),
-                ("mode", "S9"),
-                ("model", "S16"),
-                ("kept_hours", "f8"),
-                ("reference", "f8", 3),
-                ("figures", "f8", (n, 3)),
-                ("theta", "f8", theta),
-                ("covariance", "f8", triangle(theta)),
-                # What a change of b does to θ, as the night's blocks differ in temperature.
-                ("response", "f8", theta),
-                ("factor", "f8", triangle(len(self.columns))),
-                ("own", "f8", 3),
-                # What the blocks say of the model, as `Misfit.numbers`.
-                ("misfit", "f8", MISFIT_NUMBERS),
-                # τ and what noise explains, of ten nights over their mean leakage.
-                ("misfit_of_ten", "f8", 2),
-                *((name, "f8") for name in SINGLE),
-                *((name, "f8") for name in OPERATED),
-                *((name, "u4", bins) for name, bins in zip(HISTOGRAMS, BINS, strict=True)),
-                # Errors as the blocks see them, from which the filter has λ.
-                ("noise", "f8", theta),
-                ("freedom", "f8", theta),
-                # Against the baseline at the night's own duty: `AS_BASELINE` and so on, θ of both
-                # with the covariance of the baseline's, ln of the flow over what it says, and the
-                # share of the baseline's blocks behind it.
-                ("duty", "i1"),
-                ("duty_then", "f8", theta),
-                ("duty_now", "f8", theta),
-                ("duty_error", "f8", triangle(theta)),
-                ("duty_flow", "f8"),
-                ("duty_share", "f8"),
-                *self.filtered,
-            ]
-        )
-
-    @property
     def filtered(self) -> tuple[tuple[Any, ...], ...]:
         """Fields that the filter fills, of a night and those before it."""
         theta = len(self.columns) - 2
@@ -172,11 +130,57 @@ class Layout:
             ("freedom_sum", "f8", theta),
         )
 
-    @property
-    def digest(self) -> str:
-        """Hash of what a record means."""
-        text = "|".join((str(self.dtype.descr), *self.coefficients, *self.columns))
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+# Motors of a type share these.
+@lru_cache(maxsize=64)
+def record_type(layout: Layout) -> np.dtype[Any]:
+    """Type of a record."""
+    n, theta = len(layout.coefficients), len(layout.columns) - 2
+    return np.dtype(
+        [
+            ("night", "M8[D]"),
+            ("fitted", "?"),
+            ("outside", "?"),
+            ("mode", "S9"),
+            ("model", "S16"),
+            ("kept_hours", "f8"),
+            ("reference", "f8", 3),
+            ("figures", "f8", (n, 3)),
+            ("theta", "f8", theta),
+            ("covariance", "f8", triangle(theta)),
+            # What a change of b does to θ, as the night's blocks differ in temperature.
+            ("response", "f8", theta),
+            ("factor", "f8", triangle(len(layout.columns))),
+            ("own", "f8", 3),
+            # What the blocks say of the model, as `Misfit.numbers`.
+            ("misfit", "f8", MISFIT_NUMBERS),
+            # τ and what noise explains, of ten nights over their mean leakage.
+            ("misfit_of_ten", "f8", 2),
+            *((name, "f8") for name in SINGLE),
+            *((name, "f8") for name in OPERATED),
+            *((name, "u4", bins) for name, bins in zip(HISTOGRAMS, BINS, strict=True)),
+            # Errors as the blocks see them, from which the filter has λ.
+            ("noise", "f8", theta),
+            ("freedom", "f8", theta),
+            # Against the baseline at the night's own duty: `AS_BASELINE` and so on, θ of both
+            # with the covariance of the baseline's, ln of the flow over what it says, and the
+            # share of the baseline's blocks behind it.
+            ("duty", "i1"),
+            ("duty_then", "f8", theta),
+            ("duty_now", "f8", theta),
+            ("duty_error", "f8", triangle(theta)),
+            ("duty_flow", "f8"),
+            ("duty_share", "f8"),
+            *layout.filtered,
+        ]
+    )
+
+
+@lru_cache(maxsize=64)
+def record_digest(layout: Layout) -> str:
+    """Hash of what a record means."""
+    text = "|".join((str(record_type(layout).descr), *layout.coefficients, *layout.columns))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,9 +219,15 @@ def triangle_places(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def blank_records(layout: Layout, nights: Sequence[dt.date]) -> Records:
     """Records of nights of which nothing is known."""
-    records = np.zeros(len(nights), dtype=layout.dtype)
-    for name, (kind, *_) in (layout.dtype.fields or {}).items():
-        if kind.base == np.float64:
-            records[name] = np.nan
+    records = np.repeat(_blank_record(layout), len(nights))
     records["night"] = np.array(nights, dtype="M8[D]")
     return records
+
+
+@lru_cache(maxsize=64)
+def _blank_record(layout: Layout) -> Records:
+    record = np.zeros(1, dtype=record_type(layout))
+    for name, (kind, *_) in (record.dtype.fields or {}).items():
+        if kind.base == np.float64:
+            record[name] = np.nan
+    return record

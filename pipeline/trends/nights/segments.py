@@ -41,7 +41,9 @@ class Segment:
 def segments(history: History, indicator: str = "") -> tuple[Segment, ...]:
     """The nights of an indicator by the baseline that they are compared with."""
     starts: dict[int, list[str]] = {}
-    for place, reason in _changed_settings(history):
+    if _changed_settings not in history.kept:
+        history.kept[_changed_settings] = _changed_settings(history)
+    for place, reason in history.kept[_changed_settings]:
         starts.setdefault(place, []).append(reason)
     for event in sorted(history.spec.file.events, key=lambda one: one.date):
         note = f": {event.note}" if event.note else ""

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pipeline.ingest import RawChannel, read_log, time_span
+from pipeline.messages import counted
 from tests.dialects.dialect import Dialect
 from tests.dialects.recorded import Recorded
 from tests.dialects.strategies import csv_dialects, logs, mcap_dialects, parquet_dialects
@@ -39,7 +40,7 @@ def check(dialect: Dialect, log: Recorded, folder: Path) -> None:
         assert raw.channels[name].unparsed == 0
         every = getattr(dialect, "header_every", 0)
         again = -(-raw.rows // every) - 1 if every else 0
-        assert raw.notes == ((f"{again} lines that repeat the header",) if again else ())
+        assert raw.notes == ((f"{counted(again, 'line')} equal to the header",) if again else ())
         # Rows at the ends in which every channel is blank are in the span of the file alone.
         rows_us = log.samples()[0]
         assert time_span(path, *source) in (

@@ -111,7 +111,7 @@ def csv_of(folder: Path, data: bytes | str) -> Path:
         (LONG, "time,channel,value\n2025-03-01T06:00:00Z,dp\n", "log_not_csv", "log.csv, line 2"),
         (OF_A_CHANNEL, "time,value\n", "", ""),
         (OF_A_CHANNEL, "time,valeu\n2025-03-01,1\n", "log_column_missing", "'value'"),
-        (OF_A_CHANNEL, "time,value\n2025-03-01T06:00:00Z,x\n", "log_type", "no number in 1 cells"),
+        (OF_A_CHANNEL, "time,value\n2025-03-01T06:00:00Z,x\n", "log_type", "no number in 1 cell"),
         (OF_A_CHANNEL, "time,value\nnow,1\n", "log_time", "cannot be read"),
         (OF_A_CHANNEL, 'time,value\n2025-03-01T06:00:00Z,1\nx,"1\n', "log_damaged", "log.csv"),
     ],

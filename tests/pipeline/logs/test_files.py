@@ -19,6 +19,7 @@ from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.logs import files as logs
 from pipeline.logs.files import LONGEST_LOG_DAYS, covered, find_logs, labels_of, slice_night
 from pipeline.logs.ledger import FileRecord, content_hash
+from pipeline.messages import counted
 from tests.pipeline.logs.looked_at import EVENING, UNITS, looked_at, us, with_files
 
 LABEL = dt.date(2026, 1, 2)
@@ -173,8 +174,8 @@ class TestWildStamps:
         true = sorted(set(every_minute()) & set(times))
         assert (record.first_us, record.last_us) == (us(true[0]), us(true[-1]))
         assert record.message
-        ahead = "1 rows with a time more than a day in the future"
-        assert ("1 time stamps lie over a year" if off.days < 0 else ahead) in record.message
+        ahead = "1 row with a time more than a day in the future"
+        assert ("1 time stamp over a year" if off.days < 0 else ahead) in record.message
 
     def test_a_clock_set_right_at_half_time(self, spec: MotorSpec, tmp_path: Path) -> None:
         """As many stamps before as after: one side is taken, and the record says so."""
@@ -183,7 +184,7 @@ class TestWildStamps:
             path = write(tmp_path / "a.csv", [*wrong, *every_minute(n=n)])
             record = fully_read(path, spec)
             assert record.nights == (LABEL.isoformat(),)
-            assert f"{n} time stamps" in str(record.message)
+            assert counted(n, "time stamp") in str(record.message)
 
     def test_a_log_that_claims_50_years(self, spec: MotorSpec, tmp_path: Path) -> None:
         """Its nights are bounded, whatever it says, and what is left out is told."""
@@ -206,7 +207,7 @@ class TestCovered:
         rows = ["200.0,50.0,30.0,1.0"] * 57 + ["x,50.0,30.0,1.0", "1,2,3", "y,50.0,30.0,1.0"]
         record = fully_read(write(tmp_path / "a.csv", every_minute(), rows), spec)
         assert record.rows == 59
-        assert "2 cells of pressure_difference hold no number" in str(record.message)
+        assert "2 cells of pressure_difference without a number" in str(record.message)
         assert "too few cells" in str(record.message)
 
     def test_a_clean_log_has_nothing_to_tell(self, spec: MotorSpec, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
+from numpy.typing import ArrayLike
 
 from benchmarks.night_kinds import CYCLES_S
 from benchmarks.simulated_nights import duty
@@ -277,12 +278,12 @@ def test_running_minutes_and_whether_they_are_enough(tmp_path: Path) -> None:
         assert ("leakage every night, paths every night" in note) == (running == 2400)
 
 
-def worth_of(tmp_path: Path, minutes: float, **values: float) -> str:
+def worth_of(tmp_path: Path, minutes: float, **values: ArrayLike) -> str:
     fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
     operation = operate(minutes=minutes)
     channels = operation.channels(operation.pressure_bar)
     for name, value in values.items():
-        channels[name] = np.full_like(channels[name], value)
+        channels[name] = np.broadcast_to(value, channels[name].shape).astype(np.float64)
     write_log(tmp_path / "logs" / "M1" / "a.parquet", operation.time_us, channels)
     return checks_of(fleet)["M1"].notes[0]
 
@@ -296,6 +297,14 @@ def test_a_motor_at_one_condition_tells_its_leakage_and_no_path(tmp_path: Path) 
     """Columns that do not vary are multiples of one another."""
     note = worth_of(tmp_path, 60.0, pressure_difference=150.0, speed=30.0, oil_temperature=50.0)
     assert "pressure 150 to 150 bar (0 %), speed 30 to 30 rpm (0 %)" in note
+    assert "leakage every night, no path by itself; not told apart at these conditions: " in note
+
+
+def test_ramps_beside_halts_tell_no_path(tmp_path: Path) -> None:
+    """The demo's motor at one pressure: none of its 75 nights tells a path."""
+    ramps = np.r_[np.linspace(0.0, 180.0, 100), np.full(3500, 180.0)]
+    note = worth_of(tmp_path, 60.0, pressure_difference=ramps)
+    assert "pressure 180 to 180 bar (0 %)" in note
     assert "leakage every night, no path by itself; not told apart at these conditions: " in note
 
 

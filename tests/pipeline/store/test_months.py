@@ -58,9 +58,8 @@ def publish(output: Path, *nights: dt.date, refused: int = 1) -> Publisher:
             },
             BLOCK_STATISTICS: {n: [{"motor_id": motor, "night": n}] for n in nights},
         }
-        for table, by_night in rows.items():
-            stage(publisher.staging / table.name / f"{motor}.arrow", table, by_night)
-    publisher.nights(TABLES, ("A", "B"), lambda *_: None)
+        stage(publisher.staging / "nights" / f"{motor}.arrow", rows)
+    publisher.nights("nights", TABLES, ("A", "B"), lambda *_: None)
     return publisher
 
 
@@ -270,10 +269,9 @@ def test_a_damaged_month_is_put_aside_and_its_nights_are_forgotten(output: Path)
     path.write_bytes(b"junk")
     forgotten: list[dt.date] = []
     publisher = Publisher(output, output / "staging" / "run", "r")
-    new = {NIGHTS[0]: [row("A", refused=9)]}
-    stage(publisher.staging / "quality" / "A.arrow", QUALITY, new)
-    shutil.rmtree(publisher.staging / "input_files", ignore_errors=True)
-    publisher.nights([QUALITY], ["A"], lambda _, nights, __: forgotten.extend(nights))
+    new = {QUALITY: {NIGHTS[0]: [row("A", refused=9)]}}
+    stage(publisher.staging / "nights" / "A.arrow", new)
+    publisher.nights("nights", [QUALITY], ["A"], lambda nights, _: forgotten.extend(nights))
     assert len(set(forgotten)) == 31
     assert publisher.damaged == [f"quality/month={MONTH}/2026-01.parquet"]
     assert path.with_suffix(".damaged").exists()

@@ -29,9 +29,9 @@ class TestStaged:
     def staged(
         self, tmp_path: Path, nights: Mapping[dt.date, list[Row]], table: Table = QUALITY
     ) -> StagedRows:
-        path = tmp_path / "staging" / table.name / "A.arrow"
+        path = tmp_path / "staging" / "nights" / "A.arrow"
         path.parent.parent.mkdir()
-        stage(path, table, nights)
+        stage(path, {table: nights})
         return StagedRows(path)
 
     @given(
@@ -50,7 +50,7 @@ class TestStaged:
             for night, size in sizes.items()
         }
         staged = self.staged(tmp_path_factory.mktemp("staged"), nights)
-        assert staged.nights == sorted(sizes)
+        assert list(staged.heights[QUALITY.name].items()) == sorted(sizes.items())
         for night, expected in nights.items():
             found = rows_of(staged, night)
             assert found is not None
@@ -63,15 +63,12 @@ class TestStaged:
         monkeypatch.setattr("pipeline.store.night_files.MOTORS_AT_ONCE", 2)
         staged = {}
         for motor_id, reasons in {"D": "b", "B": "ba", "A": "", "E": "a", "C": "a"}.items():
-            path = tmp_path / "quality" / f"{motor_id}.arrow"
+            path = tmp_path / "nights" / f"{motor_id}.arrow"
             some = [
                 row(motor_id, reason, night=night) for night in (LATER, NIGHT) for reason in reasons
             ]
-            stage(
-                path,
-                QUALITY,
-                {n: [one for one in some if one["night"] == n] for n in (LATER, NIGHT)},
-            )
+            by_night = {n: [one for one in some if one["night"] == n] for n in (LATER, NIGHT)}
+            stage(path, {QUALITY: by_night})
             staged[motor_id] = StagedRows(path)
         found = new_rows(QUALITY, staged, NIGHT, LATER, "run")
         for night in (NIGHT, LATER):
@@ -82,6 +79,20 @@ class TestStaged:
             ]  # fmt: skip
             assert {one[1] for one in keys} == {night}
 
+    def test_a_night_that_only_some_tables_have(self, tmp_path: Path) -> None:
+        path = tmp_path / "nights" / "A.arrow"
+        block = {"motor_id": "A", "night": LATER}
+        stage(path, {QUALITY: {NIGHT: [row("A")]}, BLOCK_STATISTICS: {NIGHT: [], LATER: [block]}})
+        staged = StagedRows(path)
+        assert staged.heights == {
+            "quality": {NIGHT: 1},
+            "block_statistics": {NIGHT: 0, LATER: 1},
+        }
+        assert rows_of(staged, LATER) is None
+        found = rows_of(staged, LATER, BLOCK_STATISTICS)
+        assert found is not None
+        assert found["night"].to_list() == [LATER]
+
     def test_keys_begin_with_the_motor(self) -> None:
         """So that motors which are put together one after the other are sorted."""
         assert {table.key[0] for table in (*NIGHT_TABLES, *TREND_TABLES)} == {"motor_id"}
@@ -89,13 +100,13 @@ class TestStaged:
     def test_a_worker_that_outlives_its_run_leaves_nothing(self, tmp_path: Path) -> None:
         """The run's folder is gone: the worker must not make it anew."""
         with pytest.raises(StoreError, match="cannot be staged"):
-            stage(tmp_path / "gone" / "quality" / "A.arrow", QUALITY, {NIGHT: []})
+            stage(tmp_path / "gone" / "nights" / "A.arrow", {QUALITY: {NIGHT: []}})
         assert list(tmp_path.iterdir()) == []
 
     def test_more_motors_than_a_process_may_open_files(self, tmp_path: Path) -> None:
         staged = self.staged(tmp_path, {NIGHT: [row("A")]})
         before = len(list(Path("/proc/self/fd").iterdir()))
-        kept = [StagedRows(tmp_path / "staging" / "quality" / "A.arrow") for _ in range(5)]
+        kept = [StagedRows(tmp_path / "staging" / "nights" / "A.arrow") for _ in range(5)]
         found = [rows_of(one, NIGHT) for one in kept]
         assert len(list(Path("/proc/self/fd").iterdir())) == before
         for one in found:
@@ -120,7 +131,7 @@ class TestStaged:
         """They are read lazily from a map of the file, which the run removes at its end."""
         staged = self.staged(tmp_path, {NIGHT: [row("A"), row("A", "spike")]})
         found = rows_of(staged, NIGHT)
-        (tmp_path / "staging" / "quality" / "A.arrow").unlink()
+        (tmp_path / "staging" / "nights" / "A.arrow").unlink()
         assert found is not None
         assert found["reason"].to_list() == ["gap", "spike"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.trends.circuits import Circuit, beginnings, decisions_of, earlier_views
+from pipeline.trends.circuits import Circuit, beginnings, earlier_views
 from pipeline.trends.nights import trend_record as record
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.trend_record import (
@@ -88,8 +88,8 @@ def test_a_motors_hash_is_made_once_and_of_its_own(
     monkeypatch.setattr(record, "config_hash", counted)
     specs = [named(motor(), f"M{number}", "tank") for number in range(5)]
     said: tuple[Decision, ...] = (reset(20, motor_id="M3"),)
-    before = Circuit.of(tmp_path, specs, decisions_of(specs, ()))
+    before = Circuit.of(tmp_path, specs, ())
     assert len(made) == len(specs)
-    after = Circuit.of(tmp_path, specs, decisions_of(specs, said))
+    after = Circuit.of(tmp_path, specs, said)
     assert {one for one in before.hashes if before.hashes[one] != after.hashes[one]} == {"M3"}
     assert trend_hash(specs[0], ()) == before.hashes["M0"]

@@ -18,7 +18,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.schema import Table
-from pipeline.trends import stage
+from pipeline.trends import circuits, stage
 from pipeline.trends.figures.indicators import DEVIATION
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
@@ -105,12 +105,14 @@ class Circuit:
             for name, one in self.histories.items()
         }
         task = stage.TrendTask(
-            tuple(one.spec for one in self.histories.values()),
+            tuple(
+                circuits.Circuit.of(self.folder, group, self.said)
+                for group in circuits.circuits_of(one.spec for one in self.histories.values())
+            ),
             self.folder,
             self.folder,
             {name: night_of(changed[name]) if name in changed else None for name in read},
             Tonight(night_of(last)),
-            self.said,
         )
         with (
             patch.object(stage, "read_nights", lambda *_: read),
@@ -126,8 +128,12 @@ class Circuit:
             write_record(self.folder, name, record)
         return [row for row in outcome.alarms if row["motor_id"] != "M1"]
 
-    def _take(self, path: Path, table: Table, nights: Mapping[dt.date, list[Row]]) -> None:
-        self.told |= {(path.stem, table.name, night): rows for night, rows in nights.items()}
+    def _take(self, path: Path, tables: Mapping[Table, Mapping[dt.date, list[Row]]]) -> None:
+        self.told |= {
+            (path.stem, table.name, night): rows
+            for table, nights in tables.items()
+            for night, rows in nights.items()
+        }
 
     def alarms_of(self, name: str) -> list[Row]:
         """The published rows of `alarms` of a motor."""

@@ -18,7 +18,7 @@ from pipeline.schema import ALARMS, BASELINES, TREND_TABLES, TRENDS, Table, fram
 from pipeline.store.night_files import stage
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import read_rows
-from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
+from pipeline.trends.circuits import Circuit, circuits_of
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.nights.tonight import Tonight
 from pipeline.trends.nights.trend_record import (
@@ -148,8 +148,8 @@ def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
         ]
         for place, before, after in ((20, "ok", "warning"), (25, "warning", "alarm"))
     }
-    stage(tmp_path / "alarms" / "M1.arrow", ALARMS, by_old_rules)
-    Publisher(output, tmp_path, "old").nights((ALARMS,), ["M1"], lambda *_: None)
+    stage(tmp_path / "trends" / "M1.arrow", {ALARMS: by_old_rules})
+    Publisher(output, tmp_path, "old").nights("trends", (ALARMS,), ["M1"], lambda *_: None)
     record = read_record(output, "M1")
     assert record is not None
     rules = rules_now(motor())
@@ -180,12 +180,13 @@ OTHER_A = named(motor(), "A", "t", [event(20, "oil_change", oil="vg46")])
 
 
 def task(changed: dict[str, dt.date | None], output: Path, *said: Decision) -> TrendTask:
-    return TrendTask(tuple(SPECS[:2]), output, output, changed, Tonight(night_of(39)), said)
+    circuit = Circuit.of(output, SPECS[:2], said)
+    return TrendTask((circuit,), output, output, changed, Tonight(night_of(39)))
 
 
 def to_do(one: TrendTask) -> dict[str, tuple[dt.date, dt.date]]:
     found = histories(*(Nights(spec, 40) for spec in one.specs))
-    circuit = Circuit.of(one.output, one.specs, decisions_of(one.specs, one.decisions))
+    (circuit,) = one.circuits
     return circuit.nights_to_do(one.changed_from, one.tonight, found)
 
 
@@ -235,7 +236,8 @@ def test_what_was_said_of_one_motor_redoes_that_motor(tmp_path: Path) -> None:
 def test_what_its_own_settings_made_anew_redoes_no_other_motor(tmp_path: Path) -> None:
     """Another oil from a night on, say: its rows are others from there on."""
     remember(tmp_path, 39)
-    changed = replace(task({"A": night_of(20), "B": None}, tmp_path), specs=(OTHER_A, SPECS[1]))
+    circuits = (Circuit.of(tmp_path, (OTHER_A, SPECS[1]), ()),)
+    changed = replace(task({"A": night_of(20), "B": None}, tmp_path), circuits=circuits)
     assert to_do(changed) == {"A": (dt.date.min, night_of(39))}
     # Nor a motor that joins with nights of its own.
     (tmp_path / "ledger" / "A" / "trends").unlink()
@@ -361,9 +363,10 @@ def test_a_broken_motor_takes_no_other_down(
     monkeypatch.setattr(stage, "indicators_of", broken)
     (tmp_path / "staging").mkdir()
     asked = {"A": night_of(0), "B": night_of(0)}
+    circuit = Circuit.of(tmp_path, SPECS[:2], ())
     found = stage.run_trends(
-        TrendTask(tuple(SPECS[:2]), tmp_path, tmp_path / "staging", asked, Tonight(night_of(4)))
+        TrendTask((circuit,), tmp_path, tmp_path / "staging", asked, Tonight(night_of(4)))
     )
     assert found.failures == {"A": Loss("internal", "ZeroDivisionError: in one motor")}
     assert found.nights == {"B": 5}
-    assert list(found.records) == ["B"]
+    assert read_record(tmp_path / "staging", "B") is not None

@@ -90,7 +90,7 @@ def test_a_header_that_comes_again_is_no_sample(tmp_path: Path, line_end: str) -
     log = read(tmp_path, text.replace("\n", line_end), SOURCE.but(unit_rows=1))
     assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0] * 2
     assert log.channels["pressure_difference"].unparsed == 0
-    assert log.notes == ("1 lines that repeat the header",)
+    assert log.notes == ("1 line equal to the header",)
 
 
 def test_columns_that_change_within_a_file_are_read_by_name(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_a_date_in_a_column_of_its_own(tmp_path: Path) -> None:
     text = "date,time,dp,n\n01.03.2025,06:00:00,1,2\n01.03.2025, 06:00:01 ,3,4\n,06:00:02,5,6\n"
     log = read(tmp_path, text, source)
     assert log.channels["speed"].time_us.tolist() == [T0_US, T0_US + 1_000_000]
-    assert log.notes == ("1 rows without a readable time",)
+    assert log.notes == ("1 row without a readable time",)
     assert time_span(tmp_path / "log.csv", *source) == (T0_US, T0_US + 1_000_000)
     iso = source.but(time_format="iso8601")
     assert read(tmp_path, "date,time,dp,n\n2025-03-01,06:00:00,1,2\n", iso).first_us == T0_US
@@ -272,7 +272,7 @@ def test_the_hour_that_never_comes_costs_its_rows(tmp_path: Path) -> None:
     rows = "".join(f"2025-03-30 {clock},{i},1\n" for i, clock in enumerate(times))
     log = read(tmp_path, f"time,dp,n\n{rows}", source)
     assert values(log) == [0.0, 1.0, 3.0]
-    assert log.notes == ("1 rows at a local time that the zone's clock change leaves out",)
+    assert log.notes == ("1 row at a local time that the zone's clock change leaves out",)
 
 
 def test_time_in_the_future_is_refused(tmp_path: Path) -> None:
@@ -280,7 +280,7 @@ def test_time_in_the_future_is_refused(tmp_path: Path) -> None:
     soon = (datetime.now(UTC) + timedelta(hours=3)).isoformat()
     log = read(tmp_path, f"time,dp,n\n{ROWS}{soon},5,1\n{ahead},6,1\n")
     assert values(log)[-1] == 5.0
-    assert log.notes == ("1 rows with a time more than a day in the future",)
+    assert log.notes == ("1 row with a time more than a day in the future",)
     wrong = error(tmp_path, f"time,dp,n\n{ahead},6,1\n")
     assert wrong.code == "log_time"
     assert "future" in wrong.message

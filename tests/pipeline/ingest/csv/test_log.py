@@ -16,6 +16,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.csv.text import read_lines
+from pipeline.messages import counted
 from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, read
 from tests.pipeline.ingest.sources import column
 
@@ -85,7 +86,8 @@ def test_the_first_row_of_another_width_is_named_by_its_line(
         patch.setattr(pipeline.ingest.csv.log, "read_lines", lambda *at: read_lines(*at[:2], piece))
         log = read_log(path, *SOURCE.but(skip_rows=2))
     first = lines[found[0] - 1].count(",") + 1 if found else 0
-    told = f"{len(found)} rows with too many or too few cells, the first in line {{}} with {first}"
+    rows = counted(len(found), "row")
+    told = f"{rows} with too many or too few cells, the first in line {{}} with {first}"
     assert log.notes == ((told.format(found[0]),) if found else ())
 
 
@@ -100,7 +102,7 @@ def test_a_row_of_units_below_the_header_is_left_out(tmp_path: Path) -> None:
     log = read(tmp_path, f"time,dp,n\nUTC,bar,rpm\n{DAY}0Z,1,2\n{DAY}1Z,3,4\n")
     assert pressure(log).value.tolist() == [1.0, 3.0]
     assert pressure(log).unparsed == 0
-    assert log.notes == ("1 rows without a readable time",)
+    assert log.notes == ("1 row without a readable time",)
 
 
 def test_quoted_cells_are_read(tmp_path: Path) -> None:

@@ -168,7 +168,7 @@ def test_a_row_without_a_time_is_left_out_and_noted(tmp_path: Path) -> None:
     times = pa.array([T0_US, None, T0_US + 2], pa.timestamp("us", "UTC"))
     log = read(tmp_path, pa.array([1.0, 2.0, 3.0]), times)
     assert log.channels["pressure_difference"].value.tolist() == [1.0, 3.0]
-    assert log.notes == ("1 rows without a readable time",)
+    assert log.notes == ("1 row without a readable time",)
     assert log.refused_rows == 1
 
 
