@@ -15,8 +15,6 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from pipeline.errors import StoreError
 from pipeline.schema import TREND_TABLES, TRENDS, Table
 from pipeline.store.night_files import stage
@@ -182,8 +180,7 @@ class Part:
 
     def seen_before(self, night: dt.date, earlier: Part) -> Part:
         """The same where the other motors of its circuit saw another one before a night."""
-        place = int(np.searchsorted(self.history.records["night"], np.datetime64(night)))
-        flow = self.flow.seen_before(self.history, place, earlier.flow)
+        flow = self.flow.seen_before(self.history, self.history.place_from(night), earlier.flow)
         view = View(night, earlier.views[-1].explanations)
         return replace(self, flow=flow, views=(view, *self.views))
 

@@ -30,6 +30,7 @@ from pipeline.trends.nights.records import (
     NightWords,
     Records,
     blank_records,
+    symmetric_matrix,
     triangle,
     whole_matrix,
 )
@@ -176,8 +177,7 @@ def _fill_noise(layout: Layout, records: Records) -> None:
     size, free = len(layout.free), np.array(layout.free)
     columns = whole_matrix(records["factor"], size + 2)[:, :, :-2]
     gram = np.einsum("nij,nik->njk", columns, columns)
-    upper = whole_matrix(records["covariance"], size)
-    covariance = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+    covariance = symmetric_matrix(records["covariance"], size)
     meat = np.einsum("nij,njk,nki->ni", gram, covariance, gram)
     # A coefficient at its bound has no variance, and its night tells no error.
     known = records["fitted"] & (np.einsum("nii->ni", covariance)[:, free] > 0.0).all(axis=1)
