@@ -234,9 +234,9 @@ def _stage_motor(
     labels = [*(history.nights[place] for place in places), *gone]
     staged: dict[Table, dict[dt.date, list[Row]]] = {}
     for table in TREND_TABLES:
-        staged[table] = {label: [] for label in labels}
+        nights = staged[table] = {label: [] for label in labels}
         for row in made[table.name]:
-            staged[table][row["night"]].append(row)
+            nights[row["night"]].append(row)
     stage(task.staging / "trends" / f"{motor_id}.arrow", staged)
     told = [row for row in alarms if not row["is_silent"]]
     return len(places), new_alarms(told, published)

@@ -259,8 +259,12 @@ def _gate(verdict: str, reason: str) -> str:
 def add_blocks(spec: MotorSpec, layout: Layout, records: Records, blocks: pl.DataFrame) -> None:
     """Put what the blocks of nights without a fit tell into their records."""
     free = np.array(layout.free)
+    nights = records["night"].tolist()
+    poor = {nights[place]: place for place in np.flatnonzero(~records["fitted"]).tolist()}
     for (label,), rows in blocks.partition_by("night", as_dict=True).items():
-        record = records[int(np.searchsorted(records["night"], np.datetime64(label)))]
+        if label not in poor:
+            continue
+        record = records[poor[label]]
         hashes = set(rows["model_hash"].to_list())
         stored = layout.blocks(spec, rows)
         if len(hashes) != 1 or stored is None:
