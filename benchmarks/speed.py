@@ -42,6 +42,7 @@ from benchmarks.day_fleets import (
 from benchmarks.results_file import RESULTS, Part, nights_of_history, write_parts
 from benchmarks.whole_runs import (
     Cost,
+    compile_sources,
     elapsed,
     first_night,
     fit_command,
@@ -84,6 +85,7 @@ def main(options: Sequence[str] = ()) -> None:
     parser.add_argument("--motors", type=int, default=12)
     asked = parser.parse_args(list(options))
     stored = json.loads(STORED.read_text("utf-8")) if STORED.exists() else {}
+    compile_sources()
     for name in asked.only.split(","):
         with tempfile.TemporaryDirectory() as folder:
             begin = time.perf_counter()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
 import sys
 from typing import Annotated, NoReturn
 
@@ -105,6 +106,8 @@ def _keep_all() -> None:
 
 def main() -> NoReturn:
     """Run the command; every expected error is one message on stderr and a stated exit code."""
+    # Pydantic looks for plugins in all packages that are installed; no model here has one.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     # A command is short: few collections of garbage, and none as it ends.
     gc.set_threshold(10_000)
     atexit.register(_keep_all)

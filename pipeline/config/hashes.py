@@ -65,44 +65,34 @@ def own_version() -> str:
     return version("motor-leakage")
 
 
-def settings_of(spec: MotorSpec) -> dict[str, str]:
-    """All settings of a motor by dotted key, as text: what a run before had, to name what changed.
-
-    Examples
-    --------
-    >>> changed_settings({"reference.speed_rpm": "30.0"}, {"reference.speed_rpm": "31.0"})
-    ('reference.speed_rpm',)
-    """
+def settings_of(spec: MotorSpec) -> dict[str, Any]:
+    """All settings of a motor as a JSON document: what a run before had, to name what changed."""
     versions = {"reading": READING_VERSION, "statistics": STATISTICS_VERSION}
-    versions |= {"figures": FIGURES_VERSION}
-    return dict(_flat("", _document(spec) | {"versions": versions}))
+    return _document(spec) | {"versions": versions | {"figures": FIGURES_VERSION}}
 
 
-def changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
-    """Dotted keys of the settings that differ, sorted."""
-    keys = before.keys() | now.keys()
-    return tuple(sorted(key for key in keys if before.get(key) != now.get(key)))
-
-
-def why_anew(before: Mapping[str, str], now: Mapping[str, str], *, trends: bool = False) -> str:
+def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool = False) -> str:
     """Reason in words to redo nights or trends: the settings that changed.
 
     Examples
     --------
-    >>> why_anew({"versions.figures": "1"}, {"versions.figures": "2", "trend.x": "3"})
+    >>> why_anew({"versions": {"figures": 1}}, {"versions": {"figures": 2}, "trend": {"x": 3}})
     'another version of the program (figures 1 to 2)'
-    >>> why_anew({"trend.x": "2"}, {"trend.x": "3"}, trends=True)
+    >>> why_anew({"settings": {"trend": {"x": 2}}}, {"settings": {"trend": {"x": 3}}}, trends=True)
     'changed setting trend.x'
     """
     if not before:
         return "changed settings"
+    old, new = dict(_flat("", before)), dict(_flat("", now))
     changed = [
-        key for key in changed_settings(before, now) if trends or not key.startswith(OF_TRENDS)
+        key
+        for key in sorted(old.keys() | new.keys())
+        if old.get(key) != new.get(key) and (trends or not key.startswith(OF_TRENDS))
     ]
     versions = [key for key in changed if key.startswith("versions.")]
     settings = [key for key in changed if key not in versions]
     steps = [
-        f"{key.removeprefix('versions.')} {before.get(key, '?')} to {now.get(key, '?')}"
+        f"{key.removeprefix('versions.')} {old.get(key, '?')} to {new.get(key, '?')}"
         for key in versions
     ]
     parts = [f"another version of the program ({', '.join(steps)})"] if steps else []
@@ -113,7 +103,8 @@ def why_anew(before: Mapping[str, str], now: Mapping[str, str], *, trends: bool 
 
 
 def _flat(prefix: str, value: object) -> Iterator[tuple[str, str]]:
-    if isinstance(value, dict):
+    """Settings by dotted key, as text."""
+    if isinstance(value, Mapping):
         for key, inner in value.items():
             yield from _flat(f"{prefix}.{key}" if prefix else str(key), inner)
     elif isinstance(value, list) and value and isinstance(value[0], dict):

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.config.channels import COUNTED, Channel, Channels
 from pipeline.config.logs import Logs
-from pipeline.ingest.assembly import Samples, log_of_samples, span_of_log
+from pipeline.ingest.assembly import Samples, log_of_samples, span
 from pipeline.ingest.contract import LogFile, Place, RawChannel, RawLog, Reader, readable
 from pipeline.ingest.readers import (
     called,
@@ -146,7 +146,7 @@ def time_span(
     with readable(path):
         reader, file = _opened(path, logs, channels, latest_us)
         if reader.span is None:
-            return span_of_log(path, checked(file, called(file, reader.read)))
+            return span(path, checked(file, called(file, reader.read)).stamps())
         return checked_span(file, called(file, reader.span))
 
 

@@ -16,7 +16,7 @@ from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.channels import Channel
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.contract import LogFile, RawChannel, RawLog, different_stamps
+from pipeline.ingest.contract import LogFile, RawChannel, RawLog, different_stamps, ends
 from pipeline.ingest.quality import is_bad, quality_states
 from pipeline.ingest.time_stamps import example_of, from_epoch
 from pipeline.ingest.wall_clock import TimeStamps
@@ -230,12 +230,12 @@ def raw_log(
 
     A reason begins with the noun of what is counted.
     """
-    times = different_stamps(channels.values())
+    first_us, last_us = ends(different_stamps(channels.values())) or (None, None)
     return RawLog(
         channels=channels,
         rows=rows,
-        first_us=min((int(time_us.min()) for time_us in times), default=None),
-        last_us=max((int(time_us.max()) for time_us in times), default=None),
+        first_us=first_us,
+        last_us=last_us,
         notes=(*(_note(reason, count) for reason, count in refused.items() if count), *remarks),
         refused_rows=sum(refused.values()),
     )
@@ -248,16 +248,10 @@ def _note(reason: str, count: int) -> str:
 
 def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
     """Smallest and largest time stamp of a file's parts; none is an error ``log_empty``."""
-    times = [part for part in parts if part.size]
-    if not times:
+    found = ends(parts)
+    if found is None:
         raise LogError("log_empty", path, "the log holds no samples, so it has no time span")
-    return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
-
-
-def span_of_log(path: Path, log: RawLog) -> tuple[int, int]:
-    """Smallest and largest time stamp of a log as read; none is an error ``log_empty``."""
-    ends = [] if log.first_us is None else [log.first_us, log.last_us]
-    return span(path, [np.array(ends, np.int64)])
+    return found
 
 
 @dataclass(frozen=True, slots=True)

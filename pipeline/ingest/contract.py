@@ -217,6 +217,14 @@ def different_stamps(channels: Iterable[RawChannel]) -> list[NDArray[np.int64]]:
     return [time_us for time_us in arrays.values() if time_us.size]
 
 
+def ends(parts: Iterable[NDArray[np.int64]]) -> tuple[int, int] | None:
+    """Smallest and largest of some time stamps; None where there is none."""
+    times = [part for part in parts if part.size]
+    if not times:
+        return None
+    return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
+
+
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
     """Refuse what is no file; errors of the disk, and of memory, become a `LogError`."""

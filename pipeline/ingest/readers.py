@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.readers import reader_entry, reader_version
 from pipeline.errors import LogError
-from pipeline.ingest.contract import LogFile, Place, RawLog, Reader
+from pipeline.ingest.contract import LogFile, Place, RawLog, Reader, ends
 from pipeline.ingest.wall_clock import EARLIEST_US
 
 _DTYPES = {"time_us": "int64", "value": "float64", "missing": "bool", "bad_quality": "bool"}
@@ -126,13 +126,12 @@ def _breaches(file: LogFile, log: RawLog) -> Iterator[str]:
         asked, given = ", ".join(file.channels), ", ".join(log.channels)
         yield f"gave the channels {given or 'none'} where {asked} were asked for"
     yield from _breaches_of_types(log)
-    stamps = log.stamps()
-    ends: tuple[int | None, int | None] = (None, None)
-    if stamps:
-        ends = min(int(one.min()) for one in stamps), max(int(one.max()) for one in stamps)
-        yield from _impossible(file, *ends)
-    if (log.first_us, log.last_us) != ends:
-        yield f"gave the ends {(log.first_us, log.last_us)}, and its time stamps have {ends}"
+    found = ends(log.stamps())
+    if found is not None:
+        yield from _impossible(file, *found)
+    stated, true = (log.first_us, log.last_us), found or (None, None)
+    if stated != true:
+        yield f"gave the ends {stated}, and its time stamps have {true}"
 
 
 def _breaches_of_types(log: RawLog) -> Iterator[str]:

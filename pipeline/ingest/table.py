@@ -277,7 +277,7 @@ class RawTable:
         return raw_log(channels, rows_read, refused, remarks)
 
     def _stamps(self) -> tuple[TimeStamps, dict[str, int]]:
-        stamps = placed([self._written.taken()], self.logs.time_zone)
+        stamps = placed(self._written.taken(), self.logs.time_zone)
         name = time_name(self.logs, stamps.example)
         (past,), refused = judged(self.path, [stamps], name, self.latest_us)
         return past, refused

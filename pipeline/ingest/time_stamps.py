@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS, parsed
 from pipeline.ingest.arrow_types import is_text
@@ -87,7 +87,7 @@ def written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     Examples
     --------
     >>> texts = pa.chunked_array([["2025-03-01T06:00:00.5+01:00", "6 am"]])
-    >>> stamps = placed([written_as_text(texts, "iso8601")], "UTC")
+    >>> stamps = placed(written_as_text(texts, "iso8601"), "UTC")
     >>> stamps.time_us.tolist(), stamps.readable.tolist(), stamps.example
     ([1740805200500000, 0], [True, False], '6 am')
     """
@@ -142,43 +142,26 @@ def _written_as_numbers(
     return WrittenStamps(local_ms * 1000, _kinds(fits, _LOCAL))
 
 
-def placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
-    """Stamps of all pieces of a log in UTC, in their order; local ones are of the zone."""
-    stamps = _placed(parts, zone)
-    example = next((part.example for part in parts if part.example is not None), None)
-    return replace(stamps, example=example or _implausible(parts, stamps))
-
-
-def _implausible(parts: Sequence[WrittenStamps], stamps: TimeStamps) -> str | None:
-    """The first stamp that is read and cannot be, such as one of a clock that was never set."""
-    begin = 0
-    if stamps.readable.all():
-        return None
-    for part in parts:
-        readable = stamps.readable[begin : begin + part.kind.size]
-        rows = np.flatnonzero(~readable & (part.kind != _NONE))[:1]
-        if rows.size:
-            # Beyond the years of `datetime`, too.
-            stamp = np.datetime64(int(part.time_us[rows[0]]) // 1_000_000, "s")
-            return str(stamp).replace("T", " ")
-        begin += part.kind.size
-    return None
-
-
-def _placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
-    time_us = _joined([part.time_us for part in parts], np.int64)
-    kind = _joined([part.kind for part in parts], np.int8)
-    local = kind == _LOCAL
+def placed(stamps: WrittenStamps, zone: str) -> TimeStamps:
+    """All stamps of a log in UTC, in their order; local ones are of the zone."""
+    local, in_utc = stamps.kind == _LOCAL, stamps.kind == WITH_ZONE
     if not local.any():
-        return from_naive(time_us, kind == WITH_ZONE, "UTC")
-    stamps = from_naive(time_us, local, zone)
-    if not (kind == WITH_ZONE).any():
-        return stamps
-    return _either(stamps, from_naive(time_us, kind == WITH_ZONE, "UTC"))
+        found = from_naive(stamps.time_us, in_utc, "UTC")
+    else:
+        found = from_naive(stamps.time_us, local, zone)
+        if in_utc.any():
+            found = _either(found, from_naive(stamps.time_us, in_utc, "UTC"))
+    return replace(found, example=stamps.example or _implausible(stamps, found.readable))
 
 
-def _joined(parts: list[NDArray[Any]], dtype: DTypeLike) -> NDArray[Any]:
-    return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, dtype), *parts])
+def _implausible(stamps: WrittenStamps, readable: NDArray[np.bool_]) -> str | None:
+    """The first stamp that is read and cannot be, such as one of a clock that was never set."""
+    if readable.all():
+        return None
+    rows = np.flatnonzero(~readable & (stamps.kind != _NONE))[:1]
+    # Beyond the years of `datetime`, too.
+    seconds = [np.datetime64(int(us) // 1_000_000, "s") for us in stamps.time_us[rows]]
+    return str(seconds[0]).replace("T", " ") if seconds else None
 
 
 def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import stat
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -197,14 +197,14 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
         f"{counted(count, 'cell')} of {name} without a number" for name, count in unparsed.items()
     ]
     notes += _blank_channels(record, log, spec)
-    if not stamps:
+    if log.first_us is None or log.last_us is None:
         notes.append("no samples")
         return replace(record, rows=log.rows, message="; ".join(notes))
-    first, last = _ends(stamps)
+    first, last = log.first_us, log.last_us
     if last - first > LONGEST_LOG_DAYS / 2 * DAY_US:
         every = np.concatenate([channel.time_us for channel in log.channels.values()])
-        stamps = [_near_the_others(every, notes)]
-        first, last = _ends(stamps)
+        near = _near_the_others(every, notes)
+        stamps, first, last = [near], int(near.min()), int(near.max())
     labels = set().union(*(nights_of(part, spec.settings.nights) for part in stamps))
     return replace(
         record,
@@ -214,10 +214,6 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
         nights=tuple(map(dt.date.isoformat, sorted(labels))),
         message="; ".join(notes) or None,
     )
-
-
-def _ends(stamps: Sequence[NDArray[np.int64]]) -> tuple[int, int]:
-    return min(int(part.min()) for part in stamps), max(int(part.max()) for part in stamps)
 
 
 def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.int64]:

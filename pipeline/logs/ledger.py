@@ -211,10 +211,9 @@ def settings_file(output: Path, motor_id: str) -> Path:
     return ledger_folder(output, motor_id) / "settings"
 
 
-def read_settings(output: Path, motor_id: str) -> dict[str, str]:
-    """Settings of a motor's last run by dotted key; empty without a record."""
-    document = read_if_whole(settings_file(output, motor_id), unseal) or {}
-    return {str(key): str(value) for key, value in document.items()}
+def read_settings(output: Path, motor_id: str) -> dict[str, Any]:
+    """Settings of a motor's last run, as `settings_of` has them; empty without a record."""
+    return read_if_whole(settings_file(output, motor_id), unseal) or {}
 
 
 def as_published(output: Path, spec: MotorSpec) -> MotorSpec:
@@ -224,7 +223,7 @@ def as_published(output: Path, spec: MotorSpec) -> MotorSpec:
 
 
 def write_settings(
-    output: Path, motor_id: str, settings: Mapping[str, str], *, durable: bool = True
+    output: Path, motor_id: str, settings: Mapping[str, Any], *, durable: bool = True
 ) -> None:
     """Keep the settings of a motor's run, to name changes in the next; raises as `put_sealed`."""
     put_sealed(settings_file(output, motor_id), settings, durable=durable)

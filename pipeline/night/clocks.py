@@ -25,54 +25,37 @@ LOOKED_AT = 1000
 
 
 def typical_period_us(
-    time_us: Times, left_out: Mask | None = None, found: tuple[float | None, int] | None = None
+    time_us: Times, left_out: Mask | None = None, likely: tuple[int, int] | None = None
 ) -> float | None:
     """Median distance of consecutive samples [µs]; None for fewer than two.
 
-    Of those not left out, where these are named; `found` as `period_and_alike` has it of all.
+    Of those not left out, where these are named; `likely` as `likely_step` has it of all.
     """
-    period, n_alike = found or period_and_alike(time_us)
-    n_left_out = 0 if left_out is None else np.count_nonzero(left_out)
-    if left_out is None or not n_left_out:
-        return period
+    n_left_out = 0 if left_out is None else int(np.count_nonzero(left_out))
+    n = len(time_us) - 1 - n_left_out
+    if n < 1:
+        return None
+    step, n_alike = likely or likely_step(time_us)
     # One left out takes two steps away and leaves one: it stays the median of a majority.
-    if 2 * (n_alike - 2 * n_left_out) > len(time_us) - 1 - n_left_out:
-        return period
-    return period_and_alike(time_us[~left_out])[0]
+    if 2 * (n_alike - 2 * n_left_out) > n:
+        return float(step)
+    kept = time_us if left_out is None or not n_left_out else time_us[~left_out]
+    return float(np.median(np.diff(kept)))
 
 
-def period_and_alike(time_us: Times) -> tuple[float | None, int]:
-    """Typical period, and the number of steps of just that length.
+def likely_step(time_us: Times) -> tuple[int, int]:
+    """Median of some of the steps, and the number of all that are just as long.
 
-    Most steps are alike: some tell which length that is, and a count proves it.
+    They are counted only where they may be most: then no median of all is needed, which takes
+    longest where most are alike.
     """
     n = len(time_us) - 1
-    if n < 1:
-        return None, 0
     apart = max(1, n // LOOKED_AT)
-    likely = int(np.median(time_us[1::apart] - time_us[:-1:apart]))
-    n_alike = n - len(steps_where(lambda steps: steps != likely, time_us))
-    if 2 * n_alike > n:
-        return float(likely), n_alike
-    steps = np.diff(time_us)
-    period = _median(steps)
-    return period, int(np.count_nonzero(steps == period))
-
-
-def _median(steps: Times) -> float:
-    """Exactly `numpy.median`, without its sorting of a million steps.
-
-    Some of the steps tell between which two values the median should lie, and counts prove it.
-    """
-    n = len(steps)
-    some = np.sort(steps[:: max(1, n // LOOKED_AT)])
-    low, high = some[len(some) * 2 // 5], some[len(some) * 3 // 5]
-    below, up_to = np.count_nonzero(steps < low), np.count_nonzero(steps <= high)
-    middle = np.array([(n - 1) // 2, n // 2])
-    if not below <= middle[0] <= middle[1] < up_to:
-        return float(np.median(steps))
-    between = steps[(steps >= low) & (steps <= high)]
-    return float(np.partition(between, middle - below)[middle - below].mean())
+    some = time_us[1::apart] - time_us[:-1:apart]
+    step = int(np.median(some)) if n > 0 else 0
+    if 2 * np.count_nonzero(some == step) <= len(some):
+        return step, 0
+    return step, n - len(steps_where(lambda steps: steps != step, time_us))
 
 
 def backward_time(time_us: Times) -> Mask:
@@ -117,60 +100,41 @@ def _longest_increasing(stamps: list[int]) -> list[int]:
     return places[::-1]
 
 
-def duplicate_time(time_us: Times, backward: Mask) -> Mask:
-    """Samples, among those that are not backward, that repeat the time of the one before."""
-    mask, forward = np.zeros(len(time_us), dtype=np.bool_), ~backward
-    again = steps_where(lambda steps: steps == 0, time_us[forward]) + 1
-    if len(again):
-        mask[np.flatnonzero(forward)[again]] = True
-    return mask
+def written_late(time_us: Times, backward: Mask) -> tuple[Mask, Mask]:
+    """Backward samples that can be put back in order, and rows that only seemed to be in it.
 
-
-def written_late(time_us: Times, backward: Mask) -> Mask:
-    """Backward samples whose place among the others is free: they can be put back in order.
-
-    Such are rows that a logger flushed late, and files whose names do not sort as their times do.
-    A clock that was set back runs over times that are taken, and a row of samples of which one
-    does so is no late one; a lone wrong stamp lies near nothing. Neither is restored.
+    Those are put back whose place among the others is free: rows that a logger flushed late, and
+    files whose names do not sort as their times do. A clock that was set back runs over times that
+    are taken, and a row of samples of which one does so is no late one; a lone wrong stamp lies
+    near nothing. Neither is restored.
 
     Examples
     --------
     >>> time = np.array([0, 10, 20, 40, 50, 30])
-    >>> written_late(time, backward_time(time)).tolist()
-    [False, False, False, False, False, True]
+    >>> late, stray = written_late(time, backward_time(time))
+    >>> late.tolist(), stray.any()
+    ([False, False, False, False, False, True], np.False_)
     """
-    mask = np.zeros(len(time_us), dtype=np.bool_)
+    late, stray = np.zeros((2, len(time_us)), dtype=np.bool_)
     period = typical_period_us(time_us, backward) if backward.any() else None
     if period is None:
-        return mask
-    rows = np.flatnonzero(backward)
-    nearest = _distance_of_nearest(time_us, rows)
-    mask[rows] = (nearest >= FREE_SHARE * period) & (nearest <= NEAR_PERIODS * period)
+        return late, stray
+    # Stable: the sort that is quick where most are in order.
+    ordered, rows = np.sort(time_us, kind="stable"), np.flatnonzero(backward)
+    nearest = _distance_of_nearest(ordered, time_us[rows])
+    late[rows] = (nearest >= FREE_SHARE * period) & (nearest <= NEAR_PERIODS * period)
     for begin, end in zip(*stretches(backward), strict=True):
-        mask[begin:end] = mask[begin:end].all()
-    return mask
-
-
-def stray_time(time_us: Times, late: Mask) -> Mask:
-    """Rows that only seemed in order: beside one that goes back in its place, far from all others.
-
-    Of two rows that contradict each other either may be named backward; where the other one goes
-    back in order and this one lies near nothing, this one has the wrong stamp.
-    """
-    stray = np.zeros(len(time_us), dtype=np.bool_)
-    period = typical_period_us(time_us, late) if late.any() else None
-    if period is None:
-        return stray
+        late[begin:end] = late[begin:end].all()
+    # Of two rows that contradict each other either may be named backward; where that one goes back
+    # in order and the one beside it lies near nothing, the latter has the wrong stamp.
     beside = np.append(late[1:], False) | np.append(False, late[:-1])
     rows = np.flatnonzero(~late & beside)
-    stray[rows] = _distance_of_nearest(time_us, rows) > NEAR_PERIODS * period
-    return stray
+    stray[rows] = _distance_of_nearest(ordered, time_us[rows]) > NEAR_PERIODS * period
+    return late, stray
 
 
-def _distance_of_nearest(time_us: Times, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Distance of some stamps from the nearest of all others."""
-    # Stable: the sort that is quick where most are in order.
-    ordered, stamps = np.sort(time_us, kind="stable"), time_us[rows]
+def _distance_of_nearest(ordered: Times, stamps: Times) -> NDArray[np.float64]:
+    """Distance of some stamps from the nearest of all others; `ordered` has all of them."""
     before = np.searchsorted(ordered, stamps, side="left") - 1
     after = np.searchsorted(ordered, stamps, side="right")
     last = len(ordered) - 1
@@ -179,14 +143,13 @@ def _distance_of_nearest(time_us: Times, rows: NDArray[np.intp]) -> NDArray[np.f
     return np.where(after - before > 2, 0.0, np.minimum(earlier_us, later_us))
 
 
-def jittered(time_us: Times, period_us: float | None) -> Mask:
-    """Samples that come neither one nor several periods after the one before."""
-    mask = np.zeros(len(time_us), dtype=np.bool_)
+def n_jittered(time_us: Times, period_us: float | None) -> int:
+    """Number of samples that come neither one nor several periods after the one before."""
     if not period_us:
-        return mask
-    # Nearly all steps are of one period: only the others are worth a division.
-    other = steps_where(lambda steps: steps != int(period_us), time_us)
+        return 0
+    # Nearly all come after one period: only the others are worth a division.
+    limit = JITTER_SHARE * period_us
+    other = steps_where(lambda steps: np.abs(steps - period_us) > limit, time_us)
     steps = time_us[other + 1] - time_us[other]
     whole = np.maximum(np.round(steps / period_us), 1.0)
-    mask[other + 1] = np.abs(steps - whole * period_us) > JITTER_SHARE * period_us
-    return mask
+    return int(np.count_nonzero(np.abs(steps - whole * period_us) > limit))

@@ -106,14 +106,7 @@ def _budget(
     n = len(statistics.samples.index)
     wanted = min(spec.settings.estimation.sensitivity_samples, n)
     chosen = np.linspace(0, n - 1, wanted).round().astype(np.int64)
-    seen = statistics.conditions
-    charge = seen.charge_over_case_pa
-    thinned = OperatingConditions(
-        seen.pressure_difference_pa[chosen],
-        seen.oil_temperature_c[chosen],
-        seen.speed_rpm[chosen],
-        None if charge is None else charge[chosen],
-    )
+    thinned = statistics.conditions.part(chosen)
     flow = statistics.samples.leakage_l_per_min[chosen]
     try:
         reference, own = at

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times, Values
 from pipeline.night.cleaning import CleanChannel
-from pipeline.night.masks import CACHED
-from pipeline.night.time_order import Stamps
+from pipeline.night.masks import CACHED, steps_where
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
 AVERAGE_ABOVE = 1.5
@@ -22,10 +21,8 @@ AVERAGE_ABOVE = 1.5
 CELL_SHARE = 0.5
 # A mean stands for this share of its period on either side; half, and some for jitter.
 MEAN_REACH = 0.6
-# Equal steps in a row from which on they are worth a look of their own.
-EVEN_STEPS = 256
-# Samples are counted, not searched for, where more than one of so many times of the grid needs one.
-COUNTED_ABOVE = 4
+# Times of the grid from which on samples in equal steps are worth a look of their own.
+EVEN_PLACES = 4096
 
 
 class OnGrid(NamedTuple):
@@ -36,10 +33,8 @@ class OnGrid(NamedTuple):
     silent: Mask
 
 
-def on_grid(
-    channel: CleanChannel, grid_us: Times, period_us: int, stamps: Stamps | None = None
-) -> OnGrid:
-    """A channel on an even grid; channels that share their stamps share `stamps`."""
+def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
+    """A channel on an even grid."""
     n = len(grid_us)
     if not n or not len(channel.time_us):
         return OnGrid(np.full(n, np.nan), np.zeros(n, np.bool_), np.ones(n, np.bool_))
@@ -50,9 +45,27 @@ def on_grid(
     on_change = channel.sampling.on_change
     if channel.period_us and not on_change and channel.period_us * AVERAGE_ABOVE < period_us:
         return _averaged(channel, grid_us, period_us)
-    time = channel.time_us
-    places = (stamps or Stamps()).once(time, "places", lambda: _Places.of(time, grid_us, period_us))
-    return _interpolated(channel, grid_us, period_us, places)
+    return _interpolated(channel, grid_us, period_us)
+
+
+# A refused value may be infinite.
+@np.errstate(over="ignore", invalid="ignore")
+def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
+    """Samples as they are at their own times, and lines between them; not beside a refused one."""
+    n, kept = len(grid_us), ~channel.refused
+    found = OnGrid(np.empty(n), np.empty(n, np.bool_), np.zeros(n, np.bool_))
+    stretches = _even_stretches(channel, grid_us, period_us)
+    for even in stretches:
+        _fill_even(found, channel, kept, even)
+    begins = [0, *(even.place + even.n * even.apart for even in stretches)]
+    ends = [*(even.place for even in stretches), n]
+    for begin, end in zip(begins, ends, strict=True):
+        for first in range(begin, end, CACHED):
+            some = slice(first, min(first + CACHED, end))
+            piece = OnGrid(found.value[some], found.present[some], found.silent[some])
+            _fill(piece, channel, kept, grid_us[some], period_us)
+    found.value[~found.present] = np.nan
+    return found
 
 
 class _Even(NamedTuple):
@@ -72,126 +85,59 @@ class _Even(NamedTuple):
     apart: int
 
 
-class _Places(NamedTuple):
-    """Places of samples on a grid.
-
-    Attributes
-    ----------
-    even
-        Stretches of samples in equal steps on the grid.
-    others
-        Times of the grid outside of these.
-    left
-        The sample at or before each of the others; -1 where there is none.
-    """
-
-    even: list[_Even]
-    others: NDArray[np.intp]
-    left: NDArray[np.intp]
-
-    @classmethod
-    def of(cls, time_us: Times, grid_us: Times, period_us: int) -> _Places:
-        """Places of strictly increasing samples."""
-        even = _even_stretches(time_us, grid_us, period_us)
-        other = np.ones(len(grid_us), dtype=np.bool_)
-        for one in even:
-            other[one.place : one.place + one.n * one.apart + 1] = False
-        others = np.flatnonzero(other)
-        return cls(even, others, _at_or_before(time_us, grid_us, period_us, others))
-
-
-def _at_or_before(
-    time_us: Times, grid_us: Times, period_us: int, places: NDArray[np.intp]
-) -> NDArray[np.intp]:
-    """The last sample at or before some places of a grid; -1 where there is none."""
-    if COUNTED_ABOVE * len(places) < len(grid_us):
-        return np.searchsorted(time_us, grid_us[places], side="right") - 1
-    due = np.clip(-((grid_us[0] - time_us) // period_us), 0, len(grid_us))
-    found: NDArray[np.intp] = np.cumsum(np.bincount(due, minlength=len(grid_us)))[places] - 1
-    return found
-
-
-def _even_stretches(time_us: Times, grid_us: Times, period_us: int) -> list[_Even]:
-    steps = np.diff(time_us)
-    changes = np.flatnonzero(steps[1:] != steps[:-1]) + 1
-    edges = np.concatenate([[0], changes, [len(steps)]])
+def _even_stretches(channel: CleanChannel, grid_us: Times, period_us: int) -> list[_Even]:
+    """Long stretches of a channel whose typical step is one of the grid's or several; in order."""
+    time, step = channel.time_us, int(channel.period_us or 0)
+    apart = step // period_us
+    if not apart or step % period_us or step > channel.longest_gap_us or channel.ends is not None:
+        return []
+    others = steps_where(lambda steps: steps != step, time)
+    edges = np.concatenate([[-1], others, [len(time) - 1]])
     found = []
-    for run in np.flatnonzero(np.diff(edges) >= EVEN_STEPS).tolist():
-        first, end = int(edges[run]), int(edges[run + 1])
-        apart, rest = divmod(int(steps[first]), period_us)
-        place, beside = divmod(int(time_us[first] - grid_us[0]), period_us)
-        if rest or beside:
-            continue
+    for run in np.flatnonzero(apart * np.diff(edges) > EVEN_PLACES).tolist():
+        first, last = int(edges[run]) + 1, int(edges[run + 1])
+        place, beside = divmod(int(time[first] - grid_us[0]), period_us)
         before = max(0, -(place // apart))
-        n = min(end - first, (len(grid_us) - 1 - place) // apart) - before
-        if n > 0:
+        n = min(last - first, (len(grid_us) - place) // apart) - before
+        if not beside and n > 0:
             found.append(_Even(first + before, n, place + before * apart, apart))
     return found
 
 
-# A refused value may be infinite.
-@np.errstate(over="ignore", invalid="ignore")
-def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int, places: _Places) -> OnGrid:
-    n, kept = len(grid_us), ~channel.refused
-    found = OnGrid(np.empty(n), np.empty(n, np.bool_), np.zeros(n, np.bool_))
-    for even in places.even:
-        _fill_even(found, channel, kept, period_us, even)
-    for begin in range(0, len(places.others), CACHED):
-        some = slice(begin, begin + CACHED)
-        _fill(found, channel, kept, grid_us, places.others[some], places.left[some])
-    found.value[~found.present] = np.nan
-    return found
-
-
-def _fill_even(
-    found: OnGrid, channel: CleanChannel, kept: Mask, period_us: int, even: _Even
-) -> None:
-    """Samples as they are at their places, and lines between them."""
+def _fill_even(found: OnGrid, channel: CleanChannel, kept: Mask, even: _Even) -> None:
+    """From the first sample of a stretch until before the last."""
     first, n, place, apart = even
-    samples = slice(first, first + n + 1)
-    at = slice(place, place + n * apart + 1, apart)
-    np.add(channel.value[samples], 0.0, out=found.value[at])
-    found.present[at] = kept[samples]
-    if apart == 1:
-        return
+    value, present, _ = (part[place : place + n * apart].reshape(n, apart) for part in found)
     left, right = slice(first, first + n), slice(first + 1, first + n + 1)
-    value, present, silent = (
-        part[place : place + n * apart].reshape(n, apart)[:, 1:] for part in found
-    )
-    rise = channel.value[right] - channel.value[left]
-    np.multiply(np.arange(1, apart) / apart, rise[:, None], out=value)
-    value += channel.value[left, None]
-    asleep = np.full(n, apart * period_us > channel.longest_gap_us)
-    if channel.ends is not None:
-        asleep |= channel.ends[left]
-    silent[:] = asleep[:, None]
-    present[:] = (kept[left] & kept[right] & ~asleep)[:, None]
+    value[:, 0], present[:, 0] = channel.value[left], kept[left]
+    if apart > 1:
+        rise = channel.value[right] - channel.value[left]
+        np.multiply(np.arange(1, apart) / apart, rise[:, None], out=value[:, 1:])
+        value[:, 1:] += channel.value[left, None]
+        present[:, 1:] = (kept[left] & kept[right])[:, None]
 
 
-def _fill(
-    found: OnGrid,
-    channel: CleanChannel,
-    kept: Mask,
-    grid_us: Times,
-    places: NDArray[np.intp],
-    left: NDArray[np.intp],
-) -> None:
-    """Lines between the samples on either side of some places."""
-    time, value, last = channel.time_us, channel.value, len(channel.time_us) - 1
-    outside, left = left < 0, np.maximum(left, 0)
-    since_us = grid_us[places] - time[left]
-    between = since_us > 0
-    # Outside of the samples there is nothing to hold.
-    outside |= between & (left == last)
-    right = np.minimum(left + between, last)
-    distance_us = time[right] - time[left]
-    asleep = outside | (distance_us > channel.longest_gap_us)
+def _fill(found: OnGrid, channel: CleanChannel, kept: Mask, grid_us: Times, period_us: int) -> None:
+    """Any part of the grid."""
+    first, last = channel.time_us.searchsorted(grid_us[[0, -1]]).tolist()
+    around = slice(max(first - 1, 0), last + 1)
+    time, kept = channel.time_us[around], kept[around]
+    value = np.where(kept, channel.value[around], 0.0)
+    # Of each sample and the next one; there is none after the last.
+    distance_us, rise = np.append(np.diff(time), 1), np.append(np.diff(value), 0.0)
+    asleep = distance_us > channel.longest_gap_us
     if channel.ends is not None:
-        asleep |= channel.ends[left] & between
-    share = since_us / np.maximum(distance_us, 1)
-    found.value[places] = value[left] + share * (value[right] - value[left])
-    found.present[places] = kept[left] & kept[right] & ~asleep
-    found.silent[places] = asleep
+        asleep |= channel.ends[around]
+    asleep[-1] = True
+    both = kept & np.append(kept[1:], False) & ~asleep
+    # The sample at or before each time; before the first one as after the last.
+    due = np.clip(-((grid_us[0] - time) // period_us), 0, len(grid_us))
+    left = np.cumsum(np.bincount(due, minlength=len(grid_us) + 1)[:-1]) - 1
+    since_us = grid_us - time[left]
+    at = np.flatnonzero(since_us == 0)
+    found.value[:] = value[left] + since_us / distance_us[left] * rise[left]
+    found.present[:], found.silent[:] = both[left], asleep[left]
+    found.present[at], found.silent[at] = kept[left[at]], False
 
 
 def _held(channel: CleanChannel, grid_us: Times) -> OnGrid:

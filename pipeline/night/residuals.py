@@ -50,7 +50,8 @@ def night_residuals(
     """
     samples = statistics.samples
     parts = {part: chosen_rows(statistics.rows_of(part)) for part in (TRAINING, VALIDATION)}
-    rounding = ROUNDING * float(np.abs(samples.leakage_l_per_min).max())
+    flow = samples.leakage_l_per_min
+    rounding = ROUNDING * float(max(flow.max(), -flow.min()))
     period_s, training = samples.period_us / 1e6, parts[TRAINING]
     fitted_error = statistics.error_of(coefficients)
     memory = memory_s(fitted_error[training], samples.index[training], period_s, rounding)

@@ -19,7 +19,6 @@ from pipeline.night.cleaning import CleanChannel
 from pipeline.night.halts import Halts, settled_halts
 from pipeline.night.masks import ROUNDING, near, stretches, transient
 from pipeline.night.resampling import on_grid
-from pipeline.night.time_order import Stamps
 from pipeline.night.transport_delay import Delay, delay_inputs
 
 NO_HALTS = Halts()
@@ -160,9 +159,8 @@ def bring_together(
     present: dict[str, Mask] = {}
     found: list[Quality] = []
     logged = np.zeros(len(grid), dtype=np.bool_)
-    stamps = Stamps()
     for name, channel in channels.items():
-        values[name], present[name], silent = on_grid(channel, grid, period, stamps)
+        values[name], present[name], silent = on_grid(channel, grid, period)
         found.append(Quality.of(name, "gap", silent))
         logged |= ~silent
     if "high_port_pressure" in channels:

@@ -14,10 +14,8 @@ from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.clocks import (
     backward_time,
-    duplicate_time,
-    jittered,
-    period_and_alike,
-    stray_time,
+    likely_step,
+    n_jittered,
     typical_period_us,
     written_late,
 )
@@ -79,16 +77,14 @@ class Stamps:
 
     def period_us(self, time_us: Times, blank: Mask | None = None) -> float | None:
         """As `typical_period_us`, of the stamps whose cells are not blank."""
-        found = self.once(time_us, "period", lambda: period_and_alike(time_us))
-        return typical_period_us(time_us, blank, found)
+        likely = self.once(time_us, "likely step", lambda: likely_step(time_us))
+        if blank is not None and blank.any():
+            return typical_period_us(time_us, blank, likely)
+        return self.once(time_us, "period", lambda: typical_period_us(time_us, None, likely))
 
     def n_jittered(self, time_us: Times, period_us: float | None) -> int:
-        """Number of samples that are `jittered`."""
-        return self.once(
-            time_us,
-            ("jitter", period_us),
-            lambda: int(np.count_nonzero(jittered(time_us, period_us))),
-        )
+        """As `n_jittered`."""
+        return self.once(time_us, ("jitter", period_us), lambda: n_jittered(time_us, period_us))
 
     def once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
         """Result of `find` for some stamps, under a name; `find` is called once."""
@@ -110,21 +106,22 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     if bool((time_us[1:] > time_us[:-1]).all()):
         return Order(time_us, None, *[np.empty(0, dtype=np.intp)] * 3)
     backward = backward_time(time_us)
-    late = np.zeros(len(backward), dtype=np.bool_)
+    late = stray = np.zeros(len(time_us), dtype=np.bool_)
     if puts_in_order:
-        late = written_late(time_us, backward)
-    backward = (backward & ~late) | stray_time(time_us, late)
-    if not late.any():
-        # As marks, which take an eighth of the memory.
-        repeated = duplicate_time(time_us, backward)
-        kept = ~(backward | repeated)
-        return Order(time_us[kept], kept, *map(np.flatnonzero, (late, backward, repeated)))
-    rows = np.flatnonzero(~backward)
-    rows = rows[np.argsort(time_us[rows], kind="stable")]
-    repeated = duplicate_time(time_us[rows], np.zeros(len(rows), dtype=np.bool_))
-    places = rows[~repeated]
-    left_out = np.flatnonzero(backward), rows[repeated]
-    return Order(time_us[places], places, np.flatnonzero(late), *left_out)
+        late, stray = written_late(time_us, backward)
+    backward = (backward & ~late) | stray
+    chosen = ~backward
+    rows = np.flatnonzero(chosen)
+    if late.any():
+        rows = rows[np.argsort(time_us[rows], kind="stable")]
+    ordered = time_us[rows]
+    again = np.flatnonzero(ordered[1:] == ordered[:-1]) + 1
+    repeated = rows[again]
+    # As marks where they may be, which take an eighth of the memory.
+    chosen[repeated] = False
+    kept = np.delete(rows, again) if late.any() else chosen
+    out = np.flatnonzero(late), np.flatnonzero(backward), repeated
+    return Order(np.delete(ordered, again), kept, *out)
 
 
 def in_order(raw: RawChannel, rules: ChannelRules, stamps: Stamps) -> tuple[RawChannel, Disorder]:

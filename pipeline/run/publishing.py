@@ -37,7 +37,7 @@ from pipeline.store.publishing import Publisher
 from pipeline.store.tables import month_stamps, published_rows, whole_file
 from pipeline.trends.nights.decisions import journal_file, read_decisions
 from pipeline.trends.nights.tonight import Tonight, tonight_of
-from pipeline.trends.nights.trend_record import forget_records, note_touched, write_record
+from pipeline.trends.nights.trend_record import forget_records, note_touched, publish_record
 from pipeline.trends.rows.latest_states import latest_states
 from pipeline.trends.rows.motor_states import latest_rows
 from pipeline.trends.rows.q_values import with_q_values
@@ -73,7 +73,8 @@ def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> in
     publisher.nights("nights", NIGHT_TABLES, staged, forget)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     for motor_id in staged:
-        take_over(ledger_folder(staging, motor_id), ledger_folder(output, motor_id))
+        files = sorted(ledger_folder(staging, motor_id).glob("*"))
+        take_over(files, ledger_folder(output, motor_id))
     return sum(len(outcome.nights) for outcome in outcomes)
 
 
@@ -199,8 +200,8 @@ def _publish_trend_rows(
 
     finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
     publisher.nights("trends", TREND_TABLES, fresh, forget, {TRENDS.name: finish})
-    for motor_id, record in [item for one in made for item in one.records.items()]:
+    for motor_id in [motor_id for one in made for motor_id in one.nights]:
         if all(motor_id in keep for keep in lost):
-            write_record(publisher.output, motor_id, record)
+            publish_record(publisher.output, publisher.staging, motor_id)
     new = [row for one in made for row in one.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))

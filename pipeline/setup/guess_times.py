@@ -126,7 +126,7 @@ def number_format(numbers: Sequence[float]) -> str | None:
     latest = latest_us()
     earliest_us = int(datetime(2001, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
     for form in formats:
-        stamps = placed([written_as_numbers(np.array(numbers), form)], "UTC")
+        stamps = placed(written_as_numbers(np.array(numbers), form), "UTC")
         within = stamps.readable & (stamps.time_us > earliest_us) & (stamps.time_us < latest)
         if len(numbers) and within.all():
             return form
@@ -192,7 +192,7 @@ def _clock_format(match: re.Match[str]) -> str:
 
 def _parsed(stamps: Sequence[str], form: str) -> TimeStamps:
     texts = pa.chunked_array([pa.array([stamp.strip() for stamp in stamps])])
-    return placed([written_as_text(texts, form)], "UTC")
+    return placed(written_as_text(texts, form), "UTC")
 
 
 def _readable(stamps: Sequence[str], formats: Iterable[str]) -> list[str]:

@@ -281,25 +281,22 @@ def move(path: Path, place: Path) -> None:
         flush_path(place.parent)
 
 
-def take_over(folder: Path, place: Path) -> None:
-    """Move the files of a folder of scratch files, if there is one, into another of the same disk.
-
-    They survive a power cut then.
+def take_over(files: Sequence[Path], folder: Path) -> None:
+    """Move scratch files into a folder of the same disk, where they survive a power cut.
 
     Raises
     ------
     StoreError
         If that fails; each file is at one of both places.
     """
-    with store_errors(place):
-        names = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
-        if not names:
-            return
-        make_folders(place)
-        for name in names:
-            flush_path(folder / name)
-            os.replace(folder / name, place / name)
-        flush_path(place)
+    if not files:
+        return
+    with store_errors(folder):
+        make_folders(folder)
+        for file in files:
+            flush_path(file)
+            os.replace(file, folder / file.name)
+        flush_path(folder)
 
 
 def can_exchange(folder: Path) -> bool:

@@ -31,7 +31,7 @@ from pipeline.trends.nights.history import History
 from pipeline.trends.nights.reading import MotorNights, read_nights
 from pipeline.trends.nights.records import Records
 from pipeline.trends.nights.segments import segments
-from pipeline.trends.nights.trend_record import Record
+from pipeline.trends.nights.trend_record import Record, write_record
 from pipeline.trends.rows.alarm_rows import RECOMPUTED, alarm_rows, marked, rules_now
 from pipeline.trends.rows.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.rows.trend_rows import trend_rows
@@ -68,7 +68,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
             _run_circuit(task, circuit, nights, blocks, done)
         for motor_id, one in nights.items():
             one.keep(motor_id, done.filtered.get(motor_id))
-        return TrendOutcome(done.nights, done.records, done.failures, tuple(done.alarms))
+        return TrendOutcome(done.nights, done.failures, tuple(done.alarms))
 
 
 @dataclass(slots=True)
@@ -78,7 +78,6 @@ class _Done:
     failures: dict[str, Loss]
     filtered: dict[str, Records] = field(default_factory=dict)
     nights: dict[str, int] = field(default_factory=dict)
-    records: dict[str, Record] = field(default_factory=dict)
     alarms: list[Row] = field(default_factory=list)
 
     def guarded(self, motor_id: str, make: Callable[[], Made]) -> Made | None:
@@ -124,16 +123,14 @@ def _run_circuit(
             continue
         stand = partial(standing_of, part, peers.get(motor_id), neighbours)
         published, before = nights[motor_id].published, circuit.records[motor_id]
-        made = done.guarded(motor_id, partial(_stage_motor, task, stand, span, published, before))
+        rules = rules_now(part.history.spec)
+        record = Record(circuit.hashes[motor_id], span[1], None, seen_from[motor_id], rules)
+        made = done.guarded(
+            motor_id, partial(_stage_motor, task, stand, span, published, before, record)
+        )
         if made is not None:
             done.nights[motor_id], new = made
             done.alarms += new
-            done.records[motor_id] = Record(
-                circuit.hashes[motor_id],
-                span[1],
-                beginnings=seen_from[motor_id],
-                rules=rules_now(part.history.spec),
-            )
 
 
 def _failure(error: Exception) -> Loss:
@@ -217,14 +214,15 @@ def _stage_motor(
     span: tuple[dt.date, dt.date],
     published: Sequence[Row],
     before: Record | None,
+    record: Record,
 ) -> tuple[int, list[Row]]:
-    """Stage the rows of some nights of a motor; how many nights, and the new rows of `alarms`."""
+    """Stage rows of some nights of a motor, and its record; the nights' number, and new alarms."""
     standing = stand()
     history, motor_id = standing.history, standing.history.spec.motor_id
     gone = _withdrawn(task.output, history, span[0])
     places = [place for place, night in enumerate(history.nights) if span[0] <= night <= span[1]]
-    rules = rules_now(history.spec)
-    alarms = marked(alarm_rows(standing, places, published), published, before, rules)
+    rows = alarm_rows(standing, places, published)
+    alarms = marked(rows, published, before, record.rules or {})
     made = {
         "trends": trend_rows(standing, places),
         "alarms": alarms,
@@ -238,6 +236,7 @@ def _stage_motor(
         for row in made[table.name]:
             nights[row["night"]].append(row)
     stage(task.staging / "trends" / f"{motor_id}.arrow", staged)
+    write_record(task.staging, motor_id, record, durable=False)
     told = [row for row in alarms if not row["is_silent"]]
     return len(places), new_alarms(told, published)
 

@@ -12,7 +12,6 @@ from pipeline.config import MotorSpec
 from pipeline.trends.circuits import Circuit, circuits_of
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.tonight import Tonight
-from pipeline.trends.nights.trend_record import Record
 from pipeline.workers.process import Loss
 
 Row = dict[str, Any]
@@ -41,13 +40,12 @@ class TrendTask:
 
 @dataclass(frozen=True, slots=True)
 class TrendOutcome:
-    """By motor: number of staged nights, records to be stored once these are out, and failures.
+    """By motor: number of staged nights, and failures; of each with nights a record is staged.
 
     `alarms` are the staged rows of `alarms` that were not published before.
     """
 
     nights: Mapping[str, int] = field(default_factory=dict)
-    records: Mapping[str, Record] = field(default_factory=dict)
     failures: Mapping[str, Loss] = field(default_factory=dict)
     alarms: tuple[Row, ...] = ()
 

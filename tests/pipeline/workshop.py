@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -117,3 +118,8 @@ def check_same_figures(one: Workshop, two: Workshop, *exempt: str) -> None:
     for table in NIGHT_TABLES:
         if table.name not in exempt:
             assert_frame_equal(one.rows(table.name), two.rows(table.name), check_exact=True)
+
+
+def part(values: Mapping[str, Any], rows: slice) -> dict[str, Any]:
+    """Some rows of a log's channels."""
+    return {name: value[rows] for name, value in values.items()}

@@ -1,8 +1,9 @@
 """JSON messages: many payloads are laid out as lines and parsed at once.
 
-Where a piece does not come out as one object a line, with a number or null in each wanted field, it
-is parsed message by message, so that what is no number is found and counted. Both ways give what
-the `json` module gives.
+Of messages that differ in one number alone, only the number is parsed (`one_number`). Where a piece
+does not come out as one object a line, with a number or null in each wanted field, it is parsed
+message by message, so that what is no number is found and counted. Each way gives what the `json`
+module gives.
 """
 
 from __future__ import annotations

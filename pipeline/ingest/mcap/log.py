@@ -22,7 +22,7 @@ from pipeline.config.channels import Channel, Channels, QualityValue
 from pipeline.config.field_paths import FieldPath, field_path, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import converted, judged, raw_channel, raw_log, span, span_of_log
+from pipeline.ingest.assembly import converted, judged, raw_channel, raw_log, span
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.mcap.cdr import ROS2_LANGUAGES, cdr_decoder
@@ -78,32 +78,22 @@ class _Decoders:
     by_key: dict[_Key, Decoder] = field(default_factory=dict)
 
 
-@dataclass(slots=True)
-class _Content:
-    """The content of a file: parts by topic, and what was lost."""
-
-    parts: dict[str, _Parts]
-    topics: tuple[str, ...] = ()
-    loss: str = ""
-
-
 def read_mcap_log(file: LogFile) -> RawLog:
     """Read the wanted topics of an MCAP file, chunked or not."""
     path, logs, channels = file.path, file.logs, file.channels
     wanted = _wanted(channels)
-    content = _content(path, logs, wanted)
-    _require_topics(path, wanted, content)
-    placed_stamps = [_placed(parts, logs.time_zone) for parts in content.parts.values()]
+    content, loss = _content(path, logs, wanted)
+    placed_stamps = [_placed(parts, logs.time_zone) for parts in content.values()]
     stamps, refused = judged(path, placed_stamps, _time_name(logs), file.latest_us)
     del placed_stamps
     found: dict[str, RawChannel] = {}
     for (topic, fields), judged_stamps in zip(wanted.items(), stamps, strict=True):
         readable, time_us = judged_stamps.readable, judged_stamps.time_us
         time_us = time_us if readable.all() else time_us[readable]
-        states = _states(path, logs, topic, content.parts[topic], readable)
+        states = _states(path, logs, topic, content[topic], readable)
         for one in fields.readings:
             # The columns are given up, so that a long log is not held twice.
-            readings = content.parts[topic].fields.pop(one).taken().rows(readable)
+            readings = content[topic].fields.pop(one).taken().rows(readable)
             if readings.missing.size and readings.missing.all() and not readings.unparsed.any():
                 _require_field(path, logs, topic, one)
             found |= {
@@ -121,7 +111,7 @@ def read_mcap_log(file: LogFile) -> RawLog:
     in_order: dict[str, RawChannel] = {name: found[name] for name in channels}
     rows = sum(int(np.count_nonzero(judged_stamps.readable)) for judged_stamps in stamps)
     refused = {reason.replace("row", "message", 1): n for reason, n in refused.items()}
-    return raw_log(in_order, rows, refused, [content.loss] if content.loss else [])
+    return raw_log(in_order, rows, refused, [loss] if loss else [])
 
 
 def mcap_time_span(file: LogFile) -> tuple[int, int]:
@@ -132,7 +122,7 @@ def mcap_time_span(file: LogFile) -> tuple[int, int]:
     """
     path, logs, latest_us = file.path, file.logs, file.latest_us
     if logs.stamp:
-        return span_of_log(path, read_mcap_log(file))
+        return span(path, read_mcap_log(file).stamps())
     summary_span = None if logs.time == "publish_time" else _summary_span(path, logs, latest_us)
     if summary_span is not None:
         return summary_span
@@ -199,15 +189,13 @@ def _states(
     return found
 
 
-def _content(path: Path, logs: Logs, wanted: _Wanted) -> _Content:
+def _content(path: Path, logs: Logs, wanted: _Wanted) -> tuple[dict[str, _Parts], str]:
+    """Messages by topic, and what was lost to damage, in words."""
     names = tuple(wanted)
     summary, _ = summary_of(path, salvage=logs.salvage)
-    content = _Content(
-        {
-            name: _no_parts(fields, summary.stated_count(name) or 0)
-            for name, fields in wanted.items()
-        }
-    )
+    content = {
+        name: _no_parts(fields, summary.stated_count(name) or 0) for name, fields in wanted.items()
+    }
     decoders = _Decoders(np.empty(0, np.int16), np.empty(0, np.int16))
     known = -1
     held: dict[int, list[Payloads]] = {}
@@ -226,11 +214,10 @@ def _content(path: Path, logs: Logs, wanted: _Wanted) -> _Content:
             stretches.append(payloads_of(messages, chosen, topic, times))
             if sum(map(_cost, stretches)) >= _PIECE:
                 _decode(path, decoders, number, held.pop(number), names, content)
-        content.topics = tuple(sorted({one.topic for one in messages.channels.values()}))
-        content.loss = messages.loss
     for number, stretches in held.items():
         _decode(path, decoders, number, stretches, names, content)
-    return content
+    _require_topics(path, wanted, messages)
+    return content, messages.loss
 
 
 def _no_parts(fields: _Fields, expected: int) -> _Parts:
@@ -272,7 +259,7 @@ def _decode(
     number: int,
     stretches: Sequence[Payloads],
     names: Sequence[str],
-    content: _Content,
+    content: Mapping[str, _Parts],
 ) -> None:
     payloads = stacked(stretches)
     decoded = list(decoders.by_key.values())[number](payloads)
@@ -283,7 +270,7 @@ def _decode(
         rows = np.flatnonzero(payloads.topic == topic)
         if not rows.size:
             continue
-        parts = content.parts[name]
+        parts = content[name]
         parts.stamps.add(WrittenStamps(stamps.time_us[rows], stamps.kind[rows], stamps.example))
         for one, column in parts.fields.items():
             column.add(decoded.fields[one].at(rows))
@@ -349,20 +336,19 @@ def _decoder(path: Path, logs: Logs, topic: str, key: _Key) -> Decoder:
 
 def _placed(parts: _Parts, zone: str) -> TimeStamps:
     """Stamps of a topic, which gives its own up; marks that mark all alike take no memory."""
-    stamps = placed([parts.stamps.taken()], zone)
+    stamps = placed(parts.stamps.taken(), zone)
     if not stamps.readable.all():
         return stamps
     return replace(stamps, readable=np.broadcast_to(np.True_, stamps.readable.shape))
 
 
-def _require_topics(path: Path, wanted: _Wanted, content: _Content) -> None:
+def _require_topics(path: Path, wanted: _Wanted, last: Messages) -> None:
+    """Refuse a topic that no channel has; the last piece of a file knows all channels."""
+    topics = sorted({one.topic for one in last.channels.values()})
     for name in wanted:
-        if name not in content.topics:
-            raise LogError(
-                "log_column_missing",
-                path,
-                f"no topic {name!r}; there are " + ", ".join(map(repr, content.topics[:40])),
-            )
+        if name not in topics:
+            there = ", ".join(map(repr, topics[:40]))
+            raise LogError("log_column_missing", path, f"no topic {name!r}; there are {there}")
 
 
 def _require_field(path: Path, logs: Logs, topic: str, one: FieldPath) -> None:

@@ -71,6 +71,8 @@ class Unreadable:
     what: str
 
 
+TEXTS = {"string": Text(), "wstring": Text(is_wide=True)}
+
 Type = Number | Text | Message | Array | Unreadable
 
 Fields = Mapping[str, Type]

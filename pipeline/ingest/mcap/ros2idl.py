@@ -13,11 +13,12 @@ import re
 
 from pipeline.ingest.mcap.layout import Schema
 from pipeline.ingest.mcap.ros2_types import (
+    NUMBERS,
+    TEXTS,
     Array,
     Definitions,
     Message,
     Number,
-    Text,
     Type,
     Unreadable,
     definitions_of,
@@ -43,27 +44,19 @@ _SEQUENCE = re.compile(r"sequence\s*<(.*)>", re.DOTALL)
 _REFERENCE = re.compile(r"(?:::)?[A-Za-z_]\w*(?:::[A-Za-z_]\w*)*")
 
 _NUMBERS = {
+    **{name: kind for name, kind in NUMBERS.items() if "int" in name},
     "boolean": "?",
     "octet": "u1",
     "char": "u1",
-    "int8": "i1",
-    "uint8": "u1",
     "short": "i2",
-    "int16": "i2",
     "unsigned short": "u2",
-    "uint16": "u2",
     "long": "i4",
-    "int32": "i4",
     "unsigned long": "u4",
-    "uint32": "u4",
     "long long": "i8",
-    "int64": "i8",
     "unsigned long long": "u8",
-    "uint64": "u8",
     "float": "f4",
     "double": "f8",
 }
-_TEXTS = {"string": Text(), "wstring": Text(is_wide=True)}
 # Wide characters are of two or of four bytes, as the writer has it, and nothing tells which.
 _UNREADABLE = ("long double", "wchar")
 
@@ -145,8 +138,8 @@ def _type(text: str, typedefs: _Types) -> Type:
         return Unreadable("an optional field")
     if sequence := _SEQUENCE.fullmatch(text):
         return Array(_type(sequence[1].strip(), typedefs))
-    if words in _TEXTS:
-        return _TEXTS[words]
+    if words in TEXTS:
+        return TEXTS[words]
     if words in _NUMBERS:
         return Number(_NUMBERS[words])
     if words in _UNREADABLE:

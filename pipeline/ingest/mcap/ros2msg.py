@@ -15,19 +15,18 @@ from collections.abc import Mapping
 from pipeline.ingest.mcap.layout import Schema
 from pipeline.ingest.mcap.ros2_types import (
     NUMBERS,
+    TEXTS,
     Array,
     Definitions,
     Fields,
     Message,
     Number,
-    Text,
     Type,
     Unreadable,
     definitions_of,
 )
 
 _FIELD = re.compile(r"(?P<type>[\w/]+)(?:<=\d+)?(?P<array>\[(?P<bound><=)?(?P<count>\d*)\])?")
-_TEXTS = {"string": Text(), "wstring": Text(is_wide=True)}
 # Of ROS 1; ROS 2 keeps the words and gives them no layout.
 _UNREADABLE = ("time", "duration")
 _STAMP: Fields = {"sec": Number("u4"), "nanosec": Number("u4")}
@@ -119,8 +118,8 @@ def _type(word: str, package: str) -> Type:
 def _element(name: str, package: str) -> Type:
     if name in NUMBERS:
         return Number(NUMBERS[name])
-    if name in _TEXTS:
-        return _TEXTS[name]
+    if name in TEXTS:
+        return TEXTS[name]
     if name in _UNREADABLE:
         return Unreadable(f"a field of type {name}, which is not read")
     return Message(_short(name if "/" in name else f"{package}/{name}"))

@@ -95,6 +95,6 @@ def test_an_hour_that_does_not_exist_is_shown(tmp_path: Path) -> None:
 )
 def test_the_example_is_read_in_its_format(time_format: str) -> None:
     cells = pa.chunked_array([[example_of(time_format)]])
-    stamps = placed([written_as_text(cells, time_format)], "UTC")
+    stamps = placed(written_as_text(cells, time_format), "UTC")
     assert stamps.readable.all()
     assert stamps.time_us[0] == datetime.fromisoformat("2025-03-01T06:00Z").timestamp() * 1e6

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.ingest.conformance import T0_US
+from pipeline.ingest.gathering import GatheredStamps
 from pipeline.ingest.time_stamps import from_epoch, placed, written_as_text, written_as_timestamps
 from pipeline.ingest.wall_clock import TimeStamps, from_naive
 
@@ -27,7 +28,7 @@ def us(moment: datetime) -> int:
 
 
 def read(texts: list[str | None], time_format: str = "iso8601", zone: str = "UTC") -> TimeStamps:
-    return placed([written_as_text(pa.chunked_array([texts], pa.string()), time_format)], zone)
+    return placed(written_as_text(pa.chunked_array([texts], pa.string()), time_format), zone)
 
 
 def local(*texts: str, zone: str) -> list[int]:
@@ -188,7 +189,7 @@ def test_arrow_timestamps_of_every_unit(unit: str, zone: str | None) -> None:
     per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
     counts = [1740808800 * per_second, None, 0, 2**62, -(2**62)]
     column = pa.chunked_array([counts[:2], counts[2:]], pa.timestamp(unit, zone))
-    stamps = placed([written_as_timestamps(column)], "UTC")
+    stamps = placed(written_as_timestamps(column), "UTC")
     assert stamps.time_us[:3].tolist() == [T0_US, 0, 0]
     assert stamps.readable[:3].tolist() == [True, False, False]
 
@@ -271,9 +272,11 @@ def test_an_hour_that_does_not_exist_is_refused_and_counted() -> None:
 def test_a_log_in_pieces_is_placed_as_a_whole() -> None:
     texts = ["2025-10-26T01:30:00", "2025-10-26T02:31:00", "2025-10-26T02:00:00"]
     texts += ["2025-10-26T02:45:00", "2025-10-26T03:15:00"]
-    parts = [written_as_text(pa.chunked_array([[text]]), "iso8601") for text in texts]
+    gathered = GatheredStamps()
+    for text in texts:
+        gathered.add(written_as_text(pa.chunked_array([[text]]), "iso8601"))
     whole = read(list(texts), zone="Europe/Stockholm")
-    assert placed(parts, "Europe/Stockholm").time_us.tolist() == whole.time_us.tolist()
+    assert placed(gathered.taken(), "Europe/Stockholm").time_us.tolist() == whole.time_us.tolist()
     offsets = ["+02:00", "+02:00", "+01:00", "+01:00", "+01:00"]
     wanted = [us(datetime.fromisoformat(t + o)) for t, o in zip(texts, offsets, strict=True)]
     assert whole.time_us.tolist() == wanted

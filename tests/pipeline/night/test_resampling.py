@@ -56,20 +56,21 @@ class TestInterpolation:
         st.integers(0, 2**32 - 1),
         st.integers(1, 60),
         st.booleans(),
+        st.sampled_from([10.0, 20.0, 30.0, 50.0]),
     )
     def test_as_the_slow_definition(
-        self, times: list[int], seed: int, longest: int, on_change: bool
+        self, times: list[int], seed: int, longest: int, on_change: bool, period_us: float
     ) -> None:
         rng = np.random.default_rng(seed)
         time = np.array(times, np.int64)
         value = rng.normal(0, 10, len(time))
         refused = rng.random(len(time)) < 0.2
         value[refused] = rng.choice([np.nan, np.inf, 1e9], refused.sum())
-        channel = cleaned(time, value, refused, period_us=10.0, longest_gap_us=longest)
+        channel = cleaned(time, value, refused, period_us=period_us, longest_gap_us=longest)
         channel = replace(channel, ends=rng.random(len(time)) < 0.2) if on_change else channel
         grid = np.arange(-20, 420, 10, dtype=np.int64)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(resampling, "EVEN_STEPS", 3)
+            patch.setattr(resampling, "EVEN_PLACES", 3)
             got, present, silent = on_grid(channel, grid, 10)
         expected, asleep = slow_interpolation(channel, grid)
         assert present.tolist() == [one is not None for one in expected]
@@ -82,7 +83,7 @@ class TestInterpolation:
     @given(st.integers(0, 2**32 - 1))
     def test_exact_at_samples(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
-        n = resampling.EVEN_STEPS + 100
+        n = resampling.EVEN_PLACES + 100
         grid = np.arange(n, dtype=np.int64) * STEP
         value = rng.normal(0, 1, n) * 10.0 ** rng.integers(-8, 8, n)
         got, present, _ = on_grid(cleaned(grid, value), grid, STEP)

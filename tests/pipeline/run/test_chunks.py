@@ -25,7 +25,7 @@ from pipeline.workers.engine import nights_a_chunk
 from pipeline.workers.process import Loss
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import Carried
-from tests.pipeline.run.test_fleet import check_same_tables, rows
+from tests.pipeline.run.demo_runs import check_same_tables, rows
 from tests.pipeline.simulated import write_log
 from tests.pipeline.workshop import DAY, Workshop
 

@@ -24,7 +24,7 @@ from tests.conftest import OwnFleet
 from tests.pipeline.dask_processes import ROOT, Processes, scheduler_with
 from tests.pipeline.dask_tasks import die_in_a_night, kill_worker_of_parquet
 from tests.pipeline.mini_fleet import mini_fleet
-from tests.pipeline.run.test_fleet import (
+from tests.pipeline.run.demo_runs import (
     MOTORS,
     check_same_tables,
     output_of,

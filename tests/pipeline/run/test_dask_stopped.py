@@ -18,7 +18,7 @@ from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.dask_processes import ROOT, Processes, wait_until
 from tests.pipeline.mini_fleet import mini_fleet
-from tests.pipeline.run.test_fleet import check_same_tables, output_of, table_files
+from tests.pipeline.run.demo_runs import check_same_tables, output_of, table_files
 
 # The command, in which every motor but the first waits for a word.
 WAITING = """

@@ -29,7 +29,7 @@ from pipeline.store.working_copy import ROOT, Snapshot, pull, push, read_snapsho
 from pipeline.telling.outbox import OUTBOX_FILES, is_waiting
 from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
 from tests.conftest import OwnFleet
-from tests.pipeline.run.test_fleet import CSV, PARQUET, output_of, status_of, table_files
+from tests.pipeline.run.demo_runs import CSV, PARQUET, output_of, status_of, table_files
 from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
 from tests.pipeline.telling.fleet import keep, told_fleet, write_config
 from tests.pipeline.workshop import DAY, Workshop

@@ -3,35 +3,20 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import polars as pl
 import pytest
-from polars.testing import assert_frame_equal
 
-import pipeline.run.fleet
-import pipeline.run.motors
-import pipeline.run.publishing
-from pipeline.config import Execution, load_fleet
-from pipeline.run.fleet import RunRequest, RunResult, run_fleet
-from pipeline.run.motor_task import run_motor
-from pipeline.run.publishing import run_trends
-from pipeline.run.tasks import MotorOutcome, MotorTask
-from pipeline.trends.tasks import TrendOutcome, TrendTask
+from pipeline.config import Execution
 from pipeline.workers.local import Crew, run_tasks
 from pipeline.workers.process import ITEMS_A_SIGN, Loss
-from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import (
     MISBEHAVIOUR,
-    Carried,
     count_beside_or_die,
     die_once,
     do,
@@ -42,15 +27,7 @@ from tests.pipeline.misbehaviour import (
     slow_by_parts,
     workers_of,
 )
-
-GOOD, BAD, OTHER = "CB400-01", "CB400-02", "CB560-01"
-# Enough for the libraries, and little to eat.
-MEMORY_MIB = 700
-TIMEOUT_S = 5.0
-
-
-def execution(workers: int = 2, timeout_s: float = TIMEOUT_S) -> Execution:
-    return Execution(workers=workers, timeout_s=timeout_s, memory_limit_mib=MEMORY_MIB)
+from tests.pipeline.workers.limits import execution, wait_until
 
 
 def not_lost(_: object, loss: Loss) -> Any:
@@ -103,6 +80,9 @@ def check(names: Sequence[str], how: Execution) -> None:
         code, words = EXPECTED[name]
         assert loss.code == code, name
         assert words in loss.how, name
+
+
+# One of each kind; the others in the full run.
 
 
 def test_what_a_task_does_to_its_worker_costs_itself_alone() -> None:
@@ -211,9 +191,6 @@ def test_sequential_has_the_same_outcomes_for_what_is_raised() -> None:
     }
 
 
-# Workers end with the run, however that ends
-
-
 PARENT = """
 import sys
 from pipeline.config import Execution
@@ -234,11 +211,7 @@ def is_running(pid: int) -> bool:
     return state != "Z"
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it has not come to that"
-        time.sleep(0.02)
+# Workers end with the run, however that ends
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's help is Linux's")
@@ -260,171 +233,3 @@ def test_no_worker_outlives_the_run(tmp_path: Path, number: signal.Signals) -> N
     finally:
         process.kill()
         process.communicate()
-
-
-# A motor of a fleet
-
-
-def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str) -> RunResult:
-    """Run a fleet in which one motor misbehaves in a night."""
-
-    def run_or_misbehave(task: MotorTask) -> MotorOutcome:
-        if task.spec.motor_id == BAD:
-            misbehave_at(night, what)
-        return run_motor(task)
-
-    fleet = load_fleet(fleet_file)
-    limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500})
-    with monkeypatch.context() as patched:
-        patched.setattr(pipeline.run.motors, "run_motor", Carried(run_or_misbehave))
-        return run_fleet(RunRequest(replace(fleet, execution=limits)))
-
-
-def misbehave_at(night: str, what: str) -> None:
-    """In a worker: have the fit of a night misbehave."""
-    import pipeline.run.motor_task as module
-
-    fit_night = module.fit_night
-
-    def fit_or_misbehave(spec: Any, here: Any, *arguments: Any) -> Any:
-        if str(here.date) == night and spec.motor_id == BAD:
-            MISBEHAVIOUR[what]()
-        return fit_night(spec, here, *arguments)
-
-    module.fit_night = fit_or_misbehave
-
-
-def fits(output: Path, motor: str) -> pl.DataFrame:
-    found = pl.read_parquet(output / "tables/fits/**/*.parquet", hive_partitioning=False)
-    return found.filter(pl.col("is_primary"), motor_id=motor).sort("night").drop("run_id")
-
-
-def outcome_rows(output: Path) -> dict[str, dict[str, Any]]:
-    found = pl.read_parquet(output / "tables/motor_outcomes/**/*.parquet", hive_partitioning=False)
-    last = found.filter(pl.col("started_at") == pl.col("started_at").max())
-    return {row["motor_id"]: row for row in last.iter_rows(named=True)}
-
-
-def output_of(fleet_file: Path) -> Path:
-    return fleet_file.parent.parent / "out"
-
-
-@pytest.mark.parametrize(
-    ("what", "code"),
-    [
-        ("kill", "worker_died"),
-        pytest.param("hang_in_c", "task_timeout", marks=pytest.mark.full),
-        pytest.param("eat_with_numpy", "task_memory", marks=pytest.mark.full),
-        pytest.param("panic", "internal", marks=pytest.mark.full),
-    ],
-)
-def test_a_night_that_takes_its_worker_along_costs_no_other_night(
-    own_fleet: OwnFleet,
-    fitted_output: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    what: str,
-    code: str,
-) -> None:
-    fleet = own_fleet(BAD)
-    (outcome,) = fit(fleet, monkeypatch, what, "2026-01-03").outcomes
-    assert (outcome.status, outcome.error_code) == ("failed", code)
-    assert dict(outcome.counts) == {"ok": 2, "failed": 1}
-    found, before = fits(output_of(fleet), BAD), fits(fitted_output, BAD)
-    assert found["error_code"].to_list() == [None, code, None]
-    assert found["reason"][1]
-    assert_frame_equal(found[:1], before[:1])
-    row = outcome_rows(output_of(fleet))[BAD]
-    assert row["message"].startswith("night 2026-01-03: ")
-    # Nothing is tried again by itself; asked for, it is done.
-    again = replace(load_fleet(fleet), execution=Execution(backend="sequential"))
-    assert run_fleet(RunRequest(again)).n_nights == 0
-    assert run_fleet(RunRequest(again, retry=True)).failed == ()
-    assert_frame_equal(fits(output_of(fleet), BAD), before)
-
-
-def test_trends_that_take_their_worker_along_cost_their_motor_alone(
-    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fleet = own_fleet(GOOD, BAD, OTHER)
-
-    def run_or_die(task: TrendTask) -> TrendOutcome:
-        import pipeline.trends.stage as module
-
-        indicators = module.indicators_of
-
-        def die(history: Any, *arguments: Any) -> Any:
-            if history.spec.motor_id == BAD:
-                MISBEHAVIOUR["segfault"]()
-            return indicators(history, *arguments)
-
-        module.indicators_of = die
-        return run_trends(task)
-
-    monkeypatch.setattr(pipeline.run.publishing, "run_trends", Carried(run_or_die))
-    limits = execution().model_copy(update={"timeout_s": 60.0, "memory_limit_mib": 1500})
-    result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
-    assert [one.motor_id for one in result.failed] == [BAD]
-    row = outcome_rows(output_of(fleet))[BAD]
-    assert (row["status"], row["error_code"]) == ("failed", "worker_died")
-    assert re.match(rf"trends: its worker process ended with SIGSEGV, at {BAD}", row["message"])
-    # Its fits are there, and the trends of the others.
-    assert fits(output_of(fleet), BAD)["status"].to_list() == ["ok"] * 3
-    trends = pl.read_parquet(output_of(fleet) / "tables/trends/**/*.parquet")
-    assert set(trends["motor_id"]) == {GOOD, OTHER}
-
-
-# Signals while trends are made; those during fits and publishing are in the tests of fleet and cli
-
-TRENDS_THAT_WAIT = """
-import signal, sys
-from pathlib import Path
-import pipeline.run.fleet
-import pipeline.run.motors
-from pipeline.cli import main
-from tests.pipeline.misbehaviour import Carried
-
-marker = sys.argv.pop()
-
-def wait(task):
-    Path(marker).touch()
-    while True:
-        signal.pause()
-
-pipeline.run.publishing.run_trends = Carried(wait)
-main()
-"""
-
-
-@pytest.mark.parametrize(
-    ("number", "code"),
-    [pytest.param(signal.SIGINT, 130, marks=pytest.mark.full), (signal.SIGTERM, 143)],
-)
-def test_a_signal_while_trends_are_made_keeps_the_fits(
-    own_fleet: OwnFleet, tmp_path: Path, number: signal.Signals, code: int
-) -> None:
-    fleet, marker = own_fleet(GOOD, fitted=True), tmp_path / "waits"
-    for record in output_of(fleet).glob("ledger/*/trends"):
-        record.unlink()  # so that trends are to be made
-    process = subprocess.Popen(
-        [sys.executable, "-c", TRENDS_THAT_WAIT, "fit-fleet", str(fleet), str(marker)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        cwd=Path(__file__).parents[3],
-    )
-    try:
-        wait_until(marker.exists)
-        os.killpg(process.pid, number)
-        out, err = process.communicate(timeout=60)
-    finally:
-        process.kill()
-        process.communicate()
-    assert process.returncode == code
-    assert err.startswith(f"motor-leakage: interrupted: stopped by {number.name}")
-    assert len(err.splitlines()) == 1
-    assert "interrupted; 0 nights of 1 motor " in out
-    runs = pl.read_parquet(output_of(fleet) / "tables/runs/**/*.parquet").sort("started_at")
-    assert runs["status"][-1] == "interrupted"
-    again = replace(load_fleet(fleet), execution=Execution(backend="sequential"))
-    assert run_fleet(RunRequest(again)).failed == ()

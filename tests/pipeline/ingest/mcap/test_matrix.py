@@ -221,7 +221,7 @@ def test_a_real_recording_from_before_1990_is_read_and_then_its_clock_is_refused
         logs, channels = source = source_of(*paths[start : start + 8], topic="topic1")
         # Reading comes first, and is that of the official reader;
         wanted = pipeline.ingest.mcap.log._wanted(channels)
-        parts = pipeline.ingest.mcap.log._content(path, logs, wanted).parts["topic1"]
+        parts = pipeline.ingest.mcap.log._content(path, logs, wanted)[0]["topic1"]
         for (field,), column in parts.fields.items():
             readings = column.taken()
             assert readings.raw.tolist() == [followed(one, str(field)) for one in decoded]

@@ -1,0 +1,157 @@
+"""Tables of a run, as a reader sees them."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import platform
+import re
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import polars as pl
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.schema import NIGHT_TABLES, TABLES
+from tests.pipeline.run.demo_runs import FIRST, MOTORS, NIGHTS, rows
+
+EXCITED = [motor for motor in MOTORS if motor != "CB1120-02"]
+
+
+def query(output: Path, sql: str) -> list[Any]:
+    """Rows of a DuckDB query; ``@name`` stands for all files of a table."""
+    found = duckdb.sql(re.sub(r"@(\w+)", rf"'{output}/tables/\1/**/*.parquet'", sql))
+    assert found is not None
+    return found.fetchall()
+
+
+# What a reader of the tables sees
+
+
+def test_each_motor_and_night_once_where_primary(fitted_output: Path) -> None:
+    found = query(
+        fitted_output,
+        "SELECT motor_id, night, status FROM @fits WHERE is_primary ORDER BY motor_id, night",
+    )
+    assert found == [(motor, night, "ok") for motor in MOTORS for night in NIGHTS]
+
+
+def test_three_types_and_three_formats(fitted_output: Path) -> None:
+    types = query(
+        fitted_output,
+        "SELECT motor_type, count(*) FROM @fits WHERE is_primary GROUP BY ALL ORDER BY ALL",
+    )
+    assert types == [("CB1120", 6), ("CB400", 6), ("CB560", 6)]
+    formats = query(
+        fitted_output,
+        "SELECT format, status, count(*) FROM @input_files GROUP BY ALL ORDER BY ALL",
+    )
+    assert formats == [("csv", "ok", 6), ("mcap", "ok", 6), ("parquet", "ok", 6)]
+
+
+def test_input_files_tell_what_was_read(fitted_output: Path, demo_folder: Path) -> None:
+    for row in rows(fitted_output, "input_files").iter_rows(named=True):
+        path = demo_folder / "demo" / "logs" / row["path"]
+        assert row["size_bytes"] == path.stat().st_size
+        assert str(row["night"]) in row["path"]
+        assert row["first_time"] < row["last_time"]
+        assert row["rows"] > 10_000
+
+
+def test_a_run_records_what_made_it_and_how_long_it_took(fitted_output: Path) -> None:
+    (run,) = rows(fitted_output, "runs").to_dicts()
+    for name in ("polars", "pyarrow", "numpy", "scipy"):
+        assert run[f"{name}_version"] == version(name)
+    assert run["python_version"] == platform.python_version()
+    assert run["version"] == version("motor-leakage")
+    assert (run["seed"], len(run["config_hash"]) > 0) == (1, True)
+    assert min(run["motors_s"], run["publish_s"], run["trends_s"]) > 0
+    assert run["motors_s"] + run["publish_s"] + run["trends_s"] == pytest.approx(run["seconds"])
+    outcomes = rows(fitted_output, "motor_outcomes")
+    stages = ("read_s", "clean_s", "statistics_s", "fit_s", "residuals_s", "store_s")
+    assert (outcomes.select(stages).to_numpy() > 0).all()
+    # Motors are done one after another here, so theirs is no more than the run's.
+    assert outcomes.select(stages).to_numpy().sum() <= run["motors_s"]
+
+
+# Nothing is raised, frozen or said in three nights.
+WITHOUT_ROWS = {"alarms", "baselines", "change_points", "decisions", "looks"}
+
+
+# Nothing is raised, frozen or said in three nights.
+
+
+@pytest.mark.parametrize("table", sorted({table.name for table in TABLES} - WITHOUT_ROWS))
+def test_keys_stand_once_and_types_are_those_declared(fitted_output: Path, table: str) -> None:
+    (declared,) = (one for one in TABLES if one.name == table)
+    folder = fitted_output / "tables" / table
+    found = pl.read_parquet(folder / "**" / "*.parquet", hive_partitioning=False)
+    assert found.height
+    assert found.select(declared.key).is_unique().all()
+    assert dict(found.schema) == {
+        name: kind if isinstance(kind, pl.DataType) else kind()
+        for name, kind in declared.schema.items()
+    }
+
+
+def test_the_partition_of_a_month_is_that_of_its_nights(fitted_output: Path) -> None:
+    for table in NIGHT_TABLES:
+        for path in (fitted_output / "tables" / table.name).rglob("*.parquet"):
+            nights = set(pq.read_table(path, partitioning=None)["night"].to_pylist())
+            assert nights == {dt.date.fromisoformat(path.stem)}
+            assert path.parent.name == f"month={path.stem[:7]}"
+
+
+def test_nothing_but_tables_and_what_saves_work_is_left(fitted_output: Path) -> None:
+    left = {"tables", "ledger", "manifest", "history", "lock", "heartbeat.json", "views.sql"}
+    assert {path.name for path in fitted_output.iterdir()} == left
+    assert not (fitted_output / "staging").exists()
+    assert not list(fitted_output.rglob(".writing-*"))
+
+
+@pytest.mark.parametrize("motor", EXCITED)
+def test_estimates_are_near_the_truth(fitted_output: Path, demo_folder: Path, motor: str) -> None:
+    truth = json.loads((demo_folder / "demo" / "truth.json").read_text())["motors"][motor]["nights"]
+    fits = {row["night"]: row for row in rows(fitted_output, "fits", motor).iter_rows(named=True)}
+    for night in NIGHTS:
+        true = truth[night.isoformat()]
+        found = {
+            row["parameter"]: row["value"]
+            for row in rows(fitted_output, "parameters", motor).iter_rows(named=True)
+            if row["night"] == night
+        }
+        for path, k in true["K_m3"].items():
+            assert found[f"K_{path}"] == pytest.approx(k, rel=0.15), (night, path)
+        assert found["C_f"] == pytest.approx(true["C_f_l_per_min"], abs=0.05)
+        leakage = fits[night]["reference_leakage_l_per_min"]
+        assert leakage == pytest.approx(true["reference_leakage_l_per_min"], rel=0.015)
+
+
+def test_a_motor_at_one_pressure_has_its_own_leakage_only(
+    fitted_output: Path, demo_folder: Path
+) -> None:
+    fits = rows(fitted_output, "fits", "CB1120-02")
+    assert fits["own_conditions_leakage_l_per_min"].to_list() == pytest.approx(
+        fits["mean_flow_l_per_min"].to_list(), rel=0.05
+    )
+    assert fits["outside_fitted_range"].all()
+
+
+def test_no_start_ends_below_the_certificate(fitted_output: Path) -> None:
+    ((lowest, count),) = query(
+        fitted_output,
+        "SELECT min(s.cost / f.cost) - 1, count(*) FROM @fits f JOIN @starts s"
+        " USING (motor_id, night, flushing_mode)",
+    )
+    assert count == 18 * 10
+    assert lowest > -1e-10
+
+
+def test_the_first_night_alone_has_no_model_before(fitted_output: Path) -> None:
+    judged = rows(fitted_output, "fits").select("night", "previous_model_fit_percent")
+    assert judged.filter(pl.col("night") == FIRST)["previous_model_fit_percent"].is_null().all()
+    later = judged.filter(pl.col("night") > FIRST)["previous_model_fit_percent"]
+    assert later.is_not_null().all()
