@@ -155,23 +155,14 @@ class Circuit:
 
 @dataclass(frozen=True)
 class Story:
-    """Events on motors of one tank, and an entry for the first.
+    """Events on motors of one tank, and an entry for the first."""
 
-    Attributes
-    ----------
-    oil
-        Night in which the oil changes, and the resulting rise of every path of every motor.
-    exchanged
-        The same for the first motor alone.
-    wear
-        By motor: path, True if sudden, first night, size.
-    said, of
-        Entry for the first motor after the last reported night, and the night it concerns.
-    """
-
+    # Night in which the oil changes, and the resulting rise of every path of every motor.
     oil: tuple[int, float]
-    exchanged: tuple[int, float]
+    exchanged: tuple[int, float]  # the same for the first motor alone
+    # By motor: path, True if sudden, first night, size.
     wear: tuple[tuple[tuple[str, bool, int, float], ...], ...]
+    # said, of: entry for the first motor after the last reported night, and the night it concerns.
     said: str
     of: int
 
