@@ -31,7 +31,7 @@ def write_day(folder: Path, minutes: float, rate_hz: float, *formats: str) -> No
     writing._clear(folder / "demo")
     wanted = {MOTORS[name] for name in formats}
     nights = [one for one in writing._demo_nights(config, plan) if one.spec.motor_id in wanted]
-    writing._write_nights(folder / "demo" / "logs", nights)
+    writing._write_nights((folder / "demo" / "logs", nights))
 
 
 def log_of(day: Path, name: str) -> Path:

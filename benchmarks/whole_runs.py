@@ -30,19 +30,12 @@ def compile_sources() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a command took.
+    """What a command took."""
 
-    Attributes
-    ----------
-    elapsed_s, processor_s
-        On the clock, and of all its processes together.
-    parent_mib
-        Peak memory of the parent process; 0 where nobody looked.
-    """
-
+    # elapsed_s, processor_s: on the clock, and of all its processes together.
     elapsed_s: float
     processor_s: float
-    parent_mib: float = 0.0
+    parent_mib: float = 0.0  # peak memory of the parent process; 0 where nobody looked
 
 
 def fit_command(config: Path, jobs: int) -> list[str]:

@@ -205,6 +205,8 @@ def _pieces(segments: Segments, longest_lag: int) -> tuple[Segments, Segments]:
     while length < 4 * (longest_lag + 1):
         length *= 2
     longest = length - longest_lag
+    if segments.lengths.max(initial=0) <= longest:
+        return segments, segments[:0]
     step = longest - longest_lag
     counts = np.maximum(-((longest_lag - segments.lengths) // step), 1)
     place = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -232,7 +234,7 @@ def _spectra(
         )
         product += (spectra[0].conj() * spectra[1:]).sum(axis=1)
         parts = spectra.view(np.float64)
-        power += np.square(parts, out=parts).sum(axis=1).reshape(power.shape)
+        power += np.einsum("srf,srf->sf", parts, parts).reshape(power.shape)
         first += len(batch.begins)
     return {length: (power.sum(axis=2), product) for length, (power, product) in sums.items()}
 

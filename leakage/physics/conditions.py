@@ -109,8 +109,8 @@ class OperatingConditions:
     def __len__(self) -> int:
         return self.speed_rpm.size
 
-    def part(self, rows: slice) -> OperatingConditions:
-        """Conditions of some of the samples, as views."""
+    def part(self, rows: slice | NDArray[np.int64]) -> OperatingConditions:
+        """Conditions of some of the samples; of a slice as views."""
         charge = self.charge_over_case_pa
         return OperatingConditions(
             self.pressure_difference_pa[rows],

@@ -54,10 +54,7 @@ class ConfigError(MotorLeakageError):
 def refuse(found: Iterable[Misfit]) -> None:
     """Let a validator report several faults, each at its own key.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If there is any.
+    Raises pydantic.ValidationError if there is any.
     """
     details = [
         InitErrorDetails(

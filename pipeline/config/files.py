@@ -19,21 +19,11 @@ Model = TypeVar("Model", bound=BaseModel)
 
 @dataclass(frozen=True, slots=True)
 class Folder(Generic[Model]):
-    """The TOML files of a folder by name without ending.
+    """The TOML files of a folder by name without ending."""
 
-    Attributes
-    ----------
-    own
-        Content of every file there is; empty where it cannot be read.
-    documents
-        The same with the fleet's defaults.
-    parsed
-        Those without a fault.
-    """
-
-    own: Mapping[str, Document]
-    documents: Mapping[str, Document]
-    parsed: Mapping[str, Model]
+    own: Mapping[str, Document]  # content of every file there is; empty where it cannot be read
+    documents: Mapping[str, Document]  # the same with the fleet's defaults
+    parsed: Mapping[str, Model]  # those without a fault
 
 
 def read_folder(

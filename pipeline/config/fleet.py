@@ -181,10 +181,7 @@ def _reaches(pattern: str, folder: tuple[str, ...]) -> bool:
 def absolute(folder: Path) -> Path:
     """The absolute path of a folder, which need not be there.
 
-    Raises
-    ------
-    ValueError
-        No folder can be there: the name is too long, say, or holds a null character.
+    Raises ValueError if no folder can be there: its name is too long, say, or holds a null.
     """
     try:
         folder = folder.resolve()

@@ -28,10 +28,8 @@ from pipeline.config.settings import FleetFile, Settings
 def load_fleet(path: Path) -> Fleet:
     """Read a fleet file and all files that it leads to; motors are sorted by id, fully resolved.
 
-    Raises
-    ------
-    ConfigError
-        With every fault of every file, those of the motors too where the fleet file has one.
+    Raises ConfigError with every fault of every file, those of the motors too where the fleet file
+    has one.
     """
     faults: list[Fault] = []
     document = read_toml(path, path.name, faults)

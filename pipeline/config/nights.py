@@ -15,17 +15,10 @@ DAY = dt.timedelta(days=1)
 
 @dataclass(frozen=True, slots=True)
 class Night:
-    """A night: its label (the local date on which it ends) and its borders.
+    """A night: its label (the local date on which it ends) and its borders."""
 
-    Attributes
-    ----------
-    date
-        Label.
-    start_us, end_us
-        Half open, UTC microseconds.
-    """
-
-    date: dt.date
+    date: dt.date  # label
+    # start_us, end_us: half open, UTC microseconds.
     start_us: int
     end_us: int
 

@@ -20,10 +20,7 @@ BUILT_IN["sql"] = BUILT_IN["parquet"]
 def reader_entry(name: str) -> EntryPoint:
     """Entry point of a format's reader; nothing is imported.
 
-    Raises
-    ------
-    ValueError
-        None has this name, or several packages.
+    Raises ValueError if no package has this name, or several have.
     """
     if name in BUILT_IN:
         return EntryPoint(name, BUILT_IN[name], GROUP)

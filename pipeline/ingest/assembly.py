@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pipeline.clock import latest_us as latest_by_clock
@@ -61,7 +60,7 @@ def _with_nan(
     """Numbers with nan for null, where they lie if these cells can be written to."""
     chunks = numbers.chunks if isinstance(numbers, pa.ChunkedArray) else [numbers]
     if len(chunks) != 1 or not chunks[0].buffers()[1].is_mutable:
-        filled: NDArray[np.float64] = pc.fill_null(numbers, np.nan).to_numpy()
+        filled: NDArray[np.float64] = numbers.fill_null(np.nan).to_numpy()
         return filled
     # Arrow gives what lies below a null no meaning, so that this changes no number.
     (one,) = chunks

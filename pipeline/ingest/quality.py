@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pipeline.config.channels import QualityValue
@@ -56,7 +55,7 @@ def quality_states(
         of_value = np.array([*(_state(v, texts, numbers) for v in values), BLANK], np.uint8)
         if "" in texts:
             of_value[-1] = _GOOD
-        index = pc.fill_null(encoded.indices.cast(pa.int64()), len(values)).to_numpy()
+        index = encoded.indices.cast(pa.int64()).fill_null(len(values)).to_numpy()
         states[at : at + len(chunk)] = of_value[index]
         at += len(chunk)
     return states

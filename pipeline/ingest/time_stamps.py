@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS, parsed
@@ -71,6 +70,9 @@ def written(columns: Sequence[pa.ChunkedArray], time_format: str) -> WrittenStam
     """Time stamps of a column of time, or of one of dates and one of times of day."""
     column = columns[-1]
     if len(columns) > 1:
+        # Imported where it is needed: runs with nothing new read no stamp.
+        import pyarrow.compute as pc
+
         date, clock = (pc.utf8_trim_whitespace(part.cast(pa.string())) for part in columns)
         column = pc.binary_join_element_wise(date, clock, " ")
     if pa.types.is_timestamp(column.type):
@@ -78,7 +80,7 @@ def written(columns: Sequence[pa.ChunkedArray], time_format: str) -> WrittenStam
     if is_text(column.type):
         return written_as_text(column.cast(pa.string()), time_format)
     blank = np.nan if pa.types.is_floating(column.type) else 0
-    return written_as_numbers(pc.fill_null(column, blank).to_numpy(), time_format)
+    return written_as_numbers(column.fill_null(blank).to_numpy(), time_format)
 
 
 def written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
@@ -207,7 +209,7 @@ def written_as_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
     """Time stamps of an Arrow timestamp column of any unit, in UTC where its type has a zone."""
     kind = WITH_ZONE if stamps.type.tz else _LOCAL
     whole = stamps.cast(pa.int64())
-    counts = (pc.fill_null(whole, 0) if stamps.null_count else whole).to_numpy()
+    counts = (whole.fill_null(0) if stamps.null_count else whole).to_numpy()
     readable = np.ones(counts.size, dtype=np.bool_)
     if stamps.null_count:
         readable = stamps.is_valid().to_numpy().astype(bool)
@@ -243,7 +245,7 @@ def _from_epoch_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
         whole = texts.cast(pa.int64())
     except pa.ArrowInvalid:
         return _from_epoch_cell_by_cell(texts, time_format)
-    return written_as_numbers(pc.fill_null(whole, 0).to_numpy(), time_format)
+    return written_as_numbers(whole.fill_null(0).to_numpy(), time_format)
 
 
 def _from_epoch_cell_by_cell(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
@@ -264,9 +266,10 @@ def _either(one: TimeStamps, other: TimeStamps) -> TimeStamps:
 
 
 def _from_strptime(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
+    cells = pl.Series("time", texts)
     if ",%f" in time_format:
-        texts = pc.replace_substring(texts, ",", ".")
-    stamps = parsed(pl.Series("time", texts), time_format)
+        cells = cells.str.replace_all(",", ".", literal=True)
+    stamps = parsed(cells, time_format)
     kind = WITH_ZONE if "%z" in time_format else _LOCAL
     readable = stamps.is_not_null().to_numpy()
     return WrittenStamps(stamps.to_physical().fill_null(0).to_numpy(), _kinds(readable, kind))

@@ -67,10 +67,7 @@ class Connection:
     def ask(self, sql: str, take: Callable[[Iterator[pa.RecordBatch], pa.Schema], Taken]) -> Taken:
         """Give the rows of a query to a function, batch by batch; again, if the connection fails.
 
-        Raises
-        ------
-        DatabaseError
-            If there is no answer.
+        Raises DatabaseError if there is no answer.
         """
         for wait_s in (*WAITS_S, None):
             try:

@@ -185,10 +185,7 @@ def failed(record: FileRecord, error: LogError) -> FileRecord:
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
     """The record of a file that was read: its span, its nights, and notes on skipped cells.
 
-    Raises
-    ------
-    LogError
-        ``log_empty``: there are rows, and all cells of all channels in them are blank.
+    Raises LogError: ``log_empty``: there are rows, and all cells of all channels in them are blank.
     """
     stamps = log.stamps()
     notes = list(log.notes)

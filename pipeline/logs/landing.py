@@ -26,7 +26,6 @@ from pipeline.config.logs import Logs
 from pipeline.config.nights import DAY, Night, night, night_of, nights_between
 from pipeline.errors import LogError
 from pipeline.ingest import LogFile
-from pipeline.ingest.table import wanted_columns
 from pipeline.logs.database import SLOW, Connection, DatabaseError
 from pipeline.store.atomic_files import prepare, put
 from pipeline.workers.process import reading
@@ -192,6 +191,9 @@ def file_name(label: dt.date) -> str:
 
 def nightly_query(spec: MotorSpec) -> str:
     """The query of a motor: its columns, rows and tags of the config's one, in order of time."""
+    # Imported where it is needed: few motors have a database.
+    from pipeline.ingest.table import wanted_columns
+
     logs = spec.file.logs
     channels = {name: one for name, one in spec.file.channels.items() if one.constant is None}
     columns = wanted_columns(LogFile(Path(), logs, channels)).all

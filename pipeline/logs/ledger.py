@@ -27,40 +27,26 @@ NO_MONTH = "unknown"
 
 @dataclass(frozen=True, slots=True)
 class FileRecord:
-    """Record of a log file.
-
-    Attributes
-    ----------
-    size, modified_ns
-        While both stay, the content counts as unchanged.
-    read_with
-        Hash of the settings of reading: dialect, channels, nights.
-    sha256
-        Hash of the content; None where it could not be read.
-    first_us, last_us
-        First and last sample, UTC microseconds; None where unknown.
-    nights
-        Labels of the nights in which it has samples, or which fail with it.
-    status, error_code, message
-        ``ok``, ``failed``, or ``growing`` for one that is changed while it is read, and the reason;
-        of an ``ok`` file the rows left out.
-    inode
-        Of the file: it differs if another one has taken its name.
-    """
+    """Record of a log file."""
 
     path: str
+    # size, modified_ns: while both stay, the content counts as unchanged.
     size: int
     modified_ns: int
-    sha256: str | None
-    read_with: str = ""
+    sha256: str | None  # hash of the content; None where it could not be read
+    read_with: str = ""  # hash of the settings of reading: dialect, channels, nights
     rows: int | None = None
+    # first_us, last_us: first and last sample, UTC microseconds; None where unknown.
     first_us: int | None = None
     last_us: int | None = None
+    # Labels of the nights in which it has samples, or which fail with it.
     nights: tuple[str, ...] = ()
+    # status, error_code, message: ``ok``, ``failed``, or ``growing`` for one that is changed while
+    # it is read, and the reason; of an ``ok`` file the rows left out.
     status: str = "ok"
     error_code: str | None = None
     message: str | None = None
-    inode: int = 0
+    inode: int = 0  # of the file: it differs if another one has taken its name
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,45 +59,27 @@ class SeenLogs:
 
 @dataclass(frozen=True, slots=True)
 class NightRecord:
-    """Outcome of a night.
+    """Outcome of a night."""
 
-    Attributes
-    ----------
-    status
-        One of the five outcomes.
-    model
-        The model that the next night is judged with; empty without a fit.
-    judged_with
-        Hash of the model before that the night was judged with.
-    statistics_hash, figures_hash
-        Hashes of the settings of its statistics, and of the figures made from them; empty without
-        any.
-    tells_roller
-        Whether it tells the scale of the rollers' curve; None without a fit, or such a curve.
-    """
-
-    status: str
+    status: str  # one of the five outcomes
+    # The model that the next night is judged with; empty without a fit.
     model: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    judged_with: str = ""
+    judged_with: str = ""  # hash of the model before that the night was judged with
+    # statistics_hash, figures_hash: hashes of the settings of its statistics, and of the figures
+    # made from them; empty without any.
     statistics_hash: str = ""
     figures_hash: str = ""
+    # Whether it tells the scale of the rollers' curve; None without a fit, or such a curve.
     tells_roller: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """Files and nights of a motor.
+    """Files and nights of a motor."""
 
-    Attributes
-    ----------
-    files
-        By path relative to the log root.
-    nights
-        By label.
-    """
-
+    # By path relative to the log root.
     files: Mapping[str, FileRecord] = field(default_factory=dict)
-    nights: Mapping[dt.date, NightRecord] = field(default_factory=dict)
+    nights: Mapping[dt.date, NightRecord] = field(default_factory=dict)  # by label
 
     def model_before(self, night: dt.date) -> Mapping[str, tuple[float, ...]]:
         """The motor's last model before a night; empty where there is none."""
@@ -240,10 +208,7 @@ def forget_nights(
     Nights of `refit` may be fitted from their statistics if their logs are gone. Returns, by motor,
     those of the nights with a fit.
 
-    Raises
-    ------
-    StoreError
-        If a ledger cannot be written.
+    Raises StoreError if a ledger cannot be written.
     """
     fitted = {}
     for folder in sorted((output / "ledger").glob("*")):
@@ -261,10 +226,7 @@ def forget_nights(
 def content_hash(path: Path) -> str:
     """SHA-256 of a file's content.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    Raises OSError if the file cannot be read.
     """
     digest, piece = hashlib.sha256(), bytearray(PIECE_BYTES)
     with path.open("rb", buffering=0) as stream:

@@ -33,18 +33,10 @@ COPIES = 3
 
 
 class LogSource(Protocol):
-    """A motor's logs, by path relative to the log root.
+    """A motor's logs, by path relative to the log root."""
 
-    Attributes
-    ----------
-    names
-        Those that there are, sorted.
-    absent
-        Those that are named in the config and absent.
-    """
-
-    names: tuple[str, ...]
-    absent: list[str]
+    names: tuple[str, ...]  # those that there are, sorted
+    absent: list[str]  # those that are named in the config and absent
 
     def look_at(
         self, name: str, before: FileRecord | None, ends: FindEnds | None = None
@@ -54,10 +46,7 @@ class LogSource(Protocol):
     def path(self, name: str) -> Path:
         """A file with its content.
 
-        Raises
-        ------
-        LogError
-            ``log_growing``: it is no more as it was when the source was made.
+        Raises LogError: ``log_growing``: it is no more as it was when the source was made.
         """
 
     def change_of(self, record: FileRecord) -> LogError | None:

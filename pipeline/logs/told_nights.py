@@ -23,19 +23,12 @@ _DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[
 
 @dataclass(frozen=True, slots=True)
 class PlausibleNights:
-    """Nights that a file's name or time may tell where the file itself cannot be read.
+    """Nights that a file's name or time may tell where the file itself cannot be read."""
 
-    Attributes
-    ----------
-    first, last
-        Of the motor's readable logs; None without one.
-    latest
-        The night of a day from now.
-    """
-
+    # first, last: of the motor's readable logs; None without one.
     first: dt.date | None
     last: dt.date | None
-    latest: dt.date
+    latest: dt.date  # the night of a day from now
 
     @classmethod
     def of(cls, files: Iterable[FileRecord], latest: dt.date) -> PlausibleNights:

@@ -30,10 +30,7 @@ def fit_modes(
 ) -> tuple[tuple[BlockFit, ...], list[Row]]:
     """A fit for each mode of flushing, the primary one first, and rows of `sensitivities`.
 
-    Raises
-    ------
-    EstimationError
-        If there are fewer samples than free coefficients.
+    Raises EstimationError if there are fewer samples than free coefficients.
     """
     at = conditions(spec, blocks, mean_charge_bar(spec, statistics.samples))
     fits, rows = [], []
@@ -106,14 +103,7 @@ def _budget(
     n = len(statistics.samples.index)
     wanted = min(spec.settings.estimation.sensitivity_samples, n)
     chosen = np.linspace(0, n - 1, wanted).round().astype(np.int64)
-    seen = statistics.conditions
-    charge = seen.charge_over_case_pa
-    thinned = OperatingConditions(
-        seen.pressure_difference_pa[chosen],
-        seen.oil_temperature_c[chosen],
-        seen.speed_rpm[chosen],
-        None if charge is None else charge[chosen],
-    )
+    thinned = statistics.conditions.part(chosen)
     flow = statistics.samples.leakage_l_per_min[chosen]
     try:
         reference, own = at

@@ -240,15 +240,28 @@ def _suspects(
     places = np.searchsorted(time_us, marks[1:])
     places = places[places < n]
     first, last = places[:-1] - 1, places[1:]
-    shares = np.arange(LOOKED_AT_A_STRETCH)[:, None]
-    looked_at = first + (last - first) * shares // (LOOKED_AT_A_STRETCH - 1)
-    alike = np.zeros(len(first), dtype=np.bool_)
-    for step in _steps(value[looked_at], resolution):
-        alike |= (step == step[0]).all(axis=0)
+    alike = _alike(value, first, last, resolution, 2)
+    alike[alike] = _alike(value, first[alike], last[alike], resolution, LOOKED_AT_A_STRETCH)
     pairs = stretches(alike)
     borders = [0, *places.tolist(), n]
     # From the mark before the first of a row of such pairs until that after the last.
     return [slice(borders[begin], borders[end + 2]) for begin, end in np.transpose(pairs).tolist()]
+
+
+def _alike(
+    value: Values,
+    first: NDArray[np.intp],
+    last: NDArray[np.intp],
+    resolution: float,
+    looks: int,
+) -> Mask:
+    """Pairs of places from one to the other of which some samples lie on one step."""
+    shares = np.arange(looks)[:, None]
+    looked_at = value[first + (last - first) * shares // (looks - 1)]
+    alike = np.zeros(len(first), dtype=np.bool_)
+    for step in _steps(looked_at, resolution):
+        alike |= (step == step[0]).all(axis=0)
+    return alike
 
 
 def near(events_us: Times, time_us: Times, before_us: float, after_us: float) -> Mask:

@@ -20,7 +20,7 @@ Row = dict[str, Any]
 
 HOUR_US = 3_600_000_000
 # Samples that are counted together.
-NEIGHBOURS = 1 << 14
+NEIGHBOURS = 1 << 16
 
 
 def operation_row(

@@ -24,21 +24,11 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartResiduals:
-    """Residual analysis of one part of a night.
+    """Residual analysis of one part of a night."""
 
-    Attributes
-    ----------
-    part
-        training or validation.
-    smoothed
-        Whether columns and inputs were smoothed as for the fit.
-    analysis
-        What was found.
-    """
-
-    part: str
-    smoothed: bool
-    analysis: ResidualAnalysis
+    part: str  # training or validation
+    smoothed: bool  # whether columns and inputs were smoothed as for the fit
+    analysis: ResidualAnalysis  # what was found
 
 
 def night_residuals(
@@ -50,7 +40,8 @@ def night_residuals(
     """
     samples = statistics.samples
     parts = {part: chosen_rows(statistics.rows_of(part)) for part in (TRAINING, VALIDATION)}
-    rounding = ROUNDING * float(np.abs(samples.leakage_l_per_min).max())
+    flow = samples.leakage_l_per_min
+    rounding = ROUNDING * float(max(flow.max(), -flow.min()))
     period_s, training = samples.period_us / 1e6, parts[TRAINING]
     fitted_error = statistics.error_of(coefficients)
     memory = memory_s(fitted_error[training], samples.index[training], period_s, rounding)

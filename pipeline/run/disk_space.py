@@ -20,10 +20,8 @@ NIGHTS_LOOKED_AT = 14
 def require_space(output: Path, minimum_free_mib: float) -> None:
     """Refuse a run for which there is too little room; nothing is written.
 
-    Raises
-    ------
-    StoreError
-        ``disk_space``, where less is free than the minimum and one more night of the fleet.
+    Raises StoreError (``disk_space``) where less is free than the minimum and one more night of the
+    fleet.
     """
     if not minimum_free_mib:
         return

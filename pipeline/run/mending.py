@@ -126,10 +126,7 @@ class Damage:
     def look_around(self, due: Callable[[Key], bool]) -> None:
         """Before the motors: check all published files, and prove those due.
 
-        Raises
-        ------
-        StoreError
-            If something cannot be read or written; what was done before then holds.
+        Raises StoreError if something cannot be read or written; what was done before then holds.
         """
         self.mend(self.named(rebuild_manifests(self.output, self.restore)))
         self._look(manifest_keys(self.output), due)
@@ -159,10 +156,7 @@ class Damage:
     def mend(self, faults: Sequence[TableFault]) -> None:
         """Let damaged and missing files be made anew.
 
-        Raises
-        ------
-        StoreError
-            If something cannot be written.
+        Raises StoreError if something cannot be written.
         """
         lost = [one for one in faults if one.code in LOST and manifest_key(one.path)[0] != WHOLE]
         lost = [one for one in lost if not self.restore(f"tables/{one.path}")]
@@ -230,10 +224,7 @@ class Damage:
 def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
     """Restore missing or damaged manifests, or make them anew from files that prove themselves.
 
-    Raises
-    ------
-    StoreError
-        If one cannot be written, or a file is of a newer version of the program.
+    Raises StoreError if one cannot be written, or a file is of a newer version of the program.
     """
     unlisted = unlisted_files(output)
     for key in sorted(unlisted.keys() | set(manifest_keys(output))):
@@ -279,10 +270,7 @@ def _how_rebuilt(counts: Mapping[Proof, int]) -> str:
 def restore_decisions(output: Path) -> None:
     """Put back lost lines of the journal, from the table `decisions` of the last run.
 
-    Raises
-    ------
-    StoreError
-        If the journal cannot be read or written.
+    Raises StoreError if the journal cannot be read or written.
     """
     path = whole_file(output, DECISIONS)
     if not path.exists() or fault_of(output, path.relative_to(output / "tables").as_posix()):

@@ -24,10 +24,7 @@ Sample = tuple[Mapping[str, str], float]
 def write_metrics(path: Path, text: str) -> None:
     """Replace a text file whole; its folder is not made, and a file of others stays.
 
-    Raises
-    ------
-    StoreError
-        ``metrics_file``, if it cannot be written.
+    Raises StoreError (``metrics_file``) if it cannot be written.
     """
     try:
         if not path.parent.is_dir():

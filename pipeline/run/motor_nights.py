@@ -50,10 +50,7 @@ LONGEST_HOLE = dt.timedelta(days=366)
 def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
     """The plan of a motor, night by night, with reasons; of logs only the ends are read.
 
-    Raises
-    ------
-    StoreError
-        If a published table that it needs is damaged.
+    Raises StoreError if a published table that it needs is damaged.
     """
     return MotorNights(replace(task, looks_first=True)).plan()
 

@@ -42,10 +42,7 @@ log = logging.getLogger(__name__)
 def run_motor(task: MotorTask) -> MotorOutcome:
     """Do everything that is new for a motor, or a chunk of its nights, and stage its rows.
 
-    Raises
-    ------
-    MemoryError
-        If there is not enough memory for what all its nights need.
+    Raises MemoryError if there is not enough memory for what all its nights need.
     """
     speak_as_told()
     with one_thread():

@@ -69,10 +69,7 @@ def run_motors(
     A night that workers are lost in is given up, and so is a log that does not answer; a motor of
     which more are lost, or of which it is not known in what, has failed.
 
-    Raises
-    ------
-    EngineError
-        If there is nothing that tasks can run on any more.
+    Raises EngineError if there is nothing that tasks can run on any more.
     """
 
     def outcomes(some: Sequence[MotorTask]) -> Iterator[MotorOutcome]:

@@ -38,10 +38,7 @@ def task_of(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
     """The plan of a run, motor by motor; of logs only the ends are read, and nothing is written.
 
-    Raises
-    ------
-    StoreError
-        If a published table that is needed is damaged.
+    Raises StoreError if a published table that is needed is damaged.
     """
     output = request.fleet.output
     for spec in request.specs:

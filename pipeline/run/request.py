@@ -17,34 +17,19 @@ from pipeline.store.verification import TableFault
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """Request of a run.
+    """Request of a run."""
 
-    Attributes
-    ----------
-    fleet
-        The config.
-    motors
-        Ids of the motors to do; empty for all.
-    since, until
-        Labels of the first and last night to do; None: no limit.
-    force
-        Whether to make nights anew from their logs that nothing has changed of.
-    retry
-        Whether to try nights and logs again that failed.
-    with_starts
-        Whether nights that are, or were, fitted anew without their log get the starts of their
-        search.
-    clock
-        The time of the run, by which logs lie in the future.
-    """
-
-    fleet: Fleet
-    motors: tuple[str, ...] = ()
+    fleet: Fleet  # the config
+    motors: tuple[str, ...] = ()  # ids of the motors to do; empty for all
+    # since, until: labels of the first and last night to do; None: no limit.
     since: dt.date | None = None
     until: dt.date | None = None
-    force: bool = False
-    retry: bool = False
+    force: bool = False  # whether to make nights anew from their logs that nothing has changed of
+    retry: bool = False  # whether to try nights and logs again that failed
+    # Whether nights that are, or were, fitted anew without their log get the starts of their
+    # search.
     with_starts: bool = False
+    # The time of the run, by which logs lie in the future.
     clock: dt.datetime = field(default_factory=now)
 
     @property
@@ -57,39 +42,19 @@ class RunRequest:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """Result of a run.
+    """Result of a run."""
 
-    Attributes
-    ----------
-    run_id
-        Hash of the inputs' contents, the code's version and the config.
-    outcomes
-        One a motor, sorted by id.
-    n_nights
-        Nights of motors that were written.
-    interrupted
-        Whether the run was stopped before all motors were done; what was finished is published.
-    seconds
-        Wall-clock time.
-    alarms
-        New rows of `alarms`.
-    seconds_by_stage
-        Of these: `motors_s` until all tasks were done, `publish_s` and `trends_s`.
-    damage
-        Published files that were found damaged or gone.
-    damage_left
-        What of it could not be made anew.
-    """
-
-    run_id: str
-    outcomes: tuple[MotorOutcome, ...]
-    n_nights: int
+    run_id: str  # hash of the inputs' contents, the code's version and the config
+    outcomes: tuple[MotorOutcome, ...]  # one a motor, sorted by id
+    n_nights: int  # nights of motors that were written
+    # Whether the run was stopped before all motors were done; what was finished is published.
     interrupted: bool
-    seconds: float
-    alarms: tuple[Mapping[str, Any], ...] = ()
+    seconds: float  # wall-clock time
+    alarms: tuple[Mapping[str, Any], ...] = ()  # new rows of `alarms`
+    # Of these: `motors_s` until all tasks were done, `publish_s` and `trends_s`.
     seconds_by_stage: Mapping[str, float] = field(default_factory=dict)
-    damage: tuple[TableFault, ...] = ()
-    damage_left: tuple[TableFault, ...] = ()
+    damage: tuple[TableFault, ...] = ()  # published files that were found damaged or gone
+    damage_left: tuple[TableFault, ...] = ()  # what of it could not be made anew
 
     @property
     def files(self) -> Counter[str]:

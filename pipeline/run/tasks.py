@@ -39,55 +39,31 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class MotorTask:
-    """A motor for a worker, or a chunk of its nights: plain data, small enough to send.
+    """A motor for a worker, or a chunk of its nights: plain data, small enough to send."""
 
-    Attributes
-    ----------
-    spec
-        The motor with its resolved config.
-    output
-        Output folder, for the ledger (read only).
-    staging
-        Folder for this run's staged rows and chunks.
-    since, until
-        Labels of the first and last night to do; None: no limit.
-    force
-        Whether to make nights anew from their logs that nothing has changed of.
-    retry
-        Whether to try nights and logs again that failed.
-    with_starts
-        Whether nights that are, or were, fitted anew without their log get the starts of their
-        search.
-    looks_first
-        Whether to look at a log before it is read, though it is the only new one: its worker died.
-    given_up
-        Losses of this run, each in a night that is not made, or at a log that is not opened.
-    nights_a_chunk
-        A motor with more nights to read than this is done in chunks of so many; 0: never.
-    nights
-        The chunk: nights to be read and fitted apart from the others; None: the whole motor.
-    looked_at
-        The motor's logs as they were looked at before in this run; None: not yet.
-    chunks
-        Files below the staging folder with the chunks to be joined.
-    latest_us
-        Samples after this time are refused [µs since 1970]: a day after the run's clock.
-    """
-
-    spec: MotorSpec
-    output: Path
-    staging: Path
+    spec: MotorSpec  # the motor with its resolved config
+    output: Path  # output folder, for the ledger (read only)
+    staging: Path  # folder for this run's staged rows and chunks
+    # since, until: labels of the first and last night to do; None: no limit.
     since: dt.date | None = None
     until: dt.date | None = None
-    force: bool = False
-    retry: bool = False
+    force: bool = False  # whether to make nights anew from their logs that nothing has changed of
+    retry: bool = False  # whether to try nights and logs again that failed
+    # Whether nights that are, or were, fitted anew without their log get the starts of their
+    # search.
     with_starts: bool = False
+    # Whether to look at a log before it is read, though it is the only new one: its worker died.
     looks_first: bool = False
+    # Losses of this run, each in a night that is not made, or at a log that is not opened.
     given_up: tuple[Loss, ...] = ()
+    # A motor with more nights to read than this is done in chunks of so many; 0: never.
     nights_a_chunk: int = 0
+    # The chunk: nights to be read and fitted apart from the others; None: the whole motor.
     nights: tuple[dt.date, ...] | None = None
+    # The motor's logs as they were looked at before in this run; None: not yet.
     looked_at: SeenLogs | None = None
-    chunks: tuple[str, ...] = ()
+    chunks: tuple[str, ...] = ()  # files below the staging folder with the chunks to be joined
+    # Samples after this time are refused [µs since 1970]: a day after the run's clock.
     latest_us: int = field(default_factory=latest_us)
 
     @property
@@ -114,63 +90,34 @@ class MotorTask:
 
 @dataclass(frozen=True, slots=True)
 class MotorOutcome:
-    """The outcome of a motor's task, or of one of its chunks.
-
-    Attributes
-    ----------
-    status
-        failed if a night failed; else ok if a night was fitted; else what came of its nights.
-    error_code, message
-        The first failure; without one, why there is no fit at all, and no code.
-    counts
-        Nights by outcome.
-    nights
-        Labels of the nights whose rows are staged.
-    withdrawn
-        Those of them that are no nights, as only the name or time of an unreadable log told them:
-        their rows go.
-    inputs
-        Hashes of the contents that were read, in the order of the files.
-    files
-        Log files by what came of them: read, unchanged, growing, failed or left.
-    growing
-        What there is to say of each file that is changed while it is read.
-    n_refitted
-        Nights that were fitted anew from their stored statistics, without a log.
-    reasons
-        Nights by why they were made anew.
-    seconds
-        Time by stage.
-    peak_memory_mib
-        Largest memory of the worker so far.
-    is_set_aside
-        Whether its task was lost once, and is tried again when the others are published.
-    chunk
-        File of the chunk that was made or failed; empty for a whole motor.
-    chunks_done
-        Chunks of the motor that are done by now, and all of them; (0, 0) for a whole motor.
-    to_do
-        Chunks that are to be made first; empty: the motor is done.
-    """
+    """The outcome of a motor's task, or of one of its chunks."""
 
     motor_id: str
+    # failed if a night failed; else ok if a night was fitted; else what came of its nights.
     status: str
+    # error_code, message: the first failure; without one, why there is no fit at all, and no code.
     error_code: str | None = None
     message: str | None = None
-    counts: Mapping[str, int] = field(default_factory=dict)
-    nights: tuple[dt.date, ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)  # nights by outcome
+    nights: tuple[dt.date, ...] = ()  # labels of the nights whose rows are staged
+    # Those of them that are no nights, as only the name or time of an unreadable log told them:
+    # their rows go.
     withdrawn: tuple[dt.date, ...] = ()
-    inputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()  # hashes of the contents that were read, in the order of the files
+    # Log files by what came of them: read, unchanged, growing, failed or left.
     files: Mapping[str, int] = field(default_factory=dict)
+    # What there is to say of each file that is changed while it is read.
     growing: tuple[str, ...] = ()
-    n_refitted: int = 0
-    reasons: Mapping[str, int] = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    peak_memory_mib: float | None = None
+    n_refitted: int = 0  # nights that were fitted anew from their stored statistics, without a log
+    reasons: Mapping[str, int] = field(default_factory=dict)  # nights by why they were made anew
+    seconds: Mapping[str, float] = field(default_factory=dict)  # time by stage
+    peak_memory_mib: float | None = None  # largest memory of the worker so far
+    # Whether its task was lost once, and is tried again when the others are published.
     is_set_aside: bool = False
-    chunk: str = ""
+    chunk: str = ""  # file of the chunk that was made or failed; empty for a whole motor
+    # Chunks of the motor that are done by now, and all of them; (0, 0) for a whole motor.
     chunks_done: tuple[int, int] = (0, 0)
-    to_do: tuple[MotorTask, ...] = ()
+    to_do: tuple[MotorTask, ...] = ()  # chunks that are to be made first; empty: the motor is done
 
     @property
     def finished(self) -> bool:

@@ -61,32 +61,17 @@ class Descriptor(io.RawIOBase):
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A temporary file in the folder of its place, flushed and read back.
+    """A temporary file in the folder of its place, flushed and read back."""
 
-    Attributes
-    ----------
-    path
-        Its place.
-    temporary
-        The file.
-    sha256
-        Of its content.
-    durable
-        True if it must survive a power cut.
-    """
-
-    path: Path
-    temporary: Path
-    sha256: str
-    durable: bool = True
+    path: Path  # its place
+    temporary: Path  # the file
+    sha256: str  # of its content
+    durable: bool = True  # True if it must survive a power cut
 
     def land(self, *, flush: bool = True) -> None:
         """Rename it to its place; not to `flush` its folder is for one who does so later.
 
-        Raises
-        ------
-        StoreError
-            If that fails; the place then holds the old file, or already the new one.
+        Raises StoreError if that fails; the place then holds the old file, or already the new one.
         """
         with store_errors(self.path):
             try:
@@ -106,10 +91,8 @@ class Prepared:
 def prepare(path: Path, write: Write | bytes, *, durable: bool = True) -> Prepared:
     """Write a temporary file in the folder of its place, flush it, and read it back.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written, or is not read back as it was written; nothing is left of it.
+    Raises StoreError if it cannot be written, or is not read back as it was written; nothing is
+    left of it.
     """
     temporary = path.parent / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}"
     with store_errors(path):
@@ -188,10 +171,7 @@ def put(path: Path, write: Write | bytes, *, durable: bool = True) -> str:
 def scratch(path: Path) -> Iterator[BinaryIO]:
     """A scratch file of a run; its folder is made, those above it must exist.
 
-    Raises
-    ------
-    OSError
-        If it cannot be written.
+    Raises OSError if it cannot be written.
     """
     with suppress(FileExistsError):
         os.mkdir(path.parent)
@@ -206,10 +186,7 @@ def scratch(path: Path) -> Iterator[BinaryIO]:
 def make_private_folder(folder: Path) -> None:
     """Make a new folder that only the user of this process may enter.
 
-    Raises
-    ------
-    OSError
-        If it cannot be made, or is there already.
+    Raises OSError if it cannot be made, or is there already.
     """
     make_folders(folder.parent)
     os.mkdir(folder, PRIVATE)
@@ -218,10 +195,7 @@ def make_private_folder(folder: Path) -> None:
 def make_folders(folder: Path) -> None:
     """Make a folder and the missing ones above it; they survive a power cut.
 
-    Raises
-    ------
-    OSError
-        If one cannot be made.
+    Raises OSError if one cannot be made.
     """
     absent = []
     while not folder.exists():
@@ -238,10 +212,7 @@ def make_folders(folder: Path) -> None:
 def flush_path(path: Path) -> None:
     """Flush a file, or the names in a folder.
 
-    Raises
-    ------
-    OSError
-        If they cannot be flushed.
+    Raises OSError if they cannot be flushed.
     """
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
@@ -253,10 +224,7 @@ def flush_path(path: Path) -> None:
 def flush_folders(folders: Collection[Path]) -> None:
     """Flush the names in some folders.
 
-    Raises
-    ------
-    StoreError
-        If they cannot be flushed.
+    Raises StoreError if they cannot be flushed.
     """
     for folder in sorted(folders):
         with store_errors(folder):
@@ -271,10 +239,7 @@ def flush_all() -> None:
 def move(path: Path, place: Path) -> None:
     """Rename a file within its folder; a file of that name is replaced.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be renamed.
+    Raises StoreError if it cannot be renamed.
     """
     with store_errors(place):
         os.replace(path, place)
@@ -284,10 +249,7 @@ def move(path: Path, place: Path) -> None:
 def take_over(files: Sequence[Path], folder: Path) -> None:
     """Move scratch files into a folder of the same disk, where they survive a power cut.
 
-    Raises
-    ------
-    StoreError
-        If that fails; each file is at one of both places.
+    Raises StoreError if that fails; each file is at one of both places.
     """
     if not files:
         return
@@ -317,10 +279,7 @@ def exchange(folder: Path, place: Path) -> None:
     Who lists the place sees the files of the one or of the other. (`renameat2`, Linux 3.15; not
     on network shares.)
 
-    Raises
-    ------
-    StoreError
-        If the file system cannot do so; both then stay.
+    Raises StoreError if the file system cannot do so; both then stay.
     """
     with store_errors(place):
         os.chmod(folder, stat.S_IMODE(os.stat(place).st_mode))
@@ -340,10 +299,7 @@ def exchange(folder: Path, place: Path) -> None:
 def remove(path: Path) -> None:
     """Remove a file if it is there.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be removed.
+    Raises StoreError if it cannot be removed.
     """
     with store_errors(path, "removed"), suppress(FileNotFoundError):
         os.unlink(path)
@@ -375,10 +331,7 @@ def remove_leftovers(folders: Sequence[Path], *, below: bool = True) -> None:
 def read(path: Path) -> bytes:
     """Content of a file; a read that fails is tried once more.
 
-    Raises
-    ------
-    OSError
-        If it cannot be read.
+    Raises OSError if it cannot be read.
     """
     try:
         return _read(path)

@@ -40,10 +40,7 @@ DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
 def write_table(path: Path, rows: pl.DataFrame) -> str:
     """Write a table file whole or not at all, and return its SHA-256.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written; the old file then stays.
+    Raises StoreError if it cannot be written; the old file then stays.
     """
     return put(path, encode_table(path.name, rows))
 
@@ -51,10 +48,7 @@ def write_table(path: Path, rows: pl.DataFrame) -> str:
 def encode_table(name: str, rows: pl.DataFrame) -> bytes:
     """Rows as the bytes of a Parquet file, decoded again and compared, a row group at a time.
 
-    Raises
-    ------
-    StoreError
-        If they cannot be encoded, or are decoded otherwise.
+    Raises StoreError if they cannot be encoded, or are decoded otherwise.
     """
     try:
         encoded = as_parquet(rows, SCHEMA_VERSION)
@@ -175,10 +169,7 @@ def from_parquet(
 def parts_of(path: Path) -> dict[str, int]:
     """Numbers of rows of a file by night (or start of a run), in the order of its rows.
 
-    Raises
-    ------
-    StoreError
-        If its footer is damaged.
+    Raises StoreError if its footer is damaged.
     """
     try:
         return parts_told(pq.read_metadata(path)) or {path.stem: 0}

@@ -35,39 +35,22 @@ RUNNING, FINISHED, INTERRUPTED, FAILED = "running", "finished", "interrupted", "
 
 @dataclass(frozen=True, slots=True)
 class Beat:
-    """State of a run; times are UTC.
+    """State of a run; times are UTC."""
 
-    Attributes
-    ----------
-    state
-        running, finished, interrupted or failed.
-    stage
-        motors, publishing, trends or recording.
-    started_at, beaten_at
-        Begin of the run, and time of this beat.
-    pid, host
-        The process.
-    n_motors, n_motors_done
-        Motors in the run, and those that are done.
-    run_id
-        Known once all motors are done: it is a hash of their inputs.
-    last_good_run
-        End of the last run that went through all motors.
-    error_code
-        Of a run that failed.
-    """
-
-    state: str
-    stage: str
+    state: str  # running, finished, interrupted or failed
+    stage: str  # motors, publishing, trends or recording
+    # started_at, beaten_at: begin of the run, and time of this beat.
     started_at: dt.datetime
     beaten_at: dt.datetime
+    # pid, host: the process.
     pid: int
     host: str
+    # n_motors, n_motors_done: motors in the run, and those that are done.
     n_motors: int
     n_motors_done: int = 0
-    run_id: str | None = None
-    last_good_run: dt.datetime | None = None
-    error_code: str | None = None
+    run_id: str | None = None  # known once all motors are done: it is a hash of their inputs
+    last_good_run: dt.datetime | None = None  # end of the last run that went through all motors
+    error_code: str | None = None  # of a run that failed
 
     def is_missing(self, now: dt.datetime) -> bool:
         """True if a run is said to be under way and its beats have stopped."""

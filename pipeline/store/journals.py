@@ -24,10 +24,8 @@ def append(path: Path, line: bytes) -> None:
 
     Others may append and read meanwhile.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written; the file is then cut back to what it was, if possible.
+    Raises StoreError if it cannot be written; the file is then cut back to what it was, if
+    possible.
     """
     with store_errors(path):
         make_folders(path.parent)

@@ -18,12 +18,7 @@ from pipeline.store.atomic_files import make_folders
 def locked(folder: Path) -> Iterator[None]:
     """Hold a folder for one run; the lock ends with the process, however that ends.
 
-    Raises
-    ------
-    LockedError
-        If another run holds it.
-    StoreError
-        If it cannot be locked.
+    Raises LockedError if another run holds it; StoreError if it cannot be locked.
     """
     holder = (
         f"process {os.getpid()} on {socket.gethostname()} "

@@ -24,17 +24,10 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """Published files of a night or of a run, by path relative to the folder of the tables.
+    """Published files of a night or of a run, by path relative to the folder of the tables."""
 
-    Attributes
-    ----------
-    files
-        SHA-256 of each.
-    coming
-        SHA-256 before and after, of files that a run is replacing; None for no file.
-    """
-
-    files: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of each
+    # SHA-256 before and after, of files that a run is replacing; None for no file.
     coming: Mapping[str, tuple[str | None, ...]] = field(default_factory=dict)
 
     def accepted(self, name: str) -> tuple[str | None, ...]:
@@ -81,10 +74,8 @@ def manifest_key(name: str) -> Key:
 def read_manifest(output: Path, month: str, name: str) -> Manifest | None:
     """The manifest of a night, or of a run; None where there is none, or it is damaged.
 
-    Raises
-    ------
-    StoreError
-        If there is one that cannot be read: taken for absent, it would lose its files.
+    Raises StoreError if there is one that cannot be read: taken for absent, it would lose its
+    files.
     """
     try:
         document = read_sealed(manifest_file(output, month, name), unseal)
@@ -101,10 +92,7 @@ def announce(
 ) -> None:
     """Say which files are about to be replaced: by path, SHA-256 before and after.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    Raises StoreError if it cannot be written.
     """
     before = read_manifest(output, month, name) or Manifest()
     coming = {one: pair for one, pair in changes.items() if pair[0] != pair[1]}
@@ -143,10 +131,7 @@ def update_manifest(output: Path, month: str, name: str, files: Mapping[str, str
 def renew_manifest(output: Path, month: str, name: str) -> None:
     """Give a manifest the time of now, as its files have been proven once more.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    Raises StoreError if it cannot be written.
     """
     manifest = read_manifest(output, month, name)
     if manifest is not None:

@@ -66,10 +66,8 @@ def join_months(output: Path, staging: Path, last: str, but: Collection[str] = (
 
     What cannot be joined stays night by night.
 
-    Raises
-    ------
-    StoreError
-        If a manifest cannot be read or written; nothing is lost, and the next run goes on.
+    Raises StoreError if a manifest cannot be read or written; nothing is lost, and the next run
+    goes on.
     """
     months = {month for table in JOINED for month in month_stamps(output, table)}
     months = {month for month in months if month <= last and month not in but}
@@ -94,10 +92,7 @@ def part_month(output: Path, staging: Path, tables: Iterable[Table], month: str)
 
     Returns those of the tables whose joined file is damaged; it stays.
 
-    Raises
-    ------
-    StoreError
-        If files cannot be written.
+    Raises StoreError if files cannot be written.
     """
     joined = [table for table in tables if month_file(output, table, month).exists()]
     made: dict[Table, Path] = {}
@@ -120,10 +115,7 @@ def part_month(output: Path, staging: Path, tables: Iterable[Table], month: str)
 def settle(output: Path, month: str) -> None:
     """End what a run has announced of a month and was broken off in.
 
-    Raises
-    ------
-    StoreError
-        If a manifest cannot be read or written.
+    Raises StoreError if a manifest cannot be read or written.
     """
     if (read_manifest(output, month, month) or Manifest()).coming:
         _settle(output, month)

@@ -135,10 +135,7 @@ def _rows_of_some(
 def stage(path: Path, tables: Mapping[Table, StagedNights]) -> None:
     """Write a motor's rows by table and night for the run to publish, nights without rows included.
 
-    Raises
-    ------
-    StoreError
-        If they cannot be written.
+    Raises StoreError if they cannot be written.
     """
     streams, index = [], {}
     for table, nights in tables.items():
@@ -161,28 +158,15 @@ def stage(path: Path, tables: Mapping[Table, StagedNights]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class NightFile:
-    """A table file that is prepared, and not in its place yet.
+    """A table file that is prepared, and not in its place yet."""
 
-    Attributes
-    ----------
-    path
-        Its place.
-    before
-        SHA-256 of the present file; None without one.
-    after
-        SHA-256 of the new file; None if there is neither a file nor a row.
-    lost_rows
-        True if the present file is damaged or gone: rows of motors that are not published with it
-        have to be made anew.
-    prepared
-        The new file; None if the present one stays.
-    """
-
-    path: Path
-    before: str | None
-    after: str | None
+    path: Path  # its place
+    before: str | None  # SHA-256 of the present file; None without one
+    after: str | None  # SHA-256 of the new file; None if there is neither a file nor a row
+    # True if the present file is damaged or gone: rows of motors that are not published with it
+    # have to be made anew.
     lost_rows: bool = False
-    prepared: Prepared | None = None
+    prepared: Prepared | None = None  # the new file; None if the present one stays
 
     def land(self) -> None:
         """Put it into its place, and a damaged file there aside; raises as `Prepared.land`.
@@ -210,10 +194,7 @@ def prepare_night(
 ) -> NightFile:
     """Prepare a night's file with the new rows of some motors; those of the others stay.
 
-    Raises
-    ------
-    StoreError
-        If the new file cannot be written, or the present one not be read.
+    Raises StoreError if the new file cannot be written, or the present one not be read.
     """
     path = night_file(output, table, night)
     before, rows_before = _present(path, table, accepted)

@@ -69,12 +69,9 @@ class ObjectStore:
     def at(cls, url: str) -> ObjectStore:
         """The store at a URL; no request is sent yet.
 
-        Raises
-        ------
-        StoreError
-            ``object_store_missing``: the extra is not installed; ``object_store_credentials``: the
-            environment has none; ``object_store_http``: the server has no encryption, and the
-            environment does not allow that.
+        Raises StoreError: ``object_store_missing``: the extra is not installed;
+        ``object_store_credentials``: the environment has none; ``object_store_http``: the server
+        has no encryption, and the environment does not allow that.
         """
         scheme = url.partition("://")[0]
         try:
@@ -101,10 +98,7 @@ class ObjectStore:
     def create(self, key: str, content: bytes) -> None:
         """Put an object that never changes; a present one has the same content.
 
-        Raises
-        ------
-        StoreError
-            If it cannot be put.
+        Raises StoreError if it cannot be put.
         """
         from obstore.exceptions import AlreadyExistsError
 
@@ -159,10 +153,7 @@ class ObjectStore:
     def fetch(self, one: StoredObject, stream: BinaryIO) -> None:
         """Write an object's content to a stream.
 
-        Raises
-        ------
-        ObjectChangedError
-            If it has changed since it was listed, or is gone.
+        Raises ObjectChangedError if it has changed since it was listed, or is gone.
         """
         from obstore.exceptions import PreconditionError
 

@@ -116,10 +116,8 @@ def old_files(
 def prune(output: Path, old: Sequence[OldFiles]) -> None:
     """Remove such files; the caller holds the output's lock.
 
-    Raises
-    ------
-    StoreError
-        If a manifest cannot be written or a file not be removed; pruning again does the rest.
+    Raises StoreError if a manifest cannot be written or a file not be removed; pruning again does
+    the rest.
     """
     going: defaultdict[Key, list[str]] = defaultdict(list)
     for one in old:

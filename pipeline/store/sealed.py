@@ -68,12 +68,8 @@ def read_sealed(path: Path, unsealed: Callable[[bytes], Content | None]) -> Cont
 
     One that reads as damaged is read again: an error on the way from the disk is no damage.
 
-    Raises
-    ------
-    DamagedError
-        If it is not as it was written.
-    StoreError
-        ``store_read``: if it cannot be read.
+    Raises DamagedError if it is not as it was written; StoreError (``store_read``) if it cannot be
+    read.
     """
     name = "/".join(path.parts[-3:])
     try:
@@ -100,10 +96,7 @@ def read_if_whole(path: Path, unsealed: Callable[[bytes], Content | None]) -> Co
 def put_sealed(path: Path, document: Mapping[str, Any], *, durable: bool = True) -> None:
     """Write a document, unless it is there already; `durable` as for `put`.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    Raises StoreError if it cannot be written.
     """
     content = seal(document)
     with suppress(OSError):

@@ -46,10 +46,7 @@ def files_of(output: Path, table: Table) -> list[Path]:
 def existing_tables(output: Path) -> Path:
     """Folder of all tables.
 
-    Raises
-    ------
-    UsageError
-        ``no_tables``: there are none.
+    Raises UsageError (``no_tables``) if there are none.
     """
     tables = output / "tables"
     if not tables.is_dir():
@@ -184,11 +181,8 @@ def read_table(path: Path, table: Table, nights: Collection[dt.date] | None = No
 
     Of a joined file those of some nights alone, if they are named.
 
-    Raises
-    ------
-    StoreError
-        If the file is damaged (``store_read``), or of a newer version of the program
-        (``store_newer``).
+    Raises StoreError if the file is damaged (``store_read``), or of a newer version of the program
+    (``store_newer``).
     """
     try:
         content = read(path)

@@ -53,10 +53,8 @@ class Proof(Enum):
 def prove(path: Path, table: Table) -> tuple[str, Proof]:
     """SHA-256 of a table file that no manifest lists, and its proof.
 
-    Raises
-    ------
-    StoreError
-        If it is damaged, of a newer version of the program, or has rows of other nights.
+    Raises StoreError if it is damaged, of a newer version of the program, or has rows of other
+    nights.
     """
     try:
         content = read(path)
@@ -76,23 +74,14 @@ def prove(path: Path, table: Table) -> tuple[str, Proof]:
 
 @dataclass(frozen=True, slots=True)
 class TableFault:
-    """A damaged, missing or unknown file.
+    """A damaged, missing or unknown file."""
 
-    Attributes
-    ----------
-    path
-        Relative to the folder of the tables; of another file, to the output folder.
-    code
-        ``table_altered``, ``table_missing``, ``table_unreadable``, ``table_unlisted``,
-        ``rows_lost``, ``manifest_missing``, ``manifest_damaged``, ``ledger_damaged``,
-        ``history_damaged``, ``journal_damaged`` or ``outbox_damaged``.
-    message
-        The fault, and a remedy.
-    """
-
-    path: str
+    path: str  # relative to the folder of the tables; of another file, to the output folder
+    # ``table_altered``, ``table_missing``, ``table_unreadable``, ``table_unlisted``, ``rows_lost``,
+    # ``manifest_missing``, ``manifest_damaged``, ``ledger_damaged``, ``history_damaged``,
+    # ``journal_damaged`` or ``outbox_damaged``.
     code: str
-    message: str
+    message: str  # the fault, and a remedy
 
     def __str__(self) -> str:
         return f"{self.code}: {self.path}: {self.message}"
@@ -100,18 +89,11 @@ class TableFault:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Result of comparing published files with their manifests.
+    """Result of comparing published files with their manifests."""
 
-    Attributes
-    ----------
-    faults
-        Files that differ, are absent or cannot be read, and manifests that are damaged.
-    proven
-        Manifests whose files are whole though one was written to since.
-    """
-
+    # Files that differ, are absent or cannot be read, and manifests that are damaged.
     faults: tuple[TableFault, ...]
-    proven: tuple[Key, ...]
+    proven: tuple[Key, ...]  # manifests whose files are whole though one was written to since
 
 
 def compare_published(
@@ -220,10 +202,7 @@ def unlisted_files(output: Path) -> dict[Key, list[str]]:
 def proofs_of(output: Path, names: Sequence[str]) -> dict[str, tuple[str, Proof]]:
     """SHA-256 and proof of those table files that prove themselves.
 
-    Raises
-    ------
-    StoreError
-        ``store_newer``.
+    Raises StoreError (``store_newer``).
     """
     found = {}
     for name in names:

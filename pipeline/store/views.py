@@ -51,10 +51,7 @@ FROM primary_fits WHERE status IN ('ok', 'insufficient_data')""",
 def write_views(output: Path) -> None:
     """Write `views.sql`, with paths relative to its folder.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    Raises StoreError if it cannot be written.
     """
     head = f"-- Views of all tables; made by each run. In this folder: duckdb -init {NAME}\n"
     tables = (_view(output, table) for table in TABLES)

@@ -60,24 +60,13 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The published output, as `current.json` lists it.
+    """The published output, as `current.json` lists it."""
 
-    Attributes
-    ----------
-    tag
-        Of `current.json`; None where there is none.
-    files
-        By path below the output folder.
-    parts
-        Objects that list those files, by month: only lists of changed months are written anew.
-    superseded
-        Replaced objects, with the day since when.
-    """
-
-    tag: str | None = None
-    files: Mapping[str, Entry] = field(default_factory=dict)
+    tag: str | None = None  # of `current.json`; None where there is none
+    files: Mapping[str, Entry] = field(default_factory=dict)  # by path below the output folder
+    # Objects that list those files, by month: only lists of changed months are written anew.
     parts: Mapping[str, Entry] = field(default_factory=dict)
-    superseded: tuple[tuple[str, str], ...] = ()
+    superseded: tuple[tuple[str, str], ...] = ()  # replaced objects, with the day since when
 
 
 @contextmanager
@@ -139,10 +128,7 @@ def _require_no_copy(output: Path) -> None:
 def read_snapshot(store: ObjectStore) -> Snapshot:
     """The published output.
 
-    Raises
-    ------
-    StoreError
-        If `current.json` cannot be read or is damaged.
+    Raises StoreError if `current.json` cannot be read or is damaged.
     """
     found = store.get(ROOT)
     if found is None:
@@ -180,10 +166,8 @@ def in_turn(function: Callable[[Item], Made], items: Iterable[Item]) -> list[Mad
 def pull(store: ObjectStore, output: Path) -> Snapshot:
     """Make a folder the copy of the published output; only missing files are read.
 
-    Raises
-    ------
-    StoreError
-        ``store_copy``: the folder holds an output of its own, or is a copy of another.
+    Raises StoreError: ``store_copy``: the folder holds an output of its own, or is a copy of
+    another.
     """
     snapshot = read_snapshot(store)
     here = _here(store, output, snapshot)
@@ -269,10 +253,7 @@ def _digest(path: Path) -> str:
 def push(store: ObjectStore, output: Path, before: Snapshot, started_ns: int = 0) -> Snapshot:
     """Publish a folder: its new files, then the lists of files, then `current.json`.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be published; what was published before then stays.
+    Raises StoreError if it cannot be published; what was published before then stays.
     """
     _record(store, output, None)
 

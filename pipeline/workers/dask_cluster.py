@@ -36,14 +36,11 @@ READERS = ("python", CODE)
 def connected(execution: Execution, expected: Surroundings) -> Iterator[Client]:
     """A client of the configured cluster, once every worker there is fit for the run.
 
-    Raises
-    ------
-    EngineError
-        ``dask_missing``: the extra is not installed; ``scheduler_unreachable``: nothing answers at
-        the address; ``scheduler_no_workers``; ``scheduler_versions``: scheduler or a worker has
-        other versions; ``scheduler_threads``: a worker with several threads; ``scheduler_folders``:
-        a worker that does not see logs or output; ``scheduler_credentials``: one that has no way to
-        the logs' object store.
+    Raises EngineError: ``dask_missing``: the extra is not installed; ``scheduler_unreachable``:
+    nothing answers at the address; ``scheduler_no_workers``; ``scheduler_versions``: scheduler or a
+    worker has other versions; ``scheduler_threads``: a worker with several threads;
+    ``scheduler_folders``: a worker that does not see logs or output; ``scheduler_credentials``: one
+    that has no way to the logs' object store.
     """
     try:
         import distributed

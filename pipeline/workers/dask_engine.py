@@ -69,12 +69,8 @@ class DaskEngine:
         Where a task has a ``staging`` folder, it stages elsewhere and the files are brought there;
         those that it names as its ``chunks`` travel with it.
 
-        Raises
-        ------
-        EngineError
-            ``scheduler_lost``, if the scheduler or all workers are gone before any task was done.
-        StoreError
-            If what a task staged cannot be written.
+        Raises EngineError (``scheduler_lost``) if the scheduler or all workers are gone before any
+        task was done; StoreError if what a task staged cannot be written.
         """
         engine = replace(self, execution=self.execution.hasty) if first else self
         flight = _Flight(engine, function, dict(enumerate(tasks)), once=first)

@@ -41,21 +41,11 @@ _process: Worker | None = None
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """Things that a worker must have in common with the run.
+    """Things that a worker must have in common with the run."""
 
-    Attributes
-    ----------
-    versions
-        By name, from :func:`own_versions`.
-    folders
-        Folders that it must see: of the logs, and of the output.
-    stores
-        URLs that it must have a client and credentials for.
-    """
-
-    versions: Mapping[str, str]
-    folders: tuple[Path, ...] = ()
-    stores: tuple[str, ...] = ()
+    versions: Mapping[str, str]  # by name, from :func:`own_versions`
+    folders: tuple[Path, ...] = ()  # folders that it must see: of the logs, and of the output
+    stores: tuple[str, ...] = ()  # URLs that it must have a client and credentials for
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,10 +123,8 @@ def do_task(
 ) -> Staged[Result] | Loss:
     """Do a task in a staging folder of its own, if the task has one, with what was brought there.
 
-    Raises
-    ------
-    StrangeWorkerError
-        If this worker differs from the run: it may have joined after the run had looked.
+    Raises StrangeWorkerError if this worker differs from the run: it may have joined after the run
+    had looked.
     """
     if strange := differences(expected):
         raise StrangeWorkerError(own_address(), "; ".join(strange))

@@ -91,10 +91,7 @@ def results_of(
     `without` gives the task without the part that it was lost in; None where that is not known, or
     too much. The first time, a task that was lost is left as it is.
 
-    Raises
-    ------
-    EngineError
-        If nothing of it could be done.
+    Raises EngineError if nothing of it could be done.
     """
     if first:
         yield from run_tasks(function, tasks, lost, first=True)

@@ -154,8 +154,8 @@ class Crew:
                     at_work[worker] = task
                 # Workers go on while somebody looks at what is finished.
                 yield from finished
-                _wait_for_news(at_work)
-                found = [(worker, worker.outcome()) for worker in at_work]
+                news = _news_of(at_work)
+                found = [(worker, worker.outcome(news)) for worker in at_work]
                 finished = [
                     (at_work.pop(worker), outcome)
                     for worker, outcome in found
@@ -180,16 +180,16 @@ def run_task(
 ) -> Done[Result] | Loss:
     """Outcome of a task in a worker that has nothing else to do."""
     worker.begin(function, task, execution)
-    while (outcome := worker.outcome()) is None:
-        _wait_for_news([worker])
+    while (outcome := worker.outcome(_news_of([worker]))) is None:
+        pass
     return outcome
 
 
-def _wait_for_news(at_work: Collection[Worker]) -> None:
-    """Wait until a worker says something, dies, or has used up its time."""
+def _news_of(at_work: Collection[Worker]) -> Collection[object]:
+    """Wait until a worker says something, dies, or has used up its time; ends with something."""
     due = min(worker.due for worker in at_work)
     ends = [end for worker in at_work for end in (worker.connection, worker.stderr)]
-    wait(ends, max(0.0, due - time.monotonic()))
+    return wait(ends, max(0.0, due - time.monotonic()))
 
 
 class Worker:
@@ -219,10 +219,11 @@ class Worker:
         with suppress(ConnectionError):  # dead already: heard of in a moment
             self.connection.send(Assignment(function, task, execution.memory_limit_mib))
 
-    def outcome(self) -> Done[Any] | Loss | None:
-        """Outcome of its task; None while it is at work."""
-        self._pass_on_stderr()
-        if not self.connection.poll():
+    def outcome(self, news: Collection[object]) -> Done[Any] | Loss | None:
+        """Outcome of its task, given the ends that have something; None while it is at work."""
+        if self.stderr in news:
+            self._pass_on_stderr()
+        if self.connection not in news:
             if time.monotonic() < self.due:
                 return None
             self.is_late = True

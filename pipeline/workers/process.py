@@ -48,43 +48,22 @@ class Done(Generic[Result]):
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A task has not.
+    """A task that was lost."""
 
-    Attributes
-    ----------
-    code
-        From `docs/operations.md`.
-    how
-        What happened, in words.
-    part
-        The part of its work that it was lost in; empty where it named none.
-    log
-        The log that it was waiting for or reading when its time was up; empty without one.
-    """
-
-    code: str
-    how: str
-    part: str = ""
+    code: str  # from `docs/operations.md`
+    how: str  # what happened, in words
+    part: str = ""  # the part of its work that it was lost in; empty where it named none
+    # The log that it was waiting for or reading when its time was up; empty without one.
     log: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class SignOfLife:
-    """A task goes on, and with which part of its work.
+    """A task goes on, and with which part of its work."""
 
-    Attributes
-    ----------
-    part
-        Of its work.
-    log
-        The log that it waits for or reads; empty without one.
-    is_asked
-        Whether that is to answer at once: it is being opened.
-    """
-
-    part: str = ""
-    log: str = ""
-    is_asked: bool = False
+    part: str = ""  # of its work
+    log: str = ""  # the log that it waits for or reads; empty without one
+    is_asked: bool = False  # whether that is to answer at once: it is being opened
 
 
 # What was said last.
@@ -93,19 +72,12 @@ _said = SignOfLife()
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """A task for a worker.
+    """A task for a worker."""
 
-    Attributes
-    ----------
-    function, task
-        What to do, and with what.
-    memory_limit_mib
-        Largest size of the data of its process, [MiB].
-    """
-
+    # function, task: what to do, and with what.
     function: Callable[[Any], Any]
     task: Any
-    memory_limit_mib: int
+    memory_limit_mib: int  # largest size of the data of its process, [MiB]
 
 
 def tell(run: Connection) -> None:

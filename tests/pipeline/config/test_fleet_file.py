@@ -13,6 +13,7 @@ from tests.pipeline.config.shipped import check_fault, faults, load
     ("table", "line", "key", "words"),
     [
         ("nights", 'time_zone = "Europe/Atlantis"', "nights.time_zone", "IANA"),
+        ("nights", 'time_zone = "right/UTC"', "nights.time_zone", "IANA"),
         ("nights", "end_hour = 6.5", "nights.end_hour", "valid integer"),
         ("execution", "workers = 0", "execution.workers", "greater than or equal to 1"),
         ("execution", 'backend = "spark"', "execution.backend", "'loky', 'sequential' or 'dask'"),

@@ -21,18 +21,12 @@ from tests.pipeline.faults.fleet import (
 
 @dataclass(slots=True)
 class Tally:
-    """Results of the points that were tried.
+    """Results of the points that were tried."""
 
-    Attributes
-    ----------
-    survived
-        Points by the call that failed, after which files were whole, old or new, and the next run
-        repaired everything.
-    ends
-        Points by the end of the run: an error, killed, a failed motor, or no effect.
-    """
-
+    # Points by the call that failed, after which files were whole, old or new, and the next run
+    # repaired everything.
     survived: Counter[str] = field(default_factory=Counter)
+    # Points by the end of the run: an error, killed, a failed motor, or no effect.
     ends: Counter[str] = field(default_factory=Counter)
 
 

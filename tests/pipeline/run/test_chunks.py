@@ -21,6 +21,8 @@ from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.motor_task import run_motor
 from pipeline.run.motors import run_motors, with_failures
 from pipeline.run.tasks import MotorOutcome, MotorTask
+from pipeline.schema import FITS
+from pipeline.store.night_files import StagedRows
 from pipeline.workers.engine import nights_a_chunk
 from pipeline.workers.process import Loss
 from tests.conftest import OwnFleet
@@ -110,7 +112,7 @@ def check_the_same(
         for name in ("whole", "split")
     )
     assert one == other
-    assert ("fits/M1.arrow" in one) == bool(split.nights)
+    assert ("nights/M1.arrow" in one) == bool(split.nights)
     return split
 
 
@@ -142,9 +144,10 @@ def test_a_log_over_the_border_of_two_chunks(workshop: Workshop, tmp_path: Path)
 def test_the_model_before_is_the_one_of_another_chunk(workshop: Workshop, tmp_path: Path) -> None:
     logs_of_nights(workshop, 4)
     outcomes(workshop, tmp_path / "chunks", 2)
-    (file,) = (tmp_path / "chunks" / "fits").glob("*.arrow")
-    found = pl.read_ipc(file).filter(pl.col("is_primary")).sort("night")
-    judged = found["previous_model_fit_percent"].to_list()
+    (file,) = (tmp_path / "chunks" / "nights").glob("*.arrow")
+    _, found = StagedRows(file).between(FITS, FIRST, FIRST + 3 * DAY)
+    fits = pl.DataFrame(found).filter(pl.col("is_primary")).sort("night")
+    judged = fits["previous_model_fit_percent"].to_list()
     assert judged[0] is None
     assert len(judged) == 4
     assert None not in judged[1:]

@@ -14,18 +14,10 @@ from tests.pipeline.ingest.fuzzing.seeds import Seed
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """Amount of damage done to a seed, besides cuts at every 64th byte.
+    """Amount of damage done to a seed, besides cuts at every 64th byte."""
 
-    Attributes
-    ----------
-    flipped
-        Number of bytes of which a bit is flipped; None: all.
-    made_up
-        Number of mutations by Hypothesis.
-    """
-
-    flipped: int | None
-    made_up: int
+    flipped: int | None  # number of bytes of which a bit is flipped; None: all
+    made_up: int  # number of mutations by Hypothesis
 
 
 SHORT = Extent(flipped=25, made_up=25)
@@ -34,25 +26,15 @@ FULL = Extent(flipped=None, made_up=1000)
 
 @dataclass(slots=True)
 class Counts:
-    """Results of mutations.
+    """Results of mutations."""
 
-    Attributes
-    ----------
-    outcomes, codes
-        Number of mutations by outcome, and of coded errors by code.
-    faults
-        Seed, mutation and verdict of each fault, in words.
-    longest_s
-        Processor time of the slowest read.
-    peak_bytes
-        Peak memory of a process that read them.
-    """
-
+    # outcomes, codes: number of mutations by outcome, and of coded errors by code.
     outcomes: Counter[Outcome] = field(default_factory=Counter)
     codes: Counter[str] = field(default_factory=Counter)
+    # Seed, mutation and verdict of each fault, in words.
     faults: list[str] = field(default_factory=list)
-    longest_s: float = 0.0
-    peak_bytes: int = 0
+    longest_s: float = 0.0  # processor time of the slowest read
+    peak_bytes: int = 0  # peak memory of a process that read them
 
     def add(self, seed: Seed, mutation: Mutation, verdict: Verdict) -> None:
         """Count what came of a mutation."""

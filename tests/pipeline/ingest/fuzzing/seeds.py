@@ -40,26 +40,16 @@ _Write = Callable[[Path, Sequence[Row]], None]
 
 @dataclass(frozen=True, slots=True)
 class Seed:
-    """A valid log.
+    """A valid log."""
 
-    Attributes
-    ----------
-    name, source
-        What it is, and how it is read.
-    data
-        The file.
-    checked
-        Begin and end of the bytes with a checksum over them; nothing that is changed in these alone
-        may come out as data.
-    file_name
-        Of the log.
-    """
-
+    # name, source: what it is, and how it is read.
     name: str
     source: Source
-    data: bytes
+    data: bytes  # the file
+    # Begin and end of the bytes with a checksum over them; nothing that is changed in these alone
+    # may come out as data.
     checked: _Ranges
-    file_name: str
+    file_name: str  # of the log
 
     @property
     def reader(self) -> str:
