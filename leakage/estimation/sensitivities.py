@@ -133,9 +133,9 @@ def _coefficients(motor: Motor, samples: Array) -> Array:
     matrix, held = whole[:, :, :-2], np.where(off, 0.0, certificate.coefficients)
     targets = whole[:, :, -1] - whole[:, :, -2] - matrix @ held
     scales = np.linalg.norm(matrix[:, :, off], axis=1)
-    scaled = matrix[1:, :, off] / scales[1:, None]
-    inverse = np.linalg.pinv(scaled, rcond=columns * float(np.finfo(float).eps))
-    thetas[1:, off] = (inverse @ targets[1:, :, None])[:, :, 0] / scales[1:]
+    for place in range(1, count):
+        scaled = matrix[place][:, off] / scales[place]
+        thetas[place, off] = np.linalg.lstsq(scaled, targets[place])[0] / scales[place]
     return thetas
 
 

@@ -57,66 +57,38 @@ class RollerScale:
 
 @dataclass(frozen=True, slots=True)
 class BlockFit:
-    """The fit under one mode of flushing.
+    """The fit under one mode of flushing."""
 
-    Attributes
-    ----------
-    name
-        none, fixed or estimated.
-    fit, identification
-        Estimates from all kept samples; verdicts and intervals.
-    training
-        The fit to the training samples alone, which is validated on the others.
-    stated
-        Estimates of the model as it is stated: what the search, the predictions and the misfit are
-        of.
-    excitation
-        Range of the samples.
-    duration_s
-        Time from the first sample to the last [s].
-    own_means
-        Mean pressure difference [bar], temperature [°C] and speed [rpm].
-    response
-        dθ/db: change of the estimates with b, a change of all loss factors with temperature.
-    reference_conditions
-        Where the reference leakage is evaluated.
-    reference, own
-        Leakage at the reference conditions, and at the night's own mean conditions.
-    bootstrap
-        Percentile limits, a cross-check.
-    systematic
-        ± from stated tolerances by indicator, in its unit; without those that have none.
-    structured
-        Structured misfit of the model as it is stated; None where the blocks are too few.
-    errors
-        Parts of the ± by indicator.
-    roller
-        What the blocks say of the scale of the rollers' curve, whether or not the fit uses it; None
-        without such a curve.
-    memory_s
-        Time over which the training errors forget [s]; it needs samples, nan without.
-    residuals
-        Residual analyses of training and validation samples; empty without samples.
-    """
-
-    name: str
+    name: str  # none, fixed or estimated
+    # fit, identification: estimates from all kept samples; verdicts and intervals.
     fit: Fit
-    training: Certificate
+    training: Certificate  # the fit to the training samples alone, which is validated on the others
+    # Estimates of the model as it is stated: what the search, the predictions and the misfit are
+    # of.
     stated: BlockEstimate
     identification: Identification
-    excitation: Excitation
-    duration_s: float
+    excitation: Excitation  # range of the samples
+    duration_s: float  # time from the first sample to the last [s]
+    # Mean pressure difference [bar], temperature [°C] and speed [rpm].
     own_means: tuple[float, float, float]
+    # dθ/db: change of the estimates with b, a change of all loss factors with temperature.
     response: Array
-    reference_conditions: OperatingConditions
+    reference_conditions: OperatingConditions  # where the reference leakage is evaluated
+    # reference, own: leakage at the reference conditions, and at the night's own mean conditions.
     reference: LeakageJudgement
     own: LeakageJudgement
-    bootstrap: Bootstrap
+    bootstrap: Bootstrap  # percentile limits, a cross-check
+    # ± from stated tolerances by indicator, in its unit; without those that have none.
     systematic: Mapping[str, float]
+    # Structured misfit of the model as it is stated; None where the blocks are too few.
     structured: StructuredMisfit | None
-    errors: Mapping[str, ErrorParts]
+    errors: Mapping[str, ErrorParts]  # parts of the ± by indicator
+    # What the blocks say of the scale of the rollers' curve, whether or not the fit uses it; None
+    # without such a curve.
     roller: RollerScale | None = None
+    # Time over which the training errors forget [s]; it needs samples, nan without.
     memory_s: float = math.nan
+    # Residual analyses of training and validation samples; empty without samples.
     residuals: tuple[PartResiduals, ...] = ()
 
 

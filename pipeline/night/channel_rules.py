@@ -15,44 +15,25 @@ TEMPERATURE_FROZEN_AFTER_S = 900.0
 
 @dataclass(frozen=True, slots=True)
 class ChannelRules:
-    """The rules of one channel, resolved from the motor's and the fleet's config.
+    """The rules of one channel, resolved from the motor's and the fleet's config."""
 
-    Attributes
-    ----------
-    valid_range
-        Lowest and highest plausible value [bar, °C, rpm or l/min].
-    sensor_maximum
-        Highest value the sensor gives, or None.
-    resolution
-        Smallest step of the sensor.
-    hampel_window, hampel_threshold
-        Samples in the window; limit in scaled MAD.
-    frozen_after_s
-        Longest credible time without a change [s].
-    gap_sample_periods, longest_gap_s
-        Silence that is a gap: in sample periods, unless stated in seconds.
-    at_rest_below
-        Values smaller in magnitude never count as frozen: a halted motor's speed stays 0.
-    sampling
-        What the samples are.
-    puts_in_order
-        Samples written late are put back in their place, not refused.
-    has_rows_of_its_own
-        A row of the log is of this channel alone, so that one without a value says that there is
-        none; else it may only be a row of another channel.
-    """
-
-    valid_range: tuple[float, float]
-    sensor_maximum: float | None
-    resolution: float
+    valid_range: tuple[float, float]  # lowest and highest plausible value [bar, °C, rpm or l/min]
+    sensor_maximum: float | None  # highest value the sensor gives, or None
+    resolution: float  # smallest step of the sensor
+    # hampel_window, hampel_threshold: samples in the window; limit in scaled MAD.
     hampel_window: int
     hampel_threshold: float
-    frozen_after_s: float
+    frozen_after_s: float  # longest credible time without a change [s]
+    # gap_sample_periods, longest_gap_s: silence that is a gap: in sample periods, unless stated in
+    # seconds.
     gap_sample_periods: float
     longest_gap_s: float | None
+    # Values smaller in magnitude never count as frozen: a halted motor's speed stays 0.
     at_rest_below: float = 0.0
-    sampling: Sampling = PERIODIC
-    puts_in_order: bool = True
+    sampling: Sampling = PERIODIC  # what the samples are
+    puts_in_order: bool = True  # samples written late are put back in their place, not refused
+    # A row of the log is of this channel alone, so that one without a value says that there is
+    # none; else it may only be a row of another channel.
     has_rows_of_its_own: bool = False
 
     @classmethod

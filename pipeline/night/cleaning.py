@@ -23,71 +23,34 @@ from pipeline.night.time_order import Disorder, Stamps, carried_over, in_order, 
 
 @dataclass(frozen=True, slots=True)
 class CleanChannel:
-    """A channel's samples in order of time, the refused ones marked.
+    """A channel's samples in order of time, the refused ones marked."""
 
-    Attributes
-    ----------
-    time_us
-        UTC microseconds, strictly increasing, shape (n,).
-    value
-        In the unit of the tables, shape (n,).
-    refused
-        Samples that a rule refused, shape (n,).
-    at_maximum
-        Samples at which the sensor was at its maximum, shape (n,).
-    period_us
-        Typical distance of two samples; None for fewer than two.
-    longest_gap_us
-        Longer silence than this is a gap.
-    counts
-        Refused samples by reason, and ``any`` for those refused at all.
-    n_samples
-        Samples that the rules looked at.
-    noted
-        Samples by reason that were kept although it applies: `backward_time` for those put back
-        in order, `jitter` for those that came off their period.
-    sampling
-        What the samples are.
-    ends
-        Samples of an on-change channel from which on there is no value, shape (n,); None: none.
-    n_carried
-        Samples at the front that are from before the night, 0 or 1; no count has them.
-    """
-
-    time_us: Times
-    value: Values
-    refused: Mask
-    at_maximum: Mask
-    period_us: float | None
-    longest_gap_us: float
-    counts: Mapping[str, int]
-    n_samples: int
+    time_us: Times  # UTC microseconds, strictly increasing, shape (n,)
+    value: Values  # in the unit of the tables, shape (n,)
+    refused: Mask  # samples that a rule refused, shape (n,)
+    at_maximum: Mask  # samples at which the sensor was at its maximum, shape (n,)
+    period_us: float | None  # typical distance of two samples; None for fewer than two
+    longest_gap_us: float  # longer silence than this is a gap
+    counts: Mapping[str, int]  # refused samples by reason, and ``any`` for those refused at all
+    n_samples: int  # samples that the rules looked at
+    # Samples by reason that were kept although it applies: `backward_time` for those put back in
+    # order, `jitter` for those that came off their period.
     noted: Mapping[str, int] = field(default_factory=dict)
-    sampling: Sampling = PERIODIC
+    sampling: Sampling = PERIODIC  # what the samples are
+    # Samples of an on-change channel from which on there is no value, shape (n,); None: none.
     ends: Mask | None = None
+    # Samples at the front that are from before the night, 0 or 1; no count has them.
     n_carried: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Ordered:
-    """A channel's cells of a night in strict order of time, before any rule has judged them.
+    """A channel's cells of a night in strict order of time, before any rule has judged them."""
 
-    Attributes
-    ----------
-    cells
-        Of the night.
-    disorder
-        What it took.
-    early
-        Cells from before the night, as they came; None: there are none.
-    night_start_us
-        Where the night begins; None: all cells are of it.
-    """
-
-    cells: RawChannel
-    disorder: Disorder
-    early: RawChannel | None
-    night_start_us: int | None
+    cells: RawChannel  # of the night
+    disorder: Disorder  # what it took
+    early: RawChannel | None  # cells from before the night, as they came; None: there are none
+    night_start_us: int | None  # where the night begins; None: all cells are of it
 
 
 def ordered_channel(
@@ -191,24 +154,14 @@ def _within(chosen: Mask, flags: Mask) -> Mask:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Credible samples of a channel, as the rules for one channel judge them.
+    """Credible samples of a channel, as the rules for one channel judge them."""
 
-    Attributes
-    ----------
-    time_us, value
-        Shape (n,).
-    borders
-        First samples after a gap, in which nobody saw the sensor.
-    rules
-        The channel's limits.
-    resolution
-        Step of the readings: stated, of a counter's periods, or as the readings show it.
-    """
-
+    # time_us, value: shape (n,).
     time_us: Times
     value: Values
-    borders: NDArray[np.intp]
-    rules: ChannelRules
+    borders: NDArray[np.intp]  # first samples after a gap, in which nobody saw the sensor
+    rules: ChannelRules  # the channel's limits
+    # Step of the readings: stated, of a counter's periods, or as the readings show it.
     resolution: float
 
     @classmethod

@@ -20,23 +20,12 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class ErrorParts:
-    """Half-widths of a figure, in its unit.
+    """Half-widths of a figure, in its unit."""
 
-    Attributes
-    ----------
-    statistical
-        Of the interval from the samples; None without one.
-    sensor
-        From tolerances of the sensors, stated or assumed.
-    model
-        From the night's structured misfit; None where it is not known.
-    constants
-        From tolerances of constants, as far as they are not the same on all nights.
-    """
-
-    statistical: float | None
-    sensor: float
-    model: float | None
+    statistical: float | None  # of the interval from the samples; None without one
+    sensor: float  # from tolerances of the sensors, stated or assumed
+    model: float | None  # from the night's structured misfit; None where it is not known
+    # From tolerances of constants, as far as they are not the same on all nights.
     constants: float = 0.0
 
     @property

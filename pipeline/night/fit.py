@@ -30,10 +30,7 @@ def fit_modes(
 ) -> tuple[tuple[BlockFit, ...], list[Row]]:
     """A fit for each mode of flushing, the primary one first, and rows of `sensitivities`.
 
-    Raises
-    ------
-    EstimationError
-        If there are fewer samples than free coefficients.
+    Raises EstimationError if there are fewer samples than free coefficients.
     """
     at = conditions(spec, blocks, mean_charge_bar(spec, statistics.samples))
     fits, rows = [], []

@@ -46,30 +46,18 @@ PreviousModel = Mapping[str, tuple[float, ...]]
 
 @dataclass(frozen=True, slots=True)
 class NightOutcome:
-    """Outcome of a motor's night.
-
-    Attributes
-    ----------
-    status, reason, error_code
-        One of the five outcomes, why in words, and the code of a failure.
-    rows
-        Rows by table name, without ``run_id``.
-    model
-        θ by flushing mode, for judging this model on the next night; empty without a fit.
-    seconds
-        Time by stage.
-    tables
-        Names of the tables that are new; None: all.
-    """
+    """Outcome of a motor's night."""
 
     night: dt.date
+    # status, reason, error_code: one of the five outcomes, why in words, and the code of a failure.
     status: str
     reason: str | None
     error_code: str | None
-    rows: Rows
+    rows: Rows  # rows by table name, without ``run_id``
+    # θ by flushing mode, for judging this model on the next night; empty without a fit.
     model: PreviousModel = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    tables: tuple[str, ...] | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)  # time by stage
+    tables: tuple[str, ...] | None = None  # names of the tables that are new; None: all
 
 
 class Insufficient(Exception):  # noqa: N818 - an outcome on its way out, not an error
@@ -187,10 +175,7 @@ def clean_channels(
 ) -> tuple[Samples, tuple[Quality, ...]]:
     """The kept samples of a night, or of a part of it, and what each rule refused.
 
-    Raises
-    ------
-    Insufficient
-        If a channel has no samples, or all of them fewer than two.
+    Raises Insufficient if a channel has no samples, or all of them fewer than two.
     """
     cleaning = settings.cleaning
     too_long = means_too_long(file.channels, cleaning)

@@ -19,34 +19,19 @@ from pipeline.night.masks import stretches
 
 @dataclass(frozen=True, slots=True)
 class Zero:
-    """Reading of a sensor while there is nothing to measure.
+    """Reading of a sensor while there is nothing to measure."""
 
-    Attributes
-    ----------
-    value
-        Median over the halts of each halt's median, in the channel's unit.
-    standard_error
-        From the scatter between halts; None for fewer than three.
-    """
-
-    value: float
-    standard_error: float | None
+    value: float  # median over the halts of each halt's median, in the channel's unit
+    standard_error: float | None  # from the scatter between halts; None for fewer than three
 
 
 @dataclass(frozen=True, slots=True)
 class Halts:
-    """The zeros of a night.
+    """The zeros of a night."""
 
-    Attributes
-    ----------
-    n
-        Depressurised, settled halts.
-    pressure_bar, flow_l_per_min
-        Zero of the pressure difference and of the drain flow, the flushing included; None where
-        there was no such halt.
-    """
-
-    n: int = 0
+    n: int = 0  # depressurised, settled halts
+    # pressure_bar, flow_l_per_min: zero of the pressure difference and of the drain flow, the
+    # flushing included; None where there was no such halt.
     pressure_bar: Zero | None = None
     flow_l_per_min: Zero | None = None
 

@@ -58,22 +58,14 @@ KEPT_TABLES = ("fits", "parameters", "sensitivities")
 
 @dataclass(frozen=True, slots=True)
 class PublishedNight:
-    """Rows of a motor's night in the tables.
+    """Rows of a motor's night in the tables."""
 
-    Attributes
-    ----------
-    label
-        The night.
-    fits, parameters, sensitivities
-        Rows of these tables.
-    blocks
-        Rows of `block_statistics` in order of time; None where there are none.
-    """
-
-    label: dt.date
+    label: dt.date  # the night
+    # fits, parameters, sensitivities: rows of these tables.
     fits: Sequence[Row]
     parameters: Sequence[Row]
     sensitivities: Sequence[Row]
+    # Rows of `block_statistics` in order of time; None where there are none.
     blocks: pl.DataFrame | None
 
 

@@ -92,6 +92,8 @@ def _even_stretches(channel: CleanChannel, grid_us: Times, period_us: int) -> li
     if not apart or step % period_us or step > channel.longest_gap_us or channel.ends is not None:
         return []
     others = steps_where(lambda steps: steps != step, time)
+    if 2 * len(others) > len(time):
+        return []
     edges = np.concatenate([[-1], others, [len(time) - 1]])
     found = []
     for run in np.flatnonzero(apart * np.diff(edges) > EVEN_PLACES).tolist():

@@ -24,21 +24,11 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartResiduals:
-    """Residual analysis of one part of a night.
+    """Residual analysis of one part of a night."""
 
-    Attributes
-    ----------
-    part
-        training or validation.
-    smoothed
-        Whether columns and inputs were smoothed as for the fit.
-    analysis
-        What was found.
-    """
-
-    part: str
-    smoothed: bool
-    analysis: ResidualAnalysis
+    part: str  # training or validation
+    smoothed: bool  # whether columns and inputs were smoothed as for the fit
+    analysis: ResidualAnalysis  # what was found
 
 
 def night_residuals(

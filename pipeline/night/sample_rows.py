@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor
-from leakage.estimation.sample_blocks import Block
 from leakage.physics.motor import speed_beyond_curve
 from pipeline.clock import utc
 from pipeline.night.block_fit import BlockFit
@@ -55,7 +54,7 @@ def statistics_rows(
     """Rows of `block_statistics`, with the viscosity by the log over the data sheet's."""
     samples, blocks = statistics.samples, statistics.blocks
     speed = statistics.conditions.speed_rpm
-    n_reversed = _counts(samples.speed_rpm < 0, blocks)
+    rows = [slice(block.first_row, block.end_row) for block in blocks]
     upper = np.triu_indices(statistics.factors.shape[-1])
     columns: Columns = {
         "block_start": [utc(block.start_us) for block in blocks],
@@ -63,8 +62,10 @@ def statistics_rows(
         "part": [block.part for block in blocks],
         "n": [block.n for block in blocks],
         "statistics": statistics.factors[:, *upper].tolist(),
-        "share_reversed": [n / block.n for n, block in zip(n_reversed, blocks, strict=True)],
-        "n_beyond_curve": _counts(speed_beyond_curve(motor, speed), blocks),
+        "share_reversed": [
+            np.count_nonzero(samples.speed_rpm[one] < 0) / block.n
+            for one, block in zip(rows, blocks, strict=True)
+        ],
         "short_means": statistics.short_means,
     }
     for name, unit, values, edges in (
@@ -72,7 +73,15 @@ def statistics_rows(
         ("temperature", "c", samples.oil_temperature_c, TEMPERATURE_EDGES_C),
         ("speed", "rpm", speed, SPEED_EDGES_RPM),
     ):
-        columns |= _spread(name, unit, values, blocks, edges)
+        columns |= _spread(name, unit, values, rows, edges)
+    # Only where the slowest or the fastest sample is beyond the curve can others be.
+    slowest, fastest = (
+        speed_beyond_curve(motor, columns[f"{limit}_speed_rpm"]) for limit in ("minimum", "maximum")
+    )
+    columns["n_beyond_curve"] = [
+        int(np.count_nonzero(speed_beyond_curve(motor, speed[one]))) if beyond else 0
+        for one, beyond in zip(rows, slowest | fastest, strict=True)
+    ]
     if viscosity is not None:
         columns["viscosity_ratio"] = [viscosity.at(one) for one in columns["mean_temperature_c"]]
     shared = {
@@ -92,20 +101,15 @@ def _rows(columns: Columns, shared: Mapping[str, Any]) -> list[Row]:
     ]
 
 
-def _counts(mask: NDArray[np.bool_], blocks: Sequence[Block]) -> list[int]:
-    """Samples of a mask by block."""
-    return [int(np.count_nonzero(mask[block.first_row : block.end_row])) for block in blocks]
-
-
 def _spread(
-    name: str, unit: str, values: Array, blocks: Sequence[Block], edges: tuple[float, ...]
+    name: str, unit: str, values: Array, rows: Sequence[slice], edges: tuple[float, ...]
 ) -> Columns:
     """Means, limits and coarse histograms of a channel by block."""
-    first_rows = np.array([block.first_row for block in blocks])
+    first_rows = [one.start for one in rows]
     lowest, highest = (
         limit.reduceat(values, first_rows).tolist() for limit in (np.minimum, np.maximum)
     )
-    parts = [values[block.first_row : block.end_row] for block in blocks]
+    parts = [values[one] for one in rows]
     return {
         f"mean_{name}_{unit}": [float(part.sum() / len(part)) for part in parts],
         f"minimum_{name}_{unit}": lowest,

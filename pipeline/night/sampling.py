@@ -28,33 +28,18 @@ TO_THE_MIDDLE = {"begin": 0.5, "middle": 0.0, "end": -0.5}
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """Kind of the samples of a channel.
+    """Kind of the samples of a channel."""
 
-    Attributes
-    ----------
-    on_change
-        A sample is written where the value changes: silence is no gap, and there is no period.
-    hold
-        Between two samples the first one holds; else the value is interpolated.
-    mean_us
-        Period of which a sample is the mean; 0: a reading.
-    shift_us
-        From the stamp as logged to the time at which the sample holds.
-    counts
-        `cumulative` for a running total, `pulses` for counts since the sample before; None for a
-        flow.
-    volume_per_count_cm3
-        Volume of one count.
-    rolls_over_at
-        Count after which a running total begins at 0 again; None: it does not.
-    """
-
+    # A sample is written where the value changes: silence is no gap, and there is no period.
     on_change: bool = False
-    hold: bool = False
-    mean_us: float = 0.0
-    shift_us: int = 0
+    hold: bool = False  # between two samples the first one holds; else the value is interpolated
+    mean_us: float = 0.0  # period of which a sample is the mean; 0: a reading
+    shift_us: int = 0  # from the stamp as logged to the time at which the sample holds
+    # `cumulative` for a running total, `pulses` for counts since the sample before; None for a
+    # flow.
     counts: str | None = None
-    volume_per_count_cm3: float = 0.0
+    volume_per_count_cm3: float = 0.0  # volume of one count
+    # Count after which a running total begins at 0 again; None: it does not.
     rolls_over_at: float | None = None
 
     @classmethod
@@ -84,23 +69,13 @@ PERIODIC = Sampling()
 
 @dataclass(frozen=True, slots=True)
 class CountedFlow:
-    """A flow from counts.
+    """A flow from counts."""
 
-    Attributes
-    ----------
-    time_us
-        Middle of each interval, increasing, shape (n,).
-    flow_l_per_min
-        Volume over time; nan where not known, shape (n,).
-    no_interval
-        Samples without a known one before them: the first, and those after a gap; shape (n,).
-    counter_reset
-        Samples at which a running total fell other than by rolling over, shape (n,).
-    """
-
-    time_us: Times
-    flow_l_per_min: Values
+    time_us: Times  # middle of each interval, increasing, shape (n,)
+    flow_l_per_min: Values  # volume over time; nan where not known, shape (n,)
+    # Samples without a known one before them: the first, and those after a gap; shape (n,).
     no_interval: Mask
+    # Samples at which a running total fell other than by rolling over, shape (n,).
     counter_reset: Mask
 
 

@@ -24,23 +24,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NightStatistics(CompressedSamples):
-    """A night's kept samples with their columns and the statistics of its blocks.
+    """A night's kept samples with their columns and the statistics of its blocks."""
 
-    Attributes
-    ----------
-    samples
-        The kept samples.
-    conditions
-        What drives their leakage, shape (n,).
-    model_hash
-        Hash of all that shaped them.
-    viscosity_ratios
-        Measured viscosity over the data sheet's by block; None where it is the data sheet's.
-    """
-
-    samples: Samples
-    conditions: OperatingConditions
-    model_hash: str
+    samples: Samples  # the kept samples
+    conditions: OperatingConditions  # what drives their leakage, shape (n,)
+    model_hash: str  # hash of all that shaped them
+    # Measured viscosity over the data sheet's by block; None where it is the data sheet's.
     viscosity_ratios: Array | None = None
 
     def with_viscosity(self, ratios: Array | None, columns: Sequence[str]) -> NightStatistics:
@@ -70,12 +59,8 @@ def night_statistics(
 ) -> NightStatistics:
     """Regressors, smoothing, blocks, and their factors.
 
-    Raises
-    ------
-    ValidityError
-        If the oil's viscosity is not known at a temperature.
-    EstimationError
-        If Huber's weights are asked for and there are fewer samples than coefficients.
+    Raises ValidityError if the oil's viscosity is not known at a temperature; EstimationError if
+    Huber's weights are asked for and there are fewer samples than coefficients.
     """
     settings = spec.settings
     conditions = operating_conditions(spec, samples)

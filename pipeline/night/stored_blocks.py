@@ -42,24 +42,13 @@ BLOCK_COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class StoredBlocks:
-    """Blocks in order of time.
+    """Blocks in order of time."""
 
-    Attributes
-    ----------
-    rows
-        Their `BLOCK_COLUMNS`.
-    factors
-        Their triangular factors, shape (b, c, c).
-    viscosity_ratios
-        Measured viscosity over the data sheet's, shape (b,); None where it is the data sheet's.
-    scale
-        What that makes of the stored columns, shape (b, c).
-    """
-
-    rows: pl.DataFrame
-    factors: Array
+    rows: pl.DataFrame  # their `BLOCK_COLUMNS`
+    factors: Array  # their triangular factors, shape (b, c, c)
+    # Measured viscosity over the data sheet's, shape (b,); None where it is the data sheet's.
     viscosity_ratios: Array | None
-    scale: Array
+    scale: Array  # what that makes of the stored columns, shape (b, c)
 
     @classmethod
     def of(cls, spec: MotorSpec, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:

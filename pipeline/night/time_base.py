@@ -47,52 +47,32 @@ class Quality:
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """The kept samples of a night on its time base.
+    """The kept samples of a night on its time base."""
 
-    Attributes
-    ----------
-    index
-        Place of each kept sample on the grid, shape (n,), increasing.
-    time_us
-        UTC microseconds, shape (n,).
-    pressure_difference_bar, oil_temperature_c, speed_rpm, leakage_l_per_min
-        Shape (n,); pressure and speed with their sign.
-    low_pressures_bar
-        Those of charge, low port and case that are logged, shape (n,) each.
-    viscosities
-        Kinematic [mm²/s] or dynamic [mPa·s] viscosity if logged, nan where not known; (n,) each.
-    period_us
-        Period of the grid.
-    n_grid
-        Samples of the grid between the first and the last of the log.
-    n_running
-        Those of them that the log covers and in which the motor ran, away from standstill and its
-        guard times; where every channel is silent, nobody knows.
-    first_index
-        Place of the log's first sample on the grid.
-    delay
-        The transport delay that the samples were paired with; None where it is off.
-    n_logged, n_turning
-        Samples of the grid with a credible speed, and those of them above standstill.
-    halts
-        What the sensors said at depressurised, settled halts.
-    """
-
-    index: Times
-    time_us: Times
+    index: Times  # place of each kept sample on the grid, shape (n,), increasing
+    time_us: Times  # UTC microseconds, shape (n,)
+    # pressure_difference_bar, oil_temperature_c, speed_rpm, leakage_l_per_min: shape (n,); pressure
+    # and speed with their sign.
     pressure_difference_bar: Values
     oil_temperature_c: Values
     speed_rpm: Values
     leakage_l_per_min: Values
+    # Those of charge, low port and case that are logged, shape (n,) each.
     low_pressures_bar: Mapping[str, Values]
-    period_us: int
-    n_grid: int
+    period_us: int  # period of the grid
+    n_grid: int  # samples of the grid between the first and the last of the log
+    # Those of them that the log covers and in which the motor ran, away from standstill and its
+    # guard times; where every channel is silent, nobody knows.
     n_running: int
-    first_index: int = 0
+    first_index: int = 0  # place of the log's first sample on the grid
+    # The transport delay that the samples were paired with; None where it is off.
     delay: Delay | None = None
+    # n_logged, n_turning: samples of the grid with a credible speed, and those of them above
+    # standstill.
     n_logged: int = 0
     n_turning: int = 0
-    halts: Halts = NO_HALTS
+    halts: Halts = NO_HALTS  # what the sensors said at depressurised, settled halts
+    # Kinematic [mm²/s] or dynamic [mPa·s] viscosity if logged, nan where not known; (n,) each.
     viscosities: Mapping[str, Values] = field(default_factory=dict)
 
     def only(self, chosen: Mask) -> Samples:
@@ -246,20 +226,11 @@ def _halt_masks(
 
 @dataclass(frozen=True, slots=True)
 class Together:
-    """All channels on the time base, as the joint rules judge them.
+    """All channels on the time base, as the joint rules judge them."""
 
-    Attributes
-    ----------
-    grid_us
-        Times, shape (n,).
-    period_s
-        Their distance.
-    values, present
-        Of each channel, shape (n,); only `present` ones count.
-    """
-
-    grid_us: Times
-    period_s: float
+    grid_us: Times  # times, shape (n,)
+    period_s: float  # their distance
+    # values, present: of each channel, shape (n,); only `present` ones count.
     values: Mapping[str, Values]
     present: Mapping[str, Mask]
 

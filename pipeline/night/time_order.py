@@ -36,20 +36,12 @@ class Disorder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Order:
-    """Rows in strict order of time.
+    """Rows in strict order of time."""
 
-    Attributes
-    ----------
-    time_us
-        Stamps of the rows that are kept, in order.
-    rows
-        Which these are; None: all, as they are.
-    late, backward, repeated
-        Rows put back in order, and those left out as backward and as duplicates.
-    """
-
-    time_us: Times
-    rows: NDArray[np.intp] | Mask | None
+    time_us: Times  # stamps of the rows that are kept, in order
+    rows: NDArray[np.intp] | Mask | None  # which these are; None: all, as they are
+    # late, backward, repeated: rows put back in order, and those left out as backward and as
+    # duplicates.
     late: NDArray[np.intp]
     backward: NDArray[np.intp]
     repeated: NDArray[np.intp]

@@ -29,21 +29,12 @@ FEWEST_SAMPLES = 100
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """Delay of a night, and the inputs of its estimate.
+    """Delay of a night, and the inputs of its estimate."""
 
-    Attributes
-    ----------
-    delay_s
-        τ on the time base, nan where the flow is not known; shape (n,).
-    undelayed
-        The inputs that it is stated for, as logged, nan where not present; shape (n,) each.
-    direction
-        By input: −1 where it leads the drain flow, +1 where it lags.
-    """
-
-    delay_s: Values
+    delay_s: Values  # τ on the time base, nan where the flow is not known; shape (n,)
+    # The inputs that it is stated for, as logged, nan where not present; shape (n,) each.
     undelayed: Mapping[str, Values]
-    direction: Mapping[str, int]
+    direction: Mapping[str, int]  # by input: −1 where it leads the drain flow, +1 where it lags
 
 
 def drain_line_delay_s(

@@ -15,8 +15,6 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from pipeline.errors import StoreError
 from pipeline.schema import TREND_TABLES, TRENDS, Table
 from pipeline.store.night_files import stage
@@ -179,8 +177,7 @@ class Part:
 
     def seen_before(self, night: dt.date, earlier: Part) -> Part:
         """The same where the other motors of its circuit saw another one before a night."""
-        place = int(np.searchsorted(self.history.records["night"], np.datetime64(night)))
-        flow = self.flow.seen_before(self.history, place, earlier.flow)
+        flow = self.flow.seen_before(self.history, self.history.place_from(night), earlier.flow)
         view = View(night, earlier.views[-1].explanations)
         return replace(self, flow=flow, views=(view, *self.views))
 
@@ -235,9 +232,9 @@ def _stage_motor(
     labels = [*(history.nights[place] for place in places), *gone]
     staged: dict[Table, dict[dt.date, list[Row]]] = {}
     for table in TREND_TABLES:
-        staged[table] = {label: [] for label in labels}
+        nights = staged[table] = {label: [] for label in labels}
         for row in made[table.name]:
-            staged[table][row["night"]].append(row)
+            nights[row["night"]].append(row)
     stage(task.staging / "trends" / f"{motor_id}.arrow", staged)
     write_record(task.staging, motor_id, record, durable=False)
     told = [row for row in alarms if not row["is_silent"]]

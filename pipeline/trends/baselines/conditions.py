@@ -28,10 +28,8 @@ class OwnConditions:
 
 def reference_conditions(history: History, place: int) -> OwnConditions:
     """The fleet's reference conditions, with a night's charge pressure."""
-    if reference_conditions not in history.kept:
-        history.kept[reference_conditions] = _last_known(history.records["charge"])
     asked = history.spec.settings.reference
-    charge = float(history.kept[reference_conditions][place])
+    charge = float(history.once(_charges)[place])
     return OwnConditions(
         asked.pressure_bar,
         asked.temperature_c,
@@ -40,8 +38,9 @@ def reference_conditions(history: History, place: int) -> OwnConditions:
     )
 
 
-def _last_known(values: Array) -> Array:
-    """The last value that there was in each night; nan before the first."""
+def _charges(history: History) -> Array:
+    """The last charge pressure that there was in each night; nan before the first."""
+    values = history.records["charge"]
     last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
     known: Array = np.where(last >= 0, values[last], np.nan)
     return known

@@ -35,7 +35,13 @@ from pipeline.trends.baselines.flow import column_sums, expected_flow
 from pipeline.trends.figures.baseline_model import bounds_of
 from pipeline.trends.figures.indicators import DEVIATION, OWN_REFERENCE, REFERENCE, Indicator
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.records import AS_BASELINE, BALANCED, HISTOGRAMS, OUTSIDE, whole_matrix
+from pipeline.trends.nights.records import (
+    AS_BASELINE,
+    BALANCED,
+    HISTOGRAMS,
+    OUTSIDE,
+    symmetric_matrix,
+)
 from pipeline.trends.nights.segments import first_good, segments
 
 Array = NDArray[np.float64]
@@ -58,7 +64,7 @@ UNCERTAIN = "at this duty the baseline does not tell a rise from its own error"
 def with_duty(history: History, until: dt.date, blocks: BlockFiles) -> History:
     """A history whose nights from one on are compared at their duty, those before as they are."""
     records = history.records.copy()
-    begin = int(np.searchsorted(records["night"], np.datetime64(until)))
+    begin = history.place_from(until)
     records["duty"][begin:] = AS_BASELINE
     for part in segments(history):
         first = first_good(history, part)
@@ -165,8 +171,7 @@ def _rises(history: History, era: Era, own: Indicator, places: Places) -> Rises:
     contrast, known = rows[:, :-1], rows[:, -1]
     then = np.einsum("ni,ni->n", contrast, records["duty_then"]) + known
     now = np.einsum("ni,ni->n", contrast, records["duty_now"]) + known
-    upper = whole_matrix(records["duty_error"], contrast.shape[1])
-    spread = upper + np.triu(upper, 1).swapaxes(1, 2)
+    spread = symmetric_matrix(records["duty_error"], contrast.shape[1])
     error = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", contrast, spread, contrast), 0.0))
     if own.path:
         sums = column_sums(history, places)

@@ -25,7 +25,7 @@ from leakage.course.temperature_correction import TemperatureCorrection
 from pipeline.night.rows import upper_triangle
 from pipeline.trends.figures.temperature import NIGHTS, FrozenCorrection, frozen_correction, warming
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.records import Layout, Records, whole_matrix
+from pipeline.trends.nights.records import Layout, Records, symmetric_matrix, whole_matrix
 from pipeline.trends.nights.segments import Segment, segments
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ WIDEST_COEFFICIENT, WIDEST_LEAKAGE = 0.5, 0.1
 def with_filter(history: History, until: dt.date) -> History:
     """A history whose nights from one on are followed by the filter, those before as they are."""
     records = history.records.copy()
-    begin = int(np.searchsorted(records["night"], np.datetime64(until)))
+    begin = history.place_from(until)
     for part in segments(history):
         if part.end > begin:
             _follow_segment(history, records, part, max(begin, part.first))
@@ -134,8 +134,7 @@ def _keep(layout: Layout, record: Any, state: FilterState, scale: Array) -> None
 
 def _state_of(record: Any, free: Mask) -> tuple[FilterState, Array]:
     """A state and its scale from a record."""
-    spread = whole_matrix(record["spread"], len(free))
-    spread = spread + np.triu(spread, 1).T
+    spread = symmetric_matrix(record["spread"], len(free))
     state = FilterState(
         record["mean"][free].copy(),
         spread[np.ix_(free, free)],
@@ -180,9 +179,7 @@ def filtered(records: Records, contrast: Array, known: Array | float = 0.0) -> F
     shape (m,).
     """
     contrast = np.broadcast_to(contrast, records["mean"].shape)
-    spread = whole_matrix(records["spread"], contrast.shape[1])
-    # The triangle has each pair once.
-    spread = spread + np.triu(spread, 1).swapaxes(1, 2)
+    spread = symmetric_matrix(records["spread"], contrast.shape[1])
     with np.errstate(invalid="ignore"):
         variance = np.einsum("ni,nij,nj->n", contrast, spread, contrast)
         freedom = np.maximum(np.nansum(records["freedom_sum"], axis=1), 1.0)

@@ -30,47 +30,25 @@ NO_BASELINE = "no baseline yet"
 
 @dataclass(frozen=True, slots=True)
 class Indicator:
-    """A figure over a motor's nights; shape (n,) each.
+    """A figure over a motor's nights; shape (n,) each."""
 
-    Attributes
-    ----------
-    name, unit
-        As in `trends`.
-    path
-        The leakage path whose coefficient it is; empty for none.
-    value
-        nan where there is none.
-    lower, upper
-        95 % interval; nan where there is none.
-    gated
-        Why a night does not count; empty where it does.
-    floor
-        Least standard deviation of its baseline, relative to the mean.
-    outside
-        Whether its conditions lie outside what the night's samples saw.
-    told
-        Whether the figure was known in its own night: what is relative to a baseline is not known
-        before that is.
-    n_nights
-        Nights behind it.
-    allowance
-        Relative ± that nights of one temperature share; 0 for none.
-    compared
-        Watched series where it is another one than the value: at the duty of the baseline.
-    """
-
+    # name, unit: as in `trends`.
     name: str
     unit: str
-    path: str
-    value: Array
+    path: str  # the leakage path whose coefficient it is; empty for none
+    value: Array  # nan where there is none
+    # lower, upper: 95 % interval; nan where there is none.
     lower: Array
     upper: Array
-    gated: tuple[str, ...]
-    floor: float
-    outside: NDArray[np.bool_]
+    gated: tuple[str, ...]  # why a night does not count; empty where it does
+    floor: float  # least standard deviation of its baseline, relative to the mean
+    outside: NDArray[np.bool_]  # whether its conditions lie outside what the night's samples saw
+    # Whether the figure was known in its own night: what is relative to a baseline is not known
+    # before that is.
     told: NDArray[np.bool_]
-    n_nights: NDArray[np.int32]
-    allowance: Array | float = 0.0
+    n_nights: NDArray[np.int32]  # nights behind it
+    allowance: Array | float = 0.0  # relative ± that nights of one temperature share; 0 for none
+    # Watched series where it is another one than the value: at the duty of the baseline.
     compared: Array | None = None
 
     @classmethod

@@ -95,22 +95,13 @@ def warming(records: Records, correction: TemperatureCorrection | None) -> Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Effect:
-    """Effect of temperature on a motor's nights; shape (n,) each.
+    """Effect of temperature on a motor's nights; shape (n,) each."""
 
-    Attributes
-    ----------
-    factor
-        Loss factors over those at the era's T₀; 1 until that is known: what was told stays, and
-        over the nights behind it, it is 1 on the mean.
-    per_kelvin
-        b that is taken off within a night [1/K].
-    left
-        Relative ± of what is not known of it; 0 until there is a model to compare with.
-    """
-
+    # Loss factors over those at the era's T₀; 1 until that is known: what was told stays, and over
+    # the nights behind it, it is 1 on the mean.
     factor: Array
-    per_kelvin: Array
-    left: Array
+    per_kelvin: Array  # b that is taken off within a night [1/K]
+    left: Array  # relative ± of what is not known of it; 0 until there is a model to compare with
 
     @property
     def is_taken_off(self) -> bool:

@@ -27,34 +27,19 @@ KINDS, FINDINGS = get_args(Kind), get_args(Finding)
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A decision.
+    """A decision."""
 
-    Attributes
-    ----------
-    motor_id, indicator
-        An empty indicator means all of the motor's.
-    time
-        Of the decision, UTC.
-    kind
-        An alarm acknowledged, the finding of an inspection, or a baseline reset.
-    night
-        The night that it refers to: of a reset the first night of the new baseline, of a finding
-        on parts the day on which the motor was opened.
-    finding
-        Result of an inspection; None without one.
-    note
-        In words.
-    worn, sound
-        Parts that an inspection found so, separated by commas; None without any.
-    """
-
+    # motor_id, indicator: an empty indicator means all of the motor's.
     motor_id: str
     indicator: str
-    time: dt.datetime
-    kind: Kind
+    time: dt.datetime  # of the decision, UTC
+    kind: Kind  # an alarm acknowledged, the finding of an inspection, or a baseline reset
+    # The night that it refers to: of a reset the first night of the new baseline, of a finding on
+    # parts the day on which the motor was opened.
     night: dt.date
-    finding: Finding | None = None
-    note: str = ""
+    finding: Finding | None = None  # result of an inspection; None without one
+    note: str = ""  # in words
+    # worn, sound: parts that an inspection found so, separated by commas; None without any.
     worn: str | None = None
     sound: str | None = None
 
@@ -77,10 +62,7 @@ def journal_file(output: Path) -> Path:
 def record_decision(output: Path, decision: Decision) -> None:
     """Append a decision to the journal, flushed and read back.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    Raises StoreError if it cannot be written.
     """
     append(journal_file(output), _line(decision))
 
@@ -88,10 +70,7 @@ def record_decision(output: Path, decision: Decision) -> None:
 def read_decisions(output: Path) -> tuple[Decision, ...]:
     """All decisions, the oldest first; a damaged line is left out, with a warning.
 
-    Raises
-    ------
-    StoreError
-        If there is a journal that cannot be read.
+    Raises StoreError if there is a journal that cannot be read.
     """
     found = []
     for number, one in _lines(output).items():
@@ -105,10 +84,7 @@ def read_decisions(output: Path) -> tuple[Decision, ...]:
 def damaged_lines(output: Path) -> tuple[int, ...]:
     """Numbers of the lines of the journal that are damaged.
 
-    Raises
-    ------
-    StoreError
-        If there is a journal that cannot be read.
+    Raises StoreError if there is a journal that cannot be read.
     """
     return tuple(number for number, one in _lines(output).items() if one is None)
 
@@ -139,10 +115,7 @@ def put_back(output: Path, known: Collection[Decision]) -> int:
 def take_out_damaged_lines(output: Path) -> None:
     """Move the damaged lines of the journal into a file beside it.
 
-    Raises
-    ------
-    StoreError
-        If that fails; a line is then in one of the files, or in both.
+    Raises StoreError if that fails; a line is then in one of the files, or in both.
     """
     path = journal_file(output)
 

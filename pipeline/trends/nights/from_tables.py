@@ -30,6 +30,7 @@ from pipeline.trends.nights.records import (
     NightWords,
     Records,
     blank_records,
+    symmetric_matrix,
     triangle,
     whole_matrix,
 )
@@ -176,8 +177,7 @@ def _fill_noise(layout: Layout, records: Records) -> None:
     size, free = len(layout.free), np.array(layout.free)
     columns = whole_matrix(records["factor"], size + 2)[:, :, :-2]
     gram = np.einsum("nij,nik->njk", columns, columns)
-    upper = whole_matrix(records["covariance"], size)
-    covariance = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+    covariance = symmetric_matrix(records["covariance"], size)
     meat = np.einsum("nij,njk,nki->ni", gram, covariance, gram)
     # A coefficient at its bound has no variance, and its night tells no error.
     known = records["fitted"] & (np.einsum("nii->ni", covariance)[:, free] > 0.0).all(axis=1)
@@ -259,8 +259,12 @@ def _gate(verdict: str, reason: str) -> str:
 def add_blocks(spec: MotorSpec, layout: Layout, records: Records, blocks: pl.DataFrame) -> None:
     """Put what the blocks of nights without a fit tell into their records."""
     free = np.array(layout.free)
+    nights = records["night"].tolist()
+    poor = {nights[place]: place for place in np.flatnonzero(~records["fitted"]).tolist()}
     for (label,), rows in blocks.partition_by("night", as_dict=True).items():
-        record = records[int(np.searchsorted(records["night"], np.datetime64(label)))]
+        if label not in poor:
+            continue
+        record = records[poor[label]]
         hashes = set(rows["model_hash"].to_list())
         stored = layout.blocks(spec, rows)
         if len(hashes) != 1 or stored is None:

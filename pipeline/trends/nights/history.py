@@ -6,7 +6,7 @@ import datetime as dt
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from pipeline.trends.nights.records import (
 )
 
 Nights = NDArray[np.int64]
+Made = TypeVar("Made")
 # Nights without a log after which nothing is said of a motor until it has one again.
 LONGEST_SILENCE = 92
 NO_LOG = f"{NO_NEW_DATA.replace('_', ' ')}: no log covers this night"
@@ -51,6 +52,13 @@ class History:
     def kept(self) -> dict[Any, Any]:
         """Cache of values computed from the motor's model, so that not every night repeats them."""
         return {}
+
+    def once(self, make: Callable[[History], Made]) -> Made:
+        """Something made of it, made when it is first asked for."""
+        if make not in self.kept:
+            self.kept[make] = make(self)
+        made: Made = self.kept[make]
+        return made
 
     @cached_property
     def nights(self) -> tuple[dt.date, ...]:
@@ -83,10 +91,9 @@ class History:
         """Place of a night by its number."""
         return int(np.searchsorted(self.numbers, number))
 
-    def first_from(self, date: dt.date) -> int | None:
-        """Place of the first night from a date on; None where there is none yet."""
-        place = int(np.searchsorted(self.records["night"], np.datetime64(date)))
-        return place if place < len(self) else None
+    def place_from(self, date: dt.date) -> int:
+        """Place of the first night from a date on; behind the last where there is none yet."""
+        return int(np.searchsorted(self.records["night"], np.datetime64(date)))
 
     def why(self, known: NDArray[np.bool_], coefficient: int | None = None) -> tuple[str, ...]:
         """Reason why a coefficient, or (None) the reference leakage, does not count, by night.

@@ -47,33 +47,19 @@ IN_HEAD = ("folders", "files", "blocks", "alarms", "states", "until")
 
 @dataclass(frozen=True, slots=True)
 class KeptMonth:
-    """Kept records of a motor's nights of a month; nights are YYYY-MM-DD.
+    """Kept records of a motor's nights of a month; nights are YYYY-MM-DD."""
 
-    Attributes
-    ----------
-    folders
-        Time of the last change of each table's folder; all of this holds until one changes.
-    files
-        Stamps of the files of `READ`, of each night with fits of any motor.
-    blocks
-        Stamp of the file of `block_statistics`, of each night without a fit.
-    alarms
-        Stamp of the file of `alarms`, of each night with changes of state of any motor.
-    states
-        Changes of state of the motor itself: indicator and new state, by night.
-    records
-        Records, by night.
-    until
-        First night that is not filtered yet; None if all are.
-    """
-
+    # Time of the last change of each table's folder; all of this holds until one changes.
     folders: Sequence[int]
-    files: Mapping[str, str]
+    files: Mapping[str, str]  # stamps of the files of `READ`, of each night with fits of any motor
+    # Stamp of the file of `block_statistics`, of each night without a fit.
     blocks: Mapping[str, str]
+    # Stamp of the file of `alarms`, of each night with changes of state of any motor.
     alarms: Mapping[str, str]
+    # Changes of state of the motor itself: indicator and new state, by night.
     states: Mapping[str, Sequence[Sequence[str]]]
-    records: Records
-    until: str | None = None
+    records: Records  # records, by night
+    until: str | None = None  # first night that is not filtered yet; None if all are
 
     def encoded(self, key: str) -> bytes:
         """Its file's content."""
@@ -140,10 +126,7 @@ def read_months(output: Path, motor_id: str, key: str, layout: Layout) -> dict[s
 def write_month(output: Path, motor_id: str, month: str, key: str, kept: KeptMonth) -> None:
     """Keep what is known of a motor's month.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    Raises StoreError if it cannot be written.
     """
     path = kept_folder(output) / motor_id / f"{month}{SUFFIX}"
     put(path, kept.encoded(key), durable=False)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
@@ -105,15 +104,15 @@ def _add_blocks(
 ) -> None:
     """Read the blocks of nights that were read anew and have no fit."""
     poor = {
-        motor_id: one.records["night"][~one.records["fitted"]] for motor_id, one in made.items()
+        motor_id: nights.tolist()
+        for motor_id, one in made.items()
+        if len(nights := one.records["night"][~one.records["fitted"]])
     }
-    wanted = {motor_id: nights for motor_id, nights in poor.items() if len(nights)}
-    if not wanted:
+    if not poor:
         return
-    labels = sorted({night for nights in wanted.values() for night in nights.tolist()})
-    rows = read_rows(output, BLOCK_STATISTICS, list(wanted), BLOCK_COLUMNS, nights=labels)
-    for motor_id, nights in wanted.items():
-        own = rows.filter((pl.col("motor_id") == motor_id) & pl.col("night").is_in(nights.tolist()))
+    labels = set().union(*poor.values())
+    rows = read_rows(output, BLOCK_STATISTICS, list(poor), BLOCK_COLUMNS, nights=labels)
+    for (motor_id,), own in rows.partition_by("motor_id", as_dict=True).items():
         history = made[motor_id]
         add_blocks(history.spec, motors[motor_id].layout, history.records, own)
 

@@ -210,6 +210,12 @@ def whole_matrix(upper: Array, size: int) -> Array:
     return matrix
 
 
+def symmetric_matrix(upper: Array, size: int) -> Array:
+    """The same of symmetric matrices: the triangle has each pair once."""
+    matrix = whole_matrix(upper, size)
+    return matrix + np.triu(matrix, 1).swapaxes(-1, -2)
+
+
 @lru_cache(maxsize=16)
 def triangle_places(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of the numbers of an upper triangle."""

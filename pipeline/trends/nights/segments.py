@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -41,20 +42,18 @@ class Segment:
 def segments(history: History, indicator: str = "") -> tuple[Segment, ...]:
     """The nights of an indicator by the baseline that they are compared with."""
     starts: dict[int, list[str]] = {}
-    if _changed_settings not in history.kept:
-        history.kept[_changed_settings] = _changed_settings(history)
-    for place, reason in history.kept[_changed_settings]:
+    for place, reason in history.once(_changed_settings):
         starts.setdefault(place, []).append(reason)
     for event in sorted(history.spec.file.events, key=lambda one: one.date):
         note = f": {event.note}" if event.note else ""
         words = f"{EVENT_WORDS[event.kind]} on {event.date}{note}"
         # What happened before the first night is nothing that its nights show.
         if event.date >= history.nights[0]:
-            _begin(starts, history.first_from(event.date), words)
+            _begin(starts, history, event.date, words)
     for one in history.decisions:
         if one.kind == "baseline_reset" and one.indicator in ("", indicator):
             note = f": {one.note}" if one.note else ""
-            _begin(starts, history.first_from(one.night), f"reset from {one.night}{note}")
+            _begin(starts, history, one.night, f"reset from {one.night}{note}")
     starts.setdefault(0, [FIRST_NIGHTS])
     borders = [*sorted(starts), len(history)]
     return tuple(Segment(first, end, "; ".join(starts[first])) for first, end in pairwise(borders))
@@ -75,8 +74,8 @@ def first_good(history: History, segment: Segment) -> Places:
     return places if len(places) == needed else places[:0]
 
 
-def _begin(starts: dict[int, list[str]], place: int | None, words: str) -> None:
-    if place is not None:
+def _begin(starts: dict[int, list[str]], history: History, date: dt.date, words: str) -> None:
+    if (place := history.place_from(date)) < len(history):
         starts.setdefault(place, []).append(words)
 
 

@@ -19,27 +19,16 @@ TRENDS_VERSION = 6
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A motor's published trends.
+    """A motor's published trends."""
 
-    Attributes
-    ----------
-    trend_hash
-        Hash of their settings.
-    last_night
-        The last night.
-    redo_from
-        First night whose trends are out of date, as its rows were made anew; None without one.
-    beginnings
-        By event and reset, the first night from which the other motors of its oil circuit see the
-        baseline that it begins; None in a record of an older version.
-    rules
-        Rules that made them, by name; None in a record of an older version.
-    """
-
-    trend_hash: str
-    last_night: dt.date
+    trend_hash: str  # hash of their settings
+    last_night: dt.date  # the last night
+    # First night whose trends are out of date, as its rows were made anew; None without one.
     redo_from: dt.date | None = None
+    # By event and reset, the first night from which the other motors of its oil circuit see the
+    # baseline that it begins; None in a record of an older version.
     beginnings: Mapping[str, dt.date] | None = None
+    # Rules that made them, by name; None in a record of an older version.
     rules: Mapping[str, int | str] | None = None
 
 
@@ -107,10 +96,7 @@ def note_touched(output: Path, motor_id: str, night: dt.date) -> None:
 
     If the run is broken off before its trends, the next one makes them.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    Raises StoreError if it cannot be written.
     """
     record = read_record(output, motor_id)
     if record is not None and night <= record.last_night:
@@ -121,10 +107,7 @@ def note_touched(output: Path, motor_id: str, night: dt.date) -> None:
 def forget_records(output: Path, keep: Collection[str]) -> None:
     """Let the next run make the trends of all motors but some anew.
 
-    Raises
-    ------
-    StoreError
-        If a record cannot be written.
+    Raises StoreError if a record cannot be written.
     """
     for folder in (output / "ledger").glob("*"):
         record = read_record(output, folder.name)

@@ -82,15 +82,7 @@ def _of_indicator(
 
 def _change(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
     """The row of a change of state."""
-    row = {
-        **standing.key(place),
-        "time": standing.end_of(place),
-        "indicator": name,
-        "from_state": before,
-        "to_state": after,
-        "deviation_percent": None,
-        "path": None,
-    }
+    row = _row(standing, name, place, before, after)
     if name in standing.by_own_rules:
         return row | _by_own_rules(standing, name, place, before, after)
     watched = standing.watched[name]
@@ -157,15 +149,18 @@ def _with_withdrawn(
 
 def _closing(standing: Standing, name: str, place: int, told: str, state: str, what: str) -> Row:
     """The row that says which state an indicator is in, where published rows say another."""
+    row = _row(standing, name, place, told, state)
+    return row | {"reason": f"recomputed: {what}", "way": RECOMPUTED}
+
+
+def _row(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
     return {
         **standing.key(place),
         "time": standing.end_of(place),
         "indicator": name,
-        "from_state": told,
-        "to_state": state,
-        "reason": f"recomputed: {what}",
+        "from_state": before,
+        "to_state": after,
         "deviation_percent": None,
-        "way": RECOMPUTED,
         "path": None,
     }
 

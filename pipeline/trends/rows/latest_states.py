@@ -50,10 +50,7 @@ COURSE = ("motor_id", "indicator", "night", "state")
 def latest_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
     """States of some motors by `trends` and `fits`.
 
-    Raises
-    ------
-    StoreError
-        If a table is damaged.
+    Raises StoreError if a table is damaged.
     """
     trends = read_rows(output, TRENDS, motor_ids, TREND_COLUMNS)
     fits = read_rows(output, FITS, motor_ids, FIT_COLUMNS)
@@ -72,10 +69,7 @@ def published_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]
 
     Without a table `latest` that is whole they are made from the other tables.
 
-    Raises
-    ------
-    StoreError
-        If one of these is damaged.
+    Raises StoreError if one of these is damaged.
     """
     try:
         rows = published_rows(output, whole_file(output, LATEST), LATEST)
@@ -112,26 +106,19 @@ def motor_states(
 
 @dataclass(frozen=True, slots=True)
 class _MotorRows:
-    """The rows that states of motors hang on, found in one pass over those of all motors.
+    """The rows that states of motors hang on, found in one pass over those of all motors."""
 
-    Attributes
-    ----------
-    last_fits, good_fits, data_fits
-        By motor, its newest row of `fits`: of all, of those with a fit, of those with samples.
-    tonight
-        By motor and indicator, the rows of `trends` of the motor's newest night.
-    figures
-        By motor and indicator of what is told beside the state, the newest row with a figure, with
-        the verdict of its night and the night and state of the indicator's newest row.
-    courses
-        By motor and watched indicator that is not ok tonight, its states in order of the nights.
-    """
-
+    # last_fits, good_fits, data_fits: by motor, its newest row of `fits`: of all, of those with a
+    # fit, of those with samples.
     last_fits: Mapping[str, Row]
     good_fits: Mapping[str, Row]
     data_fits: Mapping[str, Row]
+    # By motor and indicator, the rows of `trends` of the motor's newest night.
     tonight: Mapping[str, Mapping[str, Row]]
+    # By motor and indicator of what is told beside the state, the newest row with a figure, with
+    # the verdict of its night and the night and state of the indicator's newest row.
     figures: Mapping[str, Mapping[str, Row]]
+    # By motor and watched indicator that is not ok tonight, its states in order of the nights.
     courses: Mapping[tuple[str, str], Sequence[tuple[dt.date, str]]]
 
     @classmethod

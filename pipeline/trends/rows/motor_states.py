@@ -43,19 +43,13 @@ ADVICE = {
 
 @dataclass(frozen=True, slots=True)
 class LookStanding:
-    """State of a motor's looks, for people.
+    """State of a motor's looks, for people."""
 
-    Attributes
-    ----------
-    state, since, reason
-        As of `LookState`; since None: no change of state yet.
-    told, confirmed, withdrawn
-        Rises told, and those that a night confirmed or withdrew.
-    """
-
+    # state, since, reason: as of `LookState`; since None: no change of state yet.
     state: str
     since: dt.datetime | None
     reason: str
+    # told, confirmed, withdrawn: rises told, and those that a night confirmed or withdrew.
     told: int = 0
     confirmed: int = 0
     withdrawn: int = 0
@@ -75,98 +69,72 @@ class LookStanding:
 
 @dataclass(frozen=True, slots=True)
 class MotorState:
-    """A motor's state in its newest night.
-
-    Attributes
-    ----------
-    state
-        The worst of its indicators.
-    indicator, reason
-        That indicator and its reason in words; of a motor that is ok, the drift of a sensor.
-    leakage_l_per_min, deviation_percent
-        Reference leakage now, and its deviation from the baseline; at the motor's own conditions
-        where it is not known at the fleet's. None where neither is known: a figure counts neither
-        if it is older than the change in force, nor if it is stale.
-    sensor_health
-        ok, drifted or unknown.
-    last_night, last_good_night
-        Last night with a row, and with a fit; None without one.
-    acknowledged
-        Note of the last acknowledgement since the state began; empty without one.
-    leakage_night
-        Last night with a reference leakage; None without one.
-    change_start
-        First night of the newest change in force; None without one.
-    poor_fit, failure
-        Sentence on a poor fit of the last good night, and on the last night if it failed; else
-        empty.
-    leakage_indicator, leakage_lower, leakage_upper
-        Indicator that the leakage is from, and its 95 % interval.
-    leakage_verdict
-        Verdict on the leakage at the reference conditions; None for that at the motor's own.
-    gap_path, gap_change_percent
-        Path with the largest gap change now, and that change; None where no gap is known.
-    limit_dates
-        Dates between which the indicator reaches its limit, in words; empty without one.
-    temperature_effect
-        That loss factors change with temperature, in words; empty where they do not.
-    model_misfit
-        That the model does not describe the motor, in words; empty where it does.
-    model_verdict
-        The same as a verdict: supported, doubtful or disproved; None without one.
-    oil
-        The oil as measured, in words; empty where its data sheet holds.
-    path
-        Paths whose growth explains the state; None where none is told.
-    gap_change_lower, gap_change_upper
-        95 % interval of the gap change.
-    state_since, known_since
-        First night of the state, of the indicator that tells it, and of its stretch of warnings,
-        alarms or common causes; None of a motor that is ok.
-    days_to_limit, days_to_limit_lower, days_to_limit_upper, days_to_limit_status
-        Of the indicator that tells the state, as in `trends`.
-    look
-        Standing of the looks within the day, which the table `latest` does not hold; None where
-        there was none.
-    data_night, data_age_nights
-        Newest night with samples, and nights from it to the fleet's newest such night.
-    """
+    """A motor's state in its newest night."""
 
     motor_id: str
-    state: str
+    state: str  # the worst of its indicators
+    # indicator, reason: that indicator and its reason in words; of a motor that is ok, the drift of
+    # a sensor.
     indicator: str | None = None
     reason: str | None = None
+    # leakage_l_per_min, deviation_percent: reference leakage now, and its deviation from the
+    # baseline; at the motor's own conditions where it is not known at the fleet's. None where
+    # neither is known: a figure counts neither if it is older than the change in force, nor if it
+    # is stale.
     leakage_l_per_min: float | None = None
     deviation_percent: float | None = None
-    sensor_health: str | None = None
+    sensor_health: str | None = None  # ok, drifted or unknown
+    # last_night, last_good_night: last night with a row, and with a fit; None without one.
     last_night: dt.date | None = None
     last_good_night: dt.date | None = None
+    # Note of the last acknowledgement since the state began; empty without one.
     acknowledged: str = ""
-    leakage_night: dt.date | None = None
+    leakage_night: dt.date | None = None  # last night with a reference leakage; None without one
+    # First night of the newest change in force; None without one.
     change_start: dt.date | None = None
+    # poor_fit, failure: sentence on a poor fit of the last good night, and on the last night if it
+    # failed; else empty.
     poor_fit: str = ""
     failure: str = ""
+    # leakage_indicator, leakage_lower, leakage_upper: indicator that the leakage is from, and its
+    # 95 % interval.
     leakage_indicator: str | None = None
     leakage_lower: float | None = None
     leakage_upper: float | None = None
+    # gap_path, gap_change_percent: path with the largest gap change now, and that change; None
+    # where no gap is known.
     gap_path: str | None = None
     gap_change_percent: float | None = None
+    # Verdict on the leakage at the reference conditions; None for that at the motor's own.
     leakage_verdict: str | None = None
+    # Dates between which the indicator reaches its limit, in words; empty without one.
     limit_dates: str = ""
+    # That loss factors change with temperature, in words; empty where they do not.
     temperature_effect: str = ""
+    # That the model does not describe the motor, in words; empty where it does.
     model_misfit: str = ""
+    # The same as a verdict: supported, doubtful or disproved; None without one.
     model_verdict: str | None = None
-    oil: str = ""
-    path: str | None = None
+    oil: str = ""  # the oil as measured, in words; empty where its data sheet holds
+    path: str | None = None  # paths whose growth explains the state; None where none is told
+    # gap_change_lower, gap_change_upper: 95 % interval of the gap change.
     gap_change_lower: float | None = None
     gap_change_upper: float | None = None
+    # state_since, known_since: first night of the state, of the indicator that tells it, and of its
+    # stretch of warnings, alarms or common causes; None of a motor that is ok.
     state_since: dt.date | None = None
     known_since: dt.date | None = None
+    # days_to_limit, days_to_limit_lower, days_to_limit_upper, days_to_limit_status: of the
+    # indicator that tells the state, as in `trends`.
     days_to_limit: float | None = None
     days_to_limit_lower: float | None = None
     days_to_limit_upper: float | None = None
     days_to_limit_status: str | None = None
+    # Standing of the looks within the day, which the table `latest` does not hold; None where there
+    # was none.
     look: LookStanding | None = None
+    # data_night, data_age_nights: newest night with samples, and nights from it to the fleet's
+    # newest such night.
     data_night: dt.date | None = None
     data_age_nights: int | None = None
 

@@ -96,7 +96,7 @@ class Explanations:
         return self._growths[key]
 
     def _grown(self, now: Places) -> Growth | None:
-        trend, layout = self.history.spec.settings.trend, _stated(self.history)
+        trend, layout = self.history.spec.settings.trend, self.history.once(_stated)
         era = self.era(int(now[0]))
         before = self._informed(era.segment.first, int(now[0]))[: trend.baseline_nights]
         if len(before) < LEAST_NIGHTS:
@@ -108,7 +108,7 @@ class Explanations:
             self._blocks(now, known),
             np.array(layout.configured),
             np.array(layout.free),
-            standard_name(self.history),
+            self.history.once(_standard_name),
         )
 
     def _blocks(self, places: Places, correction: TemperatureCorrection | None) -> Blocks:
@@ -116,7 +116,7 @@ class Explanations:
         temperature = self.history.records["mean_temperature_c"][places]
         known = bool(np.isfinite(temperature).all()) and np.ptp(temperature) > 0.0
         factors = self.history.factors(places)
-        driven = [*range(len(_stated(self.history).paths))]
+        driven = [*range(len(self.history.once(_stated).paths))]
         if (standard := self.history.layout.standard) is not None:
             factors = with_path_known(factors, *standard)
             # Where their scale is free, the rollers change with temperature as the gaps do.
@@ -128,20 +128,13 @@ class Explanations:
 
 def _stated(history: History) -> Layout:
     """The layout with the cam rollers known: the change of their scale is found on its own."""
-    if _stated not in history.kept:
-        history.kept[_stated] = Layout.of(history.spec.stated, history.nights[0])
-    layout: Layout = history.kept[_stated]
-    return layout
+    return Layout.of(history.spec.stated, history.nights[0])
 
 
-def standard_name(history: History) -> str:
+def _standard_name(history: History) -> str:
     """Name of the flow that is known: the cam rollers, as a rule."""
-    if standard_name not in history.kept:
-        motor = history.spec.stated.motor(history.nights[0], history.spec.file.flushing.mode)
-        known = "_and_".join(path.name for path in motor.known_paths)
-        history.kept[standard_name] = known or "known_flow"
-    name: str = history.kept[standard_name]
-    return name
+    motor = history.spec.stated.motor(history.nights[0], history.spec.file.flushing.mode)
+    return "_and_".join(path.name for path in motor.known_paths) or "known_flow"
 
 
 @dataclass(frozen=True, slots=True)

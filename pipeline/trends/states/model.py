@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 def with_misfit(history: History, until: dt.date) -> History:
     """A history whose nights from one on have their misfit over ten, those before as they are."""
     records = history.records.copy()
-    begin = int(np.searchsorted(records["night"], np.datetime64(until)))
+    begin = history.place_from(until)
     records["misfit_of_ten"][begin:] = np.nan
     for part in segments(history):
         for place in range(max(begin, part.first), part.end):

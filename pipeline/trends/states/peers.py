@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.course.baseline import BaselineSettings, fit_baseline
-from leakage.course.peers import NIGHTS_OF_NOW, medians_of_others
+from leakage.course.medians import medians_of_others
 from pipeline.trends.figures.indicators import Indicator
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.segments import Segment
@@ -30,6 +30,8 @@ Places = NDArray[np.int64]
 # Medians over the other motors, and how many they are: nights by motors.
 _Others: TypeAlias = tuple[Array, Places]
 
+# Good nights that say how far something has moved.
+NIGHTS_OF_NOW = 5
 # Of a night whose figure was never put against a baseline.
 NEVER = np.iinfo(np.int64).max
 

@@ -42,30 +42,18 @@ AS_THE_OTHERS = (
 
 @dataclass(frozen=True, slots=True)
 class Sudden:
-    """A sudden change that no event explains.
+    """A sudden change that no event explains."""
 
-    Attributes
-    ----------
-    place
-        Of its first night.
-    told, until
-        Places of the nights from which, and before which, it stands.
-    kind
-        ``exchange``: every path changed, by different amounts; ``alike``: all flows by one factor;
-        ``fall``: the drain flow fell, and nobody can tell through which path; ``circuit``: what the
-        other motors of the oil circuit did, too.
-    words
-        For people.
-    steps
-        Logarithm of the step of each indicator that tells it.
-    """
-
-    place: int
+    place: int  # of its first night
+    # told, until: places of the nights from which, and before which, it stands.
     told: int
     until: int
+    # ``exchange``: every path changed, by different amounts; ``alike``: all flows by one factor;
+    # ``fall``: the drain flow fell, and nobody can tell through which path; ``circuit``: what the
+    # other motors of the oil circuit did, too.
     kind: Kind
-    words: str
-    steps: Mapping[str, float]
+    words: str  # for people
+    steps: Mapping[str, float]  # logarithm of the step of each indicator that tells it
 
     def undoes(self, earlier: Sudden) -> bool:
         """True if this change takes back an earlier one that still stood."""

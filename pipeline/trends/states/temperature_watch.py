@@ -34,26 +34,17 @@ NOT_KNOWN = "what it is at the baseline is not known yet"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TemperatureWatch:
-    """Effect of temperature on the loss factors over a motor's nights; shape (n,) each.
+    """Effect of temperature on the loss factors over a motor's nights; shape (n,) each."""
 
-    Attributes
-    ----------
-    history, eras
-        The nights, and what is frozen with each baseline.
-    value, half
-        Of the last 30 good nights, and half-width of its 95 % interval [1/K]; nan where not known.
-    evidence
-        Change since the baseline over its ±; nan where not known.
-    state
-        insufficient while no recent night tells it, ok or warning.
-    """
-
+    # history, eras: the nights, and what is frozen with each baseline.
     history: History
     eras: tuple[Era, ...]
+    # value, half: of the last 30 good nights, and half-width of its 95 % interval [1/K]; nan where
+    # not known.
     value: Array
     half: Array
-    evidence: Array
-    state: tuple[str, ...]
+    evidence: Array  # change since the baseline over its ±; nan where not known
+    state: tuple[str, ...]  # insufficient while no recent night tells it, ok or warning
 
     def words(self, place: int) -> str:
         """That the effect has changed by a night, in words; empty where it has not."""

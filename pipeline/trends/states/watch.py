@@ -48,14 +48,13 @@ def watch(history: History, indicators: Mapping[str, Indicator]) -> dict[str, Wa
     for name, indicator in indicators.items():
         parts = segments(history, name)
         settings = monitor_settings(history.spec, indicator, len(indicators))
-        series = indicator.watched
-        watched[name] = Watched(
-            indicator,
-            series,
-            parts,
-            _joined(parts, [_monitored(history, part, indicator, settings) for part in parts]),
-            settings,
-        )
+        series, limited = indicator.watched, indicator.trusted
+        allowance = np.broadcast_to(indicator.allowance, len(history))
+        found = [
+            monitor(history.numbers[here], series[here], settings, allowance[here], limited[here])
+            for here in (part.here for part in parts)
+        ]
+        watched[name] = Watched(indicator, series, parts, _joined(parts, found), settings)
     return watched
 
 
@@ -72,15 +71,6 @@ def _joined(parts: Sequence[Segment], found: Sequence[Monitoring]) -> Monitoring
         ),
         **{name: np.concatenate([getattr(one, name) for one in found]) for name in columns},
     )
-
-
-def _monitored(
-    history: History, part: Segment, indicator: Indicator, settings: MonitorSettings
-) -> Monitoring:
-    here = part.here
-    series, limited = indicator.watched[here], indicator.trusted[here]
-    allowance = np.broadcast_to(indicator.allowance, len(history))[here]
-    return monitor(history.numbers[here], series, settings, allowance, limited)
 
 
 def monitor_settings(spec: MotorSpec, indicator: Indicator, n_indicators: int) -> MonitorSettings:

@@ -34,34 +34,23 @@ HALF = float(ndtri(0.975))
 
 @dataclass(frozen=True, slots=True)
 class Zero:
-    """A sensor's zero over a motor's nights; shape (n,) each.
+    """A sensor's zero over a motor's nights; shape (n,) each."""
 
-    Attributes
-    ----------
-    name, unit
-        As in `trends`.
-    value, error
-        Zero of each night and its standard error; nan where there was no halt, or too few.
-    first
-        Zero of the first halts, as far as they were known in each night; nan before.
-    move, lower, upper
-        How far it has moved since, and the interval; nan before ten nights with halts.
-    state
-        insufficient, ok or warning.
-    segments
-        Nights that one zero at first serves.
-    """
-
+    # name, unit: as in `trends`.
     name: str
     unit: str
+    # value, error: zero of each night and its standard error; nan where there was no halt, or too
+    # few.
     value: Array
     error: Array
-    first: Array
+    first: Array  # zero of the first halts, as far as they were known in each night; nan before
+    # move, lower, upper: how far it has moved since, and the interval; nan before ten nights with
+    # halts.
     move: Array
     lower: Array
     upper: Array
-    state: tuple[str, ...]
-    segments: tuple[Segment, ...]
+    state: tuple[str, ...]  # insufficient, ok or warning
+    segments: tuple[Segment, ...]  # nights that one zero at first serves
 
     def words(self, place: int) -> str:
         """That the sensor has drifted by a night, in words; empty where it has not."""

@@ -78,6 +78,9 @@ def test_typical_period_is_the_median_of_any_steps(
     rng.shuffle(all_steps)
     time = np.concatenate([[0], np.cumsum(all_steps)])
     assert typical_period_us(time) == np.median(all_steps)
+    left_out = rng.random(len(time)) < rng.choice([0.001, 0.02, 0.4])
+    if np.count_nonzero(~left_out) > 1:
+        assert typical_period_us(time, left_out) == np.median(np.diff(time[~left_out]))
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 7, 8, 9, 15, 40])

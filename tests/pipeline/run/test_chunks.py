@@ -147,8 +147,9 @@ def test_the_model_before_is_the_one_of_another_chunk(workshop: Workshop, tmp_pa
     logs_of_nights(workshop, 4)
     outcomes(workshop, tmp_path / "chunks", 2)
     (file,) = (tmp_path / "chunks" / "nights").glob("*.arrow")
-    _, staged = StagedRows(file).between(FITS, FIRST, FIRST + 3 * DAY)
-    judged = [row["previous_model_fit_percent"] for row in staged.to_pylist() if row["is_primary"]]
+    _, found = StagedRows(file).between(FITS, FIRST, FIRST + 3 * DAY)
+    fits = pl.DataFrame(found).filter(pl.col("is_primary")).sort("night")
+    judged = fits["previous_model_fit_percent"].to_list()
     assert judged[0] is None
     assert len(judged) == 4
     assert None not in judged[1:]

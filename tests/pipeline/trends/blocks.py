@@ -83,8 +83,7 @@ def blocks_of(nights: Nights) -> pl.DataFrame:
 def with_blocks(found: History, blocks: pl.DataFrame) -> History:
     """A history whose nights without a fit know their blocks."""
     records = found.records.copy()
-    wanted = records["night"][~records["fitted"]].tolist()
-    add_blocks(found.spec, found.layout, records, blocks.filter(pl.col("night").is_in(wanted)))
+    add_blocks(found.spec, found.layout, records, blocks)
     return replace(found, records=records)
 
 

@@ -38,7 +38,7 @@ def test_every_change_has_one_row_that_joins_the_one_before(worn: Standing) -> N
         for row in of(rows, name):
             assert (row["from_state"], row["to_state"]) == (
                 told,
-                states[worn.history.first_from(row["night"])],
+                states[worn.history.place_from(row["night"])],
             )
             told = row["to_state"]
         assert told == states[-1]

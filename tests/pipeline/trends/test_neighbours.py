@@ -23,7 +23,6 @@ from pipeline.trends.figures.indicators import DEVIATION
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.tonight import Tonight
-from pipeline.trends.nights.trend_record import write_record
 from pipeline.trends.rows import alarm_rows
 from pipeline.trends.states.standing import Standing
 from tests.pipeline.trends.nights import (
@@ -110,6 +109,7 @@ class Circuit:
                 for group in circuits.circuits_of(one.spec for one in self.histories.values())
             ),
             self.folder,
+            # What is staged is what the next run reads.
             self.folder,
             {name: night_of(changed[name]) if name in changed else None for name in read},
             Tonight(night_of(last)),
@@ -124,8 +124,6 @@ class Circuit:
         ):
             outcome = stage.run_trends(task)
         assert outcome.failures == {}
-        for name, record in outcome.records.items():
-            write_record(self.folder, name, record)
         return [row for row in outcome.alarms if row["motor_id"] != "M1"]
 
     def _take(self, path: Path, tables: Mapping[Table, Mapping[dt.date, list[Row]]]) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from tests.pipeline.setup.plants.plant import (
+    PORTS,
     ROWS,
     Place,
     Plant,
     Signals,
     american,
+    mapped,
     one_table,
     stamp,
     table,
@@ -41,7 +43,6 @@ def _pi_long() -> Plant:
     kinds = {"PDIFF": "dp", "TOIL": "temp", "NMOT": "speed", "QLEAK": "flow"}
     units = {"dp": "bar", "temp": "degC", "speed": "rpm", "flow": "l/min"}
     tags = {f"W{motor}_{tag}": (kind, motor) for motor in (1, 2) for tag, kind in kinds.items()}
-    names = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
     return Plant(
         "PI, compressed, a row a sample, two motors",
         {
@@ -54,13 +55,7 @@ def _pi_long() -> Plant:
                 ),
             )
         },
-        {
-            f"W{motor}": {
-                name: Place(f"W{motor}_{tag}", units[kind], "status")
-                for name, (tag, kind) in zip(names, kinds.items(), strict=True)
-            }
-            for motor in (1, 2)
-        },
+        {f"W{n}": mapped((f"W{n}_{tag}" for tag in kinds), "status") for n in (1, 2)},
         named="pi/archive.csv",
     )
 
@@ -99,14 +94,7 @@ def _ignition_dataset() -> Plant:
     return Plant(
         "Ignition, a dataset with #NAMES and #TYPES",
         {"dataset.csv": text + "\n".join(rows) + "\n"},
-        {
-            "Conveyor": {
-                "pressure_difference": Place(names[0], "bar"),
-                "oil_temperature": Place(names[1], "degC"),
-                "speed": Place(names[2], "rpm"),
-                "leakage_flow": Place(names[3], "l/min"),
-            }
-        },
+        {"Conveyor": mapped(names)},
         named="dataset.csv",
     )
 
@@ -131,11 +119,10 @@ def _wincc_long() -> Plant:
     kinds = {"Druck_A": "high", "Druck_B": "low", "Oeltemperatur": "temp", "Drehzahl": "speed"}
     kinds |= {"Leckoelmenge": "flow"}
     tags = {f"HYD_M1_{tag}": (kind, 1) for tag, kind in kinds.items()}
-    names = ("high_port_pressure", "low_port_pressure", "oil_temperature", "speed", "leakage_flow")
     return Plant(
         "WinCC, archive export, German",
         {"Archiv.csv": wincc_archive(tags)},
-        {"HYD_M1": {n: Place(t, None) for n, t in zip(names, tags, strict=True)}},
+        {"HYD_M1": {n: Place(t, None) for n, t in zip(PORTS, tags, strict=True)}},
         named="Archiv.csv",
         line_end="\r\n",
     )

@@ -6,7 +6,7 @@ does not say which column it is: there only a question is right.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -27,6 +27,8 @@ class Place:
     quality: str = ""
 
 
+NAMES = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
+PORTS = ("high_port_pressure", "low_port_pressure", *NAMES[1:])
 Mapped = Mapping[str, Place | None]
 Signals = Mapping[str, tuple[str, str, str | None]]
 """By name in the log: channel (empty: of none), kind of reading, and unit."""
@@ -50,6 +52,13 @@ class Plant:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(text.replace("\n", self.line_end).encode(self.encoding))
         return folder / self.named if self.named else folder
+
+
+def mapped(sources: Iterable[str], quality: str = "") -> Mapped:
+    """Places of the channels `NAMES`, in their usual units."""
+    units = ("bar", "degC", "rpm", "l/min")
+    found = zip(NAMES, sources, units, strict=True)
+    return {name: Place(source, unit, quality) for name, source, unit in found}
 
 
 def value(kind: str, motor: int, row: int) -> float:
@@ -121,7 +130,7 @@ def one_table(
         [(kind, number) for number in motors.values() for _, kind, _ in signals.values()],
         **shape,
     )
-    mapped: dict[str, dict[str, Place | None]] = {
+    places: dict[str, dict[str, Place | None]] = {
         motor: {
             channel: Place(column.format(motor=motor, signal=one), unit)
             for one, (channel, _, unit) in signals.items()
@@ -129,10 +138,10 @@ def one_table(
         }
         for motor in motors
     }
-    for own in mapped.values():
+    for own in places.values():
         own |= {asked: ASK} if asked else {}
     files = {file: above + (text.replace(*unread, 1) if unread[0] else text)}
-    return Plant(name, files, mapped, encoding, file, line_end)
+    return Plant(name, files, places, encoding, file, line_end)
 
 
 def tagged(

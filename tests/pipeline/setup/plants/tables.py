@@ -7,6 +7,7 @@ from tests.pipeline.setup.plants.plant import (
     Place,
     Plant,
     Signals,
+    mapped,
     one_table,
     stamp,
     table,
@@ -36,8 +37,6 @@ def _grafana_wide() -> Plant:
 def _grafana_long() -> Plant:
     kinds = {"dp_bar": "dp", "oil_temp_c": "temp", "speed_rpm": "speed", "drain_flow_lpm": "flow"}
     tags = {f"press4.{tag}": (kind, 1) for tag, kind in kinds.items()}
-    names = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
-    units = ("bar", "degC", "rpm", "l/min")
     return Plant(
         "Grafana, series as rows",
         {
@@ -52,11 +51,7 @@ def _grafana_long() -> Plant:
                 ";",
             )
         },
-        {
-            "press4": {
-                name: Place(tag, unit) for name, tag, unit in zip(names, tags, units, strict=True)
-            }
-        },
+        {"press4": mapped(tags)},
         named="series.csv",
     )
 
@@ -64,8 +59,6 @@ def _grafana_long() -> Plant:
 def _influx(tag_column: bool) -> Plant:
     kinds = {"delta_p_bar": "dp", "oil_temp_degC": "temp", "speed_rpm": "speed"}
     kinds |= {"leakage_l_per_min": "flow"}
-    names = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
-    units = ("bar", "degC", "rpm", "l/min")
     motors = (1, 2) if tag_column else (1,)
     head = (
         "#group,false,false,false,false,true,true,true\n"
@@ -82,12 +75,7 @@ def _influx(tag_column: bool) -> Plant:
     return Plant(
         "InfluxDB, annotated CSV" + (", two motors by a tag" if tag_column else ""),
         {"query.csv": head + "\n".join(lines) + "\n"},
-        {
-            f"HM{n}": {
-                name: Place(tag, unit) for name, tag, unit in zip(names, kinds, units, strict=True)
-            }
-            for n in motors
-        },
+        {f"HM{n}": mapped(kinds) for n in motors},
         named="query.csv",
     )
 
@@ -192,15 +180,9 @@ def _wide_prefix() -> Plant:
 
 
 def _folder() -> Plant:
-    signals = {
-        "dp [bar]": ("pressure_difference", "dp", "bar"),
-        "oil temperature [°C]": ("oil_temperature", "temp", "degC"),
-        "speed [rpm]": ("speed", "speed", "rpm"),
-        "case drain [l/min]": ("leakage_flow", "flow", "l/min"),
-    }
-    kinds = [(kind, 1) for _, kind, _ in signals.values()]
-    text = table(["time", *signals], kinds)
-    mapped = {name: Place(t, unit) for t, (name, _, unit) in signals.items()}
+    signals = {"dp [bar]": "dp", "oil temperature [°C]": "temp", "speed [rpm]": "speed"}
+    signals |= {"case drain [l/min]": "flow"}
+    text = table(["time", *signals], [(kind, 1) for kind in signals.values()])
     return Plant(
         "A folder a motor, a file a day",
         {
@@ -208,7 +190,7 @@ def _folder() -> Plant:
             for n in (1, 2, 3)
             for day in (13, 14)
         },
-        {f"winch-{n}": mapped for n in (1, 2, 3)},
+        {f"winch-{n}": mapped(signals) for n in (1, 2, 3)},
         named="logs",
     )
 

@@ -7,18 +7,17 @@ from __future__ import annotations
 
 from tests.pipeline.setup.plants.control_systems import wincc_archive
 from tests.pipeline.setup.plants.plant import (
+    PORTS,
     ROWS,
     Place,
     Plant,
     Signals,
+    mapped,
     one_table,
     stamp,
     table,
     value,
 )
-
-NAMES = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
-PORTS = ("high_port_pressure", "low_port_pressure", "oil_temperature", "speed", "leakage_flow")
 
 
 def _pi_af() -> Plant:
@@ -82,29 +81,23 @@ def _wincc_polish() -> Plant:
 def _grafana_prometheus() -> Plant:
     """Grafana with Prometheus, series joined by time: a column's name is the series' labels."""
     metrics = {
-        "hydraulic_pressure_difference_bar": ("dp", "bar"),
-        "hydraulic_oil_temperature_celsius": ("temp", "degC"),
-        "hydraulic_shaft_speed_rpm": ("speed", "rpm"),
-        "hydraulic_case_drain_flow_lpm": ("flow", "l/min"),
+        "hydraulic_pressure_difference_bar": "dp",
+        "hydraulic_oil_temperature_celsius": "temp",
+        "hydraulic_shaft_speed_rpm": "speed",
+        "hydraulic_case_drain_flow_lpm": "flow",
     }
     plain = '{{__name__="{}", instance="edge-4:9100", motor="{}"}}'
     columns = [(metric, n) for metric in metrics for n in (1, 2)]
     header = [plain.format(metric, f"W0{n}") for metric, n in columns]
     text = table(
         ['"Time"', *('"' + name.replace('"', '""') + '"' for name in header)],
-        [(metrics[metric][0], n) for metric, n in columns],
+        [(metrics[metric], n) for metric, n in columns],
         form="%Y-%m-%d %H:%M:%S",
     )
     return Plant(
         "Grafana with Prometheus, labels in the names of columns",
         {"joined.csv": text},
-        {
-            f"W0{n}": {
-                channel: Place(plain.format(metric, f"W0{n}"), unit)
-                for channel, (metric, (_, unit)) in zip(NAMES, metrics.items(), strict=True)
-            }
-            for n in (1, 2)
-        },
+        {f"W0{n}": mapped(plain.format(metric, f"W0{n}") for metric in metrics) for n in (1, 2)},
         named="joined.csv",
     )
 
@@ -113,7 +106,6 @@ def _influx_dutch() -> Plant:
     """InfluxDB, annotated, with the query's range, two tags, and fields in Dutch."""
     kinds = {"drukverschil_bar": "dp", "olietemperatuur_C": "temp", "toerental_rpm": "speed"}
     kinds |= {"lekdebiet_lpm": "flow"}
-    units = ("bar", "degC", "rpm", "l/min")
     head = (
         "#group,false,false,true,true,false,false,true,true,true,true\n"
         "#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,"
@@ -132,13 +124,7 @@ def _influx_dutch() -> Plant:
     return Plant(
         "InfluxDB, annotated CSV with a range and two tags, Dutch",
         {"export.csv": head + "\n".join(lines) + "\n"},
-        {
-            f"lier-{n}": {
-                channel: Place(name, unit)
-                for channel, name, unit in zip(NAMES, kinds, units, strict=True)
-            }
-            for n in (1, 2)
-        },
+        {f"lier-{n}": mapped(kinds) for n in (1, 2)},
         named="export.csv",
     )
 
