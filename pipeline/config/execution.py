@@ -38,9 +38,9 @@ class Execution(Section):
     workers: int = Field(2, ge=1, le=256)
     """Motors fitted at the same time."""
     backend: Literal["loky", "sequential", "dask"] = "loky"
-    """`loky`: worker processes, also with `workers` = 1; `sequential`: one after the other in the
-    run's own process, without limits: a motor that hangs or crashes stops the run; `dask`: a Dask
-    cluster (`scale.md`)."""
+    """`loky`: worker processes, also with `workers` = 1 (named after the library that once started
+    them); `sequential`: one after the other in the run's own process, without limits: a motor that
+    hangs or crashes stops the run; `dask`: a Dask cluster (`scale.md`)."""
     nights_a_part: int = Field(14, ge=0)
     """A motor with more new nights than this is done in chunks of so many, which workers do side by
     side, over a Dask scheduler or where a run has fewer motors than workers; 0: never."""
