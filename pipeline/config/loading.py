@@ -40,7 +40,8 @@ def load_fleet(path: Path) -> Fleet:
     known = validated(Folders, document.get("folders", {}), path.name, [])
     folders = fleet.folders if fleet else known or Folders()
     # Settings with faults would be reported again for each motor that overrides any.
-    shared = {key: document[key] for key in Settings.model_fields if fleet and key in document}
+    given = {key: document[key] for key in Settings.model_fields if fleet and key in document}
+    shared = _SharedSettings(given)
     places = dict(_places(path, folders, faults))
     if not places.get("oil_circuits", path).is_dir():
         places.pop("oil_circuits", None)
@@ -102,7 +103,7 @@ def _resolve(
     motors: Folder[MotorFile],
     types: Folder[MotorTypeFile],
     oils: Folder[OilFile],
-    shared: Document,
+    shared: _SharedSettings,
     log_root: Path,
     faults: list[Fault],
 ) -> MotorSpec | None:
@@ -113,13 +114,11 @@ def _resolve(
     faults += strangers(file, document, types.documents, oils.documents)
     if name not in motors.parsed:
         faults += faults_of_channels(file, document)
-    settings = _settings(document.get("override"), shared, file, faults)
     motor, motor_type = motors.parsed.get(name), types.parsed.get(document.get("motor_type", ""))
+    is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
+    settings = shared.of_motor(document.get("override"), file, faults, is_logged=is_logged)
     if len(faults) > before or not motor or not settings or not motor_type:
         return None
-    two_sided = settings.model.is_two_sided(is_logged=not LOW_SIDE.isdisjoint(motor.channels))
-    model = settings.model.model_copy(update={"two_sided": two_sided})
-    settings = settings.model_copy(update={"model": model})
     if motor.logs.database is not None:
         logs = motor.logs.model_copy(update={"files": ("*.parquet",)})
         motor = motor.model_copy(update={"logs": logs})
@@ -128,10 +127,34 @@ def _resolve(
     return spec
 
 
-def _settings(override: Any, shared: Document, file: str, faults: list[Fault]) -> Settings | None:
-    """The fleet's settings with a motor's own in their place."""
-    merged: dict[str, Any] = dict(shared)
-    for section, values in override.items() if isinstance(override, dict) else ():
-        whole = isinstance(values, dict) and isinstance(shared.get(section, {}), dict)
-        merged[section] = {**shared.get(section, {}), **values} if whole else values
-    return validated(Settings, merged, file, faults, prefix="override.")
+class _SharedSettings:
+    """The fleet's settings; motors that override none of them have the same object."""
+
+    def __init__(self, document: Document) -> None:
+        self._document = document
+        self._of_all: dict[bool, Settings | None] = {}
+
+    def of_motor(
+        self, override: Any, file: str, faults: list[Fault], *, is_logged: bool
+    ) -> Settings | None:
+        """Settings of a motor; `is_logged`: the pressure of its low side is."""
+        if override:
+            return self._with(override, file, faults, is_logged=is_logged)
+        if is_logged not in self._of_all:
+            self._of_all[is_logged] = self._with({}, file, faults, is_logged=is_logged)
+        return self._of_all[is_logged]
+
+    def _with(
+        self, override: Any, file: str, faults: list[Fault], *, is_logged: bool
+    ) -> Settings | None:
+        """The settings with a motor's own in their place."""
+        shared, merged = self._document, dict(self._document)
+        for section, values in override.items() if isinstance(override, dict) else ():
+            whole = isinstance(values, dict) and isinstance(shared.get(section, {}), dict)
+            merged[section] = {**shared.get(section, {}), **values} if whole else values
+        settings = validated(Settings, merged, file, faults, prefix="override.")
+        if settings is None:
+            return None
+        two_sided = settings.model.is_two_sided(is_logged=is_logged)
+        model = settings.model.model_copy(update={"two_sided": two_sided})
+        return settings.model_copy(update={"model": model})
