@@ -206,7 +206,7 @@ def _run(
                 continue
             outcomes[outcome.motor_id] = outcome
             if not outcome.is_set_aside:
-                heartbeat.motor_done()
+                heartbeat.motor_done(is_news=bool(outcome.nights))
                 progress(outcome)
     except KeyboardInterrupt:
         interrupted = True

@@ -119,9 +119,14 @@ class Heartbeat:
             code = error.code if isinstance(error, MotorLeakageError) else None
             self.say(state=INTERRUPTED if interrupted else FAILED, error_code=code)
 
-    def motor_done(self) -> None:
-        """Another motor's task has finished."""
-        self.say(n_motors_done=self._beat.n_motors_done + 1)
+    def motor_done(self, *, is_news: bool) -> None:
+        """Another motor is done; a motor with nothing new is told with the next beat."""
+        n_done = self._beat.n_motors_done + 1
+        if is_news:
+            self.say(n_motors_done=n_done)
+            return
+        with self._changing:
+            self._beat = replace(self._beat, n_motors_done=n_done)
 
     def finished(self, run_id: str, *, good: bool) -> None:
         """The run has ended; good if it went through all motors."""

@@ -104,8 +104,8 @@ def test_a_beat_that_cannot_be_written_ends_nothing(
 ) -> None:
     (tmp_path / "heartbeat.json").mkdir()
     with Heartbeat(tmp_path, 1, None) as heartbeat:
-        heartbeat.motor_done()
-        heartbeat.motor_done()
+        heartbeat.motor_done(is_news=True)
+        heartbeat.motor_done(is_news=True)
         heartbeat.finished("abc", good=True)
     assert [one.message[:13] for one in caplog.records] == ["no heartbeat:"]
     assert [one.name for one in tmp_path.iterdir()] == ["heartbeat.json"]
@@ -140,10 +140,11 @@ def test_a_time_without_a_zone_is_no_beat(tmp_path: Path) -> None:
 def test_status_tells_of_the_run_that_is_under_way(workshop: Workshop) -> None:
     assert fleet_status(workshop.output, ["M1"]).beat is None
     with Heartbeat(workshop.output, 4, None) as heartbeat:
-        heartbeat.motor_done()
+        heartbeat.motor_done(is_news=False)
+        heartbeat.motor_done(is_news=True)
         beat = fleet_status(workshop.output, ["M1"]).beat
         assert beat is not None
-        assert (beat.stage, beat.n_motors_done, beat.n_motors) == ("motors", 1, 4)
+        assert (beat.stage, beat.n_motors_done, beat.n_motors) == ("motors", 2, 4)
 
 
 @pytest.mark.parametrize(
