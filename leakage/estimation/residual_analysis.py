@@ -77,8 +77,6 @@ LEAST_INNER_SHARE = 0.5
 LEAST_EIGENVALUE = 1e-3
 # With fewer samples the statistics are not distributed as they should be.
 FEWEST_SAMPLES = 40 * LONGEST_LAG
-# Singular values below this share of the largest are rounding.
-EPSILON = float(np.finfo(np.float64).eps)
 
 TOO_MANY_GAPS = "too few samples follow one another without a gap"
 PASSED, FAILED, NOT_TESTED = "passed", "failed", "not_tested"
@@ -300,7 +298,7 @@ def _uneven_variance(moments: ResidualMoments, place: int, axes: Array) -> Array
     weighted = moments.thinned_inputs[place] @ np.ascontiguousarray(axes[::-1])
     error, squares = moments.thinned_error, weighted**2
     # What follows the input is what is tested for, not scatter.
-    rest = error - weighted @ np.linalg.lstsq(weighted, error, rcond=EPSILON)[0]
+    rest = error - weighted @ np.linalg.lstsq(weighted, error, rcond=None)[0]
     apart = (error @ error) * squares.mean(axis=0)
     together = np.divide(rest**2 @ squares, apart, out=np.ones(len(apart)), where=apart > 0)
     found: Array = np.maximum(together, 1.0)

@@ -106,8 +106,9 @@ class ResidualMoments:
         if inner.n:
             inside = crossed - products_near_ends(centred, segments, LONGEST_LAG)
         size = np.sqrt(own[:, 0] / n)
-        varies = size > CONSTANT * np.abs(means)
-        size[~varies] = 1.0
+        # The caller has seen that the errors vary.
+        varies = size[1:] > CONSTANT * np.abs(means[1:])
+        size[1:][~varies] = 1.0
         scale = size[0] * size[1:, None]
         pairs = segments.pair_counts(longest)
         told = pairs >= LEAST_PAIR_SHARE * n
@@ -119,7 +120,7 @@ class ResidualMoments:
         return cls(
             pairs=pairs,
             told=told,
-            varies=varies[1:],
+            varies=varies,
             error=own[0],
             inputs=own[1:],
             # The lag of the sums is that of the input behind the error.

@@ -69,7 +69,9 @@ class Reporter:
 
     def __init__(self, as_json: bool, n_motors: int) -> None:
         self.as_json = as_json
-        self.bar = _bar(n_motors) if sys.stderr.isatty() and not as_json else None
+        # A caller may have closed it.
+        on_terminal = sys.stderr is not None and sys.stderr.isatty()
+        self.bar = _bar(n_motors) if on_terminal and not as_json else None
 
     def __enter__(self) -> Reporter:
         if self.bar:

@@ -126,8 +126,9 @@ def spike(
     if len(value) < window:
         return mask
     floor = (threshold + STEP_ROUNDING) * resolution
-    # Only what is farther away than the floor can be a spike: few windows need their deviation.
-    far = np.flatnonzero(_far_from_median(value, half, floor))
+    # Only what is farther away than the floor can be a spike: few windows need their deviation,
+    # which also judges what is on the floor but for rounding.
+    far = np.flatnonzero(_far_from_median(value, half, (1.0 - ROUNDING) * floor))
     windows = sliding_window_view(value, window)
     mask[half + far] = _stands_out(windows, far, threshold, floor)
     # Beside the ends of each stretch windows are mirrored.

@@ -101,7 +101,7 @@ def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
     """
     pieces = (values[begin : begin + NEIGHBOURS] for begin in range(0, len(values), NEIGHBOURS))
     counted = (histogram_between(one, one.min(), one.max(), edges) for one in pieces)
-    return [sum(counts) for counts in zip(*counted, strict=True)]
+    return [sum(counts) for counts in zip([0] * (len(edges) - 1), *counted, strict=True)]
 
 
 def histogram_between(

@@ -111,7 +111,9 @@ def _fill_even(found: OnGrid, channel: CleanChannel, kept: Mask, even: _Even) ->
     first, n, place, apart = even
     value, present, _ = (part[place : place + n * apart].reshape(n, apart) for part in found)
     left, right = slice(first, first + n), slice(first + 1, first + n + 1)
-    value[:, 0], present[:, 0] = channel.value[left], kept[left]
+    # A zero has no sign here, as between two samples.
+    np.add(channel.value[left], 0.0, out=value[:, 0])
+    present[:, 0] = kept[left]
     if apart > 1:
         rise = channel.value[right] - channel.value[left]
         np.multiply(np.arange(1, apart) / apart, rise[:, None], out=value[:, 1:])

@@ -37,6 +37,7 @@ from pipeline.night.roller import is_roller_free
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
 from pipeline.schema import FITS
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
+from pipeline.store.atomic_files import remove_all
 from pipeline.store.tables import nights_back, read_rows
 
 if TYPE_CHECKING:
@@ -287,6 +288,8 @@ class MotorNights:
     def stage_ledger(self) -> None:
         """Stage what of the ledger and the settings has changed; raises as `put_sealed`."""
         staging, motor_id = self.task.staging, self.spec.motor_id
+        # What a task left that was lost and is done again is not of this one.
+        remove_all(ledger_folder(staging, motor_id))
         after = Ledger({**self.before.files, **self.logs.finished(self.done)}, self.records)
         write_months(staging, motor_id, changed_months(self.remembered, after), durable=False)
         settings = settings_of(self.form)

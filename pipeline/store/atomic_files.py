@@ -256,8 +256,14 @@ def take_over(files: Sequence[Path], folder: Path) -> None:
     with store_errors(folder):
         make_folders(folder)
         for file in files:
-            flush_path(file)
-            os.replace(file, folder / file.name)
+            try:
+                flush_path(file)
+                os.replace(file, folder / file.name)
+            except OSError as error:
+                if error.errno != errno.EXDEV:
+                    raise
+                put(folder / file.name, read(file))
+                os.unlink(file)
         flush_path(folder)
 
 

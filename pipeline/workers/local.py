@@ -224,7 +224,8 @@ class Worker:
         if self.stderr in news:
             self._pass_on_stderr()
         if self.connection not in news:
-            if time.monotonic() < self.due:
+            # Others may have been waited for since: it may have spoken meanwhile.
+            if time.monotonic() < self.due or self.connection.poll():
                 return None
             self.is_late = True
             self.process.send_signal(signal.SIGALRM)

@@ -19,7 +19,9 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing import Pipe
+from multiprocessing import process as multiprocessing_process
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from threadpoolctl import ThreadpoolController
@@ -185,16 +187,18 @@ def start(
     """
     ours, theirs = Pipe()
     module, _, function = program.rpartition(".")
+    # Relative entries are of the folder in which this process began.
+    began_in = Path(getattr(multiprocessing_process, "ORIGINAL_DIR", None) or "")
+    path = [str(began_in / one) for one in sys.path if isinstance(one, str)]
     code = (
-        f"import sys; sys.path[:] = {sys.path}; from {module} import {function}; "
+        f"import sys; sys.path[:] = {path}; from {module} import {function}; "
         "from pipeline.workers.process import connected; "
-        f"{function}(connected({theirs.fileno()}, {os.getpid()}))"
+        f"{function}(connected({theirs.fileno()}, {os.getpid()}, {stderr}))"
     )
     process = subprocess.Popen(  # noqa: S603 - it is this program
         [sys.executable, "-c", code],
         env={**os.environ, **(environment or {})},
-        pass_fds=[theirs.fileno()],
-        stderr=stderr,
+        pass_fds=[theirs.fileno()] if stderr is None else [theirs.fileno(), stderr],
         # Out of reach of what a terminal sends to all processes: the run decides what ends.
         start_new_session=True,
     )
@@ -203,9 +207,12 @@ def start(
     return process, ours
 
 
-def connected(end: int, run_pid: int) -> Connection:
+def connected(end: int, run_pid: int, stderr: int | None) -> Connection:
     """In a started process: its connection to the run, whose death it does not outlive."""
     _end_with_the_run(run_pid)
+    if stderr is not None:  # nobody reads it before the process is loaded
+        os.dup2(stderr, 2)
+        os.close(stderr)
     connection = Connection(end)
     tell(connection)
     return connection

@@ -150,6 +150,25 @@ def test_units_and_offsets_change_nothing() -> None:
     assert backwards.statistic == pytest.approx(plain.statistic, rel=1e-6)
 
 
+def test_a_seldom_pulse_has_one_statistic_in_any_unit() -> None:
+    """Of surroundings that few samples see, rounding is no regressor."""
+    speed, generator = np.full(60_000, 30.0), np.random.default_rng(3)
+    speed[20_000:20_029] = speed[41_000:41_029] = 40.0
+    error = autoregression(0.5, 60_000, generator) + 0.2 * np.roll(speed, 3)
+    statistics = [one(error, factor * speed).statistic for factor in (1.0, 3.0, math.pi / 30)]
+    assert statistics == pytest.approx([statistics[0]] * 3, rel=1e-9)
+
+
+def test_errors_far_from_zero_are_judged_by_their_scatter() -> None:
+    error = autoregression(0.9, 5000, np.random.default_rng(6))
+    input_ = np.random.default_rng(7).normal(size=5000)
+    found = [
+        analyse_residuals(1.0 + scale * error, {"u": input_}, np.arange(5000)).whiteness.statistic
+        for scale in (1.0, 1e-11, 1e-13)
+    ]
+    assert found == pytest.approx([found[0]] * 3, rel=0.02)
+
+
 def test_arguments_are_not_changed() -> None:
     error, u = np.random.default_rng(29).normal(size=(2, 1500))
     kept = error.copy(), u.copy()

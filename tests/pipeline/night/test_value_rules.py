@@ -14,7 +14,7 @@ from pipeline.config import Channel, Cleaning
 from pipeline.night import masks
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
-from pipeline.night.masks import at_maximum, frozen, out_of_range, spike
+from pipeline.night.masks import STEP_ROUNDING, at_maximum, frozen, out_of_range, spike
 from tests.pipeline.night.channels import SECOND, Floats, lively, refused_by, stamps
 from tests.pipeline.night.cleaned import RULES, raw
 
@@ -111,6 +111,13 @@ class TestHampel:
     @given(st.floats(-50, 50), st.floats(-20, 20))
     def test_ramp_has_no_spike(self, offset: float, slope: float) -> None:
         assert not spike(offset + slope * np.arange(60.0), 11, 5.0, 0.1).any()
+
+    def test_reading_beyond_the_floor_by_rounding_is_a_spike(self) -> None:
+        """As the definition has it: 103.01 - 100.0 is more than 3.01."""
+        value = np.full(21, 100.0)
+        value[10] = 103.01
+        assert value[10] - 100.0 > (3.0 + STEP_ROUNDING) * 1.0
+        assert np.flatnonzero(spike(value, 11, 3.0, 1.0)).tolist() == [10]
 
     @given(st.floats(-1000, 1000), st.integers(8, 52))
     def test_lasting_step_has_no_spike(self, height: float, at: int) -> None:

@@ -19,8 +19,9 @@ from pipeline.config import load_fleet
 from pipeline.config.hashes import config_hash
 from pipeline.ingest import RawLog, read_log
 from pipeline.logs.files import inspect_log, slice_night
-from pipeline.logs.ledger import Ledger, NightRecord
+from pipeline.logs.ledger import Ledger, NightRecord, ledger_folder, write_months
 from pipeline.logs.told_nights import PlausibleNights, place_failed
+from pipeline.run.motor_nights import MotorNights
 from pipeline.run.plans import plan_fleet
 from pipeline.run.request import RunRequest
 from tests.pipeline.simulated import NIGHT, SECOND_US, night_of, raw, write_log
@@ -267,6 +268,25 @@ def test_tables_that_somebody_removed_are_made_anew(workshop: Workshop) -> None:
     shutil.rmtree(workshop.output / "tables")
     assert len(workshop.run().nights) == 3
     assert_frame_equal(workshop.rows("fits"), before, check_exact=True)
+
+
+def test_a_ledger_that_a_lost_task_staged_is_not_taken_over(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may name nights whose rows the task that did it again has not staged."""
+    stage_ledger = MotorNights.stage_ledger
+
+    def after_a_lost_one(nights: MotorNights) -> None:
+        lost = {"2020-01": Ledger(nights={NIGHT: NightRecord("ok")})}
+        write_months(nights.task.staging, nights.spec.motor_id, lost, durable=False)
+        stage_ledger(nights)
+
+    monkeypatch.setattr(MotorNights, "stage_ledger", after_a_lost_one)
+    workshop.log(NIGHT)
+    outcome = workshop.run()
+    kept = {path.name for path in ledger_folder(workshop.output, outcome.motor_id).iterdir()}
+    assert f"{NIGHT:%Y-%m}.json" in kept
+    assert "2020-01.json" not in kept
 
 
 def test_settings_hash_is_of_what_shapes_figures(workshop: Workshop) -> None:

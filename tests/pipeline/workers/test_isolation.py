@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing.process
 import os
 import signal
 import subprocess
@@ -12,9 +13,10 @@ from typing import Any
 
 import pytest
 
+import pipeline
 from pipeline.config import Execution
-from pipeline.workers.local import Crew, run_tasks
-from pipeline.workers.process import ITEMS_A_SIGN, Loss
+from pipeline.workers.local import Crew, Worker, run_tasks
+from pipeline.workers.process import ITEMS_A_SIGN, Done, Loss, start
 from tests.pipeline.misbehaviour import (
     MISBEHAVIOUR,
     count_beside_or_die,
@@ -94,6 +96,37 @@ def test_what_a_task_does_to_its_worker_costs_itself_alone() -> None:
 def test_all_that_a_task_may_do_costs_itself_alone(workers: int) -> None:
     assert set(EXPECTED) == set(MISBEHAVIOUR)
     check(list(EXPECTED), execution(workers))
+
+
+def test_a_worker_is_heard_before_it_is_late() -> None:
+    """Its time may have run out while another worker was waited for."""
+    worker = Worker()
+    try:
+        worker.begin(own_pid, None, execution())
+        assert worker.connection.poll(60.0)
+        worker.due = 0.0
+        assert worker.outcome(()) is None
+        while (found := worker.outcome([worker.connection])) is None:
+            worker.connection.poll(60.0)
+        assert found == Done(worker.process.pid)
+    finally:
+        worker.kill()
+
+
+def test_a_process_imports_from_where_the_program_began(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A relative path of modules is not of the folder that somebody went to."""
+    root = str(Path(pipeline.__file__).parents[1])
+    others = [one for one in sys.path if one not in ("", root)]
+    monkeypatch.setattr(sys, "path", [tmp_path, "", *others])
+    monkeypatch.setattr(multiprocessing.process, "ORIGINAL_DIR", root)
+    monkeypatch.chdir(tmp_path)
+    process, connection = start("pipeline.logs.finding.answer")
+    connection.send((tmp_path, []))
+    assert connection.recv() == {}
+    connection.close()
+    assert process.wait(60.0) == 0
 
 
 def test_a_single_task_and_a_single_worker_are_isolated_too() -> None:
