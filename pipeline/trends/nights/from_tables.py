@@ -92,7 +92,8 @@ class Columns:
 
     rows: pl.DataFrame
     here: slice = field(default_factory=lambda: slice(None))
-    _made: dict[str, Any] = field(default_factory=dict)
+    # By kind and name of a column.
+    _made: dict[tuple[str, str], Any] = field(default_factory=dict)
 
     def between(self, first: int, end: int) -> Columns:
         """Those of some rows."""
@@ -100,16 +101,16 @@ class Columns:
 
     def numbers(self, name: str) -> Array:
         """A column, nan where it is null."""
-        if name not in self._made:
-            self._made[name] = np.asarray(self.rows[name].to_numpy(), dtype=np.float64)
-        numbers: Array = self._made[name][self.here]
+        if (key := ("numbers", name)) not in self._made:
+            self._made[key] = np.asarray(self.rows[name].to_numpy(), dtype=np.float64)
+        numbers: Array = self._made[key][self.here]
         return numbers
 
     def values(self, name: str) -> list[Any]:
         """A column as Python has it."""
-        if name not in self._made:
-            self._made[name] = self.rows[name].to_list()
-        values: list[Any] = self._made[name][self.here]
+        if (key := ("values", name)) not in self._made:
+            self._made[key] = self.rows[name].to_list()
+        values: list[Any] = self._made[key][self.here]
         return values
 
     def texts(self, name: str) -> list[str]:
@@ -118,12 +119,12 @@ class Columns:
 
     def vectors(self, name: str, size: int) -> Array:
         """A column of lists as an array, nan where a list is absent or of another length."""
-        if name not in self._made:
+        if (key := ("vectors", name)) not in self._made:
             lengths = self.rows[name].list.len().fill_null(0)
             numbers = self.rows[name].filter(lengths > 0).explode().to_numpy()
             sizes = lengths.to_numpy().astype(np.intp)
-            self._made[name] = np.cumsum(sizes) - sizes, sizes, numbers
-        begins, sizes, numbers = self._made[name]
+            self._made[key] = np.cumsum(sizes) - sizes, sizes, numbers
+        begins, sizes, numbers = self._made[key]
         whole = sizes[self.here] == size
         result = np.full((len(whole), size), np.nan)
         result[whole] = numbers[begins[self.here][whole, None] + np.arange(size)]
