@@ -58,6 +58,7 @@ TIMES = (
     *("%d.%m.%y %H:%M", "%Y%m%d %H%M%S", "%Y-%m-%d %H:%M:%S UTC", "%Y-%m-%d %H:%M:%S%z"),
     *("epoch_s", "epoch_s.f", "epoch_ms", "epoch_us", "epoch_ns", "excel_days"),
 )
+NAMED = (("Tag", "Value"), ("Kanal", "Wert"))
 SPLIT = (("%d.%m.%Y", "%H:%M:%S"), ("%d/%m/%Y", "%H:%M:%S.%f"), ("%Y-%m-%d", "%H:%M"))
 
 
@@ -103,11 +104,7 @@ def dialects(draw: st.DrawFn) -> TextLog:
         missing=draw(st.sampled_from(["", "---", "Bad", "ERR"])),
         quoted=draw(st.booleans()),
         digits=draw(st.integers(4, 6)),
-        names=draw(
-            st.sampled_from(
-                [{"channel": "Tag", "value": "Value"}, {"channel": "Kanal", "value": "Wert"}]
-            )
-        ),
+        names=dict(zip(("channel", "value"), draw(st.sampled_from(NAMED)), strict=True)),
     )
 
 
@@ -176,14 +173,8 @@ def test_any_dialect_reads_back_what_was_written(
     units = {channel: label.unit for channel, label in dialect.labels.items()}
     toml = told(suggest(path), form, units)
     logs = list(read_as_suggested(folder, path, toml).values())
-    finest = 10.0**-dialect.digits / min(
-        in_unit_factor(one.unit) for one in dialect.labels.values()
-    )
-    require_same(logs, times, samples, tolerance=finest)
-
-
-def in_unit_factor(unit: str) -> float:
-    return abs(in_unit(1.0, unit) - in_unit(0.0, unit))
+    factors = [in_unit(1.0, one.unit) - in_unit(0.0, one.unit) for one in dialect.labels.values()]
+    require_same(logs, times, samples, tolerance=10.0**-dialect.digits / min(factors))
 
 
 @settings(max_examples=20)
