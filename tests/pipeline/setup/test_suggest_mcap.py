@@ -28,7 +28,7 @@ from tests.pipeline.ingest.mcap.protobuf_files import (
     made_of,
     set_of,
 )
-from tests.pipeline.setup.suggested import HEAD
+from tests.pipeline.setup.suggested import HEAD, log_in
 from tests.pipeline.simulated import load_motor
 
 COUNT = 40
