@@ -28,12 +28,8 @@ def test_a_record_is_one_line_with_its_traceback() -> None:
         log.exception("motor %s failed", "M1")
     (line,) = stream.getvalue().splitlines()
     record = json.loads(line)
-    assert (record["event"], record["level"], record["logger"], record["message"]) == (
-        "log",
-        "error",
-        "pipeline.somewhere",
-        "motor M1 failed",
-    )
+    told = {"event": "log", "level": "error", "logger": "pipeline.somewhere"}
+    assert record.items() >= (told | {"message": "motor M1 failed"}).items()
     assert record["time"].endswith("+00:00")
     assert "ValueError: invalid literal" in record["traceback"]
 
@@ -49,12 +45,6 @@ def test_errors_and_wrong_usage_are_objects(call: Call, tmp_path: Path) -> None:
         assert (exit_code, out) == (2, "")
         assert (line["event"], line["code"], line["exit_code"]) == ("error", code, 2)
         assert words in line["message"]
-
-
-def test_people_get_a_line(call: Call, tmp_path: Path) -> None:
-    exit_code, _, err = call("fit-fleet", str(tmp_path / "none.toml"))
-    assert exit_code == 2
-    assert err.startswith("motor-leakage: config: 1 config fault\n")
 
 
 def test_a_message_with_line_ends_stays_one_line() -> None:

@@ -52,16 +52,6 @@ def test_without_the_extras_all_modules_load_and_each_use_names_its_extra() -> N
         assert f"motor-leakage[{extra}]" in message
 
 
-def test_a_run_on_one_machine_loads_no_extra() -> None:
-    names = "dask", "distributed", "obstore", "deltalake"
-    code = (
-        "import sys, pipeline.run.fleet, pipeline.cli.housekeeping, pipeline.export.delta; "
-        f"print([name for name in {names} if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
 def pinned() -> dict[str, str]:
     """Versions of `requirements.txt` by package."""
     found = {}

@@ -85,6 +85,7 @@ def test_version(call: Call) -> None:
 
 
 NO_COMMAND_NEEDS = ("pandas", "matplotlib", "plotly", "jinja2", "ruptures", "pyarrow.dataset")
+EXTRAS = ("dask", "distributed", "obstore", "deltalake", "duckdb")
 NOT_AT_ONCE = (*NO_COMMAND_NEEDS, "scipy", "pyarrow.compute", "rich")
 
 
@@ -103,7 +104,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 def test_a_run_begins_without_what_it_does_not_need() -> None:
     """Each of these takes as long to import as a third of the program."""
-    unused = (*NOT_AT_ONCE, "duckdb", "pipeline.night.fit_night")
+    unused = (*NOT_AT_ONCE, *EXTRAS, "pipeline.night.fit_night")
     code = "import pipeline.run.fleet, pipeline.cli.reporter as one; one.Reporter(False, 1)"
     assert loaded_by(code, unused) == []
 

@@ -48,19 +48,8 @@ def rows_of(motor: str, **states: list[str]) -> pl.DataFrame:
 
 
 def fits_of(motor: str, nights: int = LAST + 1) -> pl.DataFrame:
-    return frame(
-        FITS,
-        [
-            {
-                "run_id": "r",
-                "motor_id": motor,
-                "motor_type": "CB560",
-                "night": night_of(night),
-                "status": "ok",
-            }
-            for night in range(nights)
-        ],
-    )
+    row = {"run_id": "r", "motor_id": motor, "motor_type": "CB560", "status": "ok"}
+    return frame(FITS, [row | {"night": night_of(night)} for night in range(nights)])
 
 
 def said(night: int, kind: str = "acknowledged", **more: Any) -> Decision:

@@ -30,14 +30,8 @@ from pipeline.telling.mail import Mail
 PASSWORD = "correct horse"  # noqa: S105
 
 
-def change(motor: str, night: str, before: str, after: str, reason: str) -> dict[str, Any]:
-    return {
-        "motor_id": motor,
-        "night": night,
-        "from_state": before,
-        "to_state": after,
-        "reason": reason,
-    }
+def change(*said: str) -> dict[str, Any]:
+    return dict(zip(("motor_id", "night", "from_state", "to_state", "reason"), said, strict=True))
 
 
 RING = change("CB400-02", "2026-02-09", "ok", "warning", "piston ring gap +12 % since 1 February")
@@ -68,7 +62,6 @@ class Server:
         return "250 OK"
 
     async def handle_DATA(self, _: SMTP, __: Session, envelope: Envelope) -> str:  # noqa: N802
-        assert isinstance(envelope.content, bytes)
         self.mails.append(email.message_from_bytes(envelope.content, policy=email.policy.default))
         return "250 OK"
 
@@ -156,10 +149,8 @@ def test_a_message_has_the_worst_motor_first_and_each_change_in_words() -> None:
         )
     (mail,) = server.mails
     assert mail["Subject"] == "Mill 3: CB400-02 alarm; CB400-01 stale"
-    assert (mail["From"], mail["To"]) == (
-        "leakage@plant.example",
-        "a@plant.example, b@plant.example",
-    )
+    assert mail["From"] == "leakage@plant.example"
+    assert mail["To"] == "a@plant.example, b@plant.example"
     assert mail["Message-ID"] == "<msg_1@motor-leakage>"
     assert mail.get_content().splitlines() == [
         "CB400-02",
@@ -214,9 +205,8 @@ def test_a_server_without_tls_gets_nothing() -> None:
 def test_an_address_that_is_refused_is_a_fault() -> None:
     with serving() as server:
         server.refused = "gone@plant.example"
-        assert fault_of(server.settings(to=(server.refused,))).why == (
-            "refused for gone@plant.example"
-        )
+        fault = fault_of(server.settings(to=(server.refused,)))
+    assert fault.why == "refused for gone@plant.example"
 
 
 def test_an_absent_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -171,7 +171,6 @@ def test_what_was_not_taken_is_tried_again_by_the_next_run(tmp_path: Path) -> No
     assert fault == "alarms.command: out of ink; for the next run: 1 change"
     (backlog,) = backlogs(tmp_path, [receiver], FLEET)
     assert (backlog.undelivered, backlog.fault) == (1, "out of ink")
-    assert backlog.since is not None
     stamp = night_file(tmp_path, ALARMS, FIRST).parent.stat().st_mtime
     assert backlog.since.timestamp() == pytest.approx(stamp)
     receiver.refuses = lambda _: False
