@@ -23,8 +23,6 @@ from pipeline.store.night_files import NightFile, prepare_night
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change, without_workers
 
-# Exit codes
-
 
 def test_0_with_nothing_new(call: Call, fleet: Path) -> None:
     code, out, err = call("fit-fleet", fleet)
@@ -213,9 +211,6 @@ def test_130_of_any_command_says_why(
         assert err.strip().startswith("motor-leakage: interrupted: stopped by SIGINT (Ctrl-C); ")
 
 
-# What is asked for
-
-
 def test_options_reach_the_run(call: Call, own_fleet: OwnFleet, tmp_path: Path) -> None:
     fleet = own_fleet(CSV, PARQUET)
     code, out, _ = call(
@@ -258,9 +253,6 @@ def test_a_reader_that_goes_away_does_not_end_the_run(own_fleet: OwnFleet) -> No
     assert fits["status"].to_list() == ["ok"] * 3
 
 
-# Lines for programs
-
-
 def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     fleet = without_workers(own_fleet(CSV, PARQUET))
     break_log(fleet, PARQUET)
@@ -268,16 +260,9 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     assert code == 1
     *motors, run = map(json.loads, out.splitlines())
     assert [one["event"] for one in motors] == ["motor", "motor"]
-    assert motors[0] == {
-        "event": "motor",
-        "motor_id": CSV,
-        "status": "ok",
-        "error_code": None,
-        "message": None,
-        "nights": {"ok": 3},
-        "files": {"read": 3, "unchanged": 0, "growing": 0, "failed": 0, "left": 0},
-        "growing": [],
-    }
+    told = {"event": "motor", "motor_id": CSV, "status": "ok", "error_code": None, "message": None}
+    files = {"read": 3, "unchanged": 0, "growing": 0, "failed": 0, "left": 0}
+    assert motors[0] == told | {"nights": {"ok": 3}, "files": files, "growing": []}
     assert (motors[1]["status"], motors[1]["error_code"]) == ("failed", "log_not_parquet")
     assert motors[1]["nights"] == {"ok": 2, "failed": 1}
     assert run["event"] == "run"

@@ -27,9 +27,6 @@ COMMANDS = sorted(
 )
 
 
-# Help
-
-
 def test_help_lists_every_command(call: Call) -> None:
     code, out, _ = call("--help")
     assert code == 0
@@ -118,24 +115,14 @@ def test_status_neither_fits_nor_draws(fleet: Path) -> None:
     assert loaded_by(code, unused) == []
 
 
-# As people start it
-
-
 def test_the_installed_command_from_demo_to_tables(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     command = Path(sys.executable).with_name("motor-leakage")
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [str(command), *arguments],
-            cwd=tmp_path,
-            env=os.environ | {"NO_COLOR": "1"},
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
+        plain = {"env": os.environ | {"NO_COLOR": "1"}, "capture_output": True, "text": True}
+        return subprocess.run([command, *arguments], cwd=tmp_path, timeout=120, **plain)
 
     made = run("demo", ".", "--nights", "1", "--minutes", "30", "--jobs", "1")
     assert made.returncode == 0, made.stderr

@@ -57,9 +57,6 @@ def after_a_run(fitted_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     return tmp_path
 
 
-# Generated pages
-
-
 @pytest.mark.parametrize("name", PAGES)
 def test_page_is_what_the_code_says(name: str) -> None:
     assert (DOCS / name).read_text("utf-8") == PAGES[name](), "run `make docs`"
@@ -165,9 +162,6 @@ def test_tables_lie_where_the_page_says(after_a_run: Path) -> None:
         assert list((after_a_run / "out").glob(pattern)), pattern
 
 
-# README
-
-
 @pytest.mark.usefixtures("after_a_run")
 def test_readme_duckdb_query_works() -> None:
     (query,) = blocks(README, "sql")
@@ -226,9 +220,6 @@ def test_stated_exit_codes_are_those_of_the_command() -> None:
     page = (DOCS / "operations.md").read_text("utf-8")
     stated = [cell for cell in first_cells(page) if re.fullmatch(r"\d+(, \d+)*", cell)]
     assert {int(code) for cell in stated for code in cell.split(", ")} == values
-
-
-# Codes, dependencies, names
 
 
 def test_every_error_code_is_in_the_operations_page_and_no_other() -> None:

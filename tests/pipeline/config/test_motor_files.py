@@ -164,9 +164,6 @@ def test_logs_below_the_log_root(configs: Path, pattern: str) -> None:
     assert load(configs).motors[2].file.logs.files == (pattern,)
 
 
-# Channels
-
-
 def test_channels_that_are_missing(configs: Path) -> None:
     text = (configs / MOTOR).read_text(encoding="utf-8")
     (configs / MOTOR).write_text(text[: text.index("[channels.oil_temperature]")], encoding="utf-8")
@@ -189,9 +186,6 @@ def test_pressure_comes_as_difference_or_as_two_ports(
     assert "high_port_pressure and low_port_pressure" in fault.message
 
 
-# Flushing
-
-
 @pytest.mark.parametrize(
     ("table", "words"),
     [
@@ -205,9 +199,6 @@ def test_pressure_comes_as_difference_or_as_two_ports(
 def test_flushing(configs: Path, table: str, words: str) -> None:
     add(configs, MOTOR, f"\n[flushing]\n{table}\n")
     assert words in only_fault(configs).message
-
-
-# Events and overrides
 
 
 def test_an_oil_change_is_dated(configs: Path) -> None:

@@ -27,8 +27,6 @@ from pipeline.ingest import read_log
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.demo.conftest import MOTORS, PLAN, night_of
 
-# Formats
-
 
 @pytest.mark.parametrize("motor_id", MOTORS)
 def test_reader_gets_back_what_was_recorded(
@@ -141,9 +139,6 @@ def test_fixed_width_numbers_are_python_s(values: list[float]) -> None:
     assert written == expected
 
 
-# The folder
-
-
 def small_demo(folder: Path, **arguments: Any) -> None:
     write_demo(folder, **({"nights": 2, "minutes": 10.0, "workers": 1} | arguments))
 
@@ -230,26 +225,16 @@ def test_a_file_in_the_folder_s_place_is_told(tmp_path: Path) -> None:
         small_demo(tmp_path / "demo")
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"nights": 0},
-        {"minutes": 0.5},
-        {"minutes": float("nan")},
-        {"minutes": 1441.0},
-        {"rate_hz": 0.05},
-        {"rate_hz": float("inf")},
-        {"seed": -1},
-        {"workers": 0},
-        {"first_night": dt.date(1960, 1, 1)},
-        {"slow_errors_min": -1.0},
-    ],
-)
-def test_nonsense_is_refused_before_anything_is_written(
-    tmp_path: Path, arguments: dict[str, Any]
-) -> None:
-    with refused("demo_arguments"):
-        small_demo(tmp_path / "demo", **arguments)
+NONSENSE = {"nights": (0,), "minutes": (0.5, float("nan"), 1441.0), "rate_hz": (0.05, float("inf"))}
+NONSENSE |= {"seed": (-1,), "workers": (0,), "slow_errors_min": (-1.0,)}
+NONSENSE |= {"first_night": (dt.date(1960, 1, 1),)}
+
+
+@pytest.mark.parametrize("name", NONSENSE)
+def test_nonsense_is_refused_before_anything_is_written(tmp_path: Path, name: str) -> None:
+    for value in NONSENSE[name]:
+        with refused("demo_arguments"):
+            small_demo(tmp_path / "demo", **{name: value})
     assert not (tmp_path / "demo").exists()
 
 

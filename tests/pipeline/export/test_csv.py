@@ -68,9 +68,6 @@ def exported(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     return folder
 
 
-# Round trips
-
-
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
 def test_round_trip_through_polars(fitted_output: Path, exported: Path, table: Table) -> None:
     texts = {
@@ -119,9 +116,6 @@ def test_times_dates_and_lists_as_text() -> None:
     assert text["singular_values"] == "[1.5, 2e-14, null]"
     line = as_text(frame(FITS, [row])).write_csv().splitlines()[1]
     assert line.startswith("A,,2026-01-03,2026-01-02T03:04:05.000067Z,,,true,")
-
-
-# Formulas
 
 
 def cells(text: str, separator: str) -> list[str]:
@@ -185,9 +179,6 @@ def test_hostile_names_of_logs_reach_no_spreadsheet(tmp_path: Path) -> None:
     assert back["message"].str.strip_prefix("'")[0] == HOSTILE[0]
 
 
-# Selection
-
-
 def test_motors_and_nights(fitted_output: Path, tmp_path: Path) -> None:
     chosen = {"motors": ("CB400-01", "CB560-02"), "since": NIGHT, "until": NIGHT}
     export(fitted_output, tmp_path, **chosen)
@@ -224,18 +215,6 @@ def test_tables_by_name() -> None:
     assert tables_named([]) == TABLES
     with refused("unknown_table", "no table ../fits, fit; there are latest, fits, parameters"):
         tables_named(["fits", "../fits", "fit"])
-
-
-# Files
-
-
-def test_byte_order_mark_where_asked_for(fitted_output: Path, tmp_path: Path) -> None:
-    export(fitted_output, tmp_path, FITS)
-    without = (tmp_path / "fits.csv").read_bytes()
-    list(export_csv(fitted_output, tmp_path, Selection((FITS,)), byte_order_mark=True))
-    assert (tmp_path / "fits.csv").read_bytes() == b"\xef\xbb\xbf" + without
-    assert pl.read_csv(tmp_path / "fits.csv").columns[0] == "motor_id"
-    assert pd.read_csv(tmp_path / "fits.csv").columns[0] == "motor_id"
 
 
 def test_link_in_the_folder_is_replaced_and_not_followed(
@@ -288,14 +267,8 @@ def test_refuses_the_folder_of_the_tables(fitted_output: Path, tmp_path: Path) -
             export(fitted_output, folder, FITS)
 
 
-# Command
-
-
 def test_command_says_what_it_wrote(
-    call: Call,
-    demo_folder: Path,
-    fitted_output: Path,
-    tmp_path: Path,
+    call: Call, demo_folder: Path, fitted_output: Path, tmp_path: Path
 ) -> None:
     config = demo_folder / "configs" / "fleet.toml"
     folder = tmp_path / "csv"
@@ -308,7 +281,9 @@ def test_command_says_what_it_wrote(
     assert fits == f"{folder / 'fits.csv'}: 2 rows"
     assert parameters.startswith(f"{folder / 'parameters.csv'}: ")
     assert names(folder) == ["fits.csv", "parameters.csv"]
-    assert (folder / "fits.csv").read_bytes().startswith(b"\xef\xbb\xbf")
+    assert (folder / "fits.csv").read_bytes().startswith(b"\xef\xbb\xbfmotor_id,")
+    for read in (pl.read_csv, pd.read_csv):
+        assert read(folder / "fits.csv").columns[0] == "motor_id"
 
 
 @pytest.mark.parametrize(

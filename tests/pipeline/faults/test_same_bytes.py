@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.pipeline.faults.fleet import OF_RUNS, TinyFleet
+from tests.pipeline.faults.fleet import ENVIRONMENT, OF_RUNS, TinyFleet
 
 RUN = """
 import sys
@@ -42,11 +41,7 @@ def test_two_runs_from_scratch_on_one_and_on_two_workers(
         subprocess.run(
             [sys.executable, "-c", RUN, tiny_fleet.folder, output, str(workers), backend],
             check=True,
-            env={
-                **os.environ,
-                "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path]),
-                "PYTHONHASHSEED": str(workers),
-            },
+            env=ENVIRONMENT | {"PYTHONHASHSEED": str(workers)},
         )
         found.append(hashes(output))
     assert len(found[0]) > 30

@@ -34,8 +34,6 @@ from tests.pipeline.model_figures.conftest import (
     words,
 )
 
-# Files
-
 
 # A map with contours and a stack with hatches: what an SVG numbers at random.
 @pytest.mark.parametrize(
@@ -112,9 +110,6 @@ def test_oil_that_the_equation_does_not_hold_for(oil: OilFile, tmp_path: Path) -
         write_model_figures(subject_of(type_with(DISTRIBUTOR), thin, settings), tmp_path)
 
 
-# Choice
-
-
 def test_oil_is_that_of_the_first_motor_of_the_type() -> None:
     fleet = load_fleet(shipped_configs() / "fleet.toml")
     first = min(
@@ -145,9 +140,6 @@ def test_type_that_no_motor_has_needs_its_oil_named() -> None:
     with refused("unknown_oil"):
         choose(fleet, "CB560")
     assert choose(fleet, "CB560", "vg46").motor.motor_type == "CB560"
-
-
-# Command
 
 
 def test_command_lists_what_it_wrote(tmp_path: Path) -> None:

@@ -36,9 +36,6 @@ VISCOSITIES = {(40.0, 40.0): 63.854, (200.0, 50.0): 55.055, (300.0, 60.0): 44.65
 ROUGHNESS_UM = 0.2 * 2**0.5
 
 
-# Numbers
-
-
 @pytest.mark.parametrize("worked", WORKED, ids=lambda row: f"{row[0]:g} bar")
 def test_curves_show_the_worked_values(cb560: ModelSubject, worked: tuple[float, ...]) -> None:
     bar, celsius, rpm, ring, piston, sleeve, roller, total = worked
@@ -229,9 +226,6 @@ def test_films(cb560: ModelSubject) -> None:
     assert ends == [(0.1, 1.0), (1.0, 5.0), (3.0, 10.0), (5.0, 200.0)]
     assert "reference [12]" in words(stribeck.figure)
     assert "8 µm" in words(stribeck.figure)
-
-
-# Marks
 
 
 @pytest.mark.parametrize("name", FIGURES)

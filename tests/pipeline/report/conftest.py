@@ -47,9 +47,9 @@ def built(output: Path, report: Path) -> Path:
     return output
 
 
-def rows_with(motor: str, **values: object) -> Change:
-    """Give a motor's rows other values."""
-    mine = pl.col("motor_id") == motor
+def rows_with(motor: str, *which: pl.Expr, **values: object) -> Change:
+    """Give a motor's rows, or some of them, other values."""
+    mine = pl.all_horizontal(pl.col("motor_id") == motor, *which)
     return lambda rows: rows.with_columns(
         pl.when(mine).then(pl.lit(value, rows.schema[name])).otherwise(name).alias(name)
         for name, value in values.items()

@@ -54,9 +54,6 @@ class Links(HTMLParser):
         self.targets += [value or "" for name, value in attrs if name in ("href", "src")]
 
 
-# What is there
-
-
 def test_the_folder_is_complete_and_leads_nowhere_else(report: Path) -> None:
     pages = sorted(report.rglob("*.html"))
     assert [page.stem for page in pages] == ["index", *MOTORS]
@@ -135,9 +132,6 @@ def test_a_night_that_takes_its_worker_along_keeps_its_files_and_is_made_next_ti
     for folder in (made, before):
         folder.pop("manifest.json")
     assert made == before
-
-
-# What is made anew
 
 
 def test_nothing_new_nothing_written(output: Path) -> None:
@@ -228,9 +222,6 @@ def test_a_folder_that_holds_something_else_is_left_alone(output: Path, tmp_path
         build(output, folder=tmp_path / "home" / "index.html")
 
 
-# Part of it
-
-
 def test_only_the_newest_nights_have_a_file(built: Path) -> None:
     result = build(built, nights=1)
     assert (result.n_nights, result.n_removed) == (0, 12)
@@ -245,9 +236,6 @@ def test_only_some_motors(output: Path, tmp_path: Path) -> None:
     assert "CB400" not in (tmp_path / "one" / "index.html").read_text("utf-8")
     with pytest.raises(UsageError, match="no motor other; there are CB1120-01"):
         build(output, folder=tmp_path / "none", motors=("other",))
-
-
-# Bad input
 
 
 def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> None:

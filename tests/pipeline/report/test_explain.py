@@ -17,7 +17,8 @@ FIRST = dt.date(2026, 1, 2)
 
 
 def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) -> None:
-    told = "\n".join(explain(fitted_output, "CB560-01", FIRST))
+    lines = explain(fitted_output, "CB560-01", FIRST)
+    told = "\n".join(lines)
     assert told.startswith("CB560-01, night of 2026-01-02: fitted")
     for words in (
         "log CB560-01/CB560-01_2026-01-02.mcap: ok",
@@ -37,16 +38,13 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) 
     ):
         assert words in told
     assert "_per_" not in told
-
-
-def test_the_answer_stands_first_and_each_part_under_its_title(fitted_output: Path) -> None:
-    told = explain(fitted_output, "CB560-01", FIRST)
-    titles = [line for before, line in pairwise(told) if not before]
+    # The answer stands first, and each part under its title.
+    titles = [line for before, line in pairwise(lines) if not before]
     assert titles == ["Paths", "Systematic errors", "Fit", "Errors of the fit", "Data"]
-    assert told[1].startswith("reference leakage")
-    assert told[1].count("±") == told[2].count("±") == 1
-    under = {line for line in told if line.startswith("  ")}
-    assert len(told) == 3 + 2 * len(titles) + len(under)
+    assert lines[1].startswith("reference leakage")
+    assert lines[1].count("±") == lines[2].count("±") == 1
+    under = {line for line in lines if line.startswith("  ")}
+    assert len(lines) == 3 + 2 * len(titles) + len(under)
 
 
 def test_one_pressure_all_night_is_told_with_what_would_help(fitted_output: Path) -> None:

@@ -124,9 +124,6 @@ def test_modes_of_flushing_are_compared_and_the_primary_one_shown(
     assert {**found, "modes": []} == fitted[MOTOR]
 
 
-# Geometry
-
-
 HEIGHTS = ("h_", "e_", "film_thickness_ratio_")
 
 
@@ -183,9 +180,6 @@ def test_rows_of_before_the_mark_show_no_heights(output: Path) -> None:
     """Schema version 2 did not say whether a geometry is a placeholder."""
     change_table(output, "parameters", rows_with(MOTOR, geometry_is_placeholder=None))
     assert not any(figures(row) for row in gap_rows(payloads(output)[MOTOR]))
-
-
-# Nights without a fit, and tables that are not there
 
 
 def test_a_night_without_a_fit_says_why_and_what_was_refused(output: Path) -> None:

@@ -230,9 +230,6 @@ def test_samples_are_put_in_order_and_what_is_missing_left_out() -> None:
     assert look_of(RawChannel(time_us, value, missing, 0)) == look(one, resolution=0.0)
 
 
-# Against the config
-
-
 PLAIN = {"source": "x", "unit": "l/min"}
 MEAN = {"sampling": "mean", "mean_of_s": 10.0}
 SENT = {"sampling": "on_change", "longest_silence_s": 60.0}

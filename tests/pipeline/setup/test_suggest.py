@@ -32,8 +32,6 @@ from tests.pipeline.setup.suggested import (
 )
 from tests.pipeline.setup.text_logs import TextLog, in_unit, long, of_one_channel, wide
 
-# CSV, a column a channel
-
 
 @pytest.mark.parametrize(
     "dialect",
@@ -85,9 +83,6 @@ def test_a_local_time_is_left_to_be_named(tmp_path: Path) -> None:
     assert "time_zone" not in suggest(path)
 
 
-# Day and month
-
-
 def test_a_date_that_can_be_read_in_two_ways_is_shown_in_both(tmp_path: Path) -> None:
     times, samples = times_of(start=datetime(2025, 3, 4, 6, tzinfo=UTC)), samples_of()
     for form, other in (("%d/%m/%Y", "%m/%d/%Y"), ("%m/%d/%Y", "%d/%m/%Y")):
@@ -133,9 +128,6 @@ def test_the_end_of_a_long_log_tells_day_from_month(tmp_path: Path) -> None:
     samples = samples_of(9000)
     path = log_in(tmp_path, wide(TextLog(LABELS, time="%m/%d/%Y %H:%M:%S"), times, samples))
     assert "day or month" not in require_it_reads(tmp_path, path, times, samples)
-
-
-# Other layouts
 
 
 @pytest.mark.parametrize("grouped", [False, True])
@@ -215,9 +207,6 @@ def test_a_file_a_channel(tmp_path: Path, names: dict[str, str], dialect: dict[s
         assert later in found
 
 
-# Parquet
-
-
 @pytest.mark.parametrize("form", PARQUET_TIMES)
 def test_parquet_with_any_time(tmp_path: Path, form: str) -> None:
     times, samples = times_of(), samples_of()
@@ -257,9 +246,6 @@ def test_parquet_with_a_row_a_sample(tmp_path: Path, is_dictionary: bool) -> Non
         tmp_path, path, times, {name: samples[name] for name in ("speed", "oil_temperature")}
     )
     assert 'channel_column = "signal"' in toml
-
-
-# What cannot be told, and what is no log
 
 
 def test_what_cannot_be_told_is_a_question(tmp_path: Path) -> None:

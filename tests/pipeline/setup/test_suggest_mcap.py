@@ -94,9 +94,6 @@ def comments(toml: str) -> list[str]:
     return [line[2:] for line in toml.splitlines() if line.startswith("# ")]
 
 
-# JSON
-
-
 def test_a_topic_a_channel(tmp_path: Path) -> None:
     names = {channel: f"/mill/m1/{channel}" for channel in VALUES}
     names["leakage_flow"] = "/mill/m1/drain_flow"
@@ -262,9 +259,6 @@ def test_protobuf_with_its_timestamp(tmp_path: Path) -> None:
     assert "which is it?" not in toml
 
 
-# What is there and cannot be used
-
-
 def test_messages_that_are_not_read_are_listed_with_the_reason(tmp_path: Path) -> None:
     schema = ("Thing", "flatbuffer", b"?")
     path = write(tmp_path, [("/x", T0_US, b"abc")], {"/x": schema}, "flatbuffer")
@@ -291,9 +285,6 @@ def test_recordings_of_others(foreign_files: Path) -> None:
     told = comments(suggest(foreign_files / "mcap" / "cdr_test_0.mcap"))
     assert any("/test_topic: cdr" in line for line in told)
     assert any(line.strip().startswith("float64_value: ") for line in told)
-
-
-# Any layout
 
 
 @settings(max_examples=25)
