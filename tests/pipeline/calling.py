@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,6 +25,12 @@ def refused(code: str, words: str = "") -> Iterator[None]:
         yield
     assert caught.value.code == code
     assert words in caught.value.message
+
+
+def python(code: str, *arguments: object, **settings: Any) -> subprocess.CompletedProcess[str]:
+    """Run code in a process of its own, which ends well."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=True, **settings)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -6,14 +6,12 @@ import io
 import json
 import logging
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from pipeline.messages import FORM, JsonLine, error_line, speak_as_told
-from tests.pipeline.calling import Call
+from tests.pipeline.calling import Call, python
 
 
 def test_a_record_is_one_line_with_its_traceback() -> None:
@@ -59,13 +57,7 @@ def test_a_worker_speaks_as_it_is_told(form: str) -> None:
         "import logging; from pipeline.messages import speak_as_told as told; told(); told();"
         "logging.getLogger('pipeline.x').warning('careful')"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=os.environ | {FORM: form},
-    )
+    done = python(code, env=os.environ | {FORM: form})
     if form:
         assert json.loads(done.stderr)["message"] == "careful"
     else:

@@ -18,7 +18,7 @@ import pytest
 from typer.main import get_command
 
 from pipeline.cli import app
-from tests.pipeline.calling import Call, without_workers
+from tests.pipeline.calling import Call, python, without_workers
 
 COMMANDS = sorted(
     command.name or command.callback.__name__.replace("_", "-")
@@ -89,9 +89,7 @@ NOT_AT_ONCE = (*NO_COMMAND_NEEDS, "scipy", "pyarrow.compute", "rich")
 def loaded_by(code: str, names: Sequence[str]) -> list[str]:
     """Those of some modules that a fresh process has loaded after some code."""
     code += f"\nimport sys; print(*(name for name in {names} if name in sys.modules))"
-    command = [sys.executable, "-c", code]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    return said.splitlines()[-1].split()
+    return python(code).stdout.splitlines()[-1].split()
 
 
 def test_help_imports_nothing_heavy() -> None:

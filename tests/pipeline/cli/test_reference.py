@@ -23,13 +23,10 @@ from pipeline.schema import TABLES
 ROOT = Path(__file__).resolve().parents[3]
 DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text("utf-8")
+WRITTEN = ("model", "validation", "operations", "dependencies", "scale", "queries", "powerbi")
 HAND_WRITTEN = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
-    *(
-        DOCS / name
-        for name in ("model.md", "validation.md", "operations.md", "dependencies.md", "scale.md")
-    ),
-    *(DOCS / name for name in ("queries.md", "powerbi.md")),
+    *(DOCS / f"{name}.md" for name in WRITTEN),
 ]
 SOURCES = [
     path for package in ("leakage", "pipeline") for path in sorted((ROOT / package).rglob("*.py"))

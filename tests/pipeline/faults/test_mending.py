@@ -65,8 +65,9 @@ def test_a_file_that_is_gone_is_made_anew_by_the_next_run(
     assert told.list.first().to_list()[0].startswith(f"table_missing: {name_of(path, output)}: ")
 
 
-@pytest.mark.parametrize("table", [FITS, PREDICTIONS, TRENDS])
-@pytest.mark.parametrize("damage", [rot, rot_of_footer, cut_off])
+@pytest.mark.parametrize(
+    ("table", "damage"), [(FITS, rot), (FITS, cut_off), (PREDICTIONS, rot), (TRENDS, rot_of_footer)]
+)
 def test_a_damaged_file_is_put_aside_and_made_anew_by_the_run_that_proves_it(
     tiny_fleet: TinyFleet, output: Path, table: Table, damage: Callable[[Path], None]
 ) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -24,7 +22,7 @@ from pipeline.model_figures import (
     write_model_figures,
 )
 from pipeline.model_figures.canvas import ImageFormat, drawing, save
-from tests.pipeline.calling import Call, refused
+from tests.pipeline.calling import Call, python, refused
 from tests.pipeline.model_figures.conftest import (
     DISTRIBUTOR,
     FIGURES,
@@ -148,11 +146,7 @@ def test_command_lists_what_it_wrote(tmp_path: Path) -> None:
         "try: main()\n"
         "finally: print(before, 'matplotlib.pyplot' in sys.modules, file=sys.stderr)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, "model", "--type", "CB560"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    done = python(program, "model", "--type", "CB560", cwd=tmp_path)
     written = [tmp_path / name for name in done.stdout.splitlines()]
     assert [path.name for path in written] == [f"CB560_{name}.png" for name in FIGURES]
     assert sorted((tmp_path / "out" / "figures").iterdir()) == sorted(written)

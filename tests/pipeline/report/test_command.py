@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
 from tests.conftest import OwnFleet
-from tests.pipeline.calling import Call
+from tests.pipeline.calling import Call, python
 
 ROOT = Path(__file__).resolve().parents[3]
 MOTOR = "CB400-01"
@@ -73,9 +71,8 @@ def test_templates_scripts_and_styles_are_in_the_wheel(tmp_path: Path) -> None:
         "import sys; from hatchling.builders.wheel import WheelBuilder;"
         "print(next(WheelBuilder(sys.argv[1]).build(directory=sys.argv[2])))"
     )
-    command = [sys.executable, "-c", code, str(ROOT), str(tmp_path)]
-    built = subprocess.run(command, capture_output=True, text=True, check=True)
-    names = set(zipfile.ZipFile(built.stdout.splitlines()[-1]).namelist())
+    built = python(code, ROOT, tmp_path).stdout.splitlines()[-1]
+    names = set(zipfile.ZipFile(built).namelist())
     folder = ROOT / "pipeline" / "report"
     shipped = [*(folder / "assets").iterdir(), *(folder / "templates").iterdir()]
     assert len(shipped) >= 9

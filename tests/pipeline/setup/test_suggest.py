@@ -164,18 +164,8 @@ def test_units_in_a_column_of_a_long_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "names",
     [
-        {
-            "pressure_difference": "m1_dp_kPa_2025-03-13.csv",
-            "oil_temperature": "m1_temp_degC_2025-03-13.csv",
-            "speed": "m1_speed_rpm_2025-03-13.csv",
-            "leakage_flow": "m1_drain_lpm_2025-03-13.csv",
-        },
-        {
-            "pressure_difference": "20250313060000 Delta P [kPa].csv",
-            "oil_temperature": "20250313060000 T oil.csv",
-            "speed": "20250313060001 n.csv",
-            "leakage_flow": "20250313060002 Q.csv",
-        },
+        [f"m1_{name}_2025-03-13.csv" for name in ("dp_kPa", "temp_degC", "speed_rpm", "drain_lpm")],
+        [f"2025031306000{one}.csv" for one in ("0 Delta P [kPa]", "0 T oil", "1 n", "2 Q")],
     ],
     ids=["words", "brackets"],
 )
@@ -184,12 +174,12 @@ def test_units_in_a_column_of_a_long_log(tmp_path: Path) -> None:
     [{}, {"separator": ";", "decimal": ",", "names": {"value": "Wert"}, "units": "row"}],
     ids=str,
 )
-def test_a_file_a_channel(tmp_path: Path, names: dict[str, str], dialect: dict[str, Any]) -> None:
+def test_a_file_a_channel(tmp_path: Path, names: list[str], dialect: dict[str, Any]) -> None:
     times, samples = times_of(), samples_of()
     written = TextLog(LABELS, **dialect)
     paths = {
         channel: log_in(tmp_path, of_one_channel(written, times, samples, channel), name)
-        for channel, name in names.items()
+        for channel, name in zip(LABELS, names, strict=True)
     }
     log_in(tmp_path, b"who;what\nme;nothing\n", "notes.csv")
     first = require_it_reads(tmp_path, paths["speed"], times, samples)
@@ -199,8 +189,8 @@ def test_a_file_a_channel(tmp_path: Path, names: dict[str, str], dialect: dict[s
     for path in paths.values():
         assert suggest(path) == first
     # A later night of the same names is found by the same patterns.
-    for channel, name in names.items():
-        later = re.sub(r"2025-?03-?13", lambda date: date[0].replace("13", "14"), name)
+    for channel, path in paths.items():
+        later = re.sub(r"2025-?03-?13", lambda date: date[0].replace("13", "14"), path.name)
         log_in(tmp_path, of_one_channel(written, times, samples, channel), later)
         patterns = tomllib.loads(first)["logs"]["files"]
         found = [path.name for pattern in patterns for path in (tmp_path / "logs").glob(pattern)]

@@ -23,6 +23,7 @@ from pipeline.setup.suggest import suggest
 from tests.pipeline.setup.suggested import (
     DAY_OR_MONTH,
     PARQUET_TIMES,
+    columns_of,
     log_in,
     read_as_suggested,
     require_same,
@@ -188,16 +189,8 @@ def test_any_parquet_reads_back_what_was_written(
     dialect = TextLog(draw(labels()), layout, units=draw(st.sampled_from(["name", "word"])))
     times, samples = draw(recordings(dialect))
     number = draw(st.sampled_from([pa.float64(), pa.float32(), pa.decimal128(18, 6)]))
-    columns = {
-        dialect.label(channel): pa.array(
-            [
-                None if x is None else round(in_unit(x, dialect.labels[channel].unit), 6)
-                for x in own
-            ],
-            pa.float64(),
-        ).cast(number, safe=False)
-        for channel, own in samples.items()
-    }
+    columns = columns_of(samples, dialect)
+    columns = {name: one.cast(number, safe=False) for name, one in columns.items()}
     stamps = PARQUET_TIMES[draw(st.sampled_from(["typed", "naive", "epoch_ms", "epoch_s", "text"]))]
     us = us_of(times)
     if layout == "long":
