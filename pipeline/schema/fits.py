@@ -334,5 +334,13 @@ FITS = Table(
             "Viscosity as measured, by the log or by analyses, over that of the data sheet: what "
             "the fit went by; null where the data sheet holds",
         ),
+        Column(
+            "coefficient_covariance_root",
+            NUMBERS,
+            "m3, l/min",
+            "Upper triangle of U, row by row, with U'U the coefficient_covariance: |U c| is the "
+            "standard error of a combination c, also where paths look alike and rounding leaves "
+            "nothing of it in the covariance",
+        ),
     ),
 )
