@@ -30,7 +30,6 @@ from pipeline.trends.nights.records import (
     NightWords,
     Records,
     blank_records,
-    symmetric_matrix,
     triangle,
     whole_matrix,
 )
