@@ -134,9 +134,10 @@ class ClusterRobust:
         |U c| keeps the standard error of every combination c.
         """
         k = len(self._scale)
-        root: Array = np.linalg.qr(self._scores @ self._to_basis / self._scale, mode="r")
-        signed = np.where(np.diag(root) < 0.0, -1.0, 1.0)[:, None] * root
-        return np.pad(signed, ((0, k - len(root)), (0, 0)))
+        upper = np.asarray(np.linalg.qr(self._scores @ self._to_basis / self._scale, mode="r"))
+        root = np.zeros((k, k))
+        root[: len(upper)] = np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None] * upper
+        return root
 
     def covariance(self) -> Array:
         """Covariance of the active coefficients, shape (k, k), in their units."""

@@ -127,12 +127,13 @@ def _covariance_columns(mode: BlockFit) -> Row:
     names, found = ("coefficient_covariance", "coefficient_covariance_root"), mode.identification
     if found.distribution is None:
         return dict.fromkeys(names)
-    whole = np.zeros((2, *(len(mode.fit.coefficients),) * 2))
-    whole[:, *np.ix_(found.distribution.active, found.distribution.active)] = (
-        found.distribution.covariance(),
-        found.distribution.covariance_root(),
-    )
-    return dict(zip(names, map(upper_triangle, whole), strict=True))
+    row, on = {}, np.ix_(found.distribution.active, found.distribution.active)
+    matrices = found.distribution.covariance(), found.distribution.covariance_root()
+    for name, matrix in zip(names, matrices, strict=True):
+        whole = np.zeros((len(mode.fit.coefficients),) * 2)
+        whole[on] = matrix
+        row[name] = upper_triangle(whole)
+    return row
 
 
 def upper_triangle(matrix: Array) -> list[float]:
