@@ -165,10 +165,7 @@ TABLES = (
 def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
     """Rows as a frame with exactly the table's columns and types; absent values are null.
 
-    Raises
-    ------
-    ValueError
-        If a row has a column that the table has not: a figure would be lost silently.
+    Raises ValueError if a row has a column that the table has not: a figure would be lost silently.
     """
     # Not by way of Arrow, which loads pandas, where there is one, with its first array.
     return pl.DataFrame(
@@ -179,10 +176,8 @@ def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
 def staged_table(table: Table, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
     """The same in Arrow, without the run: many rows of many columns take a quarter of the time.
 
-    Raises
-    ------
-    ValueError, TypeError
-        If a row has a column that the table has not, or a value that its column cannot hold.
+    Raises ValueError or TypeError for a column that the table has not, or a value that a column
+    cannot hold.
     """
     schema = _staged_schema(table)
     every = pa.array(_known(rows, table.name, schema.names), pa.struct(schema))
