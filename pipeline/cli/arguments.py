@@ -80,17 +80,17 @@ def night_label(text: str | None, option: str) -> dt.date | None:
         raise UsageError("date", f"{option}: got {text!r}; expected YYYY-MM-DD") from None
 
 
-def duration(text: str, option: str, code: str) -> dt.timedelta:
+def duration(text: str, option: str) -> dt.timedelta:
     """A time span such as 30s, 10min, 26h or 2d.
 
     Examples
     --------
-    >>> duration("10min", "--every", "usage"), duration("26h", "--max-age", "age")
+    >>> duration("10min", "--every"), duration("26h", "--max-age")
     (datetime.timedelta(seconds=600), datetime.timedelta(days=1, seconds=7200))
     """
     found = re.fullmatch(rf"(\d{{1,6}}(?:\.\d+)?)({'|'.join(UNITS)})", text)
     if found is None or not float(found[1]):
-        raise UsageError(code, f"{option}: got {text!r}; expected such as 30s, 10min, 26h or 2d")
+        raise UsageError("age", f"{option}: got {text!r}; expected such as 30s, 10min, 26h or 2d")
     return dt.timedelta(**{UNITS[found[2]]: float(found[1])})
 
 

@@ -51,7 +51,7 @@ def look(
     """
     if every and once:
         raise UsageError("usage", "--every and --once exclude each other")
-    pause_s = duration(every, "--every", "usage").total_seconds() if every else 0.0
+    pause_s = duration(every, "--every").total_seconds() if every else 0.0
     with stoppable():
         from pipeline.look.look import look_at_fleet
 

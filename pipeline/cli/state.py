@@ -43,7 +43,7 @@ def status(
     from pipeline.report.status import fleet_status
     from pipeline.telling.receivers import receivers_of
 
-    limit = duration(max_age, "--max-age", "age") if max_age else None
+    limit = duration(max_age, "--max-age") if max_age else None
     fleet = load(config, output, None, logs=False)
     receivers = receivers_of(fleet.settings.alarms)
     motor_ids = [spec.motor_id for spec in fleet.motors]

@@ -258,7 +258,7 @@ def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
 @pytest.mark.parametrize("text", ["", "h", "26", "-1h", "0h", "infh", "nanh", "1y", "26 h ours"])
 def test_a_duration_that_is_none(text: str) -> None:
     with pytest.raises(UsageError) as caught:
-        duration(text, "--max-age", "age")
+        duration(text, "--max-age")
     assert caught.value.code == "age"
 
 
