@@ -331,7 +331,9 @@ def _alone_part(
         ]
         for name in changes
     ]
-    header = ("change", *(f"{minutes} min, {nights} nights" for minutes, nights in cells))
+    header = " | ".join(
+        ["change", *(f"{minutes} min, {nights} nights" for minutes, nights in cells)]
+    )
     return Part(heading, f"Right / cannot be told / wrong. {text}", header, rows)
 
 
@@ -341,7 +343,7 @@ def _tanks_part() -> Part:
         for name, counts in tanks(60, 5).items()
     ]
     text = "What is told of the first, 60 minutes a night, five nights since the change."
-    return Part("Three motors on a tank", text, ("change", "told"), rows)
+    return Part("Three motors on a tank", text, "change | told", rows)
 
 
 PARTS: dict[str, Callable[[], Part]] = {

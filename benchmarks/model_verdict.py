@@ -287,22 +287,10 @@ def main() -> None:
         )
         rows.append([name, *_verdicts(many), *_coverage([one for some in many for one in some])])
     header = (
-        "case",
-        "τ of a night, median / 95 %",
-        "verdicts of a night, %",
-        "τ of ten, median / 95 %",
-        "verdicts of ten, %",
-        "first kind",
-        "leakage held before, %",
-        "after, %",
-        "free, %",
-        "bias, fixed → free, %",
-        "± before, fixed → free, %",
-        "± after, fixed → free, %",
-        "K held before, %",
-        "after, %",
-        "free, %",
-        "± of K after, fixed → free, %",
+        "case | τ of a night, median / 95 % | verdicts of a night, % | τ of ten, median / 95 % "
+        "| verdicts of ten, % | first kind | leakage held before, % | after, % | free, % | "
+        "bias, fixed → free, % | ± before, fixed → free, % | ± after, fixed → free, % | K held "
+        "before, % | after, % | free, % | ± of K after, fixed → free, %"
     )
     title = (
         f"Verdicts on models: {COURSES * NIGHTS} nights a case; verdicts are shares of supported / "

@@ -202,7 +202,8 @@ def _parts(figures: dict[int, Figures]) -> list[Part]:
         "trend_bytes_written": "bytes written",
     }
     trends = [name for name in words if name.startswith("trend_")]
-    header = ("what", *(f"night {number}" for number in figures), f"{last} / {first}")
+    nights = (f"night {number}" for number in figures)
+    header = " | ".join(("what", *nights, f"{last} / {first}"))
 
     def rows(names: Sequence[str]) -> list[list[str]]:
         return [

@@ -99,7 +99,7 @@ def same_figures(config: Path) -> Part:
         "The same figures",
         f"{equal} of {n} figures are equal to the last bit. Nights: "
         f"{', '.join(f'{count} {status}' for status, count in outcomes.items())}.",
-        ("figure", "compared", "equal"),
+        "figure | compared | equal",
         [[name, str(counts[0]), str(counts[1])] for name, counts in compared.items()],
     )
 
@@ -127,7 +127,7 @@ def published(config: Path) -> Part:
         "Once a motor's baseline asks for it, the nightly run estimates the scale of the rollers' "
         "curve as well, and makes these fits from stored blocks: `fit(motor.with_free_standard())` "
         "sums the same samples in another order.",
-        ("scale of the rollers", "nights", "largest relative difference of an estimate"),
+        "scale of the rollers | nights | largest relative difference of an estimate",
         [
             ["estimated" if is_free else "as stated", str(len(of)), f"{max(of):.1e}"]
             for is_free, of in apart.items()
@@ -247,7 +247,7 @@ def cost() -> Part:
     return Part(
         "The cost",
         f"{SAMPLES} rows, medians of {REPEATS} in turn, processor time. Goal: at most 1.3.",
-        ("fitted from", "processor time", "over the night's steps"),
+        "fitted from | processor time | over the night's steps",
         [
             [name, f"{1000 * one:.0f} ms", f"{one / medians[NIGHT]:.2f}"]
             for name, one in medians.items()

@@ -45,7 +45,7 @@ def main() -> None:
     seconds.append(("all", sum(number for _, number in seconds)))
     rows = [[name, f"{number:.1f}"] for name, number in seconds]
     title = f"A wide log of {MOTORS} motors ({size_mb:.0f} MB, {MINUTES} min) to {n_pages} pages"
-    write_results("wide_plant", title, ("command", "seconds"), rows)
+    write_results("wide_plant", title, "command | seconds", rows)
 
 
 def _write(log: Path) -> None:
