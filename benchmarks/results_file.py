@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import datetime as dt
 import json
+import os
 import platform
-import re
 import sys
+import tempfile
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,14 +59,34 @@ def write_stored(
     asked = parser.parse_args(list(options)).only.split(",")
     if strangers := sorted(set(asked) - set(makers)):
         parser.error(f"no part {', '.join(strangers)}; there are {', '.join(makers)}")
-    file = RESULTS / f"{name}.json"
-    stored: dict[str, dict[str, Any]] = {}
     for one in asked:
-        made = asdict(makers[one]())
-        stored = json.loads(file.read_text("utf-8")) if file.exists() else {}
-        stored[one] = made
-        file.write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n", "utf-8")
-    write_parts(name, title, text, [Part(**stored[one]) for one in makers if one in stored])
+        begin = time.perf_counter()
+        sys.stderr.write(f"{one}: begins, load {os.getloadavg()[0]:.1f}\n")
+        store(name, one, asdict(makers[one]()))
+        sys.stderr.write(f"{one}: {time.perf_counter() - begin:.0f} s\n")
+    found = stored(name)
+    write_parts(name, title, text, [Part(**found[one]) for one in makers if one in found])
+
+
+def in_folder(make: Callable[[Path], Part]) -> Part:
+    """A part made in a folder of its own, with the load of the machine before it began."""
+    load = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory() as folder:
+        part = make(Path(folder))
+    return replace(part, text=f"{part.text} Load before it began: {load:.1f}.")
+
+
+def stored(name: str) -> dict[str, Any]:
+    """All that runs of a benchmark have found so far, by part."""
+    file = RESULTS / f"{name}.json"
+    found: dict[str, Any] = json.loads(file.read_text("utf-8")) if file.exists() else {}
+    return found
+
+
+def store(name: str, part: str, found: object, indent: int | None = 1) -> None:
+    """Keep what was found of a part beside the others."""
+    text = json.dumps(stored(name) | {part: found}, indent=indent, ensure_ascii=False)
+    (RESULTS / f"{name}.json").write_text(text + "\n", "utf-8")
 
 
 def description(doc: str | None) -> str:
@@ -100,20 +122,3 @@ def _write(name: str, title: str, body: Sequence[str]) -> None:
     text = "\n".join(lines)
     (RESULTS / f"{name}.md").write_text(text, "utf-8")
     sys.stdout.write(text)
-
-
-def nights_of_history() -> str:
-    """What the benchmark of history found."""
-    path = RESULTS / "night_cost.md"
-    if not path.exists():
-        return ""
-    found = re.search(
-        r"\| processor time \|.*\| ([\d.]+) \|$", path.read_text("utf-8"), re.MULTILINE
-    )
-    if found is None:
-        return ""
-    return (
-        "Nights of history: night 365 takes "
-        f"{found.group(1)} times the processor time of night 2, the trend stage aside "
-        "(`night_cost.md`)."
-    )

@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +25,7 @@ import psutil
 import pyarrow.parquet as pq
 
 from benchmarks.day_fleets import later, log_of, make_fleet, write_day
-from benchmarks.results_file import Part, write_stored
+from benchmarks.results_file import Part, in_folder, write_stored
 from benchmarks.whole_runs import elapsed, first_night, fit_command
 from pipeline.config import Execution, Fleet, load_fleet
 from pipeline.demo import write_demo
@@ -72,25 +71,9 @@ def sleep_and_stage(task: Night) -> int:
 
 def main(options: Sequence[str] = ()) -> None:
     """Measure and write `benchmarks/results/scale.md`."""
-    makers = {name: partial(_measured, name) for name in PARTS}
+    makers = {name: partial(in_folder, make) for name, make in PARTS.items()}
     text = f"{os.cpu_count()} cores. {__doc__}"
     write_stored("scale", "Past one machine", text, makers, options)
-
-
-def _measured(name: str) -> Part:
-    """A part, with the load of the machine before it began."""
-    load = os.getloadavg()[0]
-    _say(f"{name}: begins")
-    begin = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        part = PARTS[name](Path(folder))
-    _say(f"{name}: {time.perf_counter() - begin:.0f} s")
-    return replace(part, text=f"{part.text} Load before it began: {load:.1f}.")
-
-
-def _say(line: str) -> None:
-    sys.stderr.write(f"{line}\n")
-    sys.stderr.flush()
 
 
 def _demo(folder: Path, nights: int, minutes: float) -> Fleet:

@@ -15,7 +15,6 @@ from pipeline.cli.arguments import (
     Output,
     absolute_folder,
     in_order,
-    known_motors,
     load,
     loaded,
     night_label,
@@ -41,7 +40,7 @@ def explain(
     from pipeline.report.explain import explain as explained
 
     fleet = load(config, output, None)
-    known_motors([motor], fleet)
+    fleet.known_motors([motor])
     label = night_label(night, "NIGHT")
     assert label is not None
     for line in explained(fleet.output, motor, label):
@@ -174,7 +173,7 @@ def export(
     assert csv is not None
     selection = Selection(
         tables=tables_named(tables.replace(",", " ").split()),
-        motors=known_motors(motors.split(), fleet),
+        motors=fleet.known_motors(motors.split()),
         since=night_label(since, "--since"),
         until=night_label(until, "--until"),
     )

@@ -28,29 +28,12 @@ class ExportedTable:
 def export_delta(
     output: Path, place: str, tables: tuple[Table, ...] = TABLES
 ) -> Iterator[ExportedTable]:
-    """Write tables as Delta Lake tables; those that are there get a new version.
+    """Write tables as Delta Lake tables below a folder or URL; those there get a new version.
 
-    Parameters
-    ----------
-    output
-        Output folder of the runs.
-    place
-        Folder or URL below which the tables are written.
-    tables
-        Tables.
+    A table without a file yet is left out.
 
-    Yields
-    ------
-    ExportedTable
-        Each table as it is finished; one without a file yet is left out.
-
-    Raises
-    ------
-    UsageError
-        ``delta_missing`` without the extra; ``no_tables`` if there are none; ``delta_folder`` if
-        the place lies within the tables.
-    StoreError
-        If a table is damaged, or cannot be written there.
+    Raises UsageError (``delta_missing``, ``no_tables``, ``delta_folder``) without the extra or
+    tables, or if the place lies within them; StoreError if a table cannot be read or written.
     """
     try:
         from deltalake import write_deltalake

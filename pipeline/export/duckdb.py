@@ -30,27 +30,11 @@ class ExportedRows:
 
 
 def export_duckdb(output: Path, path: Path) -> Iterator[ExportedRows]:
-    """Write a DuckDB file whole or not at all; one of that name is replaced.
+    """Write a DuckDB file whole or not at all; it is there after the last table is told.
 
-    Parameters
-    ----------
-    output
-        Output folder of the runs.
-    path
-        The file.
-
-    Yields
-    ------
-    ExportedRows
-        Each table as it is finished; the file is there after the last.
-
-    Raises
-    ------
-    UsageError
-        ``duckdb_missing`` without the extra; ``no_tables`` if there are none; ``duckdb_file`` if
-        the file lies within the tables, or is a folder.
-    StoreError
-        If a table is damaged, or the file cannot be written.
+    Raises UsageError (``duckdb_missing``, ``no_tables``, ``duckdb_file``) without the extra or
+    tables, or if the file is a folder or lies within the tables; StoreError if a table cannot be
+    read, or the file not be written.
     """
     try:
         import duckdb
