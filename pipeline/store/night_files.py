@@ -98,10 +98,9 @@ def new_rows(
         night: [one for one in sorted(staged) if night in staged[one].heights[table.name]]
         for night in nights
     }
+    pieces: dict[dt.date, Iterable[pl.DataFrame]] = {}
     if len(nights) == 1:
-        pieces = {
-            night: _pieces(table, staged, some, night, run_id) for night, some in motors.items()
-        }
+        pieces = {one: _pieces(table, staged, some, one, run_id) for one, some in motors.items()}
     elif staged:
         every = _rows_of_some(table, staged, nights[0], nights[-1], run_id)
         pieces = {night: [rows] for night, rows in every.items()}
