@@ -151,7 +151,7 @@ def _throughput(folder: Path) -> Part:
         f"The demo fleet, {len(fleet.motors)} motors with 6 nights of 60 minutes each: a whole "
         "run, tables, trends and the start of the workers of loky included; over Dask workers are "
         "there, and start the process for their tasks.",
-        ("Engine", "Workers", "Run", "Nights/s"),
+        "Engine | Workers | Run | Nights/s",
         rows,
     )
 
@@ -188,7 +188,7 @@ def _overhead(folder: Path) -> Part:
         "Overhead of a task",
         f"{EMPTY_TASKS} tasks that do nothing, and {QUICK_TASKS} that only stage rows, two "
         "workers: what a motor costs beyond its work. Loky starts its workers in it.",
-        ("Engine", "Stages", "A task", "Tasks/s"),
+        "Engine | Stages | A task | Tasks/s",
         rows,
     )
 
@@ -245,7 +245,7 @@ def _large_fleet(folder: Path) -> Part:
         f"Simulated motors of {TASK_S:g} s that sleep and stage {STAGED_BYTES // 1000} kB each, "
         f"{FLEET_WORKERS} workers. Share of work: time that the workers slept of the time that "
         "they had.",
-        ("Tasks in flight", "Run", "Tasks/s", "Share of work", "Scheduler", "Client, more"),
+        "Tasks in flight | Run | Tasks/s | Share of work | Scheduler | Client, more",
         rows,
     )
 
@@ -268,7 +268,7 @@ def _worker_memory(folder: Path) -> Part:
         "Memory of a Dask worker",
         "Largest resident memory of each of its processes in a run over the demo, one worker. "
         "That of the process for tasks grows with a night's readings.",
-        ("Process", "Largest"),
+        "Process | Largest",
         rows,
     )
 
@@ -312,7 +312,7 @@ def _year(folder: Path) -> Part:
     return Part(
         "The first back-fill of a motor",
         f"One motor of the demo, {YEAR} nights of 20 minutes, logs and all.",
-        ("Engine", "Workers", "Nights a part", "Run", "Faster by"),
+        "Engine | Workers | Nights a part | Run | Faster by",
         rows,
     )
 
@@ -337,7 +337,7 @@ def _sizes(folder: Path) -> Part:
         "What a motor stores",
         "Tables of the fleet of the first part, six motors a file. A day of 24 h has up to 96 "
         "blocks and 720 points of a night instead of the 30 and 720 here.",
-        ("Table", "A motor's night", "A motor's year"),
+        "Table | A motor's night | A motor's year",
         rows,
     )
 
@@ -363,7 +363,7 @@ def _circuits(folder: Path) -> Part:
         "Many motors on one tank",
         f"Motors with logs of {SHORT_MINUTES:g} minutes, two workers: a run with nothing new, and "
         "one with a night more of every motor.",
-        ("Motors", "Tanks", "Nothing new", "processor", "A night more", "processor"),
+        "Motors | Tanks | Nothing new | processor | A night more | processor",
         rows,
     )
 
