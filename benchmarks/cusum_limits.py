@@ -190,13 +190,10 @@ def main() -> None:
                 ]
             )
     TABLE.write_text(module_text(limits, of_floor), "utf-8")
-    header = (
-        "baseline nights",
-        "rate a year",
-        "limit of the floor",
-        *(f"limit at φ̂ = {phi:g}" for phi in (0.0, 0.3, 0.6, 0.9)),
-        *(f"alarmed years, φ = {phi:g}" for phi in (0.0, 0.3, 0.6, 0.7, 0.8)),
-    )
+    of_limits = (f"limit at φ̂ = {phi:g}" for phi in (0.0, 0.3, 0.6, 0.9))
+    of_years = (f"alarmed years, φ = {phi:g}" for phi in (0.0, 0.3, 0.6, 0.7, 0.8))
+    beside = ("baseline nights", "rate a year", "limit of the floor")
+    header = " | ".join((*beside, *of_limits, *of_years))
     calibrated = Part(
         "Limits",
         "The alarmed years are those without a floor, at the limits of the estimated φ.",
@@ -235,7 +232,7 @@ def checked(limits: Array, of_floor: Array) -> Part:
         "Around the floor",
         "Share of alarmed years at a rate of 0.02, for nights whose true scatter is so many times "
         "their floor; new draws.",
-        ("baseline nights", "φ", *(f"{scatter:g}" for scatter in SCATTERS)),
+        " | ".join(("baseline nights", "φ", *(f"{scatter:g}" for scatter in SCATTERS))),
         rows,
     )
 

@@ -114,14 +114,9 @@ def main() -> None:
         "dates",
         "Dates to a limit by course of the wear",
         (
-            "course",
-            "nights",
-            "no trend told, %",
-            "set holds, % (worst cell)",
-            "a range, %",
-            "range holds, %",
-            "width of the range over what is left",
-            "earliest time over what is left",
+            "course | nights | no trend told, % | set holds, % (worst cell) | a range, % | "
+            "range holds, % | width of the range over what is left | earliest time over what is "
+            "left"
         ),
         [[course, str(n), *_cells(course, n)] for course in (*COURSES, STEPS) for n in NIGHTS],
     )

@@ -89,7 +89,8 @@ def add_nights(config: Path, n: int) -> None:
 
 
 def later(table: pa.Table, days: int) -> pa.Table:
-    """The same log some days later."""
-    shift = pa.scalar(timedelta(days=days), pa.duration("us"))
-    place = table.schema.get_field_index("timestamp")
-    return table.set_column(place, table.schema.field(place), pc.add(table.column(place), shift))
+    """The same log some days later; its first column is the time, a stamp or milliseconds."""
+    field, step = table.schema.field(0), timedelta(days=days)
+    is_stamp = pa.types.is_timestamp(field.type)
+    shift = pa.scalar(step, pa.duration("us")) if is_stamp else step // timedelta(milliseconds=1)
+    return table.set_column(0, field.name, pc.add(table[0], shift))

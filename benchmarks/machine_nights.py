@@ -123,15 +123,11 @@ def nights_of(machine: Machine, course: Course, seed: Sequence[int], nights: ran
         night_of(
             machine,
             course(place),
-            noise.NightWander(*(one[place : place + 1][0] for one in _parts(wander))),
+            noise.NightWander(*(one[place] for one in wander)),
             np.random.default_rng([*seed, 1, place]),
         )
         for place in nights
     ]
-
-
-def _parts(wander: noise.NightWander) -> tuple[Array, Array, Array]:
-    return wander.temperature_c, wander.gain, wander.pressure_bar
 
 
 def _duty(generator: np.random.Generator, state: State) -> tuple[Array, Array, Array]:

@@ -65,7 +65,7 @@ def main() -> None:
         for choice in choices()
         for bounded in (True, False)
     ]
-    header = ("truth", "bounds", "K_o %", "K_p %", "K_s %", "reference leakage %", "fit %")
+    header = "truth | bounds | K_o % | K_p % | K_s % | reference leakage % | fit %"
     title = "The thesis's model on truths that it does not have, change in %"
     write_results("model_choices", title, header, rows)
 

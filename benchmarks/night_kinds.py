@@ -162,7 +162,7 @@ class Kind:
         return [*(f"{one:g}" for one in numbers), load, self.errors, str(self.coefficients)]
 
 
-KIND_HEADER = ("minutes", "Hz", "φ", "load", "other errors", "free K")
+KIND_HEADER = "minutes | Hz | φ | load | other errors | free K"
 
 
 def one_coefficient(of: Motor) -> Motor:

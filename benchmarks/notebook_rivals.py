@@ -174,7 +174,7 @@ def one_night() -> Part:
         "One night",
         f"{frame.height} samples of an hour, three loss factors, truth of the first "
         f"{of.column_paths[0].configured_coefficient:.3g} m³.",
-        ("", "lines", "processor time", "95 % interval of the first K [m³]", "what it tells"),
+        " | lines | processor time | 95 % interval of the first K [m³] | what it tells",
         rows,
     )
 
@@ -207,6 +207,6 @@ def coverage() -> Part:
         "Coverage",
         f"{NIGHTS} simulated nights each; errors of {NOISE_L_PER_MIN} l/min that remember "
         f"{FAST_S:g} s, and beside them {SLOW_L_PER_MIN} l/min that remember {SLOW_S / 60:g} min.",
-        ("", "held, seconds", "median half-width", "held, minutes", "median half-width"),
+        " | held, seconds | median half-width | held, minutes | median half-width",
         rows,
     )

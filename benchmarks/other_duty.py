@@ -145,14 +145,8 @@ def false_alarms(motors: int = MOTORS) -> Part:
         f"{len(MODELS)} models, {motors} motors each; goal: 1 % by the rule. "
         "Told in the tenth night.",
         (
-            "duty now",
-            "motors",
-            "K plain, +15 %",
-            "K by the rule",
-            "flow plain, +5 %",
-            "flow by the rule",
-            "a path named",
-            "nights compared, %",
+            "duty now | motors | K plain, +15 % | K by the rule | flow plain, +5 % | flow by "
+            "the rule | a path named | nights compared, %"
         ),
         rows,
     )
@@ -178,7 +172,7 @@ def wear_told(motors: int = MOTORS) -> Part:
     return Part(
         "Wear at another duty",
         f"{motors} motors a row; K of a path +100 %. Told in the tenth night, if it is compared.",
-        ("model", "duty now", "path", "its K", "another K", "flow", "named", "wrong name"),
+        "model | duty now | path | its K | another K | flow | named | wrong name",
         rows,
     )
 
@@ -199,7 +193,7 @@ def model_watched(motors: int = 16) -> Part:
     return Part(
         "A model that has changed",
         "Warnings of `model_misfit`: its state by ten nights, 20 nights after the change.",
-        ("model", "watched", "told"),
+        "model | watched | told",
         rows,
     )
 

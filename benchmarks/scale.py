@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +25,7 @@ import psutil
 import pyarrow.parquet as pq
 
 from benchmarks.day_fleets import later, log_of, make_fleet, write_day
-from benchmarks.results_file import Part, write_stored
+from benchmarks.results_file import Part, in_folder, write_stored
 from benchmarks.whole_runs import elapsed, first_night, fit_command
 from pipeline.config import Execution, Fleet, load_fleet
 from pipeline.demo import write_demo
@@ -72,25 +71,9 @@ def sleep_and_stage(task: Night) -> int:
 
 def main(options: Sequence[str] = ()) -> None:
     """Measure and write `benchmarks/results/scale.md`."""
-    makers = {name: partial(_measured, name) for name in PARTS}
+    makers = {name: partial(in_folder, make) for name, make in PARTS.items()}
     text = f"{os.cpu_count()} cores. {__doc__}"
     write_stored("scale", "Past one machine", text, makers, options)
-
-
-def _measured(name: str) -> Part:
-    """A part, with the load of the machine before it began."""
-    load = os.getloadavg()[0]
-    _say(f"{name}: begins")
-    begin = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        part = PARTS[name](Path(folder))
-    _say(f"{name}: {time.perf_counter() - begin:.0f} s")
-    return replace(part, text=f"{part.text} Load before it began: {load:.1f}.")
-
-
-def _say(line: str) -> None:
-    sys.stderr.write(f"{line}\n")
-    sys.stderr.flush()
 
 
 def _demo(folder: Path, nights: int, minutes: float) -> Fleet:
@@ -168,7 +151,7 @@ def _throughput(folder: Path) -> Part:
         f"The demo fleet, {len(fleet.motors)} motors with 6 nights of 60 minutes each: a whole "
         "run, tables, trends and the start of the workers of loky included; over Dask workers are "
         "there, and start the process for their tasks.",
-        ("Engine", "Workers", "Run", "Nights/s"),
+        "Engine | Workers | Run | Nights/s",
         rows,
     )
 
@@ -205,7 +188,7 @@ def _overhead(folder: Path) -> Part:
         "Overhead of a task",
         f"{EMPTY_TASKS} tasks that do nothing, and {QUICK_TASKS} that only stage rows, two "
         "workers: what a motor costs beyond its work. Loky starts its workers in it.",
-        ("Engine", "Stages", "A task", "Tasks/s"),
+        "Engine | Stages | A task | Tasks/s",
         rows,
     )
 
@@ -262,7 +245,7 @@ def _large_fleet(folder: Path) -> Part:
         f"Simulated motors of {TASK_S:g} s that sleep and stage {STAGED_BYTES // 1000} kB each, "
         f"{FLEET_WORKERS} workers. Share of work: time that the workers slept of the time that "
         "they had.",
-        ("Tasks in flight", "Run", "Tasks/s", "Share of work", "Scheduler", "Client, more"),
+        "Tasks in flight | Run | Tasks/s | Share of work | Scheduler | Client, more",
         rows,
     )
 
@@ -285,7 +268,7 @@ def _worker_memory(folder: Path) -> Part:
         "Memory of a Dask worker",
         "Largest resident memory of each of its processes in a run over the demo, one worker. "
         "That of the process for tasks grows with a night's readings.",
-        ("Process", "Largest"),
+        "Process | Largest",
         rows,
     )
 
@@ -329,7 +312,7 @@ def _year(folder: Path) -> Part:
     return Part(
         "The first back-fill of a motor",
         f"One motor of the demo, {YEAR} nights of 20 minutes, logs and all.",
-        ("Engine", "Workers", "Nights a part", "Run", "Faster by"),
+        "Engine | Workers | Nights a part | Run | Faster by",
         rows,
     )
 
@@ -354,7 +337,7 @@ def _sizes(folder: Path) -> Part:
         "What a motor stores",
         "Tables of the fleet of the first part, six motors a file. A day of 24 h has up to 96 "
         "blocks and 720 points of a night instead of the 30 and 720 here.",
-        ("Table", "A motor's night", "A motor's year"),
+        "Table | A motor's night | A motor's year",
         rows,
     )
 
@@ -380,7 +363,7 @@ def _circuits(folder: Path) -> Part:
         "Many motors on one tank",
         f"Motors with logs of {SHORT_MINUTES:g} minutes, two workers: a run with nothing new, and "
         "one with a night more of every motor.",
-        ("Motors", "Tanks", "Nothing new", "processor", "A night more", "processor"),
+        "Motors | Tanks | Nothing new | processor | A night more | processor",
         rows,
     )
 

@@ -204,7 +204,9 @@ def write(found: Mapping[str, tuple[list[tuple[str, ...]], int]]) -> None:
         f"and {MOTORS * STEP_DAYS} days with each step. Delays in minutes from the step to the "
         "end of the block that tells it, median / 90 %; –: not on that day. Looks in all rows but "
         f"“{UNEXCLUDED}”: {sum(counted)} false alarms in {years:.0f} motor-years.",
-        ("errors", "rule", "false a motor-year", *(f"+{100 * step:.0f} %" for step in STEPS)),
+        " | ".join(
+            ["errors", "rule", "false a motor-year", *(f"+{100 * step:.0f} %" for step in STEPS)]
+        ),
         [row for rows, _ in found.values() for row in rows],
     )
     write_parts("within_day", "Steps within the day", description(__doc__), [part])

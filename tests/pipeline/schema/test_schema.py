@@ -205,7 +205,7 @@ class TestFrame:
         last = table.columns[-1].name
         kind = str(table.schema[last])
         values = {"Int64": 1, "Float64": 1.0, "Boolean": True, "Date": dt.date(2026, 1, 2)}
-        values |= {"List(String)": ["x"], "List(Float32)": [1.0]}
+        values |= {"List(String)": ["x"], "List(Float32)": [1.0], "List(Float64)": [1.0]}
         value: Any = values.get(kind, "x")
         found = frame(table, [{}] * 1000 + [{last: value}])
         assert dict(found.schema) == dict(pl.Schema(table.schema))
