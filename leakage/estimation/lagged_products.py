@@ -19,6 +19,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,14 +109,18 @@ class Segments:
 
 
 def lagged_products(
-    series: Array, segments: Segments, longest_lag: int, crossed_lag: int = 0
+    series: Sequence[Array],
+    means: Sequence[float],
+    segments: Segments,
+    longest_lag: int,
+    crossed_lag: int = 0,
 ) -> tuple[Array, Array]:
-    """Sums of products a(t) b(t + k) over pairs within one segment.
+    """Sums of products a(t) b(t + k) of series less their means, over pairs within one segment.
 
     Parameters
     ----------
-    series
-        Shape (s, n), finite; centred series keep more digits.
+    series, means
+        Finite values, shape (n,) each, and what is taken off each: centred series keep more digits.
     segments
         Where the samples have no gap.
     longest_lag
@@ -136,7 +141,8 @@ def lagged_products(
     Examples
     --------
     >>> values = np.array([[1.0, 2, 3, 4, 5], [0, 1, 0, 1, 0]])
-    >>> own, crossed = lagged_products(values, Segments.of(np.array([0, 1, 2, 7, 8])), 2, 1)
+    >>> segments = Segments.of(np.array([0, 1, 2, 7, 8]))
+    >>> own, crossed = lagged_products(values, [0.0, 0.0], segments, 2, 1)
     >>> own.round(9) + 0.0
     array([[55., 28.,  3.],
            [ 2.,  0.,  0.]])
@@ -147,7 +153,7 @@ def lagged_products(
     crossed = np.zeros((len(series) - 1, 2 * crossed_lag + 1))
     pieces, overlaps = _pieces(segments, longest_lag)
     for sign, some in ((1.0, pieces), (-1.0, overlaps)):
-        for length, (power, product) in _spectra(series, some, longest_lag).items():
+        for length, (power, product) in _spectra(series, means, some, longest_lag).items():
             # Of a short transform, one half stands for lags ahead and the other for lags behind.
             ahead, reach = (min(lag, (length - 1) // 2) for lag in (longest_lag, crossed_lag))
             own[:, : ahead + 1] += sign * np.fft.irfft(power, length)[:, : ahead + 1]
@@ -156,13 +162,15 @@ def lagged_products(
     return own, crossed
 
 
-def products_near_ends(series: Array, segments: Segments, margin: int) -> Array:
+def products_near_ends(
+    series: Sequence[Array], means: Sequence[float], segments: Segments, margin: int
+) -> Array:
     """Sums of products a(t) b(t + k) with t among the first or last samples of its segment.
 
     Parameters
     ----------
-    series
-        Shape (s, n); a is the first series, b each other one.
+    series, means
+        As of :func:`lagged_products`; a is the first series, b each other one.
     segments
         Where the samples have no gap.
     margin
@@ -176,26 +184,26 @@ def products_near_ends(series: Array, segments: Segments, margin: int) -> Array:
     Examples
     --------
     >>> values = np.array([[1.0, 2, 3, 4, 5], [1, 1, 1, 1, 10]])
-    >>> products_near_ends(values, Segments.of(np.arange(5)), 1)
+    >>> products_near_ends(values, [0.0, 0.0], Segments.of(np.arange(5)), 1)
     array([[ 5., 51.,  1.]])
     """
-    lags, own = np.arange(2 * margin + 1), np.arange(margin)[:, None]
+    from_end, lags = np.arange(2 * margin), np.arange(2 * margin + 1)
+    own = from_end[:margin, None]
     sums = np.zeros((len(series) - 1, len(lags)))
     step = max(1, BATCH_POINTS // (len(series) * 2 * margin))
     for first in range(0, len(segments.begins), step):
         part = segments[first : first + step]
-        begins, ends = np.tile(part.begins, 2)[:, None], np.tile(part.ends, 2)[:, None]
-        # What is among the first and the last counts once.
-        head_ends = np.minimum(part.begins + margin, part.ends)
-        tails = np.maximum(part.ends - margin, head_ends)
-        place = np.concatenate([part.begins, tails])[:, None] + np.arange(-margin, 2 * margin)
-        seen = series[1:].take(place, axis=1, mode="clip")
-        seen *= (place >= begins) & (place < ends)
-        place = place[:, margin : 2 * margin]
-        owned = series[0].take(place, mode="clip")
-        owned *= place < np.concatenate([head_ends, part.ends])[:, None]
-        products = owned.T @ seen
-        sums += products[:, own, own + lags].sum(axis=1)
+        inside = from_end < part.lengths[:, None]
+        # What is among the first and the last counts once. Lags change sign from the end on.
+        last = inside[:, :margin] & (own.T < part.lengths[:, None] - margin)
+        for end, way, counted in ((part.begins, 1, inside[:, :margin]), (part.ends - 1, -1, last)):
+            place = end[:, None] + way * from_end
+            owned = series[0].take(place[:, :margin], mode="clip") - means[0]
+            owned *= counted
+            for row, one, mean in zip(sums, series[1:], means[1:], strict=True):
+                seen = np.zeros((len(place), 3 * margin))
+                np.subtract(one.take(place, mode="clip"), mean, out=seen[:, margin:], where=inside)
+                row += (owned.T @ seen)[own, own + lags].sum(axis=0)[::way]
     return sums
 
 
@@ -217,7 +225,7 @@ def _pieces(segments: Segments, longest_lag: int) -> tuple[Segments, Segments]:
 
 
 def _spectra(
-    series: Array, segments: Segments, longest_lag: int
+    series: Sequence[Array], means: Sequence[float], segments: Segments, longest_lag: int
 ) -> dict[int, tuple[Array, Spectra]]:
     """Sums of |A|², shape (s, f), and conj(A) B, shape (s − 1, f), by length of the transform."""
     order = np.argsort(-segments.lengths)
@@ -227,7 +235,7 @@ def _spectra(
     while first < len(order):
         length = _transform_length(int(needed[order[first]]))
         batch = segments[order[first : first + max(1, BATCH_POINTS // (len(series) * length))]]
-        spectra = _transformed(series, batch, length)
+        spectra = np.fft.rfft(_rows(series, means, batch, length))
         shape = len(series) - 1, length // 2 + 1
         power, product = sums.setdefault(
             length, (np.zeros((shape[0] + 1, shape[1], 2)), np.zeros(shape, dtype=np.complex128))
@@ -239,14 +247,16 @@ def _spectra(
     return {length: (power.sum(axis=2), product) for length, (power, product) in sums.items()}
 
 
-def _transformed(series: Array, segments: Segments, length: int) -> Spectra:
-    """Transforms of rows that begin with a segment each, shape (s, rows, length // 2 + 1)."""
+def _rows(
+    series: Sequence[Array], means: Sequence[float], segments: Segments, length: int
+) -> Array:
+    """Centred values in rows that begin with a segment each, shape (s, segments, length)."""
     rows = np.zeros((len(series), len(segments.begins), length))
-    for row, (begin, n) in enumerate(
-        zip(segments.begins.tolist(), segments.lengths.tolist(), strict=True)
-    ):
-        rows[:, row, :n] = series[:, begin : begin + n]
-    return np.fft.rfft(rows)
+    places = [*zip(segments.begins.tolist(), segments.ends.tolist(), strict=True)]
+    for of_one, values, mean in zip(rows, series, means, strict=True):
+        for row, (begin, end) in zip(of_one, places, strict=True):
+            np.subtract(values[begin:end], mean, out=row[: end - begin])
+    return rows
 
 
 def _transform_length(needed: int) -> int:
