@@ -187,23 +187,24 @@ def products_near_ends(
     >>> products_near_ends(values, [0.0, 0.0], Segments.of(np.arange(5)), 1)
     array([[ 5., 51.,  1.]])
     """
-    from_end, lags = np.arange(2 * margin), np.arange(2 * margin + 1)
-    own = from_end[:margin, None]
+    lags, own = np.arange(2 * margin + 1), np.arange(margin)[:, None]
     sums = np.zeros((len(series) - 1, len(lags)))
     step = max(1, BATCH_POINTS // (len(series) * 2 * margin))
     for first in range(0, len(segments.begins), step):
         part = segments[first : first + step]
-        inside = from_end < part.lengths[:, None]
-        # What is among the first and the last counts once. Lags change sign from the end on.
-        last = inside[:, :margin] & (own.T < part.lengths[:, None] - margin)
-        for end, way, counted in ((part.begins, 1, inside[:, :margin]), (part.ends - 1, -1, last)):
-            place = end[:, None] + way * from_end
-            owned = series[0].take(place[:, :margin], mode="clip") - means[0]
-            owned *= counted
-            for row, one, mean in zip(sums, series[1:], means[1:], strict=True):
-                seen = np.zeros((len(place), 3 * margin))
-                np.subtract(one.take(place, mode="clip"), mean, out=seen[:, margin:], where=inside)
-                row += (owned.T @ seen)[own, own + lags].sum(axis=0)[::way]
+        begins, ends = np.tile(part.begins, 2)[:, None], np.tile(part.ends, 2)[:, None]
+        # What is among the first and the last counts once.
+        head_ends = np.minimum(part.begins + margin, part.ends)
+        tails = np.maximum(part.ends - margin, head_ends)
+        place = np.concatenate([part.begins, tails])[:, None] + np.arange(-margin, 2 * margin)
+        inside = (place >= begins) & (place < ends)
+        owners = place[:, margin : 2 * margin]
+        owned = series[0].take(owners, mode="clip") - means[0]
+        owned *= owners < np.concatenate([head_ends, part.ends])[:, None]
+        for of_one, values, mean in zip(sums, series[1:], means[1:], strict=True):
+            seen = values.take(place, mode="clip") - mean
+            seen *= inside
+            of_one += (owned.T @ seen)[own, own + lags].sum(axis=0)
     return sums
 
 
@@ -240,9 +241,9 @@ def _spectra(
         power, product = sums.setdefault(
             length, (np.zeros((shape[0] + 1, shape[1], 2)), np.zeros(shape, dtype=np.complex128))
         )
-        product += (spectra[0].conj() * spectra[1:]).sum(axis=1)
         parts = spectra.view(np.float64)
         power += np.einsum("srf,srf->sf", parts, parts).reshape(power.shape)
+        product += np.multiply(spectra[0].conj(), spectra[1:], out=spectra[1:]).sum(axis=1)
         first += len(batch.begins)
     return {length: (power.sum(axis=2), product) for length, (power, product) in sums.items()}
 
