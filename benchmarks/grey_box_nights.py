@@ -113,10 +113,10 @@ def night_rows(night: Night, label: dt.date) -> dict[str, list[dict[str, object]
     conditions = (at.pressure_bar, at.temperature_c, at.speed_rpm)
     reference = judge_leakage(fit, verdicts, excitation, OperatingConditions.from_bar(*conditions))
     half = reference.interval.half_width if reference.interval else np.nan
-    covariance = np.zeros((len(fit.coefficients),) * 2)
+    root = np.zeros((len(fit.coefficients),) * 2)
     if verdicts.distribution is not None:
         on = verdicts.distribution.active
-        covariance[np.ix_(on, on)] = verdicts.distribution.covariance()
+        root[np.ix_(on, on)] = verdicts.distribution.covariance_root()
     leakage = reference.leakage_l_per_min
     fits = key | {
         "flushing_mode": MODE,
@@ -126,7 +126,7 @@ def night_rows(night: Night, label: dt.date) -> dict[str, list[dict[str, object]
         "n_interval_blocks": verdicts.n_blocks,
         "columns": list(motor.columns),
         "coefficients": fit.coefficients.tolist(),
-        "coefficient_covariance": upper_triangle(covariance),
+        "coefficient_covariance_root": upper_triangle(root),
         "coefficient_response": response.tolist(),
         "night_factor": upper_triangle(merge(blocks)),
         "reference_leakage_l_per_min": leakage,
