@@ -22,7 +22,8 @@ from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.verification import verify_tables
 from pipeline.schema import LATEST, TABLES, TREND_TABLES, Table
-from pipeline.store.tables import read_table
+from pipeline.schema.fits import FAILED
+from pipeline.store.tables import night_named, read_table
 from pipeline.trends.nights.trend_record import read_record
 from tests.pipeline.simulated import NIGHT, Operation, motor_toml, operate, write_configs, write_log
 from tests.pipeline.workshop import MINI, QUICK
@@ -160,14 +161,21 @@ def check_old_or_new(output: Path, fleet: TinyFleet, failed: Collection[str] = (
 
     Of a motor that has failed alone nothing is new, while the others' rows in the same files are;
     but the trends of the night then say that there is nothing of it, and `latest` what there is.
+    A night that its worker died in each time is one that failed.
     """
     now, before, after = (tables_in(one) for one in (output, fleet.before, fleet.after))
+    given_up = pl.concat(rows for name, rows in now.items() if name.startswith("fits/"))
+    given_up = given_up.filter(status=FAILED, error_code="worker_died")
+    nights = set(given_up["motor_id", "night"].rows())
     for name in sorted(now.keys() | before.keys() | after.keys()):
         table = name.split("/")[0]
         if table in OF_RUNS:
             continue
         for motor in MOTORS if failed else (None,):
-            if motor in failed and table in {one.name for one in (*TREND_TABLES, LATEST)}:
+            if motor in failed and (
+                table in {one.name for one in (*TREND_TABLES, LATEST)}
+                or (motor, night_named(Path(name).name)) in nights
+            ):
                 continue
             states = [_of_motor(state.get(name), motor) for state in (now, before, after)]
             assert any(same(states[0], one) for one in states[1:]), name

@@ -127,15 +127,15 @@ def test_no_flipped_bit_gets_into_a_new_file(output: Path, size: int) -> None:
     manifest = read_manifest(output, f"{NIGHT:%Y-%m}", NIGHT.isoformat())
     assert manifest is not None
     accepted = manifest.accepted(path.relative_to(output / "tables").as_posix())
-    new = NewRows(("M3",), frame(QUALITY, []))
-    sound = prepare_night(output, QUALITY, NIGHT, new, lambda rows: rows, accepted)
+    new = NewRows(("M3",), 0, [frame(QUALITY, [])])
+    sound = prepare_night(output, QUALITY, NIGHT, new, None, accepted)
     assert not sound.lost_rows
     bits = np.arange(8 * len(whole))
     if size:
         bits = np.random.default_rng(4).choice(bits, size, replace=False)
     for bit in bits:
         flip(path, whole, int(bit))
-        file = prepare_night(output, QUALITY, NIGHT, new, lambda rows: rows, accepted)
+        file = prepare_night(output, QUALITY, NIGHT, new, None, accepted)
         file.drop()
         assert file.lost_rows, bit
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ import pytest
 import pipeline.run.fleet
 import pipeline.run.motors
 import pipeline.run.publishing
+from pipeline.run.fleet import run_fleet
 from pipeline.run.motor_task import run_motor
 from pipeline.run.publishing import run_trends
 from pipeline.run.tasks import MotorTask
@@ -172,7 +174,7 @@ def check_worker(
     check_old_or_new(output, fleet, failed)
     if always:
         with remembered_fits():
-            fleet.run(output)
+            run_fleet(replace(fleet.request(output), retry=True))
     check_repaired(output, fleet)
 
 

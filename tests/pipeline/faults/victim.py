@@ -34,7 +34,6 @@ STAGES = {
     "remembering": "pipeline.run.publishing.take_over",
     "trends": "pipeline.trends.stage.read_nights",
     "staging trends": "pipeline.trends.stage.stage",
-    "remembering trends": "pipeline.run.publishing.publish_record",
     "publishing the run": "pipeline.store.publishing.Publisher.of_run",
 }
 # Those of a run whose fleet tells somebody of its alarms.

@@ -76,7 +76,7 @@ def test_what_is_not_there_is_told(tables: Tables, tmp_path: Path) -> None:
         (lambda: tables.table("fit"), "no table fit; there are latest"),
         (tables.latest, "no table latest"),
         (lambda: open_tables(tmp_path / "nowhere"), "run fit-fleet first"),
-        (lambda: open_tables("s3://bucket/fleet"), "say copy="),
+        (lambda: open_tables("s3://bucket/fleet"), "run fit-fleet first"),
         (lambda: plot_course(tables, "M2"), "no trend of M2"),
     ):
         with pytest.raises(UsageError, match=words):

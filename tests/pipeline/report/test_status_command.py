@@ -11,8 +11,9 @@ import polars as pl
 import pytest
 
 from leakage.course.monitoring import ChangeSize
+from pipeline.cli.arguments import duration
 from pipeline.errors import UsageError
-from pipeline.report.status import RAISED, age_in_hours, fleet_status, last_alarm
+from pipeline.report.status import RAISED, fleet_status, last_alarm
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.store.encoding import write_table
 from pipeline.store.publishing import Publisher
@@ -255,9 +256,9 @@ def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "h", "26", "-1h", "0h", "infh", "nanh", "1y", "26 h ours"])
-def test_an_age_that_is_none(text: str) -> None:
+def test_a_duration_that_is_none(text: str) -> None:
     with pytest.raises(UsageError) as caught:
-        age_in_hours(text)
+        duration(text, "--max-age")
     assert caught.value.code == "age"
 
 
