@@ -67,7 +67,6 @@ def killer() -> Iterator[Callable[[Path, Path, str, int], None]]:
             "output": str(output),
             "stage": stage,
             "number": number,
-            "workers": 1,
         }
         process.stdin.write(json.dumps(request) + "\n")
         process.stdin.flush()
