@@ -20,7 +20,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
@@ -42,9 +41,8 @@ from benchmarks.machine_nights import (
 )
 from benchmarks.model_verdict import VG46
 from benchmarks.results_file import Part, description, store, stored, write_parts
+from pipeline.arrays import Array
 from pipeline.demo import noise
-
-Array = NDArray[np.float64]
 
 BASELINE, CHANGE, YEAR = 60, 75, 365
 RATE, MOTORS, CALIBRATED_ON = 0.1, 30, 100
@@ -240,7 +238,7 @@ def parts(known: dict[str, Any]) -> Iterator[Part]:
 def _limits_part(name: str, limits: dict[str, float]) -> Part:
     row = [f"{limits[method]:.2f}" for method in METHODS[1:]]
     text = "In standard deviations of the baseline's nights."
-    return Part(f"Machine {name}: limits", text, METHODS[1:], [row])
+    return Part(f"Machine {name}: limits", text, " | ".join(METHODS[1:]), [row])
 
 
 def _cells_part(name: str, cells: dict[str, Any], is_wear: bool) -> Part:
@@ -256,7 +254,7 @@ def _cells_part(name: str, cells: dict[str, Any], is_wear: bool) -> Part:
     else:
         heading, text = "motors without wear", "motors that alarmed (95 % interval, exact)"
     text = f"{text[0].upper()}{text[1:]}; {len(motors)} motors a row, in the nights that follow."
-    header = ("change", *METHODS, "named by the grey box")
+    header = " | ".join(("change", *METHODS, "named by the grey box"))
     return Part(f"Machine {name}: {heading}", text, header, rows)
 
 
@@ -307,7 +305,7 @@ def main(options: Sequence[str] = ()) -> None:
                         outcome(name, CELLS[one], number, limits)
                         for number in range(CELLS[one].motors)
                     ]
-            store("alternatives", name, found, indent=None)
+            store("alternatives", name, found)
             sys.stderr.write(f"{name}: {one}\n")
     title = "The grey box beside charts, a regression and gradient boosting"
     write_parts("alternatives", title, description(__doc__), list(parts(stored("alternatives"))))

@@ -82,7 +82,8 @@ def main(options: Sequence[str] = ()) -> None:
     found = stored("coverage")
     known = [(kind.words, found.get(" ".join(kind.words))) for kind in KINDS]
     rows = [[*words, *_columns(one)] for words, one in known if one]
-    header = (*KIND_HEADER, *(f"{group}: {name} %" for group in GROUPS for name in COLUMNS))
+    columns = (f"{group}: {name} %" for group in GROUPS for name in COLUMNS)
+    header = " | ".join((KIND_HEADER, *columns))
     write_results("coverage", f"Coverage of 95 % intervals, {NIGHTS} nights a row", header, rows)
 
 

@@ -19,7 +19,7 @@ A log may end in a coded error, in what was written, in a part of it with a note
 left out, or, where no checksum covers what was changed, in values that cannot be told from right
 ones. Each was read by a process with at most {MEMORY_BYTES // 2**20} MiB for it, and ended after
 {PATIENCE_S:g} s without an answer. `time_span`, `suggest` and `read_log` were called on each."""
-HEADER = ("", "files", "mutations", *Outcome, "slowest [s]", "memory [MiB]")
+HEADER = " | ".join(("", "files", "mutations", *Outcome, "slowest [s]", "memory [MiB]"))
 NAMES = {"csv": "CSV", "parquet": "Parquet", "mcap": "MCAP"}
 
 
@@ -43,7 +43,7 @@ def main() -> None:
             HEADER,
             [_cells(seed.name, 1, counts) for seed, counts in by_seed.items()],
         ),
-        Part("Codes of the errors", "", ("code", "mutations"), [(c, str(n)) for c, n in codes]),
+        Part("Codes of the errors", "", "code | mutations", [(c, str(n)) for c, n in codes]),
     ]
     write_parts("fuzz", "Fuzzing of the three readers", TEXT, parts)
 

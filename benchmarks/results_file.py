@@ -27,13 +27,11 @@ class Part:
 
     heading: str
     text: str
-    header: Sequence[str]
+    header: str  # names of the columns, with " | " between them
     rows: Sequence[Sequence[str]]
 
 
-def write_results(
-    name: str, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
-) -> None:
+def write_results(name: str, title: str, header: str, rows: Sequence[Sequence[str]]) -> None:
     """Write one Markdown table to `benchmarks/results/`, and print it."""
     _write(name, title, _table(header, rows))
 
@@ -83,10 +81,11 @@ def stored(name: str) -> dict[str, Any]:
     return found
 
 
-def store(name: str, part: str, found: object, indent: int | None = 1) -> None:
-    """Keep what was found of a part beside the others."""
-    text = json.dumps(stored(name) | {part: found}, indent=indent, ensure_ascii=False)
-    (RESULTS / f"{name}.json").write_text(text + "\n", "utf-8")
+def store(name: str, part: str, found: object) -> None:
+    """Keep what was found of a part beside the others, a part a line."""
+    parts = (stored(name) | {part: found}).items()
+    lines = (f'"{one}": {json.dumps(of, ensure_ascii=False)}' for one, of in parts)
+    (RESULTS / f"{name}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
 
 
 def description(doc: str | None) -> str:
@@ -100,13 +99,9 @@ def median_and_late(values: Sequence[float] | NDArray[np.float64]) -> str:
     return " / ".join(f"{one:.0f}" if np.isfinite(one) else "–" for one in ends)
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [
-        "| " + " | ".join(header) + " |",
-        "|" + "---|" * len(header),
-        *("| " + " | ".join(row) + " |" for row in rows),
-        "",
-    ]
+def _table(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
+    line = "|" + "---|" * len(header.split(" | "))
+    return [f"| {header} |", line, *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
 def _write(name: str, title: str, body: Sequence[str]) -> None:

@@ -106,7 +106,7 @@ def motor_day(asked: Asked) -> Part:
         f"24 h × 10 Hz, one worker: a run over {asked.motors} motors less one over one, a motor; "
         f"medians of {asked.repeats} passes. Goal from Parquet: 250 ms."
     )
-    return Part("A motor-day", text, ("format", "processor time"), rows)
+    return Part("A motor-day", text, "format | processor time", rows)
 
 
 def hundred(asked: Asked) -> Part:
@@ -142,7 +142,7 @@ def hundred(asked: Asked) -> Part:
         f"file; medians of {min(asked.repeats, HUNDRED_REPEATS)} passes. Goals: run over reading "
         f"at most {goals}; two workers 1.9 times as fast as one."
     )
-    header = ("what", "elapsed", "processor", "over reading", "faster", "largest worker", "parent")
+    header = "what | elapsed | processor | over reading | faster | largest worker | parent"
     return Part("A hundred motors", text, header, rows)
 
 
@@ -165,7 +165,7 @@ def fast(asked: Asked) -> Part:
         ["ratio", f"{costs['ours'].elapsed_s / costs['read'].elapsed_s:.2f}", "", ""],
     ]
     text = "One motor × 24 h × 100 Hz, Parquet. Goal: at most 1024 MiB a worker."
-    return Part("100 Hz", text, ("what", "elapsed", "processor", "largest worker"), rows)
+    return Part("100 Hz", text, "what | elapsed | processor | largest worker", rows)
 
 
 def small(asked: Asked) -> Part:
@@ -190,7 +190,7 @@ def small(asked: Asked) -> Part:
         "night, everything included: 60 ms of processor time (least to land: 90), 35 ms elapsed "
         "with two workers (55)."
     )
-    header = ("workers", "elapsed", "processor", "elapsed a night", "processor a night")
+    header = "workers | elapsed | processor | elapsed a night | processor a night"
     return Part("Small nights", text, header, rows)
 
 
@@ -222,7 +222,7 @@ def start(asked: Asked) -> Part:
     bare = costs[BARE].elapsed_s
     rows = [[what, *_seconds(cost), f"{cost.elapsed_s / bare:.2f}"] for what, cost in costs.items()]
     text = f"Medians of {asked.repeats}, two workers; times: elapsed, over that of the bare import."
-    return Part("Start", text, ("what", "elapsed", "processor", "times"), rows)
+    return Part("Start", text, "what | elapsed | processor | times", rows)
 
 
 def user(asked: Asked) -> Part:
@@ -252,7 +252,7 @@ def user(asked: Asked) -> Part:
         f"starts, of which {TIMED_STARTS} are timed and scaled. It has no intervals, no "
         "validation, no residual analysis and no tables; ours has, and starts its processes."
     )
-    header = ("what", "elapsed a motor-night", "ratio (goal: at least 500)")
+    header = "what | elapsed a motor-night | ratio (goal: at least 500)"
     return Part("What a user would write", text, header, rows)
 
 
@@ -303,7 +303,7 @@ def growth(asked: Asked) -> Part:
         "A slope of 1 on logarithmic axes is growth in proportion; what does not grow (the start "
         "of the processes) is below it. Nights of history: `night_cost.md`."
     )
-    return Part("Growth", text, ("what", "elapsed", "processor", "slope"), rows)
+    return Part("Growth", text, "what | elapsed | processor | slope", rows)
 
 
 def _thinned(table: pa.Table, n: int) -> pa.Table:

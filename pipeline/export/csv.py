@@ -17,6 +17,7 @@ from typing import BinaryIO
 import polars as pl
 
 from pipeline.errors import UsageError
+from pipeline.export import Exported
 from pipeline.schema import TABLES, TIMESTAMP, Table
 from pipeline.store.atomic_files import put, remove_leftovers
 from pipeline.store.tables import existing_tables, files_of, read_table, while_listed
@@ -43,15 +44,6 @@ class Selection:
     # affected.
     since: dt.date | None = None
     until: dt.date | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Exported:
-    """A file that was written, with the number of its rows."""
-
-    table: str
-    path: Path
-    n_rows: int
 
 
 def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
@@ -105,7 +97,7 @@ def _export_table(
             file.write(as_text(rows).write_csv(include_header=False).encode())
 
     while_listed(lambda: put(path, write))
-    return Exported(table.name, path, count)
+    return Exported(table.name, str(path), count)
 
 
 def _parts(output: Path, table: Table, selection: Selection) -> Iterator[pl.DataFrame]:

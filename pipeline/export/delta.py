@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import polars as pl
@@ -11,23 +10,15 @@ import pyarrow as pa
 
 from pipeline.config.fleet import is_url
 from pipeline.errors import StoreError, UsageError
+from pipeline.export import Exported
 from pipeline.schema import TABLES, Table
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.tables import existing_tables, read_table, table_folder
 
 
-@dataclass(frozen=True, slots=True)
-class ExportedTable:
-    """A Delta table that was written."""
-
-    place: str
-    version: int
-    n_rows: int
-
-
 def export_delta(
     output: Path, place: str, tables: tuple[Table, ...] = TABLES
-) -> Iterator[ExportedTable]:
+) -> Iterator[Exported]:
     """Write tables as Delta Lake tables below a folder or URL; those there get a new version.
 
     A table without a file yet is left out.
@@ -64,7 +55,7 @@ def export_delta(
             version = _version(target)
         except (DeltaError, OSError) as error:
             raise StoreError("store_write", f"{target} cannot be written: {error}") from error
-        yield ExportedTable(target, version, count[0])
+        yield Exported(table.name, target, count[0], version)
 
 
 def _reader(paths: list[Path], table: Table, count: list[int]) -> pa.RecordBatchReader:

@@ -147,7 +147,8 @@ def record_type(layout: Layout) -> np.dtype[Any]:
             ("reference", "f8", 3),
             ("figures", "f8", (n, 3)),
             ("theta", "f8", theta),
-            ("covariance", "f8", triangle(theta)),
+            # U of the covariance U'U of θ.
+            ("root", "f8", triangle(theta)),
             # What a change of b does to θ, as the night's blocks differ in temperature.
             ("response", "f8", theta),
             ("factor", "f8", triangle(len(layout.columns))),

@@ -218,6 +218,7 @@ class TestFrame:
             "Date": dt.date(2026, 1, 2),
             "List(String)": ["x"],
             "List(Float32)": [1.0],
+            "List(Float64)": [1.0],
         }
         value: Any = values.get(kind, "x")
         found = frame(table, [{}] * 1000 + [{last: value}])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -67,24 +68,31 @@ def files(output: Path) -> dict[Path, int]:
 
 
 @pytest.fixture(scope="module")
-def fleet(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Nights]:
-    """One motor whose nights are published, with the trends that a run has made of them."""
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one motor whose nights are published, and trends that a run made of them."""
     folder = tmp_path_factory.mktemp("trends")
     config = configure(folder, fleet=QUICK)
-    (spec,) = load_fleet(config).motors
-    nights = Nights(spec, N + 1)
-    frames = nights.frames()
-    upto = {name: one.filter(pl.col("night") < night_of(N)) for name, one in frames.items()}
-    publish(folder / "out", upto)
+    publish(folder / "out", nights_before(N))
     assert run(config).failed == ()
-    return config, folder / "out", nights
+    return folder
 
 
-# One run after the other over the same output: each test leaves it as the next expects it.
+def nights_before(place: int) -> dict[str, pl.DataFrame]:
+    """Rows of the motor's nights before a place."""
+    frames = Nights(motor(), N + 1).frames()
+    return {name: one.filter(pl.col("night") < night_of(place)) for name, one in frames.items()}
 
 
-def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path, Nights]) -> None:
-    _, output, _ = fleet
+@pytest.fixture
+def fleet(published: Path, tmp_path: Path) -> tuple[Path, Path]:
+    """A copy of that folder: its config and its output."""
+    folder = tmp_path / "fleet"
+    shutil.copytree(published, folder)
+    return folder / "configs" / "fleet.toml", folder / "out"
+
+
+def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path]) -> None:
+    _, output = fleet
     trends = rows(output, TRENDS)
     assert trends["night"].unique().sort().to_list() == [night_of(place) for place in range(N)]
     assert trends.n_unique(["night", "indicator"]) == trends.height
@@ -104,43 +112,44 @@ def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path, Nights]) -
     assert found.last_night == night_of(N - 1)
 
 
-def test_a_second_run_has_nothing_to_do(fleet: tuple[Path, Path, Nights]) -> None:
-    config, output, _ = fleet
+def test_a_second_run_has_nothing_to_do(fleet: tuple[Path, Path]) -> None:
+    config, output = fleet
     before = files(output)
     assert run(config).alarms == ()
     assert files(output) == before
 
 
-def test_a_new_night_is_added_and_the_others_stay(fleet: tuple[Path, Path, Nights]) -> None:
-    config, output, nights = fleet
+def test_a_new_night_is_added_and_the_others_stay(fleet: tuple[Path, Path]) -> None:
+    config, output = fleet
     before = files(output)
-    new = {name: one.filter(night=night_of(N)) for name, one in nights.frames().items()}
-    publish(output, new)
+    publish(
+        output, {name: one.filter(night=night_of(N)) for name, one in nights_before(N + 1).items()}
+    )
     run(config)
     after = files(output)
     assert {path: after[path] for path in before} == before
     assert {path.stem for path in after.keys() - before.keys()} == {str(night_of(N))}
 
 
-def test_a_reset_makes_all_nights_anew(fleet: tuple[Path, Path, Nights]) -> None:
-    config, output, _ = fleet
+def test_a_reset_makes_all_nights_anew(fleet: tuple[Path, Path]) -> None:
+    config, output = fleet
     record_decision(output, replace(reset(31, note="new rings"), indicator="K_piston_ring"))
     run(config)
     trends = rows(output, TRENDS)
-    ring = trends.filter(indicator="K_piston_ring", night=night_of(N)).row(0, named=True)
+    ring = trends.filter(indicator="K_piston_ring", night=night_of(N - 1)).row(0, named=True)
     assert ring["state"] == "insufficient"
-    assert ring["state_reason"].startswith("3 of 15 good nights for a baseline (reset from ")
+    assert ring["state_reason"].startswith("2 of 15 good nights for a baseline (reset from ")
     assert ring["state_reason"].endswith(": new rings)")
-    sleeve = trends.filter(indicator="K_balance_sleeve", night=night_of(N)).row(0, named=True)
+    sleeve = trends.filter(indicator="K_balance_sleeve", night=night_of(N - 1)).row(0, named=True)
     assert sleeve["state"] == "ok"
     decisions = pl.read_parquet(output / "tables" / "decisions" / "**" / "*.parquet")
     assert decisions["note"].to_list() == ["new rings"]
 
 
 def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
-    fleet: tuple[Path, Path, Nights], tmp_path: Path
+    fleet: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    config, output, _ = fleet
+    config, output = fleet
     said = {"motor_id": "M1", "indicator": "K_balance_sleeve", "way": "level", "reason": "+9 %"}
     by_old_rules = {
         night_of(place): [
