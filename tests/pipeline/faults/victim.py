@@ -82,10 +82,10 @@ def run(folder: str, output: str, stage: str, number: int) -> None:
     fleet = TinyFleet(Path(folder))
     if stage == "call":
         with on(Disk("killed", number, die=die)):
-            fleet.run(Path(output), workers=1)
+            fleet.run(Path(output))
     else:
         at_entry(stage, number, die)
-        fleet.run(Path(output), workers=1)
+        fleet.run(Path(output))
 
 
 def main() -> None:
