@@ -49,14 +49,11 @@ def test_without_a_figure_of_now_the_course_is_of_what_was_known() -> None:
 
 
 def test_the_order_is_that_of_status() -> None:
-    states = {
-        "A": MotorState("A", "ok", deviation_percent=3.0),
-        "B": MotorState("B", "alarm", deviation_percent=30.0),
-        "C": MotorState("C", "alarm", deviation_percent=40.0),
-        "D": MotorState("D", "insufficient"),
-        "E": MotorState("E", "ok", failure="night of 2026-01-01 failed: the log is cut"),
-        "F": MotorState("F", "common_cause"),
-    }
+    alarms = [MotorState(name, "alarm", deviation_percent=d) for name, d in (("B", 30), ("C", 40))]
+    calm = [MotorState("D", "insufficient"), MotorState("F", "common_cause")]
+    failed = MotorState("E", "ok", failure="night of 2026-01-01 failed: the log is cut")
+    ok = MotorState("A", "ok", deviation_percent=3.0)
+    states = {one.motor_id: one for one in (ok, *alarms, *calm, failed)}
     motors = [history([], motor_id=motor_id) for motor_id in states]
     found = fleet_rows(motors, {name: name for name in states}, {}, states)
     assert [one.state.motor_id for one in found] == ["C", "B", "F", "E", "D", "A"]
