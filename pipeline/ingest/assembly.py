@@ -40,6 +40,9 @@ class Readings:
 
     def at(self, rows: NDArray[np.intp]) -> Readings:
         """The readings of some rows, by number."""
+        if not self.missing.any():
+            none = self.missing[: rows.size]
+            return Readings(self.raw.take(rows), none, none)
         return Readings(self.raw[rows], self.missing[rows], self.unparsed[rows], self.example)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,7 @@ from pipeline.ingest.time_stamps import WrittenStamps, written_as_text
 _INT64 = np.iinfo(np.int64)
 _ELEMENTS_SHOWN = 4
 _DEEPEST = 6
+_MOST_SHAPES = 32
 _Tree = dict[str | int, Any]
 """Arrow types by path, step by step."""
 
@@ -58,12 +60,15 @@ def json_decoder(
 
     is_one_number = len(fields) == 1 and stamp is None and not qualities
 
+    @lru_cache(_MOST_SHAPES)
+    def value(message: bytes) -> object:
+        return _value(json_object(message), fields[0])
+
     def decode(payloads: Payloads) -> Decoded:
         if is_one_number:
-            (only,) = fields
-            numbers = one_number(payloads, lambda one: _value(json_object(one), only))
+            numbers = one_number(payloads, value)
             if numbers is not None:
-                return Decoded({only: readings_of(numbers)}, None)
+                return Decoded({fields[0]: readings_of(pa.array(numbers))}, None)
         types = _quality_types(payloads, qualities)
         for kinds in _stamp_kinds(payloads, stamp, time_format):
             decoded = _at_once(payloads, fields, kinds, time_format, types)

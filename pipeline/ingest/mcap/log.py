@@ -203,9 +203,11 @@ def _content(path: Path, logs: Logs, wanted: _Wanted) -> tuple[dict[str, _Parts]
         if len(messages.channels) != known:
             _add_decoders(path, logs, wanted, messages, decoders)
             known = len(messages.channels)
+            in_turn = _is_shared(decoders)
+        if not messages.start.size:
+            continue
         topic = decoders.topic.take(messages.channel_id)
         times = messages.times(_time_of_record(logs))
-        in_turn = _is_shared(decoders)
         for number, chosen in _runs(decoders.number.take(messages.channel_id), in_turn=in_turn):
             # Messages of one topic keep their order, whatever decodes them.
             for other in [other for other in held if in_turn and other != number]:
@@ -271,7 +273,9 @@ def _decode(
         if not rows.size:
             continue
         parts = content[name]
-        parts.stamps.add(WrittenStamps(stamps.time_us[rows], stamps.kind[rows], stamps.example))
+        parts.stamps.add(
+            WrittenStamps(stamps.time_us.take(rows), stamps.kind.take(rows), stamps.example)
+        )
         for one, column in parts.fields.items():
             column.add(decoded.fields[one].at(rows))
         for (one, good), states in parts.states.items():
