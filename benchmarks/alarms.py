@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from benchmarks.night_kinds import CYCLES_S, ERRORS, KIND_HEADER, STEPS_S, Kind
@@ -29,8 +28,7 @@ from leakage.course.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSe
 from leakage.course.monitoring import MonitorSettings, monitor
 from leakage.course.slope import fit_slope
 from leakage.estimation.robust import MAD_TO_SD
-
-Array = NDArray[np.float64]
+from pipeline.arrays import Array
 
 RATE_PER_MOTOR = 0.1
 YEAR = 365

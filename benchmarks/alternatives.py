@@ -20,7 +20,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
@@ -42,9 +41,8 @@ from benchmarks.machine_nights import (
 )
 from benchmarks.model_verdict import VG46
 from benchmarks.results_file import Part, description, store, stored, write_parts
+from pipeline.arrays import Array
 from pipeline.demo import noise
-
-Array = NDArray[np.float64]
 
 BASELINE, CHANGE, YEAR = 60, 75, 365
 RATE, MOTORS, CALIBRATED_ON = 0.1, 30, 100

@@ -12,19 +12,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.model_verdict import VG46, SensorFaults, lagged
-from benchmarks.other_duty import false_alarms, model_watched, wear_told
+from benchmarks.other_duty import false_alarms, wear_told
 from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_nights import motor, true_coefficients
 from leakage import Motor, OperatingConditions, regressors
 from leakage.course.growth import Blocks, Growth, growth
 from leakage.course.hypotheses import Posterior, mean_factor, weigh
 from leakage.physics.oil import Oil
+from pipeline.arrays import Array
 from pipeline.demo import noise
-
-Array = NDArray[np.float64]
 
 MOTORS = 200
 NIGHTS_BEFORE = 40
@@ -341,7 +339,6 @@ def _tanks_part() -> Part:
 PARTS: dict[str, Callable[[], Part]] = {
     "false_alarms": false_alarms,
     "wear_at_another_duty": wear_told,
-    "model_watched": model_watched,
     "alone": lambda: _alone_part(
         "Motors on their own",
         "By minutes a night and nights since the change.",

@@ -21,7 +21,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from benchmarks.results_file import Part, write_parts
@@ -36,9 +35,8 @@ from leakage.course.cusum import (
     cusum,
 )
 from leakage.estimation.robust import MAD_TO_SD
+from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression
-
-Array = NDArray[np.float64]
 
 LENGTHS = (15, 20, 30, 40, 60, 90, 120)
 RATES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1)

@@ -21,9 +21,9 @@ from leakage.course.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSe
 from leakage.course.monitoring import Monitoring, MonitorSettings, monitor
 from leakage.course.night_filter import first_state, follow, night_information
 from leakage.estimation.block_statistics import factors
+from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression, night_wander
 
-Array = NDArray[np.float64]
 Wear = Callable[[int], tuple[float, float, float]]
 
 MINUTES = (10, 20, 30, 60)

@@ -25,6 +25,7 @@ from leakage.estimation.block_statistics import merge, with_free_known
 from leakage.estimation.identifiability import Excitation, judge_leakage
 from leakage.estimation.multi_start import Parametrisation, SearchSettings
 from leakage.estimation.slow_errors import short_blocks
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
@@ -36,8 +37,6 @@ from pipeline.trends.nights.records import Layout
 from pipeline.trends.stage import Part, standing_of
 from pipeline.trends.states.model import with_misfit
 from pipeline.trends.states.standing import RAISED, Standing
-
-Array = NDArray[np.float64]
 
 FIRST = dt.date(2026, 1, 2)
 MOTOR, MODE = "CB560-01", "none"

@@ -12,17 +12,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.simulated_nights import held_levels, motor, true_coefficients, warming_up
 from leakage import Motor, OperatingConditions, regressors
 from leakage.estimation.block_statistics import factors
 from leakage.physics.oil import FilmPressure, Oil, flow_drive_per_s
+from pipeline.arrays import Array
 from pipeline.demo import noise
 from pipeline.night.operation_rows import coarse_histogram
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
-
-Array = NDArray[np.float64]
 
 MODEL = motor()
 THETA = true_coefficients(MODEL)

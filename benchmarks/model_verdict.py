@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 
 from benchmarks.results_file import write_results
 from benchmarks.simulated_nights import REFERENCE, held_levels, motor, true_coefficients, warming_up
@@ -39,9 +38,8 @@ from leakage.estimation.slow_errors import WIDENING, short_blocks, slow_errors, 
 from leakage.estimation.uncertainty import cluster_robust
 from leakage.physics.annular_gap import AnnularGap
 from leakage.physics.oil import FilmPressure, Oil
+from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression, lagging
-
-Array = NDArray[np.float64]
 
 MODEL = motor()
 FREE = MODEL.with_free_standard()

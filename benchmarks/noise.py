@@ -36,9 +36,9 @@ from leakage.estimation.multi_start import SearchSettings
 from leakage.estimation.robust import MAD_TO_SD
 from leakage.estimation.slow_errors import short_blocks
 from leakage.physics.oil import FilmPressure
+from pipeline.arrays import Array
 from validation.record import FLOW, PRESSURE, TEMPERATURE, TIME, Record, read_records
 
-Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 SCALES_S = (10, 60, 600, 3600)

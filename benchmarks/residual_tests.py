@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from benchmarks.results_file import write_results
@@ -33,9 +32,8 @@ from leakage.estimation.block_statistics import merge
 from leakage.estimation.least_squares import fit
 from leakage.estimation.multi_start import SearchSettings
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
+from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression
-
-Array = NDArray[np.float64]
 
 NOISE_L_PER_MIN = 0.015
 NO_SEARCH = SearchSettings(starting_points=0)

@@ -22,11 +22,8 @@ from functools import partial
 from pathlib import Path
 
 import psutil
-import pyarrow.parquet as pq
 
-from benchmarks.day_fleets import later, log_of, make_fleet, write_day
 from benchmarks.results_file import Part, in_folder, write_stored
-from benchmarks.whole_runs import elapsed, first_night, fit_command
 from pipeline.config import Execution, Fleet, load_fleet
 from pipeline.demo import write_demo
 from pipeline.run.fleet import RunRequest, run_fleet
@@ -44,9 +41,6 @@ FLEET_WORKERS = 8
 EMPTY_TASKS = 2_000
 QUICK_TASKS = 4_000
 YEAR = 365
-# Motors on one tank, with logs of so many minutes.
-CIRCUITS = (300, 2000)
-SHORT_MINUTES = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,32 +336,6 @@ def _sizes(folder: Path) -> Part:
     )
 
 
-def _circuits(folder: Path) -> Part:
-    """Many motors on one tank beside the same with a tank each."""
-    day, rows = folder / "day", []
-    write_day(day, SHORT_MINUTES, 1.0, "parquet")
-    night_later = folder / "later.parquet"
-    pq.write_table(later(pq.read_table(log_of(day, "parquet")), 1), night_later)
-    for n in CIRCUITS:
-        for tank in ("one tank", ""):
-            config = make_fleet(day, folder / "fleet", "parquet", n, linked=True, tank=tank)
-            command = fit_command(config, 2)
-            first_night(config, 2)
-            costs = [elapsed(command)]
-            for logs in (folder / "fleet" / "logs").iterdir():
-                os.link(night_later, logs / night_later.name)
-            costs.append(elapsed(command))
-            times = [f"{one:.1f} s" for cost in costs for one in (cost.elapsed_s, cost.processor_s)]
-            rows.append([str(n), tank or "one each", *times])
-    return Part(
-        "Many motors on one tank",
-        f"Motors with logs of {SHORT_MINUTES:g} minutes, two workers: a run with nothing new, and "
-        "one with a night more of every motor.",
-        "Motors | Tanks | Nothing new | processor | A night more | processor",
-        rows,
-    )
-
-
 PARTS: dict[str, Callable[[Path], Part]] = {
     "throughput": _throughput,
     "overhead": _overhead,
@@ -375,5 +343,4 @@ PARTS: dict[str, Callable[[Path], Part]] = {
     "memory": _worker_memory,
     "year": _year,
     "sizes": _sizes,
-    "circuits": _circuits,
 }

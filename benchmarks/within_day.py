@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.results_file import Part, description, median_and_late, write_parts
 from leakage.course.step_detection import (
@@ -26,9 +25,9 @@ from leakage.course.step_detection import (
     block_errors,
     limit_of_maxima,
 )
+from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression, heavy_tailed, night_wander, phi_of, warm_up
 
-Array = NDArray[np.float64]
 Draw = Callable[[np.random.Generator, int], Array]
 
 BLOCK_MINUTES = 2.0

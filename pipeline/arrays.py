@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+"""Numbers of any shape."""
+
 Values = NDArray[np.float64]
 """Readings, shape (n,)."""
 

@@ -32,18 +32,8 @@ DATED = ("finite", "not_before", "beyond_horizon")
 # Days ahead up to which a date is told to the day, not to the month.
 TO_THE_DAY = 60
 MONTHS = (
-    "January",
-    "February",
-    "March",
-    "April",
-    "May",
-    "June",
-    "July",
-    "August",
-    "September",
-    "October",
-    "November",
-    "December",
+    *("January", "February", "March", "April", "May", "June"),
+    *("July", "August", "September", "October", "November", "December"),
 )
 
 
@@ -70,8 +60,8 @@ def day(date: object) -> str:
     >>> day(dt.date(2026, 10, 3))
     '3 October 2026'
     """
-    text = str(date)
-    return f"{int(text[8:10])} {MONTHS[int(text[5:7]) - 1]} {text[:4]}"
+    year, month, day_of_month = str(date)[:10].split("-")
+    return f"{int(day_of_month)} {MONTHS[int(month) - 1]} {year}"
 
 
 def limit_dates(row: Mapping[str, Any]) -> str:

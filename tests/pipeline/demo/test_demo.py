@@ -30,9 +30,6 @@ def truth(specs: dict[str, MotorSpec]) -> dict[str, Any]:
     return motors
 
 
-# Truth
-
-
 def test_reference_leakage_of_an_unworn_motor_as_built_is_the_published_one(
     specs: dict[str, MotorSpec],
 ) -> None:
@@ -70,9 +67,6 @@ def test_truth_names_flushing_and_what_is_not_excited(truth: dict[str, Any]) -> 
     for name, motor in truth.items():
         flows = [night["C_f_l_per_min"] for night in motor["nights"].values()]
         assert flows == pytest.approx([4.0 if name == "CB1120-01" else 0.0] * 75, rel=0.03)
-
-
-# Physics and operation
 
 
 def test_slow_errors_change_the_flow_alone_and_remember_for_their_minutes(
@@ -164,9 +158,6 @@ def test_duty_covers_low_pressures_and_the_reference_conditions(
         assert np.abs(operation.speed_rpm).max() < 125.0
         assert operation.oil_temperature_c.min() < 46.0
         assert operation.oil_temperature_c.max() > 54.0
-
-
-# Faults
 
 
 def test_every_kind_of_fault_is_there(specs: dict[str, MotorSpec]) -> None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import pytest
@@ -45,34 +44,14 @@ class Killed(BaseException):
 
 @dataclass(slots=True)
 class Disk:
-    """The calls of a run, of which one fails.
-
-    Parameters
-    ----------
-    kind
-        How it fails.
-    point
-        Which one fails: the number of the call, from 1, among those that can fail so; 0: none.
-    lasting
-        Whether all that come after it fail as well, until the run is over.
-    die
-        What is done where the process is to die.
-
-    Attributes
-    ----------
-    calls
-        How often each call was made.
-    struck
-        Name of the call that failed first; empty while none did.
-    """
+    """The calls of a run, of which one fails."""
 
     kind: Kind
-    point: int
-    lasting: bool = False
-    die: Callable[[], None] | None = None
-    calls: Counter[str] = field(default_factory=Counter)
-    seen: int = 0
-    struck: str = ""
+    point: int  # number of the one that fails, from 1, among those that can fail so; 0: none
+    lasting: bool = False  # all that come after it fail as well, until the run is over
+    die: Callable[[], None] | None = None  # in place of the process's death
+    seen: int = 0  # calls that could have failed so far
+    struck: str = ""  # name of the call that failed first; empty while none did
 
     def __getattr__(self, name: str) -> Any:
         real = getattr(os, name)
@@ -80,7 +59,6 @@ class Disk:
             return real
 
         def call(*arguments: Any, **settings: Any) -> Any:
-            self.calls[name] += 1
             if self.kind == "flipped" and name == "pread":
                 content = real(*arguments)
                 return _flipped(content) if content and self._fails(name) else content

@@ -6,7 +6,6 @@ tmpfs where one may be mounted, else a limit on the size of files: one of them t
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections import Counter
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline.faults.fleet import TinyFleet
+from tests.pipeline.faults.fleet import ENVIRONMENT, TinyFleet
 
 # As root there needs to be no other user namespace, but it does no harm.
 NAMESPACE = ["unshare", "--map-root-user", "--mount"]
@@ -42,11 +41,10 @@ def ends_of(fleet: TinyFleet, work: Path, way: str, step_kib: int, most: int) ->
         [*(NAMESPACE if way == "tmpfs" else []), *command, *arguments],
         capture_output=True,
         text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])},
+        env=ENVIRONMENT,
     )
     assert done.returncode == 0, done.stderr
-    ends: list[str] = json.loads(done.stdout.splitlines()[-1])
-    return ends
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def test_no_room(tiny_fleet: TinyFleet, tmp_path: Path) -> None:

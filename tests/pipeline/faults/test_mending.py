@@ -50,9 +50,6 @@ from tests.pipeline.simulated import NIGHT
 pytestmark = pytest.mark.usefixtures("_quick")
 
 
-# Table files
-
-
 @pytest.mark.parametrize("table", [PREDICTIONS, BLOCK_STATISTICS, INPUT_FILES, TRENDS])
 def test_a_file_that_is_gone_is_made_anew_by_the_next_run(
     tiny_fleet: TinyFleet, output: Path, table: Table, caplog: pytest.LogCaptureFixture
@@ -68,8 +65,9 @@ def test_a_file_that_is_gone_is_made_anew_by_the_next_run(
     assert told.list.first().to_list()[0].startswith(f"table_missing: {name_of(path, output)}: ")
 
 
-@pytest.mark.parametrize("table", [FITS, PREDICTIONS, TRENDS])
-@pytest.mark.parametrize("damage", [rot, rot_of_footer, cut_off])
+@pytest.mark.parametrize(
+    ("table", "damage"), [(FITS, rot), (FITS, cut_off), (PREDICTIONS, rot), (TRENDS, rot_of_footer)]
+)
 def test_a_damaged_file_is_put_aside_and_made_anew_by_the_run_that_proves_it(
     tiny_fleet: TinyFleet, output: Path, table: Table, damage: Callable[[Path], None]
 ) -> None:
@@ -225,9 +223,6 @@ def test_a_file_that_may_not_be_read_is_named_and_left_alone(
     result = tiny_fleet.run(output)
     assert found(result) == left(result) == [(name_of(path, output), "table_unreadable")]
     assert path.is_dir()
-
-
-# What cannot be made anew
 
 
 def test_without_logs_it_is_named_in_each_run_until_people_give_it_up(

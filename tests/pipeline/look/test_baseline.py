@@ -57,20 +57,9 @@ def test_new_blocks_have_the_oil_as_measured_as_those_of_the_baseline_do(
 def baseline(spec: MotorSpec, known_scale: float | None = None) -> LookBaseline:
     """One of a single path, whose loss factors fall by 1 % a kelvin."""
     hashed = model_hash(spec, spec.motor(NIGHT, "none"), NIGHT)
-    return LookBaseline(
-        "made",
-        NIGHT - 30 * DAY,
-        NIGHT - DAY,
-        hashed,
-        (2.0, 0.0),
-        -0.01,
-        50.0,
-        BlockErrors(0.0, 0.0, 1.0),
-        10.0,
-        (0.0,) * 3,
-        (99.0,) * 3,
-        known_scale=known_scale,
-    )
+    errors, begin = BlockErrors(0.0, 0.0, 1.0), NIGHT - 30 * DAY
+    figures = ((2.0, 0.0), -0.01, 50.0, errors, 10.0, (0.0,) * 3, (99.0,) * 3)
+    return LookBaseline("made", begin, NIGHT - DAY, hashed, *figures, known_scale=known_scale)
 
 
 def test_rollers_of_a_free_scale_change_with_temperature_as_the_gaps_do(spec: MotorSpec) -> None:

@@ -22,15 +22,8 @@ NIGHTS = [FIRST + dt.timedelta(days=at) for at in range(4)]
 
 
 def trend(night: dt.date, indicator: str, value: float) -> dict[str, object]:
-    return {
-        "motor_id": "M1",
-        "night": night,
-        "indicator": indicator,
-        "value": value,
-        "unit": "%",
-        "lower": value - 1.0,
-        "upper": value + 1.0,
-    }
+    row = {"motor_id": "M1", "night": night, "indicator": indicator, "unit": "%"}
+    return row | {"value": value, "lower": value - 1.0, "upper": value + 1.0}
 
 
 @pytest.fixture

@@ -36,7 +36,6 @@ def row(state: MotorState, known: int = NIGHTS) -> FleetRow:
 def test_the_course_is_of_the_leakage_of_the_state(indicator: str, kind: str, level: float) -> None:
     found = row(MotorState("M", "ok", leakage_indicator=indicator), known=5)
     assert found.leakage_kind == kind
-    assert found.line is not None
     assert (found.line.smallest, found.line.largest) == (level, level)
     # The course lies on its baseline.
     assert f" {found.line.last[1]}H" in found.line.baseline

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import polars as pl
@@ -181,15 +181,9 @@ def test_histogram_edges() -> None:
 
 
 class TestFrame:
-    ROW: dict[str, Any] = {  # noqa: RUF012 - never changed
-        "motor_id": "A",
-        "night": dt.date(2026, 1, 2),
-        "channel": "speed",
-        "reason": "gap",
-        "n_samples": 10,
-        "n_refused": 1,
-        "run_id": "r",
-    }
+    STAGED: ClassVar = {"motor_id": "A", "night": dt.date(2026, 1, 2), "channel": "speed"}
+    STAGED |= {"reason": "gap", "n_samples": 10, "n_refused": 1}
+    ROW: ClassVar = STAGED | {"run_id": "r"}
 
     def test_unknown_column_is_refused(self) -> None:
         with pytest.raises(ValueError, match="quality has no column n_kept, n_lost"):
@@ -198,8 +192,7 @@ class TestFrame:
     def test_a_column_that_comes_later_is_not_taken(self) -> None:
         with pytest.raises(ValueError, match="run_id"):
             staged_table(QUALITY, [self.ROW])
-        row = {name: value for name, value in self.ROW.items() if name != "run_id"}
-        assert "run_id" not in staged_table(QUALITY, [row]).column_names
+        assert "run_id" not in staged_table(QUALITY, [self.STAGED]).column_names
 
     @EACH_TABLE
     def test_no_rows(self, table: Table) -> None:
@@ -211,15 +204,8 @@ class TestFrame:
         """A column that only the last of many rows has."""
         last = table.columns[-1].name
         kind = str(table.schema[last])
-        values = {
-            "Int64": 1,
-            "Float64": 1.0,
-            "Boolean": True,
-            "Date": dt.date(2026, 1, 2),
-            "List(String)": ["x"],
-            "List(Float32)": [1.0],
-            "List(Float64)": [1.0],
-        }
+        values = {"Int64": 1, "Float64": 1.0, "Boolean": True, "Date": dt.date(2026, 1, 2)}
+        values |= {"List(String)": ["x"], "List(Float32)": [1.0], "List(Float64)": [1.0]}
         value: Any = values.get(kind, "x")
         found = frame(table, [{}] * 1000 + [{last: value}])
         assert dict(found.schema) == dict(pl.Schema(table.schema))
@@ -233,19 +219,16 @@ class TestFrame:
         for name, value in (("n_samples", "ten"), ("n_samples", np.nan), ("night", "2026-01-02")):
             with pytest.raises((TypeError, pl.exceptions.PolarsError)):
                 frame(QUALITY, [self.ROW | {name: value}])
-            row = {key: one for key, one in self.ROW.items() if key != "run_id"}
             with pytest.raises((TypeError, ValueError)):
-                staged_table(QUALITY, [row | {name: value}])
+                staged_table(QUALITY, [self.STAGED | {name: value}])
 
     def test_not_a_number_stays_apart_from_null(self) -> None:
         found = frame(FITS, [{"cost": float("nan")}, {"cost": None}])
         assert found["cost"].is_nan().to_list() == [True, None]
 
     def test_numbers_of_numpy_and_whole_ones(self) -> None:
-        found = frame(
-            FITS,
-            [{"cost": 1, "n_training": np.int64(5)}, {"cost": np.float64(0.1), "n_training": 6}],
-        )
+        rows = [{"cost": 1, "n_training": np.int64(5)}, {"cost": np.float64(0.1), "n_training": 6}]
+        found = frame(FITS, rows)
         assert found["cost"].to_list() == [1.0, 0.1]
         assert found["n_training"].to_list() == [5, 6]
 
