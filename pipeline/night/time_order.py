@@ -19,7 +19,7 @@ from pipeline.night.clocks import (
     typical_period_us,
     written_late,
 )
-from pipeline.night.masks import missing_sample
+from pipeline.night.masks import missing_sample, steps_where
 
 Found = TypeVar("Found")
 LATEST_US = np.iinfo(np.int64).max
@@ -77,6 +77,14 @@ class Stamps:
     def n_jittered(self, time_us: Times, period_us: float | None) -> int:
         """As `n_jittered`."""
         return self.once(time_us, ("jitter", period_us), lambda: n_jittered(time_us, period_us))
+
+    def steps_over(self, time_us: Times, limit_us: float) -> NDArray[np.intp]:
+        """Places of the steps that are longer than a limit."""
+        # In whole microseconds, as the steps are: else all of them would be converted.
+        whole = int(limit_us)
+        return self.once(
+            time_us, ("over", whole), lambda: steps_where(lambda steps: steps > whole, time_us)
+        )
 
     def once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
         """Result of `find` for some stamps, under a name; `find` is called once."""
