@@ -179,9 +179,10 @@ class Course:
 def _borders(time_us: Times, long_steps: Places, refused: Places, longest_gap_us: float) -> Places:
     """First of the credible samples after a gap; the other places are among all samples."""
     behind = np.append(long_steps, refused) + 1
-    first = np.unique(behind - np.searchsorted(refused, behind))
+    first: Places = np.unique(behind - np.searchsorted(refused, behind))
     first = first[(first > 0) & (first < len(time_us))]
-    return first[time_us[first] - time_us[first - 1] > longest_gap_us]
+    after_gap: Mask = time_us[first] - time_us[first - 1] > longest_gap_us
+    return first[after_gap]
 
 
 def _spikes(course: Course) -> Mask:
