@@ -163,7 +163,9 @@ def slow_errors(
         return NOT_SLOW
     rank = design.shape[1] - 1
     means = short.means @ design
-    gram = _within(factors @ design, means, short)
+    # About the means of the short blocks, by stored block.
+    gram = _grams(factors @ design)
+    np.subtract.at(gram, short.stored, _squares(means, short.n))
     variance, within = _within_errors(gram, short, rank)
     if not variance > ROUNDING**2 * float(np.mean(short.means[:, -1] ** 2)):
         return NOT_SLOW
@@ -256,13 +258,6 @@ def _design(whole: Array, fixed: NDArray[np.bool_], values: Array) -> Array | No
     return design
 
 
-def _within(factors: Array, means: Array, short: ShortBlocks) -> Array:
-    """Grams about the means of the short blocks, by stored block."""
-    gram = _grams(factors)
-    np.subtract.at(gram, short.stored, _squares(means, short.n))
-    return gram
-
-
 def _within_errors(gram: Array, short: ShortBlocks, rank: int) -> tuple[float, float]:
     """Variance of the errors within blocks, and κ: meat over bread of their scores."""
     whole = gram.sum(axis=0)
@@ -325,8 +320,8 @@ def _whitened_means(short: ShortBlocks, errors: SlowErrors) -> Array:
     steps = np.diff(short.number, prepend=short.number[:1]).tolist()
     fading = {step: (memory**step).item() for step in set(steps)}
     noise = (1.0 / short.weights).tolist()
-    rows = np.empty(short.means.shape)
-    state, after = np.zeros(rows.shape[1]), size
+    rows = np.empty_like(short.means)
+    state, after = np.zeros(short.means.shape[1]), size
     for step, one, mean, row in zip(steps, noise, short.means, rows, strict=True):
         faded = fading[step]
         spread = faded * faded * after + (1.0 - faded * faded) * size
