@@ -77,18 +77,15 @@ def at_entry(stage: str, number: int, then: Callable[[], None]) -> pytest.Monkey
     return patched
 
 
-def run(folder: str, output: str, stage: str, number: int, workers: int) -> None:
+def run(folder: str, output: str, stage: str, number: int) -> None:
     """Run the fleet until the call of the disk, or the entry into the stage, that is its last."""
-    how: dict[str, Any] = {"workers": workers}
-    if workers > 1:
-        how["backend"] = "loky"
     fleet = TinyFleet(Path(folder))
     if stage == "call":
         with on(Disk("killed", number, die=die)):
-            fleet.run(Path(output), **how)
+            fleet.run(Path(output))
     else:
         at_entry(stage, number, die)
-        fleet.run(Path(output), **how)
+        fleet.run(Path(output))
 
 
 def main() -> None:
