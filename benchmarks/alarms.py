@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from benchmarks.night_kinds import CYCLES_S, ERRORS, KIND_HEADER, STEPS_S, Kind
@@ -29,8 +28,7 @@ from leakage.course.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSe
 from leakage.course.monitoring import MonitorSettings, monitor
 from leakage.course.slope import fit_slope
 from leakage.estimation.robust import MAD_TO_SD
-
-Array = NDArray[np.float64]
+from pipeline.arrays import Array
 
 RATE_PER_MOTOR = 0.1
 YEAR = 365
@@ -124,15 +122,8 @@ def false_alarms() -> Part:
         f"({', '.join(INDICATORS)}). Configured: {RATE_PER_MOTOR:g} a motor-year. Sensors "
         "wander: temperature by 0.3 °C and gain by 0.3 % with φ = 0.6 from night to night, "
         "pressure by 0.3 bar.",
-        (
-            *KIND_HEADER,
-            "nights with K / reference leakage, %",
-            "robust scatter, %",
-            "false alarms",
-            "a motor-year",
-            "95 % interval",
-            "by indicator",
-        ),
+        f"{KIND_HEADER} | nights with K / reference leakage, % | robust scatter, % | "
+        "false alarms | a motor-year | 95 % interval | by indicator",
         rows,
     )
 
@@ -164,7 +155,7 @@ def detection() -> Part:
         f"{WORN_MOTORS} motors a row, sensors wander; nights from the first of the wear to the "
         "first warning, the median (and 90 % quantile): by K of the worn path, then by any "
         f"indicator. Even wear is a part of the baseline of {PROVISIONAL} nights.",
-        (*KIND_HEADER, *(wear.words for wear in WEARS)),
+        " | ".join((KIND_HEADER, *(wear.words for wear in WEARS))),
         rows,
     )
 
@@ -205,7 +196,7 @@ def slopes() -> Part:
         "Coverage of 95 % intervals of slopes",
         f"{MOTORS} motors a row that do not wear, nights of {USUAL.minutes:g} minutes; share of "
         "intervals that hold 0, in %.",
-        ("nights", "wander", *WATCHED_SLOPES),
+        " | ".join(("nights", "wander", *WATCHED_SLOPES)),
         rows,
     )
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import datetime as dt
-import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,7 +20,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
@@ -42,10 +40,9 @@ from benchmarks.machine_nights import (
     nights_of,
 )
 from benchmarks.model_verdict import VG46
-from benchmarks.results_file import RESULTS, Part, description, write_parts
+from benchmarks.results_file import Part, description, store, stored, write_parts
+from pipeline.arrays import Array
 from pipeline.demo import noise
-
-Array = NDArray[np.float64]
 
 BASELINE, CHANGE, YEAR = 60, 75, 365
 RATE, MOTORS, CALIBRATED_ON = 0.1, 30, 100
@@ -225,10 +222,10 @@ def share_interval(count: int, n: int) -> tuple[float, float]:
     return lower, float(beta.ppf(0.975, count + 1, n - count)) if count < n else 1.0
 
 
-def parts(stored: dict[str, Any]) -> Iterator[Part]:
+def parts(known: dict[str, Any]) -> Iterator[Part]:
     """Tables of what is stored."""
     for name in MACHINES:
-        found = stored.get(name, {})
+        found = known.get(name, {})
         if LIMITS in found:
             yield _limits_part(name, found[LIMITS])
         cells = [one for one in CELLS if one in found]
@@ -241,7 +238,7 @@ def parts(stored: dict[str, Any]) -> Iterator[Part]:
 def _limits_part(name: str, limits: dict[str, float]) -> Part:
     row = [f"{limits[method]:.2f}" for method in METHODS[1:]]
     text = "In standard deviations of the baseline's nights."
-    return Part(f"Machine {name}: limits", text, METHODS[1:], [row])
+    return Part(f"Machine {name}: limits", text, " | ".join(METHODS[1:]), [row])
 
 
 def _cells_part(name: str, cells: dict[str, Any], is_wear: bool) -> Part:
@@ -257,7 +254,7 @@ def _cells_part(name: str, cells: dict[str, Any], is_wear: bool) -> Part:
     else:
         heading, text = "motors without wear", "motors that alarmed (95 % interval, exact)"
     text = f"{text[0].upper()}{text[1:]}; {len(motors)} motors a row, in the nights that follow."
-    header = ("change", *METHODS, "named by the grey box")
+    header = " | ".join(("change", *METHODS, "named by the grey box"))
     return Part(f"Machine {name}: {heading}", text, header, rows)
 
 
@@ -296,11 +293,9 @@ def main(options: Sequence[str] = ()) -> None:
     parser.add_argument("--only", default=",".join((LIMITS, *CELLS)))
     parser.add_argument("--machine", default="otherwise")
     chosen = parser.parse_args(list(options))
-    file = RESULTS / "alternatives.json"
     for name in chosen.machine.split(","):
         for one in chosen.only.split(","):
-            stored = json.loads(file.read_text("utf-8")) if file.exists() else {}
-            found = stored.setdefault(name, {})
+            found = stored("alternatives").get(name, {})
             with threadpool_limits(1):
                 if one == LIMITS:
                     found[one] = limits_of(name)
@@ -310,7 +305,7 @@ def main(options: Sequence[str] = ()) -> None:
                         outcome(name, CELLS[one], number, limits)
                         for number in range(CELLS[one].motors)
                     ]
-            file.write_text(json.dumps(stored, ensure_ascii=False) + "\n", "utf-8")
+            store("alternatives", name, found)
             sys.stderr.write(f"{name}: {one}\n")
     title = "The grey box beside charts, a regression and gradient boosting"
-    write_parts("alternatives", title, description(__doc__), list(parts(stored)))
+    write_parts("alternatives", title, description(__doc__), list(parts(stored("alternatives"))))

@@ -12,19 +12,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.model_verdict import VG46, SensorFaults
-from benchmarks.other_duty import false_alarms, model_watched, wear_told
+from benchmarks.model_verdict import VG46, SensorFaults, lagged
+from benchmarks.other_duty import false_alarms, wear_told
 from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_nights import motor, true_coefficients
 from leakage import Motor, OperatingConditions, regressors
 from leakage.course.growth import Blocks, Growth, growth
 from leakage.course.hypotheses import Posterior, mean_factor, weigh
 from leakage.physics.oil import Oil
+from pipeline.arrays import Array
 from pipeline.demo import noise
-
-Array = NDArray[np.float64]
 
 MOTORS = 200
 NIGHTS_BEFORE = 40
@@ -164,11 +162,7 @@ class Nights:
 
     def part(self, nights: slice) -> Nights:
         """Some of them."""
-        wander = noise.NightWander(
-            self.wander.temperature_c[nights],
-            self.wander.gain[nights],
-            self.wander.pressure_bar[nights],
-        )
+        wander = noise.NightWander(*(one[nights] for one in self.wander))
         channels = (self.pressure_bar, self.temperature_c, self.speed_rpm)
         return Nights(*(one[:, nights] for one in channels), wander)
 
@@ -178,7 +172,7 @@ class Nights:
         wander = self.wander
         pressure = 15.0 + (self.pressure_bar - 15.0) * (change.top_bar - 15.0) / 285.0
         speed = 3.0 + (self.speed_rpm - 3.0) * (change.top_rpm - 3.0) / 107.0
-        read_c = _lagging(self.temperature_c, change.temperature_lag_s)
+        read_c = lagged(self.temperature_c, change.temperature_lag_s)
         truth = OperatingConditions.from_bar(
             (pressure - wander.pressure_bar).T.ravel(),
             (self.temperature_c - wander.temperature_c + change.reads_low_c).T.ravel(),
@@ -189,7 +183,7 @@ class Nights:
         flow = regressors(of, truth) @ np.append(theta, 1.0) / change.viscosity
         low = flow * np.exp(-3.0 * truth.pressure_difference_pa / RING_PA)
         flow += change.ring_like * low * (flow.sum() / low.sum()) + change.flushing_l_per_min
-        flow = _lagging(flow.reshape(nights, n).T, change.drain_lag_s).T.ravel()
+        flow = lagged(flow.reshape(nights, n).T, change.drain_lag_s).T.ravel()
         errors = noise.autoregression(generator.standard_normal((n, nights)), NOISE_PHI)
         flow *= change.gain * np.repeat(1.0 + wander.gain, n) * (1.0 + NOISE * errors.T.ravel())
         flow = np.where(flow < change.dead_below_l_per_min, 0.0, flow) + change.zero_l_per_min
@@ -202,10 +196,6 @@ class Nights:
             np.repeat(np.arange(nights), n // BLOCK),
             means,
         )
-
-
-def _lagging(values: Array, lag_s: float) -> Array:
-    return noise.lagging(values, 1.0, lag_s) if lag_s else values
 
 
 def outcome(found: Posterior, change: Change) -> str:
@@ -331,7 +321,9 @@ def _alone_part(
         ]
         for name in changes
     ]
-    header = ("change", *(f"{minutes} min, {nights} nights" for minutes, nights in cells))
+    header = " | ".join(
+        ["change", *(f"{minutes} min, {nights} nights" for minutes, nights in cells)]
+    )
     return Part(heading, f"Right / cannot be told / wrong. {text}", header, rows)
 
 
@@ -341,13 +333,12 @@ def _tanks_part() -> Part:
         for name, counts in tanks(60, 5).items()
     ]
     text = "What is told of the first, 60 minutes a night, five nights since the change."
-    return Part("Three motors on a tank", text, ("change", "told"), rows)
+    return Part("Three motors on a tank", text, "change | told", rows)
 
 
 PARTS: dict[str, Callable[[], Part]] = {
     "false_alarms": false_alarms,
     "wear_at_another_duty": wear_told,
-    "model_watched": model_watched,
     "alone": lambda: _alone_part(
         "Motors on their own",
         "By minutes a night and nights since the change.",

@@ -15,8 +15,8 @@ from scipy.signal import lfilter
 from sklearn.ensemble import HistGradientBoostingRegressor
 
 from benchmarks.machine_nights import Night
+from pipeline.arrays import Array
 
-Array = NDArray[np.float64]
 Predict = Callable[[Sequence[Night]], list[Array]]
 
 PARTS = 5

@@ -8,7 +8,6 @@ package would publish.
 from __future__ import annotations
 
 import argparse
-import json
 from collections import defaultdict
 from collections.abc import Sequence
 
@@ -26,7 +25,7 @@ from benchmarks.night_kinds import (
     SimulatedNights,
     figures,
 )
-from benchmarks.results_file import RESULTS, write_results
+from benchmarks.results_file import store, stored, write_results
 
 NIGHTS = 1000
 KINDS = (
@@ -41,7 +40,6 @@ KINDS = (
     *(Kind(minutes, 1.0, 0.9, coefficients=1) for minutes in (10, 30)),
     *(Kind(90, 1.0, 0.9, CYCLES_S, errors, 1) for errors in ("slow, 15 min", "random walk")),
 )
-STORED = RESULTS / "coverage.json"
 NONE = "–"
 # Figures side by side in a column.
 GROUPS = {
@@ -79,16 +77,13 @@ def main(options: Sequence[str] = ()) -> None:
     parser.add_argument("--first", type=int, default=0, help="first row to measure")
     parser.add_argument("--last", type=int, default=len(KINDS) - 1, help="last row to measure")
     asked = parser.parse_args(list(options))
-    stored = json.loads(STORED.read_text("utf-8")) if STORED.exists() else {}
     for kind in KINDS[asked.first : asked.last + 1]:
-        stored[" ".join(kind.words)] = measured(kind)
-        STORED.write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n", "utf-8")
-    rows = [
-        [*kind.words, *_columns(stored[" ".join(kind.words)])]
-        for kind in KINDS
-        if " ".join(kind.words) in stored
-    ]
-    header = (*KIND_HEADER, *(f"{group}: {name} %" for group in GROUPS for name in COLUMNS))
+        store("coverage", " ".join(kind.words), measured(kind))
+    found = stored("coverage")
+    known = [(kind.words, found.get(" ".join(kind.words))) for kind in KINDS]
+    rows = [[*words, *_columns(one)] for words, one in known if one]
+    columns = (f"{group}: {name} %" for group in GROUPS for name in COLUMNS)
+    header = " | ".join((KIND_HEADER, *columns))
     write_results("coverage", f"Coverage of 95 % intervals, {NIGHTS} nights a row", header, rows)
 
 

@@ -21,7 +21,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from benchmarks.results_file import Part, write_parts
@@ -36,9 +35,8 @@ from leakage.course.cusum import (
     cusum,
 )
 from leakage.estimation.robust import MAD_TO_SD
+from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression
-
-Array = NDArray[np.float64]
 
 LENGTHS = (15, 20, 30, 40, 60, 90, 120)
 RATES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
@@ -190,13 +188,10 @@ def main() -> None:
                 ]
             )
     TABLE.write_text(module_text(limits, of_floor), "utf-8")
-    header = (
-        "baseline nights",
-        "rate a year",
-        "limit of the floor",
-        *(f"limit at φ̂ = {phi:g}" for phi in (0.0, 0.3, 0.6, 0.9)),
-        *(f"alarmed years, φ = {phi:g}" for phi in (0.0, 0.3, 0.6, 0.7, 0.8)),
-    )
+    of_limits = (f"limit at φ̂ = {phi:g}" for phi in (0.0, 0.3, 0.6, 0.9))
+    of_years = (f"alarmed years, φ = {phi:g}" for phi in (0.0, 0.3, 0.6, 0.7, 0.8))
+    beside = ("baseline nights", "rate a year", "limit of the floor")
+    header = " | ".join((*beside, *of_limits, *of_years))
     calibrated = Part(
         "Limits",
         "The alarmed years are those without a floor, at the limits of the estimated φ.",
@@ -235,7 +230,7 @@ def checked(limits: Array, of_floor: Array) -> Part:
         "Around the floor",
         "Share of alarmed years at a rate of 0.02, for nights whose true scatter is so many times "
         "their floor; new draws.",
-        ("baseline nights", "φ", *(f"{scatter:g}" for scatter in SCATTERS)),
+        " | ".join(("baseline nights", "φ", *(f"{scatter:g}" for scatter in SCATTERS))),
         rows,
     )
 

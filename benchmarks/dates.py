@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.results_file import write_results
 from leakage.course.time_to_limit import TimeToLimit, time_to_limit
+from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression
 
-Array = NDArray[np.float64]
 Generator = np.random.Generator
 # Position of a share of the life, and the share of the limit's rise that is reached there.
 Course = Callable[[Array, Generator], Array]
@@ -114,14 +113,9 @@ def main() -> None:
         "dates",
         "Dates to a limit by course of the wear",
         (
-            "course",
-            "nights",
-            "no trend told, %",
-            "set holds, % (worst cell)",
-            "a range, %",
-            "range holds, %",
-            "width of the range over what is left",
-            "earliest time over what is left",
+            "course | nights | no trend told, % | set holds, % (worst cell) | a range, % | "
+            "range holds, % | width of the range over what is left | earliest time over what is "
+            "left"
         ),
         [[course, str(n), *_cells(course, n)] for course in (*COURSES, STEPS) for n in NIGHTS],
     )

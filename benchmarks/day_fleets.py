@@ -40,13 +40,8 @@ def log_of(day: Path, name: str) -> Path:
     return log
 
 
-def make_fleet(
-    day: Path, folder: Path, name: str, n: int, *, linked: bool = False, tank: str = ""
-) -> Path:
-    """Make a fleet of n motors with a day's log in a format; returns its config.
-
-    All on one tank, or, without a name for it, on one each.
-    """
+def make_fleet(day: Path, folder: Path, name: str, n: int, *, linked: bool = False) -> Path:
+    """Make a fleet of n motors with a day's log in a format, a tank each; returns its config."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(day / "configs", folder / "configs")
     motors = folder / "configs" / "motors"
@@ -56,8 +51,8 @@ def make_fleet(
     log = log_of(day, name)
     for number in range(1, n + 1):
         motor_id = f"M{number:04}"
-        circuit = tank or f"tank of {motor_id}"
-        own = re.sub("(oil_circuit = ).*", rf'\1"{circuit}"', text.replace(MOTORS[name], motor_id))
+        circuit = rf'\1"tank of {motor_id}"'
+        own = re.sub("(oil_circuit = ).*", circuit, text.replace(MOTORS[name], motor_id))
         (motors / f"{motor_id}.toml").write_text(own, "utf-8")
         target = folder / "demo" / "logs" / motor_id / log.name
         target.parent.mkdir(parents=True)
@@ -89,7 +84,8 @@ def add_nights(config: Path, n: int) -> None:
 
 
 def later(table: pa.Table, days: int) -> pa.Table:
-    """The same log some days later."""
-    shift = pa.scalar(timedelta(days=days), pa.duration("us"))
-    place = table.schema.get_field_index("timestamp")
-    return table.set_column(place, table.schema.field(place), pc.add(table.column(place), shift))
+    """The same log some days later; its first column is the time, a stamp or milliseconds."""
+    field, step = table.schema.field(0), timedelta(days=days)
+    is_stamp = pa.types.is_timestamp(field.type)
+    shift = pa.scalar(step, pa.duration("us")) if is_stamp else step // timedelta(milliseconds=1)
+    return table.set_column(0, field.name, pc.add(table[0], shift))

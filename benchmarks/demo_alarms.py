@@ -65,24 +65,15 @@ def compare(demo: Path) -> None:
                 "not tell the coefficients of the paths, saying so is right. *False*: raised "
                 "before the wear began, or of a motor that does not wear.",
                 (
-                    "motor",
-                    "truth",
-                    "first night",
-                    "first warning",
-                    "nights",
-                    "first alarm",
-                    "nights",
-                    "leakage by then",
-                    "paths named",
-                    "path",
-                    "false",
+                    "motor | truth | first night | first warning | nights | first alarm | "
+                    "nights | leakage by then | paths named | path | false"
                 ),
                 [_row(motor_id, facts, raised[motor_id]) for motor_id, facts in truth.items()],
             ),
             Part(
                 "What was said",
                 "Every warning and alarm, with its reason as it stands in `alarms`.",
-                ("motor", "night", "indicator", "state", "way", "reason"),
+                "motor | night | indicator | state | way | reason",
                 [
                     [
                         motor_id,

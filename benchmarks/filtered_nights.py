@@ -21,9 +21,9 @@ from leakage.course.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSe
 from leakage.course.monitoring import Monitoring, MonitorSettings, monitor
 from leakage.course.night_filter import first_state, follow, night_information
 from leakage.estimation.block_statistics import factors
+from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression, night_wander
 
-Array = NDArray[np.float64]
 Wear = Callable[[int], tuple[float, float, float]]
 
 MINUTES = (10, 20, 30, 60)
@@ -183,7 +183,7 @@ def healthy_part() -> Part:
         f"{HEALTHY_MOTORS} motors of {YEAR} nights a row. Coverage of 95 % intervals and median "
         "half-width of ring / piston / sleeve and of the reference leakage [%]; false alarms of "
         "all six indicators in so many motor-years.",
-        ("minutes", "nights", "K held", "leakage held", "K ±", "leakage ±", "false alarms"),
+        "minutes | nights | K held | leakage held | K ± | leakage ± | false alarms",
         rows,
     )
 
@@ -210,7 +210,7 @@ def worn_part() -> Part:
         f"Median and 90 % quantile of the nights after a step (night {STEP_AT}), or of the night "
         f"itself where the wear goes on from the first; {WORN_MOTORS} motors a row; –: not within "
         f"{NIGHTS_OF_STEP - STEP_AT} nights (121).",
-        ("wear", "minutes", "any", *PATHS, "deviation", "reference leakage"),
+        " | ".join(("wear", "minutes", "any", *PATHS, "deviation", "reference leakage")),
         rows,
     )
 

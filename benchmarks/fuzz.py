@@ -6,11 +6,10 @@ every time. Nothing but the first four ends may occur, which the tests assert.
 
 from __future__ import annotations
 
-import argparse
 import sys
 
 from benchmarks.results_file import Part, write_parts
-from tests.pipeline.ingest.fuzzing.campaign import FULL, Counts, Extent, fuzzed, mutations_of
+from tests.pipeline.ingest.fuzzing.campaign import FULL, Counts, fuzzed, mutations_of
 from tests.pipeline.ingest.fuzzing.judging import Outcome
 from tests.pipeline.ingest.fuzzing.process import MEMORY_BYTES, PATIENCE_S, Reader
 from tests.pipeline.ingest.fuzzing.seeds import Seed, seeds
@@ -20,16 +19,16 @@ A log may end in a coded error, in what was written, in a part of it with a note
 left out, or, where no checksum covers what was changed, in values that cannot be told from right
 ones. Each was read by a process with at most {MEMORY_BYTES // 2**20} MiB for it, and ended after
 {PATIENCE_S:g} s without an answer. `time_span`, `suggest` and `read_log` were called on each."""
-HEADER = ("", "files", "mutations", *Outcome, "slowest [s]", "memory [MiB]")
+HEADER = " | ".join(("", "files", "mutations", *Outcome, "slowest [s]", "memory [MiB]"))
 NAMES = {"csv": "CSV", "parquet": "Parquet", "mcap": "MCAP"}
 
 
-def main(made_up: int = FULL.made_up, flipped: int | None = FULL.flipped) -> None:
+def main() -> None:
     """Write `benchmarks/results/fuzz.md`."""
     by_seed: dict[Seed, Counts] = {}
     with Reader() as reader:
         for seed in seeds():
-            mutations = mutations_of(seed, Extent(flipped, made_up))
+            mutations = mutations_of(seed, FULL)
             by_seed[seed] = fuzzed(reader, seed, mutations)
             for fault in by_seed[seed].faults:
                 sys.stderr.write(f"{fault}\n")
@@ -44,7 +43,7 @@ def main(made_up: int = FULL.made_up, flipped: int | None = FULL.flipped) -> Non
             HEADER,
             [_cells(seed.name, 1, counts) for seed, counts in by_seed.items()],
         ),
-        Part("Codes of the errors", "", ("code", "mutations"), [(c, str(n)) for c, n in codes]),
+        Part("Codes of the errors", "", "code | mutations", [(c, str(n)) for c, n in codes]),
     ]
     write_parts("fuzz", "Fuzzing of the three readers", TEXT, parts)
 
@@ -65,10 +64,3 @@ def _cells(name: str, files: int, counts: Counts) -> list[str]:
     numbers = [files, counts.outcomes.total(), *(counts.outcomes[one] for one in Outcome)]
     memory = f"{counts.peak_bytes / 2**20:.0f}"
     return [name, *map(str, numbers), f"{counts.longest_s:.2f}", memory]
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--made-up", type=int, default=FULL.made_up)
-    parser.add_argument("--flipped", type=int, default=FULL.flipped)
-    main(**vars(parser.parse_args()))

@@ -25,6 +25,7 @@ from leakage.estimation.block_statistics import merge, with_free_known
 from leakage.estimation.identifiability import Excitation, judge_leakage
 from leakage.estimation.multi_start import Parametrisation, SearchSettings
 from leakage.estimation.slow_errors import short_blocks
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
@@ -36,8 +37,6 @@ from pipeline.trends.nights.records import Layout
 from pipeline.trends.stage import Part, standing_of
 from pipeline.trends.states.model import with_misfit
 from pipeline.trends.states.standing import RAISED, Standing
-
-Array = NDArray[np.float64]
 
 FIRST = dt.date(2026, 1, 2)
 MOTOR, MODE = "CB560-01", "none"
@@ -114,10 +113,10 @@ def night_rows(night: Night, label: dt.date) -> dict[str, list[dict[str, object]
     conditions = (at.pressure_bar, at.temperature_c, at.speed_rpm)
     reference = judge_leakage(fit, verdicts, excitation, OperatingConditions.from_bar(*conditions))
     half = reference.interval.half_width if reference.interval else np.nan
-    covariance = np.zeros((len(fit.coefficients),) * 2)
+    root = np.zeros((len(fit.coefficients),) * 2)
     if verdicts.distribution is not None:
         on = verdicts.distribution.active
-        covariance[np.ix_(on, on)] = verdicts.distribution.covariance()
+        root[np.ix_(on, on)] = verdicts.distribution.covariance_root()
     leakage = reference.leakage_l_per_min
     fits = key | {
         "flushing_mode": MODE,
@@ -127,7 +126,7 @@ def night_rows(night: Night, label: dt.date) -> dict[str, list[dict[str, object]
         "n_interval_blocks": verdicts.n_blocks,
         "columns": list(motor.columns),
         "coefficients": fit.coefficients.tolist(),
-        "coefficient_covariance": upper_triangle(covariance),
+        "coefficient_covariance_root": upper_triangle(root),
         "coefficient_response": response.tolist(),
         "night_factor": upper_triangle(merge(blocks)),
         "reference_leakage_l_per_min": leakage,

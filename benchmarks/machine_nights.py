@@ -12,17 +12,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.simulated_nights import held_levels, motor, true_coefficients, warming_up
 from leakage import Motor, OperatingConditions, regressors
 from leakage.estimation.block_statistics import factors
 from leakage.physics.oil import FilmPressure, Oil, flow_drive_per_s
+from pipeline.arrays import Array
 from pipeline.demo import noise
 from pipeline.night.operation_rows import coarse_histogram
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
-
-Array = NDArray[np.float64]
 
 MODEL = motor()
 THETA = true_coefficients(MODEL)
@@ -123,15 +121,11 @@ def nights_of(machine: Machine, course: Course, seed: Sequence[int], nights: ran
         night_of(
             machine,
             course(place),
-            noise.NightWander(*(one[place : place + 1][0] for one in _parts(wander))),
+            noise.NightWander(*(one[place] for one in wander)),
             np.random.default_rng([*seed, 1, place]),
         )
         for place in nights
     ]
-
-
-def _parts(wander: noise.NightWander) -> tuple[Array, Array, Array]:
-    return wander.temperature_c, wander.gain, wander.pressure_bar
 
 
 def _duty(generator: np.random.Generator, state: State) -> tuple[Array, Array, Array]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.results_file import write_results
 from benchmarks.simulated_nights import duty, motor, true_coefficients
@@ -19,8 +18,8 @@ from leakage.estimation.block_statistics import factor
 from leakage.estimation.certificate import certify
 from leakage.estimation.multi_start import Parametrisation
 from leakage.physics.paths import Laminar, Parameter
+from pipeline.arrays import Array
 
-Array = NDArray[np.float64]
 HOURS = 8.0
 
 
@@ -65,7 +64,7 @@ def main() -> None:
         for choice in choices()
         for bounded in (True, False)
     ]
-    header = ("truth", "bounds", "K_o %", "K_p %", "K_s %", "reference leakage %", "fit %")
+    header = "truth | bounds | K_o % | K_p % | K_s % | reference leakage % | fit %"
     title = "The thesis's model on truths that it does not have, change in %"
     write_results("model_choices", title, header, rows)
 

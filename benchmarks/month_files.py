@@ -52,7 +52,7 @@ def main() -> None:
     rows = [[name, before[name], after[name]] for name in before]
     rows.append(["joining eleven months, once", "", joining])
     title = f"Files of nights and of months: {MOTORS} motors, {NIGHTS} nights, {len(TABLES)} tables"
-    write_results("month_files", title, ("what", "a file a night", "closed months joined"), rows)
+    write_results("month_files", title, "what | a file a night | closed months joined", rows)
 
 
 def _fitted_night(folder: Path) -> Mapping[Table, pl.DataFrame]:

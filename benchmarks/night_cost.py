@@ -26,12 +26,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 import pipeline.run.fleet
 import pipeline.run.publishing
+from benchmarks.day_fleets import later
 from benchmarks.results_file import Part, write_parts
 from pipeline.config import load_fleet
 from pipeline.demo import write_demo
@@ -100,19 +99,10 @@ def _deliver(folder: Path, demo: str, source: int, number: int) -> None:
     for motor_id in MOTORS:
         log = sorted((folder / demo / "demo" / "logs" / motor_id).glob("*.parquet"))[source]
         label = dt.date.fromisoformat(log.stem.removeprefix(f"{motor_id}_"))
-        table = pq.read_table(log)
         moved = FIRST + dt.timedelta(days=number - 1)
-        # Time comes first: a stamp, or milliseconds since 1970.
-        time_column = table.schema.field(0)
-        step = moved - label
-        stamps = pa.types.is_timestamp(time_column.type)
-        shift = (
-            pa.scalar(step, pa.duration("us")) if stamps else step // dt.timedelta(milliseconds=1)
-        )
-        shifted = pc.add(table[0], shift)
         target = folder / "demo" / "logs" / motor_id / f"{motor_id}_{moved}.parquet"
         target.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(table.set_column(0, time_column.name, shifted), target)
+        pq.write_table(later(pq.read_table(log), (moved - label).days), target)
 
 
 def _blank(logs: Path) -> None:
@@ -202,7 +192,8 @@ def _parts(figures: dict[int, Figures]) -> list[Part]:
         "trend_bytes_written": "bytes written",
     }
     trends = [name for name in words if name.startswith("trend_")]
-    header = ("what", *(f"night {number}" for number in figures), f"{last} / {first}")
+    nights = (f"night {number}" for number in figures)
+    header = " | ".join(("what", *nights, f"{last} / {first}"))
 
     def rows(names: Sequence[str]) -> list[list[str]]:
         return [

@@ -12,7 +12,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.simulated_nights import (
     REFERENCE,
@@ -29,9 +28,8 @@ from leakage.estimation.least_squares import fit
 from leakage.estimation.multi_start import Parametrisation, SearchSettings
 from leakage.estimation.slow_errors import short_blocks, slow_errors, whitened
 from leakage.physics.paths import LeakagePath
+from pipeline.arrays import Array
 from pipeline.demo import noise
-
-Array = NDArray[np.float64]
 
 NIGHTS_A_DUTY = 5
 # Short errors are this large, and three times larger below 100 bar.
@@ -162,7 +160,7 @@ class Kind:
         return [*(f"{one:g}" for one in numbers), load, self.errors, str(self.coefficients)]
 
 
-KIND_HEADER = ("minutes", "Hz", "φ", "load", "other errors", "free K")
+KIND_HEADER = "minutes | Hz | φ | load | other errors | free K"
 
 
 def one_coefficient(of: Motor) -> Motor:

@@ -36,9 +36,9 @@ from leakage.estimation.multi_start import SearchSettings
 from leakage.estimation.robust import MAD_TO_SD
 from leakage.estimation.slow_errors import short_blocks
 from leakage.physics.oil import FilmPressure
+from pipeline.arrays import Array
 from validation.record import FLOW, PRESSURE, TEMPERATURE, TIME, Record, read_records
 
-Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 SCALES_S = (10, 60, 600, 3600)
@@ -54,21 +54,9 @@ BINS_BAR = np.arange(0.0, 260.0, 10.0)
 # Sizes below it count as this much in a distance [-].
 LEAST_SIZE = 5e-4
 HEADER = (
-    "errors",
-    "all",
-    "to 10 s",
-    "to 1 min",
-    "to 10 min",
-    "to 1 h",
-    "longer",
-    "correlation after 1 / 60 / 600 s",
-    "beyond 3 sd, %",
-    "excess kurtosis",
-    "drift of 20 min, %",
-    "τ, %",
-    "b, %/K",
-    "slow errors, min",
-    "distance",
+    "errors | all | to 10 s | to 1 min | to 10 min | to 1 h | longer | correlation after 1 / 60 "
+    "/ 600 s | beyond 3 sd, % | excess kurtosis | drift of 20 min, % | τ, % | b, %/K | slow "
+    "errors, min | distance"
 )
 
 

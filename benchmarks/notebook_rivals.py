@@ -21,19 +21,18 @@ import lmfit
 import numpy as np
 import polars as pl
 import statsmodels.api as sm
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_nights import duty, motor
 from leakage import Motor, OperatingConditions, fit_frame, regressors, total_flow_l_per_min
 from leakage.frame.samples import INPUTS
+from pipeline.arrays import Array
 
 HOURS, RATE_HZ, NIGHTS, REPEATS = 1.0, 2.0, 40, 5
 NOISE_L_PER_MIN, SLOW_L_PER_MIN = 0.05, 0.02
 FAST_S, SLOW_S = 2.0, 600.0
 
-Array = NDArray[np.float64]
 Intervals = dict[str, tuple[float, float]]
 
 
@@ -174,7 +173,7 @@ def one_night() -> Part:
         "One night",
         f"{frame.height} samples of an hour, three loss factors, truth of the first "
         f"{of.column_paths[0].configured_coefficient:.3g} m³.",
-        ("", "lines", "processor time", "95 % interval of the first K [m³]", "what it tells"),
+        " | lines | processor time | 95 % interval of the first K [m³] | what it tells",
         rows,
     )
 
@@ -207,6 +206,6 @@ def coverage() -> Part:
         "Coverage",
         f"{NIGHTS} simulated nights each; errors of {NOISE_L_PER_MIN} l/min that remember "
         f"{FAST_S:g} s, and beside them {SLOW_L_PER_MIN} l/min that remember {SLOW_S / 60:g} min.",
-        ("", "held, seconds", "median half-width", "held, minutes", "median half-width"),
+        " | held, seconds | median half-width | held, minutes | median half-width",
         rows,
     )

@@ -10,26 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.model_verdict import CASES, MODEL, Case, Logged, logged, wander
 from benchmarks.results_file import Part
 from benchmarks.simulated_nights import true_coefficients
-from leakage.course.alarms import Levels, above_level
 from leakage.course.balanced_baseline import DutyBlocks, Rises, compare, told_rises
 from leakage.course.growth import Blocks, growth
 from leakage.course.hypotheses import weigh
 from leakage.estimation.block_statistics import merge
 from leakage.estimation.certificate import certify
-from leakage.estimation.model_verdict import (
-    DISPROVED_OVER_TEN,
-    grown_misfit,
-    misfit,
-    structured_misfit,
-)
-from leakage.estimation.slow_errors import short_blocks
-
-Array = NDArray[np.float64]
+from pipeline.arrays import Array
 
 BASELINE, NOW = 15, 10
 MOTORS = 24
@@ -88,7 +78,7 @@ def after_a_change(case: Case, duty: str, wear: Sequence[float], seed: int) -> O
         if one is not None:
             k = np.where(one.then[:3] > 0.0, one.then[:3], np.nan)
             rises[place] = one.now[:3] / k - 1.0
-            errors_of[place] = np.sqrt(np.diag(one.covariance))[:3] / k
+            errors_of[place] = np.linalg.norm(one.root, axis=0)[:3] / k
             parts[place] = k * sums[:3] / (sums[:3] @ one.then[:3] + sums[-2])
             flow[place], share[place] = np.expm1(one.log_ratio), one.effective_share
     told = np.array(
@@ -145,14 +135,8 @@ def false_alarms(motors: int = MOTORS) -> Part:
         f"{len(MODELS)} models, {motors} motors each; goal: 1 % by the rule. "
         "Told in the tenth night.",
         (
-            "duty now",
-            "motors",
-            "K plain, +15 %",
-            "K by the rule",
-            "flow plain, +5 %",
-            "flow by the rule",
-            "a path named",
-            "nights compared, %",
+            "duty now | motors | K plain, +15 % | K by the rule | flow plain, +5 % | flow by "
+            "the rule | a path named | nights compared, %"
         ),
         rows,
     )
@@ -178,46 +162,9 @@ def wear_told(motors: int = MOTORS) -> Part:
     return Part(
         "Wear at another duty",
         f"{motors} motors a row; K of a path +100 %. Told in the tenth night, if it is compared.",
-        ("model", "duty now", "path", "its K", "another K", "flow", "named", "wrong name"),
+        "model | duty now | path | its K | another K | flow | named | wrong name",
         rows,
     )
-
-
-def model_watched(motors: int = 16) -> Part:
-    """Models that stay right, and that stop to be so after the baseline."""
-    rows = []
-    for name in ("right, φ 0.9", "right, φ 0.99", "right, AR of 15 minutes"):
-        tracks = [_watched(CASES[name], CASES[name], 150, seed) for seed in range(motors)]
-        began = sum(int((one[1:] & ~one[:-1]).sum() + one[0]) for one in tracks)
-        rows.append([name, f"{motors * 141 / 365:.1f} years", f"{began} false warnings"])
-    right = CASES["right, φ 0.9"]
-    for name in ("two-sided, 15 bar", "VG 46 under VG 68", "drain lag 20 s", "T lag 600 s"):
-        told = [_watched(right, CASES[name], 45, seed)[16:] for seed in range(motors // 2)]
-        nights = [int(np.argmax(one)) + 1 for one in told if one.any()]
-        words = f"told on {len(nights)}, after {np.median(nights):.0f} nights" if nights else "–"
-        rows.append([f"{name} from a night on", f"{len(told)} motors", words])
-    return Part(
-        "A model that has changed",
-        "Warnings of `model_misfit`: its state by ten nights, 20 nights after the change.",
-        ("model", "watched", "told"),
-        rows,
-    )
-
-
-def _watched(first: Case, then: Case, nights: int, seed: int) -> NDArray[np.bool_]:
-    """Nights with a warning, from the tenth on; the case changes after 25 nights."""
-    generator = np.random.default_rng([SEED + 1, seed])
-    found = []
-    for place, errors in enumerate(wander(nights, generator)):
-        one = logged(first if place < 25 else then, errors, generator)
-        theta = certify(merge(one.factors), *BOUNDS).coefficients
-        short = short_blocks(one.factors, np.arange(len(one.factors)))
-        told = misfit(one.factors, short, theta, FIXED, one.means)
-        assert told is not None
-        found.append(told)
-    tens = [structured_misfit(found[end - 10 : end]) for end in range(10, nights + 1)]
-    shares = np.array([(one.share, one.noise_share) for one in tens]).T
-    return above_level(grown_misfit(*shares), DISPROVED_OVER_TEN, 0.0, Levels())
 
 
 def _many(cases: Sequence[tuple[Case, str, Sequence[float]]], motors: int) -> list[Outcome]:

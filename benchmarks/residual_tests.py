@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from benchmarks.results_file import write_results
@@ -33,9 +32,8 @@ from leakage.estimation.block_statistics import merge
 from leakage.estimation.least_squares import fit
 from leakage.estimation.multi_start import SearchSettings
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
+from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression
-
-Array = NDArray[np.float64]
 
 NOISE_L_PER_MIN = 0.015
 NO_SEARCH = SearchSettings(starting_points=0)
@@ -150,16 +148,8 @@ def main() -> None:
         for part, name, failed, outside in (one for some in many for one in some):
             counted[part, name].append((failed, outside))
         rows += [_row(case, part, counted) for part in ("training", "validation")]
-    header = (
-        "wrong in the model",
-        "hours",
-        "φ",
-        "errors",
-        "refused",
-        "nights",
-        "part",
-        *(f"{name}: failed % (lags outside %)" for name in NAMES),
-    )
+    columns = (f"{name}: failed % (lags outside %)" for name in NAMES)
+    header = " | ".join((WORDS, *columns))
     title = (
         "Residual tests: how often they fail, at a level of 1 % (one motor-day of 864 000 samples: "
         f"{_milliseconds():.0f} ms)"
@@ -167,6 +157,7 @@ def main() -> None:
     write_results("residual_tests", title, header, rows)
 
 
+WORDS = "wrong in the model | hours | φ | errors | refused | nights | part"
 NAMES = ("whiteness", "pressure", "temperature", "speed")
 
 

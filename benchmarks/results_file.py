@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import datetime as dt
 import json
+import os
 import platform
-import re
 import sys
+import tempfile
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +27,11 @@ class Part:
 
     heading: str
     text: str
-    header: Sequence[str]
+    header: str  # names of the columns, with " | " between them
     rows: Sequence[Sequence[str]]
 
 
-def write_results(
-    name: str, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
-) -> None:
+def write_results(name: str, title: str, header: str, rows: Sequence[Sequence[str]]) -> None:
     """Write one Markdown table to `benchmarks/results/`, and print it."""
     _write(name, title, _table(header, rows))
 
@@ -57,14 +57,35 @@ def write_stored(
     asked = parser.parse_args(list(options)).only.split(",")
     if strangers := sorted(set(asked) - set(makers)):
         parser.error(f"no part {', '.join(strangers)}; there are {', '.join(makers)}")
-    file = RESULTS / f"{name}.json"
-    stored: dict[str, dict[str, Any]] = {}
     for one in asked:
-        made = asdict(makers[one]())
-        stored = json.loads(file.read_text("utf-8")) if file.exists() else {}
-        stored[one] = made
-        file.write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n", "utf-8")
-    write_parts(name, title, text, [Part(**stored[one]) for one in makers if one in stored])
+        begin = time.perf_counter()
+        sys.stderr.write(f"{one}: begins, load {os.getloadavg()[0]:.1f}\n")
+        store(name, one, asdict(makers[one]()))
+        sys.stderr.write(f"{one}: {time.perf_counter() - begin:.0f} s\n")
+    found = stored(name)
+    write_parts(name, title, text, [Part(**found[one]) for one in makers if one in found])
+
+
+def in_folder(make: Callable[[Path], Part]) -> Part:
+    """A part made in a folder of its own, with the load of the machine before it began."""
+    load = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory() as folder:
+        part = make(Path(folder))
+    return replace(part, text=f"{part.text} Load before it began: {load:.1f}.")
+
+
+def stored(name: str) -> dict[str, Any]:
+    """All that runs of a benchmark have found so far, by part."""
+    file = RESULTS / f"{name}.json"
+    found: dict[str, Any] = json.loads(file.read_text("utf-8")) if file.exists() else {}
+    return found
+
+
+def store(name: str, part: str, found: object) -> None:
+    """Keep what was found of a part beside the others, a part a line."""
+    parts = (stored(name) | {part: found}).items()
+    lines = (f'"{one}": {json.dumps(of, ensure_ascii=False)}' for one, of in parts)
+    (RESULTS / f"{name}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
 
 
 def description(doc: str | None) -> str:
@@ -78,13 +99,9 @@ def median_and_late(values: Sequence[float] | NDArray[np.float64]) -> str:
     return " / ".join(f"{one:.0f}" if np.isfinite(one) else "–" for one in ends)
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [
-        "| " + " | ".join(header) + " |",
-        "|" + "---|" * len(header),
-        *("| " + " | ".join(row) + " |" for row in rows),
-        "",
-    ]
+def _table(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
+    line = "|" + "---|" * len(header.split(" | "))
+    return [f"| {header} |", line, *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
 def _write(name: str, title: str, body: Sequence[str]) -> None:
@@ -100,20 +117,3 @@ def _write(name: str, title: str, body: Sequence[str]) -> None:
     text = "\n".join(lines)
     (RESULTS / f"{name}.md").write_text(text, "utf-8")
     sys.stdout.write(text)
-
-
-def nights_of_history() -> str:
-    """What the benchmark of history found."""
-    path = RESULTS / "night_cost.md"
-    if not path.exists():
-        return ""
-    found = re.search(
-        r"\| processor time \|.*\| ([\d.]+) \|$", path.read_text("utf-8"), re.MULTILINE
-    )
-    if found is None:
-        return ""
-    return (
-        "Nights of history: night 365 takes "
-        f"{found.group(1)} times the processor time of night 2, the trend stage aside "
-        "(`night_cost.md`)."
-    )

@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -23,11 +22,8 @@ from functools import partial
 from pathlib import Path
 
 import psutil
-import pyarrow.parquet as pq
 
-from benchmarks.day_fleets import later, log_of, make_fleet, write_day
-from benchmarks.results_file import Part, write_stored
-from benchmarks.whole_runs import elapsed, first_night, fit_command
+from benchmarks.results_file import Part, in_folder, write_stored
 from pipeline.config import Execution, Fleet, load_fleet
 from pipeline.demo import write_demo
 from pipeline.run.fleet import RunRequest, run_fleet
@@ -45,9 +41,6 @@ FLEET_WORKERS = 8
 EMPTY_TASKS = 2_000
 QUICK_TASKS = 4_000
 YEAR = 365
-# Motors on one tank, with logs of so many minutes.
-CIRCUITS = (300, 2000)
-SHORT_MINUTES = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,25 +65,9 @@ def sleep_and_stage(task: Night) -> int:
 
 def main(options: Sequence[str] = ()) -> None:
     """Measure and write `benchmarks/results/scale.md`."""
-    makers = {name: partial(_measured, name) for name in PARTS}
+    makers = {name: partial(in_folder, make) for name, make in PARTS.items()}
     text = f"{os.cpu_count()} cores. {__doc__}"
     write_stored("scale", "Past one machine", text, makers, options)
-
-
-def _measured(name: str) -> Part:
-    """A part, with the load of the machine before it began."""
-    load = os.getloadavg()[0]
-    _say(f"{name}: begins")
-    begin = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        part = PARTS[name](Path(folder))
-    _say(f"{name}: {time.perf_counter() - begin:.0f} s")
-    return replace(part, text=f"{part.text} Load before it began: {load:.1f}.")
-
-
-def _say(line: str) -> None:
-    sys.stderr.write(f"{line}\n")
-    sys.stderr.flush()
 
 
 def _demo(folder: Path, nights: int, minutes: float) -> Fleet:
@@ -168,7 +145,7 @@ def _throughput(folder: Path) -> Part:
         f"The demo fleet, {len(fleet.motors)} motors with 6 nights of 60 minutes each: a whole "
         "run, tables, trends and the start of the workers of loky included; over Dask workers are "
         "there, and start the process for their tasks.",
-        ("Engine", "Workers", "Run", "Nights/s"),
+        "Engine | Workers | Run | Nights/s",
         rows,
     )
 
@@ -205,7 +182,7 @@ def _overhead(folder: Path) -> Part:
         "Overhead of a task",
         f"{EMPTY_TASKS} tasks that do nothing, and {QUICK_TASKS} that only stage rows, two "
         "workers: what a motor costs beyond its work. Loky starts its workers in it.",
-        ("Engine", "Stages", "A task", "Tasks/s"),
+        "Engine | Stages | A task | Tasks/s",
         rows,
     )
 
@@ -262,7 +239,7 @@ def _large_fleet(folder: Path) -> Part:
         f"Simulated motors of {TASK_S:g} s that sleep and stage {STAGED_BYTES // 1000} kB each, "
         f"{FLEET_WORKERS} workers. Share of work: time that the workers slept of the time that "
         "they had.",
-        ("Tasks in flight", "Run", "Tasks/s", "Share of work", "Scheduler", "Client, more"),
+        "Tasks in flight | Run | Tasks/s | Share of work | Scheduler | Client, more",
         rows,
     )
 
@@ -285,7 +262,7 @@ def _worker_memory(folder: Path) -> Part:
         "Memory of a Dask worker",
         "Largest resident memory of each of its processes in a run over the demo, one worker. "
         "That of the process for tasks grows with a night's readings.",
-        ("Process", "Largest"),
+        "Process | Largest",
         rows,
     )
 
@@ -329,7 +306,7 @@ def _year(folder: Path) -> Part:
     return Part(
         "The first back-fill of a motor",
         f"One motor of the demo, {YEAR} nights of 20 minutes, logs and all.",
-        ("Engine", "Workers", "Nights a part", "Run", "Faster by"),
+        "Engine | Workers | Nights a part | Run | Faster by",
         rows,
     )
 
@@ -354,33 +331,7 @@ def _sizes(folder: Path) -> Part:
         "What a motor stores",
         "Tables of the fleet of the first part, six motors a file. A day of 24 h has up to 96 "
         "blocks and 720 points of a night instead of the 30 and 720 here.",
-        ("Table", "A motor's night", "A motor's year"),
-        rows,
-    )
-
-
-def _circuits(folder: Path) -> Part:
-    """Many motors on one tank beside the same with a tank each."""
-    day, rows = folder / "day", []
-    write_day(day, SHORT_MINUTES, 1.0, "parquet")
-    night_later = folder / "later.parquet"
-    pq.write_table(later(pq.read_table(log_of(day, "parquet")), 1), night_later)
-    for n in CIRCUITS:
-        for tank in ("one tank", ""):
-            config = make_fleet(day, folder / "fleet", "parquet", n, linked=True, tank=tank)
-            command = fit_command(config, 2)
-            first_night(config, 2)
-            costs = [elapsed(command)]
-            for logs in (folder / "fleet" / "logs").iterdir():
-                os.link(night_later, logs / night_later.name)
-            costs.append(elapsed(command))
-            times = [f"{one:.1f} s" for cost in costs for one in (cost.elapsed_s, cost.processor_s)]
-            rows.append([str(n), tank or "one each", *times])
-    return Part(
-        "Many motors on one tank",
-        f"Motors with logs of {SHORT_MINUTES:g} minutes, two workers: a run with nothing new, and "
-        "one with a night more of every motor.",
-        ("Motors", "Tanks", "Nothing new", "processor", "A night more", "processor"),
+        "Table | A motor's night | A motor's year",
         rows,
     )
 
@@ -392,5 +343,4 @@ PARTS: dict[str, Callable[[Path], Part]] = {
     "memory": _worker_memory,
     "year": _year,
     "sizes": _sizes,
-    "circuits": _circuits,
 }

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from benchmarks.night_kinds import NIGHTS_A_DUTY, Kind, SimulatedNights, figures
@@ -20,9 +19,8 @@ from leakage import regressors
 from leakage.estimation.block_statistics import merge
 from leakage.estimation.certificate import certify
 from leakage.estimation.multi_start import Parametrisation
+from pipeline.arrays import Array
 from pipeline.demo.noise import night_wander
-
-Array = NDArray[np.float64]
 
 DUTIES = 100
 # A motor is not quite the same every night: relative scatter of each K, as in the demo.

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage import Motor, OperatingConditions, regressors
 from leakage.estimation.multi_start import Parametrisation
+from pipeline.arrays import Array
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import FlushingTable
 from pipeline.demo.noise import lagging
 
-Array = NDArray[np.float64]
 CONFIGS = Path(__file__).parent.parent / "configs"
 RATE_HZ = 10.0
 BLOCK_S = 120.0

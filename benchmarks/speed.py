@@ -13,15 +13,11 @@ What the other parts found in runs before stays (`speed.json`).
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import shutil
 import statistics
 import sys
-import tempfile
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -39,7 +35,7 @@ from benchmarks.day_fleets import (
     make_fleet,
     write_day,
 )
-from benchmarks.results_file import RESULTS, Part, nights_of_history, write_parts
+from benchmarks.results_file import Part, in_folder, write_stored
 from benchmarks.whole_runs import (
     Cost,
     compile_sources,
@@ -52,7 +48,6 @@ from benchmarks.whole_runs import (
     worker_peak_mib,
 )
 
-STORED = RESULTS / "speed.json"
 READERS = {"parquet": "pyarrow_parquet", "csv": "pyarrow_csv", "mcap": "plain_mcap"}
 GOALS = {"parquet": 9.0, "csv": 3.0, "mcap": 1.3}
 # Logs of a fleet in `hundred`, and the most passes over them: each takes some ten minutes.
@@ -79,23 +74,17 @@ class Asked:
 
 def main(options: Sequence[str] = ()) -> None:
     """Measure, and write `benchmarks/results/speed.md`."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks speed")
-    parser.add_argument("--only", default=",".join(PARTS))
+    parser = argparse.ArgumentParser(prog="python -m benchmarks speed", add_help=False)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--motors", type=int, default=12)
-    asked = parser.parse_args(list(options))
-    stored = json.loads(STORED.read_text("utf-8")) if STORED.exists() else {}
+    asked, rest = parser.parse_known_args(list(options))
     compile_sources()
-    for name in asked.only.split(","):
-        with tempfile.TemporaryDirectory() as folder:
-            begin = time.perf_counter()
-            sys.stderr.write(f"{name}: begins, load {os.getloadavg()[0]:.1f}\n")
-            part = PARTS[name](Asked(Path(folder), asked.repeats, asked.motors))
-            sys.stderr.write(f"{name}: {time.perf_counter() - begin:.0f} s\n")
-        stored[name] = asdict(part)
-        STORED.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
-    parts = [Part(**stored[name]) for name in PARTS if name in stored]
-    write_parts("speed", "As fast as reading the logs", __doc__ or "", parts)
+
+    def made(make: Callable[[Asked], Part]) -> Part:
+        return in_folder(lambda folder: make(Asked(folder, asked.repeats, asked.motors)))
+
+    makers = {name: partial(made, make) for name, make in PARTS.items()}
+    write_stored("speed", "As fast as reading the logs", __doc__ or "", makers, rest)
 
 
 def motor_day(asked: Asked) -> Part:
@@ -117,7 +106,7 @@ def motor_day(asked: Asked) -> Part:
         f"24 h × 10 Hz, one worker: a run over {asked.motors} motors less one over one, a motor; "
         f"medians of {asked.repeats} passes. Goal from Parquet: 250 ms."
     )
-    return Part("A motor-day", text, ("format", "processor time"), rows)
+    return Part("A motor-day", text, "format | processor time", rows)
 
 
 def hundred(asked: Asked) -> Part:
@@ -153,7 +142,7 @@ def hundred(asked: Asked) -> Part:
         f"file; medians of {min(asked.repeats, HUNDRED_REPEATS)} passes. Goals: run over reading "
         f"at most {goals}; two workers 1.9 times as fast as one."
     )
-    header = ("what", "elapsed", "processor", "over reading", "faster", "largest worker", "parent")
+    header = "what | elapsed | processor | over reading | faster | largest worker | parent"
     return Part("A hundred motors", text, header, rows)
 
 
@@ -176,7 +165,7 @@ def fast(asked: Asked) -> Part:
         ["ratio", f"{costs['ours'].elapsed_s / costs['read'].elapsed_s:.2f}", "", ""],
     ]
     text = "One motor × 24 h × 100 Hz, Parquet. Goal: at most 1024 MiB a worker."
-    return Part("100 Hz", text, ("what", "elapsed", "processor", "largest worker"), rows)
+    return Part("100 Hz", text, "what | elapsed | processor | largest worker", rows)
 
 
 def small(asked: Asked) -> Part:
@@ -188,7 +177,12 @@ def small(asked: Asked) -> Part:
     cases = {f"{n} worker{'s' * (n > 1)}": partial(first_night, config, n) for n in (1, 2)}
     costs = interleaved(cases, min(asked.repeats, 3))
     rows = [
-        [what, *_seconds(cost), *(f"{1000 * s / SMALL_NIGHTS:.0f} ms" for s in _both(cost))]
+        [
+            what,
+            *_seconds(cost),
+            f"{1000 * cost.elapsed_s / SMALL_NIGHTS:.0f} ms",
+            f"{1000 * cost.processor_s / SMALL_NIGHTS:.0f} ms",
+        ]
         for what, cost in costs.items()
     ]
     text = (
@@ -196,7 +190,7 @@ def small(asked: Asked) -> Part:
         "night, everything included: 60 ms of processor time (least to land: 90), 35 ms elapsed "
         "with two workers (55)."
     )
-    header = ("workers", "elapsed", "processor", "elapsed a night", "processor a night")
+    header = "workers | elapsed | processor | elapsed a night | processor a night"
     return Part("Small nights", text, header, rows)
 
 
@@ -228,7 +222,7 @@ def start(asked: Asked) -> Part:
     bare = costs[BARE].elapsed_s
     rows = [[what, *_seconds(cost), f"{cost.elapsed_s / bare:.2f}"] for what, cost in costs.items()]
     text = f"Medians of {asked.repeats}, two workers; times: elapsed, over that of the bare import."
-    return Part("Start", text, ("what", "elapsed", "processor", "times"), rows)
+    return Part("Start", text, "what | elapsed | processor | times", rows)
 
 
 def user(asked: Asked) -> Part:
@@ -258,7 +252,7 @@ def user(asked: Asked) -> Part:
         f"starts, of which {TIMED_STARTS} are timed and scaled. It has no intervals, no "
         "validation, no residual analysis and no tables; ours has, and starts its processes."
     )
-    header = ("what", "elapsed a motor-night", "ratio (goal: at least 500)")
+    header = "what | elapsed a motor-night | ratio (goal: at least 500)"
     return Part("What a user would write", text, header, rows)
 
 
@@ -307,9 +301,9 @@ def growth(asked: Asked) -> Part:
         "Samples of one motor in Parquet (a day at 100 Hz, thinned; several days), one worker; "
         "motors with a short log, two workers. "
         "A slope of 1 on logarithmic axes is growth in proportion; what does not grow (the start "
-        "of the processes) is below it. " + nights_of_history()
+        "of the processes) is below it. Nights of history: `night_cost.md`."
     )
-    return Part("Growth", text, ("what", "elapsed", "processor", "slope"), rows)
+    return Part("Growth", text, "what | elapsed | processor | slope", rows)
 
 
 def _thinned(table: pa.Table, n: int) -> pa.Table:
@@ -322,10 +316,6 @@ def _slope(taken: Sequence[tuple[int, float]]) -> str:
     (n0, s0), (n1, s1) = taken[-2:]
     slope = np.log(s1 / s0) / np.log(n1 / n0)
     return f"slope {slope:.2f}, {1e6 * (s1 - s0) / (n1 - n0):.3g} µs each"
-
-
-def _both(cost: Cost) -> tuple[float, float]:
-    return cost.elapsed_s, cost.processor_s
 
 
 def _seconds(cost: Cost) -> tuple[str, str]:

@@ -5,10 +5,8 @@ A night of an hour at 1 Hz in one CSV, four columns a motor; each command is a p
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,7 @@ import polars as pl
 from benchmarks.night_kinds import CYCLES_S
 from benchmarks.results_file import write_results
 from benchmarks.simulated_nights import duty, motor
+from benchmarks.whole_runs import elapsed
 from leakage import OperatingConditions, total_flow_l_per_min
 
 MOTORS = 40
@@ -45,7 +44,7 @@ def main() -> None:
     seconds.append(("all", sum(number for _, number in seconds)))
     rows = [[name, f"{number:.1f}"] for name, number in seconds]
     title = f"A wide log of {MOTORS} motors ({size_mb:.0f} MB, {MINUTES} min) to {n_pages} pages"
-    write_results("wide_plant", title, ("command", "seconds"), rows)
+    write_results("wide_plant", title, "command | seconds", rows)
 
 
 def _write(log: Path) -> None:
@@ -71,8 +70,4 @@ def _write(log: Path) -> None:
 
 
 def _seconds(*arguments: str | Path) -> float:
-    begin = time.perf_counter()
-    subprocess.run(
-        [sys.executable, "-m", "pipeline.cli", *map(str, arguments)], check=True, stdout=2
-    )
-    return time.perf_counter() - begin
+    return elapsed([sys.executable, "-m", "pipeline.cli", *map(str, arguments)]).elapsed_s

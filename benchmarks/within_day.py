@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.results_file import Part, description, median_and_late, write_parts
 from leakage.course.step_detection import (
@@ -26,9 +25,9 @@ from leakage.course.step_detection import (
     block_errors,
     limit_of_maxima,
 )
+from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression, heavy_tailed, night_wander, phi_of, warm_up
 
-Array = NDArray[np.float64]
 Draw = Callable[[np.random.Generator, int], Array]
 
 BLOCK_MINUTES = 2.0
@@ -204,7 +203,9 @@ def write(found: Mapping[str, tuple[list[tuple[str, ...]], int]]) -> None:
         f"and {MOTORS * STEP_DAYS} days with each step. Delays in minutes from the step to the "
         "end of the block that tells it, median / 90 %; –: not on that day. Looks in all rows but "
         f"“{UNEXCLUDED}”: {sum(counted)} false alarms in {years:.0f} motor-years.",
-        ("errors", "rule", "false a motor-year", *(f"+{100 * step:.0f} %" for step in STEPS)),
+        " | ".join(
+            ["errors", "rule", "false a motor-year", *(f"+{100 * step:.0f} %" for step in STEPS)]
+        ),
         [row for rows, _ in found.values() for row in rows],
     )
     write_parts("within_day", "Steps within the day", description(__doc__), [part])

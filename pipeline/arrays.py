@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+"""Numbers of any shape."""
+
 Values = NDArray[np.float64]
 """Readings, shape (n,)."""
 
@@ -13,6 +16,9 @@ Times = NDArray[np.int64]
 
 Mask = NDArray[np.bool_]
 """Which of n samples, shape (n,)."""
+
+Rows = slice | NDArray[np.bool_] | NDArray[np.intp]
+"""Some rows of an array."""
 
 SECOND_US = 1_000_000
 

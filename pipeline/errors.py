@@ -14,12 +14,7 @@ LONGEST_MESSAGE = 2000
 class MotorLeakageError(Exception):
     """Base of every error that the pipeline raises on purpose.
 
-    Parameters
-    ----------
-    code
-        Stable, machine-readable name of the kind of error.
-    message
-        What is wrong, where, and what to do about it, in one line.
+    The code is a stable name of its kind; the message says what is wrong, where, and what to do.
     """
 
     def __init__(self, code: str, message: str) -> None:
@@ -68,16 +63,7 @@ class EngineError(MotorLeakageError):
 class LogError(MotorLeakageError):
     """A log file cannot be read, or not be trusted.
 
-    Parameters
-    ----------
-    code
-        Stable name of the kind of damage, such as ``log_truncated``.
-    path
-        The file.
-    message
-        What is wrong and what to do about it; the file's name is put in front.
-    place
-        Where in the file: a line, a column, a record or a byte.
+    Its name is put before the message, with the place in it: a line, a column, a record or a byte.
     """
 
     def __init__(self, code: str, path: Path, message: str, place: str | None = None) -> None:

@@ -12,29 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 def keep_extremes(columns: Sequence[ArrayLike], points: int) -> NDArray[np.int64]:
     """Rows to plot: of each bin of neighbours the smallest and the largest value of each column.
 
-    Parameters
-    ----------
-    columns
-        What is plotted over the rows, each of shape (n,); NaN where there is no value.
-    points
-        Rows to keep at most; where there are no more, all are kept.
+    Columns are of shape (n,), NaN where there is no value. Returned are the places of at most
+    `points` rows, increasing, the first and the last among them. A line through the kept rows
+    covers the pixels that a line through all of them would, as long as a bin is no wider than one.
 
-    Returns
-    -------
-    ndarray
-        Places of the rows, increasing, at most `points` of them; the first and the last row are
-        always there.
-
-    Raises
-    ------
-    ValueError
-        If `points` does not suffice for the ends and one bin.
-
-    Notes
-    -----
-    Every column's smallest and largest value over all rows are kept, and so are each bin's: a
-    line through the kept rows covers the pixels that a line through all of them would, as long as
-    a bin is no wider than a pixel.
+    Raises ValueError if `points` does not suffice for the ends and one bin.
 
     Examples
     --------

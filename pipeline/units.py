@@ -119,10 +119,7 @@ def canonical_unit(channel: str) -> str:
 def conversion(channel: str, unit: str) -> Conversion:
     """Conversion from a unit of a log to the canonical unit of a channel.
 
-    Raises
-    ------
-    UsageError
-        ``channel_unknown`` or ``unit_unknown``; the message names those that there are.
+    Raises UsageError (``channel_unknown``, ``unit_unknown``); the message names those there are.
     """
     known = UNITS[_quantity(channel)]
     if unit not in known:
@@ -135,26 +132,9 @@ def conversion(channel: str, unit: str) -> Conversion:
 # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
 @np.errstate(over="ignore", invalid="ignore")
 def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
-    """Convert readings of a channel to its canonical unit.
+    """Readings of a channel in its canonical unit, always a new array; shape (n,).
 
-    Parameters
-    ----------
-    channel
-        One of `CHANNELS`.
-    values : (n,)
-        Readings [unit].
-    unit
-        One of `UNITS` for the channel's quantity.
-
-    Returns
-    -------
-    (n,) float64
-        Readings in bar, °C, rpm or l/min; not finite values stay as they are. Always a new array.
-
-    Raises
-    ------
-    UsageError
-        ``channel_unknown`` or ``unit_unknown``.
+    Values that are not finite stay as they are. Raises as `conversion`.
 
     Examples
     --------

@@ -31,9 +31,9 @@ Mask = NDArray[np.bool_]
 LEAST_KNOWN: Final = 1.0 / 8.0
 # Nights of now from which on the change with temperature is estimated.
 NIGHTS_OF_BETA: Final = 6
-RANK_TOLERANCE: Final = 1e-9
+RANK_TOLERANCE: Final = 3e-5
 LEAST_SIZE: Final = 0.1
-UNKNOWN, ROUNDING = 1e3, 1e-12
+UNKNOWN: Final = 1e3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,37 +189,36 @@ def _columns(factors: Array, configured: Array, free: Mask) -> tuple[Array, Arra
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """Least squares of a period.
-
-    θ, (X'X)⁺, the directions that X does not see, the nights' scores (n, q), and X'X.
-    """
+    """Least squares of a period."""
 
     theta: Array
-    inverse: Array
-    unseen: Array
-    scores: Array
-    gram: Array
+    root: Array  # L with LL' = (X'X)⁺, shape (q, r)
+    unseen: Array  # the directions that X does not see
+    errors: Array  # scores of the nights in the basis of L, shape (n, r)
+    gram: Array  # X'X
 
     @classmethod
     def of(cls, columns: Array, flow: Array, nights: NDArray[np.int64], start: Array) -> _Fit:
         """The minimum nearest to `start` where X does not tell all of θ."""
         _, first = np.unique(nights, return_index=True)
-        grams = np.add.reduceat(np.einsum("bij,bik->bjk", columns, columns), first)
-        sums = np.add.reduceat(np.einsum("bij,bi->bj", columns, flow), first)
-        gram = grams.sum(axis=0)
+        gram = np.einsum("bij,bik->jk", columns, columns)
         scale = np.sqrt(np.diag(gram))
         scale[scale == 0.0] = 1.0
-        values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-        seen = values > RANK_TOLERANCE * values[-1]
-        root = vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None]
-        theta = start + root @ (root.T @ (sums.sum(axis=0) - gram @ start))
-        inside = root.T @ grams @ root
+        # Not of the Gram, which has half the digits: a night may tell a direction all alone.
+        whole = np.linalg.qr((columns / scale).reshape(-1, len(scale)), mode="r")
+        _, values, vectors = np.linalg.svd(whole)
+        seen = values > RANK_TOLERANCE * values[0]
+        root = (vectors[seen] / values[seen, None] / scale).T
+        basis = columns @ root
+        theta = start + root @ np.einsum("bij,bi->j", basis, flow - columns @ start)
+        inside = np.add.reduceat(np.einsum("bij,bik->bjk", basis, basis), first)
+        scores = np.add.reduceat(np.einsum("bij,bi->bj", basis, flow - columns @ theta), first)
         left, turn = np.linalg.eigh(np.eye(inside.shape[-1]) - inside)
         adjust = (turn / np.sqrt(np.maximum(left, 1e-8))[:, None, :]) @ turn.transpose(0, 2, 1)
-        errors = np.einsum("bij,bj->bi", adjust, (sums - grams @ theta) @ root)
-        hidden = vectors[:, ~seen] / scale[:, None]
+        errors = np.einsum("bij,bj->bi", adjust, scores)
+        hidden = (vectors[~seen] / scale).T
         hidden = hidden / np.linalg.norm(hidden, axis=0)
-        return cls(theta, root @ root.T, hidden @ hidden.T, errors @ (gram @ root).T, gram)
+        return cls(theta, root, hidden @ hidden.T, errors, gram)
 
 
 def _relative(
@@ -228,9 +227,9 @@ def _relative(
     k = len(names)
     then, since = before.theta[:k], now.theta[:k]
     ratio, known, error = _errors(k, before, now)
-    base = (known + UNKNOWN * before.unseen)[:k, :k] + ROUNDING * np.eye(k)
-    information = np.linalg.inv(base)
-    pulled = np.linalg.solve(np.eye(k) + information, information @ (before.theta[:k] - 1.0))
+    base = (known + UNKNOWN * before.unseen)[:k, :k]
+    # Pulled towards the configured values by as much as these are known: to within themselves.
+    pulled = np.linalg.solve(np.eye(k) + base, before.theta[:k] - 1.0)
     theta = np.maximum(1.0 + pulled, LEAST_SIZE)
     inverse = 1.0 / np.outer(theta, theta)
     values, vectors = np.linalg.eigh(base * inverse)
@@ -256,15 +255,16 @@ def _relative(
 
 def _errors(k: int, before: _Fit, now: _Fit) -> tuple[float, Array, Array]:
     """Flow of the gaps now over before, and the covariances of θ before and now."""
-    n_before, n_now = len(before.scores), len(now.scores)
     then, since = before.theta[:k], now.theta[:k]
     gram = now.gram[:k, :k]
     ratio = float((since @ gram @ since) / (then @ gram @ then))
-    total = before.scores.T @ before.scores
+    # What each night moves θ by; of the nights before, had they been of now. No product with
+    # (X'X)⁺, whose rounding hides what is known well where paths look alike.
+    own, new = (one.errors @ one.root.T for one in (before, now))
+    moved = before.errors @ (before.gram @ before.root).T @ now.root @ now.root.T
+    share = len(now.errors) / (len(before.errors) + len(now.errors))
     # Errors grow with the flow.
-    mean = (max(ratio, 1.0) * total + now.scores.T @ now.scores) / (n_before + n_now)
-    known = before.inverse @ total @ before.inverse
-    return ratio, known, n_now * now.inverse @ mean @ now.inverse
+    return ratio, own.T @ own, share * (max(ratio, 1.0) * moved.T @ moved + new.T @ new)
 
 
 def _shift(k: int, before: _Fit, now: _Fit) -> Shift | None:

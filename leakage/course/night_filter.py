@@ -227,30 +227,22 @@ def follow(
 def _observation(night: NightInformation, sd: Array) -> tuple[Array, Array]:
     """Root L of the information, J = LL', shape (k, r), and L'θ̂ as the night has it, shape (r,)."""
     basis = _basis(night.gram)
-    # S M⁻¹ S with M = √λ S √λ: as S, it sees nothing that the night does not.
-    weigh = night.gram / sd @ basis
-    information = weigh @ weigh.T
-    estimate = basis @ (basis.T @ night.explained)
-    # A common gain error moves the coefficients as the whole flow does.
-    direction = basis @ (basis.T @ (night.explained + night.known))
-    gain = information @ direction
-    share = 1.0 / (1.0 / GAIN_ERROR**2 + float(direction @ gain))
-    unit, values, vectors = _decomposed(information - share * np.outer(gain, gain))
-    root = unit[:, None] * vectors * np.sqrt(values)
-    return root, root.T @ estimate
+    # J₀ = WW' = S M⁻¹ S with M = √λ S √λ: as S, it sees nothing that the night does not.
+    root = night.gram / sd @ basis
+    # A common gain error moves the coefficients as the whole flow does: L = W (I − c hh').
+    moved = root.T @ (basis @ (basis.T @ (night.explained + night.known)))
+    size = float(moved @ moved)
+    if size > 0.0:
+        left = 1.0 / math.sqrt(1.0 + GAIN_ERROR**2 * size)
+        root = root - np.outer(root @ moved, moved) * ((1.0 - left) / size)
+    return root, root.T @ (basis @ (basis.T @ night.explained))
 
 
 def _basis(gram: Array) -> Array:
     """B with B'SB = I over what S sees, shape (k, r)."""
-    unit, values, vectors = _decomposed(gram)
-    basis: Array = vectors / np.sqrt(values) / unit[:, None]
-    return basis
-
-
-def _decomposed(gram: Array) -> tuple[Array, Array, Array]:
-    """Units of the coefficients, and eigenvalues and vectors of S in them, as far as it sees."""
     unit = np.sqrt(np.diag(gram))
-    unit = np.where(unit > 0.0, unit, 1.0)
+    unit[unit == 0.0] = 1.0
     values, vectors = np.linalg.eigh(gram / np.outer(unit, unit))
     seen = values > RANK_TOLERANCE
-    return unit, values[seen], vectors[:, seen]
+    basis: Array = vectors[:, seen] / np.sqrt(values[seen]) / unit[:, None]
+    return basis

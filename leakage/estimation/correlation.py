@@ -42,21 +42,21 @@ def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -
     >>> autocorrelation(np.array([1.0, -1, 1, -1]), np.arange(4), 2).round(6)
     array([ 1., -1.,  1.])
     """
-    place = index - index[0]
+    place, mean = index - index[0], float(values.mean())
     pairs = _pair_counts(place, longest_lag)
-    products = _products(values - values.mean(), place, longest_lag)
+    products = _products(values, mean, place, longest_lag)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.where(pairs > 0, products / pairs, np.nan)
-        result: Array = mean / mean[0] if mean[0] > 0 else np.full(longest_lag + 1, np.nan)
+        at_lag = np.where(pairs > 0, products / pairs, np.nan)
+        result: Array = at_lag / at_lag[0] if at_lag[0] > 0 else np.full(longest_lag + 1, np.nan)
     return result
 
 
-def _products(values: Array, place: NDArray[np.int64], longest_lag: int) -> Array:
-    """Sums of x(t) x(t + k), across gaps too: x is 0 where a sample is missing."""
-    series = np.zeros((1, int(place[-1]) + 1))
-    series[0, place] = values
-    together = Segments(np.array([0]), np.array([series.shape[1]]))
-    own, _ = lagged_products(series, together, longest_lag)
+def _products(values: Array, mean: float, place: NDArray[np.int64], longest_lag: int) -> Array:
+    """Sums of x(t) x(t + k), x = values − mean, across gaps too: 0 where a sample is missing."""
+    series = np.full(int(place[-1]) + 1, mean)
+    series[place] = values
+    together = Segments(np.array([0]), np.array([len(series)]))
+    own, _ = lagged_products([series], [mean], together, longest_lag)
     products: Array = own[0]
     return products
 
@@ -70,7 +70,7 @@ def _pair_counts(place: NDArray[np.int64], longest_lag: int) -> Array:
     segments = Segments.of(place)
     # With an end every few samples, transforms are faster.
     if len(segments.begins) * longest_lag > 2 * len(place):
-        return np.round(_products(np.ones(len(place)), place, longest_lag))
+        return np.round(_products(np.ones(len(place)), 0.0, place, longest_lag))
     ends = np.column_stack([place[segments.begins], place[segments.ends - 1] + 1]).ravel()
     bends = np.zeros(longest_lag + 1)
     bends[0] = len(segments.begins)

@@ -19,6 +19,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,14 +109,18 @@ class Segments:
 
 
 def lagged_products(
-    series: Array, segments: Segments, longest_lag: int, crossed_lag: int = 0
+    series: Sequence[Array],
+    means: Sequence[float],
+    segments: Segments,
+    longest_lag: int,
+    crossed_lag: int = 0,
 ) -> tuple[Array, Array]:
-    """Sums of products a(t) b(t + k) over pairs within one segment.
+    """Sums of products a(t) b(t + k) of series less their means, over pairs within one segment.
 
     Parameters
     ----------
-    series
-        Shape (s, n), finite; centred series keep more digits.
+    series, means
+        Finite values, shape (n,) each, and what is taken off each: centred series keep more digits.
     segments
         Where the samples have no gap.
     longest_lag
@@ -136,7 +141,8 @@ def lagged_products(
     Examples
     --------
     >>> values = np.array([[1.0, 2, 3, 4, 5], [0, 1, 0, 1, 0]])
-    >>> own, crossed = lagged_products(values, Segments.of(np.array([0, 1, 2, 7, 8])), 2, 1)
+    >>> segments = Segments.of(np.array([0, 1, 2, 7, 8]))
+    >>> own, crossed = lagged_products(values, [0.0, 0.0], segments, 2, 1)
     >>> own.round(9) + 0.0
     array([[55., 28.,  3.],
            [ 2.,  0.,  0.]])
@@ -147,7 +153,7 @@ def lagged_products(
     crossed = np.zeros((len(series) - 1, 2 * crossed_lag + 1))
     pieces, overlaps = _pieces(segments, longest_lag)
     for sign, some in ((1.0, pieces), (-1.0, overlaps)):
-        for length, (power, product) in _spectra(series, some, longest_lag).items():
+        for length, (power, product) in _spectra(series, means, some, longest_lag).items():
             # Of a short transform, one half stands for lags ahead and the other for lags behind.
             ahead, reach = (min(lag, (length - 1) // 2) for lag in (longest_lag, crossed_lag))
             own[:, : ahead + 1] += sign * np.fft.irfft(power, length)[:, : ahead + 1]
@@ -156,13 +162,15 @@ def lagged_products(
     return own, crossed
 
 
-def products_near_ends(series: Array, segments: Segments, margin: int) -> Array:
+def products_near_ends(
+    series: Sequence[Array], means: Sequence[float], segments: Segments, margin: int
+) -> Array:
     """Sums of products a(t) b(t + k) with t among the first or last samples of its segment.
 
     Parameters
     ----------
-    series
-        Shape (s, n); a is the first series, b each other one.
+    series, means
+        As of :func:`lagged_products`; a is the first series, b each other one.
     segments
         Where the samples have no gap.
     margin
@@ -176,7 +184,7 @@ def products_near_ends(series: Array, segments: Segments, margin: int) -> Array:
     Examples
     --------
     >>> values = np.array([[1.0, 2, 3, 4, 5], [1, 1, 1, 1, 10]])
-    >>> products_near_ends(values, Segments.of(np.arange(5)), 1)
+    >>> products_near_ends(values, [0.0, 0.0], Segments.of(np.arange(5)), 1)
     array([[ 5., 51.,  1.]])
     """
     lags, own = np.arange(2 * margin + 1), np.arange(margin)[:, None]
@@ -189,13 +197,14 @@ def products_near_ends(series: Array, segments: Segments, margin: int) -> Array:
         head_ends = np.minimum(part.begins + margin, part.ends)
         tails = np.maximum(part.ends - margin, head_ends)
         place = np.concatenate([part.begins, tails])[:, None] + np.arange(-margin, 2 * margin)
-        seen = series[1:].take(place, axis=1, mode="clip")
-        seen *= (place >= begins) & (place < ends)
-        place = place[:, margin : 2 * margin]
-        owned = series[0].take(place, mode="clip")
-        owned *= place < np.concatenate([head_ends, part.ends])[:, None]
-        products = owned.T @ seen
-        sums += products[:, own, own + lags].sum(axis=1)
+        inside = (place >= begins) & (place < ends)
+        owners = place[:, margin : 2 * margin]
+        owned = series[0].take(owners, mode="clip") - means[0]
+        owned *= owners < np.concatenate([head_ends, part.ends])[:, None]
+        for of_one, values, mean in zip(sums, series[1:], means[1:], strict=True):
+            seen = values.take(place, mode="clip") - mean
+            seen *= inside
+            of_one += (owned.T @ seen)[own, own + lags].sum(axis=0)
     return sums
 
 
@@ -217,7 +226,7 @@ def _pieces(segments: Segments, longest_lag: int) -> tuple[Segments, Segments]:
 
 
 def _spectra(
-    series: Array, segments: Segments, longest_lag: int
+    series: Sequence[Array], means: Sequence[float], segments: Segments, longest_lag: int
 ) -> dict[int, tuple[Array, Spectra]]:
     """Sums of |A|², shape (s, f), and conj(A) B, shape (s − 1, f), by length of the transform."""
     order = np.argsort(-segments.lengths)
@@ -227,26 +236,28 @@ def _spectra(
     while first < len(order):
         length = _transform_length(int(needed[order[first]]))
         batch = segments[order[first : first + max(1, BATCH_POINTS // (len(series) * length))]]
-        spectra = _transformed(series, batch, length)
+        spectra = np.fft.rfft(_rows(series, means, batch, length))
         shape = len(series) - 1, length // 2 + 1
         power, product = sums.setdefault(
             length, (np.zeros((shape[0] + 1, shape[1], 2)), np.zeros(shape, dtype=np.complex128))
         )
-        product += (spectra[0].conj() * spectra[1:]).sum(axis=1)
         parts = spectra.view(np.float64)
         power += np.einsum("srf,srf->sf", parts, parts).reshape(power.shape)
+        product += np.multiply(spectra[0].conj(), spectra[1:], out=spectra[1:]).sum(axis=1)
         first += len(batch.begins)
     return {length: (power.sum(axis=2), product) for length, (power, product) in sums.items()}
 
 
-def _transformed(series: Array, segments: Segments, length: int) -> Spectra:
-    """Transforms of rows that begin with a segment each, shape (s, rows, length // 2 + 1)."""
+def _rows(
+    series: Sequence[Array], means: Sequence[float], segments: Segments, length: int
+) -> Array:
+    """Centred values in rows that begin with a segment each, shape (s, segments, length)."""
     rows = np.zeros((len(series), len(segments.begins), length))
-    for row, (begin, n) in enumerate(
-        zip(segments.begins.tolist(), segments.lengths.tolist(), strict=True)
-    ):
-        rows[:, row, :n] = series[:, begin : begin + n]
-    return np.fft.rfft(rows)
+    places = [*zip(segments.begins.tolist(), segments.ends.tolist(), strict=True)]
+    for of_one, values, mean in zip(rows, series, means, strict=True):
+        for row, (begin, end) in zip(of_one, places, strict=True):
+            np.subtract(values[begin:end], mean, out=row[: end - begin])
+    return rows
 
 
 def _transform_length(needed: int) -> int:

@@ -56,7 +56,7 @@ class ResidualMoments:
         Number of inner samples that another inner one follows after 0 to 50, shape (51,).
     thinned_error, thinned_inputs
         Errors at some inner samples, shape (c,), and inputs from 25 samples before to 25 after each
-        of them, shape (inputs, c, 51); both without their means, not scaled.
+        of them, shape (c, 51) an input; both without their means, not scaled.
     longest_sum
         Largest lag of the sums over lags.
     """
@@ -70,7 +70,7 @@ class ResidualMoments:
     crossed_inside: Array
     inner: Array
     thinned_error: Array
-    thinned_inputs: Array
+    thinned_inputs: list[Array]
     longest_sum: int
 
     @classmethod
@@ -98,13 +98,10 @@ class ResidualMoments:
         )
         longest = longest_sum + 2 * LONGEST_LAG
         inner = segments.without_ends(LONGEST_LAG)
-        centred = np.empty((len(series), n))
-        for row, values, mean in zip(centred, series, means, strict=True):
-            np.subtract(values, mean, out=row)
-        own, crossed = lagged_products(centred, segments, longest, LONGEST_LAG)
+        own, crossed = lagged_products(series, means, segments, longest, LONGEST_LAG)
         inside = np.zeros_like(crossed)
         if inner.n:
-            inside = crossed - products_near_ends(centred, segments, LONGEST_LAG)
+            inside = crossed - products_near_ends(series, means, segments, LONGEST_LAG)
         size = np.sqrt(own[:, 0] / n)
         # The caller has seen that the errors vary.
         varies = size[1:] > CONSTANT * np.abs(means[1:])
@@ -116,7 +113,7 @@ class ResidualMoments:
         thinned = inner.samples(
             np.linspace(0, inner.n - 1, min(THINNED_SAMPLES, inner.n)).round().astype(np.int64)
         )
-        surroundings = sliding_window_view(centred[1:], 2 * LONGEST_LAG + 1, axis=1)
+        begins = thinned - LONGEST_LAG
         return cls(
             pairs=pairs,
             told=told,
@@ -127,7 +124,10 @@ class ResidualMoments:
             crossed=crossed[:, ::-1] / scale,
             crossed_inside=inside[:, ::-1] / scale,
             inner=inner.pair_counts(2 * LONGEST_LAG),
-            thinned_error=centred[0, thinned],
-            thinned_inputs=surroundings[:, thinned - LONGEST_LAG],
+            thinned_error=series[0][thinned] - means[0],
+            thinned_inputs=[
+                sliding_window_view(one, 2 * LONGEST_LAG + 1)[begins] - mean
+                for one, mean in zip(series[1:], means[1:], strict=True)
+            ],
             longest_sum=longest_sum,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import os
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from pipeline.errors import UsageError
 if TYPE_CHECKING:
     from pipeline.config import Fleet
 
+UNITS = {"s": "seconds", "m": "minutes", "min": "minutes", "h": "hours", "d": "days"}
 EXIT_OK, EXIT_MOTORS_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_NOTHING_PUBLISHED = 0, 1, 2, 3, 4
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
@@ -71,22 +73,25 @@ def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = Tr
     return fleet
 
 
-def known_motors(wanted: list[str], fleet: Fleet) -> tuple[str, ...]:
-    known = {spec.motor_id for spec in fleet.motors}
-    strangers = sorted(set(wanted) - known)
-    if strangers:
-        raise UsageError(
-            "unknown_motor",
-            f"no motor {', '.join(strangers)}; there are {', '.join(sorted(known))}",
-        )
-    return tuple(wanted)
-
-
 def night_label(text: str | None, option: str) -> dt.date | None:
     try:
         return None if text is None else dt.date.fromisoformat(text)
     except ValueError:
         raise UsageError("date", f"{option}: got {text!r}; expected YYYY-MM-DD") from None
+
+
+def duration(text: str, option: str) -> dt.timedelta:
+    """A time span such as 30s, 10min, 26h or 2d.
+
+    Examples
+    --------
+    >>> duration("10min", "--every"), duration("26h", "--max-age")
+    (datetime.timedelta(seconds=600), datetime.timedelta(days=1, seconds=7200))
+    """
+    found = re.fullmatch(rf"(\d{{1,6}}(?:\.\d+)?)({'|'.join(UNITS)})", text)
+    if found is None or not float(found[1]):
+        raise UsageError("age", f"{option}: got {text!r}; expected such as 30s, 10min, 26h or 2d")
+    return dt.timedelta(**{UNITS[found[2]]: float(found[1])})
 
 
 def in_order(since: dt.date | None, until: dt.date | None) -> None:

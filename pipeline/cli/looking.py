@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
@@ -17,7 +16,7 @@ from pipeline.cli.arguments import (
     ConfigFile,
     Motors,
     Output,
-    known_motors,
+    duration,
     load,
     say,
 )
@@ -28,8 +27,6 @@ from pipeline.messages import counted
 if TYPE_CHECKING:
     from pipeline.config import Fleet
     from pipeline.look.look import MotorLook
-
-UNITS_S = {"s": 1, "min": 60, "h": 3600}
 
 
 def look(
@@ -54,12 +51,12 @@ def look(
     """
     if every and once:
         raise UsageError("usage", "--every and --once exclude each other")
-    pause_s = _seconds(every) if every else 0.0
+    pause_s = duration(every, "--every").total_seconds() if every else 0.0
     with stoppable():
         from pipeline.look.look import look_at_fleet
 
         fleet = load(config, output, None)
-        wanted = known_motors(motors.split(), fleet)
+        wanted = fleet.known_motors(motors.split())
         _require_files(fleet, wanted)
         due = time.monotonic()
         while pause_s:
@@ -99,20 +96,6 @@ def _measure(fleet: Fleet) -> None:
         write_metrics(look_metrics_file(fleet.metrics_file), look_metrics_text(fleet, looks))
     except StoreError as error:
         say(f"{error.code}: {error}; there are no metrics of this look", err=True)
-
-
-def _seconds(text: str) -> float:
-    """A time span in seconds.
-
-    Examples
-    --------
-    >>> _seconds("10min")
-    600.0
-    """
-    found = re.fullmatch(r"([0-9]+)(s|min|h)", text)
-    if found is None or not int(found[1]):
-        raise UsageError("usage", f"--every: got {text!r}; expected such as 30s, 10min or 1h")
-    return float(int(found[1]) * UNITS_S[found[2]])
 
 
 def _print(found: Sequence[MotorLook], *, as_json: bool) -> None:

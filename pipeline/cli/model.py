@@ -2,18 +2,10 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
-
-
-class ImageFormat(StrEnum):
-    """Kinds of figures."""
-
-    PNG = "png"
-    SVG = "svg"
 
 
 def demo(
@@ -58,8 +50,8 @@ def draw_model(
         Path | None, typer.Option(help="Folder of the figures; else figures/ in the output.")
     ] = None,
     image_format: Annotated[
-        ImageFormat, typer.Option("--format", help="Kind of the files.")
-    ] = ImageFormat.PNG,
+        Literal["png", "svg"], typer.Option("--format", help="Kind of the files.")
+    ] = "png",
     oil: Annotated[
         str | None, typer.Option(help="The oil; else that of the fleet's first motor of the type.")
     ] = None,
@@ -79,5 +71,5 @@ def draw_model(
     subject = choose(fleet, motor_type, oil)
     # The shipped config lies within the program, and its output folder too.
     folder = output or (fleet.output if config else Path("out").resolve()) / "figures"
-    for path in write_model_figures(subject, folder, image_format.value):
+    for path in write_model_figures(subject, folder, image_format):
         typer.echo(path)

@@ -15,7 +15,6 @@ from pipeline.cli.arguments import (
     Output,
     absolute_folder,
     in_order,
-    known_motors,
     load,
     loaded,
     night_label,
@@ -41,7 +40,7 @@ def explain(
     from pipeline.report.explain import explain as explained
 
     fleet = load(config, output, None)
-    known_motors([motor], fleet)
+    fleet.known_motors([motor])
     label = night_label(night, "NIGHT")
     assert label is not None
     for line in explained(fleet.output, motor, label):
@@ -158,29 +157,24 @@ def export(
             "export_format", "expected one of --csv FOLDER, --delta PLACE and --duckdb FILE"
         )
     fleet = loaded(config)
-    root = output or fleet.output
+    root, named = output or fleet.output, tables_named(tables.replace(",", " ").split())
     if duckdb is not None:
         if tables or motors or since or until or bom:
             raise UsageError("export_format", "--duckdb writes all tables, whole")
-        for table in export_duckdb(root, duckdb):
-            typer.echo(f"{table.table}: {counted(table.n_rows, 'row')}")
-        return
-    if delta is not None:
+        written = export_duckdb(root, duckdb)
+    elif delta is not None:
         if motors or since or until or bom:
             raise UsageError("export_format", "--delta writes whole tables: expected only --tables")
-        for one in export_delta(root, delta, tables_named(tables.replace(",", " ").split())):
-            typer.echo(f"{one.place}: version {one.version}, {counted(one.n_rows, 'row')}")
-        return
-    assert csv is not None
-    selection = Selection(
-        tables=tables_named(tables.replace(",", " ").split()),
-        motors=known_motors(motors.split(), fleet),
-        since=night_label(since, "--since"),
-        until=night_label(until, "--until"),
-    )
-    in_order(selection.since, selection.until)
-    for file in export_csv(root, csv, selection, byte_order_mark=bom):
-        typer.echo(f"{file.path}: {counted(file.n_rows, 'row')}")
+        written = export_delta(root, delta, named)
+    else:
+        assert csv is not None
+        first, last = night_label(since, "--since"), night_label(until, "--until")
+        in_order(first, last)
+        selection = Selection(named, fleet.known_motors(motors.split()), first, last)
+        written = export_csv(root, csv, selection, byte_order_mark=bom)
+    for one in written:
+        version = "" if one.version is None else f"version {one.version}, "
+        typer.echo(f"{one.place}: {version}{counted(one.n_rows, 'row')}")
 
 
 def _of_a_fleet(request: ReportRequest, fleet: Fleet) -> ReportRequest:

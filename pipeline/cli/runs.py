@@ -24,7 +24,6 @@ from pipeline.cli.arguments import (
     Motors,
     Output,
     in_order,
-    known_motors,
     load,
     night_label,
     say,
@@ -75,7 +74,7 @@ def fit_fleet(
         fleet = load(config, output, jobs)
         request = RunRequest(
             fleet=fleet,
-            motors=known_motors(motors.split(), fleet),
+            motors=fleet.known_motors(motors.split()),
             since=night_label(since, "--since"),
             until=night_label(until, "--until"),
             force=force,
@@ -107,7 +106,7 @@ def retry(
         from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
-        request = RunRequest(fleet, known_motors(motors.split(), fleet), retry=True)
+        request = RunRequest(fleet, fleet.known_motors(motors.split()), retry=True)
         _run(request, as_json)
 
 
@@ -163,7 +162,7 @@ def fit(
     assert label is not None
     with TemporaryDirectory() as folder:
         fleet = _with_search(load(config, Path(folder), None))
-        request = RunRequest(fleet, known_motors([motor], fleet), since=label, until=label)
+        request = RunRequest(fleet, fleet.known_motors([motor]), since=label, until=label)
         result = run_fleet(request)
         growing = [one for outcome in result.outcomes for one in outcome.growing]
         if growing and not result.n_nights:
@@ -209,8 +208,7 @@ def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoRetu
     if outcome.error_code:
         say(f"{motor}: {outcome.error_code}: {outcome.message}", err=True)
         raise typer.Exit(EXIT_MOTORS_FAILED)
-    (spec,) = (one for one in fleet.motors if one.motor_id == motor)
-    seen = check_motor(spec)
+    seen = check_motor(fleet.motor(motor))
     there = f"they cover {seen.first} to {seen.last}" if seen.first else "; ".join(seen.notes)
     raise UsageError("unknown_night", f"no log of {motor} covers the night of {label}: {there}")
 

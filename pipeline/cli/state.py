@@ -14,7 +14,7 @@ from pipeline.cli.arguments import (
     AsJson,
     ConfigFile,
     Output,
-    known_motors,
+    duration,
     load,
     night_label,
 )
@@ -40,18 +40,16 @@ def status(
     Exit code 0; with --max-age 1 if the last good run is too old, or there was none.
     """
     from pipeline.cli.status_lines import print_status
-    from pipeline.report.status import age_in_hours, fleet_status
+    from pipeline.report.status import fleet_status
     from pipeline.telling.receivers import receivers_of
 
-    limit_h = age_in_hours(max_age) if max_age else None
+    limit = duration(max_age, "--max-age") if max_age else None
     fleet = load(config, output, None, logs=False)
     receivers = receivers_of(fleet.settings.alarms)
     motor_ids = [spec.motor_id for spec in fleet.motors]
     found = fleet_status(fleet.output, motor_ids, receivers, fleet.name)
-    too_old = False
-    if limit_h is not None:
-        ended = found.last_good_run
-        too_old = ended is None or dt.datetime.now(dt.UTC) - ended > dt.timedelta(hours=limit_h)
+    ended = found.last_good_run
+    too_old = limit is not None and (ended is None or dt.datetime.now(dt.UTC) - ended > limit)
     print_status(fleet.name, found, too_old=too_old, as_json=as_json)
     raise typer.Exit(EXIT_MOTORS_FAILED if too_old else EXIT_OK)
 
@@ -95,8 +93,7 @@ def ack(
     if finding not in ("", *FINDINGS):
         raise UsageError("finding", f"got {finding!r}; expected {' or '.join(FINDINGS)}")
     fleet = load(config, output, None, logs=False)
-    known_motors([motor], fleet)
-    spec = next(one for one in fleet.motors if one.motor_id == motor)
+    spec = fleet.motor(motor)
     parts = (_parts(spec, worn or ()), _parts(spec, sound or ()))
     if opened or any(parts):
         found = _opened(motor, opened, parts, note, is_alone=not indicator and not finding)
@@ -122,13 +119,7 @@ def ack(
 
 
 def _parts(spec: MotorSpec, names: Sequence[str]) -> tuple[str, ...]:
-    """Parts of a motor by name or in words.
-
-    Raises
-    ------
-    UsageError
-        ``finding_part``.
-    """
+    """Parts of a motor by name or in words; raises UsageError (``finding_part``)."""
     known = {path.name for path in spec.motor_type.path}
     parts = [name.strip().lower().removeprefix("the ").replace(" ", "_") for name in names]
     for name, part in zip(names, parts, strict=True):
@@ -150,10 +141,7 @@ def _opened(
 ) -> Decision:
     """Finding on the parts of a motor that was opened.
 
-    Raises
-    ------
-    UsageError
-        ``finding``, ``date`` or ``finding_part``.
+    Raises UsageError (``finding``, ``date``, ``finding_part``).
     """
     from pipeline.trends.nights.decisions import Decision
 
@@ -193,7 +181,7 @@ def baseline_reset(
     if label > dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1):
         raise UsageError("date", f"NIGHT: got {label}, which has not come")
     fleet = load(config, output, None, logs=False)
-    known_motors([motor], fleet)
+    fleet.known_motors([motor])
     known = known_indicators(fleet.output, motor)
     if indicator and known and indicator not in known:
         raise UsageError("indicator", f"{motor} has no {indicator!r}; it has {', '.join(known)}")

@@ -18,19 +18,11 @@ _WHOLE = re.compile(rf"{_STEP.pattern}(?:\.{_STEP.pattern})*", re.DOTALL)
 def field_path(field: str, topic: str = "") -> FieldPath:
     r"""Keys and positions that lead to a field.
 
-    Parameters
-    ----------
-    field
-        Keys with dots between them and positions, counted from 0, in brackets. A leading slash is
-        dropped, and so is the topic where it stands before the path; a dot, bracket or backslash
-        within a key has a backslash before it.
-    topic
-        The topic of the message.
+    They are written as keys with dots between them and positions, counted from 0, in brackets; a
+    dot, bracket or backslash within a key has a backslash before it. A leading slash is dropped,
+    and so is the topic of the message where it stands before the path.
 
-    Raises
-    ------
-    ValueError
-        It is no path.
+    Raises ValueError if it is no path.
 
     Examples
     --------

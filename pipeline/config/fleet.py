@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -16,6 +16,7 @@ from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import OilSample, Walther, measured_curve
 from pipeline.config.settings import Settings
+from pipeline.errors import UsageError
 
 if TYPE_CHECKING:
     from leakage.estimation.model_verdict import LowSide
@@ -125,6 +126,23 @@ class Fleet:
     def log_url(self) -> str:
         """URL of the logs; empty where they lie in a folder."""
         return next((spec.log_url for spec in self.motors if spec.log_url), "")
+
+    def known_motors(self, wanted: Iterable[str]) -> tuple[str, ...]:
+        """The ids that are asked for.
+
+        Raises UsageError (``unknown_motor``) if the fleet has no motor of one.
+        """
+        ids = tuple(wanted)
+        known = sorted(spec.motor_id for spec in self.motors)
+        if strangers := sorted({*ids}.difference(known)):
+            message = f"no motor {', '.join(strangers)}; there are {', '.join(known)}"
+            raise UsageError("unknown_motor", message)
+        return ids
+
+    def motor(self, motor_id: str) -> MotorSpec:
+        """The motor of an id; raises as `known_motors`."""
+        self.known_motors([motor_id])
+        return next(spec for spec in self.motors if spec.motor_id == motor_id)
 
     @property
     def has_log_folder(self) -> bool:

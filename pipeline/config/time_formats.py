@@ -20,10 +20,7 @@ _DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
 def require_time_format(time_format: str) -> str:
     """The format, if it has a day, hour and minute, and no directive that is not supported.
 
-    Raises
-    ------
-    ValueError
-        It is none of the formats that can be read.
+    Raises ValueError if it is none of the formats that can be read.
 
     Examples
     --------

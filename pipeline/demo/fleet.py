@@ -6,21 +6,52 @@ import datetime as dt
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from leakage import AnnularGap, Motor, OperatingConditions, leakage_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.demo.operation import Duty
-from pipeline.demo.wear import Wear
 
 GAP_SCATTER: Final = 0.002  # from night to night, recorded in the truth; 0.6 % in K
 FLUSHING_SCATTER: Final = 0.005
 
+LAST_NIGHT_OF_GROWTH: Final = 75
+
 RING: Final = "piston_ring"
 PISTON: Final = "balance_piston"
 SLEEVE: Final = "balance_sleeve"
+
+
+@dataclass(frozen=True, slots=True)
+class Wear:
+    """Gap heights that grow."""
+
+    words: str  # what happens, for people
+    paths: tuple[str, ...]  # leakage paths whose gaps grow
+    first_night: int  # number of the first night with wear, counted from 1
+    gap_growth: float  # relative growth of the gap height when the wear is complete, [-]
+    # ``step``: complete from its first night on; ``linear`` and ``accelerating`` (with the square
+    # of time): complete from night 75 on.
+    course: Literal["step", "linear", "accelerating"]
+
+    def growth(self, path: str, number: int) -> float:
+        """Relative growth of a path's gap height by a night, counted from 1, [-].
+
+        Examples
+        --------
+        >>> wear = Wear("rings", ("piston_ring",), 31, 0.3, "linear")
+        >>> [round(wear.growth("piston_ring", number), 3) for number in (30, 31, 75, 90)]
+        [0.0, 0.007, 0.3, 0.3]
+        """
+        if path not in self.paths or number < self.first_night:
+            return 0.0
+        if self.course == "step":
+            return self.gap_growth
+        nights = LAST_NIGHT_OF_GROWTH - self.first_night + 1
+        share = min((number - self.first_night + 1) / nights, 1.0)
+        return self.gap_growth * (share if self.course == "linear" else share**2)
 
 
 @dataclass(frozen=True, slots=True)

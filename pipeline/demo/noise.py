@@ -6,8 +6,7 @@ comes as white noise of unit variance or as a generator.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,8 +119,7 @@ def lagging(signal: FloatArray, step_s: float, time_constant_s: float) -> FloatA
     return np.asarray(lagged, dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True)
-class NightWander:
+class NightWander(NamedTuple):
     """Errors that sensors keep for a night, shape (nights, ...) each."""
 
     # temperature_c, pressure_bar: added to the oil temperature and the pressure difference, [°C]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NoReturn
 
@@ -23,8 +23,6 @@ TRUTH: Final = "truth.json"
 NIGHTS_A_TASK: Final = 8
 YEARS: Final = (1971, 2200)
 
-Progress = Callable[[int, int], None]
-
 
 def write_demo(
     folder: Path,
@@ -36,40 +34,16 @@ def write_demo(
     workers: int = 2,
     first_night: dt.date = dt.date(2026, 1, 2),
     slow_errors_min: float = 0.0,
-    progress: Progress | None = None,
 ) -> None:
     """Write the logs of the fleet ``configs/fleet.toml`` of a folder to ``demo/`` beside it.
 
-    Below ``demo/`` come ``logs/<motor_id>/`` and, last of all, ``truth.json``.
+    Below ``demo/`` come ``logs/<motor_id>/``, a file a night, and, last of all, ``truth.json``; it
+    must be absent, empty, or an earlier demo, whose logs are replaced. ``configs/`` is copied from
+    the shipped one where there is none, and else left alone. The other arguments are as in `Plan`;
+    the same seed makes the same files, whatever the number of workers.
 
-    Parameters
-    ----------
-    folder
-        Holds ``configs/``, which is copied from the shipped one where there is none and else left
-        alone. ``demo/`` must be absent, empty, or an earlier demo, whose logs are replaced.
-    nights
-        Number of nights, one log file each and motor.
-    minutes
-        Length of each log, 1 to 1440, [min].
-    rate_hz
-        Rate of all channels but the temperature, 0.1 to 100, [Hz]; that is logged once a second.
-    seed
-        The same seed makes the same files, whatever the number of workers.
-    workers
-        Processes that write at the same time.
-    first_night
-        Label of the first night: the date on which it ends.
-    slow_errors_min
-        Time constant of slow errors of the drain flow, 0 (none) to 1440, [min].
-    progress
-        Called after each task with the number of files written and to be written.
-
-    Raises
-    ------
-    UsageError
-        ``demo_arguments``, ``demo_configs``, or ``demo_folder``: refused, or it cannot be written.
-    ConfigError
-        If the fleet's config has faults.
+    Raises UsageError (``demo_arguments``, ``demo_configs``, ``demo_folder``) if they are out of
+    range or the folder cannot be written; ConfigError if the fleet's config has faults.
     """
     plan = Plan(nights, float(minutes), float(rate_hz), seed, first_night, float(slow_errors_min))
     _check_arguments(plan, workers)
@@ -77,7 +51,7 @@ def write_demo(
         demo_nights = _demo_nights(demo_config(folder), plan)
         demo = folder / "demo"
         _clear(demo)
-        _write_logs(demo / "logs", demo_nights, workers, progress)
+        _write_logs(demo / "logs", demo_nights, workers)
         document = truth_document(plan, demo_nights)
         _write_text(demo / TRUTH, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     except OSError as error:
@@ -165,34 +139,28 @@ def _spec(specs: Mapping[str, MotorSpec], motor_id: str) -> MotorSpec:
     return specs[motor_id]
 
 
-def _write_logs(
-    logs: Path, nights: Sequence[DemoNight], workers: int, progress: Progress | None
-) -> None:
+def _write_logs(logs: Path, nights: Sequence[DemoNight], workers: int) -> None:
     """Write all logs, some nights a task."""
     limits = Execution(workers=workers, backend="sequential" if workers == 1 else "loky")
     tasks = [
         (logs, nights[first : first + NIGHTS_A_TASK])
         for first in range(0, len(nights), NIGHTS_A_TASK)
     ]
-    written = 0
-    for files in run_tasks(_write_nights, tasks, _lost, limits):
-        written += files
-        if progress is not None:
-            progress(written, len(nights))
+    for _ in run_tasks(_write_nights, tasks, _lost, limits):
+        pass
 
 
 def _lost(_: object, loss: Loss) -> NoReturn:
     raise EngineError(loss.code, f"the demo's logs cannot be written: {loss.how}")
 
 
-def _write_nights(task: tuple[Path, Sequence[DemoNight]]) -> int:
+def _write_nights(task: tuple[Path, Sequence[DemoNight]]) -> None:
     """Write the logs of some nights; a task of one worker."""
     logs, nights = task
     for night in nights:
         motor = night.spec.file
         name = f"{motor.motor_id}_{night.label}.{motor.logs.format}"
         write_log(logs / motor.motor_id / name, record_night(night), motor)
-    return len(nights)
 
 
 def _write_text(path: Path, text: str) -> None:

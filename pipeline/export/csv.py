@@ -17,6 +17,7 @@ from typing import BinaryIO
 import polars as pl
 
 from pipeline.errors import UsageError
+from pipeline.export import Exported
 from pipeline.schema import TABLES, TIMESTAMP, Table
 from pipeline.store.atomic_files import put, remove_leftovers
 from pipeline.store.tables import existing_tables, files_of, read_table, while_listed
@@ -45,15 +46,6 @@ class Selection:
     until: dt.date | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Exported:
-    """A file that was written, with the number of its rows."""
-
-    table: str
-    path: Path
-    n_rows: int
-
-
 def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
     """Tables by their names; all of them where none is named.
 
@@ -76,31 +68,11 @@ def export_csv(
 
     UTF-8, separated by commas, a header line, cells quoted where they must be. Null is an empty
     cell, an empty text a quoted one; times are ISO 8601 in UTC, numbers as short as they can be
-    read back unchanged, lists JSON.
+    read back unchanged, lists JSON. Rows come night by night, within a night in the table's order.
+    With a byte order mark Excel takes a file for UTF-8.
 
-    Parameters
-    ----------
-    output
-        Output folder of the runs.
-    folder
-        Folder of the files ``<table>.csv``; it is made.
-    selection
-        Rows to export. They come night by night, within a night in the table's order.
-    byte_order_mark
-        Begin each file with one: Excel then takes it for UTF-8.
-
-    Yields
-    ------
-    Exported
-        Each file as it is finished.
-
-    Raises
-    ------
-    UsageError
-        ``no_tables`` if there are none yet; ``csv_folder`` if the folder is the tables' own.
-    StoreError
-        If a table is damaged (``store_read``), newer than the program (``store_newer``), or a
-        file cannot be written (``store_write``).
+    Raises UsageError (``no_tables``, ``csv_folder``) if there are none yet, or the folder is the
+    tables' own; StoreError if a table cannot be read or a file not be written.
     """
     tables = existing_tables(output)
     if folder.resolve().is_relative_to(tables.resolve()):
@@ -125,7 +97,7 @@ def _export_table(
             file.write(as_text(rows).write_csv(include_header=False).encode())
 
     while_listed(lambda: put(path, write))
-    return Exported(table.name, path, count)
+    return Exported(table.name, str(path), count)
 
 
 def _parts(output: Path, table: Table, selection: Selection) -> Iterator[pl.DataFrame]:

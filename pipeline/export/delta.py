@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import polars as pl
@@ -11,46 +10,21 @@ import pyarrow as pa
 
 from pipeline.config.fleet import is_url
 from pipeline.errors import StoreError, UsageError
+from pipeline.export import Exported
 from pipeline.schema import TABLES, Table
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.tables import existing_tables, read_table, table_folder
 
 
-@dataclass(frozen=True, slots=True)
-class ExportedTable:
-    """A Delta table that was written."""
-
-    place: str
-    version: int
-    n_rows: int
-
-
 def export_delta(
     output: Path, place: str, tables: tuple[Table, ...] = TABLES
-) -> Iterator[ExportedTable]:
-    """Write tables as Delta Lake tables; those that are there get a new version.
+) -> Iterator[Exported]:
+    """Write tables as Delta Lake tables below a folder or URL; those there get a new version.
 
-    Parameters
-    ----------
-    output
-        Output folder of the runs.
-    place
-        Folder or URL below which the tables are written.
-    tables
-        Tables.
+    A table without a file yet is left out.
 
-    Yields
-    ------
-    ExportedTable
-        Each table as it is finished; one without a file yet is left out.
-
-    Raises
-    ------
-    UsageError
-        ``delta_missing`` without the extra; ``no_tables`` if there are none; ``delta_folder`` if
-        the place lies within the tables.
-    StoreError
-        If a table is damaged, or cannot be written there.
+    Raises UsageError (``delta_missing``, ``no_tables``, ``delta_folder``) without the extra or
+    tables, or if the place lies within them; StoreError if a table cannot be read or written.
     """
     try:
         from deltalake import write_deltalake
@@ -81,7 +55,7 @@ def export_delta(
             version = _version(target)
         except (DeltaError, OSError) as error:
             raise StoreError("store_write", f"{target} cannot be written: {error}") from error
-        yield ExportedTable(target, version, count[0])
+        yield Exported(table.name, target, count[0], version)
 
 
 def _reader(paths: list[Path], table: Table, count: list[int]) -> pa.RecordBatchReader:

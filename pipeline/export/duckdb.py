@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from pipeline.errors import StoreError, UsageError
+from pipeline.export import Exported
 from pipeline.schema import TABLES, Table
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, Prepared, make_folders, remove_leftovers
 from pipeline.store.tables import existing_tables, files_of, read_table, while_listed
@@ -21,36 +21,12 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 
-@dataclass(frozen=True, slots=True)
-class ExportedRows:
-    """A table in the file, with the number of its rows."""
+def export_duckdb(output: Path, path: Path) -> Iterator[Exported]:
+    """Write a DuckDB file whole or not at all; it is there after the last table is told.
 
-    table: str
-    n_rows: int
-
-
-def export_duckdb(output: Path, path: Path) -> Iterator[ExportedRows]:
-    """Write a DuckDB file whole or not at all; one of that name is replaced.
-
-    Parameters
-    ----------
-    output
-        Output folder of the runs.
-    path
-        The file.
-
-    Yields
-    ------
-    ExportedRows
-        Each table as it is finished; the file is there after the last.
-
-    Raises
-    ------
-    UsageError
-        ``duckdb_missing`` without the extra; ``no_tables`` if there are none; ``duckdb_file`` if
-        the file lies within the tables, or is a folder.
-    StoreError
-        If a table is damaged, or the file cannot be written.
+    Raises UsageError (``duckdb_missing``, ``no_tables``, ``duckdb_file``) without the extra or
+    tables, or if the file is a folder or lies within the tables; StoreError if a table cannot be
+    read, or the file not be written.
     """
     try:
         import duckdb
@@ -70,7 +46,7 @@ def export_duckdb(output: Path, path: Path) -> Iterator[ExportedRows]:
                 columns = ", ".join(f"{name} {kind}" for name, kind in columns_of(table))
                 connection.execute(f"CREATE TABLE {table.name} ({columns})")
                 count = while_listed(partial(_fill, connection, output, table))
-                yield ExportedRows(table.name, count)
+                yield Exported(table.name, table.name, count)
             connection.execute("\n".join(statements_of(TABLES, "TABLE")))
         new.land()
     except (duckdb.Error, OSError) as error:

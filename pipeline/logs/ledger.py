@@ -159,19 +159,19 @@ def _read_month(path: Path) -> Ledger:
     return Ledger(files, nights)
 
 
-def write_months(
-    output: Path, motor_id: str, months: Mapping[str, Ledger], *, durable: bool = True
-) -> None:
-    """Write some months of a motor's ledger; raises as `put_sealed`."""
-    for month, ledger in months.items():
-        document: dict[str, Any] = {
+def month_files(
+    output: Path, motor_id: str, before: Ledger, after: Ledger
+) -> dict[Path, dict[str, Any]]:
+    """Documents of the months of a motor's ledger that have changed, by file."""
+    return {
+        ledger_folder(output, motor_id) / f"{month}.json": {
             "files": {path: asdict(record) for path, record in sorted(ledger.files.items())},
             "nights": {
                 label.isoformat(): asdict(record) for label, record in sorted(ledger.nights.items())
             },
         }
-        path = ledger_folder(output, motor_id) / f"{month}.json"
-        put_sealed(path, document, durable=durable)
+        for month, ledger in changed_months(before, after).items()
+    }
 
 
 def settings_file(output: Path, motor_id: str) -> Path:
@@ -188,13 +188,6 @@ def as_published(output: Path, spec: MotorSpec) -> MotorSpec:
     """A motor with the scale of its rollers' curve free where its published fits have it so."""
     is_free = ROLLER in read_settings(output, spec.motor_id)
     return replace(spec, roller_is_free=is_free)
-
-
-def write_settings(
-    output: Path, motor_id: str, settings: Mapping[str, Any], *, durable: bool = True
-) -> None:
-    """Keep the settings of a motor's run, to name changes in the next; raises as `put_sealed`."""
-    put_sealed(settings_file(output, motor_id), settings, durable=durable)
 
 
 def forget_nights(
@@ -219,7 +212,8 @@ def forget_nights(
             night for night, one in before.nights.items() if one.model and night in nights
         }
         after = before.without(nights, refit)
-        write_months(output, folder.name, changed_months(before, after))
+        for path, document in month_files(output, folder.name, before, after).items():
+            put_sealed(path, document)
     return fitted
 
 

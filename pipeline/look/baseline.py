@@ -26,7 +26,7 @@ from leakage.course.step_detection import (
     limit_of_maxima,
 )
 from leakage.course.temperature_correction import TemperatureCorrection
-from pipeline.arrays import SECOND_US
+from pipeline.arrays import SECOND_US, Array
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import hash_of, model_hash
 from pipeline.config.nights import night as night_labelled
@@ -47,8 +47,6 @@ from pipeline.trends.nights.segments import segments
 from pipeline.trends.nights.tonight import Tonight
 from pipeline.trends.nights.trend_record import Record, resets_of
 from pipeline.trends.states.watch import monitor_settings
-
-Array = NDArray[np.float64]
 
 # Raise it when the same nights give another baseline.
 VERSION = 1

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from leakage import LeakageError, regressors
 from leakage.estimation.sample_blocks import NONE_CHOSEN, split_into_blocks
-from pipeline.arrays import SECOND_US, Mask, Times
+from pipeline.arrays import SECOND_US, Array, Mask, Times
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night
 from pipeline.ingest import RawChannel
@@ -20,8 +20,6 @@ from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples
 from pipeline.night.viscosity import driven, sensor_ratio, viscosity_ratios
 from pipeline.night.windows import left_out
-
-Array = NDArray[np.float64]
 
 # Reasons of `quality` that say nothing of a cause.
 NO_CAUSE = ("any", "incomplete", "guard", "gap")

@@ -13,18 +13,16 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from numpy.typing import NDArray
 
+from pipeline.arrays import Array
 from pipeline.palette import COLOURS
 from pipeline.store.atomic_files import put
 
 ImageFormat = Literal["png", "svg"]
-Array: TypeAlias = NDArray[np.float64]
 Dashes: TypeAlias = str | tuple[int, tuple[int, ...]]
 
 # Line style, mark and hatch say the same as the colour, for print in black and white.

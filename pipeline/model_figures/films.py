@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from leakage import AnnularGap
 from leakage.physics.film import REGIMES, film_thickness_ratio
+from pipeline.arrays import Array
 from pipeline.config.motor_types import BAR, MICROMETRE
-from pipeline.model_figures.canvas import QUIET, Array, label, line, new_figure, pen, plain_ticks
+from pipeline.model_figures.canvas import QUIET, label, line, new_figure, pen, plain_ticks
 from pipeline.model_figures.gaps import PRESSURE
 from pipeline.model_figures.subject import ModelSubject, stated
 

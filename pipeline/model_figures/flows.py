@@ -8,8 +8,9 @@ from matplotlib.figure import Figure
 
 from leakage import Laminar, SpeedCurve
 from leakage.physics.paths import LeakagePath
+from pipeline.arrays import Array
 from pipeline.config.motor_types import BAR
-from pipeline.model_figures.canvas import QUIET, Array, dots, label, line, new_figure, pen
+from pipeline.model_figures.canvas import QUIET, dots, label, line, new_figure, pen
 from pipeline.model_figures.gaps import DIFFERENCE, MILLILITRES, ONE_INTERFACE, PRESSURE
 from pipeline.model_figures.subject import ModelSubject
 

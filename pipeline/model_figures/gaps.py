@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from leakage import AnnularGap
 from leakage.physics.pressure_maximum import pressure_of_largest_leakage_pa
 from leakage.physics.simulated_curves import FittedDeformation, fit_deformation_pressure
+from pipeline.arrays import Array
 from pipeline.config.motor_types import BAR, MICROMETRE
-from pipeline.model_figures.canvas import MAP_COLOURS, Array, dots, label, line, new_figure, pen
+from pipeline.model_figures.canvas import MAP_COLOURS, dots, label, line, new_figure, pen
 from pipeline.model_figures.subject import ModelSubject, stated
 
 PRESSURE = "Pressure difference ΔP / bar"

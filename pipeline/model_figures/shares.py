@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from leakage import AnnularGap, leakage_l_per_min
 from leakage.physics.motor import path_flows_l_per_min
-from pipeline.model_figures.canvas import Array, label, new_figure, pen
+from pipeline.arrays import Array
+from pipeline.model_figures.canvas import label, new_figure, pen
 from pipeline.model_figures.gaps import PRESSURE
 from pipeline.model_figures.subject import ModelSubject, stated
 

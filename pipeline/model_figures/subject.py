@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage import AnnularGap, FilmPressure, Motor, OperatingConditions, SpeedCurve
 from leakage.physics.oil import dynamic_viscosity_pa_s, flow_drive_per_s
 from leakage.physics.paths import LeakagePath
+from pipeline.arrays import Array
 from pipeline.config.fleet import Fleet
 from pipeline.config.motor_types import (
     BAR,
@@ -24,8 +24,6 @@ from pipeline.config.motor_types import (
 from pipeline.config.settings import Settings
 from pipeline.errors import UsageError
 from pipeline.palette import path_places
-
-Array = NDArray[np.float64]
 
 PLACEHOLDER = "placeholder"
 

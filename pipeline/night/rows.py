@@ -92,14 +92,18 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
     """Columns that a night's fits have in common."""
     samples, model = statistics.samples, spec.settings.model
     reference = spec.settings.reference
+    n_training, n_validation = (
+        sum(block.n for block in statistics.blocks if block.part == part)
+        for part in (TRAINING, VALIDATION)
+    )
     share = "" if model.film_pressure == "slot" else f" {model.film_pressure_share:g}"
     return {
         "motor_type": spec.file.motor_type,
         "window_start": utc(samples.time_us[0]),
         "window_end": utc(samples.time_us[-1]),
         "status": "ok",
-        "n_training": int(statistics.rows_of(TRAINING).sum()),
-        "n_validation": int(statistics.rows_of(VALIDATION).sum()),
+        "n_training": n_training,
+        "n_validation": n_validation,
         "smoothing_s": spec.settings.smoothing.window_s,
         "reference_pressure_bar": reference.pressure_bar,
         "reference_temperature_c": reference.temperature_c,
@@ -122,14 +126,18 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
     }
 
 
-def _covariance(mode: BlockFit) -> list[float] | None:
-    """Upper triangle of the covariance of θ; a coefficient without a distribution has zeros."""
-    distribution = mode.identification.distribution
-    if distribution is None:
-        return None
-    whole = np.zeros((len(mode.fit.coefficients),) * 2)
-    whole[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
-    return upper_triangle(whole)
+def _covariance_columns(mode: BlockFit) -> Row:
+    """Covariance of θ and its root; a coefficient without a distribution has zeros."""
+    names, found = ("coefficient_covariance", "coefficient_covariance_root"), mode.identification
+    if found.distribution is None:
+        return dict.fromkeys(names)
+    row, on = {}, np.ix_(found.distribution.active, found.distribution.active)
+    matrices = found.distribution.covariance(), found.distribution.covariance_root()
+    for name, matrix in zip(names, matrices, strict=True):
+        whole = np.zeros((len(mode.fit.coefficients),) * 2)
+        whole[on] = matrix
+        row[name] = upper_triangle(whole)
+    return row
 
 
 def upper_triangle(matrix: Array) -> list[float]:
@@ -220,7 +228,7 @@ def block_fit_columns(spec: MotorSpec, mode: BlockFit) -> Row:
         "condition_number": condition if np.isfinite(condition) else None,
         "singular_values": certificate.singular_values.tolist(),
         "coefficients": fit.coefficients.tolist(),
-        "coefficient_covariance": _covariance(mode),
+        **_covariance_columns(mode),
         "coefficient_response": mode.response.tolist(),
         "interval_status": _interval_status(mode, spec.settings.windows.block_s),
         "n_interval_blocks": mode.identification.n_blocks,

@@ -218,18 +218,9 @@ def prepare_log(
 
 
 def motor_of(config: Fleet | Path | str, motor_id: str) -> MotorSpec:
-    """A motor of a fleet.
-
-    Raises
-    ------
-    UsageError
-        ``unknown_motor``.
-    """
+    """A motor of a fleet; raises as `Fleet.motor`."""
     fleet = config if isinstance(config, Fleet) else load_fleet(Path(config))
-    found = {spec.motor_id: spec for spec in fleet.motors}
-    if motor_id not in found:
-        raise UsageError("unknown_motor", f"no motor {motor_id}; there are {', '.join(found)}")
-    return found[motor_id]
+    return fleet.motor(motor_id)
 
 
 def prepare_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:

@@ -10,10 +10,8 @@ import polars as pl
 from pipeline.errors import StoreError, UsageError
 from pipeline.schema import ALARMS, FITS, TABLES, TRENDS
 from pipeline.store.manifest import manifest_keys
-from pipeline.store.object_store import ObjectStore
 from pipeline.store.tables import existing_tables, night_paths
 from pipeline.store.verification import compare_published
-from pipeline.store.working_copy import pull
 
 LATEST = "latest"
 
@@ -92,32 +90,23 @@ class Tables:
             raise StoreError("store_read", told)
 
 
-def open_tables(
-    output: Path | str, *, verify: bool = False, copy: Path | str | None = None
-) -> Tables:
-    """Open the published tables of a fleet.
+def open_tables(output: Path | str, *, verify: bool = False) -> Tables:
+    """Open the published tables of a fleet; `motor-leakage pull` brings those of an object store.
 
     Parameters
     ----------
     output
-        The output folder, or the URL of an object store such as s3://bucket/fleet.
+        The output folder.
     verify
         Compare every file with its checksum first.
-    copy
-        Folder into which an object store's tables are brought; only changed files are read.
 
     Raises
     ------
     UsageError
-        ``no_tables``: there are none; ``no_copy``: a URL without a folder for its copy.
+        ``no_tables``: there are none.
     StoreError
-        If the store cannot be read, or a file is not what was published.
+        If a file is not what was published.
     """
-    if "://" in str(output):
-        if copy is None:
-            raise UsageError("no_copy", f"{output}: say copy=, a folder to bring its tables into")
-        pull(ObjectStore.at(str(output)), Path(copy))
-        output = copy
     tables = Tables(Path(output))
     existing_tables(tables.output)
     if verify:

@@ -113,22 +113,9 @@ class NightTask:
 def build_report(request: ReportRequest) -> ReportResult:
     """Write the report, or of a present one what has changed.
 
-    Parameters
-    ----------
-    request
-        What is asked for.
-
-    Returns
-    -------
-    ReportResult
-
-    Raises
-    ------
-    StoreError
-        If there are no tables, one is of a newer version of the program, or the folder cannot be
-        written or holds something else.
-    UsageError
-        If a motor is asked for that neither the config nor a table knows.
+    Raises StoreError if there are no tables, one is of a newer version of the program, or the
+    folder cannot be written or holds something else; UsageError if a motor is asked for that
+    neither the config nor a table knows.
     """
     if not table_folder(request.output, FITS).is_dir():
         raise StoreError(

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Array
 from pipeline.palette import path_places
-from pipeline.report.history import Array, Course, MotorHistory
+from pipeline.report.history import Course, MotorHistory
 from pipeline.report.words import plain
 from pipeline.trends.rows.motor_states import GAP, REFERENCES, MotorState
 from pipeline.trends.states.words import name_of

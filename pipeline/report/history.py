@@ -11,10 +11,9 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from pipeline.arrays import Array
 from pipeline.report.tables import ReportTables, by_motor
 from pipeline.schema import TRENDS, frame
-
-Array = NDArray[np.float64]
 
 REFERENCE = "reference_leakage"
 OWN_REFERENCE = "own_reference_leakage"

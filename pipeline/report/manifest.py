@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_all, put
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 
 FILE = "manifest.json"
@@ -73,8 +73,9 @@ def _entries(folder: Path) -> list[Path]:
 
 def write_report_manifest(folder: Path, manifest: ReportManifest) -> None:
     """Write the manifest last: the files in it are then there."""
-    # One flush for all pages, not one for each.
-    flush_all()
+    # One flush for all pages, not one for each; of a new report there is nothing yet.
+    if folder.is_dir():
+        flush_disk(folder)
     put_sealed(folder / FILE, asdict(manifest))
 
 

@@ -11,10 +11,11 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage.estimation.validation import POOR_FIT_PERCENT
+from pipeline.arrays import Array
 from pipeline.palette import COLOURS
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.first_screen import FirstScreen, Line
-from pipeline.report.history import Array, Course, MotorHistory
+from pipeline.report.history import Course, MotorHistory
 from pipeline.report.words import LEAKAGE_KINDS, for_scripts
 from pipeline.thinning import keep_extremes
 

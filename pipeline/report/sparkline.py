@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Array
 from pipeline.report.history import Course
 from pipeline.thinning import keep_extremes
-
-Array = NDArray[np.float64]
 
 WIDTH, HEIGHT, MARGIN = 150.0, 30.0, 2.5
 POINTS = 90

@@ -149,26 +149,3 @@ def known_indicators(output: Path, motor_id: str) -> list[str]:
     # What follows from another one (a path's leakage, its gap) begins anew with that.
     own = rows.filter(pl.col("n_slope").is_not_null() | pl.col("indicator").is_in(SENSORS))
     return sorted(own["indicator"].unique())
-
-
-def age_in_hours(text: str) -> float:
-    """Hours of an age such as 26h, 90m or 2d.
-
-    Raises
-    ------
-    UsageError
-        ``age``.
-
-    Examples
-    --------
-    >>> age_in_hours("26h"), age_in_hours("2d"), age_in_hours("90m")
-    (26.0, 48.0, 1.5)
-    """
-    factors = {"m": 1 / 60, "h": 1.0, "d": 24.0}
-    try:
-        hours = float(text[:-1]) * factors[text[-1]]
-    except (ValueError, KeyError, IndexError):
-        raise UsageError("age", f"got {text!r}; expected an age such as 26h, 90m or 2d") from None
-    if not 0 < hours < float("inf"):
-        raise UsageError("age", f"got {text!r}; expected an age such as 26h, 90m or 2d")
-    return hours

@@ -24,12 +24,11 @@ from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import (
     Ledger,
     NightRecord,
-    changed_months,
     ledger_folder,
+    month_files,
     read_ledger,
     read_settings,
-    write_months,
-    write_settings,
+    settings_file,
 )
 from pipeline.logs.motor_logs import LogShelf
 from pipeline.logs.told_nights import is_guess
@@ -38,6 +37,7 @@ from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
 from pipeline.schema import FITS
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
 from pipeline.store.atomic_files import remove_all
+from pipeline.store.sealed import stage_sealed
 from pipeline.store.tables import nights_back, read_rows
 
 if TYPE_CHECKING:
@@ -286,15 +286,17 @@ class MotorNights:
         return f"night {label}: {self.done[label].reason}"
 
     def stage_ledger(self) -> None:
-        """Stage what of the ledger and the settings has changed; raises as `put_sealed`."""
+        """Stage what of the ledger and the settings has changed; raises as `stage_sealed`."""
         staging, motor_id = self.task.staging, self.spec.motor_id
         # What a task left that was lost and is done again is not of this one.
         remove_all(ledger_folder(staging, motor_id))
         after = Ledger({**self.before.files, **self.logs.finished(self.done)}, self.records)
-        write_months(staging, motor_id, changed_months(self.remembered, after), durable=False)
+        files = month_files(staging, motor_id, self.remembered, after)
         settings = settings_of(self.form)
         if settings != self.settings_before:
-            write_settings(staging, motor_id, settings, durable=False)
+            files[settings_file(staging, motor_id)] = settings
+        for path, document in files.items():
+            stage_sealed(path, document)
 
     def outcome(self) -> MotorOutcome:
         counts = Counter(outcome.status for outcome in self.done.values())

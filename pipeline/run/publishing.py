@@ -37,7 +37,7 @@ from pipeline.store.publishing import Publisher
 from pipeline.store.tables import month_stamps, published_rows, whole_file
 from pipeline.trends.nights.decisions import journal_file, read_decisions
 from pipeline.trends.nights.tonight import Tonight, tonight_of
-from pipeline.trends.nights.trend_record import forget_records, note_touched, publish_record
+from pipeline.trends.nights.trend_record import forget_records, note_touched, record_file
 from pipeline.trends.rows.latest_states import latest_states
 from pipeline.trends.rows.motor_states import latest_rows
 from pipeline.trends.rows.q_values import with_q_values
@@ -72,9 +72,12 @@ def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> in
     staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
     publisher.nights("nights", NIGHT_TABLES, staged, forget)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
-    for motor_id in staged:
-        files = sorted(ledger_folder(staging, motor_id).glob("*"))
-        take_over(files, ledger_folder(output, motor_id))
+    ledgers = {
+        file: ledger_folder(output, motor_id) / file.name
+        for motor_id in staged
+        for file in sorted(ledger_folder(staging, motor_id).glob("*"))
+    }
+    take_over(staging, ledgers)
     return sum(len(outcome.nights) for outcome in outcomes)
 
 
@@ -200,8 +203,12 @@ def _publish_trend_rows(
 
     finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
     publisher.nights("trends", TREND_TABLES, fresh, forget, {TRENDS.name: finish})
-    for motor_id in [motor_id for one in made for motor_id in one.nights]:
-        if all(motor_id in keep for keep in lost):
-            publish_record(publisher.output, publisher.staging, motor_id)
+    records = {
+        record_file(publisher.staging, motor_id): record_file(publisher.output, motor_id)
+        for one in made
+        for motor_id in one.nights
+        if all(motor_id in keep for keep in lost)
+    }
+    take_over(publisher.staging, records)
     new = [row for one in made for row in one.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))

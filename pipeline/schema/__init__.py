@@ -1,88 +1,136 @@
 """Names, types, units and meaning of every column of every table. The only place.
 
-``docs/tables.md`` and the table ``data_dictionary`` are made from here. Columns are only ever
-added; each addition raises the version.
+``columns.csv`` has a line a column, in the order of the tables; ``docs/tables.md`` and the table
+``data_dictionary`` are made from it. Columns are only ever added, at the end of their table; each
+addition raises the version.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import csv
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
+from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import polars as pl
 import pyarrow as pa
 
-from pipeline.schema.columns import COUNTS, FIT_KEY_NAMES, NUMBERS, TIMESTAMP, Column, Table
-from pipeline.schema.fits import FITS
-from pipeline.schema.parameters import PARAMETERS, SENSITIVITIES, STARTS
-from pipeline.schema.residuals import PREDICTIONS, RESIDUAL_TESTS, RESIDUAL_VERDICTS
-from pipeline.schema.runs import DATA_DICTIONARY, INPUT_FILES, MOTOR_OUTCOMES, RUNS
-from pipeline.schema.samples import (
-    BLOCK_STATISTICS,
-    OPERATION,
-    PRESSURE_EDGES_BAR,
-    QUALITY,
-    QUALITY_REASONS,
-    SPEED_EDGES_RPM,
-    TEMPERATURE_EDGES_C,
-)
-from pipeline.schema.trends import (
-    ALARM_CONTENT,
-    ALARMS,
-    BASELINES,
-    CHANGE_POINTS,
-    DECISIONS,
-    LATEST,
-    LOOKS,
-    TRENDS,
-)
-
-__all__ = [
-    "ALARMS",
-    "ALARM_CONTENT",
-    "BASELINES",
-    "BLOCK_STATISTICS",
-    "CHANGE_POINTS",
-    "COUNTS",
-    "DATA_DICTIONARY",
-    "DECISIONS",
-    "FITS",
-    "FIT_KEY_NAMES",
-    "INPUT_FILES",
-    "LATEST",
-    "LOOKS",
-    "MOTOR_OUTCOMES",
-    "NIGHT_TABLES",
-    "NUMBERS",
-    "OPERATION",
-    "PARAMETERS",
-    "PREDICTIONS",
-    "PRESSURE_EDGES_BAR",
-    "QUALITY",
-    "QUALITY_REASONS",
-    "RESIDUAL_TESTS",
-    "RESIDUAL_VERDICTS",
-    "RUNS",
-    "SCHEMA_VERSION",
-    "SENSITIVITIES",
-    "SPEED_EDGES_RPM",
-    "STARTS",
-    "TABLES",
-    "TEMPERATURE_EDGES_C",
-    "TIMESTAMP",
-    "TRENDS",
-    "TREND_TABLES",
-    "WHOLE_TABLES",
-    "Column",
-    "Table",
-    "data_dictionary",
-    "frame",
-    "staged_table",
-]
-
-
 SCHEMA_VERSION = 6
+
+Type = pl.DataType | type[pl.DataType]
+TIMESTAMP = pl.Datetime("us", "UTC")
+NUMBERS = pl.List(pl.Float64)
+COUNTS = pl.List(pl.Int64)
+TYPES: Mapping[str, Type] = {
+    "text": pl.String,
+    "number": pl.Float64,
+    "count": pl.Int64,
+    "flag": pl.Boolean,
+    "day": pl.Date,
+    "moment": TIMESTAMP,
+    "numbers": NUMBERS,
+    "short_numbers": pl.List(pl.Float32),
+    "counts": COUNTS,
+    "names": pl.List(pl.String),
+}
+"""Types by the word in ``columns.csv``."""
+
+# Edges of the coarse histograms of `block_statistics`: the last bin holds all beyond.
+PRESSURE_EDGES_BAR = tuple(float(edge) for edge in range(0, 401, 20))
+TEMPERATURE_EDGES_C = tuple(float(edge) for edge in range(-20, 121, 5))
+SPEED_EDGES_RPM = tuple(float(edge) for edge in range(0, 151, 10))
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """A reason of `quality`: its words on a page, and its meaning in a sentence."""
+
+    words: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column: its name (with its unit, where it has one), type, unit and meaning."""
+
+    name: str
+    type: Type
+    unit: str
+    description: str
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table: its key sorts the rows, and no two rows share it."""
+
+    name: str
+    row: str
+    key: tuple[str, ...]
+    columns: tuple[Column, ...]
+
+    @property
+    def schema(self) -> dict[str, Type]:
+        """Polars types by column name."""
+        return {column.name: column.type for column in self.columns}
+
+
+def _lines(name: str) -> Iterator[list[str]]:
+    """Lines of a file beside this one, without its header."""
+    with Path(__file__).with_name(name).open(encoding="utf-8", newline="") as file:
+        lines = csv.reader(file)
+        next(lines)
+        yield from lines
+
+
+# In the order of the rules; those behind `transport_delay` are of the time base, where all channels
+# have come together, or of the night's windows.
+QUALITY_REASONS = {name: Reason(*words) for name, *words in _lines("quality_reasons.csv")}
+_COLUMNS = {name: list(lines) for name, lines in groupby(_lines("columns.csv"), lambda one: one[0])}
+
+
+def _table(name: str, row: str) -> Table:
+    """The table of a name, of which one row is `row`."""
+    key, columns = [], []
+    for _, column, in_key, kind, unit, meaning in _COLUMNS[name]:
+        meaning = meaning.replace("{quality_reasons}", ", ".join(QUALITY_REASONS))
+        columns.append(Column(column, TYPES[kind], unit, meaning))
+        key += [column] * bool(in_key)
+    return Table(name, row, tuple(key), tuple(columns))
+
+
+FITS = _table("fits", "a motor, a night, a flushing mode")
+PARAMETERS = _table("parameters", "a fit, a parameter")
+SENSITIVITIES = _table("sensitivities", "a fit, an indicator, a source of systematic error")
+STARTS = _table("starts", "a fit, a start")
+RESIDUAL_TESTS = _table("residual_tests", "a fit, a part, a test (and input), a lag")
+RESIDUAL_VERDICTS = _table("residual_verdicts", "a fit, a part, a test (and input)")
+PREDICTIONS = _table(
+    "predictions",
+    "a fit, a point in time (thinned for plots: extremes are kept, so means are not the night's)",
+)
+QUALITY = _table("quality", "a motor, a night, a channel, a reason")
+OPERATION = _table("operation", "a motor, a night with samples")
+BLOCK_STATISTICS = _table("block_statistics", "a motor, a block")
+INPUT_FILES = _table("input_files", "a file read")
+TRENDS = _table("trends", "a motor, a night, an indicator")
+ALARMS = _table("alarms", "a change of state")
+BASELINES = _table("baselines", "a motor, an indicator, a baseline as it was frozen in a night")
+CHANGE_POINTS = _table(
+    "change_points", "a motor, an indicator, a change as it was seen from a night"
+)
+LOOKS = _table("looks", "a change of state of the look within the day")
+DECISIONS = _table("decisions", "what people said of a motor")
+LATEST = _table("latest", "a motor, as of the last run")
+RUNS = _table("runs", "a run")
+MOTOR_OUTCOMES = _table("motor_outcomes", "a motor in a run")
+DATA_DICTIONARY = _table("data_dictionary", "a column of a table")
+
+FIT_KEY_NAMES = FITS.key
+# Columns of what a row of `alarms` says; the others are its key, or follow from it.
+ALARM_CONTENT = ("from_state", "to_state", "way", "path", "reason")
 
 # One file a night; a redone night of a motor replaces that motor's rows in each of them.
 NIGHT_TABLES = (
@@ -98,13 +146,10 @@ NIGHT_TABLES = (
     BLOCK_STATISTICS,
     INPUT_FILES,
 )
-
 # The same, made from the tables above after all motors are done.
 TREND_TABLES = (TRENDS, ALARMS, BASELINES, CHANGE_POINTS)
-
 # One file each.
 WHOLE_TABLES = (LATEST, DECISIONS, DATA_DICTIONARY)
-
 TABLES = (
     LATEST,
     *NIGHT_TABLES,
@@ -120,10 +165,7 @@ TABLES = (
 def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
     """Rows as a frame with exactly the table's columns and types; absent values are null.
 
-    Raises
-    ------
-    ValueError
-        If a row has a column that the table has not: a figure would be lost silently.
+    Raises ValueError if a row has a column that the table has not: a figure would be lost silently.
     """
     # Not by way of Arrow, which loads pandas, where there is one, with its first array.
     return pl.DataFrame(
@@ -134,10 +176,8 @@ def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
 def staged_table(table: Table, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
     """The same in Arrow, without the run: many rows of many columns take a quarter of the time.
 
-    Raises
-    ------
-    ValueError, TypeError
-        If a row has a column that the table has not, or a value that its column cannot hold.
+    Raises ValueError or TypeError for a column that the table has not, or a value that a column
+    cannot hold.
     """
     schema = _staged_schema(table)
     every = pa.array(_known(rows, table.name, schema.names), pa.struct(schema))

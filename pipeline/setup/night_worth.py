@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from leakage import LeakageError, Motor, OperatingConditions
 from leakage.physics.motor import path_flows_l_per_min
-from pipeline.arrays import SECOND_US
+from pipeline.arrays import SECOND_US, Array
 from pipeline.config import MotorSpec
 from pipeline.config.channels import FALLBACK_VALID_RANGE
 from pipeline.ingest import RawChannel
-
-Array = NDArray[np.float64]
 
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
 # 5th to 95th percentile, and the minutes of which 92 to 100 % told every path.

@@ -6,9 +6,11 @@ numbers of rows.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import accumulate, chain
 from pathlib import Path
 from typing import Any
@@ -20,15 +22,15 @@ from polars.exceptions import PanicException, PolarsError
 
 from pipeline.errors import StoreError
 from pipeline.schema import SCHEMA_VERSION
-from pipeline.store.atomic_files import put
+from pipeline.store.atomic_files import Prepared, prepare, put
 
 VERSION_KEY = "motor_leakage_schema_version"
 # Nights (or runs) of a joined file and their numbers of rows, in the order of its rows.
 PARTS_KEY = "motor_leakage_parts"
 # Joined nights share a row group up to about so many rows.
 ROWS_A_GROUP = 122_880
-# Rows of a row group of a night: those of some 30 motors.
-ROWS_A_SLICE = 16_384
+# Rows of a row group of a night: the writer needs memory for one of them, not for all motors.
+ROWS_A_SLICE = 4_096
 # Sizes of packed columns tell one state of a file from another: an engine that opens a file before
 # and after it is replaced finds no pages where the old footer has them. With Snappy, which is three
 # times as quick, columns of as many numbers are often of one size.
@@ -46,24 +48,52 @@ def write_table(path: Path, rows: pl.DataFrame) -> str:
 
 
 def encode_table(name: str, rows: pl.DataFrame) -> bytes:
-    """Rows as the bytes of a Parquet file, decoded again and compared, a row group at a time.
+    """Rows as the bytes of a Parquet file; raises as `prepare_table`."""
+    stream = pa.BufferOutputStream()
+    with _told_of(name):
+        digests = _write_slices(stream, [rows])
+        encoded = stream.getvalue()
+        _require_same(_opened(encoded), digests)
+    return bytes(encoded)
 
-    Raises StoreError if they cannot be encoded, or are decoded otherwise.
+
+def prepare_table(path: Path, pieces: Iterable[pl.DataFrame]) -> Prepared:
+    """Prepare the file of a night, whose rows come in pieces; a row group at a time is in memory.
+
+    Raises StoreError if they cannot be written, or are decoded otherwise; nothing is left then.
     """
+    digests: list[bytes] = []
+    with _told_of(path.name):
+        prepared = prepare(path, lambda stream: digests.extend(_write_slices(stream, pieces)))
+        try:
+            _require_same(_opened(prepared.temporary), digests)
+        except BaseException:
+            prepared.drop()
+            raise
+    return prepared
+
+
+@contextmanager
+def _told_of(name: str) -> Iterator[None]:
     try:
-        encoded = as_parquet(rows, SCHEMA_VERSION)
-        file = _opened(encoded)
-        places = range(file.num_row_groups)
-        decoded = (_frame(file.read_row_group(place, use_threads=False)) for place in places)
-        same = all(
-            found.equals(part, null_equal=True)
-            for found, part in zip(decoded, _slices(rows), strict=True)
-        )
+        yield
     except (OSError, ValueError, pa.ArrowException) as error:
         raise StoreError("store_write", f"{name} cannot be written: {error}") from error
-    if not same:
-        raise StoreError("store_write", f"{name}: what is read back is not what was written")
-    return encoded
+
+
+def _require_same(file: pq.ParquetFile, digests: Sequence[bytes]) -> None:
+    """Raise ValueError where row groups are not decoded as they were encoded."""
+    places = range(file.num_row_groups)
+    decoded = (_frame(file.read_row_group(place, use_threads=False)) for place in places)
+    with file:
+        if [_digest(rows) for rows in decoded] != digests:
+            raise ValueError("what is read back is not what was written")
+
+
+def _digest(rows: pl.DataFrame) -> bytes:
+    """Digest of all cells of some rows, and of their types."""
+    cells = rows.hash_rows().to_numpy().tobytes()
+    return hashlib.sha256(repr(rows.schema).encode() + cells).digest()
 
 
 def as_parquet(rows: pl.DataFrame, version: int, parts: Mapping[str, int] | None = None) -> bytes:
@@ -75,7 +105,7 @@ def as_parquet(rows: pl.DataFrame, version: int, parts: Mapping[str, int] | None
         nights = ((name, rows.slice(begin, count)) for (name, count), begin in named)
         write_parts(stream, nights, version)
     else:
-        _write(stream, _slices(rows), lambda: {VERSION_KEY: str(version)})
+        _write_slices(stream, [rows], version)
     encoded: bytes = stream.getvalue().to_pybytes()
     return encoded
 
@@ -97,9 +127,24 @@ def write_parts(
     _write(stream, row_groups(counted()), told)
 
 
+def _write_slices(
+    stream: Any, pieces: Iterable[pl.DataFrame], version: int = SCHEMA_VERSION
+) -> list[bytes]:
+    """Write a night's rows to a stream; returns a digest of each row group."""
+    digests: list[bytes] = []
+
+    def groups() -> Iterator[pl.DataFrame]:
+        for rows in slices(pieces):
+            digests.append(_digest(rows))
+            yield rows
+
+    _write(stream, groups(), lambda: {VERSION_KEY: str(version)})
+    return digests
+
+
 def _write(stream: Any, groups: Iterator[pl.DataFrame], told: Callable[[], dict[str, str]]) -> None:
     """Write row groups, then the metadata of the file."""
-    tables = (one.rechunk().to_arrow(compat_level=pl.CompatLevel.oldest()) for one in groups)
+    tables = (one.to_arrow(compat_level=pl.CompatLevel.oldest()) for one in groups)
     first = next(tables)
     texts = [column.name for column in first.schema if pa.types.is_large_string(column.type)]
     with pq.ParquetWriter(
@@ -116,9 +161,16 @@ def _write(stream: Any, groups: Iterator[pl.DataFrame], told: Callable[[], dict[
         file.add_key_value_metadata(told())
 
 
-def _slices(rows: pl.DataFrame) -> Iterator[pl.DataFrame]:
-    """Row groups of a night: the writer needs memory for one of them, not for all motors."""
-    return rows.iter_slices(ROWS_A_SLICE) if rows.height else iter([rows])
+def slices(pieces: Iterable[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+    """Row groups of a night, the same however its rows come in pieces."""
+    rest: list[pl.DataFrame] = []
+    for rows in pieces:
+        rest.append(rows)
+        while sum(one.height for one in rest) > ROWS_A_SLICE:
+            every = pl.concat(rest)
+            yield every.head(ROWS_A_SLICE).rechunk()
+            rest = [every.slice(ROWS_A_SLICE)]
+    yield pl.concat(rest, rechunk=True)
 
 
 def _frame(table: pa.Table) -> pl.DataFrame:
@@ -127,8 +179,9 @@ def _frame(table: pa.Table) -> pl.DataFrame:
     return rows
 
 
-def _opened(encoded: bytes) -> pq.ParquetFile:
-    return pq.ParquetFile(pa.BufferReader(encoded), page_checksum_verification=True)
+def _opened(place: bytes | pa.Buffer | Path) -> pq.ParquetFile:
+    source = place if isinstance(place, Path) else pa.BufferReader(place)
+    return pq.ParquetFile(source, page_checksum_verification=True)
 
 
 def row_groups(parts: Iterable[pl.DataFrame]) -> Iterator[pl.DataFrame]:

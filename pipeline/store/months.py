@@ -27,7 +27,7 @@ from pipeline.schema import (
     TREND_TABLES,
     Table,
 )
-from pipeline.store.atomic_files import can_exchange, exchange, flush_all, put, read, remove_all
+from pipeline.store.atomic_files import can_exchange, exchange, flush_disk, put, read, remove_all
 from pipeline.store.encoding import encode_table, parts_of, row_groups, write_parts
 from pipeline.store.manifest import (
     Key,
@@ -135,7 +135,7 @@ def _settle(output: Path, month: str) -> None:
 def _exchange(output: Path, month: str, made: Mapping[Table, Path]) -> None:
     """Put new folders of a month into the places of the present ones, with their manifests."""
     if made:
-        flush_all()  # once, and not for each of the files
+        flush_disk(next(iter(made.values())))  # once, and not for each of the files
     changes: defaultdict[Key, dict[str, tuple[str | None, str | None]]] = defaultdict(dict)
     for table, folder in made.items():
         place = month_file(output, table, month).parent

@@ -11,8 +11,8 @@ import errno
 import hashlib
 import json
 import logging
-from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, chain
 from math import ceil
@@ -25,15 +25,17 @@ import pyarrow as pa
 from pipeline.errors import StoreError
 from pipeline.schema import Table, staged_table
 from pipeline.store.atomic_files import Prepared, move, prepare, read, scratch
-from pipeline.store.encoding import encode_table
+from pipeline.store.encoding import prepare_table
 from pipeline.store.tables import PUT_ASIDE, UNREADABLE, damaged, decode, night_file
 
 log = logging.getLogger(__name__)
 
+# Completes all rows of a night, given the motors whose rows are new.
+Finish = Callable[[pl.DataFrame, Sequence[str]], pl.DataFrame]
 # Rows of one table, by night.
 StagedNights = Mapping[dt.date, Sequence[Mapping[str, object]]]
-# Motors whose staged rows are read together: each has arrays of its own for each column.
-MOTORS_AT_ONCE = 32
+# Motors whose staged rows are read together; those of all would fill the memory.
+MOTORS_AT_ONCE = 64
 # Column for the night under which a row is staged; its own may be absent.
 STAGED_NIGHT = "staged night"
 # Arrow maps arrays without a copy at multiples of so many bytes; its streams are as long.
@@ -77,42 +79,61 @@ class StagedRows:
 
 @dataclass(frozen=True, slots=True)
 class NewRows:
-    """A run's rows of a night, sorted, and the motors that they are of; some have none."""
+    """A run's rows of a night, and the motors that they are of; some have none."""
 
     motor_ids: tuple[str, ...]
-    rows: pl.DataFrame
+    height: int
+    pieces: Iterable[pl.DataFrame]  # the rows, one piece after the other in order of the key
 
 
 def new_rows(
-    table: Table, staged: Mapping[str, StagedRows], first: dt.date, last: dt.date, run_id: str
+    table: Table, staged: Mapping[str, StagedRows], nights: Sequence[dt.date], run_id: str
 ) -> dict[dt.date, NewRows]:
-    """Staged rows of some nights of a table; nights that no motor has done are left out."""
-    found: defaultdict[dt.date, list[NewRows]] = defaultdict(list)
-    # Keys begin with the motor, so what is sorted by some motors is sorted by all.
-    motor_ids = sorted(staged)
-    for at in range(0, len(motor_ids), MOTORS_AT_ONCE):
-        some = {motor_id: staged[motor_id] for motor_id in motor_ids[at : at + MOTORS_AT_ONCE]}
-        for night, new in _rows_of_some(table, some, first, last, run_id).items():
-            found[night].append(new)
+    """Staged rows of some nights of a table; nights that no motor has done are left out.
+
+    The rows of one night are read motors by motors when they are asked for, those of several at
+    once.
+    """
+    motors = {
+        night: [one for one in sorted(staged) if night in staged[one].heights[table.name]]
+        for night in nights
+    }
+    pieces: dict[dt.date, Iterable[pl.DataFrame]] = {}
+    if len(nights) == 1:
+        pieces = {one: _pieces(table, staged, some, one, run_id) for one, some in motors.items()}
+    elif staged:
+        every = _rows_of_some(table, staged, nights[0], nights[-1], run_id)
+        pieces = {night: [rows] for night, rows in every.items()}
     return {
         night: NewRows(
-            tuple(motor_id for new in news for motor_id in new.motor_ids),
-            pl.concat([new.rows for new in news]),
+            tuple(some), sum(staged[one].heights[table.name][night] for one in some), pieces[night]
         )
-        for night, news in found.items()
+        for night, some in motors.items()
+        if some
     }
+
+
+def _pieces(
+    table: Table,
+    staged: Mapping[str, StagedRows],
+    motor_ids: Sequence[str],
+    night: dt.date,
+    run_id: str,
+) -> Iterator[pl.DataFrame]:
+    """Rows of motors in order: keys begin with the motor."""
+    for at in range(0, len(motor_ids), MOTORS_AT_ONCE):
+        some = {motor_id: staged[motor_id] for motor_id in motor_ids[at : at + MOTORS_AT_ONCE]}
+        yield _rows_of_some(table, some, night, night, run_id)[night]
 
 
 def _rows_of_some(
     table: Table, staged: Mapping[str, StagedRows], first: dt.date, last: dt.date, run_id: str
-) -> dict[dt.date, NewRows]:
-    """The same of motors that are read together: each step costs more a frame than a row."""
+) -> dict[dt.date, pl.DataFrame]:
+    """Rows of motors that are read together: each step costs more a frame than a row."""
     parts = {motor_id: own.between(table, first, last) for motor_id, own in staged.items()}
     heights: Counter[dt.date] = Counter()
     for own, _ in parts.values():
         heights.update(own)
-    if not heights:
-        return {}
     # As one chunk: Polars takes chunks over one by one.
     every = pl.from_arrow(pa.concat_tables(rows for _, rows in parts.values()).combine_chunks())
     assert isinstance(every, pl.DataFrame)
@@ -124,10 +145,7 @@ def _rows_of_some(
     ordered = sorted(heights)
     begins = accumulate((heights[night] for night in ordered), initial=0)
     return {
-        night: NewRows(
-            tuple(motor_id for motor_id, (own, _) in parts.items() if night in own),
-            rows.slice(begin, heights[night]),
-        )
+        night: rows.slice(begin, heights[night])
         for night, begin in zip(ordered, begins, strict=False)
     }
 
@@ -189,10 +207,12 @@ def prepare_night(
     table: Table,
     night: dt.date,
     new: NewRows,
-    finish: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
+    finish: Finish | None = None,
     accepted: Collection[str | None] = (),
 ) -> NightFile:
     """Prepare a night's file with the new rows of some motors; those of the others stay.
+
+    `finish` completes all rows of the night at once.
 
     Raises StoreError if the new file cannot be written, or the present one not be read.
     """
@@ -200,15 +220,31 @@ def prepare_night(
     before, rows_before = _present(path, table, accepted)
     gone = before is None and bool(accepted) and None not in accepted
     lost_rows = gone or (before is not None and rows_before is None)
-    rows = new.rows
+    if before is None and not new.height:
+        return NightFile(path, None, None, lost_rows)
+    pieces = new.pieces
     if rows_before is not None:
         kept = rows_before.filter(~pl.col("motor_id").is_in(new.motor_ids))
-        rows = pl.concat([kept, rows]).sort(table.key)
-    rows = finish(rows)
-    if before is None and not rows.height:
-        return NightFile(path, None, None, lost_rows)
-    content = encode_table(path.name, rows)
-    return _replacing(path, before, content, lost_rows)
+        pieces = _merged(kept, pieces, table)
+    if finish is not None:
+        pieces = [finish(pl.concat(pieces), new.motor_ids)]
+    prepared = prepare_table(path, pieces)
+    if prepared.sha256 == before:
+        prepared.drop()
+        return NightFile(path, before, before)
+    return NightFile(path, before, prepared.sha256, lost_rows, prepared)
+
+
+def _merged(
+    kept: pl.DataFrame, pieces: Iterable[pl.DataFrame], table: Table
+) -> Iterator[pl.DataFrame]:
+    """Rows that stay and new ones, in order of the key, which begins with the motor."""
+    for rows in pieces:
+        if rows.height:
+            is_before = pl.col("motor_id") <= rows["motor_id"][-1]
+            yield pl.concat([kept.filter(is_before), rows]).sort(table.key)
+            kept = kept.filter(~is_before)
+    yield kept
 
 
 def prepare_file(path: Path, content: bytes) -> NightFile:
@@ -219,16 +255,10 @@ def prepare_file(path: Path, content: bytes) -> NightFile:
         before = None
     except OSError:
         before = UNREADABLE
-    return _replacing(path, before, content)
-
-
-def _replacing(
-    path: Path, before: str | None, content: bytes, lost_rows: bool = False
-) -> NightFile:
     after = hashlib.sha256(content).hexdigest()
-    if after == before:
-        return NightFile(path, before, after)
-    return NightFile(path, before, after, lost_rows, prepare(path, content))
+    return NightFile(
+        path, before, after, prepared=None if after == before else prepare(path, content)
+    )
 
 
 def _present(

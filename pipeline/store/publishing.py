@@ -27,6 +27,8 @@ from pipeline.store.manifest import (
 )
 from pipeline.store.months import part_month
 from pipeline.store.night_files import (
+    MOTORS_AT_ONCE,
+    Finish,
     NewRows,
     NightFile,
     StagedRows,
@@ -44,11 +46,9 @@ from pipeline.store.tables import (
     whole_file,
 )
 
-# Completes all rows of a night, given the motors whose rows are new.
-Finish = Callable[[pl.DataFrame, Sequence[str]], pl.DataFrame]
 # Lets the next run make nights anew for all motors but some.
 Forget = Callable[[Collection[dt.date], Collection[str]], object]
-# Nights of motors that are prepared together.
+# Nights of motors that are prepared together, where few motors have few rows a night.
 NIGHTS_AT_ONCE = 400
 
 
@@ -121,12 +121,12 @@ class Publisher:
         for table, motors in staged.items():
             if "night" not in table.key:
                 self._vacate(table, motors, forget)
-        # Rows of one table at a time, and of so many nights: all would fill the memory.
-        size = max(1, NIGHTS_AT_ONCE // max(1, *map(len, staged.values())))
+        size = NIGHTS_AT_ONCE // len(files) if 0 < len(files) <= MOTORS_AT_ONCE else 1
         ordered = sorted(nights)
         for some in (ordered[at : at + size] for at in range(0, len(ordered), size)):
+            # Rows of one table at a time.
             new = {
-                table: partial(new_rows, table, motors, some[0], some[-1], self.run_id)
+                table: partial(new_rows, table, motors, some, self.run_id)
                 for table, motors in staged.items()
             }
             self._publish(new, forget, finish or {})
@@ -156,9 +156,9 @@ class Publisher:
         nights = sorted({night for rows in staged.values() for night in rows.heights[table.name]})
         if len(nights) < 2:
             return
-        for night, new in new_rows(table, staged, nights[0], nights[-1], self.run_id).items():
-            if new.rows.height:
-                places[night].append(new.rows.select(key))
+        for night, new in new_rows(table, staged, nights, self.run_id).items():
+            if new.height:
+                places[night] += [rows.select(key) for rows in new.pieces]
         for night in nights:
             earlier = [keys for other, some in places.items() if other < night for keys in some]
             if not earlier:
@@ -172,7 +172,7 @@ class Publisher:
                 left = present.join(kept, on=key, how="anti")["motor_id"].unique()
                 rows = kept.filter(pl.col("motor_id").is_in(left.implode()))
                 rows = rows.with_columns(run_id=pl.lit(self.run_id)).sort(table.key)
-                without = {night: NewRows(tuple(left), rows)}
+                without = {night: NewRows(tuple(left), rows.height, [rows])}
                 self._publish({table: partial(dict, without)}, forget, {})
 
     def _publish(
@@ -187,13 +187,13 @@ class Publisher:
         with ExitStack() as undone:
             for table, rows_of in new.items():
                 for night, rows in rows_of().items():
-                    last = partial(_finished, finish.get(table.name), rows.motor_ids)
                     path = night_file(self.output, table, night)
                     name = path.relative_to(self.output / "tables").as_posix()
                     key = manifest_key(name)
                     if key not in manifests:
                         manifests[key] = read_manifest(self.output, *key) or Manifest()
                     accepted = manifests[key].accepted(name)
+                    last = finish.get(table.name)
                     file = prepare_night(self.output, table, night, rows, last, accepted)
                     undone.callback(file.drop)
                     files.append(file)
@@ -247,7 +247,3 @@ class Publisher:
         flush_folders({file.path.parent for file in files if file.prepared is not None})
         for key, some in sorted(by_manifest.items()):
             update_manifest(self.output, *key, {name: file.after for name, file in some.items()})
-
-
-def _finished(finish: Finish | None, motor_ids: Sequence[str], rows: pl.DataFrame) -> pl.DataFrame:
-    return rows if finish is None else finish(rows, motor_ids)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import put, read
+from pipeline.store.atomic_files import put, read, scratch, store_errors
 
 log = logging.getLogger(__name__)
 
@@ -93,8 +93,8 @@ def read_if_whole(path: Path, unsealed: Callable[[bytes], Content | None]) -> Co
         return None
 
 
-def put_sealed(path: Path, document: Mapping[str, Any], *, durable: bool = True) -> None:
-    """Write a document, unless it is there already; `durable` as for `put`.
+def put_sealed(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a document, unless it is there already.
 
     Raises StoreError if it cannot be written.
     """
@@ -102,4 +102,13 @@ def put_sealed(path: Path, document: Mapping[str, Any], *, durable: bool = True)
     with suppress(OSError):
         if read(path) == content:
             return
-    put(path, content, durable=durable)
+    put(path, content)
+
+
+def stage_sealed(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a document to a scratch file, in a folder of its own below one of the run's folder.
+
+    Raises StoreError if it cannot be written.
+    """
+    with store_errors(path), scratch(path, depth=2) as stream:
+        stream.write(seal(document))

@@ -11,14 +11,14 @@ import logging
 import os
 import re
 from calendar import monthrange
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 import polars as pl
 
 from pipeline.errors import StoreError, UsageError
-from pipeline.schema import SCHEMA_VERSION, Table
+from pipeline.schema import SCHEMA_VERSION, Table, frame
 from pipeline.store.atomic_files import read
 from pipeline.store.encoding import DAMAGE, VERSION_KEY, from_parquet, parts_of
 from pipeline.store.manifest import MONTH_PREFIX, Manifest, manifest_key, read_manifest
@@ -271,9 +271,11 @@ def read_rows(
         If a file is damaged, or is not what its manifest says.
     """
     chosen = list(columns or table.schema)
-    wanted = pl.col("motor_id").is_in(list(motor_ids))
+    asked: dict[str, Collection[str] | Collection[dt.date]] = {"motor_id": motor_ids}
     if nights is not None:
-        wanted &= pl.col("night").is_in(list(nights))
+        asked["night"] = nights
+    if not all(asked.values()):
+        return frame(table, []).select(chosen)
 
     def read_all() -> list[pl.DataFrame]:
         found = (
@@ -283,12 +285,12 @@ def read_rows(
         )
         paths = list(dict.fromkeys(found))
         return [
-            _read_some(output, paths[at : at + FILES_AT_ONCE], table, wanted, chosen)
+            _read_some(output, paths[at : at + FILES_AT_ONCE], table, asked, chosen)
             for at in range(0, len(paths), FILES_AT_ONCE)
         ]
 
     found = while_listed(read_all)
-    return pl.concat(found) if found else pl.DataFrame(schema={n: table.schema[n] for n in chosen})
+    return pl.concat(found) if found else frame(table, []).select(chosen)
 
 
 def by_file(output: Path, table: Table, nights: Iterable[dt.date]) -> dict[Path, list[str]]:
@@ -316,20 +318,32 @@ def while_listed(read: Callable[[], Made]) -> Made:
 
 
 def _read_some(
-    output: Path, paths: Sequence[Path], table: Table, wanted: pl.Expr, chosen: list[str]
+    output: Path,
+    paths: Sequence[Path],
+    table: Table,
+    asked: Mapping[str, Collection[str] | Collection[dt.date]],
+    chosen: list[str],
 ) -> pl.DataFrame:
-    """Wanted rows of some files, in one scan: one for each takes five times as long."""
+    """Rows of some files, in one scan: one for each takes five times as long."""
+    # The scan skips row groups by the extremes of what is asked for: by a list of a hundred motors
+    # it would take 30 ms more.
+    near = [
+        pl.col(name).is_between(pl.lit(min(some)), pl.lit(max(some)))
+        for name, some in asked.items()
+    ]
+    wanted = [pl.col(name).is_in(list(some)) for name, some in asked.items()]
     try:
         contents = [_published_content(output, path, table) for path in paths]
         rows = pl.scan_parquet(
             contents, schema=table.schema, missing_columns="insert", extra_columns="ignore"
         )
-        return rows.filter(wanted).select(chosen).collect()
+        found = rows.filter(near).select({*chosen, *asked}).collect()
+        return found.filter(wanted).select(chosen)
     except DAMAGE as error:
         if len(paths) == 1:
             raise damaged(paths[0], table, error) from error
     for path in paths:  # to name the damaged one
-        _read_some(output, [path], table, wanted, chosen)
+        _read_some(output, [path], table, asked, chosen)
     raise damaged(paths[0].parent, table, ValueError("its files do not fit together"))
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import TypeVar
 from pipeline.errors import StoreError
 from pipeline.schema import TREND_TABLES, TRENDS, Table
 from pipeline.store.night_files import stage
+from pipeline.store.sealed import stage_sealed
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.baselines.blocks import BlockFiles
 from pipeline.trends.baselines.duty import at_duty, with_duty, without_duty
@@ -31,7 +32,7 @@ from pipeline.trends.nights.history import History
 from pipeline.trends.nights.reading import MotorNights, read_nights
 from pipeline.trends.nights.records import Records
 from pipeline.trends.nights.segments import segments
-from pipeline.trends.nights.trend_record import Record, write_record
+from pipeline.trends.nights.trend_record import Record, record_file
 from pipeline.trends.rows.alarm_rows import RECOMPUTED, alarm_rows, marked, rules_now
 from pipeline.trends.rows.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.rows.trend_rows import trend_rows
@@ -236,7 +237,7 @@ def _stage_motor(
         for row in made[table.name]:
             nights[row["night"]].append(row)
     stage(task.staging / "trends" / f"{motor_id}.arrow", staged)
-    write_record(task.staging, motor_id, record, durable=False)
+    stage_sealed(record_file(task.staging, motor_id), asdict(record))
     told = [row for row in alarms if not row["is_silent"]]
     return len(places), new_alarms(told, published)
 

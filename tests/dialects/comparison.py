@@ -162,6 +162,7 @@ def _largest_of_part(statistics: Array) -> Array:
 LISTS = {
     "night_factor": _column_norms,
     "coefficient_covariance": _deviations,
+    "coefficient_covariance_root": _column_norms,
     "coefficients": _largest_of_paths,
     "model_misfit_statistics": _largest_of_part,
 }

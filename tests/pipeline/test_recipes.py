@@ -42,8 +42,7 @@ from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import Rows
 from pipeline.night.time_base import JOINT_RULES, Together
 from pipeline.report.words import for_scripts
-from pipeline.schema import QUALITY_REASONS
-from pipeline.schema.samples import Reason
+from pipeline.schema import QUALITY_REASONS, Reason
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
 Array = NDArray[np.float64]
@@ -119,16 +118,13 @@ class OrificePath(PathSection):
         )
 
 
+DECLARED = AnnularGapPath | SpeedCurvePath | LaminarPath | OrificePath
+
+
 class WithOrifice(MotorTypeFile):
     """The entry of the law among those that a `[[path]]` can name."""
 
-    path: tuple[
-        Annotated[
-            AnnularGapPath | SpeedCurvePath | LaminarPath | OrificePath,
-            Field(discriminator="law"),
-        ],
-        ...,
-    ]
+    path: tuple[Annotated[DECLARED, Field(discriminator="law")], ...]
 
 
 LAMINAR: dict[str, Any] = {

@@ -13,7 +13,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.ingest.mcap.layout import LARGEST_CHUNK, PREFIX, fields_at, record_offsets
+from pipeline.ingest.mcap.layout import LARGEST_CHUNK, PREFIX, column, fields_at, record_offsets
 
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _COMPRESSIONS = {"": None, "lz4": "lz4", "zstd": "zstd"}
@@ -63,6 +63,17 @@ def _unfolded(packed: memoryview, codec: str, size: int) -> memoryview:
             return memoryview(pa.decompress(packed, size, codec))
     with pa.CompressedInputStream(pa.BufferReader(pa.py_buffer(packed)), codec) as stream:
         return memoryview(stream.read_buffer(size + 1))
+
+
+def record_size(records: memoryview) -> int:
+    """Size of each record of a chunk; 0 unless all are of one kind and one size."""
+    if len(records) < PREFIX.size:
+        return 0
+    size = PREFIX.size + PREFIX.unpack_from(records)[1]
+    if len(records) % size:
+        return 0
+    heads = column(records, 0, f"V{PREFIX.size}", size).tobytes()
+    return size if heads == heads[: PREFIX.size] * (len(records) // size) else 0
 
 
 def indexed_positions(indexes: Sequence[memoryview]) -> NDArray[np.int64]:

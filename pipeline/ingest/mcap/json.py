@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ import pyarrow.json as arrow_json
 
 from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.errors import LogError
+from pipeline.ingest.arrow_types import nulls
 from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.mcap.layout import fields_at
 from pipeline.ingest.mcap.messages import read_messages
@@ -41,6 +43,7 @@ from pipeline.ingest.time_stamps import WrittenStamps, written_as_text
 _INT64 = np.iinfo(np.int64)
 _ELEMENTS_SHOWN = 4
 _DEEPEST = 6
+_MOST_SHAPES = 32
 _Tree = dict[str | int, Any]
 """Arrow types by path, step by step."""
 
@@ -58,12 +61,15 @@ def json_decoder(
 
     is_one_number = len(fields) == 1 and stamp is None and not qualities
 
+    @lru_cache(_MOST_SHAPES)
+    def value(message: bytes) -> object:
+        return _value(json_object(message), fields[0])
+
     def decode(payloads: Payloads) -> Decoded:
         if is_one_number:
-            (only,) = fields
-            numbers = one_number(payloads, lambda one: _value(json_object(one), only))
+            numbers = one_number(payloads, value)
             if numbers is not None:
-                return Decoded({only: readings_of(numbers)}, None)
+                return Decoded({fields[0]: readings_of(pa.array(numbers))}, None)
         types = _quality_types(payloads, qualities)
         for kinds in _stamp_kinds(payloads, stamp, time_format):
             decoded = _at_once(payloads, fields, kinds, time_format, types)
@@ -239,10 +245,7 @@ def _element(lists: pa.ListArray, position: int) -> pa.Array:
 def _stamps(parts: Sequence[pa.Array], time_format: str) -> WrittenStamps:
     if pa.types.is_string(parts[0].type):
         return written_as_text(pa.chunked_array(parts), time_format)
-    numbers = [
-        (pc.fill_null(part, 0).to_numpy(), part.is_valid().to_numpy(zero_copy_only=False))
-        for part in parts
-    ]
+    numbers = [(pc.fill_null(part, 0).to_numpy(), ~nulls(part)) for part in parts]
     return stamps_of_parts(numbers, time_format)
 
 

@@ -151,6 +151,12 @@ def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[
     return everywhere[at]
 
 
+def column(buffer: memoryview, at: int, dtype: str, size: int) -> NDArray[Any]:
+    """Numbers of one type at a place in each of the rows of `size` bytes that fill a buffer."""
+    rows = (len(buffer) // size,)
+    return np.ndarray(rows, dtype, buffer, at, strides=(size,)).copy()
+
+
 def read_summary(path: Path) -> Summary:
     """Footer and summary section of a file."""
     with path.open("rb") as file:

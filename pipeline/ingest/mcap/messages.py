@@ -19,7 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.ingest.mcap.chunks import indexed_positions, offsets_in_chunk, unpacked_chunk
+from pipeline.ingest.mcap.chunks import (
+    indexed_positions,
+    offsets_in_chunk,
+    record_size,
+    unpacked_chunk,
+)
 from pipeline.ingest.mcap.layout import (
     CHANNEL,
     CHUNK,
@@ -36,6 +41,7 @@ from pipeline.ingest.mcap.layout import (
     Schema,
     Statistics,
     Summary,
+    column,
     fields_at,
     read_summary,
     record_offsets,
@@ -64,6 +70,7 @@ class Messages:
     start: NDArray[np.int64]  # of their records in the buffer
     payload_end: NDArray[np.int64]
     read_to: int  # position in the file up to which it has been read
+    size: int = 0  # of their records, where these are all that the buffer holds, and of one size
     loss: str = ""  # what was lost to damage, in words; in the last piece only
 
     @property
@@ -73,6 +80,8 @@ class Messages:
 
     def times(self, name: str) -> NDArray[np.uint64]:
         """Their ``log_time`` or ``publish_time`` [ns]."""
+        if self.size:
+            return column(self.buffer, _TIMES[name], "<u8", self.size)
         return fields_at(self.buffer, self.start + _TIMES[name], "<u8")
 
 
@@ -278,11 +287,31 @@ def _messages_of_block(
             return
         where = f"chunk at byte {place + offsets[chunk]}"
         records = unpacked_chunk(path, content(chunk), where)
+        size = record_size(records)
+        if size > _MESSAGE_HEAD and records[0] == MESSAGE:
+            yield _messages_of_one_size(records, size, declared, place + stops[chunk])
+            continue
         indexes = takewhile(lambda i: opcodes[i] == MESSAGE_INDEX, range(chunk + 1, len(offsets)))
         inside, end = offsets_in_chunk(records, indexed_positions(list(map(content, indexes))))
         if end != len(records):
             raise LogError("log_damaged", path, "its records do not fill it", where)
         yield _messages(path, records, inside, end, declared, place + stops[chunk])
+
+
+def _messages_of_one_size(
+    records: memoryview, size: int, declared: Declared, read_to: int
+) -> Messages:
+    starts = np.arange(0, len(records), size)
+    return Messages(
+        buffer=records,
+        channels=declared.channels,
+        schemas=declared.schemas,
+        channel_id=column(records, PREFIX.size, "<u2", size),
+        start=starts,
+        payload_end=starts + size,
+        read_to=read_to,
+        size=size,
+    )
 
 
 def _messages(

@@ -11,16 +11,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from pipeline.ingest.mcap.layout import fields_at
-from pipeline.ingest.mcap.payloads import Payloads, cut_out
+from pipeline.ingest.mcap.layout import column
+from pipeline.ingest.mcap.payloads import Payloads
 
 _NUMBER = re.compile(rb" *-?[0-9][-+.0-9eE]*")
 _MOST_NUMBERS = 8
 _LONGEST = 1024
-_BLANK, _MINUS, _POINT, _ZERO = b" -.0"
+_WIDEST = 40
+_BLANK, _POINT, _ZERO, _NINE = b" .09"
 
 
-def one_number(payloads: Payloads, value: Callable[[bytes], object]) -> pa.Array | None:
+def one_number(payloads: Payloads, value: Callable[[bytes], object]) -> NDArray[np.float64] | None:
     """The wanted number of each message; None unless all else is in all of them the same.
 
     `value` is what the `json` module finds in a message. Where it finds two other numbers that are
@@ -30,23 +31,23 @@ def one_number(payloads: Payloads, value: Callable[[bytes], object]) -> pa.Array
     if around is None:
         return None
     before, behind = around
-    starts = payloads.start + len(before)
-    ends = payloads.start + payloads.length - len(behind)
-    text = payloads.text.data
-    if (starts >= ends).any():
+    if payloads.length.max() > _LONGEST:
         return None
-    if not (_stands(text, payloads.start, before) and _stands(text, ends, behind)):
-        return None
-    cells, cell_starts = cut_out(text, starts, ends, _BLANK)
-    if not _are_decimals(cells):
-        return None
-    edges = np.append(cell_starts - 1, cells.size).astype(np.int32)
-    buffers = [None, pa.py_buffer(edges), pa.py_buffer(cells)]
-    numbers = pa.Array.from_buffers(pa.string(), starts.size, buffers)
-    try:
-        return pc.ascii_ltrim_whitespace(numbers).cast(pa.float64())
-    except pa.ArrowInvalid:
-        return None
+    numbers = np.empty(payloads.length.size)
+    for rows, length, text in payloads.by_length():
+        width = length - len(before) - len(behind)
+        if not 0 < width <= _WIDEST:
+            return None
+        size, end = length + 1, length + 1 - len(behind)
+        if not (_stand(text, 1, before, size) and _stand(text, end, behind, size)):
+            return None
+        # With the byte before each.
+        cells = column(text, len(before), f"V{width + 1}", size).view(np.uint8)
+        found = _decimals(cells, width + 1)
+        if found is None:
+            return None
+        numbers[rows] = found
+    return numbers
 
 
 def _around_number(first: bytes, value: Callable[[bytes], object]) -> tuple[bytes, bytes] | None:
@@ -60,24 +61,37 @@ def _around_number(first: bytes, value: Callable[[bytes], object]) -> tuple[byte
     return None
 
 
-def _stands(text: memoryview, at: NDArray[np.int64], expected: bytes) -> bool:
-    """True if the very bytes stand at each place."""
-    return fields_at(text, at, f"V{len(expected)}").tobytes() == expected * at.size
+def _stand(text: memoryview, at: int, expected: bytes, size: int) -> bool:
+    """True if the very bytes stand at a place in each row of a size."""
+    found = column(text, at, f"V{len(expected)}", size).tobytes()
+    return found == expected * (len(text) // size)
 
 
-def _are_decimals(cells: NDArray[np.uint8]) -> bool:
-    """True if cells, each behind a blank, hold no text that Arrow casts and JSON has not.
+def _decimals(cells: NDArray[np.uint8], width: int) -> NDArray[np.float64] | None:
+    """Numbers in cells of one width, the first byte of each aside; None where some is none of JSON.
 
-    JSON has no point without a digit on either side, and no zero before the digits of a number;
-    exponents are left to the parser.
+    Arrow's cast refuses what is no number. JSON has no point without a digit on either side, and no
+    zero before the digits of a number; exponents are left to the parser.
     """
-    digit, point = cells - np.uint8(_ZERO) < 10, cells == _POINT
-    in_number = digit | point
-    leading_zero = (cells[1:-1] == _ZERO) & digit[2:] & ~in_number[:-2]
-    return bool(
-        (in_number | (cells == _MINUS) | (cells == _BLANK)).all()
-        and not (point[1:] & ~digit[:-1]).any()
-        and not (point[:-1] & ~digit[1:]).any()
-        and not point[-1]
-        and not leading_zero.any()
+    cells[::width] = _BLANK
+    if cells.min() < _BLANK or cells.max() > _NINE:
+        return None
+    digit, point = cells >= _ZERO, cells == _POINT
+    inner_zero = (cells[1:-1] == _ZERO) & digit[2:]
+    if (
+        point[-1]
+        or (point[1:] > digit[:-1]).any()
+        or (point[:-1] > digit[1:]).any()
+        or (inner_zero > (digit | point)[:-2]).any()
+    ):
+        return None
+    edges = pa.py_buffer(np.arange(0, cells.size + 1, width, dtype=np.int32))
+    texts = pa.Array.from_buffers(
+        pa.string(), cells.size // width, [None, edges, pa.py_buffer(cells)]
     )
+    try:
+        numbers = pc.ascii_ltrim_whitespace(texts).cast(pa.float64())
+    except pa.ArrowInvalid:
+        return None
+    decimals: NDArray[np.float64] = numbers.to_numpy()
+    return decimals

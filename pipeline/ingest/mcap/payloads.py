@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pipeline.arrays import Rows
 from pipeline.config.field_paths import FieldPath
 from pipeline.config.time_formats import EPOCH_UNITS
 from pipeline.ingest.assembly import Readings
@@ -46,6 +47,16 @@ class Payloads:
         for start, length in zip(self.start.tolist(), self.length.tolist(), strict=True):
             yield text[start : start + length]
 
+    def by_length(self) -> Iterator[tuple[Rows, int, memoryview]]:
+        """Rows of messages of one length, the length, and their text: a byte and a payload each."""
+        if (self.length == self.length[0]).all():
+            yield slice(None), int(self.length[0]), self.text.data
+            return
+        for length in np.flatnonzero(np.bincount(self.length)).tolist():
+            rows = np.flatnonzero(self.length == length)
+            text = fields_at(self.text.data, self.start[rows] - 1, f"V{length + 1}")
+            yield rows, length, text.view(np.uint8).data
+
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
@@ -58,9 +69,6 @@ class Decoded:
 
 
 Decoder = Callable[[Payloads], Decoded]
-Rows = slice | NDArray[np.bool_] | NDArray[np.intp]
-"""Some rows of an array, one at least."""
-
 Numbers = tuple[NDArray[Any], NDArray[np.bool_]]
 """Numbers, and where there is one."""
 
@@ -73,8 +81,20 @@ def payloads_of(
 ) -> Payloads:
     """Payloads of the chosen messages, one at least, with the topics and times of all messages."""
     starts, ends = messages.payload_start[chosen], messages.payload_end[chosen]
-    text, placed = cut_out(messages.buffer, starts, ends, _NEWLINE)
-    return Payloads(text, placed, ends - starts, topic[chosen], time_ns[chosen])
+    length = ends - starts
+    if (length == length[0]).all():
+        size = int(length[0]) + 1
+        text = fields_at(messages.buffer, starts - 1, f"V{size}").view(np.uint8)
+        placed = np.arange(1, text.size + 1, size)
+    else:
+        edges = np.append(np.column_stack([starts - 1, ends]), ends[-1])
+        buffers = [None, pa.py_buffer(edges), pa.py_buffer(messages.buffer)]
+        pieces = pa.Array.from_buffers(pa.large_binary(), edges.size - 1, buffers)
+        texts = pieces.take(pa.array(np.arange(0, edges.size - 1, 2)))
+        text = np.frombuffer(texts.buffers()[2], np.uint8, int((length + 1).sum()))
+        placed = _starts(length)
+    text[placed - 1] = _NEWLINE
+    return Payloads(text, placed, length, topic[chosen], time_ns[chosen])
 
 
 def stacked(parts: Sequence[Payloads]) -> Payloads:
@@ -125,24 +145,3 @@ def unreadable_stamps(count: int) -> WrittenStamps:
 
 def _starts(length: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.cumsum(length + 1) - length
-
-
-def cut_out(
-    buffer: memoryview, starts: NDArray[np.int64], ends: NDArray[np.int64], between: int
-) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Texts from `starts` to `ends`, one at least, each with the byte `between` before it.
-
-    Returns them one behind the other, and where each begins. A byte stands before each in `buffer`.
-    """
-    length = ends - starts
-    placed = _starts(length)
-    if (length == length[0]).all():
-        text = fields_at(buffer, starts - 1, f"V{length[0] + 1}").view(np.uint8)
-    else:
-        edges = np.append(np.column_stack([starts - 1, ends]), ends[-1])
-        buffers = [None, pa.py_buffer(edges), pa.py_buffer(buffer)]
-        pieces = pa.Array.from_buffers(pa.large_binary(), edges.size - 1, buffers)
-        texts = pieces.take(pa.array(np.arange(0, edges.size - 1, 2)))
-        text = np.frombuffer(texts.buffers()[2], np.uint8, int((length + 1).sum()))
-    text[placed - 1] = between
-    return text, placed

@@ -25,7 +25,7 @@ from pipeline.trends.figures.indicators import (
 from pipeline.trends.figures.temperature import Effect
 from pipeline.trends.nights.from_tables import WIDEST_ALONE, too_wide
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.records import FLUSHING, HISTOGRAMS, triangle_places
+from pipeline.trends.nights.records import FLUSHING, HISTOGRAMS, whole_matrix
 from pipeline.trends.nights.segments import Segment
 
 Array = NDArray[np.float64]
@@ -156,10 +156,10 @@ def _own_leakage(
     contrast, known = _regressors(history, segment, own)
     contrast = contrast / effect.factor[here, None]
     theta = records["theta"] + effect.per_kelvin[here, None] * records["response"]
-    variance = _quadratic_forms(records["covariance"], contrast)
+    root = whole_matrix(records["root"], contrast.shape[1])
+    errors = _row_sums(root * contrast[:, None])
     freedom = records["blocks"] - records["theta"].shape[1]
-    quantile = stdtrit(np.fmax(freedom, 1.0), 0.5 + LEVEL / 2)
-    half = quantile * np.sqrt(np.maximum(variance, 0.0))
+    half = stdtrit(np.fmax(freedom, 1.0), 0.5 + LEVEL / 2) * np.sqrt(_row_sums(errors**2))
     outside = history.fitted[here] & ~_within(history, here, own)
     return _row_sums(theta * contrast) + known, half, outside
 
@@ -195,15 +195,8 @@ def _regressors(history: History, segment: Segment, own: OwnConditions) -> tuple
 
 def _row_sums(products: Array) -> Array:
     """Sum of each row, in the same way however many rows there are: to the last bit."""
-    total: Array = np.add.reduce(np.ascontiguousarray(products), axis=1)
+    total: Array = np.add.reduce(np.ascontiguousarray(products), axis=-1)
     return total
-
-
-def _quadratic_forms(upper: Array, contrast: Array) -> Array:
-    """c'Cc of each night, from the upper triangle of C row by row."""
-    first, second = triangle_places(contrast.shape[1])
-    weights = contrast[:, first] * contrast[:, second] * np.where(first == second, 1.0, 2.0)
-    return _row_sums(upper * weights)
 
 
 def _within(

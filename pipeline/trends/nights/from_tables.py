@@ -30,7 +30,6 @@ from pipeline.trends.nights.records import (
     NightWords,
     Records,
     blank_records,
-    symmetric_matrix,
     triangle,
     whole_matrix,
 )
@@ -44,7 +43,7 @@ REFERENCE_CONDITIONS = "reference_pressure_bar", "reference_temperature_c", "ref
 OWN = "own_pressure_bar", "own_temperature_c", "own_speed_rpm"
 KEY = ("motor_id", "night")
 FITTED = ("is_primary", "status", "reason", "flushing_mode", "interval_status", "model_hash")
-STATISTICS = ("columns", "coefficients", "coefficient_covariance", "coefficient_response")
+STATISTICS = ("columns", "coefficients", "coefficient_covariance_root", "coefficient_response")
 VERDICTS = ("reference_verdict", "reference_reason", "model_misfit_statistics")
 AT_REFERENCE = (*REFERENCE, *REFERENCE_CONDITIONS, *OWN, *SINGLE.values())
 FIT_COLUMNS = (*KEY, *FITTED, *STATISTICS, "night_factor", *VERDICTS, *AT_REFERENCE)
@@ -155,7 +154,7 @@ def records_of(
     same = np.array([columns == expected for columns in rows.values("columns")], dtype=np.bool_)
     for name, column, size in (
         ("theta", "coefficients", theta),
-        ("covariance", "coefficient_covariance", triangle(theta)),
+        ("root", "coefficient_covariance_root", triangle(theta)),
         ("response", "coefficient_response", theta),
         ("factor", "night_factor", triangle(len(expected))),
     ):
@@ -174,15 +173,16 @@ def records_of(
 
 
 def _fill_noise(layout: Layout, records: Records) -> None:
-    """Errors of fitted nights from their covariance: V = S⁻¹MS⁻¹, λ_j = M_jj / S_jj."""
+    """Errors of fitted nights from their covariance: V = U'U = S⁻¹MS⁻¹, λ_j = M_jj / S_jj."""
     size, free = len(layout.free), np.array(layout.free)
     columns = whole_matrix(records["factor"], size + 2)[:, :, :-2]
-    gram = np.einsum("nij,nik->njk", columns, columns)
-    covariance = symmetric_matrix(records["covariance"], size)
-    meat = np.einsum("nij,njk,nki->ni", gram, covariance, gram)
+    root = whole_matrix(records["root"], size)
+    # Through the columns, not their Gram: V is huge where they look alike, and US is not.
+    scores = (root @ columns.swapaxes(1, 2)) @ columns
     # A coefficient at its bound has no variance, and its night tells no error.
-    known = records["fitted"] & (np.einsum("nii->ni", covariance)[:, free] > 0.0).all(axis=1)
-    records["noise"][known] = (meat / np.einsum("nii->ni", gram))[known]
+    known = records["fitted"] & (np.abs(root).max(axis=1)[:, free] > 0.0).all(axis=1)
+    squares = (np.sum(one**2, axis=1) for one in (scores, columns))
+    records["noise"][known] = np.divide(*squares)[known]
     records["freedom"][known] = 1.0
 
 

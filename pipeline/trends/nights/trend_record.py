@@ -9,7 +9,6 @@ from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
-from pipeline.store.atomic_files import take_over
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.trends.nights.decisions import Decision
 
@@ -81,14 +80,9 @@ def read_record(output: Path, motor_id: str) -> Record | None:
         return None
 
 
-def write_record(output: Path, motor_id: str, record: Record, *, durable: bool = True) -> None:
+def write_record(output: Path, motor_id: str, record: Record) -> None:
     """Write the record of a motor's trends; raises as `put_sealed`."""
-    put_sealed(record_file(output, motor_id), asdict(record), durable=durable)
-
-
-def publish_record(output: Path, staging: Path, motor_id: str) -> None:
-    """Put a staged record into its place; raises as `take_over`."""
-    take_over([record_file(staging, motor_id)], record_file(output, motor_id).parent)
+    put_sealed(record_file(output, motor_id), asdict(record))
 
 
 def note_touched(output: Path, motor_id: str, night: dt.date) -> None:

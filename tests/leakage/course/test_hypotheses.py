@@ -235,6 +235,26 @@ def test_at_one_pressure_and_speed_no_path_is_named_and_the_tank_decides() -> No
     assert with_tank.is_of_tank
 
 
+def test_last_digits_of_the_columns_move_no_probability() -> None:
+    """At one pressure but for one night of the baseline, which alone tells what the others do."""
+    load = Load(pressure=(179.7, 180.3))
+    now = nights(NOW, Change(paths={SLEEVE: 1.3}), load, 1001)
+    before = baseline(load, 1)
+    other = nights(1, Change(), Load(pressure=(170.0, 190.0)), 2).factors
+    factors = np.concatenate([other, before.factors[3:]])
+
+    def found(disturbed_by: float) -> Posterior:
+        noise = 1.0 + disturbed_by * np.random.default_rng(3).standard_normal(factors.shape)
+        then = replace(before, factors=factors * noise)
+        change = growth(NAMES, then, now, THETA, FREE, "cam_roller")
+        assert change is not None
+        return weigh(change)
+
+    one, two = found(0.0), found(1e-13)
+    assert one.common == pytest.approx(two.common, rel=1e-6)
+    assert one.paths == pytest.approx(two.paths, rel=1e-6)
+
+
 def test_the_others_factor_is_the_tanks_or_the_sensor_is_its_own() -> None:
     thin = grown(Change(viscosity=0.8), 1)
     assert weigh(thin, CommonFactor(np.log(1.25), 0.015)).origin == "tank"

@@ -42,7 +42,7 @@ def assert_by_definition(
     series: Array, lengths: list[int], segments: Segments, longest: int, crossed_lag: int
 ) -> None:
     """Sums of two series, each with itself and the first with the second."""
-    own, crossed = lagged_products(series, segments, longest, crossed_lag)
+    own, crossed = lagged_products(series, [0.0, 0.0], segments, longest, crossed_lag)
     ahead = range(longest + 1)
     expected = [by_definition(one, one, lengths, ahead) for one in series]
     assert own == pytest.approx(np.array(expected), abs=1e-9)
@@ -92,13 +92,13 @@ def test_products_near_the_ends(lengths: list[int], margin: int, seed: int) -> N
     series = np.random.default_rng(seed).normal(size=(2, sum(lengths)))
     near = [(np.arange(n) < margin) | (np.arange(n) >= n - margin) for n in lengths]
     first = series * [np.concatenate(near), np.ones(sum(lengths))]
-    found = products_near_ends(series, Segments.of(places(lengths)), margin)
+    found = products_near_ends(series, [0.0, 0.0], Segments.of(places(lengths)), margin)
     expected = by_definition(*first, lengths, range(-margin, margin + 1))
     assert found == pytest.approx(np.array([expected]), abs=1e-10)
 
 
 def test_lags_longer_than_every_segment_have_no_sum() -> None:
-    found, _ = lagged_products(np.ones((1, 30)), Segments.of(places([10, 20])), 25)
+    found, _ = lagged_products(np.ones((1, 30)), [0.0], Segments.of(places([10, 20])), 25)
     assert found[0, :20] == pytest.approx(np.maximum(10 - np.arange(20), 0) + 20 - np.arange(20))
     assert found[0, 20:] == pytest.approx(0.0, abs=1e-12)
 
@@ -112,8 +112,8 @@ def test_what_lies_across_a_gap_is_not_touched() -> None:
     loud = silent.copy()
     loud[0, 200:230] = 1e6  # its partner is silent there: within the segment it adds nothing
     index = places([200, 30, 270])
-    _, found = lagged_products(loud, Segments.of(index), 60, 60)
-    _, expected = lagged_products(silent, Segments.of(index), 60, 60)
+    _, found = lagged_products(loud, [0.0, 0.0], Segments.of(index), 60, 60)
+    _, expected = lagged_products(silent, [0.0, 0.0], Segments.of(index), 60, 60)
     assert found == pytest.approx(expected, abs=1e-7)
 
 
@@ -141,4 +141,4 @@ def test_no_segment() -> None:
     assert nothing.n == 0
     assert nothing.pair_counts(2).tolist() == [0, 0, 0]
     assert not len(nothing.samples(np.arange(0)))
-    assert not lagged_products(np.ones((1, 5)), nothing, 2)[0].any()
+    assert not lagged_products(np.ones((1, 5)), [0.0], nothing, 2)[0].any()

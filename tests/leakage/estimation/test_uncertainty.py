@@ -89,9 +89,33 @@ def test_covariance_and_inflation_agree_with_their_definitions() -> None:
     assert distribution is not None
     errors = [sandwich_over_samples(z, borders, theta, unit)[0] for unit in np.eye(4)]
     assert np.sqrt(np.diag(distribution.covariance())) == pytest.approx(errors, rel=1e-7)
+    root = distribution.covariance_root()
+    assert np.array_equal(root, np.triu(root))
+    assert root.T @ root == pytest.approx(distribution.covariance(), rel=1e-9)
     unit = z[:, :-2] / np.linalg.norm(z[:, :-2], axis=0)
     inflation = np.diag(np.linalg.inv(unit.T @ unit))
     assert distribution.variance_inflation() == pytest.approx(inflation, rel=1e-9)
+
+
+def test_the_root_tells_what_is_known_where_columns_look_alike() -> None:
+    """A part in 10⁹ tells the first two apart, so their covariance is 10¹⁸ of what both have."""
+    z, borders, _ = made_blocks(5, (40,) * 9)
+    z[:, 1] = 10.0 * z[:, 0] * (1.0 + 1e-9 * np.random.default_rng(6).normal(size=len(z)))
+    distribution = cluster_robust(factors(z, borders), least_squares(z), np.ones(4, dtype=bool))
+    assert distribution is not None
+    together = np.mean(z[:, :-2], axis=0)
+    interval = distribution.interval(together)
+    assert interval is not None
+    error = np.linalg.norm(distribution.covariance_root() @ together)
+    assert error == pytest.approx(interval.standard_error, rel=1e-5)
+
+
+def test_two_blocks_have_a_root_of_all_coefficients() -> None:
+    z, borders, _ = made_blocks(7, (40, 40))
+    distribution = cluster_robust(factors(z, borders), least_squares(z), np.ones(4, dtype=bool))
+    assert distribution is not None
+    root = distribution.covariance_root()
+    assert root.T @ root == pytest.approx(distribution.covariance(), rel=1e-6, abs=1e-30)
 
 
 def test_inactive_coefficients_do_not_count() -> None:

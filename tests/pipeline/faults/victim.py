@@ -34,7 +34,6 @@ STAGES = {
     "remembering": "pipeline.run.publishing.take_over",
     "trends": "pipeline.trends.stage.read_nights",
     "staging trends": "pipeline.trends.stage.stage",
-    "remembering trends": "pipeline.run.publishing.publish_record",
     "publishing the run": "pipeline.store.publishing.Publisher.of_run",
 }
 # Those of a run whose fleet tells somebody of its alarms.
@@ -78,18 +77,15 @@ def at_entry(stage: str, number: int, then: Callable[[], None]) -> pytest.Monkey
     return patched
 
 
-def run(folder: str, output: str, stage: str, number: int, workers: int) -> None:
+def run(folder: str, output: str, stage: str, number: int) -> None:
     """Run the fleet until the call of the disk, or the entry into the stage, that is its last."""
-    how: dict[str, Any] = {"workers": workers}
-    if workers > 1:
-        how["backend"] = "loky"
     fleet = TinyFleet(Path(folder))
     if stage == "call":
         with on(Disk("killed", number, die=die)):
-            fleet.run(Path(output), **how)
+            fleet.run(Path(output))
     else:
         at_entry(stage, number, die)
-        fleet.run(Path(output), **how)
+        fleet.run(Path(output))
 
 
 def main() -> None:

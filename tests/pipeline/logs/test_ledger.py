@@ -21,14 +21,13 @@ from pipeline.logs.ledger import (
     content_hash,
     forget_nights,
     ledger_folder,
+    month_files,
     read_ledger,
     read_settings,
     settings_file,
-    write_months,
-    write_settings,
 )
 from pipeline.run.verification import verify_tables
-from pipeline.store.sealed import seal
+from pipeline.store.sealed import put_sealed, seal
 
 MODELS = st.dictionaries(
     st.sampled_from(["none", "fixed", "estimated"]),
@@ -73,7 +72,9 @@ TWO_MONTHS = Ledger(
 
 
 def write_whole(output: Path, motor_id: str, ledger: Ledger) -> None:
-    write_months(output, motor_id, changed_months(read_ledger(output, motor_id), ledger))
+    before = read_ledger(output, motor_id)
+    for path, document in month_files(output, motor_id, before, ledger).items():
+        put_sealed(path, document)
 
 
 @given(LEDGERS, LEDGERS)
@@ -201,7 +202,7 @@ def test_damaged_settings_are_seen_and_written_anew(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     settings = {"reference.speed_rpm": "30.0", "cleaning.hampel_window": "11"}
-    write_settings(tmp_path, "A", settings)
+    put_sealed(settings_file(tmp_path, "A"), settings)
     assert read_settings(tmp_path, "A") == settings
     path = settings_file(tmp_path, "A")
     whole = path.read_bytes()
@@ -209,7 +210,7 @@ def test_damaged_settings_are_seen_and_written_anew(
     assert read_settings(tmp_path, "A") == {}
     assert "ledger/A/settings is damaged" in caplog.text
     assert [fault.code for fault in verify_tables(tmp_path)] == ["ledger_damaged"]
-    write_settings(tmp_path, "A", settings)
+    put_sealed(settings_file(tmp_path, "A"), settings)
     assert path.read_bytes() == whole
 
 

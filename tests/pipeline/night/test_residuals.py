@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import NightOutcome
-from pipeline.report.explain_residuals import explain_residuals
+from pipeline.report.explain import explain_residuals
 from tests.pipeline.night.residuals_by_hand import (
     MINUTES,
     Array,

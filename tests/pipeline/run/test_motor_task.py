@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import os
 import shutil
 from dataclasses import replace
@@ -19,11 +20,12 @@ from pipeline.config import load_fleet
 from pipeline.config.hashes import config_hash
 from pipeline.ingest import RawLog, read_log
 from pipeline.logs.files import inspect_log, slice_night
-from pipeline.logs.ledger import Ledger, NightRecord, ledger_folder, write_months
+from pipeline.logs.ledger import Ledger, NightRecord, ledger_folder, month_files
 from pipeline.logs.told_nights import PlausibleNights, place_failed
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.plans import plan_fleet
 from pipeline.run.request import RunRequest
+from pipeline.store.sealed import stage_sealed
 from tests.pipeline.simulated import NIGHT, SECOND_US, night_of, raw, write_log
 from tests.pipeline.workshop import DAY, MINUTES, QUICK, Workshop, check_same_figures, part
 
@@ -277,8 +279,10 @@ def test_a_ledger_that_a_lost_task_staged_is_not_taken_over(
     stage_ledger = MotorNights.stage_ledger
 
     def after_a_lost_one(nights: MotorNights) -> None:
-        lost = {"2020-01": Ledger(nights={NIGHT: NightRecord("ok")})}
-        write_months(nights.task.staging, nights.spec.motor_id, lost, durable=False)
+        lost = Ledger(nights={dt.date(2020, 1, 2): NightRecord("ok")})
+        staging, motor_id = nights.task.staging, nights.spec.motor_id
+        for path, document in month_files(staging, motor_id, Ledger(), lost).items():
+            stage_sealed(path, document)
         stage_ledger(nights)
 
     monkeypatch.setattr(MotorNights, "stage_ledger", after_a_lost_one)

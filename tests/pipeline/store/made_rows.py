@@ -46,8 +46,12 @@ def publish_night(
     *more: Any,
 ) -> NightFile:
     """Prepare a night's file, and put it there."""
-    rows = pl.concat([frame(table, []), *some.values()]).with_columns(run_id=pl.lit(run_id))
-    file = prepare_night(output, table, night, NewRows(tuple(some), rows.sort(table.key)), *more)
+    pieces = [
+        rows.with_columns(run_id=pl.lit(run_id)).select(table.schema.keys()).sort(table.key)
+        for _, rows in sorted(some.items())
+    ]
+    new = NewRows(tuple(some), sum(rows.height for rows in pieces), pieces)
+    file = prepare_night(output, table, night, new, *more)
     file.land()
     return file
 

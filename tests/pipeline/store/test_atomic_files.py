@@ -24,7 +24,7 @@ def test_files_of_another_disk_are_copied_into_place(
         rename(source, target)
 
     monkeypatch.setattr(os, "replace", across)
-    take_over([staged], tmp_path / "ledger")
+    take_over(tmp_path, {staged: tmp_path / "ledger" / "a.json"})
     assert (tmp_path / "ledger" / "a.json").read_bytes() == b"ledger"
     assert not staged.exists()
     assert [path.name for path in (tmp_path / "ledger").iterdir()] == ["a.json"]

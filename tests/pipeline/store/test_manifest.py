@@ -19,7 +19,7 @@ from pipeline.run.plans import plan_fleet
 from pipeline.run.tasks import Step, Work
 from pipeline.run.verification import verify_tables
 from pipeline.schema import QUALITY
-from pipeline.store.encoding import write_table
+from pipeline.store.encoding import prepare_table, write_table
 from pipeline.store.manifest import announce, update_manifest
 from pipeline.store.tables import night_file
 from tests.pipeline.simulated import NIGHT
@@ -93,10 +93,21 @@ def test_what_reads_back_otherwise_is_not_published(
     path = tmp_path / "table.parquet"
     write_table(path, pl.DataFrame({"a": [1.0, float("nan"), None]}))
     before = path.read_bytes()
-    other = pl.DataFrame({"a": [1.0, 2.0]})
-    monkeypatch.setattr(pipeline.store.encoding, "_frame", lambda _: other)
-    with pytest.raises(StoreError, match="not what was written"):
-        write_table(path, pl.DataFrame({"a": [1.0, 2.0, 3.0]}))
+    sound = pl.DataFrame({"a": [1.0, 2.0, 3.0], "b": [[1.0], None, [2.0, 3.0]]})
+    others = [
+        sound.head(2),
+        sound.reverse(),
+        sound.with_columns(pl.lit(None, pl.Float64).alias("a")),
+        sound.with_columns(b=pl.Series([[1.0], None, [2.0, 3.0 + 1e-15]])),
+        sound.with_columns(b=pl.Series([[1.0], [], [2.0, 3.0]])),
+        sound.select("b", "a"),
+    ]
+    for other in others:
+        monkeypatch.setattr(pipeline.store.encoding, "_frame", lambda _, other=other: other)
+        with pytest.raises(StoreError, match="not what was written"):
+            write_table(path, sound)
+        with pytest.raises(StoreError, match="not what was written"):
+            prepare_table(path, [sound])
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 

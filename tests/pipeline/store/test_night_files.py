@@ -21,8 +21,8 @@ from tests.pipeline.store.made_rows import LATER, NIGHT, Row, example, publish_n
 
 def rows_of(staged: StagedRows, night: dt.date, table: Table = QUALITY) -> pl.DataFrame | None:
     """Staged rows of a motor's night; None where it was not staged."""
-    found = new_rows(table, {"A": staged}, night, night, "run").get(night)
-    return None if found is None else found.rows
+    found = new_rows(table, {"A": staged}, [night], "run").get(night)
+    return None if found is None else pl.concat(found.pieces)
 
 
 class TestStaged:
@@ -56,8 +56,9 @@ class TestStaged:
             assert found is not None
             assert_frame_equal(found, rows(*expected, run_id="run"))
 
+    @pytest.mark.parametrize("nights", [[NIGHT, LATER], [LATER]])
     def test_more_motors_than_are_read_together(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, nights: list[dt.date]
     ) -> None:
         """The rows of a night come sorted by its key, with motors that have none."""
         monkeypatch.setattr("pipeline.store.night_files.MOTORS_AT_ONCE", 2)
@@ -70,10 +71,11 @@ class TestStaged:
             by_night = {n: [one for one in some if one["night"] == n] for n in (LATER, NIGHT)}
             stage(path, {QUALITY: by_night})
             staged[motor_id] = StagedRows(path)
-        found = new_rows(QUALITY, staged, NIGHT, LATER, "run")
-        for night in (NIGHT, LATER):
+        found = new_rows(QUALITY, staged, nights, "run")
+        for night in nights:
             assert sorted(found[night].motor_ids) == list("ABCDE")
-            keys = found[night].rows.select(QUALITY.key).rows()
+            keys = pl.concat(found[night].pieces).select(QUALITY.key).rows()
+            assert found[night].height == len(keys)
             assert [(one[0], one[3]) for one in keys] == [
                 ("B", "a"), ("B", "b"), ("C", "a"), ("D", "b"), ("E", "a")
             ]  # fmt: skip

@@ -19,7 +19,7 @@ from polars.testing import assert_frame_equal
 from pipeline.errors import StoreError
 from pipeline.schema import QUALITY, RUNS, SCHEMA_VERSION, frame
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
-from pipeline.store.encoding import write_table
+from pipeline.store.encoding import ROWS_A_SLICE, prepare_table, write_table
 from pipeline.store.tables import (
     month_stamps,
     night_file,
@@ -68,8 +68,14 @@ class TestLayout:
     def test_a_night_of_many_rows_is_written_in_pieces(self, tmp_path: Path) -> None:
         path = tmp_path / "t.parquet"
         many = pl.concat([rows(row("M1")), *[rows(row("M2"))] * 40_000])
-        write_table(path, many)
-        assert pq.ParquetFile(path).num_row_groups == 3
+        digest = write_table(path, many)
+        footer = pq.read_metadata(path)
+        sizes = [footer.row_group(place).num_rows for place in range(footer.num_row_groups)]
+        assert set(sizes[:-1]) == {ROWS_A_SLICE}
+        pieces = [many.head(5), many.head(0), many.slice(5, 9000), many.slice(9005)]
+        prepared = prepare_table(path, pieces)
+        prepared.drop()
+        assert prepared.sha256 == digest
         assert_frame_equal(read_table(path, QUALITY), many)
 
     def test_an_analyst_s_plain_read_sees_each_row(self, tmp_path: Path) -> None:

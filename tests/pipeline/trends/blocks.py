@@ -30,7 +30,7 @@ POOR: dict[str, Any] = {
     "n_training": TRAINING * SAMPLES,
     "sample_period_s": PERIOD_S,
     "n_interval_blocks": None,
-    "coefficient_covariance": None,
+    "coefficient_covariance_root": None,
     "interval_status": "24.0 minutes of training samples; an interval needs 30",
     "reference_verdict": "no_interval",
     "reference_reason": "24.0 minutes of training samples; an interval needs 30",

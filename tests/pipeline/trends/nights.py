@@ -221,7 +221,7 @@ class Nights:
             "n_interval_blocks": 33,
             "columns": list(design.columns),
             "coefficients": theta.tolist(),
-            "coefficient_covariance": upper_triangle(np.diag((error / 20.0) ** 2)),
+            "coefficient_covariance_root": upper_triangle(np.diag(error / 20.0)),
             "night_factor": design.statistics(truth, float(self.oil[place])),
             "reference_leakage_l_per_min": leakage,
             "reference_leakage_lower": leakage - half,

@@ -44,7 +44,7 @@ NOTHING: Mapping[str, Any] = {
         (
             "n_training",
             "coefficients",
-            "coefficient_covariance",
+            "coefficient_covariance_root",
             "night_factor",
             "model_hash",
             "interval_status",

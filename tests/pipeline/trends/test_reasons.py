@@ -126,7 +126,7 @@ def oil_that_nobody_dated(until: int) -> Standing:
     refused = {
         "reference_verdict": "outside_fitted_range",
         "reference_reason": "pressure",
-        "coefficient_covariance": None,
+        "coefficient_covariance_root": None,
     }
     silent = range(until, 140)
     others = ("K_balance_piston", "K_balance_sleeve")

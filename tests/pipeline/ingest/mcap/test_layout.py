@@ -22,7 +22,7 @@ import pipeline.ingest.mcap.messages
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
 from pipeline.ingest.conformance import T0_US
-from pipeline.ingest.mcap.chunks import indexed_positions, offsets_in_chunk
+from pipeline.ingest.mcap.chunks import indexed_positions, offsets_in_chunk, record_size
 from pipeline.ingest.mcap.layout import record_offsets
 from pipeline.ingest.mcap.messages import read_messages
 from tests.pipeline.ingest.mcap.json_files import (
@@ -210,6 +210,7 @@ def test_an_unknown_compression_is_an_error(tmp_path: Path, name: str) -> None:
         file_of(record(0x06, struct.pack("<QQQI", 0, 0, 0, 0) + struct.pack("<I", 2**31))),
         file_of(record(0x06, struct.pack("<QQQI", 0, 0, 0, 0) + b"\x01\0\0\0\xff" + bytes(8))),
         file_of(DP, record(0x05, bytes(21))),
+        file_of(DP, chunk_record(record(0x05, bytes(21)) * 2, record(0x05, bytes(21)) * 2, "")),
         file_of(ONE),
         file_of(DP, channel_record(1, "other"), ONE),
         file_of(record(0x04, b"\x01\0\0\0\xff\xff\xff\xff")),
@@ -233,7 +234,7 @@ def test_an_unknown_compression_is_an_error(tmp_path: Path, name: str) -> None:
         file_of(DP, ONE)[:-29] + struct.pack("<QQI", 2**40, 0, 0) + MAGIC,
         file_of(DP, ONE)[:-29] + struct.pack("<QQI", 3, 0, 0) + MAGIC,
     ],
-    ids=range(31),
+    ids=range(32),
 )
 def test_damage_is_found(tmp_path: Path, data: bytes) -> None:
     assert error(tmp_path, data).code == "log_damaged"
@@ -297,6 +298,20 @@ def test_an_index_is_believed_only_as_far_as_it_is_true(
         found, found_end = offsets_in_chunk(records[:cut], hint)
         wanted, wanted_end = record_offsets(records[:cut])
         assert (found.tolist(), found_end) == (wanted, wanted_end)
+
+
+@given(
+    kinds=st.lists(st.tuples(st.sampled_from([0x05, 0x80]), st.integers(0, 2)), max_size=4),
+    times=st.integers(1, 3),
+    missing=st.integers(0, 2),
+)
+def test_records_are_of_one_size_where_the_walk_finds_them_so(
+    kinds: list[tuple[int, int]], times: int, missing: int
+) -> None:
+    whole = b"".join(record(opcode, bytes(length)) for opcode, length in kinds * times)
+    records = memoryview(whole[: max(len(whole) - missing, 0)])
+    alike = len(set(kinds)) == 1 and not missing
+    assert record_size(records) == (9 + kinds[0][1] if alike else 0)
 
 
 def test_positions_come_from_sound_index_records_alone() -> None:
