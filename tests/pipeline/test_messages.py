@@ -30,6 +30,9 @@ def test_a_record_is_one_line_with_its_traceback() -> None:
     assert record.items() >= (told | {"message": "motor M1 failed"}).items()
     assert record["time"].endswith("+00:00")
     assert "ValueError: invalid literal" in record["traceback"]
+    line = error_line("config", "two\nlines", 2, as_json=True)
+    assert "\n" not in line
+    assert json.loads(line)["message"] == "two\nlines"
 
 
 def test_errors_and_wrong_usage_are_objects(call: Call, tmp_path: Path) -> None:
@@ -43,12 +46,6 @@ def test_errors_and_wrong_usage_are_objects(call: Call, tmp_path: Path) -> None:
         assert (exit_code, out) == (2, "")
         assert (line["event"], line["code"], line["exit_code"]) == ("error", code, 2)
         assert words in line["message"]
-
-
-def test_a_message_with_line_ends_stays_one_line() -> None:
-    line = error_line("config", "two\nlines", 2, as_json=True)
-    assert "\n" not in line
-    assert json.loads(line)["message"] == "two\nlines"
 
 
 @pytest.mark.parametrize("form", ["", "json"])

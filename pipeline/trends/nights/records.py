@@ -149,12 +149,12 @@ def record_type(layout: Layout) -> np.dtype[Any]:
             ("noise", "f8", theta),
             ("freedom", "f8", theta),
             # Against the baseline at the night's own duty: `AS_BASELINE` and so on, θ of both
-            # with the covariance of the baseline's, ln of the flow over what it says, and the
+            # with U of the covariance of the baseline's, ln of the flow over what it says, and the
             # share of the baseline's blocks behind it.
             ("duty", "i1"),
             ("duty_then", "f8", theta),
             ("duty_now", "f8", theta),
-            ("duty_error", "f8", triangle(theta)),
+            ("duty_root", "f8", triangle(theta)),
             ("duty_flow", "f8"),
             ("duty_share", "f8"),
             *layout.filtered,

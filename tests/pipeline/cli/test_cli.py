@@ -18,7 +18,6 @@ import pipeline.cli
 import pipeline.run.fleet
 import pipeline.store.publishing
 from pipeline.config.fleet import OWN_FOLDERS
-from pipeline.errors import StoreError
 from pipeline.store.night_files import NightFile, prepare_night
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change, without_workers
@@ -98,21 +97,20 @@ def test_2_for_no_config_no_command_and_no_such_file(call: Call, tmp_path: Path)
     assert "none.toml: cannot be read: No such file or directory" in err
 
 
-def test_2_where_the_root_of_the_logs_is_not_there(call: Call, fleet: Path) -> None:
+def test_2_where_the_output_would_be_the_root_of_the_logs_or_that_is_not_there(
+    call: Call, fleet: Path
+) -> None:
     """A folder that is not mounted must not pass for a fleet without new logs."""
     logs = fleet.parent.parent / "demo" / "logs"
+    code, out, err = call("fit-fleet", fleet, "--output", logs)
+    assert (code, out) == (2, "")
+    assert err.startswith("motor-leakage: folder: --output: got ")
+    assert "expected another folder than that of the logs" in err
     logs.rename(logs.with_name("unmounted"))
     for command in ("fit-fleet", "check"):
         code, _, err = call(command, fleet)
         assert code == 2
         assert f"fleet.toml: folders.logs: expected a folder at {logs}" in err
-
-
-def test_2_where_the_output_would_lie_among_the_logs(call: Call, fleet: Path) -> None:
-    code, out, err = call("fit-fleet", fleet, "--output", fleet.parent.parent / "demo" / "logs")
-    assert (code, out) == (2, "")
-    assert err.startswith("motor-leakage: folder: --output: got ")
-    assert "expected another folder than that of the logs" in err
 
 
 def test_the_output_of_a_run_has_no_folders_but_those_that_are_known(fitted_output: Path) -> None:
@@ -146,21 +144,6 @@ def test_4_where_nothing_can_be_published(call: Call, own_fleet: OwnFleet, tmp_p
     assert err.startswith("motor-leakage: ")
     assert str(tmp_path / "file") in err
     assert call("fit-fleet", fleet, "--output", tmp_path / "file" / "below")[0] == 4
-
-
-def test_4_where_the_disk_is_full(
-    call: Call, own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: Any) -> None:
-        raise StoreError("store_write", "x.parquet cannot be written: No space left on device")
-
-    fleet = without_workers(own_fleet(PARQUET))
-    monkeypatch.setattr(pipeline.store.publishing, "prepare_night", full)
-    code, _, err = call("fit-fleet", fleet)
-    assert code == 4
-    assert "No space left on device" in err
-    assert "Traceback" not in err
-    monkeypatch.undo()
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

@@ -113,9 +113,7 @@ def test_status_neither_fits_nor_draws(fleet: Path) -> None:
     assert loaded_by(code, unused) == []
 
 
-def test_the_installed_command_from_demo_to_tables(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_installed_command_from_demo_to_tables(tmp_path: Path) -> None:
     command = Path(sys.executable).with_name("motor-leakage")
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -130,9 +128,3 @@ def test_the_installed_command_from_demo_to_tables(
     assert "\x1b" not in fitted.stdout
     found = pl.read_parquet(tmp_path / "out" / "tables" / "fits" / "**" / "*.parquet")
     assert found.filter("is_primary")["motor_id"].n_unique() == 6
-    (tmp_path / "mine" / "demo").mkdir(parents=True)
-    (tmp_path / "mine" / "demo" / "notes.txt").touch()
-    monkeypatch.chdir(tmp_path)
-    code, _, err = call("demo", "mine")
-    assert code == 2
-    assert "name another folder" in err

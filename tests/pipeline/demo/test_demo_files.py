@@ -191,14 +191,6 @@ def test_a_demo_is_replaced_and_other_files_in_it_are_not(tmp_path: Path) -> Non
     assert names == {"CB400-01_2026-01-02.csv", "mine.csv"}
 
 
-def test_a_folder_with_something_else_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "demo").mkdir()
-    (tmp_path / "demo" / "thesis.txt").write_text("mine")
-    with refused("demo_folder", "neither empty nor a demo"):
-        small_demo(tmp_path)
-    assert [path.name for path in (tmp_path / "demo").iterdir()] == ["thesis.txt"]
-
-
 def test_the_fleet_s_own_config_is_used_and_left_alone(tmp_path: Path) -> None:
     small_demo(tmp_path, nights=1)
     motors = tmp_path / "configs" / "motors"
@@ -215,12 +207,17 @@ def test_the_fleet_s_own_config_is_used_and_left_alone(tmp_path: Path) -> None:
     assert (tmp_path / "demo" / "truth.json").is_file()
 
 
-def test_a_file_in_the_folder_s_place_is_told(tmp_path: Path) -> None:
+def test_something_else_in_the_folder_or_in_its_place_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "one" / "demo").mkdir(parents=True)
+    (tmp_path / "one" / "demo" / "thesis.txt").write_text("mine")
     (tmp_path / "demo").write_text("mine")
-    with pytest.raises(UsageError, match="neither empty nor a demo"):
-        small_demo(tmp_path)
+    for folder in (tmp_path / "one", tmp_path):
+        with refused("demo_folder", "neither empty nor a demo"):
+            small_demo(folder)
     with pytest.raises(UsageError, match="cannot be written: Not a directory"):
         small_demo(tmp_path / "demo")
+    assert contents(tmp_path / "one" / "demo") == {"thesis.txt": b"mine"}
+    assert (tmp_path / "demo").read_text() == "mine"
 
 
 NONSENSE = {"nights": (0,), "minutes": (0.5, float("nan"), 1441.0), "rate_hz": (0.05, float("inf"))}

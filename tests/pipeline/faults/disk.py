@@ -16,20 +16,9 @@ from pipeline.store import atomic_files, journals
 # All that the program writes to its output goes through these.
 DOORS = (atomic_files, journals)
 # Their calls, and how each of them fails on a disk.
-CALLS = {
-    "open": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "chmod": (errno.EIO,),
-    "fchmod": (errno.EIO,),
-    "write": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "pwrite": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "fsync": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "pread": (errno.EIO,),
-    "replace": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "mkdir": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "unlink": (errno.EIO,),
-    "rmdir": (errno.EIO,),
-    "ftruncate": (errno.EIO,),
-}
+FULL = (errno.EIO, errno.ENOSPC, errno.EDQUOT)
+CALLS = dict.fromkeys(("open", "write", "pwrite", "fsync", "replace", "mkdir"), FULL)
+CALLS |= dict.fromkeys(("chmod", "fchmod", "pread", "unlink", "rmdir", "ftruncate"), (errno.EIO,))
 # `short`: a write takes half of what it is given, and what comes next finds the disk full.
 # `flipped`: what is read is not what was written. `killed`: the process dies before the call.
 Kind = Literal["EIO", "ENOSPC", "EDQUOT", "short", "flipped", "killed"]

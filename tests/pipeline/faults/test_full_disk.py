@@ -37,12 +37,8 @@ def ends_of(fleet: TinyFleet, work: Path, way: str, step_kib: int, most: int) ->
     """Ends of runs with increasing room on the disk."""
     command = [sys.executable, "-m", "tests.pipeline.faults.full_disk"]
     arguments = [str(fleet.folder), str(work), way, str(step_kib), str(most)]
-    done = subprocess.run(
-        [*(NAMESPACE if way == "tmpfs" else []), *command, *arguments],
-        capture_output=True,
-        text=True,
-        env=ENVIRONMENT,
-    )
+    command = [*(NAMESPACE if way == "tmpfs" else []), *command, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 

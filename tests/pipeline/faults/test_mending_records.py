@@ -152,18 +152,13 @@ def test_a_damaged_line_of_the_journal_is_put_back_from_the_table(
     assert len(read_decisions(output)) == 4
 
 
-def test_a_journal_that_is_gone_is_put_back_from_the_table(
-    tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
-) -> None:
-    journal_file(output).unlink()
-    tiny_fleet.run(output)
-    assert read_decisions(output) == said
-
-
-def test_a_line_that_people_took_out_stays_out(
+def test_a_journal_that_is_gone_is_put_back_and_a_line_that_people_took_out_stays_out(
     tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
 ) -> None:
     path = journal_file(output)
+    path.unlink()
+    tiny_fleet.run(output)
+    assert read_decisions(output) == said
     path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[1:]))
     tiny_fleet.run(output)
     assert read_decisions(output) == said[1:]

@@ -85,10 +85,9 @@ def test_what_people_said_is_kept_or_they_are_told(journal: Path, kind: Kind) ->
 @pytest.mark.parametrize("kind", [*QUICK_KINDS, pytest.param("EDQUOT", marks=pytest.mark.full)])
 def test_an_export_is_whole_or_as_it_was(tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind) -> None:
     folder = tmp_path / "csv"
-    selection = Selection(tables=(FITS, PARAMETERS))
 
     def export() -> None:
-        list(export_csv(tiny_fleet.after, folder, selection))
+        list(export_csv(tiny_fleet.after, folder, Selection(tables=(FITS, PARAMETERS))))
 
     export()
     n = points(kind, export)
@@ -135,12 +134,8 @@ def test_a_second_run_is_turned_away_by_code_3(tiny_fleet: TinyFleet, tmp_path: 
 
     def second(_: MotorOutcome) -> None:
         if not ends:
-            done = subprocess.run(
-                [*command, "--output", str(output)],
-                capture_output=True,
-                text=True,
-                env=ENVIRONMENT,
-            )
+            plain = {"capture_output": True, "text": True, "env": ENVIRONMENT}
+            done = subprocess.run([*command, "--output", output], **plain)
             ends.append((done.returncode, done.stderr))
 
     run_fleet(tiny_fleet.request(output), second)

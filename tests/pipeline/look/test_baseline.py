@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,8 +28,7 @@ SENSOR = Channel(source="nu", unit="cSt")
 
 @pytest.fixture(scope="module")
 def spec(tmp_path_factory: pytest.TempPathFactory) -> MotorSpec:
-    folder: Path = tmp_path_factory.mktemp("configs")
-    return load_motor(folder, motor_toml("M1"))
+    return load_motor(tmp_path_factory.mktemp("configs"), motor_toml("M1"))
 
 
 @pytest.mark.parametrize("by", ["analysis", "sensor"])
@@ -42,9 +40,8 @@ def test_new_blocks_have_the_oil_as_measured_as_those_of_the_baseline_do(
     values = operation.channels(operation.flow(replace(motor, oil=oil)))
     more: dict[str, object] = {"oil_samples": (SAMPLE,)}
     if by == "sensor":
-        values["kinematic_viscosity"] = kinematic_viscosity_mm2_per_s(
-            operation.temperature_c, *THIN
-        )
+        nu = kinematic_viscosity_mm2_per_s(operation.temperature_c, *THIN)
+        values["kinematic_viscosity"] = nu
         more = {"channels": {**spec.file.channels, "kinematic_viscosity": SENSOR}}
     measured = replace(spec, file=spec.file.model_copy(update=more))
     night, channels = night_of(), raw(operation.time_us, values)

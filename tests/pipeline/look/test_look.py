@@ -70,7 +70,11 @@ def test_looks_each_minute_tell_what_one_look_at_the_end_tells(
     assert states(fleet) == TOLD
     assert fleet.rows() == other.rows()
     assert len(fleet.told()) == 1
-    ours, theirs = (read_state(one.output, "M1").recent for one in (fleet, other))
+    check_same(fleet, other)
+
+
+def check_same(*fleets: Growing) -> None:
+    ours, theirs = (read_state(one.output, "M1").recent for one in fleets)
     np.testing.assert_allclose(ours, theirs, rtol=1e-9)
 
 

@@ -18,7 +18,7 @@ import pytest
 
 import pipeline.report.build as build_module
 from pipeline.config import Execution
-from pipeline.errors import StoreError, UsageError
+from pipeline.errors import StoreError
 from pipeline.report.build import KnownMotor, ReportRequest, ReportResult, build_report
 from pipeline.schema import FITS, PARAMETERS, PREDICTIONS, TRENDS
 from pipeline.store.encoding import VERSION_KEY, write_table
@@ -230,14 +230,6 @@ def test_only_the_newest_nights_have_a_file(built: Path) -> None:
     assert payload["detailed"] == [0, 0, 1]
 
 
-def test_only_some_motors(output: Path, tmp_path: Path) -> None:
-    build(output, folder=tmp_path / "one", motors=(MOTOR,))
-    assert [page.stem for page in (tmp_path / "one" / "motors").iterdir()] == [MOTOR]
-    assert "CB400" not in (tmp_path / "one" / "index.html").read_text("utf-8")
-    with pytest.raises(UsageError, match="no motor other; there are CB1120-01"):
-        build(output, folder=tmp_path / "none", motors=("other",))
-
-
 def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> None:
     failed = {"status": "failed", "error_code": "log_truncated"}
     failed |= {"reason": "a.csv: its end is missing", "reference_leakage_l_per_min": None}
@@ -300,9 +292,3 @@ def test_tables_of_the_first_schema_are_read_and_a_stranger_s_file_is_passed_ove
     assert build(output).faults == ()
     night = read_night_file(output / "report" / "data" / MOTOR / f"{NIGHTS[1]}.js")
     assert night["parameters"]
-
-
-def test_without_tables_it_says_what_to_do(tmp_path: Path) -> None:
-    with refused("report_tables", "run fit-fleet first"):
-        build(tmp_path / "nothing")
-    assert not (tmp_path / "nothing").exists()

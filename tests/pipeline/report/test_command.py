@@ -44,10 +44,12 @@ def test_the_tables_alone_will_do_and_some_motors_go_to_a_folder_of_their_own(
     assert (code, err) == (0, "")
     assert [page.stem for page in (tmp_path / "one" / "motors").iterdir()] == [MOTOR]
     # The fleet's name is that of the newest run.
-    assert "<h1>Demo fleet</h1>" in (tmp_path / "one" / "index.html").read_text("utf-8")
+    index = (tmp_path / "one" / "index.html").read_text("utf-8")
+    assert "<h1>Demo fleet</h1>" in index
+    assert "CB560" not in index
     code, _, err = call("report", "--output", output, "--motors", "X", "--to", tmp_path / "two")
     assert code == 2
-    assert "unknown_motor: no motor X" in err
+    assert "unknown_motor: no motor X; there are CB1120-01" in err
 
 
 def test_a_damaged_table_ends_with_1_and_is_named(call: Call, output: Path) -> None:
@@ -64,6 +66,7 @@ def test_without_tables_it_ends_with_4(call: Call, own_fleet: OwnFleet, tmp_path
         assert code == 4
         assert "report_tables" in err
         assert "run fit-fleet first" in err
+    assert not (tmp_path / "report").exists()
 
 
 def test_templates_scripts_and_styles_are_in_the_wheel(tmp_path: Path) -> None:

@@ -73,11 +73,7 @@ def test_a_finding_on_a_loss_factor_is_one_on_its_part() -> None:
 
 
 def test_motors_are_told_by_type_and_the_last_word_counts() -> None:
-    said = [
-        opened("M1", worn=RING),
-        opened("M1", hours=1, sound=RING),
-        opened("M2", worn=RING),
-        opened("M9", worn=RING),
-    ]
+    said = [opened(motor, worn=RING) for motor in ("M1", "M2", "M9")]
+    said.insert(1, opened("M1", hours=1, sound=RING))
     found = scores(said, frame(TRENDS, [raised("M1", RING)]), TYPES)
     assert found == {"CB400": Score(missed=1), "CB560": Score(named_wrong=1)}

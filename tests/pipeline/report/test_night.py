@@ -79,22 +79,19 @@ def test_coverage_counts_every_kept_sample_once(
     assert len(coverage["block_parts"]) == rows.height
 
 
-def test_budget_is_sorted_by_the_size_of_the_effect(
+def test_budget_is_sorted_by_the_size_of_the_effect_and_starts_by_cost(
     fitted: dict[str, Any], fitted_output: Path
 ) -> None:
+    starts = fitted[MOTOR]["starts"]
+    assert len(starts["cost"]) == 10
+    assert starts["cost"] == sorted(starts["cost"])
+    assert sorted(starts["start"]) == list(range(10))
     budget, rows = fitted[MOTOR]["budget"], rows_of(fitted_output, SENSITIVITIES)
     assert sum(map(len, budget.values())) == rows.height
     for name, sources in budget.items():
         effects = [abs(effect) for *_, effect, _ in sources]
         assert effects == sorted(effects, reverse=True)
         assert {source for source, *_ in sources} == set(rows.filter(indicator=name)["source"])
-
-
-def test_starts_are_sorted_by_cost(fitted: dict[str, Any]) -> None:
-    starts = fitted[MOTOR]["starts"]
-    assert len(starts["cost"]) == 10
-    assert starts["cost"] == sorted(starts["cost"])
-    assert sorted(starts["start"]) == list(range(10))
 
 
 def test_rules_that_refused_something_are_told(fitted: dict[str, Any], fitted_output: Path) -> None:
@@ -174,10 +171,7 @@ def test_heights_of_a_known_geometry_are_shown(output: Path) -> None:
     assert gaps["h_piston_ring"]["value"] == row["value"] > 0
     assert figures(gaps["h_piston_ring"]) >= {"value", "feasible_min", "feasible_max"}
     assert not figures(gaps["h_balance_sleeve"])
-
-
-def test_rows_of_before_the_mark_show_no_heights(output: Path) -> None:
-    """Schema version 2 did not say whether a geometry is a placeholder."""
+    # Schema version 2 did not say whether a geometry is a placeholder.
     change_table(output, "parameters", rows_with(MOTOR, geometry_is_placeholder=None))
     assert not any(figures(row) for row in gap_rows(payloads(output)[MOTOR]))
 

@@ -64,9 +64,7 @@ def test_the_baseline_is_drawn_at_its_level_if_there_is_one() -> None:
     bare = sparkline(np.arange(9), course(np.ones(9)), (0, 8))
     assert made.baseline == f"M{MARGIN:g} {HEIGHT / 2:.1f}H{WIDTH - MARGIN:g}"
     assert bare.baseline == ""
-
-
-def test_without_a_value_there_is_no_picture() -> None:
+    # Without a value there is no picture.
     assert sparkline(np.arange(3), course([np.nan] * 3), (0, 2)) is None
     assert sparkline(np.arange(0), course([]), (0, 2)) is None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+import shlex
 from pathlib import Path
 
 import polars as pl
@@ -26,7 +27,7 @@ from tests.pipeline.trends.nights import night_of
 
 __all__ = ["output"]
 
-OPENED = ["M1", "--note", "x", "--opened"]
+OPENED = "ack {} M1 --note x --opened"
 
 
 def ran(output: Path, hours_ago: float, status: str = "ok") -> None:
@@ -118,31 +119,36 @@ def test_acknowledged_found_and_counted(output: Path, config: Path, call: Call) 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("line", "words"),
     [
-        (["M9", "K_piston_ring", "--note", "x"], "no motor M9; there are M1"),
+        ("ack {} M9 K_piston_ring --note x", "no motor M9; there are M1"),
+        ("ack {} M1 C_f --note x", "M1 has had no alarm of 'C_f'; alarms so far: K_piston_ring"),
+        ("ack {} M1 K_piston_ring --note x --finding yes", "expected confirmed or not_"),
+        ("ack {} M1 K_piston_ring --note ' '", "expected some words"),
+        ("ack {} M1 K_piston_ring", "--note"),
+        ("ack {} M1 --note x", "expected the indicator of an alarm, or --opened with --worn"),
+        (f"{OPENED} 2026-01-06", "expected --opened with --worn or --sound"),
+        (f"{OPENED} '' --worn cam_roller", "expected --opened with --worn or --sound"),
+        (f"{OPENED} 9998-01-06 --worn cam_roller", "which has not come"),
+        (f"{OPENED} '6 May' --worn cam_roller", "expected YYYY-MM-DD"),
+        (f"{OPENED} 2026-01-06 --worn valve", "M1 has no part 'valve'; it has balance_p"),
         (
-            ["M1", "C_f", "--note", "x"],
-            "M1 has had no alarm of 'C_f'; alarms so far: K_piston_ring",
-        ),
-        (["M1", "K_piston_ring", "--note", "x", "--finding", "yes"], "expected confirmed or not_"),
-        (["M1", "K_piston_ring"], "--note"),
-        (["M1", "--note", "x"], "expected the indicator of an alarm, or --opened with --worn"),
-        ([*OPENED, "2026-01-06"], "expected --opened with --worn or --sound"),
-        ([*OPENED, "", "--worn", "cam_roller"], "expected --opened with --worn or --sound"),
-        ([*OPENED, "9998-01-06", "--worn", "cam_roller"], "which has not come"),
-        ([*OPENED, "6 May", "--worn", "cam_roller"], "expected YYYY-MM-DD"),
-        ([*OPENED, "2026-01-06", "--worn", "valve"], "M1 has no part 'valve'; it has balance_p"),
-        (
-            [*OPENED, "2026-01-06", "--worn", "cam_roller", "--sound", "cam roller"],
+            f"{OPENED} 2026-01-06 --worn cam_roller --sound 'cam roller'",
             "cam_roller: expected worn or sound, not both",
+        ),
+        ("baseline reset {} M1 '5 May' --note x", "NIGHT: got '5 May'; expected YYYY-MM-DD"),
+        ("baseline reset {} M1 2199-01-01 --note x", "which has not come"),
+        ("baseline reset {} M9 2026-01-05 --note x", "no motor M9"),
+        (
+            "baseline reset {} M1 2026-01-05 --indicator K_ring --note x",
+            "M1 has no 'K_ring'; it has K_piston_ring, reference_leakage",
         ),
     ],
 )
-def test_ack_of_what_is_not_there(
-    output: Path, config: Path, call: Call, arguments: list[str], words: str
+def test_what_would_do_nothing_is_refused(
+    output: Path, config: Path, call: Call, line: str, words: str
 ) -> None:
-    code, out, err = call("ack", config, *arguments)
+    code, out, err = call(*shlex.split(line.format(config)))
     assert (code, out) == (2, "")
     assert words in err
     assert read_decisions(output) == ()
@@ -152,8 +158,8 @@ def test_parts_of_an_opened_motor_are_recorded_and_scored(
     output: Path, config: Path, call: Call
 ) -> None:
     """Its alarm names no part, so that the worn one could not be told."""
-    parts = ["--worn", "Piston ring", "--sound", "balance_sleeve", "--sound", "balance_piston"]
-    code, out, _ = call("ack", config, *OPENED, "2026-01-07", *parts)
+    parts = "--worn 'Piston ring' --sound balance_sleeve --sound balance_piston"
+    code, out, _ = call(*shlex.split(f"{OPENED} 2026-01-07 {parts}".format(config)))
     assert (code, out) == (
         0,
         "M1: opened on 2026-01-07; worn: piston_ring; sound: balance_sleeve, balance_piston\n",
@@ -176,26 +182,6 @@ def test_a_baseline_is_reset_with_a_night_and_a_reason(
     (found,) = read_decisions(output)
     told = (found.kind, found.night, found.indicator, found.note)
     assert told == ("baseline_reset", dt.date(2026, 1, 5), "", "new rings")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["M1", "5 January"], "NIGHT: got '5 January'; expected YYYY-MM-DD"),
-        (["M9", "2026-01-05"], "no motor M9"),
-        (
-            ["M1", "2026-01-05", "--indicator", "K_ring"],
-            "M1 has no 'K_ring'; it has K_piston_ring, reference_leakage",
-        ),
-    ],
-)
-def test_a_reset_that_would_do_nothing_is_refused(
-    output: Path, config: Path, call: Call, arguments: list[str], words: str
-) -> None:
-    code, out, err = call("baseline", "reset", config, *arguments, "--note", "x")
-    assert (code, out) == (2, "")
-    assert words in err
-    assert read_decisions(output) == ()
 
 
 def test_an_alarm_is_known_by_each_of_its_names(output: Path) -> None:
@@ -230,13 +216,3 @@ def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
 def test_a_duration_that_is_none(text: str) -> None:
     with refused("age"):
         duration(text, "--max-age")
-
-
-def test_a_night_to_come_begins_no_baseline_and_a_note_has_words(
-    output: Path, config: Path, call: Call
-) -> None:
-    code, _, err = call("baseline", "reset", config, "M1", "2199-01-01", "--note", "new rings")
-    assert (code, "which has not come" in err) == (2, True)
-    code, _, err = call("ack", config, "M1", "K_piston_ring", "--note", " ")
-    assert (code, "expected some words" in err) == (2, True)
-    assert read_decisions(output) == ()

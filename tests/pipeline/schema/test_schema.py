@@ -87,15 +87,9 @@ DESIGN: dict[str, tuple[tuple[str, ...], str]] = {
 }
 # How a unit shows in a column's name.
 SUFFIXES = {
-    "bar": "_bar",
-    "°C": "_c",
-    "rpm": "_rpm",
-    "l/min": "_l_per_min",
-    "s": "_s",
-    "%": "_percent",
-    "B": "_bytes",
-    "MiB": "_mib",
-}
+    "bar": "_bar", "°C": "_c", "rpm": "_rpm", "l/min": "_l_per_min", "s": "_s", "%": "_percent",
+    "B": "_bytes", "MiB": "_mib",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", DESIGN)
@@ -104,11 +98,6 @@ def test_tables_of_the_design(name: str) -> None:
     key, core = DESIGN[name]
     assert table.key == key
     assert set(core.split()) <= table.schema.keys()
-
-
-def test_names_of_tables_are_unique() -> None:
-    names = [table.name for table in TABLES]
-    assert len(names) == len(set(names))
 
 
 @EACH_TABLE
@@ -212,9 +201,6 @@ class TestFrame:
         assert found[last].to_list() == [None] * 1000 + [value]
         assert found.drop(last).null_count().row(0) == (1001,) * (len(table.columns) - 1)
 
-    def test_rows_may_come_once(self) -> None:
-        assert frame(QUALITY, iter([self.ROW])).height == 1
-
     def test_wrong_type_is_refused(self) -> None:
         for name, value in (("n_samples", "ten"), ("n_samples", np.nan), ("night", "2026-01-02")):
             with pytest.raises((TypeError, pl.exceptions.PolarsError)):
@@ -222,8 +208,8 @@ class TestFrame:
             with pytest.raises((TypeError, ValueError)):
                 staged_table(QUALITY, [self.STAGED | {name: value}])
 
-    def test_not_a_number_stays_apart_from_null(self) -> None:
-        found = frame(FITS, [{"cost": float("nan")}, {"cost": None}])
+    def test_rows_may_come_once_and_not_a_number_stays_apart_from_null(self) -> None:
+        found = frame(FITS, iter([{"cost": float("nan")}, {"cost": None}]))
         assert found["cost"].is_nan().to_list() == [True, None]
 
     def test_numbers_of_numpy_and_whole_ones(self) -> None:
@@ -244,8 +230,14 @@ class TestFrame:
         assert found["time"].dt.epoch("us").to_list() == [1_767_323_045_678_901]
 
 
-def test_data_dictionary_has_every_column_once() -> None:
+def test_data_dictionary_has_every_column_once_and_its_type_as_polars_names_it() -> None:
     found = data_dictionary()
+    types = dict(found.select("column", "type").rows())
+    assert types["night"] == "Date"
+    assert types["window_start"] == "Datetime(time_unit='us', time_zone='UTC')"
+    assert types["statistics"] == str(NUMBERS) == "List(Float64)"
+    assert types["speed_histogram"] == str(COUNTS)
+    assert len({table.name for table in TABLES}) == len(TABLES)
     expected = {(table.name, column.name) for table in TABLES for column in table.columns}
     assert set(found.select("table", "column").iter_rows()) == expected
     assert found.height == len(expected)
@@ -253,14 +245,6 @@ def test_data_dictionary_has_every_column_once() -> None:
     assert not found.select(pl.any_horizontal(pl.all().is_null()).any()).item()
     keys = found.filter("in_key").group_by("table").len()
     assert dict(keys.iter_rows()) == {table.name: len(table.key) for table in TABLES}
-
-
-def test_types_are_named_as_polars_names_them() -> None:
-    types = {row["column"]: row["type"] for row in data_dictionary().iter_rows(named=True)}
-    assert types["night"] == "Date"
-    assert types["window_start"] == "Datetime(time_unit='us', time_zone='UTC')"
-    assert types["statistics"] == str(NUMBERS) == "List(Float64)"
-    assert types["speed_histogram"] == str(COUNTS)
 
 
 def test_units_in_the_rows_are_those_that_the_columns_name(fitted_output: Path) -> None:

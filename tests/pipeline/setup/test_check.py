@@ -120,10 +120,9 @@ def test_constants_from_a_drawing_are_no_placeholders(tmp_path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace('"placeholder"', '"drawing 4711"', 3), encoding="utf-8")
     assert checks_of(fleet)["M1"].placeholders
-    path.write_text(text.replace('"placeholder"', '"drawing 4711"'), encoding="utf-8")
+    change(fleet, "motor_types/CB560.toml", '"placeholder"', '"drawing 4711"')
     assert checks_of(fleet)["M1"].placeholders == ("ISO VG 68 hydraulic oil",)
-    oil = tmp_path / "configs" / "oils" / "vg68.toml"
-    oil.write_text(oil.read_text("utf-8").replace('"placeholder"', '"data sheet"'), "utf-8")
+    change(fleet, "oils/vg68.toml", '"placeholder"', '"data sheet"')
     assert not checks_of(fleet)["M1"].placeholders
 
 

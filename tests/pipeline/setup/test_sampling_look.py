@@ -177,12 +177,12 @@ def test_a_temperature_that_only_rises_is_no_total() -> None:
     assert look(warming, "temperature").kind == "periodic"
 
 
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_few_samples_or_no_change_tell_nothing(count: int) -> None:
-    time_s = np.arange(float(count))
-    assert look(Signal(time_s, time_s)).kind == "unknown"
+def test_few_samples_or_no_change_tell_nothing() -> None:
+    for count in (0, 1, 5):
+        time_s = np.arange(float(count))
+        assert look(Signal(time_s, time_s)).kind == "unknown"
+        assert words(look(Signal(time_s, time_s))) == ""
     assert look(Signal(np.arange(500.0), np.full(500, 3.0))).kind == "unknown"
-    assert words(look(Signal(time_s, time_s))) == ""
 
 
 @settings(max_examples=25)

@@ -50,17 +50,13 @@ def test_a_change_of_rules_is_one_delivery_of_what_stands(tmp_path: Path) -> Non
     assert len(receiver.taken) == 3
 
 
-def test_without_receivers_there_is_no_outbox(tmp_path: Path) -> None:
-    assert run(tmp_path, [row("M1")]) == ()
-    assert not any((tmp_path / name).exists() for name in OUTBOX_FILES)
-    assert backlogs(tmp_path, [], FLEET) == ()
-
-
 def test_a_new_receiver_is_told_of_what_comes_and_the_run_says_so(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     first, second = Fake(), Fake("webhook")
-    run(tmp_path, [row("M1")])
+    assert run(tmp_path, [row("M1")]) == ()
+    assert not any((tmp_path / name).exists() for name in OUTBOX_FILES)
+    assert backlogs(tmp_path, [], FLEET) == ()
     run(tmp_path, [], first)
     assert "the command is told from now on; the 1 rows of `alarms` so far are not sent" in (
         caplog.text

@@ -29,15 +29,10 @@ class Place:
 
 # By kind of reading: channel and usual unit.
 CHANNELS = {
-    "dp": "pressure_difference",
-    "high": "high_port_pressure",
-    "low": "low_port_pressure",
-    "temp": "oil_temperature",
-    "speed": "speed",
-    "flow": "leakage_flow",
-    "charge": "charge_pressure",
-    "case": "case_pressure",
-}
+    "dp": "pressure_difference", "high": "high_port_pressure", "low": "low_port_pressure",
+    "temp": "oil_temperature", "speed": "speed", "flow": "leakage_flow",
+    "charge": "charge_pressure", "case": "case_pressure",
+}  # fmt: skip
 UNITS = dict.fromkeys(("dp", "high", "low", "charge", "case"), "bar")
 UNITS |= {"temp": "degC", "speed": "rpm", "flow": "l/min"}
 AMERICAN = {"dp": "psi", "temp": "degF", "speed": "rpm", "flow": "us_gal/min"}
@@ -80,17 +75,10 @@ def mapped(
 def value(kind: str, motor: int, row: int) -> float:
     """A reading of a motor at work, in bar, °C, rpm or l/min."""
     base, step = {
-        "dp": (180.0, 4.0),
-        "high": (205.0, 4.0),
-        "low": (18.0, 0.2),
-        "charge": (20.0, 0.2),
-        "case": (1.5, 0.05),
-        "temp": (46.0, 0.3),
-        "speed": (31.0, 0.7),
-        "flow": (1.25, 0.05),
-        "other": (60.0, 1.1),
-        "pump": (1480.0, 1.0),
-    }[kind]
+        "dp": (180.0, 4.0), "high": (205.0, 4.0), "low": (18.0, 0.2), "charge": (20.0, 0.2),
+        "case": (1.5, 0.05), "temp": (46.0, 0.3), "speed": (31.0, 0.7), "flow": (1.25, 0.05),
+        "other": (60.0, 1.1), "pump": (1480.0, 1.0),
+    }[kind]  # fmt: skip
     return base + step * ((row * (3 + motor)) % 7) + 0.3 * motor
 
 
