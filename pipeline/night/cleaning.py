@@ -43,6 +43,8 @@ class CleanChannel:
     ends: Mask | None = None
     # Samples at the front that are from before the night, 0 or 1; no count has them.
     n_carried: int = 0
+    # Places of the steps that are not one period long; None where these may be most.
+    other_steps: NDArray[np.intp] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +114,7 @@ def judged_channel(ordered: Ordered, rules: ChannelRules, stamps: Stamps) -> Cle
         sampling=rules.sampling,
         ends=_ends(masks) if rules.sampling.on_change else None,
         n_carried=n_carried,
+        other_steps=stamps.other_steps(time, period),
     )
 
 
