@@ -78,7 +78,7 @@ def after_a_change(case: Case, duty: str, wear: Sequence[float], seed: int) -> O
         if one is not None:
             k = np.where(one.then[:3] > 0.0, one.then[:3], np.nan)
             rises[place] = one.now[:3] / k - 1.0
-            errors_of[place] = np.sqrt(np.diag(one.covariance))[:3] / k
+            errors_of[place] = np.linalg.norm(one.root, axis=0)[:3] / k
             parts[place] = k * sums[:3] / (sums[:3] @ one.then[:3] + sums[-2])
             flow[place], share[place] = np.expm1(one.log_ratio), one.effective_share
     told = np.array(

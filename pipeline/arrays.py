@@ -17,6 +17,9 @@ Times = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 """Which of n samples, shape (n,)."""
 
+Rows = slice | NDArray[np.bool_] | NDArray[np.intp]
+"""Some rows of an array."""
+
 SECOND_US = 1_000_000
 
 

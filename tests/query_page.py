@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import duckdb
-import pandas as pd
 import polars as pl
 import pyarrow as pa
 
@@ -56,11 +55,8 @@ def answer(engine: str, question: Question) -> pl.DataFrame:
         found = names["answer"]
         if isinstance(found, pl.DataFrame):
             return _plain(found)
-        assert isinstance(found, pd.DataFrame)
         rows = pa.Table.from_pandas(found, preserve_index=False)
-    frame = pl.from_arrow(rows)
-    assert isinstance(frame, pl.DataFrame)
-    return _plain(frame)
+    return _plain(pl.from_arrow(rows))
 
 
 def _plain(rows: pl.DataFrame) -> pl.DataFrame:

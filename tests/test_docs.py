@@ -46,11 +46,8 @@ def test_the_historian_s_log_is_one_that_the_config_takes() -> None:
     assert Logs.model_validate(tables).layout == "long"
     (keys,) = example["channels"].values()
     channel = Channel.model_validate(keys)
-    assert (channel.sampling, channel.between, channel.quality_good) == (
-        "on_change",
-        "hold",
-        (192,),
-    )
+    told = (channel.sampling, channel.between, channel.quality_good)
+    assert told == ("on_change", "hold", (192,))
 
 
 def test_the_receiver_on_the_page_on_trends_takes_what_is_sent(

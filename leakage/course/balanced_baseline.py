@@ -159,8 +159,9 @@ class Comparison:
     ----------
     then, now
         θ of the weighted baseline, and of now's blocks within its range, shape (c − 2,).
-    covariance
-        Of `then`, its nights being the clusters, shape (c − 2, c − 2); 0 for what is not estimated.
+    root
+        U with U'U the covariance of `then`, its nights being the clusters, shape (c − 2, c − 2); 0
+        for what is not estimated.
     log_ratio
         ln of the measured flow of those blocks over what `then` says of them, without flushing,
         less the same of the weighted baseline; nan where one of them is not positive.
@@ -170,7 +171,7 @@ class Comparison:
 
     then: Array
     now: Array
-    covariance: Array
+    root: Array
     log_ratio: float
     effective_share: float
 
@@ -213,14 +214,14 @@ def compare(before: DutyBlocks, now: DutyBlocks, lower: Array, upper: Array) -> 
     distribution = cluster_robust(nights, then, lower < upper)
     if distribution is None:
         return None
-    covariance = np.zeros((len(then),) * 2)
-    covariance[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
+    root = np.zeros((len(then),) * 2)
+    root[np.ix_(distribution.active, distribution.active)] = distribution.covariance_root()
     whole = merge(now.factors)
     ratios = [_flow_ratio(one, then) for one in (whole, merge(nights))]
     return Comparison(
         then,
         certify(whole, lower, upper).coefficients,
-        covariance,
+        root,
         float(np.log(ratios[0] / ratios[1])) if min(ratios) > 0.0 else float("nan"),
         found.effective / len(before.nights),
     )

@@ -186,8 +186,11 @@ def _fitted(
     columns += [] if trend_from is None else [_trend_column(nights, trend_from)]
     first = len(columns)
     columns += [(np.arange(n) >= place).astype(np.float64) for place in places]
-    triangles = _triangles(np.column_stack([*columns, values]), nights)
-    logs = _log_determinants(nights)
+    rho = np.stack([correlation_to_previous(float(phi), nights) for phi in PHI_GRID])
+    table = np.column_stack([*columns, values])
+    # Of the whitened columns and values at each φ.
+    triangles = _triangular(np.stack([whitened(table, one) for one in rho]))
+    logs = np.log1p(-(rho**2)).sum(axis=1)
     fitted = _likeliest(name, triangles, logs, n, trend_from, places)
     while len(fitted.places) > 1:
         # The triangles hold all that a model with fewer columns needs.
@@ -236,21 +239,8 @@ def _likeliest(
     )
 
 
-def _triangles(table: Array, nights: Nights) -> Array:
-    """Triangular factor of the whitened columns and values at each φ, shape (m, k + 1, k + 1)."""
-    rho = [correlation_to_previous(float(phi), nights) for phi in PHI_GRID]
-    return _triangular(np.stack([whitened(table, one) for one in rho]))
-
-
 def _triangular(stacked: Array) -> Array:
     result: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
-    return result
-
-
-def _log_determinants(nights: Nights) -> Array:
-    """Logarithm of the determinant of the errors' correlation at each φ, shape (m,)."""
-    rho = np.stack([correlation_to_previous(float(phi), nights) for phi in PHI_GRID])
-    result: Array = np.log1p(-(rho**2)).sum(axis=1)
     return result
 
 

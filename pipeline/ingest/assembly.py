@@ -11,10 +11,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pipeline.arrays import Rows
 from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.channels import Channel
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
+from pipeline.ingest.arrow_types import nulls
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog, different_stamps, ends
 from pipeline.ingest.quality import is_bad, quality_states
 from pipeline.ingest.time_stamps import example_of, from_epoch
@@ -34,27 +36,21 @@ class Readings:
     unparsed: NDArray[np.bool_]  # part of `missing`: there was something, and it is no number
     example: str | None = None  # the first of these, for a message
 
-    def rows(self, kept: NDArray[np.bool_]) -> Readings:
+    def rows(self, chosen: Rows) -> Readings:
         """The readings of some rows."""
-        return self if kept.all() else self.at(np.flatnonzero(kept))
-
-    def at(self, rows: NDArray[np.intp]) -> Readings:
-        """The readings of some rows, by number."""
-        if not self.missing.any():
-            none = self.missing[: rows.size]
-            return Readings(self.raw.take(rows), none, none)
-        return Readings(self.raw[rows], self.missing[rows], self.unparsed[rows], self.example)
+        raw = self.raw[chosen]
+        # Marks of no cell are alike in all rows.
+        marks = chosen if self.missing.any() else slice(raw.size)
+        return Readings(raw, self.missing[marks], self.unparsed[marks], self.example)
 
 
 def readings_of(column: pa.Array | pa.ChunkedArray) -> Readings:
     """Readings of a column of numbers; null where missing."""
     # Not safe: an integer beyond 2**53 may lose its last digits, it is a measurement all the same.
     numbers = column.cast(pa.float64(), safe=False)
-    none = np.zeros(len(column), dtype=np.bool_)
-    if not column.null_count:
-        return Readings(numbers.to_numpy(), none, none)
-    missing = column.is_null().to_numpy(zero_copy_only=False)
-    return Readings(_with_nan(numbers, missing), missing, none)
+    missing, none = nulls(column), np.zeros(len(column), dtype=np.bool_)
+    raw = _with_nan(numbers, missing) if column.null_count else numbers.to_numpy()
+    return Readings(raw, missing, none)
 
 
 def _with_nan(
@@ -156,7 +152,7 @@ def judged(
 
 
 def _future(stamps: TimeStamps, latest: int) -> NDArray[np.bool_]:
-    return stamps.readable & (stamps.time_us > latest)
+    return stamps.time_us > latest
 
 
 def _require_time(path: Path, rows: int, counts: Mapping[str, int], name: str) -> None:

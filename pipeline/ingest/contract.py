@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Rows
 from pipeline.config.channels import Channels
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
@@ -68,11 +69,7 @@ class RawChannel:
     unparsed: int
     bad_quality: NDArray[np.bool_] | None = None
 
-    def rows(
-        self,
-        chosen: NDArray[np.bool_] | NDArray[np.intp] | slice,
-        time_us: NDArray[np.int64] | None = None,
-    ) -> RawChannel:
+    def rows(self, chosen: Rows, time_us: NDArray[np.int64] | None = None) -> RawChannel:
         """Some of its samples, with stamps that channels share where these are given.
 
         The count of what is no number stays that of all.

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from pipeline.arrays import Rows, chosen_rows
 from pipeline.config.channels import Channel, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
@@ -102,7 +103,7 @@ def _quality_of(channel: Channel) -> _Quality:
     return channel.quality_source, channel.quality_good
 
 
-def _of_rows(states: NDArray[np.uint8] | None, rows: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+def _of_rows(states: NDArray[np.uint8] | None, rows: Rows) -> NDArray[np.uint8] | None:
     return None if states is None else states[rows]
 
 
@@ -219,16 +220,16 @@ class RawTable:
         refused = {**refused, **without_time}
         if self.logs.layout == "long":
             return self._long_log(stamps, refused)
-        whole = bool(stamps.readable.all())
-        time_us = stamps.time_us if whole else stamps.time_us[stamps.readable]
+        rows = chosen_rows(stamps.readable)
+        time_us = stamps.time_us[rows]
         states = self._joined_states()
         channels: dict[str, RawChannel] = {}
         for name, channel in self.channels.items():
             readings, here = self._joined(name), np.empty(0, np.int64)
             quality = None
             if self._column(channel) is not None:
-                readings, here = readings.rows(stamps.readable), time_us
-                quality = _of_rows(states.get(_quality_of(channel)), stamps.readable)
+                readings, here = readings.rows(rows), time_us
+                quality = _of_rows(states.get(_quality_of(channel)), rows)
             channels[name] = raw_channel(self.path, name, channel, here, readings, quality)
         if self.logs.layout == "wide":
             columns: dict[str, str] = {

@@ -17,7 +17,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS, parsed
-from pipeline.ingest.arrow_types import is_text
+from pipeline.ingest.arrow_types import is_text, nulls
 from pipeline.ingest.wall_clock import (
     EARLIEST_US,
     EPOCH,
@@ -210,9 +210,7 @@ def written_as_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
     kind = WITH_ZONE if stamps.type.tz else _LOCAL
     whole = stamps.cast(pa.int64())
     counts = (whole.fill_null(0) if stamps.null_count else whole).to_numpy()
-    readable = np.ones(counts.size, dtype=np.bool_)
-    if stamps.null_count:
-        readable = stamps.is_valid().to_numpy().astype(bool)
+    readable = ~nulls(stamps)
     unit = stamps.type.unit
     if unit == "ns":
         return WrittenStamps(counts // 1000, _kinds(readable, kind))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times, Values
 from pipeline.night.cleaning import CleanChannel
-from pipeline.night.masks import CACHED, steps_where
+from pipeline.night.masks import CACHED
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
 AVERAGE_ABOVE = 1.5
@@ -22,7 +22,7 @@ CELL_SHARE = 0.5
 # A mean stands for this share of its period on either side; half, and some for jitter.
 MEAN_REACH = 0.6
 # Times of the grid from which on samples in equal steps are worth a look of their own.
-EVEN_PLACES = 4096
+EVEN_PLACES = 1000
 
 
 class OnGrid(NamedTuple):
@@ -48,51 +48,54 @@ def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     return _interpolated(channel, grid_us, period_us)
 
 
-# A refused value may be infinite.
+# A refused value may be infinite, and after the last sample there is no distance.
 @np.errstate(over="ignore", invalid="ignore")
 def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     """Samples as they are at their own times, and lines between them; not beside a refused one."""
-    n, kept = len(grid_us), ~channel.refused
-    found = OnGrid(np.empty(n), np.empty(n, np.bool_), np.zeros(n, np.bool_))
+    n, kept, time = len(grid_us), ~channel.refused, channel.time_us
+    found = OnGrid(np.empty(n), np.zeros(n, np.bool_), np.ones(n, np.bool_))
+    begin, end = int(grid_us.searchsorted(time[0])), int(grid_us.searchsorted(time[-1], "right"))
+    found.silent[begin:end] = False
     stretches = _even_stretches(channel, grid_us, period_us)
-    for even in stretches:
-        _fill_even(found, channel, kept, even)
-    begins = [0, *(even.place + even.n * even.apart for even in stretches)]
-    ends = [*(even.place for even in stretches), n]
-    for begin, end in zip(begins, ends, strict=True):
+    if not stretches:
         for first in range(begin, end, CACHED):
             some = slice(first, min(first + CACHED, end))
-            piece = OnGrid(found.value[some], found.present[some], found.silent[some])
-            _fill(piece, channel, kept, grid_us[some], period_us)
+            left = _counted(time, grid_us[some], period_us)
+            _fill(found, some, channel, kept, grid_us[some], left)
+    else:
+        for even in stretches:
+            _fill_even(found, channel, kept, even)
+        edges = [begin, *(edge for even in stretches for edge in even.edges), end]
+        between = zip(edges[::2], edges[1::2], strict=True)
+        rest = np.concatenate([np.arange(*pair) for pair in between])
+        for first in range(0, len(rest), CACHED):
+            places = rest[first : first + CACHED]
+            left = time.searchsorted(grid_us[places], "right") - 1
+            _fill(found, places, channel, kept, grid_us[places], left)
     found.value[~found.present] = np.nan
     return found
 
 
 class _Even(NamedTuple):
-    """Samples in equal steps, each at a time of the grid.
+    """Samples in equal steps, each at a time of the grid."""
 
-    Attributes
-    ----------
-    first, n
-        The first sample, and steps from it to the last.
-    place, apart
-        Place of the first sample on the grid, and places to the next one.
-    """
+    first: int  # the first sample
+    n: int  # steps from it to the last
+    place: int  # of the first sample on the grid
+    apart: int  # places to the next one
 
-    first: int
-    n: int
-    place: int
-    apart: int
+    @property
+    def edges(self) -> tuple[int, int]:
+        """Places of the first and of the last sample."""
+        return self.place, self.place + self.n * self.apart
 
 
 def _even_stretches(channel: CleanChannel, grid_us: Times, period_us: int) -> list[_Even]:
     """Long stretches of a channel whose typical step is one of the grid's or several; in order."""
     time, step = channel.time_us, int(channel.period_us or 0)
-    apart = step // period_us
-    if not apart or step % period_us or step > channel.longest_gap_us or channel.ends is not None:
-        return []
-    others = steps_where(lambda steps: steps != step, time)
-    if 2 * len(others) > len(time):
+    apart, beside = divmod(step, period_us)
+    others, within = channel.other_steps, step <= channel.longest_gap_us
+    if others is None or not apart or beside or not within or channel.ends is not None:
         return []
     edges = np.concatenate([[-1], others, [len(time) - 1]])
     found = []
@@ -110,38 +113,49 @@ def _fill_even(found: OnGrid, channel: CleanChannel, kept: Mask, even: _Even) ->
     """From the first sample of a stretch until before the last."""
     first, n, place, apart = even
     value, present, _ = (part[place : place + n * apart].reshape(n, apart) for part in found)
-    left, right = slice(first, first + n), slice(first + 1, first + n + 1)
-    # A zero has no sign here, as between two samples.
-    np.add(channel.value[left], 0.0, out=value[:, 0])
-    present[:, 0] = kept[left]
+    left, right = channel.value[first : first + n], channel.value[first + 1 : first + n + 1]
     if apart > 1:
-        rise = channel.value[right] - channel.value[left]
-        np.multiply(np.arange(1, apart) / apart, rise[:, None], out=value[:, 1:])
-        value[:, 1:] += channel.value[left, None]
-        present[:, 1:] = (kept[left] & kept[right])[:, None]
+        # Lines some at a time, and their points by shares: the array's own rows are short.
+        shares = np.arange(apart)[:, None] / apart
+        for begin in range(0, n, CACHED // apart + 1):
+            some = slice(begin, begin + CACHED // apart + 1)
+            value[some] = (left[some] + shares * (right[some] - left[some])).T
+        present[:] = (kept[first : first + n] & kept[first + 1 : first + n + 1])[:, None]
+    # A zero has no sign here, as between two samples.
+    np.add(left, 0.0, out=value[:, 0])
+    present[:, 0] = kept[first : first + n]
 
 
-def _fill(found: OnGrid, channel: CleanChannel, kept: Mask, grid_us: Times, period_us: int) -> None:
-    """Any part of the grid."""
-    first, last = channel.time_us.searchsorted(grid_us[[0, -1]]).tolist()
-    around = slice(max(first - 1, 0), last + 1)
-    time, kept = channel.time_us[around], kept[around]
-    value = np.where(kept, channel.value[around], 0.0)
-    # Of each sample and the next one; there is none after the last.
-    distance_us, rise = np.append(np.diff(time), 1), np.append(np.diff(value), 0.0)
+def _counted(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np.intp]:
+    """The last sample at or before each of some times in a row, none before the first sample."""
+    first, last = time_us.searchsorted(grid_us[[0, -1]], "right").tolist()
+    due = -((grid_us[0] - time_us[first:last]) // period_us)
+    passed = np.bincount(due, minlength=len(grid_us))
+    passed[0] = first - 1
+    counted: NDArray[np.intp] = passed.cumsum()
+    return counted
+
+
+def _fill(
+    found: OnGrid,
+    some: slice | NDArray[np.intp],
+    channel: CleanChannel,
+    kept: Mask,
+    grid_us: Times,
+    left: NDArray[np.intp],
+) -> None:
+    """Some times, each with the last sample at or before it."""
+    right = np.minimum(left + 1, len(channel.time_us) - 1)
+    before, value = channel.time_us[left], channel.value[left]
+    since_us, distance_us = grid_us - before, channel.time_us[right] - before
     asleep = distance_us > channel.longest_gap_us
     if channel.ends is not None:
-        asleep |= channel.ends[around]
-    asleep[-1] = True
-    both = kept & np.append(kept[1:], False) & ~asleep
-    # The sample at or before each time; before the first one as after the last.
-    due = np.clip(-((grid_us[0] - time) // period_us), 0, len(grid_us))
-    left = np.cumsum(np.bincount(due, minlength=len(grid_us) + 1)[:-1]) - 1
-    since_us = grid_us - time[left]
+        asleep |= channel.ends[left]
+    line = value + since_us / distance_us * (channel.value[right] - value)
+    present = kept[left] & kept[right] & ~asleep
     at = np.flatnonzero(since_us == 0)
-    found.value[:] = value[left] + since_us / distance_us[left] * rise[left]
-    found.present[:], found.silent[:] = both[left], asleep[left]
-    found.present[at], found.silent[at] = kept[left[at]], False
+    line[at], present[at], asleep[at] = value[at] + 0.0, kept[left[at]], False
+    found.value[some], found.present[some], found.silent[some] = line, present, asleep
 
 
 def _held(channel: CleanChannel, grid_us: Times) -> OnGrid:

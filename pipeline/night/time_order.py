@@ -13,13 +13,14 @@ from pipeline.arrays import Mask, Times
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.clocks import (
+    LikelyStep,
     backward_time,
     likely_step,
     n_jittered,
     typical_period_us,
     written_late,
 )
-from pipeline.night.masks import missing_sample
+from pipeline.night.masks import missing_sample, steps_where
 
 Found = TypeVar("Found")
 LATEST_US = np.iinfo(np.int64).max
@@ -69,14 +70,33 @@ class Stamps:
 
     def period_us(self, time_us: Times, blank: Mask | None = None) -> float | None:
         """As `typical_period_us`, of the stamps whose cells are not blank."""
-        likely = self.once(time_us, "likely step", lambda: likely_step(time_us))
+        likely = self._likely_step(time_us)
         if blank is not None and blank.any():
             return typical_period_us(time_us, blank, likely)
         return self.once(time_us, "period", lambda: typical_period_us(time_us, None, likely))
 
+    def other_steps(self, time_us: Times, period_us: float | None) -> NDArray[np.intp] | None:
+        """Places of the steps that are not one period long; None where these may be most."""
+        step, others = self._likely_step(time_us)
+        return others if step == period_us else None
+
     def n_jittered(self, time_us: Times, period_us: float | None) -> int:
         """As `n_jittered`."""
-        return self.once(time_us, ("jitter", period_us), lambda: n_jittered(time_us, period_us))
+        others = self.other_steps(time_us, period_us)
+        return self.once(
+            time_us, ("jitter", period_us), lambda: n_jittered(time_us, period_us, others)
+        )
+
+    def _likely_step(self, time_us: Times) -> LikelyStep:
+        return self.once(time_us, "likely step", lambda: likely_step(time_us))
+
+    def steps_over(self, time_us: Times, limit_us: float) -> NDArray[np.intp]:
+        """Places of the steps that are longer than a limit."""
+        # In whole microseconds, as the steps are: else all of them would be converted.
+        whole = int(limit_us)
+        return self.once(
+            time_us, ("over", whole), lambda: steps_where(lambda steps: steps > whole, time_us)
+        )
 
     def once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
         """Result of `find` for some stamps, under a name; `find` is called once."""
@@ -97,23 +117,23 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     """
     if bool((time_us[1:] > time_us[:-1]).all()):
         return Order(time_us, None, *[np.empty(0, dtype=np.intp)] * 3)
-    backward = backward_time(time_us)
-    late = stray = np.zeros(len(time_us), dtype=np.bool_)
+    chosen = ~backward_time(time_us)
+    rows, ordered = np.flatnonzero(chosen), time_us[chosen]
+    late = np.empty(0, dtype=np.intp)
     if puts_in_order:
-        late, stray = written_late(time_us, backward)
-    backward = (backward & ~late) | stray
-    chosen = ~backward
-    rows = np.flatnonzero(chosen)
-    if late.any():
+        late, stray = written_late(time_us, ~chosen, ordered)
+    if len(late):
+        chosen[late], chosen[stray] = True, False
+        rows = np.flatnonzero(chosen)
         rows = rows[np.argsort(time_us[rows], kind="stable")]
-    ordered = time_us[rows]
-    again = np.flatnonzero(ordered[1:] == ordered[:-1]) + 1
+        ordered = time_us[rows]
+    backward = np.flatnonzero(~chosen)
+    again = steps_where(lambda steps: steps == 0, ordered) + 1
     repeated = rows[again]
     # As marks where they may be, which take an eighth of the memory.
     chosen[repeated] = False
-    kept = np.delete(rows, again) if late.any() else chosen
-    out = np.flatnonzero(late), np.flatnonzero(backward), repeated
-    return Order(np.delete(ordered, again), kept, *out)
+    kept = np.delete(rows, again) if len(late) else chosen
+    return Order(np.delete(ordered, again), kept, late, backward, repeated)
 
 
 def in_order(raw: RawChannel, rules: ChannelRules, stamps: Stamps) -> tuple[RawChannel, Disorder]:

@@ -73,8 +73,9 @@ def _entries(folder: Path) -> list[Path]:
 
 def write_report_manifest(folder: Path, manifest: ReportManifest) -> None:
     """Write the manifest last: the files in it are then there."""
-    # One flush for all pages, not one for each.
-    flush_disk(folder)
+    # One flush for all pages, not one for each; of a new report there is nothing yet.
+    if folder.is_dir():
+        flush_disk(folder)
     put_sealed(folder / FILE, asdict(manifest))
 
 

@@ -81,7 +81,7 @@ def _code_hash() -> str:
     digest = hashlib.sha256()
     for package in SOURCES:
         root = Path(str(files(package)))
-        for path in sorted(root.rglob("*.py")):
+        for path in sorted((*root.rglob("*.py"), *root.rglob("*.csv"))):
             digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:12]
 

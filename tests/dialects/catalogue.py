@@ -11,7 +11,8 @@ from tests.dialects.csv_text import Csv
 from tests.dialects.dialect import SINGLE, Dialect
 from tests.dialects.messages import Json, Mcap, Protobuf, Ros2
 
-SEMICOLON = {"separator": ";", "decimal": ","}
+SEMICOLON, TAB = {"separator": ";", "decimal": ","}, {"separator": "\t", "decimal": ","}
+DOTS = {"thousands": "."}
 GERMAN = {
     "pressure_difference": "Druckdifferenz Δp",
     "high_port_pressure": "Druck Hochdruckseite",
@@ -21,19 +22,18 @@ GERMAN = {
     "leakage_flow": "Leckölstrom",
 }
 LATIN = {**GERMAN, "pressure_difference": "Druckdifferenz"}
+SPREADSHEET = {"time_format": "excel_days", "time_zone": "Europe/Oslo"}
+AMERICAN_TIMES = {"time_format": "%m/%d/%Y %I:%M:%S.%f %p", "time_zone": "America/Chicago"}
+AMERICAN_UNITS = {"pressure": "psi", "temperature": "degF", "flow": "us_gal/min"}
+APART = {"date_column": "Datum", "time": "Zeit", "time_format": "%d.%m.%Y %H:%M:%S,%f"}
+APART |= {"time_zone": "Europe/Berlin"}
+LONG_LOCAL = {"layout": "long", "channel_column": "tag", "time_zone": "Australia/Lord_Howe"}
+LONG_LOCAL |= {"time_format": "%Y-%m-%d %H:%M:%S.%f"}
 TEXT: tuple[Dialect, ...] = (
     Csv("ISO 8601 with an offset", written_zone="Asia/Kolkata"),
     Csv("semicolon, decimal comma, kPa", SEMICOLON, {"pressure": "kPa"}, reverse=True),
-    Csv(
-        "thousands with dots, Pa, l/h",
-        SEMICOLON | {"thousands": "."},
-        {"pressure": "Pa", "flow": "l/h"},
-    ),
-    Csv(
-        "thousands with blanks, ml/min",
-        {"separator": "\t", "decimal": ",", "thousands": " "},
-        {"flow": "ml/min"},
-    ),
+    Csv("thousands with dots, Pa, l/h", SEMICOLON | DOTS, {"pressure": "Pa", "flow": "l/h"}),
+    Csv("thousands with blanks, ml/min", TAB | {"thousands": " "}, {"flow": "ml/min"}),
     Csv("tab, psi, CRLF", {"separator": "\t"}, {"pressure": "psi"}, line_end="\r\n"),
     Csv("pipe, °F, CR", {"separator": "|"}, {"temperature": "degF"}, line_end="\r"),
     Csv("K, preamble, row of units", {"skip_rows": 3, "unit_rows": 1}, {"temperature": "K"}),
@@ -49,38 +49,10 @@ TEXT: tuple[Dialect, ...] = (
     Csv("zstd, epoch in ns", {"time_format": "epoch_ns"}, packed=".zst"),
     Csv("epoch in µs, 1/s", {"time_format": "epoch_us"}, {"speed": "1/s"}),
     Csv("epoch in s with fractions, l/s", {"time_format": "epoch_s"}, {"flow": "l/s"}),
-    Csv(
-        "spreadsheet",
-        SEMICOLON | {"time_format": "excel_days", "time_zone": "Europe/Oslo"},
-        step_us=1000,
-        line_end="\r\n",
-    ),
-    Csv(
-        "American: psi, °F, gallons",
-        {"time_format": "%m/%d/%Y %I:%M:%S.%f %p", "time_zone": "America/Chicago"},
-        {"pressure": "psi", "temperature": "degF", "flow": "us_gal/min"},
-        quoted=True,
-    ),
-    Csv(
-        "date and time apart",
-        SEMICOLON
-        | {
-            "date_column": "Datum",
-            "time": "Zeit",
-            "time_format": "%d.%m.%Y %H:%M:%S,%f",
-            "time_zone": "Europe/Berlin",
-        },
-    ),
-    Csv(
-        "long, local time",
-        {
-            "layout": "long",
-            "channel_column": "tag",
-            "time_format": "%Y-%m-%d %H:%M:%S.%f",
-            "time_zone": "Australia/Lord_Howe",
-        },
-        names=GERMAN,
-    ),
+    Csv("spreadsheet", SEMICOLON | SPREADSHEET, step_us=1000, line_end="\r\n"),
+    Csv("American: psi, °F, gallons", AMERICAN_TIMES, AMERICAN_UNITS, quoted=True),
+    Csv("date and time apart", SEMICOLON | APART),
+    Csv("long, local time", LONG_LOCAL, names=GERMAN),
     Csv("long, gzip, words", {"layout": "long"}, tokens=("Bad", "---"), packed=".gz"),
     Csv("a file a channel, mbar", {"layout": "file_per_channel"}, {"pressure": "mbar"}),
 )

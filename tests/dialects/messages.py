@@ -11,14 +11,20 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
 from pipeline.units import CHANNELS
 from tests.dialects.dialect import Dialect
 from tests.dialects.recorded import Recorded
+from tests.pipeline.ingest.mcap.protobuf_files import (
+    NAME,
+    Field,
+    class_of,
+    declared,
+    field_of,
+    set_of,
+)
 
 RECORDED_AFTER_NS = 1_700_000_000
 """Between a reading and its record, where the message or its publication holds the stamp."""
@@ -30,32 +36,13 @@ Schema = tuple[str, str, bytes]
 
 
 class Encoding(Protocol):
-    """Encoding of the readings of one time as messages.
+    """Encoding of the readings of one time as messages."""
 
-    Attributes
-    ----------
-    name
-        Name of the encoding in MCAP.
-    schema
-        Name, encoding and text; None if there is no schema.
-    stamp
-        Field of the stamp.
-    together
-        True if all channels are in one message; else each has its own topic.
-    says_blank
-        True if a message may state that it has no reading.
-    """
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def schema(self) -> Schema | None: ...
-    @property
-    def stamp(self) -> str: ...
-    @property
-    def together(self) -> bool: ...
-    @property
-    def says_blank(self) -> bool: ...
+    name: str  # of the encoding in MCAP
+    schema: Schema | None  # name, encoding and text
+    stamp: str  # field of the stamp
+    together: bool  # all channels are in one message; else each has its own topic
+    says_blank: bool  # a message may state that it has no reading
 
     def place(self, channel: str) -> tuple[str, str]:
         """Topic and field of a channel."""
@@ -99,7 +86,7 @@ class Protobuf:
 
     @property
     def schema(self) -> Schema:
-        return "motor.Drive", "protobuf", _descriptors(self.single).SerializeToString()
+        return NAME, "protobuf", _descriptors(self.single).SerializeToString()
 
     def place(self, channel: str) -> tuple[str, str]:
         return TOPIC if self.together else f"{TOPIC}/{channel}", f"readings.{channel}"
@@ -108,8 +95,7 @@ class Protobuf:
         known = {name: value for name, value in reading.items() if not math.isnan(value)}
         message = _drive(self.single)(readings=known)
         message.stamp.FromNanoseconds(time_us * 1000)
-        content: bytes = message.SerializeToString()
-        return content
+        return message.SerializeToString()
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +122,7 @@ class Ros2:
     def payload(self, time_us: int, reading: Reading) -> bytes:
         (value,) = reading.values()
         header = {"stamp": seconds_and_nanoseconds(time_us), "frame_id": "drive"}
-        content: bytes = _ros2(self._kind)(
-            {"header": header, "unit": "as configured", "value": value}
-        )
-        return content
+        return _ros2(self._kind)({"header": header, "unit": "as configured", "value": value})
 
 
 @dataclass(frozen=True)
@@ -213,46 +196,17 @@ def seconds_and_nanoseconds(time_us: int) -> dict[str, int]:
 @cache
 def _descriptors(single: bool) -> Any:
     """A message of a stamp and of readings, each of which may be absent."""
-    kind = descriptor_pb2.FieldDescriptorProto
-    readings = descriptor_pb2.DescriptorProto(name="Readings")
-    for number, channel in enumerate(CHANNELS):
-        readings.oneof_decl.add(name=f"_{channel}")
-        readings.field.add(
-            name=channel,
-            number=number + 1,
-            type=kind.TYPE_FLOAT if single else kind.TYPE_DOUBLE,
-            label=kind.LABEL_OPTIONAL,
-            oneof_index=number,
-            proto3_optional=True,
-        )
-    drive = descriptor_pb2.DescriptorProto(name="Drive")
+    kind = Field.TYPE_FLOAT if single else Field.TYPE_DOUBLE
     parts = {"stamp": ".google.protobuf.Timestamp", "readings": ".motor.Readings"}
-    for number, (name, type_name) in enumerate(parts.items(), 1):
-        drive.field.add(
-            name=name,
-            number=number,
-            type=kind.TYPE_MESSAGE,
-            type_name=type_name,
-            label=kind.LABEL_OPTIONAL,
-        )
-    stamp = descriptor_pb2.FileDescriptorProto()
-    Timestamp.DESCRIPTOR.file.CopyToProto(stamp)
-    main = descriptor_pb2.FileDescriptorProto(
-        name="drive.proto",
-        package="motor",
-        syntax="proto3",
-        dependency=[stamp.name],
-        message_type=[readings, drive],
-    )
-    return descriptor_pb2.FileDescriptorSet(file=[stamp, main])
+    root = [field_of(name, Field.TYPE_MESSAGE, of) for name, of in parts.items()]
+    readings = [field_of(channel, kind, role="optional") for channel in CHANNELS]
+    kinds = {NAME.partition(".")[2]: root, "Readings": readings}
+    return set_of("proto3", *(declared(*one, "proto3") for one in kinds.items()))
 
 
 @cache
 def _drive(single: bool) -> Any:
-    pool = descriptor_pool.DescriptorPool()
-    for file in _descriptors(single).file:
-        pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("motor.Drive"))
+    return class_of(_descriptors(single))
 
 
 ROS2_NAME = "motor_msgs/msg/Reading"

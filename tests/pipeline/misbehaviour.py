@@ -89,34 +89,32 @@ def stop() -> None:
     os.kill(os.getpid(), signal.SIGSTOP)
 
 
+def eat(piece: Callable[[], object]) -> None:
+    held = []
+    while True:
+        held.append(piece())
+
+
 def eat_with_numpy() -> None:
     import numpy as np
 
-    held = []
-    while True:
-        held.append(np.ones(GIB // 16))
+    eat(lambda: np.ones(GIB // 16))
 
 
 def eat_with_python() -> None:
-    held = []
-    while True:
-        held.append(bytes(GIB // 2))
+    eat(lambda: bytes(GIB // 2))
 
 
 def eat_with_polars() -> None:
     import polars as pl
 
-    held = []
-    while True:
-        held.append(pl.select(pl.int_range(GIB // 16, dtype=pl.Int64)))
+    eat(lambda: pl.select(pl.int_range(GIB // 16, dtype=pl.Int64)))
 
 
 def eat_with_arrow() -> None:
     import pyarrow as pa
 
-    held = []
-    while True:
-        held.append(pa.allocate_buffer(GIB // 2))
+    eat(lambda: pa.allocate_buffer(GIB // 2))
 
 
 def eat_at_once() -> None:
@@ -145,21 +143,9 @@ def leave() -> None:
 MISBEHAVIOUR: dict[str, Callable[[], None]] = {
     one.__name__: one
     for one in (
-        raise_error,
-        panic,
-        hang_in_python,
-        hang_in_c,
-        hang_in_a_pattern,
-        stop,
-        eat_with_numpy,
-        eat_with_python,
-        eat_with_polars,
-        eat_with_arrow,
-        eat_at_once,
-        kill,
-        segfault,
-        abort,
-        leave,
+        *(raise_error, panic, hang_in_python, hang_in_c, hang_in_a_pattern, stop, kill, segfault),
+        *(eat_with_numpy, eat_with_python, eat_with_polars, eat_with_arrow, eat_at_once),
+        *(abort, leave),
     )
 }
 

@@ -21,14 +21,9 @@ SECRET = "S3CRET"  # noqa: S105
 OWNER = "owner"
 # Another zone than any log's, and none of what keeps data over a power cut.
 SETTINGS = (
-    "listen_addresses=127.0.0.1",
-    "unix_socket_directories=",
-    "timezone=America/New_York",
-    "fsync=off",
-    "full_page_writes=off",
-    "synchronous_commit=off",
-    "shared_buffers=32MB",
-    "max_connections=20",
+    *("listen_addresses=127.0.0.1", "unix_socket_directories=", "timezone=America/New_York"),
+    *("fsync=off", "full_page_writes=off", "synchronous_commit=off"),
+    *("shared_buffers=32MB", "max_connections=20"),
 )
 
 
@@ -85,9 +80,7 @@ def postgres_server() -> Iterator[PostgresServer]:
     def run(program: str, *arguments: str) -> None:
         command = [str(programs / program), "-D", str(data), *arguments]
         with (folder / "said").open("wb") as said:
-            done = subprocess.run(
-                command, cwd=folder, stdout=said, stderr=said, check=False, **user
-            )
+            done = subprocess.run(command, cwd=folder, stdout=said, stderr=said, **user)
         assert done.returncode == 0, (folder / "said").read_text("utf-8")
 
     try:
@@ -113,5 +106,4 @@ def _version(programs: Path) -> int:
 def _free_port() -> int:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
-        port: int = taken.getsockname()[1]
-        return port
+        return taken.getsockname()[1]

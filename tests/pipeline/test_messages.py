@@ -6,14 +6,12 @@ import io
 import json
 import logging
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from pipeline.messages import FORM, JsonLine, error_line, speak_as_told
-from tests.pipeline.calling import Call
+from tests.pipeline.calling import Call, python
 
 
 def test_a_record_is_one_line_with_its_traceback() -> None:
@@ -28,14 +26,13 @@ def test_a_record_is_one_line_with_its_traceback() -> None:
         log.exception("motor %s failed", "M1")
     (line,) = stream.getvalue().splitlines()
     record = json.loads(line)
-    assert (record["event"], record["level"], record["logger"], record["message"]) == (
-        "log",
-        "error",
-        "pipeline.somewhere",
-        "motor M1 failed",
-    )
+    told = {"event": "log", "level": "error", "logger": "pipeline.somewhere"}
+    assert record.items() >= (told | {"message": "motor M1 failed"}).items()
     assert record["time"].endswith("+00:00")
     assert "ValueError: invalid literal" in record["traceback"]
+    line = error_line("config", "two\nlines", 2, as_json=True)
+    assert "\n" not in line
+    assert json.loads(line)["message"] == "two\nlines"
 
 
 def test_errors_and_wrong_usage_are_objects(call: Call, tmp_path: Path) -> None:
@@ -51,31 +48,13 @@ def test_errors_and_wrong_usage_are_objects(call: Call, tmp_path: Path) -> None:
         assert words in line["message"]
 
 
-def test_people_get_a_line(call: Call, tmp_path: Path) -> None:
-    exit_code, _, err = call("fit-fleet", str(tmp_path / "none.toml"))
-    assert exit_code == 2
-    assert err.startswith("motor-leakage: config: 1 config fault\n")
-
-
-def test_a_message_with_line_ends_stays_one_line() -> None:
-    line = error_line("config", "two\nlines", 2, as_json=True)
-    assert "\n" not in line
-    assert json.loads(line)["message"] == "two\nlines"
-
-
 @pytest.mark.parametrize("form", ["", "json"])
 def test_a_worker_speaks_as_it_is_told(form: str) -> None:
     code = (
         "import logging; from pipeline.messages import speak_as_told as told; told(); told();"
         "logging.getLogger('pipeline.x').warning('careful')"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=os.environ | {FORM: form},
-    )
+    done = python(code, env=os.environ | {FORM: form})
     if form:
         assert json.loads(done.stderr)["message"] == "careful"
     else:

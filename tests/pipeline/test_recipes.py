@@ -118,16 +118,13 @@ class OrificePath(PathSection):
         )
 
 
+DECLARED = AnnularGapPath | SpeedCurvePath | LaminarPath | OrificePath
+
+
 class WithOrifice(MotorTypeFile):
     """The entry of the law among those that a `[[path]]` can name."""
 
-    path: tuple[
-        Annotated[
-            AnnularGapPath | SpeedCurvePath | LaminarPath | OrificePath,
-            Field(discriminator="law"),
-        ],
-        ...,
-    ]
+    path: tuple[Annotated[DECLARED, Field(discriminator="law")], ...]
 
 
 LAMINAR: dict[str, Any] = {

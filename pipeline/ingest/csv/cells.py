@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 from pipeline.config.logs import Logs
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
+from pipeline.ingest.arrow_types import nulls
 from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.time_stamps import WrittenStamps, written
 
@@ -106,7 +107,7 @@ def _cell_by_cell(
         pc.utf8_trim_whitespace(texts), value_set=pa.array(logs.missing_tokens, pa.string())
     )
     missing = np.logical_not(pc.fill_null(is_number, False).to_numpy())
-    unparsed = missing & texts.is_valid().to_numpy() & np.logical_not(blank.to_numpy())
+    unparsed = missing & ~nulls(texts) & np.logical_not(blank.to_numpy())
     example = texts[int(np.argmax(unparsed))].as_py() if unparsed.any() else None
     raw = readings_of(unsigned.cast(pa.float64())).raw
     return Readings(raw, missing, unparsed, example)

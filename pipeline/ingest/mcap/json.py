@@ -23,6 +23,7 @@ import pyarrow.json as arrow_json
 
 from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.errors import LogError
+from pipeline.ingest.arrow_types import nulls
 from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.mcap.layout import fields_at
 from pipeline.ingest.mcap.messages import read_messages
@@ -244,10 +245,7 @@ def _element(lists: pa.ListArray, position: int) -> pa.Array:
 def _stamps(parts: Sequence[pa.Array], time_format: str) -> WrittenStamps:
     if pa.types.is_string(parts[0].type):
         return written_as_text(pa.chunked_array(parts), time_format)
-    numbers = [
-        (pc.fill_null(part, 0).to_numpy(), part.is_valid().to_numpy(zero_copy_only=False))
-        for part in parts
-    ]
+    numbers = [(pc.fill_null(part, 0).to_numpy(), ~nulls(part)) for part in parts]
     return stamps_of_parts(numbers, time_format)
 
 

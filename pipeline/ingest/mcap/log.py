@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pipeline.arrays import chosen_rows
+from pipeline.arrays import Rows, chosen_rows
 from pipeline.config.channels import Channel, Channels, QualityValue
 from pipeline.config.field_paths import FieldPath, field_path, path_text
 from pipeline.config.logs import Logs
@@ -29,7 +29,7 @@ from pipeline.ingest.mcap.cdr import ROS2_LANGUAGES, cdr_decoder
 from pipeline.ingest.mcap.json import json_decoder, require_json_field
 from pipeline.ingest.mcap.layout import ChannelRecord, Schema
 from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
-from pipeline.ingest.mcap.payloads import Decoded, Decoder, Payloads, Rows, payloads_of, stacked
+from pipeline.ingest.mcap.payloads import Decoded, Decoder, Payloads, payloads_of, stacked
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
 from pipeline.ingest.quality import BLANK, quality_states
 from pipeline.ingest.time_stamps import WrittenStamps, from_epoch, placed, written_as_numbers
@@ -87,13 +87,15 @@ def read_mcap_log(file: LogFile) -> RawLog:
     stamps, refused = judged(path, placed_stamps, _time_name(logs), file.latest_us)
     del placed_stamps
     found: dict[str, RawChannel] = {}
+    rows = 0
     for (topic, fields), judged_stamps in zip(wanted.items(), stamps, strict=True):
-        readable, time_us = judged_stamps.readable, judged_stamps.time_us
-        time_us = time_us if readable.all() else time_us[readable]
-        states = _states(path, logs, topic, content[topic], readable)
+        kept = chosen_rows(judged_stamps.readable)
+        time_us = judged_stamps.time_us[kept]
+        rows += time_us.size
+        states = _states(path, logs, topic, content[topic], kept)
         for one in fields.readings:
             # The columns are given up, so that a long log is not held twice.
-            readings = content[topic].fields.pop(one).taken().rows(readable)
+            readings = content[topic].fields.pop(one).taken().rows(kept)
             if readings.missing.size and readings.missing.all() and not readings.unparsed.any():
                 _require_field(path, logs, topic, one)
             found |= {
@@ -109,7 +111,6 @@ def read_mcap_log(file: LogFile) -> RawLog:
                 if channel.source == topic and field_path(channel.field, topic) == one
             }
     in_order: dict[str, RawChannel] = {name: found[name] for name in channels}
-    rows = sum(int(np.count_nonzero(judged_stamps.readable)) for judged_stamps in stamps)
     refused = {reason.replace("row", "message", 1): n for reason, n in refused.items()}
     return raw_log(in_order, rows, refused, [loss] if loss else [])
 
@@ -177,7 +178,7 @@ def _quality_of(channel: Channel) -> _Quality:
 
 
 def _states(
-    path: Path, logs: Logs, topic: str, parts: _Parts, readable: NDArray[np.bool_]
+    path: Path, logs: Logs, topic: str, parts: _Parts, kept: Rows
 ) -> dict[_Quality, NDArray[np.uint8]]:
     """The qualities of a topic's messages with a good time."""
     found: dict[_Quality, NDArray[np.uint8]] = {}
@@ -185,7 +186,7 @@ def _states(
         states = np.concatenate([np.empty(0, np.uint8), *pieces])
         if states.size and (states == BLANK).all():
             _require_field(path, logs, topic, quality[0])
-        found[quality] = states[readable]
+        found[quality] = states[kept]
     return found
 
 
@@ -277,7 +278,7 @@ def _decode(
             WrittenStamps(stamps.time_us.take(rows), stamps.kind.take(rows), stamps.example)
         )
         for one, column in parts.fields.items():
-            column.add(decoded.fields[one].at(rows))
+            column.add(decoded.fields[one].rows(rows))
         for (one, good), states in parts.states.items():
             cells = _cells(decoded, one).take(pa.array(rows))
             states.append(quality_states(path, path_text(one), cells, good))

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pipeline.arrays import Rows
 from pipeline.config.field_paths import FieldPath
 from pipeline.config.time_formats import EPOCH_UNITS
 from pipeline.ingest.assembly import Readings
@@ -23,10 +24,6 @@ _NEWLINE = 10
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 """Names of the two numbers of a stamp: of ROS 2, of ROS 1 and JSON, and of Protobuf."""
-
-
-Rows = slice | NDArray[np.bool_] | NDArray[np.intp]
-"""Some rows of an array, one at least."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,13 +34,7 @@ FILE = "baseline"
 
 @dataclass(slots=True)
 class BlockFiles:
-    """Blocks of some motors' nights; each file is read once.
-
-    Parameters
-    ----------
-    output, motor_ids
-        Output folder, and the motors.
-    """
+    """Blocks of some motors' nights; each file is read once."""
 
     output: Path
     motor_ids: Sequence[str]

@@ -40,7 +40,7 @@ from pipeline.trends.nights.records import (
     BALANCED,
     HISTOGRAMS,
     OUTSIDE,
-    symmetric_matrix,
+    whole_matrix,
 )
 from pipeline.trends.nights.segments import first_good, segments
 
@@ -135,7 +135,7 @@ def _keep(record: Any, found: Comparison | None) -> None:
     record["duty"] = OUTSIDE if found is None else BALANCED
     if found is not None:
         record["duty_then"], record["duty_now"] = found.then, found.now
-        record["duty_error"] = upper_triangle(found.covariance)
+        record["duty_root"] = upper_triangle(found.root)
         record["duty_flow"], record["duty_share"] = found.log_ratio, found.effective_share
 
 
@@ -171,8 +171,8 @@ def _rises(history: History, era: Era, own: Indicator, places: Places) -> Rises:
     contrast, known = rows[:, :-1], rows[:, -1]
     then = np.einsum("ni,ni->n", contrast, records["duty_then"]) + known
     now = np.einsum("ni,ni->n", contrast, records["duty_now"]) + known
-    spread = symmetric_matrix(records["duty_error"], contrast.shape[1])
-    error = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", contrast, spread, contrast), 0.0))
+    root = whole_matrix(records["duty_root"], contrast.shape[1])
+    error = np.linalg.norm(np.einsum("nij,nj->ni", root, contrast), axis=1)
     if own.path:
         sums = column_sums(history, places)
         column = history.layout.paths.index(own.path)

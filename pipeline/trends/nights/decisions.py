@@ -90,17 +90,10 @@ def damaged_lines(output: Path) -> tuple[int, ...]:
 
 
 def put_back(output: Path, known: Collection[Decision]) -> int:
-    """Append known decisions that a damaged or missing journal lacks.
+    """Append known decisions that a damaged or missing journal lacks; returns their number.
 
-    Returns
-    -------
-    int
-        Number of decisions put back; 0 if the journal is whole: people may have removed lines.
-
-    Raises
-    ------
-    StoreError
-        If the journal cannot be read or written.
+    0 if the journal is whole: people may have removed lines. Raises StoreError if it cannot be
+    read or written.
     """
     present = _lines(output).values()
     if present and None not in present:

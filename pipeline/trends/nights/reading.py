@@ -51,13 +51,7 @@ def read_nights(
     since: Mapping[str, dt.date],
     tonight: Tonight,
 ) -> dict[str, MotorNights]:
-    """The published nights of some motors.
-
-    Raises
-    ------
-    StoreError
-        If a table file is damaged.
-    """
+    """The published nights of some motors; raises StoreError if a table file is damaged."""
     folders = TableFolders(output)
     found = {}
     for spec in specs:
@@ -122,39 +116,21 @@ class MotorNights:
     """A motor's nights: what is kept of them, what is to be read, and what comes of both.
 
     Nights are YYYY-MM-DD where they name files.
-
-    Parameters
-    ----------
-    key, layout
-        What shapes its records.
-    folders
-        The tables.
-    months
-        What is kept.
-    since
-        First night that is to be made anew: from it on words are needed, not figures alone.
-
-    Attributes
-    ----------
-    nights, alarms
-        Nights of which rows are to be read: of the fits, and of `alarms`.
-    until
-        Nights before this one are filtered as they are to be.
-    history
-        The nights; None without rows.
-    published
-        The motor's rows of `alarms`: whole from `since` on, before it night, indicator and state.
     """
 
+    # key, layout: what shapes its records.
     key: str
     layout: Layout
     folders: TableFolders
-    months: Mapping[str, KeptMonth]
+    months: Mapping[str, KeptMonth]  # what is kept
+    # First night that is to be made anew: from it on words are needed, not figures alone.
     since: str
+    # nights, alarms: nights of which rows are to be read, of the fits and of `alarms`.
     nights: set[str] = field(default_factory=set)
     alarms: set[str] = field(default_factory=set)
-    until: str = NEVER
-    history: History | None = None
+    until: str = NEVER  # nights before this one are filtered as they are to be
+    history: History | None = None  # the nights; None without rows
+    # The motor's rows of `alarms`: whole from `since` on, before it night, indicator and state.
     published: list[Row] = field(default_factory=list)
     _records: Records = field(init=False)
 

@@ -52,49 +52,34 @@ GATED = "gated"
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Coefficients of a motor's nights.
+    """Coefficients of a motor's nights."""
 
-    Attributes
-    ----------
-    paths
-        Paths with a free coefficient, in the order of the statistics' columns.
-    coefficients
-        Names of those coefficients, and of the flushing where it is estimated.
-    columns
-        Columns of the statistics.
-    configured
-        θ as configured.
-    free
-        True for each coefficient of θ that is estimated.
-    standard
-        Place of the cam rollers among the paths where their scale is estimated, and how much of
-        the known flow it is as stated; None otherwise.
-    """
-
-    paths: tuple[str, ...]
-    coefficients: tuple[str, ...]
-    columns: tuple[str, ...]
-    configured: tuple[float, ...]
-    free: tuple[bool, ...]
+    paths: tuple[str, ...]  # those with a free coefficient, in the order of the columns
+    coefficients: tuple[str, ...]  # their names, and that of the flushing where it is estimated
+    columns: tuple[str, ...]  # of the statistics
+    configured: tuple[float, ...]  # θ
+    free: tuple[bool, ...]  # whether each of θ is estimated
+    # Place of the cam rollers among the paths where their scale is estimated, and how much of the
+    # known flow it is as stated; None otherwise.
     standard: tuple[int, float] | None = None
 
     @classmethod
     def of(cls, spec: MotorSpec, night: dt.date) -> Layout:
         """The layout of a motor; which night does not matter."""
         motor = spec.motor(night, spec.file.flushing.mode)
-        names = tuple(path.coefficient_name for path in motor.column_paths)
+        coefficients = tuple(path.coefficient_name for path in motor.column_paths)
         flushing = (FLUSHING,) if spec.file.flushing.mode == "estimated" else ()
         parameters = Parametrisation.of(motor)
         lower, upper = parameters.coefficient_bounds()
-        names_of_paths = tuple(path.name for path in motor.column_paths)
+        names = tuple(path.name for path in motor.column_paths)
         standard = None
         if spec.roller_is_free:
             stated = spec.stated.motor(night, spec.file.flushing.mode).standard
             if stated is not None:
-                standard = names_of_paths.index(stated.name), stated.configured_coefficient
+                standard = names.index(stated.name), stated.configured_coefficient
         return cls(
-            names_of_paths,
-            names + flushing,
+            names,
+            coefficients + flushing,
             tuple(motor.columns),
             tuple(path.configured_coefficient if path else 0.0 for path in parameters.paths),
             tuple((lower < upper).tolist()),
@@ -164,12 +149,12 @@ def record_type(layout: Layout) -> np.dtype[Any]:
             ("noise", "f8", theta),
             ("freedom", "f8", theta),
             # Against the baseline at the night's own duty: `AS_BASELINE` and so on, θ of both
-            # with the covariance of the baseline's, ln of the flow over what it says, and the
+            # with U of the covariance of the baseline's, ln of the flow over what it says, and the
             # share of the baseline's blocks behind it.
             ("duty", "i1"),
             ("duty_then", "f8", theta),
             ("duty_now", "f8", theta),
-            ("duty_error", "f8", triangle(theta)),
+            ("duty_root", "f8", triangle(theta)),
             ("duty_flow", "f8"),
             ("duty_share", "f8"),
             *layout.filtered,
@@ -194,13 +179,7 @@ class NightWords:
 
 
 def triangle(size: int) -> int:
-    """Numbers of an upper triangle.
-
-    Examples
-    --------
-    >>> triangle(6)
-    21
-    """
+    """Numbers of an upper triangle."""
     return size * (size + 1) // 2
 
 

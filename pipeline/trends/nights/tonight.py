@@ -35,22 +35,10 @@ class Tonight:
 def tonight_of(output: Path, motor_ids: Sequence[str], latest: dt.date) -> Tonight | None:
     """Tonight by the published tables; None where no motor has kept a sample.
 
-    A night that only an unreadable log tells, or that lies in the future, is not tonight: it would
-    make every other motor silent since.
+    A night that only an unreadable log tells, or that lies in the future, after `latest`, is not
+    tonight: it would make every other motor silent since.
 
-    Parameters
-    ----------
-    output
-        Output folder.
-    motor_ids
-        The fleet's motors.
-    latest
-        Night of a day after the run's clock.
-
-    Raises
-    ------
-    StoreError
-        If a table file is damaged.
+    Raises StoreError if a table file is damaged.
     """
     further: dict[str, dt.date] = {}
     for night in nights_back(output, FITS):

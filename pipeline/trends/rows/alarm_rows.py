@@ -22,6 +22,13 @@ Row = dict[str, Any]
 RECOMPUTED = "recomputed"
 INSUFFICIENT = "insufficient"
 MARKS = ("rules", "state_before_rules", "is_silent")
+# Why an indicator is ok again, by the state before.
+WHY_OK = {
+    INSUFFICIENT: "a baseline was taken",
+    "stale": "there is a trusted figure again",
+    "duty_outside": "its duty is one that the baseline has seen",
+    "common_cause": "the oil circuit is back where it was",
+}
 # What is judged by rules of its own, in words; the others are zeros of sensors.
 OF_OWN_RULES = {
     MODEL_MISFIT: "the model's misfit",
@@ -89,7 +96,8 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
     deviation = float(watched.found.deviation[place])
     row["deviation_percent"] = None if math.isnan(deviation) else 100.0 * deviation
     if after == "ok":
-        return row | {"reason": _why_ok(before), "way": _way_to_ok(before)}
+        why = WHY_OK.get(before, "back below its levels")
+        return row | {"reason": why, "way": "baseline" if before == INSUFFICIENT else "recovered"}
     if after == INSUFFICIENT:
         return row | {
             "reason": f"a new baseline begins: {watched.segment(place).reason}",
@@ -118,19 +126,6 @@ def _by_own_rules(standing: Standing, name: str, place: int, before: str, after:
     if before == INSUFFICIENT:
         return {"reason": f"{what} is known", "way": "baseline"}
     return {"reason": f"{what} is back where it was", "way": "recovered"}
-
-
-def _why_ok(before: str) -> str:
-    return {
-        INSUFFICIENT: "a baseline was taken",
-        "stale": "there is a trusted figure again",
-        "duty_outside": "its duty is one that the baseline has seen",
-        "common_cause": "the oil circuit is back where it was",
-    }.get(before, "back below its levels")
-
-
-def _way_to_ok(before: str) -> str:
-    return "baseline" if before == INSUFFICIENT else "recovered"
 
 
 def _with_withdrawn(

@@ -38,28 +38,15 @@ NEVER = np.iinfo(np.int64).max
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """Contribution of a motor's indicator to the comparison in its circuit; shape (n,) each.
+    """Contribution of a motor's indicator to the comparison in its circuit; shape (n,) each."""
 
-    Attributes
-    ----------
-    change
-        ln of the indicator over the mean of the first good nights of its segment; each baseline
-        continues where the one before ended. nan where there is none.
-    spoken
-        The same, as the other motors use it: without events entered later.
-    held
-        Last contribution, in nights with a fit before a new baseline is known; else nan.
-    known_at
-        Place of the night on which that mean was known; `NEVER` where it never was.
-    segments
-        Nights by baseline.
-    """
-
+    # ln of the indicator over the mean of the first good nights of its segment; each baseline
+    # continues where the one before ended. nan where there is none.
     change: Array
-    spoken: Array
-    held: Array
-    known_at: Places
-    segments: tuple[Segment, ...]
+    spoken: Array  # the same, as the other motors use it: without events entered later
+    held: Array  # last contribution, in nights with a fit before a new baseline is known; else nan
+    known_at: Places  # place of the night on which that mean was known; `NEVER` where it never was
+    segments: tuple[Segment, ...]  # nights by baseline
 
     @property
     def known(self) -> Mask:
@@ -99,23 +86,12 @@ class Contribution:
 
 @dataclass(frozen=True, slots=True)
 class Peers:
-    """Changes of the other motors of a motor's circuit; shape (n,) each, nights of the motor.
+    """Changes of the other motors of a motor's circuit; shape (n,) each, nights of the motor."""
 
-    Attributes
-    ----------
-    others
-        Median of their contributions; nan where there is none, or nothing could be compared.
-    deviation
-        The motor's own log change less that median, where both were known in the night.
-    n_others
-        Number of contributions.
-    comparable
-        Place from which on a comparison was possible, by first place of each segment of the motor.
-    """
-
-    others: Array
-    deviation: Array
-    n_others: Places
+    others: Array  # median of their contributions; nan: there is none, or nothing to compare with
+    deviation: Array  # own log change less that median, where both were known in the night
+    n_others: Places  # number of contributions
+    # Place from which on a comparison was possible, by first place of each segment of the motor.
     comparable: Mapping[int, int]
 
     def known_from(self, segment: Segment) -> int:

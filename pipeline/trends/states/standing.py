@@ -40,33 +40,15 @@ LONGEST_MEMORY = 60
 
 @dataclass(frozen=True)
 class Standing:
-    """States, changes and explanations of a motor's nights.
-
-    Parameters
-    ----------
-    history, eras
-        Its nights, and the quantities frozen with each baseline.
-    watched
-        Watched indicators, by name.
-    peers
-        Changes of the drain flows of the other motors of its oil circuit; None without others.
-    why
-        The explanations of its changes.
-    sudden
-        Sudden changes that no event explains.
-    zeros
-        Zeros of its sensors.
-    model
-        Misfit of its model.
-    """
+    """States, changes and explanations of a motor's nights."""
 
     history: History
     eras: tuple[Era, ...]
-    watched: Mapping[str, Watched]
-    peers: Peers | None
+    watched: Mapping[str, Watched]  # by name
+    peers: Peers | None  # the other motors of its oil circuit; None without others
     why: Why
     sudden: tuple[Sudden, ...]
-    zeros: Mapping[str, Zero]
+    zeros: Mapping[str, Zero]  # by name
     model: ModelCourse
     _onsets: dict[int, int] = field(default_factory=dict)
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.course.alarms import above_level
+from leakage.course.alarms import above_level, nights_since_good
 from leakage.course.temperature_correction import (
     NIGHTS_OF_NOW,
     TemperatureCorrection,
@@ -115,14 +115,7 @@ def temperature_watch(
         moved[: era.temperature_from - era.segment.first] = np.nan
         raised = above_level(moved, CERTAIN, 0.0, nights_rule(history.spec))
         evidence[here] = moved
-        told = _is_recent(history, here, np.isfinite(moved))
+        silent = nights_since_good(history.numbers[here], np.isfinite(moved))
+        told = silent <= history.spec.settings.alarms.stale_after_nights
         state[here] = np.where(raised, "warning", np.where(told, "ok", "insufficient"))
     return TemperatureWatch(history, tuple(eras), value, half, evidence, tuple(state.tolist()))
-
-
-def _is_recent(history: History, here: slice, told: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Nights of a segment on which the last that tells it is not stale, shape as `told`."""
-    nights = history.numbers[here].astype(np.float64)
-    last = np.maximum.accumulate(np.where(told, nights, -np.inf))
-    recent: NDArray[np.bool_] = nights - last <= history.spec.settings.alarms.stale_after_nights
-    return recent

@@ -32,18 +32,8 @@ DATED = ("finite", "not_before", "beyond_horizon")
 # Days ahead up to which a date is told to the day, not to the month.
 TO_THE_DAY = 60
 MONTHS = (
-    "January",
-    "February",
-    "March",
-    "April",
-    "May",
-    "June",
-    "July",
-    "August",
-    "September",
-    "October",
-    "November",
-    "December",
+    *("January", "February", "March", "April", "May", "June"),
+    *("July", "August", "September", "October", "November", "December"),
 )
 
 
@@ -70,8 +60,8 @@ def day(date: object) -> str:
     >>> day(dt.date(2026, 10, 3))
     '3 October 2026'
     """
-    text = str(date)
-    return f"{int(text[8:10])} {MONTHS[int(text[5:7]) - 1]} {text[:4]}"
+    year, month, day_of_month = str(date)[:10].split("-")
+    return f"{int(day_of_month)} {MONTHS[int(month) - 1]} {year}"
 
 
 def limit_dates(row: Mapping[str, Any]) -> str:
@@ -160,41 +150,3 @@ def relative_change(indicator: str, change: float) -> float:
     (0.3, 0.2)
     """
     return math.cbrt(max(1.0 + change, 0.0)) - 1.0 if indicator.startswith("K_") else change
-
-
-def limit_words(indicator: str, value: float, limit: float, unit: str) -> str:
-    """That an indicator lies beyond a limit of the motor type.
-
-    Examples
-    --------
-    >>> limit_words("reference_leakage", 1.523, 1.5, "l/min")
-    'reference leakage 1.52 l/min, and the limit of the motor type is 1.5 l/min'
-    """
-    return (
-        f"{name_of(indicator)} {value:.3g} {unit}, and the limit of the motor type is "
-        f"{limit:g} {unit}"
-    )
-
-
-def moved_words(indicator: str, percent: float) -> str:
-    """Change of another indicator at the same time, in words.
-
-    Examples
-    --------
-    >>> moved_words("reference_leakage", 11.2), moved_words("reference_leakage", -0.2)
-    ('reference leakage +11 %', 'reference leakage unchanged')
-    """
-    if abs(percent) < 0.5:
-        return f"{name_of(indicator)} unchanged"
-    return f"{name_of(indicator)} {percent:+.0f} %"
-
-
-def unknown_words(indicator: str, since: object) -> str:
-    """That an indicator is not known now.
-
-    Examples
-    --------
-    >>> unknown_words("reference_leakage", "2026-01-10")
-    'reference leakage not known since 10 January 2026'
-    """
-    return f"{name_of(indicator)} not known since {day(since)}"

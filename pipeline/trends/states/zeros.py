@@ -84,7 +84,7 @@ def _zero(history: History, name: str) -> Zero:
     state = np.full(n, "insufficient", dtype=object)
     parts = segments(history, name)
     rule = nights_rule(history.spec)
-    for part in parts:
+    for part in parts if np.isfinite(value).any() else ():
         here = part.here
         found = zero_course(
             history.numbers[here],
@@ -92,12 +92,8 @@ def _zero(history: History, name: str) -> Zero:
             np.nan_to_num(error[here]),
             tolerance(history.spec, name),
         )
-        first[here] = found.zero - found.change
-        move[here], lower[here], upper[here] = (
-            found.change,
-            found.change_lower,
-            found.change_upper,
-        )
+        first[here], move[here] = found.zero - found.change, found.change
+        lower[here], upper[here] = found.change_lower, found.change_upper
         # Nights with a halt decide; the others hold.
         drifts = np.where(np.isfinite(value[here]), found.drifts.astype(np.float64), np.nan)
         known = np.isfinite(found.change)

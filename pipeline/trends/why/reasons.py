@@ -12,7 +12,7 @@ from pipeline.trends.baselines.duty import UNCERTAIN, duty_words
 from pipeline.trends.figures.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
 from pipeline.trends.nights.records import BALANCED, FLUSHING, OUTSIDE
 from pipeline.trends.states.standing import CHANGED, RAISED, Standing
-from pipeline.trends.states.words import FALL, limit_words, moved_words, size_words, unknown_words
+from pipeline.trends.states.words import FALL, day, name_of, size_words
 from pipeline.trends.why.explanation_words import why_words
 
 Array = NDArray[np.float64]
@@ -149,9 +149,10 @@ def _beyond_limit(standing: Standing, name: str, place: int) -> str:
     values = watched.series[watched.segment(place).first : place + 1]
     known = values[np.isfinite(values)]
     value = (float(known[-1]) if len(known) else 0.0) - watched.indicator.shift
-    limits = watched.settings.limits
+    limits, unit = watched.settings.limits, watched.indicator.unit
     limit = limits.alarm if watched.found.limit_severity[place] > 1 else limits.warning
-    return limit_words(name, value, float(limit or 0.0), watched.indicator.unit)
+    told = f"{name_of(name)} {value:.3g} {unit}"
+    return f"{told}, and the limit of the motor type is {limit:g} {unit}"
 
 
 def _moved_with_it(standing: Standing, name: str, place: int) -> list[str]:
@@ -180,10 +181,12 @@ def _moved(standing: Standing, other: str, name: str, place: int) -> tuple[int, 
     last, begin = int(known[-1]), standing.change_start(name, place) or 0
     silent = history.numbers[place] - history.numbers[last]
     if last < begin or silent > watched.settings.stale_nights:
-        return 1, unknown_words(other, standing.label(last))
+        return 1, f"{name_of(other)} not known since {day(standing.label(last))}"
     now = known[known >= begin][-NIGHTS_OF_SIZE:]
     weights = weights_of_now(history.numbers[now])
-    return 2, moved_words(other, 100.0 * float(weights @ deviation[now]))
+    percent = 100.0 * float(weights @ deviation[now])
+    told = "unchanged" if abs(percent) < 0.5 else f"{percent:+.0f} %"
+    return 2, f"{name_of(other)} {told}"
 
 
 def path_behind(standing: Standing, name: str, place: int) -> Posterior | None:

@@ -10,8 +10,6 @@ import pytest
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change
 
-# Check
-
 
 def test_check_prints_a_table_for_each_motor(call: Call, fleet: Path) -> None:
     code, out, err = call("check", fleet)
@@ -75,9 +73,6 @@ def test_2_where_there_are_no_tables(
     assert (code, out) == (2, "")
     assert err.startswith(f"motor-leakage: no_tables: there are no tables in {elsewhere}")
     assert not elsewhere.exists()
-
-
-# One night
 
 
 def test_fit_tells_of_a_night_and_publishes_nothing(call: Call, fleet: Path) -> None:

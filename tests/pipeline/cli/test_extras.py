@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from tests.pipeline.calling import python
 
 ROOT = Path(__file__).parents[3]
 # In a process of its own: every module of the program without the extras, then what asks for them.
@@ -43,23 +43,10 @@ for ask in (dask, lambda: ObjectStore.at("s3://b/x"), lambda: list(export_delta(
 
 
 def test_without_the_extras_all_modules_load_and_each_use_names_its_extra() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT], capture_output=True, text=True, check=True
-    )
-    told = [line.split(" ", 1) for line in done.stdout.splitlines()]
+    told = [line.split(" ", 1) for line in python(WITHOUT).stdout.splitlines()]
     assert [code for code, _ in told] == ["dask_missing", "object_store_missing", "delta_missing"]
     for (_, message), extra in zip(told, ("dask", "s3", "delta"), strict=True):
         assert f"motor-leakage[{extra}]" in message
-
-
-def test_a_run_on_one_machine_loads_no_extra() -> None:
-    names = "dask", "distributed", "obstore", "deltalake"
-    code = (
-        "import sys, pipeline.run.fleet, pipeline.cli.housekeeping, pipeline.export.delta; "
-        f"print([name for name in {names} if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 def pinned() -> dict[str, str]:

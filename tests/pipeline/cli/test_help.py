@@ -18,16 +18,13 @@ import pytest
 from typer.main import get_command
 
 from pipeline.cli import app
-from tests.pipeline.calling import Call, without_workers
+from tests.pipeline.calling import Call, python, without_workers
 
 COMMANDS = sorted(
     command.name or command.callback.__name__.replace("_", "-")
     for command in app.registered_commands
     if command.callback
 )
-
-
-# Help
 
 
 def test_help_lists_every_command(call: Call) -> None:
@@ -85,15 +82,14 @@ def test_version(call: Call) -> None:
 
 
 NO_COMMAND_NEEDS = ("pandas", "matplotlib", "plotly", "jinja2", "ruptures", "pyarrow.dataset")
+EXTRAS = ("dask", "distributed", "obstore", "deltalake", "duckdb")
 NOT_AT_ONCE = (*NO_COMMAND_NEEDS, "scipy", "pyarrow.compute", "rich")
 
 
 def loaded_by(code: str, names: Sequence[str]) -> list[str]:
     """Those of some modules that a fresh process has loaded after some code."""
     code += f"\nimport sys; print(*(name for name in {names} if name in sys.modules))"
-    command = [sys.executable, "-c", code]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    return said.splitlines()[-1].split()
+    return python(code).stdout.splitlines()[-1].split()
 
 
 def test_help_imports_nothing_heavy() -> None:
@@ -103,7 +99,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 def test_a_run_begins_without_what_it_does_not_need() -> None:
     """Each of these takes as long to import as a third of the program."""
-    unused = (*NOT_AT_ONCE, "duckdb", "pipeline.night.fit_night")
+    unused = (*NOT_AT_ONCE, *EXTRAS, "pipeline.night.fit_night")
     code = "import pipeline.run.fleet, pipeline.cli.reporter as one; one.Reporter(False, 1)"
     assert loaded_by(code, unused) == []
 
@@ -117,24 +113,12 @@ def test_status_neither_fits_nor_draws(fleet: Path) -> None:
     assert loaded_by(code, unused) == []
 
 
-# As people start it
-
-
-def test_the_installed_command_from_demo_to_tables(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_installed_command_from_demo_to_tables(tmp_path: Path) -> None:
     command = Path(sys.executable).with_name("motor-leakage")
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [str(command), *arguments],
-            cwd=tmp_path,
-            env=os.environ | {"NO_COLOR": "1"},
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
+        plain = {"env": os.environ | {"NO_COLOR": "1"}, "capture_output": True, "text": True}
+        return subprocess.run([command, *arguments], cwd=tmp_path, timeout=120, **plain)
 
     made = run("demo", ".", "--nights", "1", "--minutes", "30", "--jobs", "1")
     assert made.returncode == 0, made.stderr
@@ -144,9 +128,3 @@ def test_the_installed_command_from_demo_to_tables(
     assert "\x1b" not in fitted.stdout
     found = pl.read_parquet(tmp_path / "out" / "tables" / "fits" / "**" / "*.parquet")
     assert found.filter("is_primary")["motor_id"].n_unique() == 6
-    (tmp_path / "mine" / "demo").mkdir(parents=True)
-    (tmp_path / "mine" / "demo" / "notes.txt").touch()
-    monkeypatch.chdir(tmp_path)
-    code, _, err = call("demo", "mine")
-    assert code == 2
-    assert "name another folder" in err

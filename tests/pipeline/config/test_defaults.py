@@ -13,25 +13,11 @@ DEFAULTS = """
 [defaults]
 motor_type = "CB560"
 oil = "vg68"
-
-[defaults.logs]
-format = "csv"
-files = ["plant/*.csv"]
-separator = ";"
-
-[defaults.channels.pressure_difference]
-source = "{name_in_log}_dp"
-unit = "bar"
-resolution = 0.1
-
-[defaults.channels.oil_temperature]
-source = "{name_in_log}_T"
-unit = "degC"
-
-[defaults.channels.speed]
-source = "{name_in_log}_n"
-unit = "rpm"
-
+logs = { format = "csv", files = ["plant/*.csv"], separator = ";" }
+[defaults.channels]
+pressure_difference = { source = "{name_in_log}_dp", unit = "bar", resolution = 0.1 }
+oil_temperature = { source = "{name_in_log}_T", unit = "degC" }
+speed = { source = "{name_in_log}_n", unit = "rpm" }
 [defaults.channels.leakage_flow]
 source = "{name_in_log}_q"
 unit = "l/min"
@@ -61,13 +47,9 @@ def test_a_motor_has_the_last_word(tmp_path: Path) -> None:
     own = """
 motor_id = "W1"
 oil = "vg46"
-[logs]
-files = ["W1/*.csv"]
-[channels.pressure_difference]
-resolution = 0.5
-[channels.speed]
-constant = 24.5
-unit = "rpm"
+logs.files = ["W1/*.csv"]
+channels.pressure_difference.resolution = 0.5
+channels.speed = { constant = 24.5, unit = "rpm" }
 """
     (spec,) = load_fleet(configs(tmp_path, {"W1": own})).motors
     assert (spec.file.oil, spec.file.motor_type) == ("vg46", "CB560")

@@ -44,15 +44,9 @@ def test_faults_of_the_fleet_file(
         *(
             (f"webhook_url = {url}", "webhook_url: expected http:// or https:// and a host")
             for url in (
-                '"file:///T0KEN"',
-                '"http://"',
-                '"http:/T0KEN"',
-                '"http://h/T0 KEN"',
-                '"http://h/T0KEN\\r\\n"',
-                '"http://[::1"',
-                '"http://h:T0KEN/"',
-                '"http://h:99999/"',
-                '"h.example/T0KEN"',
+                *('"file:///T0KEN"', '"http://"', '"http:/T0KEN"', '"http://h/T0 KEN"'),
+                *('"http://h/T0KEN\\r\\n"', '"http://[::1"', '"http://h:T0KEN/"'),
+                *('"http://h:99999/"', '"h.example/T0KEN"'),
             )
         ),
         ('webhook_url = "https://me:T0KEN@h/"', "webhook_url: expected no name or password"),
@@ -64,13 +58,7 @@ def test_faults_of_the_fleet_file(
         *(
             (f"webhook_headers = {{ X = {value} }}", "webhook_headers: expected printable ASCII")
             for value in (
-                '"$T0KEN"',
-                '"${T0KEN"',
-                '"${}"',
-                '"${1}"',
-                '"T0KENñ"',
-                '"T0\\nKEN"',
-                '""',
+                *('"$T0KEN"', '"${T0KEN"', '"${}"', '"${1}"', '"T0KENñ"', '"T0\\nKEN"', '""'),
             )
         ),
         ("webhook_headers = { X = 1 }", "webhook_headers.X: expected a valid string"),

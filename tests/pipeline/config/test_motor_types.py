@@ -16,7 +16,9 @@ from leakage.physics.film import film_thickness_ratio
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.schema import FITS, PARAMETERS
 from pipeline.schema.fits import OK
+from pipeline.store.tables import night_file
 from tests.pipeline.simulated import (
     NIGHT,
     Operation,
@@ -99,25 +101,11 @@ def axial_by_hand(spec: MotorSpec) -> Motor:
     quintic = np.zeros(6)
     for power, factor in ((0, 0.004), (1, 0.03), (2, -0.02), (5, 0.01)):
         quintic[5 - power] = factor / 200.0**power
+    clearance, plate = Parameter("h", "um", 23.0, 2.0, 90.0), Parameter("p", "um", 10.0, 1.0, 60.0)
+    share = Parameter("e", "1", 0.6, 0.0, 1.0)
     paths = (
-        AnnularGap(
-            "piston_clearance",
-            5,
-            0.012,
-            0.040,
-            Parameter("h", "um", 23.0, 2.0, 90.0),
-            Parameter("e", "1", 0.6, 0.0, 1.0),
-            X_CLEARANCE_BAR * 1e5,
-        ),
-        AnnularGap(
-            "valve_plate",
-            1,
-            0.045,
-            0.010,
-            Parameter("h2", "um", 10.0, 1.0, 60.0),
-            None,
-            X_PLATE_BAR * 1e5,
-        ),
+        AnnularGap("piston_clearance", 5, 0.012, 0.04, clearance, share, X_CLEARANCE_BAR * 1e5),
+        AnnularGap("valve_plate", 1, 0.045, 0.010, plate, None, X_PLATE_BAR * 1e5),
         Laminar("distributor", 2, Parameter("C", "m3", 8e-15, 0.0, 1e-12)),
         SpeedCurve(
             name="slipper",
@@ -148,22 +136,6 @@ def axial(tmp_path: Path) -> MotorSpec:
     return load_motor(tmp_path, motor_toml("AX", "AX-9"), {"AX-9": AXIAL})
 
 
-def test_an_invented_type_gives_back_its_loss_factors(axial: MotorSpec) -> None:
-    truth = axial_by_hand(axial)
-    outcome = fit_exact(axial, operate(), truth)
-    assert outcome.status == OK, outcome.reason
-    found = parameters_of(outcome)
-    for path in truth.paths[:3]:
-        value = found[f"K_{path.name}"]["value"]
-        assert value == pytest.approx(path.configured_coefficient, rel=1e-6), path.name
-    assert found["scale_slipper"]["verdict"] == "fixed"
-    (row,) = outcome.rows["fits"]
-    reference = OperatingConditions.from_bar(200.0, 50.0, 30.0)
-    assert row["reference_leakage_l_per_min"] == pytest.approx(
-        leakage_l_per_min(truth, reference)[0], rel=1e-9
-    )
-
-
 def test_columns_are_those_of_the_declared_paths(axial: MotorSpec) -> None:
     motor = axial.motor(NIGHT, "none")
     names = ("piston_clearance", "valve_plate", "distributor", "one", "known", "measured")
@@ -189,9 +161,6 @@ def test_gaps_are_what_the_loss_factors_leave(axial: MotorSpec) -> None:
 
 def test_points_give_the_constants_that_made_them(axial: MotorSpec) -> None:
     clearance, plate, _, slipper = axial.motor_type.paths()
-    assert isinstance(clearance, AnnularGap)
-    assert isinstance(plate, AnnularGap)
-    assert isinstance(slipper, SpeedCurve)
     assert clearance.deformation_pressure_pa == pytest.approx(150e5, rel=1e-9)
     assert plate.deformation_pressure_pa == pytest.approx(700e5, rel=1e-9)
     speed = np.linspace(0.0, 200.0, 41)
@@ -207,9 +176,8 @@ def test_speeds_beyond_the_points_are_counted(axial: MotorSpec) -> None:
     assert outcome.status == OK
     counted = sum(row["n_beyond_curve"] for row in outcome.rows["block_statistics"])
     kept = sum(row["n"] for row in outcome.rows["block_statistics"])
-    assert counted == pytest.approx(
-        int((fast.speed_rpm > 200.0).sum()), abs=len(fast.speed_rpm) - kept
-    )
+    beyond, refused = int((fast.speed_rpm > 200.0).sum()), len(fast.speed_rpm) - kept
+    assert counted == pytest.approx(beyond, abs=refused)
     assert counted > 0
 
 
@@ -264,17 +232,19 @@ def test_from_toml_and_logs_to_the_tables(tmp_path: Path) -> None:
     fleet = load_fleet(fleet_file)
     (spec,) = fleet.motors
     truth, operation = axial_by_hand(spec), operate()
-    write_log(
-        tmp_path / "logs" / "AX" / "night.parquet",
-        operation.time_us,
-        operation.channels(operation.flow(truth)),
-    )
+    values = operation.channels(operation.flow(truth))
+    write_log(tmp_path / "logs" / "AX" / "night.parquet", operation.time_us, values)
     result = run_fleet(RunRequest(fleet))
     assert not result.failed
-    tables = tmp_path / "out" / "tables"
-    parameters = pl.read_parquet(tables / "parameters" / "month=2026-03" / "2026-03-02.parquet")
-    found = dict(parameters.select("parameter", "value").iter_rows())
+    parameters, fits = (
+        pl.read_parquet(night_file(fleet.output, table, NIGHT)) for table in (PARAMETERS, FITS)
+    )
+    found = {row["parameter"]: row for row in parameters.to_dicts()}
     for path in truth.paths[:3]:
-        assert found[f"K_{path.name}"] == pytest.approx(path.configured_coefficient, rel=1e-6)
-    fits = pl.read_parquet(tables / "fits" / "month=2026-03" / "2026-03-02.parquet")
-    assert fits["motor_type"].to_list() == ["AX-9"]
+        value = found[f"K_{path.name}"]["value"]
+        assert value == pytest.approx(path.configured_coefficient, rel=1e-6), path.name
+    assert found["scale_slipper"]["verdict"] == "fixed"
+    (row,) = fits.to_dicts()
+    leakage = leakage_l_per_min(truth, OperatingConditions.from_bar(200.0, 50.0, 30.0))[0]
+    assert row["reference_leakage_l_per_min"] == pytest.approx(leakage, rel=1e-9)
+    assert (row["status"], row["motor_type"]) == (OK, "AX-9")

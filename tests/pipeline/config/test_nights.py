@@ -18,18 +18,9 @@ HOUR = 3_600_000_000
 SPRING, AUTUMN = dt.date(2026, 3, 29), dt.date(2026, 10, 25)
 # Zones that change at midnight, by half an hour, by two hours, on other days or never.
 ZONES = (
-    "UTC",
-    "Europe/Oslo",
-    "America/Santiago",
-    "Asia/Beirut",
-    "Africa/Cairo",
-    "America/Nuuk",
-    "Australia/Lord_Howe",
-    "Antarctica/Troll",
-    "Pacific/Chatham",
-    "Asia/Kathmandu",
-    "Africa/Casablanca",
-    "Pacific/Kiritimati",
+    *("UTC", "Europe/Oslo", "America/Santiago", "Asia/Beirut", "Africa/Cairo", "America/Nuuk"),
+    *("Australia/Lord_Howe", "Antarctica/Troll", "Pacific/Chatham", "Asia/Kathmandu"),
+    *("Africa/Casablanca", "Pacific/Kiritimati"),
 )
 ANY_NIGHTS = st.builds(Nights, time_zone=st.sampled_from(ZONES), end_hour=st.integers(0, 23))
 MOMENTS = st.integers(1_577_836_800_000_000, 2_000_000_000_000_000)  # 2020 to 2033
@@ -65,17 +56,13 @@ def test_half_open() -> None:
 
 
 class TestClockChange:
-    def test_lengths(self) -> None:
-        assert hours(SPRING, OSLO) == 23
-        assert hours(AUTUMN, OSLO) == 25
-        for label in (SPRING, AUTUMN):
-            assert hours(label - DAY, OSLO) == hours(label + DAY, OSLO) == 24
-
     def test_borders_stay_at_the_local_hour(self) -> None:
         assert night(SPRING, OSLO).start_us == utc(2026, 3, 28, 5)
         assert night(SPRING, OSLO).end_us == utc(2026, 3, 29, 4)
         assert night(AUTUMN, OSLO).start_us == utc(2026, 10, 24, 4)
         assert night(AUTUMN, OSLO).end_us == utc(2026, 10, 25, 5)
+        for label in (SPRING, AUTUMN):
+            assert hours(label - DAY, OSLO) == hours(label + DAY, OSLO) == 24
 
     @pytest.mark.parametrize(
         ("label", "lengths", "both", "end"),

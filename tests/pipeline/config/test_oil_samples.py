@@ -95,13 +95,6 @@ def test_an_analysis_that_cannot_be_is_refused(
     assert words in fault.message
 
 
-def test_analyses_stand_in_order_of_their_dates(configs: Path) -> None:
-    add(configs, MOTOR, SAMPLE + SAMPLE)
-    (fault,) = faults(configs)
-    assert fault.key == "oil_samples.1.date"
-    assert "expected a date after 2020-01-05" in fault.message
-
-
 def test_a_circuit_is_one_of_a_motor_and_has_the_only_analyses(configs: Path) -> None:
     (configs / "oil_circuits").mkdir()
     for name in ("winch", "wench"):
@@ -113,22 +106,22 @@ def test_a_circuit_is_one_of_a_motor_and_has_the_only_analyses(configs: Path) ->
     }
 
 
+NU, ETA = (f'\n[channels.{name}_viscosity]\nsource = "x"\n' for name in ("kinematic", "dynamic"))
+
+
 @pytest.mark.parametrize(
-    ("lines", "words"),
+    ("lines", "key", "words"),
     [
-        ('[channels.kinematic_viscosity]\nsource = "nu"\n', "is missing"),
-        ('[channels.kinematic_viscosity]\nsource = "nu"\nunit = "cP"\n', "expected one of mm2/s"),
+        (NU, "channels.kinematic_viscosity.unit", "is missing"),
+        (f'{NU}unit = "cP"\n', "channels.kinematic_viscosity.unit", "expected one of mm2/s"),
+        (f'{NU}unit = "cSt"\n{ETA}unit = "cP"\n', "channels", "not both"),
+        (SAMPLE + SAMPLE, "oil_samples.1.date", "expected a date after 2020-01-05"),
     ],
 )
-def test_a_viscosity_has_a_unit_of_its_kind(configs: Path, lines: str, words: str) -> None:
-    add(configs, MOTOR, f"\n{lines}")
+def test_a_viscosity_has_a_unit_and_analyses_stand_in_order(
+    configs: Path, lines: str, key: str, words: str
+) -> None:
+    add(configs, MOTOR, lines)
     (fault,) = faults(configs)
-    assert fault.key == "channels.kinematic_viscosity.unit"
+    assert fault.key == key
     assert words in fault.message
-
-
-def test_a_log_has_one_viscosity(configs: Path) -> None:
-    for name, unit in (("kinematic_viscosity", "cSt"), ("dynamic_viscosity", "cP")):
-        add(configs, MOTOR, f'\n[channels.{name}]\nsource = "{name}"\nunit = "{unit}"\n')
-    (fault,) = faults(configs)
-    assert "not both" in fault.message

@@ -11,10 +11,10 @@ import pytest
 from deltalake import DeltaTable
 from polars.testing import assert_frame_equal
 
-from pipeline.errors import StoreError, UsageError
 from pipeline.export.delta import export_delta
 from pipeline.schema import FITS, TABLES
 from pipeline.store.tables import read_rows, table_folder
+from tests.pipeline.calling import refused
 from tests.pipeline.s3_server import Server, s3_server
 from tests.pipeline.store.test_working_copy import FIRST
 from tests.pipeline.workshop import DAY, Workshop
@@ -29,9 +29,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
 
 
 def back(place: str) -> pl.DataFrame:
-    found = pl.from_arrow(DeltaTable(place).to_pyarrow_table())
-    assert isinstance(found, pl.DataFrame)
-    return found
+    return pl.from_arrow(DeltaTable(place).to_pyarrow_table())
 
 
 def test_every_table_comes_back_as_it_was(fitted_output: Path, tmp_path: Path) -> None:
@@ -75,17 +73,13 @@ def test_it_goes_into_a_bucket(server: Server, tmp_path: Path) -> None:
 def test_what_cannot_be_exported_is_said(
     tmp_path: Path, fitted_output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(UsageError) as error:
+    with refused("no_tables"):
         list(export_delta(tmp_path / "nothing", str(tmp_path)))
-    assert error.value.code == "no_tables"
-    with pytest.raises(UsageError) as error:
+    with refused("delta_folder"):
         list(export_delta(fitted_output, str(fitted_output / "tables" / "lake")))
-    assert error.value.code == "delta_folder"
     (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(StoreError) as caught:
+    with refused("store_write"):
         list(export_delta(fitted_output, str(tmp_path / "file"), (FITS,)))
-    assert caught.value.code == "store_write"
     monkeypatch.setitem(sys.modules, "deltalake", None)
-    with pytest.raises(UsageError, match=r"motor-leakage\[delta\]") as error:
+    with refused("delta_missing", "motor-leakage[delta]"):
         list(export_delta(fitted_output, str(tmp_path)))
-    assert error.value.code == "delta_missing"

@@ -30,13 +30,17 @@ def output(tiny_fleet: TinyFleet, tmp_path: Path) -> Path:
 @pytest.fixture
 def said(output: Path, tiny_fleet: TinyFleet) -> tuple[Decision, ...]:
     """Decisions made by people, in the journal and in the table of the next run."""
-    moment = dt.datetime(2026, 3, 4, 5, tzinfo=dt.UTC)
-    for number in range(3):
-        note = f"heard nothing, {number}"
-        record_decision(output, Decision("M1", "", moment, "finding", NIGHT, "not_confirmed", note))
-        moment += dt.timedelta(hours=1)
+    say(output)
     tiny_fleet.run(output)
     return read_decisions(output)
+
+
+def say(output: Path) -> None:
+    """Record three decisions."""
+    for number in range(3):
+        moment = dt.datetime(2026, 3, 4, 5 + number, tzinfo=dt.UTC)
+        note = f"heard nothing, {number}"
+        record_decision(output, Decision("M1", "", moment, "finding", NIGHT, "not_confirmed", note))
 
 
 @pytest.fixture

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import pytest
@@ -17,20 +16,9 @@ from pipeline.store import atomic_files, journals
 # All that the program writes to its output goes through these.
 DOORS = (atomic_files, journals)
 # Their calls, and how each of them fails on a disk.
-CALLS = {
-    "open": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "chmod": (errno.EIO,),
-    "fchmod": (errno.EIO,),
-    "write": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "pwrite": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "fsync": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "pread": (errno.EIO,),
-    "replace": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "mkdir": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
-    "unlink": (errno.EIO,),
-    "rmdir": (errno.EIO,),
-    "ftruncate": (errno.EIO,),
-}
+FULL = (errno.EIO, errno.ENOSPC, errno.EDQUOT)
+CALLS = dict.fromkeys(("open", "write", "pwrite", "fsync", "replace", "mkdir"), FULL)
+CALLS |= dict.fromkeys(("chmod", "fchmod", "pread", "unlink", "rmdir", "ftruncate"), (errno.EIO,))
 # `short`: a write takes half of what it is given, and what comes next finds the disk full.
 # `flipped`: what is read is not what was written. `killed`: the process dies before the call.
 Kind = Literal["EIO", "ENOSPC", "EDQUOT", "short", "flipped", "killed"]
@@ -45,34 +33,14 @@ class Killed(BaseException):
 
 @dataclass(slots=True)
 class Disk:
-    """The calls of a run, of which one fails.
-
-    Parameters
-    ----------
-    kind
-        How it fails.
-    point
-        Which one fails: the number of the call, from 1, among those that can fail so; 0: none.
-    lasting
-        Whether all that come after it fail as well, until the run is over.
-    die
-        What is done where the process is to die.
-
-    Attributes
-    ----------
-    calls
-        How often each call was made.
-    struck
-        Name of the call that failed first; empty while none did.
-    """
+    """The calls of a run, of which one fails."""
 
     kind: Kind
-    point: int
-    lasting: bool = False
-    die: Callable[[], None] | None = None
-    calls: Counter[str] = field(default_factory=Counter)
-    seen: int = 0
-    struck: str = ""
+    point: int  # number of the one that fails, from 1, among those that can fail so; 0: none
+    lasting: bool = False  # all that come after it fail as well, until the run is over
+    die: Callable[[], None] | None = None  # in place of the process's death
+    seen: int = 0  # calls that could have failed so far
+    struck: str = ""  # name of the call that failed first; empty while none did
 
     def __getattr__(self, name: str) -> Any:
         real = getattr(os, name)
@@ -80,7 +48,6 @@ class Disk:
             return real
 
         def call(*arguments: Any, **settings: Any) -> Any:
-            self.calls[name] += 1
             if self.kind == "flipped" and name == "pread":
                 content = real(*arguments)
                 return _flipped(content) if content and self._fails(name) else content

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import datetime as dt
 import hashlib
+import os
 import shutil
+import sys
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
 import pytest
 
@@ -25,12 +26,13 @@ from pipeline.schema import LATEST, TABLES, TREND_TABLES, Table
 from pipeline.schema.fits import FAILED
 from pipeline.store.tables import night_named, read_table
 from pipeline.trends.nights.trend_record import read_record
-from tests.pipeline.simulated import NIGHT, Operation, motor_toml, operate, write_configs, write_log
-from tests.pipeline.workshop import MINI, QUICK
+from tests.pipeline.simulated import NIGHT, motor_toml, write_configs, write_log
+from tests.pipeline.workshop import MINI, QUICK, Workshop
 
+# Of a process that imports the tests.
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
 MOTORS = ("M1", "M2")
 LATER = NIGHT + dt.timedelta(days=1)
-MINUTES = 24.0
 # Tables of a run itself: they say when and how long.
 OF_RUNS = {"runs", "motor_outcomes"}
 Tables = dict[str, pl.DataFrame]
@@ -38,25 +40,18 @@ Tables = dict[str, pl.DataFrame]
 
 @dataclass(frozen=True, slots=True)
 class TinyFleet:
-    """Logs and config, and outputs as runs leave them.
+    """Logs and config, and outputs as runs leave them."""
 
-    Attributes
-    ----------
-    folder
-        Holds `configs` and `logs`.
-    before, after
-        Outputs: with the first night of both motors; and after a run that nothing disturbed, for
-        which a log of the first night was corrected and those of the second came.
-    """
-
-    folder: Path
+    folder: Path  # of `configs` and `logs`
 
     @property
     def before(self) -> Path:
+        """Output with the first night of both motors."""
         return self.folder / "before"
 
     @property
     def after(self) -> Path:
+        """After another run: a log of the night was corrected, and those of the second came."""
         return self.folder / "after"
 
     @classmethod
@@ -82,12 +77,9 @@ class TinyFleet:
 
     def log(self, motor: str, night: dt.date, seed: int) -> Path:
         """Write a log with a little noise, the same for the same seed."""
-        operation: Operation = operate(night, MINUTES, seed)
-        specs = {spec.motor_id: spec for spec in load_fleet(self.fleet).motors}
-        noise = np.random.default_rng(seed).normal(0.0, 0.01, len(operation.time_us))
-        flow = operation.flow(specs[motor].motor(night, "none")) + noise
+        operation, values = Workshop(self.folder).night(night, seed)
         path = self.folder / "logs" / motor / f"{night}.parquet"
-        write_log(path, operation.time_us, operation.channels(flow))
+        write_log(path, operation.time_us, values)
         return path
 
     @property

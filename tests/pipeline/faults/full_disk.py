@@ -38,10 +38,8 @@ def tmpfs(work: Path, fleet: TinyFleet, room_kib: int) -> Iterator[Path]:
     _mount(place, ENOUGH_KIB)
     try:
         output = fleet.copy(place / "out")
-        used = subprocess.run(
-            ["df", "--output=used", "-k", place], check=True, capture_output=True, text=True
-        )
-        _mount(place, int(used.stdout.split()[-1]) + room_kib, remount=True)
+        used = subprocess.check_output(["df", "--output=used", "-k", place], text=True)
+        _mount(place, int(used.split()[-1]) + room_kib, remount=True)
         yield output
         _mount(place, ENOUGH_KIB, remount=True)
         finish(fleet, output)

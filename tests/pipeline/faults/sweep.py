@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 from pipeline.errors import StoreError
@@ -30,13 +32,15 @@ class Tally:
     ends: Counter[str] = field(default_factory=Counter)
 
 
-def count_points(fleet: TinyFleet, output: Path, kind: Kind) -> int:
+@cache
+def count_points(fleet: TinyFleet, kind: Kind) -> int:
     """Number of calls of a run that can fail in a way; the run passes if none of them fails."""
-    fleet.copy(output)
-    with remembered_fits(), on(Disk(kind, 0)) as disk:
-        fleet.run(output)
-    assert not disk.struck
-    check_repaired(output, fleet)
+    with tempfile.TemporaryDirectory() as folder:
+        output = fleet.copy(Path(folder) / "out")
+        with remembered_fits(), on(Disk(kind, 0)) as disk:
+            fleet.run(output)
+        assert not disk.struck
+        check_repaired(output, fleet)
     return disk.seen
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import json
 import shutil
 from contextlib import suppress
@@ -16,7 +15,8 @@ from pipeline.schema import QUALITY, frame
 from pipeline.store.manifest import manifest_file, read_manifest
 from pipeline.store.night_files import NewRows, prepare_night
 from pipeline.store.tables import night_file
-from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
+from pipeline.trends.nights.decisions import journal_file, read_decisions
+from tests.pipeline.faults.conftest import say
 from tests.pipeline.faults.disk import Disk, Killed, on
 from tests.pipeline.faults.fleet import TinyFleet, check_tables, remembered_fits
 from tests.pipeline.simulated import NIGHT
@@ -26,14 +26,10 @@ UNPROVEN = ("lock", "heartbeat.json", "views.sql")
 
 
 @pytest.fixture
-def output(tiny_fleet: TinyFleet, tmp_path: Path) -> Path:
+def output(output: Path) -> Path:
     """All that a run leaves, and something that people said."""
-    copy = shutil.copytree(tiny_fleet.after, tmp_path / "out")
-    moment = dt.datetime(2026, 3, 4, 5, tzinfo=dt.UTC)
-    for number in range(3):
-        note = f"heard nothing, {number}"
-        record_decision(copy, Decision("M1", "", moment, "finding", NIGHT, "not_confirmed", note))
-    return copy
+    say(output)
+    return output
 
 
 def files_of(output: Path) -> list[Path]:
@@ -74,7 +70,6 @@ def alone(path: Path, output: Path, folder: Path) -> Path:
     for manifest in (output / "manifest").rglob("*.json"):
         month = manifest.parent.name.removeprefix("month=")
         found = read_manifest(output, month, manifest.stem)
-        assert found is not None
         if name in found.names:
             target = manifest_file(folder, month, manifest.stem)
             target.parent.mkdir(parents=True)
@@ -125,7 +120,6 @@ def test_no_flipped_bit_gets_into_a_new_file(output: Path, size: int) -> None:
     path = night_file(output, QUALITY, NIGHT)
     whole = path.read_bytes()
     manifest = read_manifest(output, f"{NIGHT:%Y-%m}", NIGHT.isoformat())
-    assert manifest is not None
     accepted = manifest.accepted(path.relative_to(output / "tables").as_posix())
     new = NewRows(("M3",), 0, [frame(QUALITY, [])])
     sound = prepare_night(output, QUALITY, NIGHT, new, None, accepted)

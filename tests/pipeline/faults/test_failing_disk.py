@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from pipeline.store import atomic_files
+from tests.pipeline.calling import contents
 from tests.pipeline.faults import disk
-from tests.pipeline.faults.disk import CALLS, DOORS, KINDS, QUICK_KINDS, Disk, Kind, on
+from tests.pipeline.faults.disk import CALLS, DOORS, KINDS, Disk, Kind, on
 from tests.pipeline.faults.fleet import TinyFleet
 from tests.pipeline.faults.sweep import count_points, try_points
 
@@ -29,10 +30,7 @@ POINTS: dict[Kind, int] = {
 SLICES = 4
 # A dead process closes nothing; that of the test finds the open files later, and tells.
 DEAD = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-EACH_KIND = [
-    *(pytest.param(kind, marks=DEAD if kind == "killed" else ()) for kind in QUICK_KINDS),
-    pytest.param("EDQUOT", marks=pytest.mark.full),
-]
+EACH_KIND = [pytest.param(one, False, marks=DEAD if one == "killed" else ()) for one in KINDS]
 
 
 def some_points(n: int, count: int, part: int = 0) -> list[int]:
@@ -41,38 +39,29 @@ def some_points(n: int, count: int, part: int = 0) -> list[int]:
     return sorted(int(one) + 1 for one in chosen)
 
 
-@pytest.mark.parametrize("kind", EACH_KIND)
-def test_some_points(tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind) -> None:
-    output = tmp_path / "out"
-    n = count_points(tiny_fleet, output, kind)
-    points = some_points(n, POINTS[kind], KINDS.index(kind))
-    tally = try_points(tiny_fleet, output, kind, points)
-    assert tally.survived.total() == len(points)
-
-
-def test_a_disk_that_stays_full(tiny_fleet: TinyFleet, tmp_path: Path) -> None:
-    output = tmp_path / "out"
-    n = count_points(tiny_fleet, output, "ENOSPC")
-    points = some_points(n, 2)
-    tally = try_points(tiny_fleet, output, "ENOSPC", points, lasting=True)
+@pytest.mark.parametrize(
+    ("kind", "lasting"),
+    [
+        *(one for one in EACH_KIND if one.values[0] != "EDQUOT"),
+        pytest.param("EDQUOT", False, marks=pytest.mark.full),
+        ("ENOSPC", True),
+    ],
+)
+def test_some_points(tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind, lasting: bool) -> None:
+    n = count_points(tiny_fleet, kind)
+    points = some_points(n, POINTS[kind], 0 if lasting else KINDS.index(kind))
+    tally = try_points(tiny_fleet, tmp_path / "out", kind, points, lasting=lasting)
     assert tally.survived.total() == len(points)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("part", range(SLICES))
-@pytest.mark.parametrize(
-    ("kind", "lasting"),
-    [
-        *(pytest.param(kind, False, marks=DEAD if kind == "killed" else ()) for kind in KINDS),
-        ("EIO", True),
-        ("ENOSPC", True),
-    ],
-)
+@pytest.mark.parametrize(("kind", "lasting"), [*EACH_KIND, ("EIO", True), ("ENOSPC", True)])
 def test_every_point(
     tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind, lasting: bool, part: int
 ) -> None:
     output = tmp_path / "out"
-    n = count_points(tiny_fleet, output, kind)
+    n = count_points(tiny_fleet, kind)
     points = range(1 + part, n + 1, SLICES)
     tally = try_points(tiny_fleet, output, kind, points, lasting=lasting)
     sys.stdout.write(
@@ -96,7 +85,7 @@ def test_nothing_reaches_the_disk_but_through_the_one_door(
     and Python is asked to report what it opens, renames and removes itself.
     """
     output = tiny_fleet.copy(tmp_path / "out")
-    before = contents(output)
+    before = hashed(output)
     written: dict[int, Any] = {}
     hashes: set[str] = set()
 
@@ -133,7 +122,7 @@ def test_nothing_reaches_the_disk_but_through_the_one_door(
     staged: list[str] = []
 
     def remove_all(folder: Path) -> None:
-        staged.extend(contents(folder).values())
+        staged.extend(hashed(folder).values())
         really_remove_all(folder)
 
     really_remove_all = atomic_files.remove_all
@@ -142,7 +131,7 @@ def test_nothing_reaches_the_disk_but_through_the_one_door(
         patched.setattr("pipeline.run.fleet.remove_all", remove_all)
         tiny_fleet.run(output)
     listening = False
-    after = contents(output)
+    after = hashed(output)
     # Who holds the lock is written into a file that was there.
     new = {name: one for name, one in after.items() if before.get(name) != one and name != "lock"}
     assert len(new) > 20
@@ -161,12 +150,8 @@ def _writes(mode: str | None, flags: int) -> bool:
     )
 
 
-def contents(folder: Path) -> dict[str, str]:
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
+def hashed(folder: Path) -> dict[str, str]:
+    return {name: hashlib.sha256(one).hexdigest() for name, one in contents(folder).items()}
 
 
 def test_every_call_of_the_doors_can_be_failed() -> None:

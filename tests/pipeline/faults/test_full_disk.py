@@ -6,7 +6,6 @@ tmpfs where one may be mounted, else a limit on the size of files: one of them t
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections import Counter
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline.faults.fleet import TinyFleet
+from tests.pipeline.faults.fleet import ENVIRONMENT, TinyFleet
 
 # As root there needs to be no other user namespace, but it does no harm.
 NAMESPACE = ["unshare", "--map-root-user", "--mount"]
@@ -38,15 +37,10 @@ def ends_of(fleet: TinyFleet, work: Path, way: str, step_kib: int, most: int) ->
     """Ends of runs with increasing room on the disk."""
     command = [sys.executable, "-m", "tests.pipeline.faults.full_disk"]
     arguments = [str(fleet.folder), str(work), way, str(step_kib), str(most)]
-    done = subprocess.run(
-        [*(NAMESPACE if way == "tmpfs" else []), *command, *arguments],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])},
-    )
+    command = [*(NAMESPACE if way == "tmpfs" else []), *command, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT)
     assert done.returncode == 0, done.stderr
-    ends: list[str] = json.loads(done.stdout.splitlines()[-1])
-    return ends
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def test_no_room(tiny_fleet: TinyFleet, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from pipeline.run.motor_task import run_motor
 from pipeline.run.publishing import run_trends
 from pipeline.run.tasks import MotorTask
 from tests.pipeline.faults.fleet import (
+    ENVIRONMENT,
     MOTORS,
     TinyFleet,
     check_old_or_new,
@@ -54,20 +54,11 @@ def killer() -> Iterator[Callable[[Path, Path, str, int], None]]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])},
+        env=ENVIRONMENT,
     )
-    assert process.stdin is not None
-    assert process.stdout is not None
 
     def ask(folder: Path, output: Path, stage: str, number: int) -> None:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        request = {
-            "folder": str(folder),
-            "output": str(output),
-            "stage": stage,
-            "number": number,
-        }
+        request = {"folder": str(folder), "output": str(output), "stage": stage, "number": number}
         process.stdin.write(json.dumps(request) + "\n")
         process.stdin.flush()
         assert process.stdout.readline() == f"{-signal.SIGKILL}\n", (stage, number)
@@ -108,7 +99,7 @@ def test_killed_in_a_stage(
 
 def test_killed_at_a_call(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill) -> None:
     output = tmp_path / "out"
-    n = count_points(tiny_fleet, output, "killed")
+    n = count_points(tiny_fleet, "killed")
     for point in np.random.default_rng(3).choice(n, 2, replace=False):
         kill_and_repair(tiny_fleet, output, kill, "call", int(point) + 1)
 
@@ -118,8 +109,7 @@ def test_killed_at_a_call(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill) -> 
 def test_killed_at_many_calls(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill, part: int) -> None:
     """The process itself; that each call can be the last is shown without it, too."""
     output = tmp_path / "out"
-    n = count_points(tiny_fleet, output, "killed")
-    points = range(1 + part, n + 1, 40)
+    points = range(1 + part, count_points(tiny_fleet, "killed") + 1, 40)
     for point in points:
         kill_and_repair(tiny_fleet, output, kill, "call", point)
     sys.stdout.write(f"SIGKILL, {part + 1} of 4: {len(points)} points tried and survived\n")

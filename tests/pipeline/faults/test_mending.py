@@ -50,9 +50,6 @@ from tests.pipeline.simulated import NIGHT
 pytestmark = pytest.mark.usefixtures("_quick")
 
 
-# Table files
-
-
 @pytest.mark.parametrize("table", [PREDICTIONS, BLOCK_STATISTICS, INPUT_FILES, TRENDS])
 def test_a_file_that_is_gone_is_made_anew_by_the_next_run(
     tiny_fleet: TinyFleet, output: Path, table: Table, caplog: pytest.LogCaptureFixture
@@ -68,8 +65,9 @@ def test_a_file_that_is_gone_is_made_anew_by_the_next_run(
     assert told.list.first().to_list()[0].startswith(f"table_missing: {name_of(path, output)}: ")
 
 
-@pytest.mark.parametrize("table", [FITS, PREDICTIONS, TRENDS])
-@pytest.mark.parametrize("damage", [rot, rot_of_footer, cut_off])
+@pytest.mark.parametrize(
+    ("table", "damage"), [(FITS, rot), (FITS, cut_off), (PREDICTIONS, rot), (TRENDS, rot_of_footer)]
+)
 def test_a_damaged_file_is_put_aside_and_made_anew_by_the_run_that_proves_it(
     tiny_fleet: TinyFleet, output: Path, table: Table, damage: Callable[[Path], None]
 ) -> None:
@@ -227,11 +225,8 @@ def test_a_file_that_may_not_be_read_is_named_and_left_alone(
     assert path.is_dir()
 
 
-# What cannot be made anew
-
-
-def test_without_logs_it_is_named_in_each_run_until_people_give_it_up(
-    output: Path, without_logs: Callable[..., TinyFleet]
+def test_without_logs_it_is_named_until_they_come_back_or_people_give_it_up(
+    tiny_fleet: TinyFleet, output: Path, without_logs: Callable[..., TinyFleet], tmp_path: Path
 ) -> None:
     fleet, path = without_logs(), night_file(output, PREDICTIONS, NIGHT)
     kept = read_rows(output, FITS, MOTORS)
@@ -241,21 +236,14 @@ def test_without_logs_it_is_named_in_each_run_until_people_give_it_up(
         assert left(result) == [(name_of(path, output), "table_missing")]
     # Of other tables nothing is made anew for it.
     assert read_rows(output, FITS, MOTORS).equals(kept, null_equal=True)
+    other = shutil.copytree(output, tmp_path / "other")
+    assert tiny_fleet.run(other).damage_left == ()
+    check_repaired(other, tiny_fleet)
     before, after = mend_output(output, lambda _: False)
     assert [fault.code for fault in before] == ["table_missing"]
     assert after == ()
     assert fleet.run(output).damage == ()
     assert codes(output) == []
-
-
-def test_logs_that_come_back_mend_it(
-    tiny_fleet: TinyFleet, output: Path, without_logs: Callable[..., TinyFleet]
-) -> None:
-    fleet = without_logs()
-    night_file(output, PREDICTIONS, NIGHT).unlink()
-    assert fleet.run(output).damage_left
-    assert tiny_fleet.run(output).damage_left == ()
-    check_repaired(output, tiny_fleet)
 
 
 def test_parameters_are_made_anew_from_stored_blocks(

@@ -31,9 +31,6 @@ from tests.pipeline.simulated import NIGHT
 pytestmark = pytest.mark.usefixtures("_quick")
 
 
-# Killed on the way
-
-
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     "step", [pytest.param(290, id="some"), pytest.param(7, marks=pytest.mark.full, id="many")]
@@ -93,9 +90,6 @@ def check_tables_but_decisions(output: Path, fleet: TinyFleet) -> None:
     for name in ("decisions/decisions.parquet", "latest/latest.parquet"):
         shutil.copy(fleet.after / "tables" / name, output / "tables" / name)
     check_tables(output, fleet)
-
-
-# As people see it
 
 
 def test_the_commands_tell_and_mend(

@@ -26,9 +26,6 @@ from tests.pipeline.simulated import NIGHT
 pytestmark = pytest.mark.usefixtures("_quick")
 
 
-# Manifests
-
-
 def manifests(output: Path) -> dict[str, bytes]:
     folder = output / "manifest"
     return {path.name: path.read_bytes() for path in folder.rglob("*.json")}
@@ -90,18 +87,10 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
     check_repaired(output, tiny_fleet)
 
 
-# A run's own files
+LEDGER = (f"ledger/M1/{MONTH}.json", "ledger/M1/settings", "ledger/M1/trends")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        f"ledger/M1/{MONTH}.json",
-        "ledger/M1/settings",
-        "ledger/M1/trends",
-        f"history/M1/{MONTH}.lz4",
-    ],
-)
+@pytest.mark.parametrize("name", [*LEDGER, f"history/M1/{MONTH}.lz4"])
 def test_own_files_are_named_and_mended_by_the_next_run(
     tiny_fleet: TinyFleet, output: Path, name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -145,9 +134,6 @@ def test_a_damaged_ledger_of_nights_without_logs_is_mended_by_the_command(
     assert read_rows(output, FITS, MOTORS).equals(kept, null_equal=True)
 
 
-# What people said
-
-
 def test_a_damaged_line_of_the_journal_is_put_back_from_the_table(
     tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
 ) -> None:
@@ -166,18 +152,13 @@ def test_a_damaged_line_of_the_journal_is_put_back_from_the_table(
     assert len(read_decisions(output)) == 4
 
 
-def test_a_journal_that_is_gone_is_put_back_from_the_table(
-    tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
-) -> None:
-    journal_file(output).unlink()
-    tiny_fleet.run(output)
-    assert read_decisions(output) == said
-
-
-def test_a_line_that_people_took_out_stays_out(
+def test_a_journal_that_is_gone_is_put_back_and_a_line_that_people_took_out_stays_out(
     tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
 ) -> None:
     path = journal_file(output)
+    path.unlink()
+    tiny_fleet.run(output)
+    assert read_decisions(output) == said
     path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[1:]))
     tiny_fleet.run(output)
     assert read_decisions(output) == said[1:]

@@ -20,8 +20,9 @@ from pipeline.run.fleet import run_fleet
 from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import FITS, PARAMETERS
 from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
+from tests.pipeline.calling import contents
 from tests.pipeline.faults.disk import KINDS, QUICK_KINDS, Disk, Killed, Kind, on
-from tests.pipeline.faults.fleet import TinyFleet, check_tables
+from tests.pipeline.faults.fleet import ENVIRONMENT, TinyFleet, check_tables
 from tests.pipeline.simulated import NIGHT
 
 DEAD = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -84,14 +85,13 @@ def test_what_people_said_is_kept_or_they_are_told(journal: Path, kind: Kind) ->
 @pytest.mark.parametrize("kind", [*QUICK_KINDS, pytest.param("EDQUOT", marks=pytest.mark.full)])
 def test_an_export_is_whole_or_as_it_was(tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind) -> None:
     folder = tmp_path / "csv"
-    selection = Selection(tables=(FITS, PARAMETERS))
 
     def export() -> None:
-        list(export_csv(tiny_fleet.after, folder, selection))
+        list(export_csv(tiny_fleet.after, folder, Selection(tables=(FITS, PARAMETERS))))
 
     export()
     n = points(kind, export)
-    new = {path.name: path.read_bytes() for path in folder.iterdir()}
+    new = contents(folder)
     for point in range(1, n + 1):
         for name in new:
             (folder / name).write_bytes(b"old")
@@ -99,7 +99,7 @@ def test_an_export_is_whole_or_as_it_was(tiny_fleet: TinyFleet, tmp_path: Path, 
         for name, content in new.items():
             assert (folder / name).read_bytes() in ((b"old", content) if failed else (content,))
         export()
-        assert {path.name: path.read_bytes() for path in folder.iterdir()} == new
+        assert contents(folder) == new
 
 
 @DEAD
@@ -115,21 +115,14 @@ def test_a_report_is_made_whole_by_the_next(
     def make() -> None:
         build_report(ReportRequest(tiny_fleet.after, folder))
 
-    def contents() -> dict[str, bytes]:
-        return {
-            path.relative_to(folder).as_posix(): path.read_bytes()
-            for path in folder.rglob("*")
-            if path.is_file()
-        }
-
     n = points(kind, make)
-    new = contents()
+    new = contents(folder)
     chosen = np.random.default_rng(KINDS.index(kind)).choice(n, min(n, n_points), replace=False)
     for point in chosen:
         shutil.rmtree(folder)
         fails(kind, int(point) + 1, make)
         make()
-        assert contents() == new
+        assert contents(folder) == new
 
 
 def test_a_second_run_is_turned_away_by_code_3(tiny_fleet: TinyFleet, tmp_path: Path) -> None:
@@ -141,12 +134,8 @@ def test_a_second_run_is_turned_away_by_code_3(tiny_fleet: TinyFleet, tmp_path: 
 
     def second(_: MotorOutcome) -> None:
         if not ends:
-            done = subprocess.run(
-                [*command, "--output", str(output)],
-                capture_output=True,
-                text=True,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])},
-            )
+            plain = {"capture_output": True, "text": True, "env": ENVIRONMENT}
+            done = subprocess.run([*command, "--output", output], **plain)
             ends.append((done.returncode, done.stderr))
 
     run_fleet(tiny_fleet.request(output), second)

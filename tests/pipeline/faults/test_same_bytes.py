@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.pipeline.faults.fleet import OF_RUNS, TinyFleet
+from tests.pipeline.calling import python
+from tests.pipeline.faults.fleet import ENVIRONMENT, OF_RUNS, TinyFleet
 
 RUN = """
 import sys
@@ -39,15 +38,8 @@ def test_two_runs_from_scratch_on_one_and_on_two_workers(
     found = []
     for workers, backend in ((1, "sequential"), (2, "loky")):
         output = tmp_path / str(workers)
-        subprocess.run(
-            [sys.executable, "-c", RUN, tiny_fleet.folder, output, str(workers), backend],
-            check=True,
-            env={
-                **os.environ,
-                "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path]),
-                "PYTHONHASHSEED": str(workers),
-            },
-        )
+        environment = ENVIRONMENT | {"PYTHONHASHSEED": str(workers)}
+        python(RUN, tiny_fleet.folder, output, workers, backend, env=environment)
         found.append(hashes(output))
     assert len(found[0]) > 30
     assert found[0] == found[1]

@@ -153,12 +153,8 @@ def made_baseline(spec: MotorSpec) -> LookBaseline:
         channels = raw(operation.time_us, operation.channels(flow))
         night = night_of(label)
         parts.append(blocks_within(spec, night, channels, night.start_us, night.end_us)[0])
-    blocks = Blocks(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("start_us", "means", "conditions")
-        )
-    )
+    columns = ((part.start_us, part.means, part.conditions) for part in parts)
+    blocks = Blocks(*map(np.concatenate, zip(*columns, strict=True)))
     theta = np.array([blocks.means[:, -1].sum() / blocks.means[:, 0].sum(), 0.0])
     found = calibrated(spec, blocks, "made", labels, theta, None)
     assert isinstance(found, LookBaseline), found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,8 +28,7 @@ SENSOR = Channel(source="nu", unit="cSt")
 
 @pytest.fixture(scope="module")
 def spec(tmp_path_factory: pytest.TempPathFactory) -> MotorSpec:
-    folder: Path = tmp_path_factory.mktemp("configs")
-    return load_motor(folder, motor_toml("M1"))
+    return load_motor(tmp_path_factory.mktemp("configs"), motor_toml("M1"))
 
 
 @pytest.mark.parametrize("by", ["analysis", "sensor"])
@@ -42,9 +40,8 @@ def test_new_blocks_have_the_oil_as_measured_as_those_of_the_baseline_do(
     values = operation.channels(operation.flow(replace(motor, oil=oil)))
     more: dict[str, object] = {"oil_samples": (SAMPLE,)}
     if by == "sensor":
-        values["kinematic_viscosity"] = kinematic_viscosity_mm2_per_s(
-            operation.temperature_c, *THIN
-        )
+        nu = kinematic_viscosity_mm2_per_s(operation.temperature_c, *THIN)
+        values["kinematic_viscosity"] = nu
         more = {"channels": {**spec.file.channels, "kinematic_viscosity": SENSOR}}
     measured = replace(spec, file=spec.file.model_copy(update=more))
     night, channels = night_of(), raw(operation.time_us, values)
@@ -57,20 +54,9 @@ def test_new_blocks_have_the_oil_as_measured_as_those_of_the_baseline_do(
 def baseline(spec: MotorSpec, known_scale: float | None = None) -> LookBaseline:
     """One of a single path, whose loss factors fall by 1 % a kelvin."""
     hashed = model_hash(spec, spec.motor(NIGHT, "none"), NIGHT)
-    return LookBaseline(
-        "made",
-        NIGHT - 30 * DAY,
-        NIGHT - DAY,
-        hashed,
-        (2.0, 0.0),
-        -0.01,
-        50.0,
-        BlockErrors(0.0, 0.0, 1.0),
-        10.0,
-        (0.0,) * 3,
-        (99.0,) * 3,
-        known_scale=known_scale,
-    )
+    errors, begin = BlockErrors(0.0, 0.0, 1.0), NIGHT - 30 * DAY
+    figures = ((2.0, 0.0), -0.01, 50.0, errors, 10.0, (0.0,) * 3, (99.0,) * 3)
+    return LookBaseline("made", begin, NIGHT - DAY, hashed, *figures, known_scale=known_scale)
 
 
 def test_rollers_of_a_free_scale_change_with_temperature_as_the_gaps_do(spec: MotorSpec) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.look.state import read_state
+from tests.pipeline.calling import contents
 from tests.pipeline.look.fleet import MINUTES, TODAY, Growing, night_rows, published
 
 # What a run writes of itself, and what looks write.
@@ -14,12 +15,8 @@ OF_A_RUN = ("runs", "motor_outcomes", "looks")
 
 
 def tables(fleet: Growing) -> dict[str, bytes]:
-    root = fleet.output / "tables"
-    return {
-        path.relative_to(root).as_posix(): path.read_bytes()
-        for path in sorted(root.rglob("*.parquet"))
-        if path.relative_to(root).parts[0] not in OF_A_RUN
-    }
+    found = contents(fleet.output / "tables")
+    return {name: one for name, one in found.items() if not name.startswith(OF_A_RUN)}
 
 
 @pytest.mark.full

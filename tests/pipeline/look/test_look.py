@@ -52,10 +52,7 @@ def test_a_broken_ring_is_told_within_six_minutes_of_its_first_sample(fleet: Gro
     assert minute <= RISE + 6
     (told,) = fleet.told()
     assert told["to_state"] == "look_now"
-    lower, upper = told["change_lower"], told["change_upper"]
-    assert isinstance(lower, float)
-    assert isinstance(upper, float)
-    assert 50.0 < lower < upper < 110.0
+    assert 50.0 < told["change_lower"] < told["change_upper"] < 110.0
     began = BEGIN + dt.timedelta(minutes=RISE)
     assert abs(dt.datetime.fromisoformat(str(told["since"])) - began) <= dt.timedelta(minutes=2)
 
@@ -73,7 +70,11 @@ def test_looks_each_minute_tell_what_one_look_at_the_end_tells(
     assert states(fleet) == TOLD
     assert fleet.rows() == other.rows()
     assert len(fleet.told()) == 1
-    ours, theirs = (read_state(one.output, "M1").recent for one in (fleet, other))
+    check_same(fleet, other)
+
+
+def check_same(*fleets: Growing) -> None:
+    ours, theirs = (read_state(one.output, "M1").recent for one in fleets)
     np.testing.assert_allclose(ours, theirs, rtol=1e-9)
 
 
@@ -184,35 +185,26 @@ def test_a_log_that_cannot_be_read_costs_no_other_motor_and_is_said(fleet: Growi
     assert states(fleet)[-1] == TOLD[-1]
 
 
-def check_points(fleet: Growing, folder: Path, kind: Kind, every: int) -> None:
-    """Look on a disk that fails at a point, then on a sound one: told once, and all of it."""
-    whole = fleet.copy(folder / "whole")
+KINDS: tuple[Kind, ...] = ("killed", "ENOSPC", "EIO", "short")
+EVERY = [pytest.param(kind, 1, marks=pytest.mark.full) for kind in KINDS]
+
+
+@pytest.mark.parametrize(("kind", "every"), [("killed", 31), ("ENOSPC", 31), *EVERY])
+def test_a_look_that_is_broken_off_anywhere_is_made_up_for(
+    fleet: Growing, tmp_path: Path, kind: Kind, every: int
+) -> None:
+    """Told once, and all of it, by the next look on a sound disk."""
+    fleet.append(day(fleet))
+    whole = fleet.copy(tmp_path / "whole")
     with on(Disk(kind, 0)) as disk:
         whole.look()
     assert states(whole) == TOLD
     (told,) = whole.told()
     for point in range(1, disk.seen + 1, every):
-        other = fleet.copy(folder / str(point))
+        other = fleet.copy(tmp_path / str(point))
         with suppress(Killed, StoreError), on(Disk(kind, point)):
             other.look()
         other.look()
         assert other.rows() == whole.rows()
         assert {one["id"] for one in other.told()} == {told["id"]}
         assert read_state(other.output, "M1").scores == read_state(whole.output, "M1").scores
-
-
-@pytest.mark.parametrize("kind", ["killed", "ENOSPC"])
-def test_a_look_that_is_broken_off_anywhere_is_made_up_for(
-    fleet: Growing, tmp_path: Path, kind: Kind
-) -> None:
-    fleet.append(day(fleet))
-    check_points(fleet, tmp_path, kind, every=31)
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("kind", ["killed", "ENOSPC", "EIO", "short"])
-def test_a_look_that_is_broken_off_at_each_point_is_made_up_for(
-    fleet: Growing, tmp_path: Path, kind: Kind
-) -> None:
-    fleet.append(day(fleet))
-    check_points(fleet, tmp_path, kind, every=1)

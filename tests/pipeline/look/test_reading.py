@@ -33,9 +33,7 @@ def read(
     spec: MotorSpec, seen: Mapping[str, FileSeen], from_second: int, most_bytes: int = 2**23
 ) -> News:
     needed_us = FIRST_US + from_second * 1_000_000
-    found = read_news(spec, seen, needed_us, LATEST_US, most_bytes)
-    assert found is not None
-    return found
+    return read_news(spec, seen, needed_us, LATEST_US, most_bytes)
 
 
 def seconds(news: News) -> list[int]:

@@ -78,8 +78,9 @@ class TestWrittenLate:
     def test_of_two_rows_that_contradict_each_other_the_stray_one_is_refused(self) -> None:
         time = stamps(100) + 3600 * SECOND
         time[1] = 0
-        late, stray = written_late(time, backward_time(time))
-        assert (np.flatnonzero(late).tolist(), np.flatnonzero(stray).tolist()) == ([0], [1])
+        backward = backward_time(time)
+        late, stray = written_late(time, backward, time[~backward])
+        assert (late.tolist(), stray.tolist()) == ([0], [1])
         found = cleaned(time, lively(100))
         assert found.counts["backward_time"] == 1
         np.testing.assert_array_equal(found.value, np.delete(lively(100), 1))
@@ -108,7 +109,7 @@ class TestNearest:
             min((abs(time[row] - one) for one in np.delete(time, row)), default=np.inf)
             for row in rows
         ]
-        assert _distance_of_nearest(np.sort(time), time[rows]).tolist() == expected
+        assert _distance_of_nearest(np.sort(time), time[rows], own=1).tolist() == expected
 
 
 class TestJitter:

@@ -56,10 +56,17 @@ class TestInterpolation:
         st.integers(0, 2**32 - 1),
         st.integers(1, 60),
         st.booleans(),
+        st.booleans(),
         st.sampled_from([10.0, 20.0, 30.0, 50.0]),
     )
     def test_as_the_slow_definition(
-        self, times: list[int], seed: int, longest: int, on_change: bool, period_us: float
+        self,
+        times: list[int],
+        seed: int,
+        longest: int,
+        on_change: bool,
+        jitters: bool,
+        period_us: float,
     ) -> None:
         rng = np.random.default_rng(seed)
         time = np.array(times, np.int64)
@@ -68,6 +75,8 @@ class TestInterpolation:
         value[refused] = rng.choice([np.nan, np.inf, 1e9], refused.sum())
         channel = cleaned(time, value, refused, period_us=period_us, longest_gap_us=longest)
         channel = replace(channel, ends=rng.random(len(time)) < 0.2) if on_change else channel
+        others = np.flatnonzero(np.diff(time) != period_us)
+        channel = channel if jitters else replace(channel, other_steps=others)
         grid = np.arange(-20, 420, 10, dtype=np.int64)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(resampling, "EVEN_PLACES", 3)
@@ -86,9 +95,11 @@ class TestInterpolation:
         n = resampling.EVEN_PLACES + 100
         grid = np.arange(n, dtype=np.int64) * STEP
         value = rng.normal(0, 1, n) * 10.0 ** rng.integers(-8, 8, n)
-        got, present, _ = on_grid(cleaned(grid, value), grid, STEP)
-        assert present.all()
-        np.testing.assert_array_equal(got, value)
+        for others in (None, np.empty(0, np.intp)):
+            channel = replace(cleaned(grid, value), other_steps=others)
+            got, present, _ = on_grid(channel, grid, STEP)
+            assert present.all()
+            np.testing.assert_array_equal(got, value)
 
     def test_never_across_a_refused_sample(self) -> None:
         """One refused temperature sample costs the nineteen points between its neighbours."""

@@ -22,15 +22,8 @@ NIGHTS = [FIRST + dt.timedelta(days=at) for at in range(4)]
 
 
 def trend(night: dt.date, indicator: str, value: float) -> dict[str, object]:
-    return {
-        "motor_id": "M1",
-        "night": night,
-        "indicator": indicator,
-        "value": value,
-        "unit": "%",
-        "lower": value - 1.0,
-        "upper": value + 1.0,
-    }
+    row = {"motor_id": "M1", "night": night, "indicator": indicator, "unit": "%"}
+    return row | {"value": value, "lower": value - 1.0, "upper": value + 1.0}
 
 
 @pytest.fixture
@@ -55,19 +48,16 @@ def tables(tmp_path: Path) -> Tables:
     return open_tables(tmp_path)
 
 
-def test_fits_are_the_primary_ones_of_all_nights(tables: Tables) -> None:
+def test_fits_are_the_primary_ones_of_all_nights_and_a_trend_is_one_indicator(
+    tables: Tables,
+) -> None:
     found = tables.fits().collect()
     assert found["night"].to_list() == NIGHTS
     assert found["is_primary"].all()
-
-
-def test_a_trend_is_one_indicator_in_order_of_nights(tables: Tables) -> None:
-    found = tables.trend("M1", "gap_change_ring").collect()
-    assert found["value"].to_list() == [0.0, 2.0, 4.0, 6.0]
+    course = tables.trend("M1", "gap_change_ring").collect()
+    assert course["value"].to_list() == [0.0, 2.0, 4.0, 6.0]
+    # What has no rows or no files is empty, with its columns.
     assert tables.trend("M2", "gap_change_ring").collect().height == 0
-
-
-def test_a_table_without_files_is_empty_and_has_its_columns(tables: Tables) -> None:
     assert tables.alarms().collect().schema == pl.Schema(ALARMS.schema)
 
 

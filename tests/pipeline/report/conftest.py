@@ -40,6 +40,27 @@ def output(fitted_output: Path, tmp_path: Path) -> Path:
     return tmp_path / "out"
 
 
+@pytest.fixture
+def built(output: Path, report: Path) -> Path:
+    """The same with their report."""
+    shutil.copytree(report, output / "report")
+    return output
+
+
+def rows_with(motor: str, *which: pl.Expr, **values: object) -> Change:
+    """Give a motor's rows, or some of them, other values."""
+    mine = pl.all_horizontal(pl.col("motor_id") == motor, *which)
+    return lambda rows: rows.with_columns(
+        pl.when(mine).then(pl.lit(value, rows.schema[name])).otherwise(name).alias(name)
+        for name, value in values.items()
+    )
+
+
+def rows_without(motor: str) -> Change:
+    """Leave out a motor's rows."""
+    return lambda rows: rows.filter(pl.col("motor_id") != motor)
+
+
 def change_table(output: Path, name: str, change: Change, night: str = "*") -> None:
     """Write the files of a table anew with other rows; one without rows goes."""
     table = BY_NAME[name]

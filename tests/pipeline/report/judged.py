@@ -15,7 +15,7 @@ from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TRENDS, frame
 from pipeline.store.encoding import write_table
 from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import Decision, record_decision
-from tests.pipeline.report.conftest import change_table
+from tests.pipeline.report.conftest import change_table, rows_with
 
 NIGHTS = ["2026-01-02", "2026-01-03", "2026-01-04"]
 
@@ -24,59 +24,36 @@ RING, OWN = 5e-14, 2.0
 NOTE = "a new ring <b>is ordered</b>"
 REASON = "piston ring gap +14 % [13, 16] since 2 January 2026; reference leakage +1 %"
 # As a run leaves them that has judged thirty nights; the demo's three are too few.
+
+
+def levels(mean: float) -> dict[str, float]:
+    return {"baseline_mean": mean, "warning_limit": 1.15 * mean, "alarm_limit": 1.3 * mean}
+
+
+def raised(mean: float, times: float, reason: str) -> dict[str, Any]:
+    """An alarm of an indicator at some times its baseline."""
+    value = {"value": times * mean, "lower": (times - 0.1) * mean, "upper": (times + 0.1) * mean}
+    alarm = {"state": "alarm", "state_reason": reason, "gated_reason": None}
+    return value | levels(mean) | alarm
+
+
+# Too few nights since the change for days to a limit; its levels stand.
+COURSE = {"deviation_percent": 50.0, "limit": None, "days_to_limit_status": "already_crossed"}
+COURSE |= {"cusum": 9.0, "cusum_limit": 7.0, "slope_per_year": 4e-14}
+COURSE |= {"slope_per_year_lower": 3e-14, "slope_per_year_upper": 5e-14}
+OWN_REASON = "leakage at the motor's own conditions +60 % [50, 70] since 2 January 2026"
 JUDGED: dict[tuple[str, str], dict[str, Any]] = {
-    ("CB560-01", "K_piston_ring"): {
-        "value": 1.5 * RING,
-        "lower": 1.4 * RING,
-        "upper": 1.6 * RING,
-        "baseline_mean": RING,
-        "deviation_percent": 50.0,
-        # Too few nights since the change for days to a limit; its levels stand.
-        "limit": None,
-        "warning_limit": 1.15 * RING,
-        "alarm_limit": 1.3 * RING,
-        "cusum": 9.0,
-        "cusum_limit": 7.0,
-        "slope_per_year": 4e-14,
-        "slope_per_year_lower": 3e-14,
-        "slope_per_year_upper": 5e-14,
-        "days_to_limit_status": "already_crossed",
-        "state": "alarm",
-        "state_reason": REASON,
-        "gated_reason": None,
-    },
-    ("CB1120-02", "own_reference_leakage"): {
-        "value": 1.6 * OWN,
-        "lower": 1.5 * OWN,
-        "upper": 1.7 * OWN,
-        "baseline_mean": OWN,
-        "warning_limit": 1.15 * OWN,
-        "alarm_limit": 1.3 * OWN,
-        "state": "alarm",
-        "state_reason": "leakage at the motor's own conditions +60 % [50, 70] since 2 January 2026",
-        "gated_reason": None,
-    },
-    **{
-        ("CB400-01", f"K_{path}"): {
-            "baseline_mean": RING,
-            "warning_limit": 1.15 * RING,
-            "alarm_limit": 1.3 * RING,
-            "state": "ok",
-            "state_reason": None,
-        }
-        for path in ("piston_ring", "balance_piston", "balance_sleeve")
-    },
+    ("CB400-01", f"K_{path}"): levels(RING) | {"state": "ok", "state_reason": None}
+    for path in ("piston_ring", "balance_piston", "balance_sleeve")
 }
+JUDGED["CB560-01", "K_piston_ring"] = raised(RING, 1.5, REASON) | COURSE
+JUDGED["CB1120-02", "own_reference_leakage"] = raised(OWN, 1.6, OWN_REASON)
 
 
 def judged(rows: pl.DataFrame) -> pl.DataFrame:
     """Trends with an alarm of a ring, one at the motor's own conditions, and a healthy motor."""
     for (motor, indicator), figures in JUDGED.items():
-        mine = (pl.col("motor_id") == motor) & (pl.col("indicator") == indicator)
-        rows = rows.with_columns(
-            pl.when(mine).then(pl.lit(value, rows.schema[name])).otherwise(name).alias(name)
-            for name, value in figures.items()
-        )
+        rows = rows_with(motor, pl.col("indicator") == indicator, **figures)(rows)
     gaps = [
         {"motor_id": motor, "indicator": f"gap_change_{path}", "night": rows["night"][0]}
         | {"value": value, "lower": value - 1.0, "upper": value + 1.0, "unit": "%", "state": "ok"}

@@ -17,24 +17,16 @@ ONE_DAY = dt.timedelta(days=1)
 
 def fit(number: int, leakage: float | None = 1.4, **values: Any) -> Row:
     """A fitted night, the first one being number 0."""
-    return {
-        "motor_id": "M",
-        "motor_type": "CB560",
-        "night": FIRST + number * ONE_DAY,
-        "flushing_mode": "none",
-        "is_primary": True,
-        "status": "ok",
-        "reference_leakage_l_per_min": leakage,
-        "reference_leakage_lower": None if leakage is None else 0.99 * leakage,
-        "reference_leakage_upper": None if leakage is None else 1.01 * leakage,
-        "kept_share": 0.97,
-    } | values
+    row = {"motor_id": "M", "motor_type": "CB560", "night": FIRST + number * ONE_DAY}
+    row |= {"flushing_mode": "none", "is_primary": True, "status": "ok", "kept_share": 0.97}
+    for end, factor in (("l_per_min", 1.0), ("lower", 0.99), ("upper", 1.01)):
+        row[f"reference_leakage_{end}"] = None if leakage is None else factor * leakage
+    return row | values
 
 
 def unfitted(number: int, status: str, reason: str) -> Row:
     """A night without a fit."""
-    row = fit(number, None, status=status, reason=reason)
-    return row | {"kept_share": None}
+    return fit(number, None, status=status, reason=reason, kept_share=None)
 
 
 def trend(number: int, indicator: str, value: float | None, **more: Any) -> Row:

@@ -20,15 +20,11 @@ def unpacked(column: dict[str, str]) -> np.ndarray:
 def night_file(path: Path) -> dict[str, Any]:
     """The payload that a night's script hands over."""
     found = re.fullmatch(r"motorLeakage\.night\((.*)\);\n", path.read_text("utf-8"), re.DOTALL)
-    assert found
-    document: dict[str, Any] = json.loads(found[1])
-    return document
+    return json.loads(found[1])
 
 
 def page_payload(page: Path) -> dict[str, Any]:
     """The payload within a motor's page."""
     pattern = r'<script type="application/json" id="payload">(.*?)</script>'
     found = re.search(pattern, page.read_text("utf-8"), re.DOTALL)
-    assert found
-    document: dict[str, Any] = json.loads(found[1])
-    return document
+    return json.loads(found[1])

@@ -20,47 +20,25 @@ NAMES = ("reference_leakage", "K_piston_ring")
 
 
 def trend(motor: str, night: int, name: str, state: str = "ok", **more: Any) -> dict[str, Any]:
-    return {
-        "run_id": "r",
-        "motor_id": motor,
-        "night": night_of(night),
-        "indicator": name,
-        "value": 1.4,
-        "state": state,
-        "state_reason": None if state == "ok" else f"{name} is {state}",
-        "deviation_percent": 0.0,
-        "n_slope": 30,
-        "sensor_health": "ok",
-        **more,
-    }
+    row = {"run_id": "r", "motor_id": motor, "night": night_of(night), "indicator": name}
+    row |= {"value": 1.4, "deviation_percent": 0.0, "n_slope": 30, "sensor_health": "ok"}
+    reason = None if state == "ok" else f"{name} is {state}"
+    return row | {"state": state, "state_reason": reason} | more
 
 
 def rows_of(motor: str, **states: list[str]) -> pl.DataFrame:
     """Trends of some nights: a state for each night and indicator."""
-    return frame(
-        TRENDS,
-        [
-            trend(motor, night, name, state)
-            for name in NAMES
-            for night, state in enumerate(states.get(name, ["ok"] * (LAST + 1)))
-        ],
-    )
+    rows = [
+        trend(motor, night, name, state)
+        for name in NAMES
+        for night, state in enumerate(states.get(name, ["ok"] * (LAST + 1)))
+    ]
+    return frame(TRENDS, rows)
 
 
 def fits_of(motor: str, nights: int = LAST + 1) -> pl.DataFrame:
-    return frame(
-        FITS,
-        [
-            {
-                "run_id": "r",
-                "motor_id": motor,
-                "motor_type": "CB560",
-                "night": night_of(night),
-                "status": "ok",
-            }
-            for night in range(nights)
-        ],
-    )
+    row = {"run_id": "r", "motor_id": motor, "motor_type": "CB560", "status": "ok"}
+    return frame(FITS, [row | {"night": night_of(night)} for night in range(nights)])
 
 
 def said(night: int, kind: str = "acknowledged", **more: Any) -> Decision:
@@ -82,16 +60,8 @@ def output(tmp_path: Path) -> Path:
             own = rows.filter(night=night_of(night))
             write_table(night_file(output, table, night_of(night)), own)
     for night, before, after in ((2, "ok", "warning"), (4, "warning", "alarm")):
-        row = {
-            "run_id": "r",
-            "motor_id": "M1",
-            "night": night_of(night),
-            "time": dt.datetime(2026, 1, 2 + night, 6, tzinfo=dt.UTC),
-            "indicator": "K_piston_ring",
-            "from_state": before,
-            "to_state": after,
-            "reason": "it grew",
-            "way": "level",
-        }
+        row = {"run_id": "r", "motor_id": "M1", "night": night_of(night), "way": "level"}
+        row |= {"time": dt.datetime(2026, 1, 2 + night, 6, tzinfo=dt.UTC), "reason": "it grew"}
+        row |= {"indicator": "K_piston_ring", "from_state": before, "to_state": after}
         write_table(night_file(output, ALARMS, night_of(night)), frame(ALARMS, [row]))
     return output

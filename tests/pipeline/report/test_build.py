@@ -18,13 +18,14 @@ import pytest
 
 import pipeline.report.build as build_module
 from pipeline.config import Execution
-from pipeline.errors import StoreError, UsageError
+from pipeline.errors import StoreError
 from pipeline.report.build import KnownMotor, ReportRequest, ReportResult, build_report
 from pipeline.schema import FITS, PARAMETERS, PREDICTIONS, TRENDS
 from pipeline.store.encoding import VERSION_KEY, write_table
 from pipeline.store.sealed import put_sealed, read_sealed, seal, unseal
 from pipeline.store.tables import night_file, read_table
-from tests.pipeline.report.conftest import change_table
+from tests.pipeline.calling import contents, refused
+from tests.pipeline.report.conftest import change_table, rows_with, rows_without
 from tests.pipeline.report.packed import night_file as read_night_file
 from tests.pipeline.report.packed import page_payload, unpacked
 
@@ -34,15 +35,7 @@ MOTOR = "CB560-01"
 
 
 def build(output: Path, **more: object) -> ReportResult:
-    return build_report(replace(ReportRequest(output, output / "report"), **more))  # type: ignore[arg-type]
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
+    return build_report(replace(ReportRequest(output, output / "report"), **more))
 
 
 def times(folder: Path) -> dict[str, int]:
@@ -61,9 +54,6 @@ class Links(HTMLParser):
         self.targets += [value or "" for name, value in attrs if name in ("href", "src")]
 
 
-# What is there
-
-
 def test_the_folder_is_complete_and_leads_nowhere_else(report: Path) -> None:
     pages = sorted(report.rglob("*.html"))
     assert [page.stem for page in pages] == ["index", *MOTORS]
@@ -77,11 +67,13 @@ def test_the_folder_is_complete_and_leads_nowhere_else(report: Path) -> None:
                 assert (page.parent / target.split("#")[0]).exists(), target
 
 
-def test_pages_and_nights_are_small(report: Path) -> None:
-    for path in report.rglob("*.html"):
-        assert path.stat().st_size < 1_000_000
-    for path in (report / "data").rglob("*.js"):
-        assert path.stat().st_size < 300_000
+def test_pages_and_nights_are_small_and_hold_no_clock_and_no_path(report: Path) -> None:
+    today = dt.datetime.now(dt.UTC).date().isoformat()
+    for path in [*report.rglob("*.html"), *(report / "data").rglob("*.js")]:
+        text = path.read_text("utf-8")
+        assert path.stat().st_size < (1_000_000 if path.suffix == ".html" else 300_000)
+        assert today not in text
+        assert str(report.parent) not in text
     (library,) = report.rglob("plotly*.js")
     assert library.stat().st_size > 1_000_000
 
@@ -101,14 +93,6 @@ def test_pages_of_ten_years_are_small(output: Path) -> None:
     assert len(payload["nights"]) == 3653
     # Nights that are all alike have no extremes but the first of each stretch.
     assert 100 < len(unpacked(payload["first"]["leakage"]["value"])) <= 1500
-
-
-def test_no_clock_and_no_path_of_the_machine_stands_in_a_page(report: Path) -> None:
-    today = dt.datetime.now(dt.UTC).date().isoformat()
-    for path in [*report.rglob("*.html"), *(report / "data").rglob("*.js")]:
-        text = path.read_text("utf-8")
-        assert today not in text
-        assert str(report.parent) not in text
 
 
 def test_workers_and_the_time_of_making_change_no_byte(
@@ -150,9 +134,6 @@ def test_a_night_that_takes_its_worker_along_keeps_its_files_and_is_made_next_ti
     assert made == before
 
 
-# What is made anew
-
-
 def test_nothing_new_nothing_written(output: Path) -> None:
     first = build(output)
     assert (first.n_motors, first.n_nights) == (6, 3)
@@ -162,26 +143,14 @@ def test_nothing_new_nothing_written(output: Path) -> None:
     assert times(output / "report") == before
 
 
-def test_a_changed_night_makes_its_motor_s_files_anew_and_no_others(output: Path) -> None:
-    build(output)
-    before = times(output / "report")
-
-    def more(rows: pl.DataFrame) -> pl.DataFrame:
-        mine = pl.col("motor_id") == MOTOR
-        column = "validation_fit_percent"
-        return rows.with_columns(pl.when(mine).then(1.5).otherwise(column).alias(column))
-
-    change_table(output, "fits", more, str(NIGHTS[2]))
-    result = build(output)
+def test_a_changed_night_makes_its_motor_s_files_anew_and_no_others(built: Path) -> None:
+    before = times(built / "report")
+    change_table(built, "fits", rows_with(MOTOR, validation_fit_percent=1.5), str(NIGHTS[2]))
+    result = build(built)
     assert result.n_nights == 1
-    changed = {name for name, time in times(output / "report").items() if time != before[name]}
-    assert changed == {
-        f"data/{MOTOR}/{NIGHTS[2]}.js",
-        f"motors/{MOTOR}.html",
-        "index.html",
-        "manifest.json",
-    }
-    assert contents(output / "report") != before
+    changed = {name for name, time in times(built / "report").items() if time != before[name]}
+    pages = {f"data/{MOTOR}/{NIGHTS[2]}.js", f"motors/{MOTOR}.html", "index.html"}
+    assert changed == {*pages, "manifest.json"}
 
 
 def test_a_new_night_is_added(output: Path) -> None:
@@ -195,107 +164,77 @@ def test_a_new_night_is_added(output: Path) -> None:
 
 
 @pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"cut")])
-def test_what_was_lost_or_cut_is_made_again(output: Path, harm: Callable[[Path], None]) -> None:
-    build(output)
-    before = contents(output / "report")
+def test_what_was_lost_or_cut_is_made_again(built: Path, harm: Callable[[Path], None]) -> None:
+    before = contents(built / "report")
     for name in (f"data/{MOTOR}/{NIGHTS[0]}.js", f"motors/{MOTOR}.html", "assets/plotly.min.js"):
-        harm(output / "report" / name)
-    build(output)
-    assert contents(output / "report") == before
+        harm(built / "report" / name)
+    build(built)
+    assert contents(built / "report") == before
 
 
 def test_another_version_of_the_program_makes_all_anew(
-    output: Path, monkeypatch: pytest.MonkeyPatch
+    built: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    build(output)
     monkeypatch.setattr(build_module, "_program_hash", lambda: "another")
-    assert build(output).n_nights == 3
+    assert build(built).n_nights == 3
 
 
-def test_a_broken_manifest_is_no_more_than_lost_time(output: Path) -> None:
-    build(output)
-    before = contents(output / "report")
+def test_a_broken_manifest_is_no_more_than_lost_time(built: Path) -> None:
+    before = contents(built / "report")
     flipped = before["manifest.json"].replace(b'"nights"', b'"nightS"')
     for content in (b"{", b"[]", flipped, seal({"files": {}})):
-        (output / "report" / "manifest.json").write_bytes(content)
-        assert build(output).n_nights == 3
-        assert contents(output / "report") == before
+        (built / "report" / "manifest.json").write_bytes(content)
+        assert build(built).n_nights == 3
+        assert contents(built / "report") == before
 
 
-def test_nights_and_motors_that_are_gone_leave_and_files_of_others_stay(output: Path) -> None:
-    build(output)
-    own = output / "report" / "data" / MOTOR / "notes.txt"
+def test_nights_and_motors_that_are_gone_leave_and_files_of_others_stay(built: Path) -> None:
+    own = built / "report" / "data" / MOTOR / "notes.txt"
     own.write_text("mine")
-    change_table(output, "fits", lambda rows: rows.filter(pl.col("motor_id") != MOTOR))
-    change_table(output, "fits", lambda rows: rows.clear(), str(NIGHTS[0]))
-    result = build(output)
-    left = contents(output / "report")
+    change_table(built, "fits", rows_without(MOTOR))
+    change_table(built, "fits", lambda rows: rows.clear(), str(NIGHTS[0]))
+    result = build(built)
+    left = contents(built / "report")
     assert own.read_text() == "mine"
     assert not [name for name in left if MOTOR in name and name != f"data/{MOTOR}/notes.txt"]
     assert not [name for name in left if str(NIGHTS[0]) in name]
     assert result.n_removed == 1 + 3 + 5
 
 
-def test_a_manifest_cannot_have_other_files_removed(output: Path) -> None:
-    build(output)
-    mine = output / "mine.txt"
+def test_a_manifest_cannot_have_other_files_removed(built: Path) -> None:
+    mine = built / "mine.txt"
     mine.write_text("mine")
-    path = output / "report" / "manifest.json"
+    path = built / "report" / "manifest.json"
     document = read_sealed(path, unseal)
-    assert document is not None
     document["files"]["../mine.txt"] = ["0", 4]
     put_sealed(path, document)
-    build(output)
+    build(built)
     assert mine.exists()
 
 
 def test_a_folder_that_holds_something_else_is_left_alone(output: Path, tmp_path: Path) -> None:
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "index.html").write_text("mine")
-    with pytest.raises(StoreError, match=r"holds index\.html and no report") as refused:
+    with refused("report_folder", "holds index.html and no report"):
         build(output, folder=tmp_path / "home")
-    assert refused.value.code == "report_folder"
     assert contents(tmp_path / "home") == {"index.html": b"mine"}
     with pytest.raises(StoreError, match="is no folder"):
         build(output, folder=tmp_path / "home" / "index.html")
 
 
-# Part of it
-
-
-def test_only_the_newest_nights_have_a_file(output: Path) -> None:
-    build(output)
-    result = build(output, nights=1)
+def test_only_the_newest_nights_have_a_file(built: Path) -> None:
+    result = build(built, nights=1)
     assert (result.n_nights, result.n_removed) == (0, 12)
-    payload = page_payload(output / "report" / "motors" / f"{MOTOR}.html")
+    payload = page_payload(built / "report" / "motors" / f"{MOTOR}.html")
     assert payload["nights"] == [str(night) for night in NIGHTS]
     assert payload["detailed"] == [0, 0, 1]
 
 
-def test_only_some_motors(output: Path, tmp_path: Path) -> None:
-    build(output, folder=tmp_path / "one", motors=(MOTOR,))
-    assert [page.stem for page in (tmp_path / "one" / "motors").iterdir()] == [MOTOR]
-    assert "CB400" not in (tmp_path / "one" / "index.html").read_text("utf-8")
-    with pytest.raises(UsageError, match="no motor other; there are CB1120-01"):
-        build(output, folder=tmp_path / "none", motors=("other",))
-
-
-# Bad input
-
-
 def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> None:
-    def fail(rows: pl.DataFrame) -> pl.DataFrame:
-        mine = pl.col("motor_id") == MOTOR
-        return rows.with_columns(
-            status=pl.when(mine).then(pl.lit("failed")).otherwise("status"),
-            error_code=pl.when(mine).then(pl.lit("log_truncated")).otherwise("error_code"),
-            reason=pl.when(mine).then(pl.lit("a.csv: its end is missing")).otherwise("reason"),
-            reference_leakage_l_per_min=pl.when(~mine).then("reference_leakage_l_per_min"),
-        )
-
-    change_table(output, "fits", fail)
-    known = {"CB560-09": KnownMotor("CB560")}
-    build(output, known=known)
+    failed = {"status": "failed", "error_code": "log_truncated"}
+    failed |= {"reason": "a.csv: its end is missing", "reference_leakage_l_per_min": None}
+    change_table(output, "fits", rows_with(MOTOR, **failed))
+    build(output, known={"CB560-09": KnownMotor("CB560")})
     text = (output / "report" / "motors" / f"{MOTOR}.html").read_text("utf-8")
     assert "Night of 2026-01-04 failed: a.csv: its end is missing." in text
     assert "could be fitted. The newest, 2026-01-04: failed (log_truncated): a.csv: its end" in text
@@ -310,25 +249,24 @@ def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> 
     assert "plotly" not in empty
 
 
-def test_a_damaged_table_is_named_costs_its_own_rows_and_is_tried_again(output: Path) -> None:
-    build(output)
-    whole = contents(output / "report")
-    path = night_file(output, PREDICTIONS, NIGHTS[1])
+def test_a_damaged_table_is_named_costs_its_own_rows_and_is_tried_again(built: Path) -> None:
+    whole = contents(built / "report")
+    path = night_file(built, PREDICTIONS, NIGHTS[1])
     good = path.read_bytes()
     path.write_bytes(good[: len(good) // 2])
     for _ in range(2):
-        result = build(output)
+        result = build(built)
         assert result.n_nights == 1
         (fault,) = result.faults
         assert "2026-01-03.parquet of predictions is damaged" in fault
-        assert fault[:40] in (output / "report" / "index.html").read_text("utf-8")
-        night = read_night_file(output / "report" / "data" / MOTOR / f"{NIGHTS[1]}.js")
+        assert fault[:40] in (built / "report" / "index.html").read_text("utf-8")
+        night = read_night_file(built / "report" / "data" / MOTOR / f"{NIGHTS[1]}.js")
         assert night["faults"] == [fault]
         assert night["samples"] is None
         assert night["parameters"]
     path.write_bytes(good)
-    assert build(output).faults == ()
-    now = contents(output / "report")
+    assert build(built).faults == ()
+    now = contents(built / "report")
     assert {name for name in now if now[name] != whole[name]} <= {"manifest.json"}
 
 
@@ -340,7 +278,9 @@ def test_a_table_of_a_newer_version_is_refused_by_name(output: Path) -> None:
         build(output)
 
 
-def test_tables_of_the_first_schema_are_read(output: Path) -> None:
+def test_tables_of_the_first_schema_are_read_and_a_stranger_s_file_is_passed_over(
+    output: Path,
+) -> None:
     """As version 2 left them: no mark of placeholders, no version in the file."""
     for name in ("fits", "parameters"):
         for path in (output / "tables" / name).rglob("*.parquet"):
@@ -348,19 +288,7 @@ def test_tables_of_the_first_schema_are_read(output: Path) -> None:
             later = {"geometry_is_placeholder", "transport_delay_s", "estimated_transport_delay_s"}
             kept = table.drop_columns([one for one in table.column_names if one in later])
             pq.write_table(kept.replace_schema_metadata(None), path)
-    result = build(output)
-    assert result.faults == ()
-    night = read_night_file(output / "report" / "data" / MOTOR / f"{NIGHTS[1]}.js")
-    assert night["parameters"]
-
-
-def test_without_tables_it_says_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="run fit-fleet first") as refused:
-        build(tmp_path / "nothing")
-    assert refused.value.code == "report_tables"
-    assert not (tmp_path / "nothing").exists()
-
-
-def test_a_stranger_s_file_among_the_nights_is_passed_over(output: Path) -> None:
     (output / "tables" / "fits" / "month=2026-01" / "copy of 2026-01-02.parquet").write_bytes(b"x")
     assert build(output).faults == ()
+    night = read_night_file(output / "report" / "data" / MOTOR / f"{NIGHTS[1]}.js")
+    assert night["parameters"]

@@ -25,6 +25,8 @@ def test_what_no_chart_can_show_is_no_number() -> None:
     kept = unpacked(numbers([1.0, np.nan, np.inf, -np.inf, 1e300]))
     assert kept[0] == 1.0
     assert np.isnan(kept[1:]).all()
+    with pytest.raises(ValueError, match="JSON"):
+        script_json({"value": float("nan")})
 
 
 @given(st.lists(st.integers(-(2**31), 2**31 - 1)))
@@ -53,8 +55,3 @@ def test_no_name_ends_the_script_it_stands_in(name: str) -> None:
     assert parser.started == ["script"]
     assert json.loads(text) == {name: [name]}
     assert not set(text) & set("<>&\u2028\u2029")
-
-
-def test_nan_is_refused() -> None:
-    with pytest.raises(ValueError, match="JSON"):
-        script_json({"value": float("nan")})

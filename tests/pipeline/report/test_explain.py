@@ -6,21 +6,19 @@ import datetime as dt
 from itertools import pairwise
 from pathlib import Path
 
-import polars as pl
-import pytest
-
 from pipeline.config import load_fleet
-from pipeline.errors import UsageError
 from pipeline.report.explain import explain
 from pipeline.run.fleet import RunRequest, run_fleet
 from tests.conftest import OwnFleet
-from tests.pipeline.report.conftest import change_table
+from tests.pipeline.calling import refused
+from tests.pipeline.report.conftest import change_table, rows_with
 
 FIRST = dt.date(2026, 1, 2)
 
 
 def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) -> None:
-    told = "\n".join(explain(fitted_output, "CB560-01", FIRST))
+    lines = explain(fitted_output, "CB560-01", FIRST)
+    told = "\n".join(lines)
     assert told.startswith("CB560-01, night of 2026-01-02: fitted")
     for words in (
         "log CB560-01/CB560-01_2026-01-02.mcap: ok",
@@ -40,16 +38,13 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) 
     ):
         assert words in told
     assert "_per_" not in told
-
-
-def test_the_answer_stands_first_and_each_part_under_its_title(fitted_output: Path) -> None:
-    told = explain(fitted_output, "CB560-01", FIRST)
-    titles = [line for before, line in pairwise(told) if not before]
+    # The answer stands first, and each part under its title.
+    titles = [line for before, line in pairwise(lines) if not before]
     assert titles == ["Paths", "Systematic errors", "Fit", "Errors of the fit", "Data"]
-    assert told[1].startswith("reference leakage")
-    assert told[1].count("±") == told[2].count("±") == 1
-    under = {line for line in told if line.startswith("  ")}
-    assert len(told) == 3 + 2 * len(titles) + len(under)
+    assert lines[1].startswith("reference leakage")
+    assert lines[1].count("±") == lines[2].count("±") == 1
+    under = {line for line in lines if line.startswith("  ")}
+    assert len(lines) == 3 + 2 * len(titles) + len(under)
 
 
 def test_one_pressure_all_night_is_told_with_what_would_help(fitted_output: Path) -> None:
@@ -60,8 +55,7 @@ def test_one_pressure_all_night_is_told_with_what_would_help(fitted_output: Path
 
 
 def test_a_poor_fit_is_called_one(output: Path) -> None:
-    poor = pl.lit(-1295.0).alias("validation_fit_percent")
-    change_table(output, "fits", lambda rows: rows.with_columns(poor), f"{FIRST}")
+    change_table(output, "fits", rows_with("CB560-01", validation_fit_percent=-1295.0), f"{FIRST}")
     (told,) = [line for line in explain(output, "CB560-01", FIRST) if line.startswith("  fit: ")]
     assert "validation -1295.0 % (poor: worse than a constant flow)" in told
     assert told.count("poor") == 1
@@ -79,6 +73,5 @@ def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
 
 
 def test_a_night_that_is_not_there_says_what_to_do(fitted_output: Path) -> None:
-    with pytest.raises(UsageError, match="run fit-fleet") as refused:
+    with refused("unknown_night", "run fit-fleet"):
         explain(fitted_output, "CB400-02", dt.date(2020, 1, 1))
-    assert refused.value.code == "unknown_night"

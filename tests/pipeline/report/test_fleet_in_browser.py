@@ -20,19 +20,15 @@ MOTORS = 6
 pytestmark = needs_browser
 
 
-def test_fleet_page_lists_all_motors_and_says_nothing_on_the_console(
+def test_all_motors_are_listed_and_filtered_by_text_type_and_state(
     browser: Chrome, report: Path
 ) -> None:
     visit(browser, report / "index.html")
-    assert len(shown(browser)) == MOTORS
+    every = shown(browser)
+    assert len(every) == MOTORS
     pictures = browser.find_elements(By.CSS_SELECTOR, "td svg.sparkline")
     assert len(pictures) == MOTORS
     assert all(one.get_attribute("aria-label").startswith("Leakage ") for one in pictures)
-
-
-def test_filter_by_text_type_and_state(browser: Chrome, report: Path) -> None:
-    visit(browser, report / "index.html")
-    every = shown(browser)
     find = browser.find_element(By.ID, "find")
     find.send_keys("cb560")
     assert sorted(shown(browser)) == ["CB560-01", "CB560-02"]

@@ -36,26 +36,24 @@ def row(state: MotorState, known: int = NIGHTS) -> FleetRow:
 def test_the_course_is_of_the_leakage_of_the_state(indicator: str, kind: str, level: float) -> None:
     found = row(MotorState("M", "ok", leakage_indicator=indicator), known=5)
     assert found.leakage_kind == kind
-    assert found.line is not None
     assert (found.line.smallest, found.line.largest) == (level, level)
     # The course lies on its baseline.
     assert f" {found.line.last[1]}H" in found.line.baseline
 
 
 def test_without_a_figure_of_now_the_course_is_of_what_was_known() -> None:
+    """No figure of before stands in for one of now: the state says since when it is not known."""
     assert row(MotorState("M", "stale"), known=5).leakage_kind == "reference"
     assert row(MotorState("M", "stale"), known=0).leakage_kind == "frozen"
+    assert row(MotorState("M", "stale", leakage_night=FIRST), known=5).drawn_now is None
 
 
 def test_the_order_is_that_of_status() -> None:
-    states = {
-        "A": MotorState("A", "ok", deviation_percent=3.0),
-        "B": MotorState("B", "alarm", deviation_percent=30.0),
-        "C": MotorState("C", "alarm", deviation_percent=40.0),
-        "D": MotorState("D", "insufficient"),
-        "E": MotorState("E", "ok", failure="night of 2026-01-01 failed: the log is cut"),
-        "F": MotorState("F", "common_cause"),
-    }
+    alarms = [MotorState(name, "alarm", deviation_percent=d) for name, d in (("B", 30), ("C", 40))]
+    calm = [MotorState("D", "insufficient"), MotorState("F", "common_cause")]
+    failed = MotorState("E", "ok", failure="night of 2026-01-01 failed: the log is cut")
+    ok = MotorState("A", "ok", deviation_percent=3.0)
+    states = {one.motor_id: one for one in (ok, *alarms, *calm, failed)}
     motors = [history([], motor_id=motor_id) for motor_id in states]
     found = fleet_rows(motors, {name: name for name in states}, {}, states)
     assert [one.state.motor_id for one in found] == ["C", "B", "F", "E", "D", "A"]
@@ -78,12 +76,6 @@ def test_a_young_motor_shows_the_flow_that_it_has(
     motor = history([fit(0, None, mean_flow_l_per_min=5.0)], trends)
     (found,) = fleet_rows([motor], {"M": "M"}, {}, {"M": MotorState("M", "insufficient")})
     assert (found.leakage_kind, found.drawn_now) == (kind, value)
-
-
-def test_no_figure_of_before_stands_in_for_one_that_no_longer_holds() -> None:
-    """The state says since when it is not known."""
-    state = MotorState("M", "stale", leakage_night=FIRST)
-    assert row(state, known=5).drawn_now is None
 
 
 def test_the_age_of_data_counts_from_their_end() -> None:

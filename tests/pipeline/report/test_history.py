@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.pipeline.report.nights import FIRST, ONE_DAY, fit, history, trend, unfitted
+from tests.pipeline.report.nights import fit, history, trend, unfitted
 
 OWN = {"own_conditions_leakage_l_per_min": 4.2}
 
@@ -62,4 +62,3 @@ def test_a_motor_without_nights_has_an_empty_history() -> None:
     motor = history([])
     assert motor.nights == ()
     assert len(motor.course("K_piston_ring").value) == 0
-    assert (FIRST + ONE_DAY) not in motor.nights

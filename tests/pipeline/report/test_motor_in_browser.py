@@ -22,7 +22,7 @@ from tests.pipeline.report.browser import (
     visit,
     wait,
 )
-from tests.pipeline.report.conftest import change_table
+from tests.pipeline.report.conftest import change_table, rows_with
 from tests.pipeline.report.judged import NIGHTS, NOTE, REASON, RING
 
 pytestmark = needs_browser
@@ -73,7 +73,8 @@ def test_a_table_stands_under_each_chart_and_can_be_saved(browser: Chrome, repor
 def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
     browser: Chrome, report: Path
 ) -> None:
-    visit(browser, report / "motors" / "CB400-02.html")
+    # An address that is no night leads to the newest.
+    visit(browser, report / "motors" / "CB400-02.html", "#../../../etc/passwd%E0")
     assert wait(browser, "return document.body.dataset.night") == NIGHTS[2]
     Select(browser.find_element(By.ID, "choose")).select_by_value(NIGHTS[0])
     wait(browser, f"return document.body.dataset.night === '{NIGHTS[0]}'")
@@ -104,11 +105,6 @@ def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
     )
     assert len(marked) >= 4
     assert all(one == [NIGHTS[0]] for one in marked)
-
-
-def test_an_address_that_is_no_night_leads_to_the_newest(browser: Chrome, report: Path) -> None:
-    visit(browser, report / "motors" / "CB400-02.html", "#../../../etc/passwd%E0")
-    assert wait(browser, "return document.body.dataset.night") == NIGHTS[2]
 
 
 SPANS = (
@@ -174,24 +170,15 @@ def test_motors_without_a_good_night_or_any_have_pages_that_say_why(
 
     change_table(output, "fits", fail)
     unread = {"status": "failed", "rows": None, "first_time": None, "last_time": None}
-    change_table(
-        output,
-        "input_files",
-        lambda rows: rows.with_columns(
-            *(pl.lit(value, rows.schema[name]).alias(name) for name, value in unread.items())
-        ),
-    )
+    change_table(output, "input_files", rows_with("CB560-01", **unread))
     for table in (*NIGHT_TABLES, *TREND_TABLES):
         if table.name not in ("fits", "input_files", "quality"):
             change_table(output, table.name, lambda rows: rows.clear())
     folder = output / "report"
     build_report(ReportRequest(output, folder, known={"new": KnownMotor("CB400")}))
     visit(browser, folder / "motors" / "CB560-01.html")
-    figures = drawn(browser)
-    assert {name for name, state in figures.items() if state == "chart"} == {
-        "course-nights",
-        "refused",
-    }
+    charts = [name for name, state in drawn(browser).items() if state == "chart"]
+    assert charts == ["course-nights", "refused"]
     assert reason in browser.find_element(By.ID, "why").text
     assert reason in browser.find_element(By.ID, "outcome").text
     assert "failed" in browser.find_element(By.ID, "files").text
@@ -201,13 +188,7 @@ def test_motors_without_a_good_night_or_any_have_pages_that_say_why(
 
 
 def test_a_poor_fit_is_marked_wherever_it_is_shown(browser: Chrome, output: Path) -> None:
-    mine = (pl.col("motor_id") == "CB560-01") & pl.col("is_primary")
-
-    def poor(rows: pl.DataFrame) -> pl.DataFrame:
-        fit = pl.when(mine).then(-1295.0).otherwise("validation_fit_percent")
-        return rows.with_columns(validation_fit_percent=fit)
-
-    change_table(output, "fits", poor, NIGHTS[2])
+    change_table(output, "fits", rows_with("CB560-01", validation_fit_percent=-1295.0), NIGHTS[2])
     build_report(ReportRequest(output, output / "report"))
     visit(browser, output / "report" / "index.html")
     marked = browser.find_elements(By.CSS_SELECTOR, "#fleet .poor")
@@ -266,19 +247,11 @@ def test_trends_alarms_and_what_was_said_are_shown(browser: Chrome, told: Path) 
     menu = Select(browser.find_element(By.CSS_SELECTOR, "#trend-course select"))
     assert menu.first_selected_option.text == "K of the piston ring, m³: alarm"
     assert text(browser, "#trend-course .annotation-text") == "+50 % (step)"
-    lines = dict(
-        browser.execute_script(
-            "return document.querySelector('#trend-course .plot').data.map((one) => "
-            "[one.name, one.y.at(-1)])"
-        )
-    )
+    last = "'#trend-course .plot').data.map((one) => [one.name, one.y.at(-1)])"
+    lines = dict(browser.execute_script(f"return document.querySelector({last}"))
+    levels = ["baseline", "level of warning", "level of alarm"]
     assert [name for name in lines if name] == [
-        "K of the piston ring",
-        "baseline",
-        "level of warning",
-        "level of alarm",
-        "CUSUM",
-        "its limit",
+        *("K of the piston ring", *levels, "CUSUM", "its limit")
     ]
     assert lines["level of alarm"] == pytest.approx(1.3 * RING)
     row = browser.find_element(By.CSS_SELECTOR, "#trend-table tbody tr").text

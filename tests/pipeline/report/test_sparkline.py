@@ -24,7 +24,6 @@ def points(path: str) -> np.ndarray:
 def test_the_line_stays_in_its_box_and_small(n: int) -> None:
     values = np.cumsum(np.random.default_rng(n).standard_normal(n)) + 50
     made = sparkline(np.arange(n), course(values, 500.0), (0, n - 1))
-    assert made is not None
     for path in (made.line, made.band):
         drawn = points(path)
         assert len(drawn) <= 2 * POINTS
@@ -39,8 +38,6 @@ def test_noise_of_one_percent_looks_flat_and_a_third_more_does_not() -> None:
     flat = sparkline(np.arange(60), course(noise), (0, 59))
     noise[40:] *= 1.33
     risen = sparkline(np.arange(60), course(noise), (0, 59))
-    assert flat is not None
-    assert risen is not None
     assert np.ptp(points(flat.line)[:, 1]) < 0.25 * HEIGHT
     assert np.ptp(points(risen.line)[:, 1]) > 0.4 * HEIGHT
     # Up is more.
@@ -50,7 +47,6 @@ def test_noise_of_one_percent_looks_flat_and_a_third_more_does_not() -> None:
 def test_the_line_is_broken_over_weeks_without_a_value() -> None:
     days = np.array([0, 1, 2, 30, 31, 32])
     made = sparkline(days, course([1.0, 1.0, 1.0, 1.1, np.nan, 1.1], 0.1), (0, 32))
-    assert made is not None
     assert made.line.count("M") == 2
     assert made.band.count("Z") == 2
 
@@ -58,7 +54,6 @@ def test_the_line_is_broken_over_weeks_without_a_value() -> None:
 def test_all_motors_of_a_fleet_share_one_time() -> None:
     """Ten nights in the middle of a hundred are drawn in the middle."""
     made = sparkline(np.arange(45, 55), course(np.ones(10)), (0, 99))
-    assert made is not None
     x = points(made.line)[:, 0]
     assert x.min() == pytest.approx(MARGIN + 45 / 99 * (WIDTH - 2 * MARGIN), abs=0.06)
     assert x.max() == pytest.approx(MARGIN + 54 / 99 * (WIDTH - 2 * MARGIN), abs=0.06)
@@ -67,13 +62,9 @@ def test_all_motors_of_a_fleet_share_one_time() -> None:
 def test_the_baseline_is_drawn_at_its_level_if_there_is_one() -> None:
     made = sparkline(np.arange(9), course(np.linspace(1.0, 2.0, 9)), (0, 8), baseline=1.5)
     bare = sparkline(np.arange(9), course(np.ones(9)), (0, 8))
-    assert made is not None
-    assert bare is not None
     assert made.baseline == f"M{MARGIN:g} {HEIGHT / 2:.1f}H{WIDTH - MARGIN:g}"
     assert bare.baseline == ""
-
-
-def test_without_a_value_there_is_no_picture() -> None:
+    # Without a value there is no picture.
     assert sparkline(np.arange(3), course([np.nan] * 3), (0, 2)) is None
     assert sparkline(np.arange(0), course([]), (0, 2)) is None
 

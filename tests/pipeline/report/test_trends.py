@@ -36,34 +36,20 @@ def tables(decisions: tuple[Decision, ...] = ()) -> ReportTables:
     alarm |= {"to_state": "warning", "reason": "sleeve +38 %", "night": FIRST + ONE_DAY}
     baseline = {"motor_id": "M", "indicator": "reference_leakage", "start": FIRST, "end": FIRST}
     changes = {"motor_id": "M", "indicator": "reference_leakage", "size_percent": 5.0}
-    return ReportTables(
-        fits=frame(FITS, [fit(0), fit(1)]),
-        trends={
-            "trends": frame(TRENDS, trends),
-            "alarms": frame(ALARMS, [alarm | {"time": dt.datetime(2026, 1, 2, 6, tzinfo=dt.UTC)}]),
-            "baselines": frame(
-                BASELINES,
-                [baseline | {"night": FIRST + n * ONE_DAY, "mean": 1.0 + n} for n in range(2)],
-            ),
-            "change_points": frame(
-                CHANGE_POINTS,
-                [
-                    changes | {"night": FIRST + n * ONE_DAY, "change_night": FIRST + m * ONE_DAY}
-                    for n, m in ((0, 0), (1, 1))
-                ],
-            ),
-        },
-        decisions=decisions,
-    )
+    nights = [{"night": FIRST}, {"night": FIRST + ONE_DAY}]
+    rows = {
+        TRENDS: trends,
+        ALARMS: [alarm | {"time": dt.datetime(2026, 1, 2, 6, tzinfo=dt.UTC)}],
+        BASELINES: [baseline | one | {"mean": 1.0 + n} for n, one in enumerate(nights)],
+        CHANGE_POINTS: [changes | one | {"change_night": one["night"]} for one in nights],
+    }
+    frames = {table.name: frame(table, own) for table, own in rows.items()}
+    return ReportTables(frame(FITS, [fit(0), fit(1)]), frames, decisions=decisions)
 
 
+SAID = dt.datetime(2026, 1, 3, 9, tzinfo=dt.UTC)
 SEEN = Decision(
-    motor_id="M",
-    indicator="K_balance_sleeve",
-    time=dt.datetime(2026, 1, 3, 9, tzinfo=dt.UTC),
-    kind="acknowledged",
-    night=FIRST + ONE_DAY,
-    note="ordered a sleeve",
+    "M", "K_balance_sleeve", SAID, "acknowledged", FIRST + ONE_DAY, note="ordered a sleeve"
 )
 
 
@@ -92,11 +78,8 @@ def payload_of(motor_id: str) -> dict[str, Any]:
 def test_trends_of_a_motor_go_to_its_page_and_no_other_s() -> None:
     payload = payload_of("M")
     # The one that asks for attention first; what the first screen draws is not drawn again.
-    assert [one["indicator"] for one in payload["indicators"]] == [
-        "K_balance_sleeve",
-        "reference_leakage",
-    ]
     factor, leakage = payload["indicators"]
+    assert factor["indicator"] == "K_balance_sleeve"
     assert (factor["name"], leakage["name"]) == ("K of the balance sleeve", "reference leakage")
     days = unpacked(leakage["days"]).tolist()
     assert days == [(FIRST + n * ONE_DAY - dt.date(1970, 1, 1)).days for n in range(2)]

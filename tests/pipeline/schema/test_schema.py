@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import polars as pl
@@ -87,15 +87,9 @@ DESIGN: dict[str, tuple[tuple[str, ...], str]] = {
 }
 # How a unit shows in a column's name.
 SUFFIXES = {
-    "bar": "_bar",
-    "°C": "_c",
-    "rpm": "_rpm",
-    "l/min": "_l_per_min",
-    "s": "_s",
-    "%": "_percent",
-    "B": "_bytes",
-    "MiB": "_mib",
-}
+    "bar": "_bar", "°C": "_c", "rpm": "_rpm", "l/min": "_l_per_min", "s": "_s", "%": "_percent",
+    "B": "_bytes", "MiB": "_mib",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", DESIGN)
@@ -104,11 +98,6 @@ def test_tables_of_the_design(name: str) -> None:
     key, core = DESIGN[name]
     assert table.key == key
     assert set(core.split()) <= table.schema.keys()
-
-
-def test_names_of_tables_are_unique() -> None:
-    names = [table.name for table in TABLES]
-    assert len(names) == len(set(names))
 
 
 @EACH_TABLE
@@ -181,15 +170,9 @@ def test_histogram_edges() -> None:
 
 
 class TestFrame:
-    ROW: dict[str, Any] = {  # noqa: RUF012 - never changed
-        "motor_id": "A",
-        "night": dt.date(2026, 1, 2),
-        "channel": "speed",
-        "reason": "gap",
-        "n_samples": 10,
-        "n_refused": 1,
-        "run_id": "r",
-    }
+    STAGED: ClassVar = {"motor_id": "A", "night": dt.date(2026, 1, 2), "channel": "speed"}
+    STAGED |= {"reason": "gap", "n_samples": 10, "n_refused": 1}
+    ROW: ClassVar = STAGED | {"run_id": "r"}
 
     def test_unknown_column_is_refused(self) -> None:
         with pytest.raises(ValueError, match="quality has no column n_kept, n_lost"):
@@ -198,8 +181,7 @@ class TestFrame:
     def test_a_column_that_comes_later_is_not_taken(self) -> None:
         with pytest.raises(ValueError, match="run_id"):
             staged_table(QUALITY, [self.ROW])
-        row = {name: value for name, value in self.ROW.items() if name != "run_id"}
-        assert "run_id" not in staged_table(QUALITY, [row]).column_names
+        assert "run_id" not in staged_table(QUALITY, [self.STAGED]).column_names
 
     @EACH_TABLE
     def test_no_rows(self, table: Table) -> None:
@@ -211,41 +193,28 @@ class TestFrame:
         """A column that only the last of many rows has."""
         last = table.columns[-1].name
         kind = str(table.schema[last])
-        values = {
-            "Int64": 1,
-            "Float64": 1.0,
-            "Boolean": True,
-            "Date": dt.date(2026, 1, 2),
-            "List(String)": ["x"],
-            "List(Float32)": [1.0],
-            "List(Float64)": [1.0],
-        }
+        values = {"Int64": 1, "Float64": 1.0, "Boolean": True, "Date": dt.date(2026, 1, 2)}
+        values |= {"List(String)": ["x"], "List(Float32)": [1.0], "List(Float64)": [1.0]}
         value: Any = values.get(kind, "x")
         found = frame(table, [{}] * 1000 + [{last: value}])
         assert dict(found.schema) == dict(pl.Schema(table.schema))
         assert found[last].to_list() == [None] * 1000 + [value]
         assert found.drop(last).null_count().row(0) == (1001,) * (len(table.columns) - 1)
 
-    def test_rows_may_come_once(self) -> None:
-        assert frame(QUALITY, iter([self.ROW])).height == 1
-
     def test_wrong_type_is_refused(self) -> None:
         for name, value in (("n_samples", "ten"), ("n_samples", np.nan), ("night", "2026-01-02")):
             with pytest.raises((TypeError, pl.exceptions.PolarsError)):
                 frame(QUALITY, [self.ROW | {name: value}])
-            row = {key: one for key, one in self.ROW.items() if key != "run_id"}
             with pytest.raises((TypeError, ValueError)):
-                staged_table(QUALITY, [row | {name: value}])
+                staged_table(QUALITY, [self.STAGED | {name: value}])
 
-    def test_not_a_number_stays_apart_from_null(self) -> None:
-        found = frame(FITS, [{"cost": float("nan")}, {"cost": None}])
+    def test_rows_may_come_once_and_not_a_number_stays_apart_from_null(self) -> None:
+        found = frame(FITS, iter([{"cost": float("nan")}, {"cost": None}]))
         assert found["cost"].is_nan().to_list() == [True, None]
 
     def test_numbers_of_numpy_and_whole_ones(self) -> None:
-        found = frame(
-            FITS,
-            [{"cost": 1, "n_training": np.int64(5)}, {"cost": np.float64(0.1), "n_training": 6}],
-        )
+        rows = [{"cost": 1, "n_training": np.int64(5)}, {"cost": np.float64(0.1), "n_training": 6}]
+        found = frame(FITS, rows)
         assert found["cost"].to_list() == [1.0, 0.1]
         assert found["n_training"].to_list() == [5, 6]
 
@@ -261,8 +230,14 @@ class TestFrame:
         assert found["time"].dt.epoch("us").to_list() == [1_767_323_045_678_901]
 
 
-def test_data_dictionary_has_every_column_once() -> None:
+def test_data_dictionary_has_every_column_once_and_its_type_as_polars_names_it() -> None:
     found = data_dictionary()
+    types = dict(found.select("column", "type").rows())
+    assert types["night"] == "Date"
+    assert types["window_start"] == "Datetime(time_unit='us', time_zone='UTC')"
+    assert types["statistics"] == str(NUMBERS) == "List(Float64)"
+    assert types["speed_histogram"] == str(COUNTS)
+    assert len({table.name for table in TABLES}) == len(TABLES)
     expected = {(table.name, column.name) for table in TABLES for column in table.columns}
     assert set(found.select("table", "column").iter_rows()) == expected
     assert found.height == len(expected)
@@ -270,14 +245,6 @@ def test_data_dictionary_has_every_column_once() -> None:
     assert not found.select(pl.any_horizontal(pl.all().is_null()).any()).item()
     keys = found.filter("in_key").group_by("table").len()
     assert dict(keys.iter_rows()) == {table.name: len(table.key) for table in TABLES}
-
-
-def test_types_are_named_as_polars_names_them() -> None:
-    types = {row["column"]: row["type"] for row in data_dictionary().iter_rows(named=True)}
-    assert types["night"] == "Date"
-    assert types["window_start"] == "Datetime(time_unit='us', time_zone='UTC')"
-    assert types["statistics"] == str(NUMBERS) == "List(Float64)"
-    assert types["speed_histogram"] == str(COUNTS)
 
 
 def test_units_in_the_rows_are_those_that_the_columns_name(fitted_output: Path) -> None:

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from pipeline.ingest import RawLog, read_log
 from pipeline.setup.suggest import suggest
-from tests.pipeline.setup.text_logs import EPOCH, Label, Samples, in_unit
+from tests.pipeline.setup.text_logs import EPOCH, Label, Samples, TextLog, in_unit
 from tests.pipeline.simulated import load_motor
 
 HEAD = 'motor_id = "M1"\nmotor_type = "CB560"\noil = "vg68"\n'
@@ -22,6 +22,7 @@ LABELS = {
     "speed": Label("Speed", "rpm", "1/min"),
     "leakage_flow": Label("Drain flow", "l/min", "l/min"),
 }
+PLAIN = TextLog(LABELS)
 START = datetime(2025, 3, 13, 6, tzinfo=UTC)
 
 
@@ -81,13 +82,12 @@ def require_it_reads(folder: Path, path: Path, times: Any, samples: Any, **optio
 DAY_OR_MONTH = r'day or month first\? The log begins on (.*) so, on (.*) with "(.*)"'
 
 
-def columns_of(samples: Samples) -> dict[str, pa.Array]:
-    return {
-        f"{label.name} [{label.spelled}]": pa.array(
-            [None if x is None else in_unit(x, label.unit) for x in samples[channel]], pa.float64()
-        )
-        for channel, label in LABELS.items()
-    }
+def columns_of(samples: Samples, dialect: TextLog = PLAIN) -> dict[str, pa.Array]:
+    columns = {}
+    for channel, label in dialect.labels.items():
+        cells = [None if x is None else in_unit(x, label.unit) for x in samples[channel]]
+        columns[dialect.label(channel)] = pa.array(cells, pa.float64())
+    return columns
 
 
 def us_of(times: Sequence[datetime]) -> list[int]:

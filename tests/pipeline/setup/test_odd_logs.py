@@ -95,6 +95,13 @@ def test_check_of_any_log(
     assert "[channels.speed]" in said(call("check", "--suggest", log))
 
 
+def check_unknown(workshop: Workshop, call: Call) -> None:
+    """Check that `status` knows of a motor that it knows nothing."""
+    shown = said(call("status", workshop.fleet)).splitlines()[1].split("\t")
+    unknown = ["M1", "insufficient", "unknown", "unknown", "none yet"]
+    assert [*shown[:2], *shown[3:6]] == unknown
+
+
 @pytest.mark.parametrize("kind", ["constant", "nan", "one sample"])
 def test_every_command_over_a_night_of_nothing(tmp_path: Path, call: Call, kind: str) -> None:
     workshop = Workshop.at(tmp_path)
@@ -102,11 +109,7 @@ def test_every_command_over_a_night_of_nothing(tmp_path: Path, call: Call, kind:
     assert "M1: insufficient_data" in said(call("fit-fleet", workshop.fleet))
     assert "insufficient_data" in said(call("fit", workshop.fleet, "M1", LABEL))
     assert "insufficient_data" in said(call("explain", workshop.fleet, "M1", LABEL))
-    shown = said(call("status", workshop.fleet)).splitlines()[1].split("\t")
-    assert (shown[0], shown[1], *shown[3:6]) == (
-        *("M1", "insufficient"),
-        *("unknown", "unknown", "none yet"),
-    )
+    check_unknown(workshop, call)
     found = said(call("check", workshop.fleet))
     assert ("none is kept" in found) == (kind != "one sample")
     assert "e+" not in found
@@ -118,8 +121,4 @@ def test_every_command_over_a_log_without_a_row(tmp_path: Path, call: Call) -> N
     assert "log_empty" in said(call("check", workshop.fleet))
     assert "[channels.speed]" in said(call("check", "--suggest", log))
     assert "log_empty" in said(call("fit-fleet", workshop.fleet))
-    shown = said(call("status", workshop.fleet)).splitlines()[1].split("\t")
-    assert (shown[0], shown[1], *shown[3:6]) == (
-        *("M1", "insufficient"),
-        *("unknown", "unknown", "none yet"),
-    )
+    check_unknown(workshop, call)

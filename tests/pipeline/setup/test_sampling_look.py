@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -176,12 +177,12 @@ def test_a_temperature_that_only_rises_is_no_total() -> None:
     assert look(warming, "temperature").kind == "periodic"
 
 
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_few_samples_or_no_change_tell_nothing(count: int) -> None:
-    time_s = np.arange(float(count))
-    assert look(Signal(time_s, time_s)).kind == "unknown"
+def test_few_samples_or_no_change_tell_nothing() -> None:
+    for count in (0, 1, 5):
+        time_s = np.arange(float(count))
+        assert look(Signal(time_s, time_s)).kind == "unknown"
+        assert words(look(Signal(time_s, time_s))) == ""
     assert look(Signal(np.arange(500.0), np.full(500, 3.0))).kind == "unknown"
-    assert words(look(Signal(time_s, time_s))) == ""
 
 
 @settings(max_examples=25)
@@ -229,9 +230,6 @@ def test_samples_are_put_in_order_and_what_is_missing_left_out() -> None:
     assert look_of(RawChannel(time_us, value, missing, 0)) == look(one, resolution=0.0)
 
 
-# Against the config
-
-
 PLAIN = {"source": "x", "unit": "l/min"}
 MEAN = {"sampling": "mean", "mean_of_s": 10.0}
 SENT = {"sampling": "on_change", "longest_silence_s": 60.0}
@@ -257,11 +255,8 @@ def test_a_remark_where_look_and_config_disagree(
     kinds: set[Kind] = {"periodic", "irregular", "mean", "cumulative", "pulses"}
     for kind in kinds:
         told = remark(channel, Sampling(kind, 10.0, 30.0, 0.01))
-        assert bool(told) == (kind not in agreeing)
-        if told:
-            assert told.startswith(
-                f"configured as {configured(channel)}, looks {words(Sampling(kind, 10.0))}"
-            )
+        said = f"configured as {configured(channel)}, looks {words(Sampling(kind, 10.0))}"
+        assert told == "" if kind in agreeing else told.startswith(said)
     assert remark(channel, Sampling("unknown")) == ""
 
 
@@ -272,7 +267,7 @@ def test_a_remark_says_what_to_write() -> None:
         "mean": 'then sampling = "mean" and mean_of_s = 10',
         "pulses": 'then counts = "pulses", unit = "count" and volume_per_count_cm3',
     }.items():
-        assert remark(plain, Sampling(kind, 10.0, 30.0)).endswith(told)  # type: ignore[arg-type]
+        assert remark(plain, Sampling(kind, 10.0, 30.0)).endswith(told)
 
 
 def test_regular_repeats_and_wrong_periods_are_told() -> None:
@@ -285,9 +280,9 @@ def test_regular_repeats_and_wrong_periods_are_told() -> None:
     assert remark(total, Sampling("periodic", 1.0)).endswith("it falls again and again")
 
 
-def test_nothing_of_the_demo_is_remarked_on(demo_folder: object) -> None:
+def test_nothing_of_the_demo_is_remarked_on(demo_folder: Path) -> None:
     """Every channel of every log of the demo fleet is periodic, and looks so."""
-    fleet = load_fleet(demo_folder / "configs" / "fleet.toml")  # type: ignore[operator]
+    fleet = load_fleet(demo_folder / "configs" / "fleet.toml")
     looked_at = 0
     for spec in fleet.motors:
         for path in sorted((fleet.log_root / spec.motor_id).iterdir()):

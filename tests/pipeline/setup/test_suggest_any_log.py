@@ -23,6 +23,7 @@ from pipeline.setup.suggest import suggest
 from tests.pipeline.setup.suggested import (
     DAY_OR_MONTH,
     PARQUET_TIMES,
+    columns_of,
     log_in,
     read_as_suggested,
     require_same,
@@ -58,6 +59,7 @@ TIMES = (
     *("%d.%m.%y %H:%M", "%Y%m%d %H%M%S", "%Y-%m-%d %H:%M:%S UTC", "%Y-%m-%d %H:%M:%S%z"),
     *("epoch_s", "epoch_s.f", "epoch_ms", "epoch_us", "epoch_ns", "excel_days"),
 )
+NAMED = (("Tag", "Value"), ("Kanal", "Wert"))
 SPLIT = (("%d.%m.%Y", "%H:%M:%S"), ("%d/%m/%Y", "%H:%M:%S.%f"), ("%Y-%m-%d", "%H:%M"))
 
 
@@ -103,11 +105,7 @@ def dialects(draw: st.DrawFn) -> TextLog:
         missing=draw(st.sampled_from(["", "---", "Bad", "ERR"])),
         quoted=draw(st.booleans()),
         digits=draw(st.integers(4, 6)),
-        names=draw(
-            st.sampled_from(
-                [{"channel": "Tag", "value": "Value"}, {"channel": "Kanal", "value": "Wert"}]
-            )
-        ),
+        names=dict(zip(("channel", "value"), draw(st.sampled_from(NAMED)), strict=True)),
     )
 
 
@@ -176,14 +174,8 @@ def test_any_dialect_reads_back_what_was_written(
     units = {channel: label.unit for channel, label in dialect.labels.items()}
     toml = told(suggest(path), form, units)
     logs = list(read_as_suggested(folder, path, toml).values())
-    finest = 10.0**-dialect.digits / min(
-        in_unit_factor(one.unit) for one in dialect.labels.values()
-    )
-    require_same(logs, times, samples, tolerance=finest)
-
-
-def in_unit_factor(unit: str) -> float:
-    return abs(in_unit(1.0, unit) - in_unit(0.0, unit))
+    factors = [in_unit(1.0, one.unit) - in_unit(0.0, one.unit) for one in dialect.labels.values()]
+    require_same(logs, times, samples, tolerance=10.0**-dialect.digits / min(factors))
 
 
 @settings(max_examples=20)
@@ -197,16 +189,8 @@ def test_any_parquet_reads_back_what_was_written(
     dialect = TextLog(draw(labels()), layout, units=draw(st.sampled_from(["name", "word"])))
     times, samples = draw(recordings(dialect))
     number = draw(st.sampled_from([pa.float64(), pa.float32(), pa.decimal128(18, 6)]))
-    columns = {
-        dialect.label(channel): pa.array(
-            [
-                None if x is None else round(in_unit(x, dialect.labels[channel].unit), 6)
-                for x in own
-            ],
-            pa.float64(),
-        ).cast(number, safe=False)
-        for channel, own in samples.items()
-    }
+    columns = columns_of(samples, dialect)
+    columns = {name: one.cast(number, safe=False) for name, one in columns.items()}
     stamps = PARQUET_TIMES[draw(st.sampled_from(["typed", "naive", "epoch_ms", "epoch_s", "text"]))]
     us = us_of(times)
     if layout == "long":

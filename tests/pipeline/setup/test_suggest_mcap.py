@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from google.protobuf.timestamp_pb2 import Timestamp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
@@ -21,9 +19,18 @@ from mcap_ros2._dynamic import serialize_dynamic
 from pipeline.ingest import read_log
 from pipeline.ingest.conformance import T0_US
 from pipeline.setup.suggest import suggest
+from tests.pipeline.ingest.mcap.protobuf_files import (
+    NAME,
+    Field,
+    class_of,
+    declared,
+    field_of,
+    made_of,
+    set_of,
+)
+from tests.pipeline.setup.suggested import HEAD, log_in
 from tests.pipeline.simulated import load_motor
 
-HEAD = 'motor_id = "M1"\nmotor_type = "CB560"\noil = "vg68"\n'
 COUNT = 40
 VALUES = {
     "pressure_difference": 180.0 + np.arange(COUNT),
@@ -57,10 +64,7 @@ def write(
     for topic, time_us, payload in messages:
         writer.add_message(ids[topic], 1000 * time_us + late_ns, payload, 1000 * time_us)
     writer.finish()
-    path = folder / "logs" / "M1" / "log.mcap"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(buffer.getvalue())
-    return path
+    return log_in(folder, buffer.getvalue(), "log.mcap")
 
 
 def json_log(folder: Path, topics: Mapping[str, Callable[[int], Any]], **options: Any) -> Path:
@@ -90,25 +94,15 @@ def comments(toml: str) -> list[str]:
     return [line[2:] for line in toml.splitlines() if line.startswith("# ")]
 
 
-# JSON
-
-
 def test_a_topic_a_channel(tmp_path: Path) -> None:
-    names = {
-        "pressure_difference": "/mill/m1/pressure_difference",
-        "oil_temperature": "/mill/m1/oil_temperature",
-        "speed": "/mill/m1/speed",
-        "leakage_flow": "/mill/m1/drain_flow",
+    names = {channel: f"/mill/m1/{channel}" for channel in VALUES}
+    names["leakage_flow"] = "/mill/m1/drain_flow"
+    topics = {
+        topic: lambda i, channel=channel: {"value": VALUES[channel][i], "quality": 192}
+        for channel, topic in names.items()
     }
-    path = json_log(
-        tmp_path,
-        {
-            topic: lambda i, channel=channel: {"value": VALUES[channel][i], "quality": 192}
-            for channel, topic in names.items()
-        }
-        | {"/mill/m1/operator": lambda i: {"name": "me", "shift": i % 3}},
-    )
-    toml = require_it_reads(tmp_path, path)
+    topics["/mill/m1/operator"] = lambda i: {"name": "me", "shift": i % 3}
+    toml = require_it_reads(tmp_path, json_log(tmp_path, topics))
     assert comments(toml)[:3] == [
         "topics:",
         "  /mill/m1/drain_flow: json Value, 40 messages",
@@ -158,31 +152,24 @@ def test_one_topic_with_fields_within_fields_units_and_a_stamp(tmp_path: Path) -
 def test_stamps_that_are_a_number_or_text(
     tmp_path: Path, stamp: Callable[[int], Any], form: str
 ) -> None:
-    path = json_log(
-        tmp_path,
-        {
-            f"/{channel}": lambda i, values=values: {"t": stamp(int(TIMES_US[i])), "v": values[i]}
-            for channel, values in VALUES.items()
-        },
-        late_ns=RECORDED_LATER_NS,
-    )
+    topics = {
+        f"/{channel}": lambda i, values=values: {"t": stamp(int(TIMES_US[i])), "v": values[i]}
+        for channel, values in VALUES.items()
+    }
+    path = json_log(tmp_path, topics, late_ns=RECORDED_LATER_NS)
     found = tomllib.loads(require_it_reads(tmp_path, path))
     assert found["logs"]["stamp"] == "t"
     assert found["logs"].get("time_format", "iso8601") == form
 
 
 def test_the_time_of_publishing_is_told_where_it_is_another(tmp_path: Path) -> None:
-    path = json_log(
-        tmp_path,
-        {f"/{c}": lambda i, v=v: {"value": v[i]} for c, v in VALUES.items()},
-        late_ns=RECORDED_LATER_NS,
-    )
+    topics = {f"/{c}": lambda i, v=v: {"value": v[i]} for c, v in VALUES.items()}
+    path = json_log(tmp_path, topics, late_ns=RECORDED_LATER_NS)
     toml = require_it_reads(tmp_path, path, late_us=RECORDED_LATER_NS // 1000)
     assert "publish_time is 3 ms before it: which is when it was measured?" in toml
     chosen = toml.replace('time = "log_time"', 'time = "publish_time"')
     motor = load_motor(tmp_path, HEAD + chosen).file
-    log = read_log(path, motor.logs, motor.channels)
-    assert log.first_us == T0_US
+    assert read_log(path, motor.logs, motor.channels).first_us == T0_US
 
 
 # ROS 2 and Protobuf
@@ -237,63 +224,39 @@ def test_ros_2_with_the_units_of_its_standard_messages(tmp_path: Path) -> None:
     assert "  /dp: cdr sensor_msgs/msg/FluidPressure, 40 messages" in comments(toml)
 
 
-def motor_class() -> tuple[Any, bytes]:
-    """A Protobuf message with a stamp, numbers, a message of its own within, and a map."""
-    kinds = descriptor_pb2.FieldDescriptorProto
-    stamps = descriptor_pb2.FileDescriptorProto()
-    Timestamp.DESCRIPTOR.file.CopyToProto(stamps)
-    file = descriptor_pb2.FileDescriptorProto(
-        name="motor.proto", package="plant", syntax="proto3", dependency=[stamps.name]
-    )
-    motor = file.message_type.add(name="Motor")
-    inner = motor.nested_type.add(name="Hydraulics")
-    for number, name in enumerate(("dp_bar", "drain_flow_lpm"), 1):
-        inner.field.add(name=name, number=number, type=kinds.TYPE_DOUBLE, label=1)
-    for number, (name, kind, of) in enumerate(
-        (
-            ("at", kinds.TYPE_MESSAGE, ".google.protobuf.Timestamp"),
-            ("hydraulics", kinds.TYPE_MESSAGE, ".plant.Motor.Hydraulics"),
-            ("speed_rpm", kinds.TYPE_FLOAT, ""),
-            ("oil_temp_degC", kinds.TYPE_FLOAT, ""),
-            ("running", kinds.TYPE_BOOL, ""),
-        ),
-        1,
-    ):
-        motor.field.add(name=name, number=number, type=kind, type_name=of or None, label=1)
-    entry = motor.nested_type.add(name="OilEntry")
-    entry.options.map_entry = True
-    entry.field.add(name="key", number=1, type=kinds.TYPE_STRING, label=1)
-    entry.field.add(name="value", number=2, type=kinds.TYPE_DOUBLE, label=1)
-    map_of = {"type": kinds.TYPE_MESSAGE, "type_name": ".plant.Motor.OilEntry", "label": 3}
-    motor.field.add(name="oil", number=6, **map_of)
-    pool = descriptor_pool.DescriptorPool()
-    for one in (stamps, file):
-        pool.Add(one)
-    made = message_factory.GetMessageClass(pool.FindMessageTypeByName("plant.Motor"))
-    return made, descriptor_pb2.FileDescriptorSet(file=[file, stamps]).SerializeToString()
-
-
 def test_protobuf_with_its_timestamp(tmp_path: Path) -> None:
-    made, descriptors = motor_class()
+    """With numbers, a message within, and a map."""
+    inner = [field_of(name, Field.TYPE_DOUBLE) for name in ("dp_bar", "drain_flow_lpm")]
+    outer = [
+        field_of("at", Field.TYPE_MESSAGE, ".google.protobuf.Timestamp"),
+        field_of("gaps", Field.TYPE_MESSAGE, ".motor.Gaps"),
+        field_of("speed_rpm", Field.TYPE_FLOAT),
+        field_of("oil_temp_degC", Field.TYPE_FLOAT),
+        field_of("running", Field.TYPE_BOOL),
+        field_of("oil", Field.TYPE_DOUBLE, role="map", key=Field.TYPE_STRING),
+    ]
+    kinds = {"Hydraulics": outer, "Gaps": inner}
+    descriptors = set_of("proto3", *(declared(*one, "proto3") for one in kinds.items()))
+    made = class_of(descriptors)
     messages: list[Message] = []
     for i, time_us in enumerate(TIMES_US.tolist()):
-        one = made(speed_rpm=VALUES["speed"][i], oil_temp_degC=VALUES["oil_temperature"][i])
-        one.at.seconds, one.at.nanos = time_us // 10**6, time_us % 10**6 * 1000
-        one.hydraulics.dp_bar = VALUES["pressure_difference"][i]
-        one.hydraulics.drain_flow_lpm = VALUES["leakage_flow"][i]
-        one.oil["temp"] = 1.0
-        messages.append(("/motor", time_us + 5, one.SerializeToString()))
-    schema = ("plant.Motor", "protobuf", descriptors)
+        pressure, temperature, speed, flow = (float(values[i]) for values in VALUES.values())
+        content = {
+            "at": {"seconds": time_us // 10**6, "nanos": time_us % 10**6 * 1000},
+            "gaps": {"dp_bar": pressure, "drain_flow_lpm": flow},
+            "speed_rpm": speed,
+            "oil_temp_degC": temperature,
+            "oil": {"temp": 1.0},
+        }
+        messages.append(("/motor", time_us + 5, made_of(made, content)))
+    schema = (NAME, "protobuf", descriptors.SerializeToString())
     toml = require_it_reads(tmp_path, write(tmp_path, messages, {"/motor": schema}, "protobuf"))
     found = tomllib.loads(toml)
     assert found["logs"]["stamp"] == "at"
-    assert found["channels"]["leakage_flow"]["field"] == "hydraulics.drain_flow_lpm"
+    assert found["channels"]["leakage_flow"]["field"] == "gaps.drain_flow_lpm"
     # The keys of a map are not in the schema.
     assert found["channels"]["oil_temperature"]["field"] == "oil_temp_degC"
     assert "which is it?" not in toml
-
-
-# What is there and cannot be used
 
 
 def test_messages_that_are_not_read_are_listed_with_the_reason(tmp_path: Path) -> None:
@@ -309,11 +272,9 @@ def test_messages_that_are_not_read_are_listed_with_the_reason(tmp_path: Path) -
 
 
 def test_fields_that_are_no_readings_are_no_channels(tmp_path: Path) -> None:
-    path = json_log(
-        tmp_path, {"/drain_flow": lambda i: {"seq": i, "variance": 0.5, "sensor_id": 7, "x": 1.0}}
-    )
-    found = tomllib.loads(suggest(path))
-    assert "channels" not in found
+    fields = {"variance": 0.5, "sensor_id": 7, "x": 1.0}
+    path = json_log(tmp_path, {"/drain_flow": lambda i: {"seq": i, **fields}})
+    assert "channels" not in tomllib.loads(suggest(path))
 
 
 def test_recordings_of_others(foreign_files: Path) -> None:
@@ -322,13 +283,8 @@ def test_recordings_of_others(foreign_files: Path) -> None:
         assert tomllib.loads(toml)["logs"]["format"] == "mcap"
         assert comments(toml)[0] == "topics:"
     told = comments(suggest(foreign_files / "mcap" / "cdr_test_0.mcap"))
-    assert "  /test_topic: cdr test_msgs/msg/BasicTypes, 7 messages" in told or any(
-        "/test_topic: cdr" in line for line in told
-    )
+    assert any("/test_topic: cdr" in line for line in told)
     assert any(line.strip().startswith("float64_value: ") for line in told)
-
-
-# Any layout
 
 
 @settings(max_examples=25)

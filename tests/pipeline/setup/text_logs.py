@@ -13,18 +13,10 @@ from datetime import UTC, datetime, timedelta
 
 # Units per bar, per l/min and so on, from their definitions (SI; NIST SP 811, appendix B).
 PER_CANONICAL = {
-    "bar": 1.0,
-    "kPa": 100.0,
-    "MPa": 0.1,
-    "mbar": 1000.0,
-    "psi": 1e5 / (4.4482216152605 / 0.0254**2),
-    "rpm": 1.0,
-    "1/s": 1 / 60,
-    "l/min": 1.0,
-    "m3/h": 0.06,
-    "ml/min": 1000.0,
-    "us_gal/min": 1 / 3.785411784,
-}
+    "bar": 1.0, "kPa": 100.0, "MPa": 0.1, "mbar": 1000.0,
+    "psi": 1e5 / (4.4482216152605 / 0.0254**2), "rpm": 1.0, "1/s": 1 / 60,
+    "l/min": 1.0, "m3/h": 0.06, "ml/min": 1000.0, "us_gal/min": 1 / 3.785411784,
+}  # fmt: skip
 EXCEL_ZERO = datetime(1899, 12, 30, tzinfo=UTC)
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
@@ -19,6 +20,12 @@ def keep(path: Path) -> str:
     """A command that appends each delivery to a file, as a line."""
     script = 'cat >> "$0"; echo >> "$0"'
     return f"command = {json.dumps(['/bin/sh', '-c', script, str(path)])}"
+
+
+def told(folder: Path) -> list[dict[str, Any]]:
+    """Deliveries in the file `told` of a folder."""
+    path = folder / "told"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def told_fleet(folder: Path, alarms: str) -> Path:

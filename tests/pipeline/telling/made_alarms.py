@@ -43,25 +43,16 @@ class Fake:
     def changes(self) -> list[dict[str, Any]]:
         return [one for document in self.taken for one in document["changes"]]
 
+    def motors(self) -> list[str]:
+        return [one["motor_id"] for one in self.changes()]
+
 
 def row(motor: str, night: dt.date = FIRST, state: str = "alarm", **more: Any) -> dict[str, Any]:
-    return {
-        "run_id": "r",
-        "motor_id": motor,
-        "night": night,
-        "time": dt.datetime(night.year, night.month, night.day, 6, tzinfo=dt.UTC),
-        "indicator": "K_piston_ring",
-        "from_state": "ok",
-        "to_state": state,
-        "reason": "piston ring gap +27 % [25, 29]",
-        "deviation_percent": 27.0,
-        "way": "level",
-        "path": None,
-        "rules": None,
-        "state_before_rules": None,
-        "is_silent": None,
-        **more,
-    }
+    row = {"run_id": "r", "motor_id": motor, "night": night, "indicator": "K_piston_ring"}
+    row |= {"time": dt.datetime.combine(night, dt.time(6), dt.UTC), "way": "level"}
+    row |= {"from_state": "ok", "to_state": state, "reason": "piston ring gap +27 % [25, 29]"}
+    absent = dict.fromkeys(("path", "rules", "state_before_rules", "is_silent"))
+    return row | {"deviation_percent": 27.0} | absent | more
 
 
 def publish(output: Path, *rows: dict[str, Any]) -> None:

@@ -29,14 +29,11 @@ def fault_of(command: tuple[str, ...], deadline_s: float = 30.0) -> UndeliveredE
     return caught.value
 
 
-def test_it_gets_the_delivery_on_its_standard_input(tmp_path: Path) -> None:
+def test_it_gets_the_delivery_on_its_standard_input_and_need_not_read_it(tmp_path: Path) -> None:
     target = tmp_path / "got; $(id).json"
     Command((sys.executable, "-c", KEEP, str(target))).take(DELIVERY)
     assert target.read_bytes() == CONTENT
     assert [path.name for path in tmp_path.iterdir()] == [target.name]
-
-
-def test_it_need_not_read_it() -> None:
     Command(shell("exit 0")).take(Delivery("msg_1", b"x" * 10_000_000))
 
 

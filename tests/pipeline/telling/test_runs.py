@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,7 +13,7 @@ from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.store.atomic_files import remove_all
 from pipeline.telling import delivering
 from tests.pipeline.calling import Call
-from tests.pipeline.telling.fleet import keep, run, told_fleet, write_config
+from tests.pipeline.telling.fleet import keep, run, told, told_fleet, write_config
 from tests.pipeline.telling.servers import Hook, hook
 
 
@@ -27,11 +26,6 @@ def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
 def server() -> Iterator[Hook]:
     with hook() as found:
         yield found
-
-
-def told(folder: Path) -> list[dict[str, Any]]:
-    path = folder / "told"
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def test_a_hook_that_fails_is_tried_again_by_a_run_with_nothing_new(
@@ -81,12 +75,9 @@ def test_nothing_of_path_query_or_token_is_left_anywhere(
     call: Call,
 ) -> None:
     monkeypatch.setenv("HOOK_TOKEN", "S3CRET!")
-    config = told_fleet(
-        tmp_path,
-        f'webhook_url = "{server.url("/S3CRET?key=S3CRET")}"\n'
-        'webhook_headers = { Authorization = "Bearer ${HOOK_TOKEN}" }\n'
-        'webhook_secret = "${HOOK_TOKEN}"',
-    )
+    settings = f'webhook_url = "{server.url("/S3CRET?key=S3CRET")}"\n'
+    settings += 'webhook_headers = { Authorization = "Bearer ${HOOK_TOKEN}" }\n'
+    config = told_fleet(tmp_path, settings + 'webhook_secret = "${HOOK_TOKEN}"')
     run(config)
     monkeypatch.setenv("HOOK_TOKEN", "S3CRETS3")
     for answer in ((500, ""), (302, server.url("/S3CRET")), (307, "http://S3CRET:1/S3CRET")):

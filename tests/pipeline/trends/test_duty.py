@@ -15,6 +15,7 @@ import pytest
 from leakage.course.balanced_baseline import DutyBlocks
 from leakage.estimation.model_verdict import StructuredMisfit
 from pipeline.config import MotorSpec
+from pipeline.night.rows import upper_triangle
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.encoding import write_table
 from pipeline.store.tables import night_file
@@ -55,8 +56,7 @@ def balanced(rise: float, error: float, flow: float, share: float = 0.8) -> Chan
         then = np.array(found.layout.configured)
         now = then * [1.0, 1.0, 1.0 + rise, 1.0]
         records["duty_then"][AT:], records["duty_now"][AT:] = then, now
-        spread = np.diag((error * then) ** 2)
-        records["duty_error"][AT:] = spread[np.triu_indices(len(then))]
+        records["duty_root"][AT:] = upper_triangle(np.diag(error * then))
         records["duty_flow"][AT:], records["duty_share"][AT:] = np.log1p(flow), share
         return replace(found, records=records)
 

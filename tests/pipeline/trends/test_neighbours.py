@@ -215,12 +215,12 @@ ALARMED = Story(
 @given(STORIES)
 def test_what_is_said_of_a_motor_moves_nothing_that_the_others_were_told(story: Story) -> None:
     with TemporaryDirectory() as folder:
-        circuit = Circuit(Path(folder) / "with", story.histories())
+        one, other = (Path(folder) / name for name in ("with", "without"))
+        one.mkdir()
+        circuit = Circuit(one, story.histories())
         circuit.run(LAST)
-        shutil.copytree(circuit.folder, Path(folder) / "without")
-        without = Circuit(
-            Path(folder) / "without", dict(circuit.histories), told=dict(circuit.told)
-        )
+        shutil.copytree(one, other)
+        without = Circuit(other, dict(circuit.histories), told=dict(circuit.told))
         story.tell(circuit)
         assert circuit.run(LAST) == []
         assert circuit.of_others() == without.of_others()

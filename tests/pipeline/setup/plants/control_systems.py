@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import replace
 
 from tests.pipeline.setup.plants.plant import (
-    PORTS,
+    AMERICAN,
     ROWS,
-    Place,
+    UNITS,
+    Kinds,
     Plant,
-    Signals,
     american,
     mapped,
     one_table,
@@ -20,90 +20,46 @@ from tests.pipeline.setup.plants.plant import (
 )
 
 
-def _pi_wide() -> Plant:
-    signals: Signals = {
-        "PDT101": ("pressure_difference", "dp", None),
-        "TT102": ("oil_temperature", "temp", None),
-        "ST103": ("speed", "speed", None),
-        "FT104": ("leakage_flow", "flow", None),
-    }
-    return one_table(
-        "PI, sampled, ISA tags without units",
-        "export.csv",
-        signals,
-        {"HYM01": 1},
-        "{motor}:{signal}.PV",
-        time="Timestamp",
-        form="%d-%b-%Y %H:%M:%S",
-        unread=(f"{value('flow', 1, 5):.3f}\n", "No Data\n"),
-    )
-
-
 def _pi_long() -> Plant:
     kinds = {"PDIFF": "dp", "TOIL": "temp", "NMOT": "speed", "QLEAK": "flow"}
-    units = {"dp": "bar", "temp": "degC", "speed": "rpm", "flow": "l/min"}
     tags = {f"W{motor}_{tag}": (kind, motor) for motor in (1, 2) for tag, kind in kinds.items()}
+    text = tagged(
+        ["tag", "time", "value", "units", "status"],
+        tags,
+        lambda tag, row, number: (
+            *(tag, stamp(row, "%Y-%m-%dT%H:%M:%SZ"), f"{number:.3f}", UNITS[tags[tag][0]], "Good"),
+        ),
+    )
     return Plant(
         "PI, compressed, a row a sample, two motors",
-        {
-            "pi/archive.csv": tagged(
-                ["tag", "time", "value", "units", "status"],
-                tags,
-                lambda tag, row, number: (
-                    *(tag, stamp(row, "%Y-%m-%dT%H:%M:%SZ"), f"{number:.3f}"),
-                    *(units[tags[tag][0]], "Good"),
-                ),
-            )
-        },
-        {f"W{n}": mapped((f"W{n}_{tag}" for tag in kinds), "status") for n in (1, 2)},
+        {"pi/archive.csv": text},
+        {f"W{n}": mapped(kinds, f"W{n}_{{}}", quality="status") for n in (1, 2)},
         named="pi/archive.csv",
     )
 
 
-def _ignition() -> Plant:
-    signals = {
-        "HP Pressure (bar)": ("high_port_pressure", "high", "bar"),
-        "LP Pressure (bar)": ("low_port_pressure", "low", "bar"),
-        "Oil Temperature (°C)": ("oil_temperature", "temp", "degC"),
-        "Shaft Speed (rpm)": ("speed", "speed", "rpm"),
-        "Case Drain Flow (l/min)": ("leakage_flow", "flow", "l/min"),
-    }
-    return one_table(
-        "Ignition, tag paths, three motors in a table",
-        "tags.csv",
-        signals,
-        {f"Motor{n}": n for n in (1, 2, 3)},
-        "Mill3/{motor}/{signal}",
-        time="t_stamp",
-        form="%Y-%m-%d %H:%M:%S.000",
-    )
-
-
 def _ignition_dataset() -> Plant:
-    names = ["Conveyor/dP_bar", "Conveyor/OilTemp_C", "Conveyor/Speed_rpm", "Conveyor/Leak_lpm"]
-    kinds = ("dp", "temp", "speed", "flow")
+    kinds = {"dP_bar": "dp", "OilTemp_C": "temp", "Speed_rpm": "speed", "Leak_lpm": "flow"}
     rows = [
-        ",".join(
-            [f'"{stamp(row, "%Y-%m-%d %H:%M:%S")}"']
-            + [f'"{value(kind, 1, row):.3f}"' for kind in kinds]
-        )
+        [stamp(row, "%Y-%m-%d %H:%M:%S"), *(f"{value(one, 1, row):.3f}" for one in kinds.values())]
         for row in range(ROWS)
     ]
-    quoted = ",".join(f'"{name}"' for name in ("t_stamp", *names))
-    text = f'"#NAMES"\n{quoted}\n"#TYPES"\n"date","F","F","F","F"\n"#ROWS","{ROWS}"\n'
+    rows = [["t_stamp", *(f"Conveyor/{name}" for name in kinds)], *rows]
+    names, *lines = [",".join(f'"{cell}"' for cell in row) for row in rows]
+    text = f'"#NAMES"\n{names}\n"#TYPES"\n"date","F","F","F","F"\n"#ROWS","{ROWS}"\n'
     return Plant(
         "Ignition, a dataset with #NAMES and #TYPES",
-        {"dataset.csv": text + "\n".join(rows) + "\n"},
-        {"Conveyor": mapped(names)},
+        {"dataset.csv": text + "\n".join(lines) + "\n"},
+        {"Conveyor": mapped(kinds, "Conveyor/{}")},
         named="dataset.csv",
     )
 
 
-def wincc_archive(tags: Mapping[str, tuple[str, int]]) -> str:
-    """Rows of tags as WinCC exports an archive."""
-    return tagged(
+def wincc_archive(name: str, file: str, motor: str, kinds: Kinds, end: str = "") -> Plant:
+    """Rows of tags as WinCC exports an archive, which does not say the units."""
+    text = tagged(
         ['"VarName"', '"TimeString"', '"VarValue"', '"Validity"', '"Time_ms"'],
-        tags,
+        {f"{motor}_{tag}": (kind, 1) for tag, kind in kinds.items()},
         lambda tag, row, number: (
             f'"{tag}"',
             f'"{stamp(row, "%d.%m.%Y %H:%M:%S")}"',
@@ -113,108 +69,77 @@ def wincc_archive(tags: Mapping[str, tuple[str, int]]) -> str:
         ),
         ";",
     )
-
-
-def _wincc_long() -> Plant:
-    kinds = {"Druck_A": "high", "Druck_B": "low", "Oeltemperatur": "temp", "Drehzahl": "speed"}
-    kinds |= {"Leckoelmenge": "flow"}
-    tags = {f"HYD_M1_{tag}": (kind, 1) for tag, kind in kinds.items()}
-    return Plant(
-        "WinCC, archive export, German",
-        {"Archiv.csv": wincc_archive(tags)},
-        {"HYD_M1": {n: Place(t, None) for n, t in zip(PORTS, tags, strict=True)}},
-        named="Archiv.csv",
-        line_end="\r\n",
-    )
-
-
-def _wincc_wide() -> Plant:
-    signals = {
-        "Druck A [bar]": ("high_port_pressure", "high", "bar"),
-        "Druck B [bar]": ("low_port_pressure", "low", "bar"),
-        "Lecköltemperatur [°C]": ("oil_temperature", "temp", "degC"),
-        "Motordrehzahl [1/min]": ("speed", "speed", "rpm"),
-        "Leckölmenge [l/min]": ("leakage_flow", "flow", "l/min"),
-        "Speisedruck [bar]": ("charge_pressure", "charge", "bar"),
-        "Tanktemperatur [°C]": ("", "other", ""),
-    }
-    return one_table(
-        "WinCC, a table, German letters",
-        "Kurve.csv",
-        signals,
-        time="Zeitpunkt",
-        form="%d.%m.%Y %H:%M:%S",
-        separator=";",
-        decimal=",",
-        encoding="cp1252",
-        line_end="\r\n",
-    )
-
-
-def _dotted() -> Plant:
-    signals = {
-        "PDT [bar]": ("pressure_difference", "dp", "bar"),
-        "TT [degC]": ("oil_temperature", "temp", "degC"),
-        "ST [rpm]": ("speed", "speed", "rpm"),
-        "FT [l/min]": ("leakage_flow", "flow", "l/min"),
-    }
-    motors = {"Mill3.Motor1": 0, "Mill3.Motor2": 1, "Mill4.Motor1": 2}
-    name = "OPC UA, dotted paths with ISA letters"
-    return one_table(name, "opcua.csv", signals, motors, "{motor}.{signal}")
+    places = {motor: mapped(kinds, f"{motor}_{{}}", {})}
+    return Plant(name, {file: text + end}, places, named=file, line_end="\r\n")
 
 
 def _quality() -> Plant:
-    signals = {
-        "PressureA": ("high_port_pressure", "high"),
-        "PressureB": ("low_port_pressure", "low"),
-        "OilTemp": ("oil_temperature", "temp"),
-        "Speed": ("speed", "speed"),
-        "DrainFlow": ("leakage_flow", "flow"),
-    }
-    header = [column for t in signals for column in (f"Drum.{t}", f"Drum.{t}.Q")]
-    return Plant(
-        "OPC DA, a column of quality beside each value",
-        {
-            "da.csv": table(
-                ["Time", *header],
-                [(kind, 1) for _, kind in signals.values()],
-                form="%Y-%m-%d %H:%M:%S.000",
-                quality="192",
-            )
-        },
-        {"Drum": {n: Place(f"Drum.{t}", None, f"Drum.{t}.Q") for t, (n, _) in signals.items()}},
-        named="da.csv",
+    kinds = {"PressureA": "high", "PressureB": "low", "OilTemp": "temp", "Speed": "speed"}
+    kinds |= {"DrainFlow": "flow"}
+    text = table(
+        ["Time", *(column for name in kinds for column in (f"Drum.{name}", f"Drum.{name}.Q"))],
+        [(kind, 1) for kind in kinds.values()],
+        form="%Y-%m-%d %H:%M:%S.000",
+        quality="192",
     )
-
-
-def _american() -> Plant:
-    signals = {
-        "Diff Press PSIG": ("pressure_difference", "dp", "psi"),
-        "Oil Temp DEGF": ("oil_temperature", "temp", "degF"),
-        "Speed RPM": ("speed", "speed", "rpm"),
-        "Case Drain GPM": ("leakage_flow", "flow", "us_gal/min"),
-        "Ambient Temp DEGF": ("", "temp", ""),
+    places = {
+        channel: replace(place, quality=f"{place.source}.Q")
+        for channel, place in mapped(kinds, "Drum.{}", {}).items()
     }
-    return one_table(
-        "A control system of the United States, two motors",
-        "dcs.csv",
-        signals,
-        {"HM-201": 1, "HM-202": 2},
-        "{motor} {signal}",
-        time="Date/Time",
-        form="%m/%d/%Y %H:%M:%S",
-        convert=american,
-    )
+    name = "OPC DA, a column of quality beside each value"
+    return Plant(name, {"da.csv": text}, {"Drum": places}, named="da.csv")
 
 
 CONTROL_SYSTEMS: tuple[Plant, ...] = (
-    _pi_wide(),
+    one_table(
+        "PI, sampled, ISA tags without units", "export.csv",
+        {"PDT101": "dp", "TT102": "temp", "ST103": "speed", "FT104": "flow"},
+        {"HYM01": 1}, "{motor}:{signal}.PV", units={},
+        time="Timestamp", form="%d-%b-%Y %H:%M:%S",
+        unread=(f"{value('flow', 1, 5):.3f}\n", "No Data\n"),
+    ),
     _pi_long(),
-    _ignition(),
+    one_table(
+        "Ignition, tag paths, three motors in a table", "tags.csv",
+        {
+            "HP Pressure (bar)": "high", "LP Pressure (bar)": "low", "Oil Temperature (°C)": "temp",
+            "Shaft Speed (rpm)": "speed", "Case Drain Flow (l/min)": "flow",
+        },
+        {f"Motor{n}": n for n in (1, 2, 3)}, "Mill3/{motor}/{signal}",
+        time="t_stamp", form="%Y-%m-%d %H:%M:%S.000",
+    ),
     _ignition_dataset(),
-    _wincc_long(),
-    _wincc_wide(),
-    _dotted(),
+    wincc_archive(
+        "WinCC, archive export, German", "Archiv.csv", "HYD_M1",
+        {
+            "Druck_A": "high", "Druck_B": "low", "Oeltemperatur": "temp", "Drehzahl": "speed",
+            "Leckoelmenge": "flow",
+        },
+    ),
+    one_table(
+        "WinCC, a table, German letters", "Kurve.csv",
+        {
+            "Druck A [bar]": "high", "Druck B [bar]": "low", "Lecköltemperatur [°C]": "temp",
+            "Motordrehzahl [1/min]": "speed", "Leckölmenge [l/min]": "flow",
+            "Speisedruck [bar]": "charge", "Tanktemperatur [°C]": "other",
+        },
+        time="Zeitpunkt", form="%d.%m.%Y %H:%M:%S",
+        separator=";", decimal=",", encoding="cp1252", line_end="\r\n",
+    ),
+    one_table(
+        "OPC UA, dotted paths with ISA letters", "opcua.csv",
+        {"PDT [bar]": "dp", "TT [degC]": "temp", "ST [rpm]": "speed", "FT [l/min]": "flow"},
+        {"Mill3.Motor1": 0, "Mill3.Motor2": 1, "Mill4.Motor1": 2}, "{motor}.{signal}",
+    ),
     _quality(),
-    _american(),
-)
+    one_table(
+        "A control system of the United States, two motors", "dcs.csv",
+        {
+            "Diff Press PSIG": "dp", "Oil Temp DEGF": "temp", "Speed RPM": "speed",
+            "Case Drain GPM": "flow", "Ambient Temp DEGF": "temp",
+        },
+        {"HM-201": 1, "HM-202": 2}, "{motor} {signal}",
+        units=AMERICAN, strangers=("Ambient Temp DEGF",),
+        time="Date/Time", form="%m/%d/%Y %H:%M:%S", convert=american,
+    ),
+)  # fmt: skip

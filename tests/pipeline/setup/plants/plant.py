@@ -6,7 +6,7 @@ does not say which column it is: there only a question is right.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -27,11 +27,18 @@ class Place:
     quality: str = ""
 
 
-NAMES = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
-PORTS = ("high_port_pressure", "low_port_pressure", *NAMES[1:])
+# By kind of reading: channel and usual unit.
+CHANNELS = {
+    "dp": "pressure_difference", "high": "high_port_pressure", "low": "low_port_pressure",
+    "temp": "oil_temperature", "speed": "speed", "flow": "leakage_flow",
+    "charge": "charge_pressure", "case": "case_pressure",
+}  # fmt: skip
+UNITS = dict.fromkeys(("dp", "high", "low", "charge", "case"), "bar")
+UNITS |= {"temp": "degC", "speed": "rpm", "flow": "l/min"}
+AMERICAN = {"dp": "psi", "temp": "degF", "speed": "rpm", "flow": "us_gal/min"}
 Mapped = Mapping[str, Place | None]
-Signals = Mapping[str, tuple[str, str, str | None]]
-"""By name in the log: channel (empty: of none), kind of reading, and unit."""
+Kinds = Mapping[str, str]
+"""Kind of reading by name in the log."""
 
 
 @dataclass(frozen=True)
@@ -54,27 +61,24 @@ class Plant:
         return folder / self.named if self.named else folder
 
 
-def mapped(sources: Iterable[str], quality: str = "") -> Mapped:
-    """Places of the channels `NAMES`, in their usual units."""
-    units = ("bar", "degC", "rpm", "l/min")
-    found = zip(NAMES, sources, units, strict=True)
-    return {name: Place(source, unit, quality) for name, source, unit in found}
+def mapped(
+    kinds: Kinds, column: str = "{}", units: Mapping[str, str] = UNITS, quality: str = ""
+) -> dict[str, Place | None]:
+    """Places of channels whose columns are called after their names in the log."""
+    return {
+        CHANNELS[kind]: Place(column.format(name), units.get(kind), quality)
+        for name, kind in kinds.items()
+        if kind in CHANNELS
+    }
 
 
 def value(kind: str, motor: int, row: int) -> float:
     """A reading of a motor at work, in bar, °C, rpm or l/min."""
     base, step = {
-        "dp": (180.0, 4.0),
-        "high": (205.0, 4.0),
-        "low": (18.0, 0.2),
-        "charge": (20.0, 0.2),
-        "case": (1.5, 0.05),
-        "temp": (46.0, 0.3),
-        "speed": (31.0, 0.7),
-        "flow": (1.25, 0.05),
-        "other": (60.0, 1.1),
-        "pump": (1480.0, 1.0),
-    }[kind]
+        "dp": (180.0, 4.0), "high": (205.0, 4.0), "low": (18.0, 0.2), "charge": (20.0, 0.2),
+        "case": (1.5, 0.05), "temp": (46.0, 0.3), "speed": (31.0, 0.7), "flow": (1.25, 0.05),
+        "other": (60.0, 1.1), "pump": (1480.0, 1.0),
+    }[kind]  # fmt: skip
     return base + step * ((row * (3 + motor)) % 7) + 0.3 * motor
 
 
@@ -107,11 +111,13 @@ def table(
 def one_table(
     name: str,
     file: str,
-    signals: Signals,
+    kinds: Kinds,
     motors: Mapping[str, int] = MappingProxyType({"": 1}),
     column: str = "{signal}",
     *,
     time: str = "time",
+    units: Mapping[str, str] = UNITS,
+    strangers: Collection[str] = (),
     asked: str = "",
     above: str = "",
     unread: tuple[str, str] = ("", ""),
@@ -121,25 +127,22 @@ def one_table(
 ) -> Plant:
     """A plant that has one wide table, the signals of one motor after those of another.
 
-    Motors are numbered as `value` has them; `column` is how a signal of a motor is called, `asked`
-    a channel of which the log does not say the column, `above` stands above the table, and
-    `unread` replaces the first of a reading by a word.
+    Motors are numbered as `value` has them; `column` is how a signal of a motor is called, those of
+    `strangers` are of no channel whatever their kind, `asked` is a channel of which the log does
+    not say the column, `above` stands above the table, and `unread` replaces the first of a reading
+    by a word.
     """
     text = table(
-        [time, *(column.format(motor=motor, signal=one) for motor in motors for one in signals)],
-        [(kind, number) for number in motors.values() for _, kind, _ in signals.values()],
+        [time, *(column.format(motor=motor, signal=one) for motor in motors for one in kinds)],
+        [(kind, number) for number in motors.values() for kind in kinds.values()],
         **shape,
     )
-    places: dict[str, dict[str, Place | None]] = {
-        motor: {
-            channel: Place(column.format(motor=motor, signal=one), unit)
-            for one, (channel, _, unit) in signals.items()
-            if channel
-        }
+    own = {one: kind for one, kind in kinds.items() if one not in strangers}
+    places = {
+        motor: mapped(own, column.format(motor=motor, signal="{}"), units)
+        | ({asked: ASK} if asked else {})
         for motor in motors
     }
-    for own in places.values():
-        own |= {asked: ASK} if asked else {}
     files = {file: above + (text.replace(*unread, 1) if unread[0] else text)}
     return Plant(name, files, places, encoding, file, line_end)
 

@@ -15,17 +15,14 @@ Proposed = Mapping[str, Mapping[str, Place]]
 
 def score_of(plant: Plant, folder: Path) -> Counter[str]:
     """Score of what `init` proposes for a plant's files, without an answer."""
-    proposal = propose(plant.write(folder), {})
-    return score(
-        plant,
-        {
-            motor.motor_id: {
-                channel: Place(one.source, one.unit, motor.quality.get(channel, ""))
-                for channel, one in motor.sources.items()
-            }
-            for motor in proposal.motors
-        },
-    )
+    proposed = {
+        motor.motor_id: {
+            channel: Place(one.source, one.unit, motor.quality.get(channel, ""))
+            for channel, one in motor.sources.items()
+        }
+        for motor in propose(plant.write(folder), {}).motors
+    }
+    return score(plant, proposed)
 
 
 def score(plant: Plant, proposed: Proposed) -> Counter[str]:

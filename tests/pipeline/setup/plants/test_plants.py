@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -13,13 +12,14 @@ from typer.testing import CliRunner
 from pipeline.cli import app
 from pipeline.config import load_fleet
 from pipeline.demo import shipped_configs
-from pipeline.errors import LogError, UsageError
+from pipeline.errors import UsageError
 from pipeline.ingest import read_log
 from pipeline.logs.files import find_logs
 from pipeline.setup.fleet_files import fleet_files, write_fleet
 from pipeline.setup.plant import Proposal, Question, propose
 from pipeline.setup.suggest import suggest
 from pipeline.units import QUANTITIES
+from tests.pipeline.calling import refused
 from tests.pipeline.setup.plants.control_systems import CONTROL_SYSTEMS
 from tests.pipeline.setup.plants.plant import ROWS, Plant
 from tests.pipeline.setup.plants.score import score_of
@@ -40,6 +40,14 @@ def answered(question: Question) -> str:
         return UNITS[QUANTITIES[unit[1].replace(" ", "_")]]
     stated = re.search(r' = "([^"]*)"', question.text)
     return stated[1] if stated else question.choices[0]
+
+
+def seconds(log: Path, header: str, line: str) -> Path:
+    """Write a log whose rows are alike but for the stamps."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    rows = [f"2026-01-13T06:00:{i:02}Z{line}" for i in range(9)]
+    log.write_text("\n".join([header, *rows, ""]), "utf-8")
+    return log
 
 
 def asked_until_known(source: Path) -> Proposal:
@@ -85,17 +93,9 @@ def test_what_is_written_reads_the_logs(plant: Plant, tmp_path: Path) -> None:
 
 
 def test_forty_motors_are_a_line_each(tmp_path: Path) -> None:
-    header = [
-        f"W{n}_{tag}"
-        for n in range(40)
-        for tag in ("dp [bar]", "T [°C]", "n [rpm]", "leak [l/min]")
-    ]
-    rows = [
-        f"2026-01-13T06:00:{i:02}Z," + ",".join(["200.5", "45.5", "30.5", "1.5"] * 40)
-        for i in range(9)
-    ]
-    log = tmp_path / "wide.csv"
-    log.write_text("\n".join([",".join(["time", *header]), *rows]) + "\n", "utf-8")
+    tags = ("dp [bar]", "T [°C]", "n [rpm]", "leak [l/min]")
+    header = ",".join(["time", *(f"W{n}_{tag}" for n in range(40) for tag in tags)])
+    log = seconds(tmp_path / "wide.csv", header, ",200.5,45.5,30.5,1.5" * 40)
     files = fleet_files(propose(log, {}), tmp_path / "fleet", "CB560", "vg68")
     assert len(files) == 41
     assert files["motors/W7.toml"] == 'motor_id = "W7"\n'
@@ -103,17 +103,11 @@ def test_forty_motors_are_a_line_each(tmp_path: Path) -> None:
 
 
 def test_motors_alike_are_asked_about_once(tmp_path: Path) -> None:
-    def log_of(motors: Sequence[str], line: str) -> str:
-        tags = ("dp [bar]", "T [°C]", "n [rpm]", "flow_1 [l/min]", "flow_2 [l/min]")
-        header = [f"{name}_{tag}" for name in motors for tag in tags]
-        rows = [f"2026-01-13T06:00:{i:02}Z" + line * len(motors) for i in range(9)]
-        return "\n".join([",".join(["time", *header]), *rows, ""])
-
-    line = ",200.5,45.5,30.5,1.5,1.6"
+    tags = ("dp [bar]", "T [°C]", "n [rpm]", "flow_1 [l/min]", "flow_2 [l/min]")
     for name in ("A", "B"):
-        (tmp_path / "plant" / name).mkdir(parents=True)
-        text = log_of([f"{name}1", f"{name}2"], line)
-        (tmp_path / "plant" / name / f"{name}_2026-01-13.csv").write_text(text, "utf-8")
+        header = ",".join(["time", *(f"{name}{n}_{tag}" for n in (1, 2) for tag in tags)])
+        log = tmp_path / "plant" / name / f"{name}_2026-01-13.csv"
+        seconds(log, header, ",200.5,45.5,30.5,1.5,1.6" * 2)
     (question,) = propose(tmp_path / "plant", {}).questions
     assert question.key == "A1.leakage_flow"
     answers = {"A1.leakage_flow": "A1_flow_2 [l/min]", "B1.leakage_flow": "B1_flow_1 [l/min]"}
@@ -158,9 +152,7 @@ def test_nothing_is_overwritten_and_nothing_written_unasked(tmp_path: Path) -> N
     assert not (tmp_path / "fleet").exists()
     assert run(app, [*options, *known, "--write"]).exit_code == 0
     before = (tmp_path / "fleet" / "fleet.toml").read_text("utf-8")
-    again = run(app, [*options, *known, "--write"])
-    assert isinstance(again.exception, UsageError)
-    assert again.exception.code == "file_exists"
+    assert run(app, [*options, *known, "--write"]).exception.code == "file_exists"
     assert (tmp_path / "fleet" / "fleet.toml").read_text("utf-8") == before
 
 
@@ -182,21 +174,17 @@ def test_an_answer_that_cannot_be_is_refused(tmp_path: Path) -> None:
 def test_a_source_without_a_log(tmp_path: Path, name: str, content: str, code: str) -> None:
     if name:
         (tmp_path / name).write_text(content, "utf-8")
-    with pytest.raises(LogError) as caught:
+    with refused(code):
         propose(tmp_path, {})
-    assert caught.value.code == code
-    with pytest.raises(LogError) as caught:
+    with refused("log_missing"):
         propose(tmp_path / "nowhere", {})
-    assert caught.value.code == "log_missing"
 
 
 def test_an_answer_for_one_log_is_not_taken_for_another_of_another_size(tmp_path: Path) -> None:
     """180 bar in one, and 18 000 kPa in the other, under the same name."""
     for motor, pressure in (("M1", "180.5"), ("M2", "18050.5")):
-        rows = [f"2026-01-13T06:00:{i:02}Z,{pressure},45.5,30.5,1.5" for i in range(9)]
-        path = tmp_path / motor / "a.csv"
-        path.parent.mkdir()
-        path.write_text("\n".join(["time,dp,T [°C],n [rpm],leak [l/min]", *rows]) + "\n", "utf-8")
+        header = "time,dp,T [°C],n [rpm],leak [l/min]"
+        seconds(tmp_path / motor / "a.csv", header, f",{pressure},45.5,30.5,1.5")
     answers = {"unit of dp": "bar"}
     (question,) = propose(tmp_path, answers).questions
     assert (question.key, question.choices) == ("unit of dp in M2", ("kPa", "mbar"))
@@ -205,8 +193,7 @@ def test_an_answer_for_one_log_is_not_taken_for_another_of_another_size(tmp_path
 
 
 def test_a_mark_that_is_not_the_decimal_one_is_between_thousands(tmp_path: Path) -> None:
-    rows = [f"2026-01-13T06:00:{i:02}Z;1.250;45;30;2.500" for i in range(9)]
-    log = tmp_path / "a.csv"
-    log.write_text("\n".join(["time;dp [kPa];T [°C];n [rpm];leak [ml/min]", *rows]) + "\n", "utf-8")
+    header = "time;dp [kPa];T [°C];n [rpm];leak [ml/min]"
+    log = seconds(tmp_path / "a.csv", header, ";1.250;45;30;2.500")
     (motor,) = propose(log, {"decimal .": ","}).motors
     assert (motor.logs["decimal"], motor.logs["thousands"]) == (",", ".")
