@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import SECOND_US, chosen_rows
+from pipeline.arrays import SECOND_US, Rows, chosen_rows
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night, night_of, nights_between, nights_of
 from pipeline.errors import LogError
@@ -267,10 +267,15 @@ def slice_night(
     """
     parts: dict[str, list[RawChannel]] = {}
     for log in logs:
+        # Channels of one table share their stamps.
+        shared: dict[tuple[int, int, int], tuple[Rows, NDArray[np.int64]]] = {}
         for name, channel in log.channels.items():
-            start_us = night.start_us - reach_us.get(name, 0)
-            inside = (channel.time_us >= start_us) & (channel.time_us < night.end_us)
-            parts.setdefault(name, []).append(channel.rows(chosen_rows(inside)))
+            time_us, start_us = channel.time_us, night.start_us - reach_us.get(name, 0)
+            key = time_us.ctypes.data, time_us.size, start_us
+            if key not in shared:
+                rows = chosen_rows((time_us >= start_us) & (time_us < night.end_us))
+                shared[key] = rows, time_us[rows]
+            parts.setdefault(name, []).append(channel.rows(*shared[key]))
     return {
         name: pieces[0] if len(pieces) == 1 else RawChannel.joined(pieces)
         for name, pieces in parts.items()
