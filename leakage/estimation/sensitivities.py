@@ -96,22 +96,21 @@ def error_budget(
     ValidityError
         If a disturbed temperature leaves the range of Walther's equation.
     """
-    told = [*sources(motor, tolerances)]
-    read = Window(motor, OperatingConditions.joined([*as_read, conditions]), flow_l_per_min)
-    everywhere = OperatingConditions.joined([*at, read.conditions])
-    first, n = len(at) + len(as_read), len(everywhere)
-    z = np.empty((1 + len(told), n, len(motor.columns)))
-    for own, one in zip(z, [read, *(source.disturbed(read) for source in told)], strict=True):
-        if one.conditions is read.conditions:
-            regressors(one.motor, everywhere, out=own[:, :-1])
-        else:
-            # No sensor moves what is stated.
-            own[: len(at), :-1] = z[0, : len(at), :-1]
-            regressors(one.motor, one.conditions, out=own[len(at) :, :-1])
-        own[first:, -1] = one.flow_l_per_min
-    thetas = _coefficients(motor, z[:, first:])
-    asked = z[:, :first]
-    leakages = np.einsum("smp,sp->sm", asked[:, :, :-3], thetas[:, :-1]) + asked[:, :, -2]
+    n, told = len(flow_l_per_min), [*sources(motor, tolerances)]
+    read = Window(motor, OperatingConditions.joined([conditions, *as_read]), flow_l_per_min)
+    windows = [read, *(source.disturbed(read) for source in told)]
+    columns = np.stack([regressors(one.motor, one.conditions) for one in windows])
+    flows = np.stack([one.flow_l_per_min for one in windows])
+    thetas = _coefficients(motor, np.concatenate([columns[:, :n], flows[:, :, None]], axis=2))
+    stated = np.empty((len(windows), len(at), columns.shape[2]))
+    for place, each in enumerate(at):
+        # No sensor moves what is stated.
+        stated[:, place] = regressors(motor, each)[0]
+        for row, one in enumerate(windows):
+            if one.motor is not motor:
+                stated[row, place] = regressors(one.motor, each)[0]
+    asked = np.concatenate([stated, columns[:, n:]], axis=1)
+    leakages = np.einsum("smp,sp->sm", asked[:, :, :-2], thetas[:, :-1]) + asked[:, :, -1]
     return ErrorBudget(
         tuple(
             Effect(source, source.sign * (theta - thetas[0]), source.sign * (leakage - leakages[0]))

@@ -10,9 +10,9 @@ twice. A block's factor splits into what its samples say of one another and what
         \left(\operatorname{diag}(1/n_b) + \frac{\lambda}{\bar n} R_\rho\right) ,
 
 :math:`R_\rho` a first-order autoregression over blocks on the clock. ρ and λ maximise the
-restricted likelihood [1]_ over a grid; one Kalman filter gives it at all points, and the whitened
-means, which are those of a Cholesky factor [2]_. At λ = 0 the whitened factors are those of the
-samples.
+restricted likelihood [1]_ over a grid: the inverse of :math:`R_\rho` is tridiagonal, and odd-even
+reduction [2]_ takes all points at once. A Kalman filter whitens the means as a Cholesky factor
+does [3]_. At λ = 0 the whitened factors are those of the samples.
 
 A slow error larger than four times what the least squares' means show is left out of the grid:
 it would throw away what the means say of the level, and doubled the error of the leakage.
@@ -21,7 +21,9 @@ References
 ----------
 .. [1] D. A. Harville, "Maximum likelihood approaches to variance component estimation and to
    related problems", *Journal of the American Statistical Association*, 72(358), 1977.
-.. [2] A. C. Harvey, *Forecasting, Structural Time Series Models and the Kalman Filter*, Cambridge
+.. [2] R. W. Hockney, "A fast direct solution of Poisson's equation using Fourier analysis",
+   *Journal of the ACM*, 12(1), 1965.
+.. [3] A. C. Harvey, *Forecasting, Structural Time Series Models and the Kalman Filter*, Cambridge
    University Press, 1989, section 3.4.
 """
 
@@ -76,6 +78,11 @@ class ShortBlocks:
     means: Array
     number: NDArray[np.int64]
     stored: NDArray[np.int64]
+
+    @property
+    def weights(self) -> Array:
+        """Inverse of the variance of each mean without slow errors, shape (k,)."""
+        return np.maximum(self.n, 0.5)
 
     @cached_property
     def usual_n(self) -> float:
@@ -150,29 +157,32 @@ def slow_errors(
     SlowErrors
         Without memory where nothing can be told of it.
     """
-    design = _design(merge(factors) if whole is None else whole, fixed, values)
+    whole = merge(factors) if whole is None else whole
+    design = _design(whole, fixed, values)
     if design is None or len(short.n) < LEAST_BLOCKS:
         return NOT_SLOW
     rank = design.shape[1] - 1
     means = short.means @ design
-    gram = _within(factors @ design, means, short)
+    # About the means of the short blocks, by stored block.
+    gram = _grams(factors @ design)
+    np.subtract.at(gram, short.stored, _squares(means, short.n))
     variance, within = _within_errors(gram, short, rank)
     if not variance > ROUNDING**2 * float(np.mean(short.means[:, -1] ** 2)):
         return NOT_SLOW
-    memories, ratios = _grid()
+    memories, ratios = (one.ravel() for one in np.meshgrid(MEMORIES, RATIOS))
     seen = float(np.average(means[:, rank] ** 2, weights=short.n))
     largest = LARGEST_SLOW * seen * short.usual_n / (variance * within)
     memories, ratios = memories[ratios <= largest], ratios[ratios <= largest]
-    rows, log_variance = _innovations(means, short, memories, ratios)
-    information = gram.sum(axis=0) + _grams(rows.transpose(2, 0, 1))
+    explained, log_variance = _explained_by_slow(means, short, memories, ratios)
+    free = whole @ design
+    information = free.T @ free - explained
     x, score = information[:, :rank, :rank], information[:, :rank, rank]
-    explained = np.einsum("gi,gi->g", score, np.linalg.solve(x, score[:, :, None])[:, :, 0])
-    squares = (information[:, rank, rank] - explained) / (variance * within)
+    fitted = np.einsum("gi,gi->g", score, np.linalg.solve(x, score[:, :, None])[:, :, 0])
+    squares = (information[:, rank, rank] - fitted) / (variance * within)
     deviance = log_variance + np.linalg.slogdet(x)[1] + squares
     best = int(np.argmin(deviance))
-    return SlowErrors(
-        float(memories[best]), float(ratios[best]), within, float(deviance[0] - deviance[best])
-    )
+    memory, ratio = ((0.0, *one.tolist())[best] for one in (memories, ratios))
+    return SlowErrors(memory, ratio, within, float(deviance[0] - deviance[best]))
 
 
 def whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
@@ -201,10 +211,7 @@ def whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
 
 def _whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
     """Each block's within part, with the whitened means in place of its own."""
-    rows, _ = _innovations(
-        short.means, short, np.array([errors.memory]), np.array([errors.variance_ratio])
-    )
-    rows = rows[:, :, 0]
+    rows = _whitened_means(short, errors)
     ones = factors[:, :, -3]
     root = np.sqrt(np.maximum(np.einsum("bi,bi->b", ones, ones), 0.5))
     direction = ones / root[:, None]
@@ -233,12 +240,6 @@ def _grams(factors: Array) -> Array:
     return result
 
 
-def _grid() -> tuple[Array, Array]:
-    """ρ and λ of all points; the first is that of no slow error."""
-    memory, ratio = np.meshgrid(MEMORIES, RATIOS)
-    return np.append(0.0, memory), np.append(0.0, ratio)
-
-
 def _design(whole: Array, fixed: NDArray[np.bool_], values: Array) -> Array | None:
     """Columns to an orthonormal basis of the free ones and to their least squares' errors."""
     free = np.flatnonzero(~fixed)
@@ -255,13 +256,6 @@ def _design(whole: Array, fixed: NDArray[np.bool_], values: Array) -> Array | No
     design[:, -1] = -known
     design[:, -1] -= design[:, :-1] @ (left[:, kept].T @ (whole @ -known))
     return design
-
-
-def _within(factors: Array, means: Array, short: ShortBlocks) -> Array:
-    """Grams about the means of the short blocks, by stored block."""
-    gram = _grams(factors)
-    np.subtract.at(gram, short.stored, _squares(means, short.n))
-    return gram
 
 
 def _within_errors(gram: Array, short: ShortBlocks, rank: int) -> tuple[float, float]:
@@ -287,28 +281,54 @@ def _within_errors(gram: Array, short: ShortBlocks, rank: int) -> tuple[float, f
     return variance, min(max(within, 1.0), most)
 
 
-def _innovations(
+def _explained_by_slow(
     means: Array, short: ShortBlocks, memory: Array, ratio: Array
 ) -> tuple[Array, Array]:
-    """Whitened means, shape (k, c, g), and the logarithm of the determinant of their covariance."""
-    noise = 1.0 / np.maximum(short.n, 0.5)
-    size = ratio / short.usual_n
+    """Part of the means' weighted Gram that slow errors explain, and log |V| + log |W|.
+
+    With W the weights of the means, V their covariance and Q the tridiagonal inverse of that of
+    the slow errors, V⁻¹ = W − W (W + Q)⁻¹ W and |V| |W| = |W + Q| / |Q|. Each turn eliminates every
+    other block of W + Q. The first point is that of no slow error; shapes (1 + g, c, c), (1 + g,).
+    """
+    weights, alone = short.weights[:, None], short.usual_n / ratio
+    # Blocks of two nights may be rounded to one place.
+    kept = memory ** np.maximum(np.diff(short.number), 1)[:, None]
+    given_before = np.vstack([alone, alone / (1.0 - kept**2)])
+    beside = -kept * given_before[1:]
+    size = weights + given_before
+    size[:-1] -= kept * beside
+    right = (weights * means).T[:, :, None]
+    log_size = -np.log(given_before).sum(axis=0)
+    explained = np.zeros((len(ratio), len(right), len(right)))
+    while len(size):
+        log_size += np.log(size[::2]).sum(axis=0)
+        scaled = (right[:, ::2] / np.sqrt(size[::2])).transpose(2, 0, 1)
+        explained += scaled @ scaled.transpose(0, 2, 1)
+        n, gone = len(size) // 2, right[:, ::2]
+        before, behind = beside[::2] / size[::2][:n], beside[1::2] / size[2::2]
+        right = right[:, 1::2] - before * gone[:, :n]
+        right[:, : len(behind)] -= behind * gone[:, 1:]
+        size = size[1::2] - before * beside[::2]
+        size[: len(behind)] -= behind * beside[1::2]
+        beside = -behind[: max(n - 1, 0)] * beside[2::2]
+    return np.pad(explained, ((1, 0), (0, 0), (0, 0))), np.append(0.0, log_size)
+
+
+def _whitened_means(short: ShortBlocks, errors: SlowErrors) -> Array:
+    """Means whitened by a Kalman filter, shape (k, c)."""
+    memory, size = np.array([errors.memory]), errors.variance_ratio / short.usual_n
     steps = np.diff(short.number, prepend=short.number[:1]).tolist()
-    fading = {step: memory**step for step in set(steps)}
-    shares = {step: (faded**2, (1.0 - faded**2) * size) for step, faded in fading.items()}
-    spreads, after = np.empty((len(means), len(memory))), size
-    for step, one, spread in zip(steps, noise.tolist(), spreads, strict=True):
-        kept, fresh = shares[step]
-        np.add(kept * after, fresh, out=spread)
-        after = spread * one / (spread + one)
-    variance = spreads + noise[:, None]
-    gains = spreads / variance
-    rows = np.empty((*means.shape, len(memory)))
-    state, move = np.zeros(rows.shape[1:]), np.empty(rows.shape[1:])
-    for step, mean, row, gain in zip(steps, means[:, :, None], rows, gains, strict=True):
-        state *= fading[step]
+    fading = {step: (memory**step).item() for step in set(steps)}
+    noise = (1.0 / short.weights).tolist()
+    rows = np.empty_like(short.means)
+    state, after = np.zeros(short.means.shape[1]), size
+    for step, one, mean, row in zip(steps, noise, short.means, rows, strict=True):
+        faded = fading[step]
+        spread = faded * faded * after + (1.0 - faded * faded) * size
+        variance = spread + one
+        after = spread * one / variance
+        state *= faded
         np.subtract(mean, state, out=row)
-        np.multiply(gain, row, out=move)
-        state += move
-    rows /= np.sqrt(variance)[:, None]
-    return rows, np.log(variance).sum(axis=0)
+        state += spread / variance * row
+        row /= math.sqrt(variance)
+    return rows

@@ -92,18 +92,14 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
     """Columns that a night's fits have in common."""
     samples, model = statistics.samples, spec.settings.model
     reference = spec.settings.reference
-    n_training, n_validation = (
-        sum(block.n for block in statistics.blocks if block.part == part)
-        for part in (TRAINING, VALIDATION)
-    )
     share = "" if model.film_pressure == "slot" else f" {model.film_pressure_share:g}"
     return {
         "motor_type": spec.file.motor_type,
         "window_start": utc(samples.time_us[0]),
         "window_end": utc(samples.time_us[-1]),
         "status": "ok",
-        "n_training": n_training,
-        "n_validation": n_validation,
+        "n_training": sum(one.n for one in statistics.blocks if one.part == TRAINING),
+        "n_validation": sum(one.n for one in statistics.blocks if one.part == VALIDATION),
         "smoothing_s": spec.settings.smoothing.window_s,
         "reference_pressure_bar": reference.pressure_bar,
         "reference_temperature_c": reference.temperature_c,
