@@ -93,7 +93,7 @@ class Stamps:
     def steps_over(self, time_us: Times, limit_us: float) -> NDArray[np.intp]:
         """Places of the steps that are longer than a limit."""
         # In whole microseconds, as the steps are: else all of them would be converted.
-        whole = int(limit_us)
+        whole = int(min(limit_us, LATEST_US))
         return self.once(
             time_us, ("over", whole), lambda: steps_where(lambda steps: steps > whole, time_us)
         )

@@ -84,6 +84,9 @@ def test_channel_of_few_samples(n: int) -> None:
     assert cleaned.n_samples == len(cleaned.time_us) == n
     assert refused_by(cleaned) == {}
     assert (cleaned.period_us is None) == (n < 2)
+    # A constant of the config has no gap, however far apart its samples are.
+    constant = clean_channel(raw(stamps(n), lively(n)), replace(RULES, longest_gap_s=np.inf))
+    assert refused_by(constant) == {}
 
 
 def test_typical_period_is_a_median() -> None:
