@@ -132,16 +132,7 @@ class AnnularGap(Law):
 
         .. math:: K = n \frac{\pi r (c h)^3}{6 l} (1 + 1.5 e^2)
 
-        Parameters
-        ----------
-        values
-            Gap height h, [µm], and eccentricity e where the path has one, [-], along the last
-            axis.
-
-        Returns
-        -------
-        ndarray
-            K, shape of `values` without its last axis, [m³].
+        h in [µm], e where the path has one, [-], along the last axis; K in [m³].
         """
         given = np.asarray(values, dtype=np.float64)
         gap_um = given[..., 0]
@@ -154,16 +145,7 @@ class AnnularGap(Law):
         .. math:: \frac{\partial K}{\partial h} = \frac{3 K}{h}, \qquad
             \frac{\partial K}{\partial e} = n \frac{\pi r (c h)^3}{6 l}\, 3 e
 
-        Parameters
-        ----------
-        values
-            Gap height h, [µm], and eccentricity e where the path has one, [-], along the last
-            axis.
-
-        Returns
-        -------
-        ndarray
-            Shape of `values`, [m³/µm] and [m³].
+        Along the last axis, [m³/µm] and [m³].
         """
         given = np.asarray(values, dtype=np.float64)
         gap_um = given[..., 0]
@@ -184,23 +166,7 @@ class AnnularGap(Law):
 
         .. math:: \varphi = 60\,000\, e^{-3|\Delta P|/X}\,\frac{|\Delta P|}{\eta}
 
-        Parameters
-        ----------
-        drive_per_s
-            ΔP/η, shape (n,), [1/s].
-        pressure_difference_pa
-            Pressure difference, shape (n,), [Pa]; its sign has no effect.
-        speed_rpm
-            Not used by this law.
-
-        Returns
-        -------
-        ndarray
-            φ, shape (n,), [l/min per m³].
-
-        Notes
-        -----
-        At constant viscosity the flow has its maximum at ΔP = X/3.
+        In [l/min per m³]; at constant viscosity the flow has its maximum at ΔP = X/3.
         """
         flow: NDArray[np.float64] = LITRES_PER_MINUTE * drive_per_s
         if self.deformation_pressure_pa is None:

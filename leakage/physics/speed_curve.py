@@ -168,19 +168,7 @@ class SpeedCurve(Law):
 
         .. math:: \varphi = n f(|\omega|)\,\frac{\eta_0}{\Delta P_0}\,\frac{|\Delta P|}{\eta}
 
-        Parameters
-        ----------
-        drive_per_s
-            ΔP/η, shape (n,), [1/s].
-        pressure_difference_pa
-            Not used by this law: it is in the drive.
-        speed_rpm
-            Speed, shape (n,), [rpm]; its sign has no effect.
-
-        Returns
-        -------
-        ndarray
-            φ, shape (n,), [l/min].
+        In [l/min]; the pressure is in the drive.
         """
         flow = self.curve_l_per_min(speed_rpm)
         flow *= drive_per_s

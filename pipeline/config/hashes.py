@@ -80,8 +80,11 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
     'another version of the program (figures 1 to 2)'
     >>> why_anew({"settings": {"trend": {"x": 2}}}, {"settings": {"trend": {"x": 3}}}, trends=True)
     'changed setting trend.x'
+    >>> why_anew({"trend.x": "2"}, {"settings": {"trend": {"x": 2}}})
+    'changed settings'
     """
-    if not before:
+    # Without a record, or with one of a version that kept them as text.
+    if all(isinstance(one, str) for one in before.values()):
         return "changed settings"
     old, new = dict(_flat("", before)), dict(_flat("", now))
     changed = [

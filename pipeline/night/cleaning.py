@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike, steps_where
+from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
 from pipeline.night.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
 from pipeline.night.time_order import Disorder, Stamps, carried_over, in_order, samples_of
+
+Places = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +96,7 @@ def judged_channel(ordered: Ordered, rules: ChannelRules, stamps: Stamps) -> Cle
         n_carried = len(carried.time_us)
         if n_carried:
             samples = RawChannel.joined([carried, samples])
-    time, value, masks = _judged(samples, rules, period, longest_gap_us)
+    time, value, masks = _judged(samples, rules, period, longest_gap_us, stamps)
     refused = reduce(np.logical_or, masks.values())
     counts = {reason: int(np.count_nonzero(mask[n_carried:])) for reason, mask in masks.items()}
     counts |= {"backward_time": disorder.n_backward, "duplicate_time": disorder.n_duplicate}
@@ -123,11 +125,15 @@ def _ends(masks: Mapping[str, Mask]) -> Mask:
 
 
 def _judged(
-    samples: RawChannel, rules: ChannelRules, period_us: float | None, longest_gap_us: float
+    samples: RawChannel,
+    rules: ChannelRules,
+    period_us: float | None,
+    longest_gap_us: float,
+    stamps: Stamps,
 ) -> tuple[Times, Values, dict[str, Mask]]:
     """Times and values, of a counter as a flow, and which samples each rule refuses."""
     time, value, sampling = samples.time_us, samples.value, rules.sampling
-    masks = {"missing": samples.missing, "not_finite": ~samples.missing & ~np.isfinite(value)}
+    masks = {"missing": samples.missing, "not_finite": ~(samples.missing | np.isfinite(value))}
     if samples.bad_quality is not None:
         masks["bad_quality"] = samples.bad_quality
     if sampling.counts is not None:
@@ -142,7 +148,12 @@ def _judged(
         "at_maximum": at_maximum(value, rules.sensor_maximum, rules.resolution),
     }
     credible = ~reduce(np.logical_or, masks.values())
-    course = Course.of(time, value, credible, rules, period_us, longest_gap_us)
+    rows = chosen_rows(credible)
+    kept_us, readings = time[rows], value[rows]
+    long_steps = stamps.steps_over(time, longest_gap_us)
+    borders = _borders(kept_us, long_steps, np.flatnonzero(~credible), longest_gap_us)
+    stated = max(rules.resolution, sampling.resolution_l_per_min(period_us))
+    course = Course(kept_us, readings, borders, rules, stated or step_of_readings(readings))
     masks |= {reason: _within(credible, rule(course)) for reason, rule in CHANNEL_RULES.items()}
     return time, value, masks
 
@@ -162,27 +173,19 @@ class Course:
     # time_us, value: shape (n,).
     time_us: Times
     value: Values
-    borders: NDArray[np.intp]  # first samples after a gap, in which nobody saw the sensor
+    borders: Places  # first samples after a gap, in which nobody saw the sensor
     rules: ChannelRules  # the channel's limits
     # Step of the readings: stated, of a counter's periods, or as the readings show it.
     resolution: float
 
-    @classmethod
-    def of(
-        cls,
-        time_us: Times,
-        value: Values,
-        credible: Mask,
-        rules: ChannelRules,
-        period_us: float | None,
-        longest_gap_us: float,
-    ) -> Course:
-        """The credible ones of some samples."""
-        rows = chosen_rows(credible)
-        time_us, value = time_us[rows], value[rows]
-        borders = steps_where(lambda steps: steps > longest_gap_us, time_us) + 1
-        stated = max(rules.resolution, rules.sampling.resolution_l_per_min(period_us))
-        return cls(time_us, value, borders, rules, stated or step_of_readings(value))
+
+def _borders(time_us: Times, long_steps: Places, refused: Places, longest_gap_us: float) -> Places:
+    """First of the credible samples after a gap; the other places are among all samples."""
+    behind = np.append(long_steps, refused) + 1
+    first: Places = np.unique(behind - np.searchsorted(refused, behind))
+    first = first[(first > 0) & (first < len(time_us))]
+    after_gap: Mask = time_us[first] - time_us[first - 1] > longest_gap_us
+    return first[after_gap]
 
 
 def _spikes(course: Course) -> Mask:

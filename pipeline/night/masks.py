@@ -89,7 +89,8 @@ def missing_sample(
 def out_of_range(value: Values, valid_range: tuple[float, float]) -> Mask:
     """Values outside the valid range; NaN is not, it has its own reason."""
     low, high = valid_range
-    mask: Mask = (value < low - ROUNDING * abs(low)) | (value > high + ROUNDING * abs(high))
+    mask: Mask = value < low - ROUNDING * abs(low)
+    mask |= value > high + ROUNDING * abs(high)
     return mask
 
 

@@ -90,6 +90,14 @@ class Stamps:
     def _likely_step(self, time_us: Times) -> LikelyStep:
         return self.once(time_us, "likely step", lambda: likely_step(time_us))
 
+    def steps_over(self, time_us: Times, limit_us: float) -> NDArray[np.intp]:
+        """Places of the steps that are longer than a limit."""
+        # In whole microseconds, as the steps are: else all of them would be converted.
+        whole = int(limit_us)
+        return self.once(
+            time_us, ("over", whole), lambda: steps_where(lambda steps: steps > whole, time_us)
+        )
+
     def once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
         """Result of `find` for some stamps, under a name; `find` is called once."""
         key = (time_us.ctypes.data, len(time_us), what)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from pipeline.config import Channel, Cleaning
 from pipeline.ingest import RawChannel
-from pipeline.night import masks
+from pipeline.night import cleaning, masks
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.cleaning import clean_channel
+from pipeline.night.cleaning import Course, clean_channel
 from pipeline.night.clocks import backward_time, typical_period_us
 from pipeline.night.masks import (
     at_maximum,
@@ -49,6 +49,33 @@ def test_good_samples_pass_unchanged() -> None:
     np.testing.assert_array_equal(cleaned.value, value)
     np.testing.assert_array_equal(cleaned.time_us, stamps(600))
     assert cleaned.period_us == SECOND / 10
+
+
+@given(st.lists(st.tuples(st.sampled_from([1, 2, 5, 6, 20]), st.booleans()), max_size=60))
+def test_rules_see_a_gap_wherever_credible_samples_are_far_apart(
+    steps_and_good: list[tuple[int, bool]],
+) -> None:
+    """By silence, by samples that are out of range, or by both: more than half a second."""
+    seen: list[Course] = []
+
+    def rule(course: Course) -> NDArray[np.bool_]:
+        seen.append(course)
+        return np.zeros(len(course.value), np.bool_)
+
+    steps, good = [step for step, _ in steps_and_good], [one for _, one in steps_and_good]
+    time_us = stamps(10)[0] + np.cumsum(np.array(steps, np.int64)) * SECOND // 10
+    value = np.where(good, lively(len(good)), 500.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cleaning, "CHANNEL_RULES", {"probe": rule})
+        clean_channel(raw(time_us, value), replace(RULES, longest_gap_s=0.5))
+    (course,) = seen
+    credible = time_us[good]
+    np.testing.assert_array_equal(course.time_us, credible)
+    assert course.borders.tolist() == [
+        place
+        for place in range(1, len(credible))
+        if credible[place] - credible[place - 1] > SECOND // 2
+    ]
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
