@@ -38,7 +38,6 @@ def preparation() -> dict[str, str]:
 
 
 def questions() -> list[Question]:
-    """The page's questions."""
     return [Question(title, _queries(text), _columns(text)) for title, text in _parts()[1:]]
 
 

@@ -19,10 +19,7 @@ def test_twenty_percent_more_is_a_warning_and_twice_as_much_fails(
     assert [line.split()[0] for line in lines] == ["ok", "warning", "ok"]
     assert guard.told({"a": 10.0, "b": 20.1}, before) == 1
     assert "FAILED  b: 20.10, +101 %" in capsys.readouterr().out
-
-
-def test_a_new_figure_is_compared_with_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert guard.told({"new": 99.0}, {}) == 0
+    assert guard.told({"new": 99.0}, {}) == 0  # compared with nothing
     assert capsys.readouterr().out == "ok      new: 99.00, +0 %\n"
 
 
@@ -39,8 +36,6 @@ def test_benchmarks_are_listed(asked: list[str], capsys: pytest.CaptureFixture[s
     listed = "".join(capsys.readouterr()).splitlines()
     assert "guard            Is the program slower than it was?" in "\n".join(listed)
     assert len(listed) >= len(benchmarks.BENCHMARKS)
-
-
-def test_a_benchmark_without_options_is_not_given_any(capsys: pytest.CaptureFixture[str]) -> None:
+    # One without options is not given any.
     assert benchmarks.main(["dates", "--only", "one"]) == 2
     assert "not dates" in capsys.readouterr().err

@@ -117,7 +117,6 @@ def test_page_has_the_questions_in_order_and_no_other_code() -> None:
 
 @pytest.fixture
 def ask(history: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Asks a question by its number."""
     monkeypatch.chdir(history)
     return lambda number: answer("DuckDB", QUESTIONS[number]).to_dicts()
 

@@ -46,11 +46,8 @@ def test_wander_moves_a_night_as_its_answers_say() -> None:
     nights = SimulatedNights.of(replace(KIND, minutes=60.0), 3)
     model, theta, seen = nights.motor, nights.theta, nights.seen
     degrees, gain, bar = 0.3, -0.003, 0.3
-    truth = replace(
-        seen,
-        temperature_c=seen.temperature_c - degrees,
-        pressure_bar=seen.pressure_bar - bar,
-    )
+    colder, pressure = seen.temperature_c - degrees, seen.pressure_bar - bar
+    truth = replace(seen, temperature_c=colder, pressure_bar=pressure)
     flow = regressors(model, truth.conditions) @ np.append(theta, 1.0) * (1.0 + gain)
     samples = np.column_stack([nights.compressed.columns, flow])
     bounds = Parametrisation.of(model).coefficient_bounds()

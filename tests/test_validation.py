@@ -112,6 +112,8 @@ class TestPumpRig:
         assert [row["state"] for row in answers["records"].rows] == ["1", "2"]
         assert all("judged apart" in row["notes"] for row in answers["records"].rows)
         assert "gap of 121 s" in answers["records"].rows[0]["notes"]
+        # Few nights tell nothing.
+        assert [row["told in night"] for row in answers["alarms"].rows] == ["never"] * 3
 
     def test_the_leakage_of_a_labelled_state_is_the_true_one(
         self, answers: dict[str, Table]
@@ -120,16 +122,11 @@ class TestPumpRig:
         assert (row["record"], row["state"]) == ("dane_UT9-1", "1")
         assert float(row["leakage, l/min"]) == pytest.approx(0.0135 * 150.0, rel=0.03)
 
-    def test_few_nights_tell_nothing(self, answers: dict[str, Table]) -> None:
-        assert [row["told in night"] for row in answers["alarms"].rows] == ["never"] * 3
-
 
 def test_published_coefficients_are_recovered_by_config_alone(tmp_path: Path) -> None:
     (table,) = published.judge(tmp_path / "work", minutes=12.0)
     assert [row["within 1 %"] for row in table.rows] == ["yes"] * len(published.PUBLISHED_M3)
-
-
-def test_the_textbooks_gap_leaks_as_the_textbook_says() -> None:
+    # The textbook's gap leaks as the textbook says.
     one_piston = published.PUBLISHED_M3["nine_pistons"] / 9.0
     assert one_piston * 19e6 / 0.018 == pytest.approx(57.6e-9, rel=1e-3)  # m³/s
 

@@ -229,19 +229,16 @@ def raw_log(
     A reason begins with the noun of what is counted.
     """
     first_us, last_us = ends(different_stamps(channels.values())) or (None, None)
+    parted = ((reason.partition(" "), count) for reason, count in refused.items() if count)
+    notes = [f"{counted(count, noun)} {what}" for (noun, _, what), count in parted]
     return RawLog(
         channels=channels,
         rows=rows,
         first_us=first_us,
         last_us=last_us,
-        notes=(*(_note(reason, count) for reason, count in refused.items() if count), *remarks),
+        notes=(*notes, *remarks),
         refused_rows=sum(refused.values()),
     )
-
-
-def _note(reason: str, count: int) -> str:
-    noun, _, what = reason.partition(" ")
-    return f"{counted(count, noun)} {what}"
 
 
 def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:

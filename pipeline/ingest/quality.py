@@ -41,7 +41,8 @@ def quality_states(
     """
     if not _can_be_quality(cells.type):
         raise LogError("log_type", path, f"a column of type {cells.type} is no quality", name)
-    texts, numbers = _accepted(good)
+    texts = frozenset(map(_text, good))
+    numbers = frozenset(number for text in texts if (number := _number(text)) is not None)
     states = np.empty(len(cells), np.uint8)
     at = 0
     for chunk in cells.chunks if isinstance(cells, pa.ChunkedArray) else [cells]:
@@ -71,11 +72,6 @@ def _can_be_quality(kind: pa.DataType) -> bool:
     if pa.types.is_dictionary(kind):
         return _can_be_quality(kind.value_type)
     return is_text(kind) or is_number(kind) or pa.types.is_boolean(kind) or pa.types.is_null(kind)
-
-
-def _accepted(good: Iterable[QualityValue]) -> tuple[frozenset[str], frozenset[float]]:
-    texts = frozenset(map(_text, good))
-    return texts, frozenset(number for text in texts if (number := _number(text)) is not None)
 
 
 def _state(value: object, texts: frozenset[str], numbers: frozenset[float]) -> int:

@@ -65,9 +65,9 @@ def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGr
     else:
         for even in stretches:
             _fill_even(found, channel, kept, even)
-        edges = [begin, *(edge for even in stretches for edge in even.edges), end]
-        between = zip(edges[::2], edges[1::2], strict=True)
-        rest = np.concatenate([np.arange(*pair) for pair in between])
+        begins = [begin, *(even.place + even.n * even.apart for even in stretches)]
+        ends = [*(even.place for even in stretches), end]
+        rest = np.concatenate([np.arange(*pair) for pair in zip(begins, ends, strict=True)])
         for first in range(0, len(rest), CACHED):
             places = rest[first : first + CACHED]
             left = time.searchsorted(grid_us[places], "right") - 1
@@ -83,11 +83,6 @@ class _Even(NamedTuple):
     n: int  # steps from it to the last
     place: int  # of the first sample on the grid
     apart: int  # places to the next one
-
-    @property
-    def edges(self) -> tuple[int, int]:
-        """Places of the first and of the last sample."""
-        return self.place, self.place + self.n * self.apart
 
 
 def _even_stretches(channel: CleanChannel, grid_us: Times, period_us: int) -> list[_Even]:
@@ -132,8 +127,7 @@ def _counted(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np.intp]
     due = -((grid_us[0] - time_us[first:last]) // period_us)
     passed = np.bincount(due, minlength=len(grid_us))
     passed[0] = first - 1
-    counted: NDArray[np.intp] = passed.cumsum()
-    return counted
+    return np.cumsum(passed)
 
 
 def _fill(
@@ -163,17 +157,10 @@ def _held(channel: CleanChannel, grid_us: Times) -> OnGrid:
     last = np.searchsorted(channel.time_us, grid_us, side="right") - 1
     known, last = last >= 0, np.maximum(last, 0)
     silent = ~known | (grid_us - channel.time_us[last] > channel.longest_gap_us)
-    silent |= _ended(channel, last, grid_us)
+    if channel.ends is not None:
+        silent |= channel.ends[last] & (channel.time_us[last] < grid_us)
     present = ~silent & ~channel.refused[last]
     return OnGrid(np.where(present, channel.value[last], np.nan), present, silent)
-
-
-def _ended(channel: CleanChannel, last: NDArray[np.intp], grid_us: Times) -> Mask:
-    """Times behind a sample which says that there is no value from there on."""
-    if channel.ends is None:
-        return np.zeros(len(grid_us), dtype=np.bool_)
-    ended: Mask = channel.ends[last] & (channel.time_us[last] < grid_us)
-    return ended
 
 
 def _mean_of_its_period(channel: CleanChannel, grid_us: Times) -> OnGrid:
@@ -191,13 +178,13 @@ def _mean_of_its_period(channel: CleanChannel, grid_us: Times) -> OnGrid:
 def _averaged(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     n = len(grid_us)
     cell = (channel.time_us - grid_us[0] + period_us // 2) // period_us
-    chosen = ~channel.refused & (cell >= 0) & (cell < n)
+    within = (cell >= 0) & (cell < n)
+    chosen = within & ~channel.refused
     kept = np.bincount(cell[chosen], minlength=n)
     total = np.bincount(cell[chosen], weights=channel.value[chosen], minlength=n)
     assert channel.period_us is not None
     present = kept >= CELL_SHARE * period_us / channel.period_us
     result = np.full(n, np.nan)
     result[present] = total[present] / kept[present]
-    within = (cell >= 0) & (cell < n)
     silent = np.bincount(cell[within], minlength=n) == 0
     return OnGrid(result, present, silent)

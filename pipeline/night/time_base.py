@@ -167,7 +167,7 @@ def bring_together(
     kept = np.flatnonzero(~refused)
     running = logged & ~(masks["standstill"] | masks["guard"])
     n_logged = int(np.count_nonzero(present["speed"]))
-    n_turning = int(np.count_nonzero(present["speed"] & ~masks["standstill"]))
+    n_turning = n_logged - int(np.count_nonzero(masks["standstill"]))
     del together
     pressure, temperature, speed, leakage = (values.pop(name)[kept] for name in INPUTS)
     return (

@@ -23,13 +23,8 @@ Nights = Mapping[str, Mapping[dt.date, Recorded]]
 def first_nights(demo: Path) -> Nights:
     """Records of all nights of a demo's folder, simulated again without any reader."""
     truth = json.loads((demo / "demo" / "truth.json").read_text("utf-8"))
-    plan = Plan(
-        truth["nights"],
-        truth["minutes"],
-        truth["rate_hz"],
-        truth["seed"],
-        dt.date.fromisoformat(truth["first_night"]),
-    )
+    stated = (truth[name] for name in ("nights", "minutes", "rate_hz", "seed"))
+    plan = Plan(*stated, dt.date.fromisoformat(truth["first_night"]))
     specs = {spec.motor_id: spec for spec in load_fleet(demo / "configs" / "fleet.toml").motors}
     nights: dict[str, dict[dt.date, Recorded]] = {}
     for motor in DEMO_FLEET:
@@ -48,16 +43,14 @@ def write_fleet(demo: Path, folder: Path, dialect: Dialect, nights: Nights) -> P
     """
     shutil.copytree(demo / "configs", folder / "configs")
     for file in (folder / "configs" / "motors").iterdir():
-        if (
-            not all(map(dialect.holds, nights.get(file.stem, {}).values()))
-            or file.stem not in nights
-        ):
+        own = nights.get(file.stem)
+        if own is None or not all(map(dialect.holds, own.values())):
             file.unlink()
             continue
         document = tomllib.loads(file.read_text("utf-8"))
         logs = folder / "demo" / "logs" / file.stem
         logs.mkdir(parents=True)
-        for label, log in nights[file.stem].items():
+        for label, log in own.items():
             dialect.write(logs, f"{file.stem}_{label}", log)
         file.write_text(toml(_rewritten(document, dialect)), "utf-8")
     return folder / "configs" / "fleet.toml"

@@ -69,15 +69,10 @@ def s3_server(monkeypatch: pytest.MonkeyPatch, bucket: str) -> Iterator[Server]:
     thread.start()
     found.port = server.server_port
     try:
-        environment = {
-            "AWS_ACCESS_KEY_ID": "a",
-            "AWS_SECRET_ACCESS_KEY": "b",
-            "AWS_REGION": "us-east-1",
-            "AWS_ENDPOINT_URL": f"http://127.0.0.1:{found.port}",
-            "AWS_ALLOW_HTTP": "true",
-        }
+        environment = {"ACCESS_KEY_ID": "a", "SECRET_ACCESS_KEY": "b", "REGION": "us-east-1"}
+        environment |= {"ENDPOINT_URL": f"http://127.0.0.1:{found.port}", "ALLOW_HTTP": "true"}
         for name, value in environment.items():
-            monkeypatch.setenv(name, value)
+            monkeypatch.setenv(f"AWS_{name}", value)
         _make_bucket(found.port, bucket)
         yield found
     finally:

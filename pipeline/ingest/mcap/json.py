@@ -276,18 +276,16 @@ def _one_by_one(
         if stamp is not None:
             stamps.append(_value(message, stamp))
         for path in qualities:
-            words[path].append(_word(_value(message, path)))
+            value = _value(message, path)
+            # Halves of letters beyond the first 65 536 are no text to Arrow.
+            word = None if value is None else str(value).encode(errors="replace").decode()
+            words[path].append(word)
     readings = {
         field: Readings(raw[field], missing[field], unparsed[field], examples.get(field))
         for field in fields
     }
     cells = {path: pa.array(words[path], pa.string()) for path in qualities}
     return Decoded(readings, None if stamp is None else _mixed_stamps(stamps, time_format), cells)
-
-
-def _word(value: object) -> str | None:
-    # Halves of letters beyond the first 65 536 are no text to Arrow.
-    return None if value is None else str(value).encode(errors="replace").decode()
 
 
 def _mixed_stamps(values: Sequence[object], time_format: str) -> WrittenStamps:

@@ -215,7 +215,8 @@ def _content(path: Path, logs: Logs, wanted: _Wanted) -> tuple[dict[str, _Parts]
                 _decode(path, decoders, other, held.pop(other), names, content)
             stretches = held.setdefault(number, [])
             stretches.append(payloads_of(messages, chosen, topic, times))
-            if sum(map(_cost, stretches)) >= _PIECE:
+            size = sum(one.text.size + _COST_OF_MESSAGE * one.start.size for one in stretches)
+            if size >= _PIECE:
                 _decode(path, decoders, number, held.pop(number), names, content)
     for number, stretches in held.items():
         _decode(path, decoders, number, stretches, names, content)
@@ -229,11 +230,6 @@ def _no_parts(fields: _Fields, expected: int) -> _Parts:
         {one: GatheredReadings(expected=expected) for one in fields.readings},
         {one: [] for one in fields.qualities},
     )
-
-
-def _cost(payloads: Payloads) -> int:
-    """Bytes that payloads take while they are decoded."""
-    return payloads.text.size + _COST_OF_MESSAGE * payloads.start.size
 
 
 def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, Rows]]:

@@ -37,6 +37,7 @@ def test_autoregression_has_variance_one_from_the_start_and_forgets_by_phi_a_ste
     lags = np.abs(np.subtract.outer(np.arange(41), np.arange(41)))
     # Standard error of a covariance of unit normals: at most √(2 / SERIES).
     assert covariance == pytest.approx(phi**lags, abs=5 * math.sqrt(2 / SERIES))
+    assert phi_of(0.1, -0.1 / math.log(0.95)) == pytest.approx(0.95)
 
 
 def test_autoregression_has_its_spectrum() -> None:
@@ -114,7 +115,3 @@ def test_arguments_stay_as_they_are() -> None:
     lagging(given, 1.0, 10.0)
     dead_band(given, given)
     assert np.array_equal(given, before)
-
-
-def test_phi_of_a_step() -> None:
-    assert phi_of(0.1, -0.1 / math.log(0.95)) == pytest.approx(0.95)

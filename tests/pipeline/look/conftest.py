@@ -15,7 +15,6 @@ from tests.pipeline.workshop import DAY
 
 @pytest.fixture(scope="session")
 def baseline(tmp_path_factory: pytest.TempPathFactory) -> LookBaseline:
-    """A made baseline."""
     return made_baseline(configured(tmp_path_factory.mktemp("made")).fleet.motors[0])
 
 

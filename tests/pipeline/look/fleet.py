@@ -34,7 +34,6 @@ LOOK = "[look]\nwarm_up_minutes = 4.0\n"
 
 
 def rows_of(operation: Operation, flow: NDArray[np.float64]) -> list[str]:
-    """Rows of a log."""
     columns = (operation.pressure_bar, operation.temperature_c, operation.speed_rpm, flow)
     times = (f"{utc(one):%Y-%m-%dT%H:%M:%SZ}" for one in operation.time_us.tolist())
     return [
@@ -108,7 +107,6 @@ class Growing:
         return [change for line in lines for change in json.loads(line)["changes"]]
 
     def copy(self, folder: Path) -> Growing:
-        """The same in another folder."""
         shutil.copytree(self.folder, folder)
         file = folder / "configs" / "fleet.toml"
         file.write_text(file.read_text("utf-8").replace(f"{self.folder}/", f"{folder}/"), "utf-8")

@@ -152,25 +152,20 @@ def test_a_clock_that_is_set_back_repeats_nothing(fleet: Growing) -> None:
     assert len(fleet.told()) == 1
 
 
-def test_a_single_stamp_far_ahead_does_not_blind(fleet: Growing) -> None:
+def test_neither_a_single_stamp_far_ahead_nor_a_nightly_run_blinds_and_a_second_look_is_refused(
+    fleet: Growing,
+) -> None:
     rows = day(fleet)
     ahead = BEGIN + dt.timedelta(hours=20)
     wrong = f"{ahead:%Y-%m-%dT%H:%M:%SZ}{rows[0][20:]}"
     fleet.append([*rows[: 20 * SECONDS], wrong])
     fleet.look(20)
     fleet.append(rows[20 * SECONDS :])
-    fleet.look()
-    assert states(fleet) == TOLD
-
-
-def test_a_second_look_at_the_same_time_is_refused_and_a_nightly_run_is_not(
-    fleet: Growing,
-) -> None:
-    fleet.append(day(fleet))
     with locked(fleet.output):
         fleet.look()
     with locked(fleet.output / "look"), pytest.raises(LockedError):
         fleet.look()
+    assert states(fleet) == TOLD
     assert len(fleet.told()) == 1
 
 

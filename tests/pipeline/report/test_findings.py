@@ -56,9 +56,7 @@ OVER = raised("M1", None, state="ok")
         ({"worn": RING}, [raised("M1", RING, days_before=30), OVER], Score(missed=1)),
     ],
 )
-def test_a_part_is_scored(
-    found: dict[str, str], rows: list[dict[str, Any]], expected: Score
-) -> None:
+def test_a_part_is_scored(found: dict[str, str], rows: list[Any], expected: Score) -> None:
     assert score(opened(**found), *rows) == expected
 
 

@@ -137,9 +137,8 @@ def test_keys_zoom_all_charts_over_the_nights_and_no_button_sends_one_away(
     plot.send_keys(Keys.HOME)
     assert set(wait(browser, SPANS)) == {"2026-01-01 2026-01-05"}
     buttons = browser.find_elements(By.CSS_SELECTOR, ".modebar-btn")
-    titles = {one.get_dom_attribute("data-title") for one in buttons}
     wanted = {"Zoom", "Pan", "Zoom in", "Zoom out", "Reset axes", "Download plot as a PNG"}
-    assert titles == wanted
+    assert {one.get_dom_attribute("data-title") for one in buttons} == wanted
     assert browser.find_elements(By.CSS_SELECTOR, "[href^=http], [src^=http]") == []
 
 

@@ -250,18 +250,14 @@ def test_what_cannot_be_told_is_a_question(tmp_path: Path) -> None:
     assert tomllib.loads(text)["channels"]["pressure_difference"]["source"] == "dp"
 
 
-def test_a_mark_that_may_be_either_is_said(tmp_path: Path) -> None:
+def test_a_mark_that_may_be_either_is_said_and_a_decimal_comma_between_commas_refused(
+    tmp_path: Path,
+) -> None:
     path = log_in(tmp_path, b"time;dp;speed\n2025-03-01 06:00:00;20,130;1,250\n" * 3)
-    assert (
-        'decimal = ","  # or is it between thousands: decimal = ".", thousands = ","?'
-        in suggest(path)
-    )
-
-
-def test_a_decimal_comma_between_commas_is_refused(tmp_path: Path) -> None:
-    path = log_in(
-        tmp_path, wide(TextLog(LABELS, decimal=",", quoted=True), times_of(), samples_of())
-    )
+    said = 'decimal = ","  # or is it between thousands: decimal = ".", thousands = ","?'
+    assert said in suggest(path)
+    dialect = TextLog(LABELS, decimal=",", quoted=True)
+    path = log_in(tmp_path, wide(dialect, times_of(), samples_of()))
     with refused("log_not_csv", "another separator"):
         suggest(path)
 

@@ -78,7 +78,6 @@ class TextLog:
         return f"{written:{grouped}.{self.digits}f}".translate(marks)
 
     def stamps(self, moment: datetime) -> list[str]:
-        """Cells of a time."""
         if self.clock:
             return [moment.strftime(self.time), moment.strftime(self.clock)]
         since = moment - EPOCH
@@ -98,7 +97,6 @@ class TextLog:
         return [text]
 
     def times(self) -> list[str]:
-        """Names of the columns of the time."""
         return [self.time_name, self.clock_name] if self.clock else [self.time_name]
 
     def table(self, rows: Sequence[Sequence[str]], units: Sequence[str]) -> bytes:
@@ -166,7 +164,6 @@ def long(dialect: TextLog, times: Sequence[datetime], samples: Samples, *, group
 def of_one_channel(
     dialect: TextLog, times: Sequence[datetime], samples: Samples, channel: str
 ) -> bytes:
-    """The file of a channel."""
     rows = [
         [*dialect.stamps(moment), dialect.number(channel, value)]
         for moment, value in zip(times, samples[channel], strict=True)

@@ -35,7 +35,6 @@ class Hook:
 
 @contextmanager
 def hook() -> Iterator[Hook]:
-    """Start one."""
     found = Hook()
 
     class Handler(http.server.BaseHTTPRequestHandler):
