@@ -167,7 +167,7 @@ def memory_s(error: Array, index: NDArray[np.int64], period_s: float, rounding: 
         0 without memory; infinite where it is longer than the samples can tell.
     """
     longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
-    if longest <= 1 or not max(error.max(), -error.min()) > rounding:
+    if longest <= 1 or not (error.max() > rounding or error.min() < -rounding):
         return 0.0
     return (
         slowest_correlation_time(error, index, longest, round(MEMORY_CELL_S / period_s)) * period_s
