@@ -18,6 +18,7 @@ import pipeline.cli
 import pipeline.run.fleet
 import pipeline.store.publishing
 from pipeline.config.fleet import OWN_FOLDERS
+from pipeline.errors import StoreError
 from pipeline.store.night_files import NightFile, prepare_night
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change, without_workers
@@ -144,6 +145,19 @@ def test_4_where_nothing_can_be_published(call: Call, own_fleet: OwnFleet, tmp_p
     assert err.startswith("motor-leakage: ")
     assert str(tmp_path / "file") in err
     assert call("fit-fleet", fleet, "--output", tmp_path / "file" / "below")[0] == 4
+
+
+def test_4_where_the_disk_is_full(
+    call: Call, own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise StoreError("store_write", "x.parquet cannot be written: No space left on device")
+
+    monkeypatch.setattr(pipeline.store.publishing, "prepare_night", full)
+    code, _, err = call("fit-fleet", without_workers(own_fleet(PARQUET)))
+    assert code == 4
+    assert "No space left on device" in err
+    assert "Traceback" not in err
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
