@@ -57,9 +57,11 @@ def hook() -> Iterator[Hook]:
         found.port = server.server_port
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
-        yield found
-        server.shutdown()
-        thread.join()
+        try:
+            yield found
+        finally:  # or else a test that fails never ends
+            server.shutdown()
+            thread.join()
 
 
 @contextmanager
@@ -74,7 +76,7 @@ def raw(talk: Callable[[socket.socket, threading.Event], None]) -> Iterator[str]
                 connection.recv(65536)
                 talk(connection, over)
 
-        thread = threading.Thread(target=once)
+        thread = threading.Thread(target=once, daemon=True)
         thread.start()
         yield f"http://127.0.0.1:{server.getsockname()[1]}/T0KEN?key=T0KEN"
         over.set()
