@@ -178,6 +178,7 @@ def scratch(path: Path, depth: int = 1) -> Iterator[BinaryIO]:
             os.mkdir(folder)
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, MODE)
     try:
+        os.fchmod(handle, MODE)
         with io.BufferedWriter(Descriptor(handle), BUFFER) as stream:
             yield stream
     finally:
@@ -280,7 +281,7 @@ def take_over(staging: Path, places: Mapping[Path, Path]) -> None:
                     raise
                 put(place, read(file))
                 os.unlink(file)
-    flush_disk(staging)
+    flush_disk(place)
 
 
 def can_exchange(folder: Path) -> bool:

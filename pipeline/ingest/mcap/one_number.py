@@ -18,7 +18,7 @@ _NUMBER = re.compile(rb" *-?[0-9][-+.0-9eE]*")
 _MOST_NUMBERS = 8
 _LONGEST = 1024
 _WIDEST = 40
-_BLANK, _POINT, _ZERO, _NINE = b" .09"
+_BLANK, _PLUS, _POINT, _ZERO, _NINE = b" +.09"
 
 
 def one_number(payloads: Payloads, value: Callable[[bytes], object]) -> NDArray[np.float64] | None:
@@ -70,8 +70,8 @@ def _stand(text: memoryview, at: int, expected: bytes, size: int) -> bool:
 def _decimals(cells: NDArray[np.uint8], width: int) -> NDArray[np.float64] | None:
     """Numbers in cells of one width, the first byte of each aside; None where some is none of JSON.
 
-    Arrow's cast refuses what is no number. JSON has no point without a digit on either side, and no
-    zero before the digits of a number; exponents are left to the parser.
+    Arrow's cast refuses what is no number. JSON has no plus here, no point without a digit on
+    either side, and no zero before the digits of a number; exponents are left to the parser.
     """
     cells[::width] = _BLANK
     if cells.min() < _BLANK or cells.max() > _NINE:
@@ -79,7 +79,8 @@ def _decimals(cells: NDArray[np.uint8], width: int) -> NDArray[np.float64] | Non
     digit, point = cells >= _ZERO, cells == _POINT
     inner_zero = (cells[1:-1] == _ZERO) & digit[2:]
     if (
-        point[-1]
+        (cells == _PLUS).any()
+        or point[-1]
         or (point[1:] > digit[:-1]).any()
         or (point[:-1] > digit[1:]).any()
         or (inner_zero > (digit | point)[:-2]).any()

@@ -81,6 +81,7 @@ def test_numbers_as_the_json_module_reads_them(
         b'{"value": 1}\n{"value": 2}',
         b'{"value": 1',
         b'{"value": 01}',
+        b'{"value": +1}',
         b'{"value": 1,}',
         b"{'value': 1}",
         b'{"value": 1}\x00',
