@@ -30,7 +30,9 @@ from pipeline.trends.nights.records import (
     NightWords,
     Records,
     blank_records,
+    symmetric_matrix,
     triangle,
+    triangle_places,
     whole_matrix,
 )
 
@@ -43,7 +45,8 @@ REFERENCE_CONDITIONS = "reference_pressure_bar", "reference_temperature_c", "ref
 OWN = "own_pressure_bar", "own_temperature_c", "own_speed_rpm"
 KEY = ("motor_id", "night")
 FITTED = ("is_primary", "status", "reason", "flushing_mode", "interval_status", "model_hash")
-STATISTICS = ("columns", "coefficients", "coefficient_covariance_root", "coefficient_response")
+COVARIANCE, ROOT = "coefficient_covariance", "coefficient_covariance_root"
+STATISTICS = ("columns", "coefficients", ROOT, COVARIANCE, "coefficient_response")
 VERDICTS = ("reference_verdict", "reference_reason", "model_misfit_statistics")
 AT_REFERENCE = (*REFERENCE, *REFERENCE_CONDITIONS, *OWN, *SINGLE.values())
 FIT_COLUMNS = (*KEY, *FITTED, *STATISTICS, "night_factor", *VERDICTS, *AT_REFERENCE)
@@ -154,11 +157,11 @@ def records_of(
     same = np.array([columns == expected for columns in rows.values("columns")], dtype=np.bool_)
     for name, column, size in (
         ("theta", "coefficients", theta),
-        ("root", "coefficient_covariance_root", triangle(theta)),
         ("response", "coefficient_response", theta),
         ("factor", "night_factor", triangle(len(expected))),
     ):
         records[name] = np.where(same[:, None], rows.vectors(column, size), np.nan)
+    records["root"] = np.where(same[:, None], _roots(rows, theta), np.nan)
     # Nights of before have none.
     records["response"] = np.nan_to_num(records["response"])
     _fill_noise(layout, records)
@@ -170,6 +173,22 @@ def records_of(
         for status, why, each in zip(statuses, reference, coefficients, strict=True)
     ]
     return records, words
+
+
+def _roots(rows: Columns, size: int) -> Array:
+    """U of each night; of nights of before that nothing is left to refit from, of its U'U."""
+    root, covariance = (rows.vectors(name, triangle(size)) for name in (ROOT, COVARIANCE))
+    lacks = np.isnan(root).any(axis=1) & np.isfinite(covariance).all(axis=1)
+    if lacks.any():
+        whole = symmetric_matrix(covariance[lacks], size)
+        errors = np.sqrt(np.einsum("nii->ni", whole))
+        unit = np.where(errors > 0.0, errors, 1.0)
+        values, vectors = np.linalg.eigh(whole / (unit[:, :, None] * unit[:, None]))
+        turned = np.sqrt(np.maximum(values, 0.0))[:, :, None] * vectors.swapaxes(1, 2)
+        upper = np.linalg.qr(turned * errors[:, None], mode="r")
+        first, second = triangle_places(size)
+        root[lacks] = upper[:, first, second]
+    return root
 
 
 def _fill_noise(layout: Layout, records: Records) -> None:

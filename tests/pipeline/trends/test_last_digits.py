@@ -88,3 +88,20 @@ def test_last_digits_of_the_samples_move_no_shown_figure() -> None:
     # The motor's own leakage has a baseline, and each path, which no night tells, an interval.
     assert ("own_reference_leakage", "cusum") in compared
     assert {(f"leakage_{path}", "upper") for path in PATHS} <= compared
+
+
+def test_a_night_of_before_tells_its_errors_by_the_covariance_alone() -> None:
+    """Its blocks and logs may be gone; the flushing, which is held, has no variance."""
+    upper = np.triu(np.random.default_rng(3).normal(size=(4, 4)))
+    upper[:, -1] = 0.0
+    root = upper * [1e-13, 1e-14, 1e-14, 1.0]
+    changes: dict[int, Row] = {
+        0: {"coefficient_covariance_root": upper_triangle(root)},
+        1: {
+            "coefficient_covariance_root": None,
+            "coefficient_covariance": upper_triangle(root.T @ root),
+        },
+    }
+    one, two = history(Nights(motor(), 2, changes=changes)).records
+    assert np.isfinite(one["noise"][:-1]).all()
+    assert two["noise"] == pytest.approx(one["noise"], rel=1e-9, nan_ok=True)
