@@ -257,7 +257,7 @@ def user(asked: Asked) -> Part:
 
 
 def growth(asked: Asked) -> Part:
-    """Time against samples, motors and nights of history."""
+    """Time against samples, motors, motors of a circuit and nights of history."""
     rows = []
     day = asked.folder / "day"
     write_day(day, DAY_MINUTES, 100.0, "parquet")
@@ -290,6 +290,13 @@ def growth(asked: Asked) -> Part:
         rows.append([f"{n} motors of {SMALL_MINUTES:g} min", *_seconds(cost), parent])
     rows[-1][-1] += f", {_slope(taken)}"
     taken = []
+    for n in FLEETS[1:3]:
+        config = make_fleet(day, asked.folder / "fleet", "parquet", n, tank="tank")
+        cost = first_night(config, 2)
+        taken.append((n, cost.processor_s))
+        rows.append([f"{n} motors of one oil circuit", *_seconds(cost), ""])
+    rows[-1][-1] += _slope(taken)
+    taken = []
     for n in NIGHTS:
         config = make_fleet(day, asked.folder / "fleet", "parquet", 1)
         add_nights(config, n - 1)
@@ -299,7 +306,7 @@ def growth(asked: Asked) -> Part:
     rows[-1][-1] += f", {_slope(taken)}"
     text = (
         "Samples of one motor in Parquet (a day at 100 Hz, thinned; several days), one worker; "
-        "motors with a short log, two workers. "
+        "motors with a short log, each on a tank of its own or all on one, two workers. "
         "A slope of 1 on logarithmic axes is growth in proportion; what does not grow (the start "
         "of the processes) is below it. Nights of history: `night_cost.md`."
     )

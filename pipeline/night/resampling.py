@@ -6,14 +6,14 @@ averaged over a cell of the grid.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times, Values
 from pipeline.night.cleaning import CleanChannel
-from pipeline.night.masks import CACHED
+from pipeline.night.masks import CACHED, steps_where
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
 AVERAGE_ABOVE = 1.5
@@ -48,32 +48,46 @@ def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     return _interpolated(channel, grid_us, period_us)
 
 
-# A refused value may be infinite, and after the last sample there is no distance.
+# A refused value may be infinite.
 @np.errstate(over="ignore", invalid="ignore")
 def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     """Samples as they are at their own times, and lines between them; not beside a refused one."""
-    n, kept, time = len(grid_us), ~channel.refused, channel.time_us
-    found = OnGrid(np.empty(n), np.zeros(n, np.bool_), np.ones(n, np.bool_))
-    begin, end = int(grid_us.searchsorted(time[0])), int(grid_us.searchsorted(time[-1], "right"))
-    found.silent[begin:end] = False
+    n, time = len(grid_us), channel.time_us
+    # A zero has no sign here, at samples as between them.
+    known = channel.value + 0.0
+    known[channel.refused] = np.nan
+    value = np.empty(n)
     stretches = _even_stretches(channel, grid_us, period_us)
-    if not stretches:
+    for even in stretches:
+        _fill_even(value, known, even)
+    begins = [0, *(even.place + even.n * even.apart for even in stretches)]
+    ends = [*(even.place for even in stretches), n]
+    for begin, end in zip(begins, ends, strict=True):
         for first in range(begin, end, CACHED):
             some = slice(first, min(first + CACHED, end))
-            left = _counted(time, grid_us[some], period_us)
-            _fill(found, some, channel, kept, grid_us[some], left)
+            left, right = time.searchsorted(grid_us[[some.start, some.stop - 1]]).tolist()
+            around = slice(max(left - 1, 0), right + 1)
+            value[some] = np.interp(
+                grid_us[some], time[around], known[around], left=np.nan, right=np.nan
+            )
+    silent = np.zeros(n, np.bool_)
+    for begin, end in _silences(channel, grid_us):
+        value[begin:end], silent[begin:end] = np.nan, True
+    return OnGrid(value, np.isfinite(value), silent)
+
+
+def _silences(channel: CleanChannel, grid_us: Times) -> Iterator[tuple[int, int]]:
+    """Times before the first sample, within gaps between two, and after the last."""
+    time, others, longest_gap_us = channel.time_us, channel.other_steps, channel.longest_gap_us
+    if others is None or (channel.period_us or 0) > longest_gap_us:
+        gaps = steps_where(lambda steps: steps > longest_gap_us, time)
     else:
-        for even in stretches:
-            _fill_even(found, channel, kept, even)
-        begins = [begin, *(even.place + even.n * even.apart for even in stretches)]
-        ends = [*(even.place for even in stretches), end]
-        rest = np.concatenate([np.arange(*pair) for pair in zip(begins, ends, strict=True)])
-        for first in range(0, len(rest), CACHED):
-            places = rest[first : first + CACHED]
-            left = time.searchsorted(grid_us[places], "right") - 1
-            _fill(found, places, channel, kept, grid_us[places], left)
-    found.value[~found.present] = np.nan
-    return found
+        gaps = others[time[others + 1] - time[others] > longest_gap_us]
+    if channel.ends is not None:
+        gaps = np.union1d(gaps, np.flatnonzero(channel.ends[:-1]))
+    begins = grid_us.searchsorted([*time[gaps], time[-1]], "right").tolist()
+    ends = grid_us.searchsorted([time[0], *time[gaps + 1]]).tolist()
+    return zip([0, *begins], [*ends, len(grid_us)], strict=True)
 
 
 class _Even(NamedTuple):
@@ -104,52 +118,18 @@ def _even_stretches(channel: CleanChannel, grid_us: Times, period_us: int) -> li
     return found
 
 
-def _fill_even(found: OnGrid, channel: CleanChannel, kept: Mask, even: _Even) -> None:
+def _fill_even(found: Values, known: Values, even: _Even) -> None:
     """From the first sample of a stretch until before the last."""
     first, n, place, apart = even
-    value, present, _ = (part[place : place + n * apart].reshape(n, apart) for part in found)
-    left, right = channel.value[first : first + n], channel.value[first + 1 : first + n + 1]
+    value = found[place : place + n * apart].reshape(n, apart)
+    left, right = known[first : first + n], known[first + 1 : first + n + 1]
     if apart > 1:
         # Lines some at a time, and their points by shares: the array's own rows are short.
         shares = np.arange(apart)[:, None] / apart
         for begin in range(0, n, CACHED // apart + 1):
             some = slice(begin, begin + CACHED // apart + 1)
             value[some] = (left[some] + shares * (right[some] - left[some])).T
-        present[:] = (kept[first : first + n] & kept[first + 1 : first + n + 1])[:, None]
-    # A zero has no sign here, as between two samples.
-    np.add(left, 0.0, out=value[:, 0])
-    present[:, 0] = kept[first : first + n]
-
-
-def _counted(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np.intp]:
-    """The last sample at or before each of some times in a row, none before the first sample."""
-    first, last = time_us.searchsorted(grid_us[[0, -1]], "right").tolist()
-    due = -((grid_us[0] - time_us[first:last]) // period_us)
-    passed = np.bincount(due, minlength=len(grid_us))
-    passed[0] = first - 1
-    return np.cumsum(passed)
-
-
-def _fill(
-    found: OnGrid,
-    some: slice | NDArray[np.intp],
-    channel: CleanChannel,
-    kept: Mask,
-    grid_us: Times,
-    left: NDArray[np.intp],
-) -> None:
-    """Some times, each with the last sample at or before it."""
-    right = np.minimum(left + 1, len(channel.time_us) - 1)
-    before, value = channel.time_us[left], channel.value[left]
-    since_us, distance_us = grid_us - before, channel.time_us[right] - before
-    asleep = distance_us > channel.longest_gap_us
-    if channel.ends is not None:
-        asleep |= channel.ends[left]
-    line = value + since_us / distance_us * (channel.value[right] - value)
-    present = kept[left] & kept[right] & ~asleep
-    at = np.flatnonzero(since_us == 0)
-    line[at], present[at], asleep[at] = value[at] + 0.0, kept[left[at]], False
-    found.value[some], found.present[some], found.silent[some] = line, present, asleep
+    value[:, 0] = left
 
 
 def _held(channel: CleanChannel, grid_us: Times) -> OnGrid:
