@@ -121,7 +121,7 @@ class Channel(Section):
     """`periodic`: readings at a fixed rate; `on_change`: samples sent on change, or kept by a
     historian's compression (silence is neither a gap nor a frozen sensor, and no sample is a
     spike); `mean`: means of a period."""
-    longest_silence_s: Positive | None = None
+    longest_silence_s: Positive | None = Field(None, le=31_536_000.0)
     """Longer silence than this is a gap in this channel; needed for `on_change`, else five sample
     periods unless stated."""
     between: Literal["interpolate", "hold"] = "interpolate"

@@ -318,6 +318,8 @@ class TestMeans:
     ("keys", "place"),
     [
         ('sampling = "on_change"', "longest_silence_s"),
+        # The end of the silence after a sample has to be a date.
+        ('sampling = "on_change"\nlongest_silence_s = 1e12', "longest_silence_s"),
         ('between = "hold"', "between"),
         ('sampling = "mean"', "mean_of_s"),
         ("mean_of_s = 10.0", "mean_of_s"),
