@@ -185,7 +185,7 @@ def _roots(rows: Columns, size: int) -> Array:
         unit = np.where(errors > 0.0, errors, 1.0)
         values, vectors = np.linalg.eigh(whole / (unit[:, :, None] * unit[:, None]))
         turned = np.sqrt(np.maximum(values, 0.0))[:, :, None] * vectors.swapaxes(1, 2)
-        upper = np.linalg.qr(turned * errors[:, None], mode="r")
+        upper = np.asarray(np.linalg.qr(turned * errors[:, None], mode="r"))
         first, second = triangle_places(size)
         root[lacks] = upper[:, first, second]
     return root
