@@ -127,8 +127,7 @@ def prediction_rows(
     """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
     samples, z = statistics.samples, statistics.z
     pressure, speed = np.abs(samples.pressure_difference_bar), statistics.conditions.speed_rpm
-    # Not the error of the fit: its last bits would choose among samples that are alike.
-    error = z[:, -1] - z[:, :-1] @ np.append(modes[0].stated.training.coefficients, 1.0)
+    error = statistics.error_of(modes[0].stated.training.coefficients)
     chosen = keep_extremes([z[:, -1], error, pressure, speed], PREDICTION_POINTS)
     z = z[chosen]
     columns: Columns = {

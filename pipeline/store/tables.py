@@ -18,7 +18,7 @@ from typing import TypeVar
 import polars as pl
 
 from pipeline.errors import StoreError, UsageError
-from pipeline.schema import SCHEMA_VERSION, Table, frame
+from pipeline.schema import SCHEMA_VERSION, Table
 from pipeline.store.atomic_files import read
 from pipeline.store.encoding import DAMAGE, VERSION_KEY, from_parquet, parts_of
 from pipeline.store.manifest import MONTH_PREFIX, Manifest, manifest_key, read_manifest
@@ -271,11 +271,12 @@ def read_rows(
         If a file is damaged, or is not what its manifest says.
     """
     chosen = list(columns or table.schema)
+    none = pl.DataFrame(schema={name: table.schema[name] for name in chosen})
     asked: dict[str, Collection[str] | Collection[dt.date]] = {"motor_id": motor_ids}
     if nights is not None:
         asked["night"] = nights
     if not all(asked.values()):
-        return frame(table, []).select(chosen)
+        return none
 
     def read_all() -> list[pl.DataFrame]:
         found = (
@@ -290,7 +291,7 @@ def read_rows(
         ]
 
     found = while_listed(read_all)
-    return pl.concat(found) if found else frame(table, []).select(chosen)
+    return pl.concat(found) if found else none
 
 
 def by_file(output: Path, table: Table, nights: Iterable[dt.date]) -> dict[Path, list[str]]:
