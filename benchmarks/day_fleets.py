@@ -40,8 +40,13 @@ def log_of(day: Path, name: str) -> Path:
     return log
 
 
-def make_fleet(day: Path, folder: Path, name: str, n: int, *, linked: bool = False) -> Path:
-    """Make a fleet of n motors with a day's log in a format, a tank each; returns its config."""
+def make_fleet(
+    day: Path, folder: Path, name: str, n: int, *, linked: bool = False, tank: str = ""
+) -> Path:
+    """Make a fleet of n motors with a day's log in a format, on one tank or on one each.
+
+    Returns its config.
+    """
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(day / "configs", folder / "configs")
     motors = folder / "configs" / "motors"
@@ -51,8 +56,8 @@ def make_fleet(day: Path, folder: Path, name: str, n: int, *, linked: bool = Fal
     log = log_of(day, name)
     for number in range(1, n + 1):
         motor_id = f"M{number:04}"
-        circuit = rf'\1"tank of {motor_id}"'
-        own = re.sub("(oil_circuit = ).*", circuit, text.replace(MOTORS[name], motor_id))
+        circuit = tank or f"tank of {motor_id}"
+        own = re.sub("(oil_circuit = ).*", rf'\1"{circuit}"', text.replace(MOTORS[name], motor_id))
         (motors / f"{motor_id}.toml").write_text(own, "utf-8")
         target = folder / "demo" / "logs" / motor_id / log.name
         target.parent.mkdir(parents=True)
