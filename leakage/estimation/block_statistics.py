@@ -113,14 +113,14 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
         batch = slice(first, first + step)
         if step == 1 and sizes[first] >= columns:
             # A block that fills the cache is decomposed where it lies.
-            found[first] = _triangular(z[None, borders[first] : borders[first + 1]])
+            found[first] = _decomposed(z[None, borders[first] : borders[first + 1]])
             continue
         padded = np.zeros((len(sizes[batch]), columns, rows))
         for block, begin, size in zip(padded, borders[:-1][batch], sizes[batch], strict=True):
             block[:, :size] = z.T[:, begin : begin + size]
-        found[batch] = _triangular(padded.transpose(0, 2, 1))
+        found[batch] = _decomposed(padded.transpose(0, 2, 1))
     _require_finite("samples", found)
-    return found
+    return _positive(found)
 
 
 def merge(factors_in_time_order: Array) -> Array:
@@ -209,7 +209,17 @@ def _require_finite(what: str, values: Array) -> None:
 
 def _triangular(stacked: Array) -> Array:
     """R of each matrix of a stack, with the signs that QR leaves open made positive."""
-    r: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
+    return _positive(_decomposed(stacked))
+
+
+def _decomposed(stacked: Array) -> Array:
+    """R of each matrix of a stack, in the upper triangle alone."""
+    raw: Array = np.linalg.qr(stacked, mode="raw")[0].swapaxes(1, 2)
+    return raw[:, : stacked.shape[-1]]
+
+
+def _positive(decomposed: Array) -> Array:
+    r = np.triu(decomposed)
     signs = np.where(np.diagonal(r, axis1=1, axis2=2) < 0, -1.0, 1.0)
     # Adding 0 turns -0 into 0: the same statistics have the same bytes.
     result: Array = r * signs[:, :, None] + 0.0
