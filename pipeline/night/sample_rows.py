@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import repeat
 from typing import Any
 
@@ -71,9 +71,9 @@ def statistics_rows(
     }
     pressure, temperature = samples.pressure_difference_bar, samples.oil_temperature_c
     for name, unit, parts, edges in (
-        ("pressure", "bar", (np.abs(pressure[one]) for one in rows), PRESSURE_EDGES_BAR),
-        ("temperature", "c", (temperature[one] for one in rows), TEMPERATURE_EDGES_C),
-        ("speed", "rpm", (speed[one] for one in rows), SPEED_EDGES_RPM),
+        ("pressure", "bar", [np.abs(pressure[one]) for one in rows], PRESSURE_EDGES_BAR),
+        ("temperature", "c", [temperature[one] for one in rows], TEMPERATURE_EDGES_C),
+        ("speed", "rpm", [speed[one] for one in rows], SPEED_EDGES_RPM),
     ):
         columns |= _spread(name, unit, parts, edges)
     # Only where the slowest or the fastest sample is beyond the curve can others be.
@@ -102,21 +102,14 @@ def _rows(columns: Columns, shared: Mapping[str, Any]) -> list[Row]:
     return [dict(zip(every, values, strict=True)) for values in zip(*every.values(), strict=True)]
 
 
-def _spread(
-    name: str, unit: str, parts: Iterable[Array], edges: tuple[float, ...]
-) -> Columns:
+def _spread(name: str, unit: str, parts: Sequence[Array], edges: tuple[float, ...]) -> Columns:
     """Means, limits and coarse histograms of a channel by block."""
-    names = (*(f"{end}_{name}_{unit}" for end in ("mean", "minimum", "maximum")), f"{name}_histogram")
-    figures = (
-        (
-            float(part.sum() / len(part)),
-            float(part.min()),
-            float(part.max()),
-            coarse_histogram(part, edges),
-        )
-        for part in parts
-    )
-    return dict(zip(names, zip(*figures, strict=True), strict=True))
+    return {
+        f"mean_{name}_{unit}": [float(part.sum() / len(part)) for part in parts],
+        f"minimum_{name}_{unit}": [float(part.min()) for part in parts],
+        f"maximum_{name}_{unit}": [float(part.max()) for part in parts],
+        f"{name}_histogram": [coarse_histogram(part, edges) for part in parts],
+    }
 
 
 def prediction_rows(
