@@ -52,7 +52,7 @@ def _extremes(
     low: NDArray[np.float64], high: NDArray[np.float64], borders: Sequence[int]
 ) -> list[int]:
     """Place of the smallest of one series and the largest of another in each bin."""
-    found = []
+    found: list[int] = []
     for begin, end in pairwise(borders):
         found += (begin + int(low[begin:end].argmin()), begin + int(high[begin:end].argmax()))
     return found

@@ -252,13 +252,11 @@ def _rows(
     series: Sequence[Array], means: Sequence[float], segments: Segments, length: int
 ) -> Array:
     """Centred values in rows that begin with a segment each, shape (s, segments, length)."""
-    rows = np.empty((len(series), len(segments.begins), length))
+    rows = np.zeros((len(series), len(segments.begins), length))
     places = [*zip(segments.begins.tolist(), segments.ends.tolist(), strict=True)]
     for of_one, values, mean in zip(rows, series, means, strict=True):
-        of_one.fill(mean)
         for row, (begin, end) in zip(of_one, places, strict=True):
-            row[: end - begin] = values[begin:end]
-        of_one -= mean
+            np.subtract(values[begin:end], mean, out=row[: end - begin])
     return rows
 
 

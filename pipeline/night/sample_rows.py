@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import repeat
 from typing import Any
 
@@ -71,9 +71,9 @@ def statistics_rows(
     }
     pressure, temperature = samples.pressure_difference_bar, samples.oil_temperature_c
     for name, unit, parts, edges in (
-        ("pressure", "bar", [np.abs(pressure[one]) for one in rows], PRESSURE_EDGES_BAR),
-        ("temperature", "c", [temperature[one] for one in rows], TEMPERATURE_EDGES_C),
-        ("speed", "rpm", [speed[one] for one in rows], SPEED_EDGES_RPM),
+        ("pressure", "bar", (np.abs(pressure[one]) for one in rows), PRESSURE_EDGES_BAR),
+        ("temperature", "c", (temperature[one] for one in rows), TEMPERATURE_EDGES_C),
+        ("speed", "rpm", (speed[one] for one in rows), SPEED_EDGES_RPM),
     ):
         columns |= _spread(name, unit, parts, edges)
     # Only where the slowest or the fastest sample is beyond the curve can others be.
@@ -102,13 +102,19 @@ def _rows(columns: Columns, shared: Mapping[str, Any]) -> list[Row]:
     return [dict(zip(every, values, strict=True)) for values in zip(*every.values(), strict=True)]
 
 
-def _spread(name: str, unit: str, parts: Sequence[Array], edges: tuple[float, ...]) -> Columns:
+def _spread(name: str, unit: str, parts: Iterable[Array], edges: tuple[float, ...]) -> Columns:
     """Means, limits and coarse histograms of a channel by block."""
+    # Block by block: all figures of one while it is in the cache.
+    figures = [
+        (part.sum() / len(part), part.min(), part.max(), coarse_histogram(part, edges))
+        for part in parts
+    ]
+    means, lowest, highest, histograms = zip(*figures, strict=True)
     return {
-        f"mean_{name}_{unit}": [float(part.sum() / len(part)) for part in parts],
-        f"minimum_{name}_{unit}": [float(part.min()) for part in parts],
-        f"maximum_{name}_{unit}": [float(part.max()) for part in parts],
-        f"{name}_histogram": [coarse_histogram(part, edges) for part in parts],
+        f"mean_{name}_{unit}": [*map(float, means)],
+        f"minimum_{name}_{unit}": [*map(float, lowest)],
+        f"maximum_{name}_{unit}": [*map(float, highest)],
+        f"{name}_histogram": histograms,
     }
 
 
@@ -123,16 +129,16 @@ def prediction_rows(
 
     `error` has the errors of the first mode.
     """
-    samples, z, driving = statistics.samples, statistics.z, statistics.conditions
-    curves = [z[:, -1], error, driving.pressure_difference_pa, driving.speed_rpm]
-    chosen = keep_extremes(curves, PREDICTION_POINTS)
+    samples, z = statistics.samples, statistics.z
+    pressure, speed = np.abs(samples.pressure_difference_bar), statistics.conditions.speed_rpm
+    chosen = keep_extremes([z[:, -1], error, pressure, speed], PREDICTION_POINTS)
     z = z[chosen]
     columns: Columns = {
         "time": [utc(stamp) for stamp in samples.time_us[chosen].tolist()],
         "part": statistics.parts_of(chosen),
-        "pressure_difference_bar": np.abs(samples.pressure_difference_bar[chosen]).tolist(),
+        "pressure_difference_bar": pressure[chosen].tolist(),
         "oil_temperature_c": samples.oil_temperature_c[chosen].tolist(),
-        "speed_rpm": driving.speed_rpm[chosen].tolist(),
+        "speed_rpm": speed[chosen].tolist(),
         "measured_l_per_min": z[:, -1].tolist(),
     }
     rows: list[Row] = []
