@@ -42,14 +42,13 @@ from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit
 
 Schema = Mapping[str, Any]
 
-EXAMPLE: Final = Path(__file__).resolve().parents[2] / "docs" / "example"
 NOTE: Final = "<!-- Made by `make docs` from the code; edit that, not this page. -->"
 FILES: Final[Mapping[str, type[Section]]] = {
     "fleet.toml": FleetFile,
-    "motor_types/CB560.toml": MotorTypeFile,
-    "oils/vg68.toml": OilFile,
-    "motors/CB560-07.toml": MotorFile,
-    "oil_circuits/mill 1.toml": OilCircuitFile,
+    "motor_types/<name>.toml": MotorTypeFile,
+    "oils/<name>.toml": OilFile,
+    "motors/<name>.toml": MotorFile,
+    "oil_circuits/<name>.toml": OilCircuitFile,
 }
 # Endings of keys and what they stand for; the first that fits counts, so the longer come first.
 UNIT_ENDINGS: Final[Mapping[str, str]] = {
@@ -125,16 +124,13 @@ def config_reference() -> str:
         "one file each; a file's name without its ending is the name by which others call it. "
         "A key that is not listed here is an error, and so is a value of another type. "
         "`motor-leakage check` reports every fault of every file at once.",
-        "The examples on this page make up one complete fleet; it lies in `docs/example/`.",
+        "A whole fleet as an example lies in [docs/example/](example/fleet.toml).",
     ]
     for file, model in FILES.items():
         schema = model.model_json_schema(schema_generator=WithMeanings)
-        folder, _, _ = file.rpartition("/")
-        lines += [f"## `{folder + '/<name>.toml' if folder else file}`", *_model_lines(schema)]
+        lines += [f"## `{file}`", *_model_lines(schema)]
         if model is MotorFile:
             lines += [*_channel_lines(), *_override_lines()]
-        example = (EXAMPLE / file).read_text("utf-8")
-        lines += ["### Example", f"`docs/example/{file}`:", f"```toml\n{example}```"]
     return "\n\n".join(lines) + "\n"
 
 
@@ -165,15 +161,9 @@ def table_reference() -> str:
             f"One row is {table.row}. Key: {', '.join(f'`{name}`' for name in table.key)}. "
             f"File: `{_place(table)}`.",
             _grid(
-                ("Column", "Key", "Type", "Unit", "Meaning"),
+                ("Column", "Type", "Unit", "Meaning"),
                 (
-                    (
-                        f"`{row['column']}`",
-                        "yes" if row["in_key"] else "",
-                        row["type"],
-                        row["unit"],
-                        row["description"],
-                    )
+                    (f"`{row['column']}`", row["type"], row["unit"], row["description"])
                     for row in rows
                 ),
             ),

@@ -14,7 +14,7 @@ import duckdb
 import polars as pl
 import pytest
 
-from pipeline.cli.reference import EXAMPLE, FILES, PAGES, main
+from pipeline.cli.reference import FILES, PAGES, main
 from pipeline.config import load_fleet
 from pipeline.config.section import Section
 from pipeline.demo import shipped_configs
@@ -119,21 +119,14 @@ def test_key_has_its_type_default_and_unit(key: str, cells: list[str]) -> None:
     assert [cell.strip() for cell in row.split("|")[2:5]] == cells
 
 
-def test_config_examples_make_up_a_fleet() -> None:
-    fleet = load_fleet(EXAMPLE / "fleet.toml")
+def test_the_example_is_a_fleet() -> None:
+    fleet = load_fleet(DOCS / "example" / "fleet.toml")
     (motor,) = fleet.motors
     assert {path.law for path in motor.motor_type.path} == {"annular_gap", "speed_curve", "laminar"}
     assert motor.settings.cleaning.guard_after_s == 60.0
     assert motor.file.oil_on(dt.date(2026, 8, 31)) == "vg68"
     assert motor.file.oil_on(dt.date(2026, 9, 1)) == "vg46"
     assert motor.file.logs.separator == ";"
-
-
-def test_config_page_shows_one_example_a_file() -> None:
-    shown = blocks(PAGES["config.md"](), "toml")
-    assert [tomllib.loads(text) for text in shown] == [
-        tomllib.loads((EXAMPLE / name).read_text("utf-8")) for name in FILES
-    ]
 
 
 def test_every_column_is_on_the_page() -> None:
