@@ -50,30 +50,6 @@ FILES: Final[Mapping[str, type[Section]]] = {
     "motors/<name>.toml": MotorFile,
     "oil_circuits/<name>.toml": OilCircuitFile,
 }
-# Endings of keys and what they stand for; the first that fits counts, so the longer come first.
-UNIT_ENDINGS: Final[Mapping[str, str]] = {
-    "_mg_per_kg": "mg/kg",
-    "_kg_per_m3": "kg/m³",
-    "_mm2_per_s": "mm²/s",
-    "_bar_per_s": "bar/s",
-    "_rpm_per_s": "rpm/s",
-    "_l_per_min": "l/min",
-    "_mpa_s": "mPa·s",
-    "_per_pa": "1/Pa",
-    "_per_k": "1/K",
-    "_minutes": "min",
-    "_percent": "%",
-    "_bar": "bar",
-    "_rpm": "rpm",
-    "_hz": "Hz",
-    "_cm3": "cm³",
-    "_mm": "mm",
-    "_um": "µm",
-    "_m3": "m³",
-    "_c": "°C",
-    "_m": "m",
-    "_s": "s",
-}
 LIMITS: Final[Mapping[str, str]] = {
     "minimum": ">=",
     "exclusiveMinimum": ">",
@@ -120,10 +96,10 @@ def config_reference() -> str:
         "# Config files",
         NOTE,
         "Config is TOML. A fleet file names the folders in which motors, motor types, oils and oil "
-        "circuits lie, "
-        "one file each; a file's name without its ending is the name by which others call it. "
-        "A key that is not listed here is an error, and so is a value of another type. "
-        "`motor-leakage check` reports every fault of every file at once.",
+        "circuits lie, one file each; a file's name without its ending is the name by which others "
+        "call it. A key that is not listed here is an error, and so is a value of another type; "
+        "the end of a key's name is its unit. `motor-leakage check` reports every fault of every "
+        "file at once.",
         "A whole fleet as an example lies in [docs/example/](example/fleet.toml).",
     ]
     for file, model in FILES.items():
@@ -163,7 +139,7 @@ def table_reference() -> str:
             _grid(
                 ("Column", "Type", "Unit", "Meaning"),
                 (
-                    (f"`{row['column']}`", row["type"], row["unit"], row["description"])
+                    (f"`{row['column']}`", _short(row["type"]), row["unit"], row["description"])
                     for row in rows
                 ),
             ),
@@ -193,6 +169,11 @@ def _place(table: Table) -> str:
     if table is LOOKS:
         name = "looks-<day>"
     return f"{folder}/month=YYYY-MM/{name}.parquet"
+
+
+def _short(kind: str) -> str:
+    """A column's type; all times are of one kind."""
+    return "Datetime" if kind.startswith("Datetime") else kind
 
 
 def _grid(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -233,23 +214,20 @@ def _tables(name: str, field: Schema, root: Schema) -> Iterator[tuple[str, str, 
 
 
 def _key_grid(part: Schema, root: Schema, prefix: str = "") -> str:
-    return _grid(("Key", "Type", "Default", "Unit", "Meaning"), _key_rows(part, root, prefix))
+    return _grid(("Key", "Type", "Default", "Meaning"), _key_rows(part, root, prefix))
 
 
-def _key_rows(part: Schema, root: Schema, prefix: str, unit: str = "") -> Iterator[Sequence[str]]:
+def _key_rows(part: Schema, root: Schema, prefix: str) -> Iterator[Sequence[str]]:
     for name, field in _fields(part).items():
         target = _resolved(field, root)
-        own = next((unit for end, unit in UNIT_ENDINGS.items() if name.endswith(end)), unit)
-        counts = target.get("type") in ("number", "array")
         yield (
             f"`{prefix}{name}`",
             _kind(target, root),
             "required" if name in part.get("required", ()) else _default(field, target),
-            own if counts else "",
             _paragraph(field.get("description") or target["description"]),
         )
         if "properties" in target:
-            yield from _key_rows(target, root, f"{prefix}{name}.", own)
+            yield from _key_rows(target, root, f"{prefix}{name}.")
 
 
 def _kind(field: Schema, root: Schema) -> str:
