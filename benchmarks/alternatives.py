@@ -42,7 +42,7 @@ from benchmarks.machine_nights import (
 from benchmarks.model_verdict import VG46
 from benchmarks.results_file import Part, description, store, stored, write_parts
 from pipeline.arrays import Array
-from pipeline.demo import noise
+from pipeline.demo.noise import autoregression
 
 BASELINE, CHANGE, YEAR = 60, 75, 365
 RATE, MOTORS, CALIBRATED_ON = 0.1, 30, 100
@@ -87,7 +87,7 @@ def ambient_k(number: int, winter_first: bool) -> Array:
     """Ambient temperature over a year from its coldest or its warmest day on, shape (365,) [K]."""
     white = np.random.default_rng([SEED, number, 9]).standard_normal(YEAR)
     year = SEASON_K * np.cos(2.0 * np.pi * np.arange(YEAR) / YEAR)
-    found: Array = WEATHER_K * noise.autoregression(white, WEATHER_PHI)
+    found: Array = WEATHER_K * autoregression(white, WEATHER_PHI)
     return found - year if winter_first else found + year
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from benchmarks import error_kinds
 from benchmarks.model_verdict import VG46, SensorFaults, lagged
 from benchmarks.other_duty import false_alarms, wear_told
 from benchmarks.results_file import Part, write_stored
@@ -22,7 +23,7 @@ from leakage.course.growth import Blocks, Growth, growth
 from leakage.course.hypotheses import Posterior, mean_factor, weigh
 from leakage.physics.oil import Oil
 from pipeline.arrays import Array
-from pipeline.demo import noise
+from pipeline.demo.noise import autoregression
 
 MOTORS = 200
 NIGHTS_BEFORE = 40
@@ -136,7 +137,7 @@ class Nights:
     pressure_bar: Array
     temperature_c: Array
     speed_rpm: Array
-    wander: noise.NightWander
+    wander: error_kinds.NightWander
 
     @classmethod
     def drawn(
@@ -151,18 +152,18 @@ class Nights:
 
         def steps(low: float, high: float, hold: int, lag_s: float) -> Array:
             levels = generator.uniform(low, high, (n // hold + 2, nights))
-            return noise.lagging(np.repeat(levels, hold, axis=0)[:n], 1.0, lag_s)
+            return error_kinds.lagging(np.repeat(levels, hold, axis=0)[:n], 1.0, lag_s)
 
         return cls(
             steps(*span_bar, 60, 3.0),
             steps(40.0, 60.0, 600, 200.0),
             steps(3.0, 110.0, 90, 3.0),
-            noise.night_wander(generator, (nights,)),
+            error_kinds.night_wander(generator, (nights,)),
         )
 
     def part(self, nights: slice) -> Nights:
         """Some of them."""
-        wander = noise.NightWander(*(one[nights] for one in self.wander))
+        wander = error_kinds.NightWander(*(one[nights] for one in self.wander))
         channels = (self.pressure_bar, self.temperature_c, self.speed_rpm)
         return Nights(*(one[:, nights] for one in channels), wander)
 
@@ -184,7 +185,7 @@ class Nights:
         low = flow * np.exp(-3.0 * truth.pressure_difference_pa / RING_PA)
         flow += change.ring_like * low * (flow.sum() / low.sum()) + change.flushing_l_per_min
         flow = lagged(flow.reshape(nights, n).T, change.drain_lag_s).T.ravel()
-        errors = noise.autoregression(generator.standard_normal((n, nights)), NOISE_PHI)
+        errors = autoregression(generator.standard_normal((n, nights)), NOISE_PHI)
         flow *= change.gain * np.repeat(1.0 + wander.gain, n) * (1.0 + NOISE * errors.T.ravel())
         flow = np.where(flow < change.dead_below_l_per_min, 0.0, flow) + change.zero_l_per_min
         logged = (pressure, read_c, speed)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.error_kinds import night_wander
 from benchmarks.results_file import Part, description, median_and_late, write_parts
 from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
 from leakage import OperatingConditions, regressors
@@ -22,7 +23,7 @@ from leakage.course.monitoring import Monitoring, MonitorSettings, monitor
 from leakage.course.night_filter import first_state, follow, night_information
 from leakage.estimation.block_statistics import factors
 from pipeline.arrays import Array
-from pipeline.demo.noise import autoregression, night_wander
+from pipeline.demo.noise import autoregression
 
 Wear = Callable[[int], tuple[float, float, float]]
 

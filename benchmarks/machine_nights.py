@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from benchmarks import error_kinds
 from benchmarks.simulated_nights import held_levels, motor, true_coefficients, warming_up
 from leakage import Motor, OperatingConditions, regressors
 from leakage.estimation.block_statistics import factors
 from leakage.physics.oil import FilmPressure, Oil, flow_drive_per_s
 from pipeline.arrays import Array
-from pipeline.demo import noise
 from pipeline.night.operation_rows import coarse_histogram
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 
@@ -83,7 +83,7 @@ class Night:
 
 
 def night_of(
-    machine: Machine, state: State, wander: noise.NightWander, generator: np.random.Generator
+    machine: Machine, state: State, wander: error_kinds.NightWander, generator: np.random.Generator
 ) -> Night:
     """Simulate a night."""
     pressure, temperature, speed = _duty(generator, state)
@@ -94,7 +94,7 @@ def night_of(
     at = OperatingConditions.from_bar(pressure, temperature, speed, machine.charge_bar)
     flow = regressors(of, at) @ np.append(theta, 1.0) / state.viscosity
     flow *= 1.0 + machine.per_kelvin * (temperature - 55.0)
-    errors = noise.as_recorded(generator, (N,))
+    errors = error_kinds.as_recorded(generator, (N,))
     flow *= state.gain * (1.0 + float(wander.gain)) * (1.0 + errors)
     read_bar = np.maximum(pressure + float(wander.pressure_bar), 0.5)
     read_c = temperature + float(wander.temperature_c) + state.reads_high_c
@@ -116,12 +116,12 @@ def night_of(
 
 def nights_of(machine: Machine, course: Course, seed: Sequence[int], nights: range) -> list[Night]:
     """Some of a motor's nights; the first is number 0."""
-    wander = noise.night_wander(np.random.default_rng([*seed, 0]), (nights.stop,))
+    wander = error_kinds.night_wander(np.random.default_rng([*seed, 0]), (nights.stop,))
     return [
         night_of(
             machine,
             course(place),
-            noise.NightWander(*(one[place] for one in wander)),
+            error_kinds.NightWander(*(one[place] for one in wander)),
             np.random.default_rng([*seed, 1, place]),
         )
         for place in nights

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from joblib import Parallel, delayed
 
+from benchmarks.error_kinds import lagging
 from benchmarks.results_file import write_results
 from benchmarks.simulated_nights import REFERENCE, held_levels, motor, true_coefficients, warming_up
 from leakage import Motor, OperatingConditions, SpeedCurve, regressors
@@ -39,7 +40,7 @@ from leakage.estimation.uncertainty import cluster_robust
 from leakage.physics.annular_gap import AnnularGap
 from leakage.physics.oil import FilmPressure, Oil
 from pipeline.arrays import Array
-from pipeline.demo.noise import autoregression, lagging
+from pipeline.demo.noise import autoregression
 
 MODEL = motor()
 FREE = MODEL.with_free_standard()

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks import error_kinds
 from benchmarks.simulated_nights import (
     REFERENCE,
     CompressedNights,
@@ -29,7 +30,7 @@ from leakage.estimation.multi_start import Parametrisation, SearchSettings
 from leakage.estimation.slow_errors import short_blocks, slow_errors, whitened
 from leakage.physics.paths import LeakagePath
 from pipeline.arrays import Array
-from pipeline.demo import noise
+from pipeline.demo.noise import autoregression, phi_of
 
 NIGHTS_A_DUTY = 5
 # Short errors are this large, and three times larger below 100 bar.
@@ -86,30 +87,30 @@ class SimulatedNights:
         """Drain flow as the log has it, shape (n, NIGHTS_A_DUTY) [l/min]."""
         if kind.errors == RECORDED:
             return self.clean_flow + ERRORS[RECORDED](self)
-        short = self.level * noise.autoregression(self.white(), kind.phi)
+        short = self.level * autoregression(self.white(), kind.phi)
         return self.clean_flow + short + ERRORS[kind.errors](self)
 
 
 def slow(of: SimulatedNights, minutes: float) -> Array:
     """Errors as large as the short ones that remember for minutes."""
-    phi = noise.phi_of(of.step_s, 60.0 * minutes)
-    return NOISE_L_PER_MIN * noise.autoregression(of.white(), phi)
+    phi = phi_of(of.step_s, 60.0 * minutes)
+    return NOISE_L_PER_MIN * autoregression(of.white(), phi)
 
 
 def late_heat(of: SimulatedNights, minutes: float) -> Array:
     """Oil at the gaps that warms later than at its sensor."""
-    late = noise.lagging(of.seen.temperature_c, of.step_s, 60.0 * minutes)
+    late = error_kinds.lagging(of.seen.temperature_c, of.step_s, 60.0 * minutes)
     return of.as_if(temperature_c=late)
 
 
 def dead_band(of: SimulatedNights) -> Array:
     """Of the flow meter."""
-    return noise.dead_band(of.clean_flow, of.seen.pressure_bar[:, None]) - of.clean_flow
+    return error_kinds.dead_band(of.clean_flow, of.seen.pressure_bar[:, None]) - of.clean_flow
 
 
 def wander(of: SimulatedNights) -> Array:
     """Of temperature, gain and pressure from night to night."""
-    found = noise.night_wander(of.generator, (NIGHTS_A_DUTY,))
+    found = error_kinds.night_wander(of.generator, (NIGHTS_A_DUTY,))
     shifted = [
         of.as_if(temperature_c=of.seen.temperature_c - t, pressure_bar=of.seen.pressure_bar - p)
         for t, p in zip(found.temperature_c, found.pressure_bar, strict=True)
@@ -119,7 +120,7 @@ def wander(of: SimulatedNights) -> Array:
 
 def as_recorded(of: SimulatedNights) -> Array:
     """As large as on a real record, short ones and slow ones."""
-    return of.clean_flow * noise.as_recorded(of.generator, of.white().shape)
+    return of.clean_flow * error_kinds.as_recorded(of.generator, of.white().shape)
 
 
 RECORDED = "as recorded"
@@ -129,13 +130,13 @@ ERRORS: dict[str, Callable[[SimulatedNights], Array | float]] = {
     "slow, 5 min": partial(slow, minutes=5.0),
     "slow, 15 min": partial(slow, minutes=15.0),
     "slow, 60 min": partial(slow, minutes=60.0),
-    "random walk": lambda of: noise.random_walk(of.white(), of.step_s, 2.0 * NOISE_L_PER_MIN),
-    "warm-up": lambda of: noise.warm_up(of.seen.time_s, 4.0 * NOISE_L_PER_MIN)[:, None],
+    "random walk": lambda of: error_kinds.random_walk(of.white(), of.step_s, 2.0 * NOISE_L_PER_MIN),
+    "warm-up": lambda of: error_kinds.warm_up(of.seen.time_s, 4.0 * NOISE_L_PER_MIN)[:, None],
     "dead band": dead_band,
-    "drifting offset": lambda of: noise.drifting_offset(of.seen.time_s)[:, None],
+    "drifting offset": lambda of: error_kinds.drifting_offset(of.seen.time_s)[:, None],
     "heat 1 min late": partial(late_heat, minutes=1.0),
     "heat 10 min late": partial(late_heat, minutes=10.0),
-    "heavy tails": lambda of: of.level * noise.heavy_tailed(of.generator, of.white().shape),
+    "heavy tails": lambda of: of.level * error_kinds.heavy_tailed(of.generator, of.white().shape),
     "wander": wander,
     RECORDED: as_recorded,
 }

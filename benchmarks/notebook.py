@@ -31,7 +31,7 @@ from leakage import FrameFit, fit_frame, total_flow_l_per_min
 from leakage.estimation.model_verdict import model_verdict
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from leakage.estimation.validation import agreement
-from leakage.frame.result import PARTS
+from leakage.frame.words import PARTS
 from pipeline.clock import latest_us
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.config.nights import night

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.error_kinds import night_wander
 from benchmarks.night_kinds import NIGHTS_A_DUTY, Kind, SimulatedNights, figures
 from benchmarks.simulated_nights import REFERENCE
 from leakage import regressors
@@ -20,7 +21,6 @@ from leakage.estimation.block_statistics import merge
 from leakage.estimation.certificate import certify
 from leakage.estimation.multi_start import Parametrisation
 from pipeline.arrays import Array
-from pipeline.demo.noise import night_wander
 
 DUTIES = 100
 # A motor is not quite the same every night: relative scatter of each K, as in the demo.

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.error_kinds import lagging
 from leakage import Motor, OperatingConditions, regressors
 from leakage.estimation.multi_start import Parametrisation
 from pipeline.arrays import Array
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import FlushingTable
-from pipeline.demo.noise import lagging
 
 CONFIGS = Path(__file__).parent.parent / "configs"
 RATE_HZ = 10.0

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.error_kinds import heavy_tailed, night_wander, warm_up
 from benchmarks.results_file import Part, description, median_and_late, write_parts
 from leakage.course.step_detection import (
     BlockErrors,
@@ -26,7 +27,7 @@ from leakage.course.step_detection import (
     limit_of_maxima,
 )
 from pipeline.arrays import Array
-from pipeline.demo.noise import autoregression, heavy_tailed, night_wander, phi_of, warm_up
+from pipeline.demo.noise import autoregression, phi_of
 
 Draw = Callable[[np.random.Generator, int], Array]
 

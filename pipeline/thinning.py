@@ -38,11 +38,21 @@ def keep_extremes(columns: Sequence[ArrayLike], points: int) -> NDArray[np.int64
     borders = np.linspace(0, n, n_bins + 1).round().astype(np.int64).tolist()
     kept = [0, n - 1]
     for curve in curves:
-        low = high = curve
-        # The smallest is nan where any is, without a mask of all.
-        if np.isnan(curve.min()):
+        found = _extremes(curve, curve, borders)
+        # What is missing would be the smallest and the largest of its bin.
+        if np.isnan(curve[found]).any():
             missing = np.isnan(curve)
-            low, high = np.where(missing, np.inf, curve), np.where(missing, -np.inf, curve)
-        for begin, end in pairwise(borders):
-            kept += (begin + low[begin:end].argmin(), begin + high[begin:end].argmax())
+            low, high = (np.where(missing, limit, curve) for limit in (np.inf, -np.inf))
+            found = _extremes(low, high, borders)
+        kept += found
     return np.unique(kept)
+
+
+def _extremes(
+    low: NDArray[np.float64], high: NDArray[np.float64], borders: Sequence[int]
+) -> list[int]:
+    """Place of the smallest of one series and the largest of another in each bin."""
+    found: list[int] = []
+    for begin, end in pairwise(borders):
+        found += (begin + int(low[begin:end].argmin()), begin + int(high[begin:end].argmax()))
+    return found

@@ -17,10 +17,12 @@ import duckdb
 import polars as pl
 import pyarrow as pa
 
+from pipeline.messages import counted
+
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "queries.md"
 ENGINES = ("DuckDB", "Polars", "pandas")
 ANSWER = "On the demo:"
-MOST_ROWS = 8
+MOST_ROWS = 4
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,9 @@ def _shown(rows: pl.DataFrame) -> str:
     lines += [[_cell(value) for value in row] for row in rows.head(MOST_ROWS).iter_rows()]
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     more = rows.height - MOST_ROWS
-    return f"{ANSWER}\n\n{table}\n" + (f"\n… and {more} more rows.\n" if more > 0 else "")
+    return f"{ANSWER}\n\n{table}\n" + (
+        f"\n… and {counted(more, 'more row')}.\n" if more > 0 else ""
+    )
 
 
 def _cell(value: object) -> str:

@@ -28,9 +28,6 @@ from leakage.errors import StatisticsError
 
 Array = NDArray[np.float64]
 
-# Numbers that are decomposed at a time: more would leave the cache.
-BATCH_NUMBERS = 1 << 16
-
 
 @dataclass(frozen=True, slots=True)
 class FlowSummary:
@@ -81,7 +78,7 @@ def factor(z: Array) -> Array:
 
 
 def factors(z: Array, borders: NDArray[np.int64]) -> Array:
-    """Triangular factors of consecutive blocks of samples, in one batched decomposition.
+    """Triangular factors of consecutive blocks of samples.
 
     Parameters
     ----------
@@ -100,27 +97,20 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
     StatisticsError
         If `z` is no matrix or holds a value that is not finite.
     """
+    # Loaded with the first samples: commands that read tables alone do without it.
+    from scipy.linalg.lapack import dgeqrf
+
     z = np.asarray(z, dtype=np.float64)
     if z.ndim != 2:
         raise StatisticsError("shape", f"samples must be a matrix, not of shape {z.shape}")
-    sizes = np.diff(borders)
     columns = z.shape[1]
-    # Rows of zeros change no factor: blocks of unequal size share one batched call.
-    rows = max(int(sizes.max(initial=0)), columns)
-    found = np.empty((len(sizes), columns, columns))
-    step = max(1, BATCH_NUMBERS // (rows * columns))
-    for first in range(0, len(sizes), step):
-        batch = slice(first, first + step)
-        if step == 1 and sizes[first] >= columns:
-            # A block that fills the cache is decomposed where it lies.
-            found[first] = _triangular(z[None, borders[first] : borders[first + 1]])
-            continue
-        padded = np.zeros((len(sizes[batch]), columns, rows))
-        for block, begin, size in zip(padded, borders[:-1][batch], sizes[batch], strict=True):
-            block[:, :size] = z.T[:, begin : begin + size]
-        found[batch] = _triangular(padded.transpose(0, 2, 1))
+    found = np.zeros((len(borders) - 1, columns, columns))
+    for one, begin, end in zip(found, borders[:-1], borders[1:], strict=True):
+        if begin < end:
+            r = dgeqrf(z[begin:end])[0][:columns]
+            one[: len(r)] = r
     _require_finite("samples", found)
-    return found
+    return _positive(found)
 
 
 def merge(factors_in_time_order: Array) -> Array:
@@ -208,11 +198,15 @@ def _require_finite(what: str, values: Array) -> None:
 
 
 def _triangular(stacked: Array) -> Array:
-    """R of each matrix of a stack, with the signs that QR leaves open made positive."""
-    r: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
-    signs = np.where(np.diagonal(r, axis1=1, axis2=2) < 0, -1.0, 1.0)
+    """R of each matrix of a stack."""
+    return _positive(np.asarray(np.linalg.qr(stacked, mode="r")))
+
+
+def _positive(decomposed: Array) -> Array:
+    """Upper triangles, with the signs that QR leaves open made positive."""
+    signs = np.where(np.diagonal(decomposed, axis1=1, axis2=2) < 0, -1.0, 1.0)
     # Adding 0 turns -0 into 0: the same statistics have the same bytes.
-    result: Array = r * signs[:, :, None] + 0.0
+    result: Array = np.triu(decomposed) * signs[:, :, None] + 0.0
     return result
 
 

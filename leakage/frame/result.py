@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import narwhals as nw
 import numpy as np
@@ -30,11 +30,11 @@ from leakage.estimation.model_verdict import (
 )
 from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
-from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
+from leakage.estimation.sample_blocks import SECOND_US
 from leakage.estimation.sensitivities import ErrorBudget, error_budget
 from leakage.estimation.validation import Agreement, agreement
 from leakage.frame.samples import FrameSamples, read_samples
-from leakage.frame.words import Summary, Words, explanation, short_form, summary
+from leakage.frame.words import Part, Summary, explanation, short_form, summary
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors
 from leakage.physics.paths import LeakagePath
@@ -44,9 +44,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
-Part = Literal["training", "validation"]
-
-PARTS: tuple[Part, Part] = ("training", "validation")
 # Samples that carry the stated tolerances.
 THINNED = 1500
 
@@ -281,34 +278,19 @@ class FrameFit:
             )
         return self._tests[part]
 
-    def _words(self) -> Words:
-        return Words(
-            self.motor.motor_type,
-            self.columns(),
-            self.structured,
-            {TRAINING: self.training, VALIDATION: self.validation},
-            {part: self.residual_tests(part) for part in PARTS if (self.parts == part).any()},
-            int(self.used.sum()),
-            len(self.samples.kept) - int(self.samples.kept.sum()),
-            self.samples.time_us[self.used][[0, -1]],
-            self.samples.on_clock,
-            self.identification.slow.memory_s(self.block_s),
-            self.blocks.excitation,
-        )
-
     def summary(self) -> Summary:
         """Summary: warnings first, then estimates with intervals and verdicts, then the fit."""
-        return summary(self._words())
+        return summary(self)
 
     def explain(self) -> str:
         """Explanation of the fit in sentences."""
-        return explanation(self._words())
+        return explanation(self)
 
     def _repr_html_(self) -> str:
         return self.summary()._repr_html_()
 
     def __repr__(self) -> str:
-        return short_form(self.motor.motor_type, self.columns(), self.training, self.validation)
+        return short_form(self)
 
     def columns(self) -> dict[str, list[Any]]:
         """Estimates as columns, one row a coefficient."""

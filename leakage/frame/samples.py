@@ -37,32 +37,18 @@ QUANTITIES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameSamples:
-    """Complete samples of a motor in time order.
+    """Complete samples of a motor in time order, n of them."""
 
-    Attributes
-    ----------
-    time_us
-        Since 1970 in UTC, or since where the seconds of the frame count from, shape (n,) [µs].
-    on_clock
-        True if the times are dates.
-    pressure_bar, oil_temperature_c, speed_rpm
-        Shape (n,); pressure and speed without their sign.
-    flow_l_per_min
-        Measured drain flow, shape (n,); None where it is not needed.
-    charge_over_case_bar
-        Charge above case pressure, shape (n,); None: one-sided leakage.
-    kept
-        Mask of the rows of the frame that are complete, shape (rows,).
-    """
-
+    # Since 1970 in UTC, or since where the seconds of the frame count from, [µs].
     time_us: NDArray[np.int64]
-    on_clock: bool
+    on_clock: bool  # the times are dates
+    # pressure_bar, speed_rpm: without their sign.
     pressure_bar: Array
     oil_temperature_c: Array
     speed_rpm: Array
-    flow_l_per_min: Array | None
-    charge_over_case_bar: Array | None
-    kept: NDArray[np.bool_]
+    flow_l_per_min: Array | None  # measured drain flow; None where it is not needed
+    charge_over_case_bar: Array | None  # charge above case pressure; None: one-sided leakage
+    kept: NDArray[np.bool_]  # rows of the frame that are complete, shape (rows,)
 
     @property
     def conditions(self) -> OperatingConditions:
@@ -154,32 +140,7 @@ class FrameSamples:
 def read_samples(
     frame: Any, columns: Mapping[str, str] | None = None, *, with_flow: bool = True
 ) -> FrameSamples:
-    """The complete samples of a frame.
-
-    Parameters
-    ----------
-    frame
-        A frame of pandas, Polars, PyArrow or any other that narwhals knows, or arrays by name:
-        ``time`` (dates, naive ones in UTC, or seconds), ``pressure_bar``, ``oil_temperature_c``,
-        ``speed_rpm``, ``leakage_l_per_min``, and ``charge_over_case_bar`` for two-sided leakage.
-    columns
-        Other names of these columns in the frame, by the names above.
-    with_flow
-        Read the measured flow.
-
-    Returns
-    -------
-    FrameSamples
-        Rows in which a value is missing or not finite are left out.
-
-    Raises
-    ------
-    ShapeError
-        If a column is missing (``column_missing``), is in another unit by its name
-        (``column_unit``), holds no numbers (``column_type``), or lengths differ (``shape``).
-    StatisticsError
-        If times fall or repeat (``time_order``), or no row is complete (``no_samples``).
-    """
+    """The complete samples of a frame; its columns and errors are those of `fit_frame`."""
     table = FrameTable(frame, columns or {})
     time_us, on_clock = table.times()
     values = {name: table.numbers(name) for name in (*INPUTS, FLOW)[: 3 + with_flow]}

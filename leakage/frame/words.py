@@ -6,40 +6,19 @@ import datetime as dt
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from leakage.estimation.identifiability import Excitation
-from leakage.estimation.model_verdict import StructuredMisfit, model_verdict, verdict_in_words
-from leakage.estimation.residual_analysis import ResidualAnalysis
+from leakage.estimation.model_verdict import model_verdict, verdict_in_words
 from leakage.estimation.validation import Agreement, is_poor
 
+if TYPE_CHECKING:
+    from leakage.frame.result import FrameFit
+
+Part = Literal["training", "validation"]
+
+PARTS: tuple[Part, Part] = ("training", "validation")
 IN_WORDS = {"m3": "m³", "l_per_min": "l/min", "1": ""}
 HEADINGS = ("coefficient", "value", "unit", "95 % interval", "total ±", "verdict")
-
-
-@dataclass(frozen=True, slots=True)
-class Words:
-    """The figures of a fit that words are made of."""
-
-    motor_type: str
-    columns: Mapping[str, list[Any]]
-    structured: StructuredMisfit | None
-    agreements: Mapping[str, Agreement]
-    tests: Mapping[str, ResidualAnalysis]
-    n: int
-    n_left_out: int
-    ends_us: NDArray[np.int64]
-    on_clock: bool
-    memory_s: float
-    excitation: Excitation
-
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """The coefficients, one after the other."""
-        for values in zip(*self.columns.values(), strict=True):
-            yield dict(zip(self.columns, values, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,65 +78,72 @@ class Summary:
         )
 
 
-def summary(words: Words) -> Summary:
+def summary(fit: FrameFit) -> Summary:
     """Summary of a fit."""
     return Summary(
-        f"{words.motor_type}: {words.n} samples, {_span(words)}",
-        tuple(_warnings(words)),
-        (HEADINGS, *(_row(row) for row in words.rows())),
-        (*_fits(words), *_residuals(words), _model(words)),
+        f"{fit.motor.motor_type}: {fit.used.sum()} samples, {_span(fit)}",
+        tuple(_warnings(fit)),
+        (HEADINGS, *map(_row, _coefficients(fit))),
+        (*_fits(fit), *_residuals(fit), _model(fit)),
     )
 
 
-def explanation(words: Words) -> str:
+def explanation(fit: FrameFit) -> str:
     """Explanation of a fit: the answer first, then what it rests on."""
-    seen = words.excitation
+    seen = fit.blocks.excitation
     lines = [
-        f"{words.motor_type}: fitted to {words.n} samples, {_span(words)}",
+        f"{fit.motor.motor_type}: fitted to {fit.used.sum()} samples, {_span(fit)}",
         f"seen: {_range(seen.pressure_bar)} bar, {_range(seen.temperature_c)} °C, "
         f"{_range(seen.speed_rpm)} rpm",
         "",
         "Paths",
     ]
-    for row in words.rows():
+    for row in _coefficients(fit):
         text = f"  {row['parameter']}: {row['verdict'].replace('_', ' ')}"
         if row["lower"] is not None:
             unit = IN_WORDS.get(row["unit"], row["unit"])
             text += f", {row['value']:.4g} [{row['lower']:.4g}, {row['upper']:.4g}] {unit}".rstrip()
         lines.append(f"{text}; {row['reason']}" if row["reason"] else text)
-    lines += ["", "Fit", *(f"  {line}" for line in (*_fits(words), _model(words)))]
-    lines += ["", "Errors of the fit", *(f"  {line}" for line in _residuals(words))]
-    if words.memory_s:
-        lines.append(
-            f"  errors remember about {words.memory_s / 60:.0f} minutes; intervals are wider"
-        )
+    lines += ["", "Fit", *(f"  {line}" for line in (*_fits(fit), _model(fit)))]
+    lines += ["", "Errors of the fit", *(f"  {line}" for line in _residuals(fit))]
+    if memory_s := fit.identification.slow.memory_s(fit.block_s):
+        lines.append(f"  errors remember about {memory_s / 60:.0f} minutes; intervals are wider")
     return "\n".join(lines)
 
 
-def short_form(
-    motor_type: str, columns: Mapping[str, list[Any]], training: Agreement, validation: Agreement
-) -> str:
+def short_form(fit: FrameFit) -> str:
     """One line that tells a fit from another."""
-    verdicts = columns["verdict"]
+    verdicts = [one.verdict for one in fit.judgements.values()]
     return (
-        f"<FrameFit {motor_type}: {verdicts.count('identified')} of {len(verdicts)} identified, "
-        f"training {_percent(training)}, validation {_percent(validation)}>"
+        f"<FrameFit {fit.motor.motor_type}: "
+        f"{verdicts.count('identified')} of {len(verdicts)} identified, "
+        f"training {_percent(fit.training)}, validation {_percent(fit.validation)}>"
     )
 
 
-def _warnings(words: Words) -> Iterator[str]:
-    if words.n_left_out:
-        yield f"{words.n_left_out} rows lack a value and are left out"
-    for row in words.rows():
+def _coefficients(fit: FrameFit) -> list[dict[str, Any]]:
+    """Rows of `FrameFit.columns`."""
+    columns = fit.columns()
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def _agreements(fit: FrameFit) -> dict[str, Agreement]:
+    return dict(zip(PARTS, (fit.training, fit.validation), strict=True))
+
+
+def _warnings(fit: FrameFit) -> Iterator[str]:
+    if n_left_out := (~fit.samples.kept).sum():
+        yield f"{n_left_out} rows lack a value and are left out"
+    for row in _coefficients(fit):
         if row["verdict"] not in ("identified", "fixed"):
             yield f"{row['parameter']}: {row['verdict'].replace('_', ' ')}: {row['reason']}"
-    for part, judged in words.agreements.items():
+    for part, judged in _agreements(fit).items():
         if is_poor(judged.fit_percent):
             yield f"{part}: the model is worse than a constant flow"
-    if not words.agreements["validation"].n:
+    if not fit.validation.n:
         yield "no samples validate this fit"
-    if words.structured is not None and model_verdict(words.structured) == "disproved":
-        yield f"the model is disproved: {verdict_in_words(words.structured)}"
+    if fit.structured is not None and model_verdict(fit.structured) == "disproved":
+        yield f"the model is disproved: {verdict_in_words(fit.structured)}"
 
 
 def _row(row: Mapping[str, Any]) -> tuple[str, ...]:
@@ -172,8 +158,8 @@ def _row(row: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _fits(words: Words) -> Iterator[str]:
-    for part, judged in words.agreements.items():
+def _fits(fit: FrameFit) -> Iterator[str]:
+    for part, judged in _agreements(fit).items():
         if judged.n:
             yield (
                 f"{part}: fit {_percent(judged)}, rmse {judged.rmse_l_per_min:.3g} l/min, mean "
@@ -181,8 +167,11 @@ def _fits(words: Words) -> Iterator[str]:
             )
 
 
-def _residuals(words: Words) -> Iterator[str]:
-    for part, found in words.tests.items():
+def _residuals(fit: FrameFit) -> Iterator[str]:
+    for part in PARTS:
+        if not (fit.parts == part).any():
+            continue
+        found = fit.residual_tests(part)
         failed = [
             f"{name.replace('_', ' ')}"
             for name, test in found.independence.items()
@@ -196,14 +185,14 @@ def _residuals(words: Words) -> Iterator[str]:
         yield f"errors of {part}: {white}, {related}"
 
 
-def _model(words: Words) -> str:
-    if words.structured is None:
+def _model(fit: FrameFit) -> str:
+    if fit.structured is None:
         return "model: too few blocks to judge it"
-    verdict = model_verdict(words.structured)
+    verdict = model_verdict(fit.structured)
     if verdict is None:
-        noise = 100 * words.structured.noise_share
+        noise = 100 * fit.structured.noise_share
         return f"model: these samples cannot tell; noise alone looks like a misfit of {noise:.1f} %"
-    return f"model: {verdict}: {verdict_in_words(words.structured)}"
+    return f"model: {verdict}: {verdict_in_words(fit.structured)}"
 
 
 def _percent(judged: Agreement) -> str:
@@ -214,9 +203,9 @@ def _range(ends: tuple[float, float]) -> str:
     return f"{ends[0]:.0f} to {ends[1]:.0f}"
 
 
-def _span(words: Words) -> str:
-    first, last = words.ends_us.tolist()
-    if not words.on_clock:
+def _span(fit: FrameFit) -> str:
+    first, last = fit.samples.time_us[fit.used][[0, -1]].tolist()
+    if not fit.samples.on_clock:
         return f"{first / 1e6:.0f} to {last / 1e6:.0f} s"
     epoch = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
     begin, end = (epoch + dt.timedelta(microseconds=at) for at in (first, last))

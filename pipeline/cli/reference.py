@@ -42,38 +42,13 @@ from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit
 
 Schema = Mapping[str, Any]
 
-EXAMPLE: Final = Path(__file__).resolve().parents[2] / "docs" / "example"
 NOTE: Final = "<!-- Made by `make docs` from the code; edit that, not this page. -->"
 FILES: Final[Mapping[str, type[Section]]] = {
     "fleet.toml": FleetFile,
-    "motor_types/CB560.toml": MotorTypeFile,
-    "oils/vg68.toml": OilFile,
-    "motors/CB560-07.toml": MotorFile,
-    "oil_circuits/mill 1.toml": OilCircuitFile,
-}
-# Endings of keys and what they stand for; the first that fits counts, so the longer come first.
-UNIT_ENDINGS: Final[Mapping[str, str]] = {
-    "_mg_per_kg": "mg/kg",
-    "_kg_per_m3": "kg/m³",
-    "_mm2_per_s": "mm²/s",
-    "_bar_per_s": "bar/s",
-    "_rpm_per_s": "rpm/s",
-    "_l_per_min": "l/min",
-    "_mpa_s": "mPa·s",
-    "_per_pa": "1/Pa",
-    "_per_k": "1/K",
-    "_minutes": "min",
-    "_percent": "%",
-    "_bar": "bar",
-    "_rpm": "rpm",
-    "_hz": "Hz",
-    "_cm3": "cm³",
-    "_mm": "mm",
-    "_um": "µm",
-    "_m3": "m³",
-    "_c": "°C",
-    "_m": "m",
-    "_s": "s",
+    "motor_types/<name>.toml": MotorTypeFile,
+    "oils/<name>.toml": OilFile,
+    "motors/<name>.toml": MotorFile,
+    "oil_circuits/<name>.toml": OilCircuitFile,
 }
 LIMITS: Final[Mapping[str, str]] = {
     "minimum": ">=",
@@ -121,20 +96,17 @@ def config_reference() -> str:
         "# Config files",
         NOTE,
         "Config is TOML. A fleet file names the folders in which motors, motor types, oils and oil "
-        "circuits lie, "
-        "one file each; a file's name without its ending is the name by which others call it. "
-        "A key that is not listed here is an error, and so is a value of another type. "
-        "`motor-leakage check` reports every fault of every file at once.",
-        "The examples on this page make up one complete fleet; it lies in `docs/example/`.",
+        "circuits lie, one file each; a file's name without its ending is the name by which others "
+        "call it. A key that is not listed here is an error, and so is a value of another type; "
+        "the end of a key's name is its unit. `motor-leakage check` reports every fault of every "
+        "file at once.",
+        "A whole fleet as an example lies in [docs/example/](example/fleet.toml).",
     ]
     for file, model in FILES.items():
         schema = model.model_json_schema(schema_generator=WithMeanings)
-        folder, _, _ = file.rpartition("/")
-        lines += [f"## `{folder + '/<name>.toml' if folder else file}`", *_model_lines(schema)]
+        lines += [f"## `{file}`", *_model_lines(schema)]
         if model is MotorFile:
             lines += [*_channel_lines(), *_override_lines()]
-        example = (EXAMPLE / file).read_text("utf-8")
-        lines += ["### Example", f"`docs/example/{file}`:", f"```toml\n{example}```"]
     return "\n\n".join(lines) + "\n"
 
 
@@ -165,15 +137,9 @@ def table_reference() -> str:
             f"One row is {table.row}. Key: {', '.join(f'`{name}`' for name in table.key)}. "
             f"File: `{_place(table)}`.",
             _grid(
-                ("Column", "Key", "Type", "Unit", "Meaning"),
+                ("Column", "Type", "Unit", "Meaning"),
                 (
-                    (
-                        f"`{row['column']}`",
-                        "yes" if row["in_key"] else "",
-                        row["type"],
-                        row["unit"],
-                        row["description"],
-                    )
+                    (f"`{row['column']}`", _short(row["type"]), row["unit"], row["description"])
                     for row in rows
                 ),
             ),
@@ -203,6 +169,11 @@ def _place(table: Table) -> str:
     if table is LOOKS:
         name = "looks-<day>"
     return f"{folder}/month=YYYY-MM/{name}.parquet"
+
+
+def _short(kind: str) -> str:
+    """A column's type; all times are of one kind."""
+    return "Datetime" if kind.startswith("Datetime") else kind
 
 
 def _grid(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -243,23 +214,20 @@ def _tables(name: str, field: Schema, root: Schema) -> Iterator[tuple[str, str, 
 
 
 def _key_grid(part: Schema, root: Schema, prefix: str = "") -> str:
-    return _grid(("Key", "Type", "Default", "Unit", "Meaning"), _key_rows(part, root, prefix))
+    return _grid(("Key", "Type", "Default", "Meaning"), _key_rows(part, root, prefix))
 
 
-def _key_rows(part: Schema, root: Schema, prefix: str, unit: str = "") -> Iterator[Sequence[str]]:
+def _key_rows(part: Schema, root: Schema, prefix: str) -> Iterator[Sequence[str]]:
     for name, field in _fields(part).items():
         target = _resolved(field, root)
-        own = next((unit for end, unit in UNIT_ENDINGS.items() if name.endswith(end)), unit)
-        counts = target.get("type") in ("number", "array")
         yield (
             f"`{prefix}{name}`",
             _kind(target, root),
             "required" if name in part.get("required", ()) else _default(field, target),
-            own if counts else "",
             _paragraph(field.get("description") or target["description"]),
         )
         if "properties" in target:
-            yield from _key_rows(target, root, f"{prefix}{name}.", own)
+            yield from _key_rows(target, root, f"{prefix}{name}.")
 
 
 def _kind(field: Schema, root: Schema) -> str:

@@ -47,9 +47,10 @@ def write_demo(
     """
     plan = Plan(nights, float(minutes), float(rate_hz), seed, first_night, float(slow_errors_min))
     _check_arguments(plan, workers)
+    demo = folder / "demo"
     try:
+        _require_ours(demo)
         demo_nights = _demo_nights(demo_config(folder), plan)
-        demo = folder / "demo"
         _clear(demo)
         _write_logs(demo / "logs", demo_nights, workers)
         document = truth_document(plan, demo_nights)
@@ -102,14 +103,18 @@ def demo_config(folder: Path) -> Path:
     return configs / "fleet.toml"
 
 
-def _clear(demo: Path) -> None:
-    """Make the demo's folder ready; refuse one that may hold something of somebody's."""
+def _require_ours(demo: Path) -> None:
+    """Refuse a folder that may hold something of somebody's."""
     is_free = not demo.exists() or (demo.is_dir() and not any(demo.iterdir()))
     if not is_free and not (demo / MARKER).is_file():
         raise UsageError(
             "demo_folder",
             f"{demo} is neither empty nor a demo; move it away, or name another folder",
         )
+
+
+def _clear(demo: Path) -> None:
+    """Make the demo's folder ready: an earlier demo's logs go."""
     demo.mkdir(parents=True, exist_ok=True)
     # The marker comes first: a demo that was interrupted can be made again.
     _write_text(demo / MARKER, "`motor-leakage demo` made this folder and may replace its logs\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -203,18 +204,15 @@ def without_rows_of_others(
     by_column = {columns[name]: channel.missing for name, channel in channels.items()}
     if len(by_column) < 2 or not any(missing.any() for missing in by_column.values()):
         return dict(channels)
-    readings = np.zeros(next(iter(by_column.values())).size, dtype=np.int16)
-    for missing in by_column.values():
-        readings += ~missing
-    one_a_row = readings == 1
     apart: dict[str, RawChannel] = {}
     for name, channel in channels.items():
         told = ~channel.missing
-        alone = 2 * np.count_nonzero(one_a_row & told) > np.count_nonzero(told)
+        others = (missing for column, missing in by_column.items() if column != columns[name])
+        alone = reduce(np.logical_and, others, told)
         # What a row says of a reading's quality counts though the reading is blank.
-        if channel.bad_quality is not None:
-            told |= channel.bad_quality
-        apart[name] = _frozen(channel.rows(told)) if alone else channel
+        rows = told if channel.bad_quality is None else told | channel.bad_quality
+        stands_alone = 2 * np.count_nonzero(alone) > np.count_nonzero(told)
+        apart[name] = _frozen(channel.rows(rows)) if stands_alone else channel
     return apart
 
 

@@ -214,13 +214,13 @@ def written_as_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
     unit = stamps.type.unit
     if unit == "ns":
         return WrittenStamps(counts // 1000, _kinds(readable, kind))
+    if unit == "us":
+        return WrittenStamps(counts, _kinds(readable, kind))
     per_unit = EPOCH_UNITS[f"epoch_{unit}"]
     latest = LATEST_US // per_unit
-    if counts.size and (counts.min() <= -latest or counts.max() >= latest):
-        fits = (-latest < counts) & (counts < latest)
-        counts, readable = np.where(fits, counts, 0), readable & fits
-    time_us = counts if per_unit == 1 else counts * per_unit
-    return WrittenStamps(time_us, _kinds(readable, kind))
+    fits = (-latest < counts) & (counts < latest)  # beyond, microseconds may overflow
+    time_us = np.where(fits, counts, 0) * per_unit
+    return WrittenStamps(time_us, _kinds(readable & fits, kind))
 
 
 def _from_iso8601_cell_by_cell(texts: list[str | None]) -> WrittenStamps:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,13 +45,16 @@ def fit_modes(
 
 
 def with_residuals(
-    spec: MotorSpec, statistics: NightStatistics, modes: tuple[BlockFit, ...]
+    spec: MotorSpec,
+    statistics: NightStatistics,
+    modes: tuple[BlockFit, ...],
+    errors: Sequence[Array],
 ) -> tuple[BlockFit, ...]:
     """Fits with the memory of their errors, and the analyses of what they leave unexplained."""
     smoothing, fits = spec.settings.smoothing, []
-    for mode in modes:
+    for mode, error in zip(modes, errors, strict=True):
         theta = mode.stated.training.coefficients
-        memory_s, residuals = night_residuals(statistics, theta, smoothing)
+        memory_s, residuals = night_residuals(statistics, theta, error, smoothing)
         fits.append(replace(mode, memory_s=memory_s, residuals=residuals))
     return tuple(fits)
 

@@ -121,10 +121,13 @@ def fit_night(
             statistics = statistics.with_viscosity(blocks.viscosity_ratios, motor.columns)
             modes, sensitivities = fit_modes(spec, night.date, statistics, blocks)
         with _timed(seconds, "residuals_s"):
-            modes = with_residuals(spec, statistics, modes)
+            errors = [statistics.error_of(one.stated.training.coefficients) for one in modes]
+            modes = with_residuals(spec, statistics, modes, errors)
         with _timed(seconds, "fit_s"):
             rows |= fit_rows(spec, night.date, statistics, modes, sensitivities, previous)
-            rows["predictions"] = prediction_rows(spec.motor_id, night.date, statistics, modes)
+            rows["predictions"] = prediction_rows(
+                spec.motor_id, night.date, statistics, modes, errors[0]
+            )
     except Insufficient as outcome:
         return unfitted(
             spec,

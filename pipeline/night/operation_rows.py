@@ -99,17 +99,13 @@ def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
     >>> coarse_histogram(np.array([-3.0, 1.0, 2.5, 99.0]), (0.0, 2.0, 4.0))
     [2, 2]
     """
-    pieces = (values[begin : begin + NEIGHBOURS] for begin in range(0, len(values), NEIGHBOURS))
-    counted = (histogram_between(one, one.min(), one.max(), edges) for one in pieces)
-    return [sum(counts) for counts in zip([0] * (len(edges) - 1), *counted, strict=True)]
-
-
-def histogram_between(
-    values: Array, lowest: float, highest: float, edges: tuple[float, ...]
-) -> list[int]:
-    """The same of values whose limits are known: only edges between these are counted at."""
     last = len(edges) - 1
-    split, full = (bisect_right(edges, limit, 1, last) for limit in (lowest, highest))
-    between = (int(np.count_nonzero(values < edge)) for edge in edges[split:full])
-    below = [0] * split + [*between] + [len(values)] * (last + 1 - full)
-    return [end - start for start, end in pairwise(below)]
+    counts = [0] * last
+    for begin in range(0, len(values), NEIGHBOURS):
+        piece = values[begin : begin + NEIGHBOURS]
+        # Only edges between its limits part it.
+        split, full = (bisect_right(edges, one, 1, last) for one in (piece.min(), piece.max()))
+        between = (int(np.count_nonzero(piece < edge)) for edge in edges[split:full])
+        for place, (below, upto) in enumerate(pairwise((0, *between, len(piece))), split - 1):
+            counts[place] += upto - below
+    return counts

@@ -32,18 +32,18 @@ class PartResiduals:
 
 
 def night_residuals(
-    statistics: NightStatistics, coefficients: Array, smoothing: Smoothing
+    statistics: NightStatistics, coefficients: Array, fitted_error: Array, smoothing: Smoothing
 ) -> tuple[float, tuple[PartResiduals, ...]]:
     """Memory of the training errors [s], and residual analyses of training and validation.
 
-    The analyses are of unsmoothed columns and, if the fit's were smoothed, of those after them.
+    `fitted_error` has the errors of the fit's columns. The analyses are of unsmoothed columns and,
+    if the fit's were smoothed, of those after them.
     """
     samples = statistics.samples
     parts = {part: chosen_rows(statistics.rows_of(part)) for part in (TRAINING, VALIDATION)}
     flow = samples.leakage_l_per_min
     rounding = ROUNDING * float(max(flow.max(), -flow.min()))
     period_s, training = samples.period_us / 1e6, parts[TRAINING]
-    fitted_error = statistics.error_of(coefficients)
     memory = memory_s(fitted_error[training], samples.index[training], period_s, rounding)
     driving = statistics.conditions
     inputs = [

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from leakage import Motor
 from leakage.physics.motor import speed_beyond_curve
 from pipeline.clock import utc
 from pipeline.night.block_fit import BlockFit
-from pipeline.night.operation_rows import histogram_between
+from pipeline.night.operation_rows import coarse_histogram
 from pipeline.night.statistics import NightStatistics
 from pipeline.night.time_base import Quality
 from pipeline.night.viscosity import SensorRatio
@@ -68,12 +69,13 @@ def statistics_rows(
         ],
         "short_means": statistics.short_means,
     }
-    for name, unit, values, edges in (
-        ("pressure", "bar", np.abs(samples.pressure_difference_bar), PRESSURE_EDGES_BAR),
-        ("temperature", "c", samples.oil_temperature_c, TEMPERATURE_EDGES_C),
-        ("speed", "rpm", speed, SPEED_EDGES_RPM),
+    pressure, temperature = samples.pressure_difference_bar, samples.oil_temperature_c
+    for name, unit, parts, edges in (
+        ("pressure", "bar", (np.abs(pressure[one]) for one in rows), PRESSURE_EDGES_BAR),
+        ("temperature", "c", (temperature[one] for one in rows), TEMPERATURE_EDGES_C),
+        ("speed", "rpm", (speed[one] for one in rows), SPEED_EDGES_RPM),
     ):
-        columns |= _spread(name, unit, values, rows, edges)
+        columns |= _spread(name, unit, parts, edges)
     # Only where the slowest or the fastest sample is beyond the curve can others be.
     slowest, fastest = (
         speed_beyond_curve(motor, columns[f"{limit}_speed_rpm"]) for limit in ("minimum", "maximum")
@@ -95,39 +97,40 @@ def statistics_rows(
 
 def _rows(columns: Columns, shared: Mapping[str, Any]) -> list[Row]:
     """Rows of columns, and of values that all rows share."""
-    return [
-        {**shared, **dict(zip(columns, values, strict=True))}
-        for values in zip(*columns.values(), strict=True)
-    ]
+    n = len(next(iter(columns.values())))
+    every = {name: repeat(value, n) for name, value in shared.items()} | columns
+    return [dict(zip(every, values, strict=True)) for values in zip(*every.values(), strict=True)]
 
 
-def _spread(
-    name: str, unit: str, values: Array, rows: Sequence[slice], edges: tuple[float, ...]
-) -> Columns:
+def _spread(name: str, unit: str, parts: Iterable[Array], edges: tuple[float, ...]) -> Columns:
     """Means, limits and coarse histograms of a channel by block."""
-    first_rows = [one.start for one in rows]
-    lowest, highest = (
-        limit.reduceat(values, first_rows).tolist() for limit in (np.minimum, np.maximum)
-    )
-    parts = [values[one] for one in rows]
+    # Block by block: all figures of one while it is in the cache.
+    figures = [
+        (part.sum() / len(part), part.min(), part.max(), coarse_histogram(part, edges))
+        for part in parts
+    ]
+    means, lowest, highest, histograms = zip(*figures, strict=True)
     return {
-        f"mean_{name}_{unit}": [float(part.sum() / len(part)) for part in parts],
-        f"minimum_{name}_{unit}": lowest,
-        f"maximum_{name}_{unit}": highest,
-        f"{name}_histogram": [
-            histogram_between(part, low, high, edges)
-            for part, low, high in zip(parts, lowest, highest, strict=True)
-        ],
+        f"mean_{name}_{unit}": [*map(float, means)],
+        f"minimum_{name}_{unit}": [*map(float, lowest)],
+        f"maximum_{name}_{unit}": [*map(float, highest)],
+        f"{name}_histogram": histograms,
     }
 
 
 def prediction_rows(
-    motor_id: str, night: dt.date, statistics: NightStatistics, modes: Sequence[BlockFit]
+    motor_id: str,
+    night: dt.date,
+    statistics: NightStatistics,
+    modes: Sequence[BlockFit],
+    error: Array,
 ) -> list[Row]:
-    """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
+    """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted.
+
+    `error` has the errors of the first mode.
+    """
     samples, z = statistics.samples, statistics.z
     pressure, speed = np.abs(samples.pressure_difference_bar), statistics.conditions.speed_rpm
-    error = statistics.error_of(modes[0].stated.training.coefficients)
     chosen = keep_extremes([z[:, -1], error, pressure, speed], PREDICTION_POINTS)
     z = z[chosen]
     columns: Columns = {

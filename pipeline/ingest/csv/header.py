@@ -101,14 +101,12 @@ class Header:
     def _take(self, names: tuple[str, ...]) -> None:
         self.unit_rows_left = self.logs.unit_rows
         if names != self.names:
-            self.position = _positions(self.path, self.logs, names, self.wanted)
-            self.names = names
+            self.resume(names)
 
     def resume(self, names: tuple[str, ...]) -> None:
-        """Go on below a header that was read before; nothing without names."""
-        if names:
-            self.position = _positions(self.path, self.logs, names, self.wanted)
-            self.names = names
+        """Go on below a header of these names."""
+        self.position = _positions(self.path, self.logs, names, self.wanted)
+        self.names = names
 
     def is_again(self, line: bytes) -> tuple[str, ...] | None:
         """Names of a line that is a header; None: it is none."""

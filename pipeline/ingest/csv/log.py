@@ -62,7 +62,8 @@ def read_csv_piece(file: LogFile, place: Place, most_bytes: int) -> tuple[RawLog
     if not end:
         return None, place
     reader = _Reader(RawTable(file), wanted_columns(file), is_whole=False)
-    reader.header.resume(place.columns)
+    if place.columns:
+        reader.header.resume(place.columns)
     text = data[:end] if place.position else data[:end].removeprefix(codecs.BOM_UTF8)
     reader.read(Lines(repaired(text)))
     if reader.header.unit_rows_left:

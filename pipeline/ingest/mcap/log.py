@@ -9,7 +9,7 @@ format's own reader is the oracle in the tests, which list what only that lets t
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,7 +33,6 @@ from pipeline.ingest.mcap.payloads import Decoded, Decoder, Payloads, payloads_o
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
 from pipeline.ingest.quality import BLANK, quality_states
 from pipeline.ingest.time_stamps import WrittenStamps, from_epoch, placed, written_as_numbers
-from pipeline.ingest.wall_clock import TimeStamps
 
 _PIECE = 2**20
 _COST_OF_MESSAGE = 64
@@ -83,7 +82,7 @@ def read_mcap_log(file: LogFile) -> RawLog:
     path, logs, channels = file.path, file.logs, file.channels
     wanted = _wanted(channels)
     content, loss = _content(path, logs, wanted)
-    placed_stamps = [_placed(parts, logs.time_zone) for parts in content.values()]
+    placed_stamps = [placed(parts.stamps.taken(), logs.time_zone) for parts in content.values()]
     stamps, refused = judged(path, placed_stamps, _time_name(logs), file.latest_us)
     del placed_stamps
     found: dict[str, RawChannel] = {}
@@ -333,14 +332,6 @@ def _decoder(path: Path, logs: Logs, topic: str, key: _Key) -> Decoder:
     made = cdr_decoder if encoding == "cdr" else protobuf_decoder
     numbers = tuple(dict.fromkeys((*fields.readings, *qualities)))
     return made(path, topic, schema, numbers, stamp, logs.time_format)
-
-
-def _placed(parts: _Parts, zone: str) -> TimeStamps:
-    """Stamps of a topic, which gives its own up; marks that mark all alike take no memory."""
-    stamps = placed(parts.stamps.taken(), zone)
-    if not stamps.readable.all():
-        return stamps
-    return replace(stamps, readable=np.broadcast_to(np.True_, stamps.readable.shape))
 
 
 def _require_topics(path: Path, wanted: _Wanted, last: Messages) -> None:

@@ -124,7 +124,7 @@ def _batches(
     wanted = list(dict.fromkeys(".".join(place) for place in places.values()))
     _require_fewer(path, file.metadata.num_rows)
     size = _ROWS_AT_ONCE if file.metadata.num_rows <= _ROWS_AT_ONCE else _BATCH_ROWS
-    for batch in file.iter_batches(batch_size=size, columns=wanted):
+    for batch in file.iter_batches(batch_size=size, columns=wanted, use_threads=False):
         rows += batch.num_rows
         _require_fewer(path, rows)
         batch.validate(full=True)

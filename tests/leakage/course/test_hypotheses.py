@@ -12,11 +12,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks import error_kinds
 from leakage import Motor, OperatingConditions, regressors
 from leakage.course.growth import Blocks, Growth, Shift, growth
 from leakage.course.hypotheses import CommonFactor, Posterior, mean_factor, weigh
 from leakage.errors import ShapeError
-from pipeline.demo import noise
+from pipeline.demo.noise import autoregression
 from tests.leakage.made_samples import true_coefficients
 from tests.leakage.placeholders import placeholder_motor
 
@@ -56,7 +57,7 @@ def nights(n: int, change: Change, load: Load, seed: int) -> Blocks:
 
     pressure, speed = steps(*load.pressure), steps(*load.speed)
     temperature = steps(42.0, 58.0, SAMPLES // 3)
-    wander = noise.night_wander(generator, (n,))
+    wander = error_kinds.night_wander(generator, (n,))
     truth = OperatingConditions.from_bar(
         (pressure - wander.pressure_bar).T.ravel(),
         (temperature - wander.temperature_c + change.reads_low_c).T.ravel(),
@@ -64,7 +65,7 @@ def nights(n: int, change: Change, load: Load, seed: int) -> Blocks:
     )
     theta = THETA * [*(change.paths.get(name, 1.0) for name in NAMES), 1.0]
     flow = regressors(MOTOR, truth) @ np.append(theta, 1.0) / change.viscosity + change.flushing
-    errors = 0.013 * noise.autoregression(generator.standard_normal(shape), 0.9).T.ravel()
+    errors = 0.013 * autoregression(generator.standard_normal(shape), 0.9).T.ravel()
     flow *= change.gain * (1.0 + np.repeat(wander.gain, SAMPLES)) * (1.0 + errors)
     seen = OperatingConditions.from_bar(pressure.T.ravel(), temperature.T.ravel(), speed.T.ravel())
     columns = np.column_stack([regressors(MOTOR, seen), flow]).reshape(3 * n, SAMPLES // 3, -1)

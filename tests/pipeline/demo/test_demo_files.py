@@ -214,6 +214,7 @@ def test_something_else_in_the_folder_or_in_its_place_is_refused(tmp_path: Path)
     for folder in (tmp_path / "one", tmp_path):
         with refused("demo_folder", "neither empty nor a demo"):
             small_demo(folder)
+        assert not (folder / "configs").exists()
     with pytest.raises(UsageError, match="cannot be written: Not a directory"):
         small_demo(tmp_path / "demo")
     assert contents(tmp_path / "one" / "demo") == {"thesis.txt": b"mine"}

@@ -16,15 +16,13 @@ from pipeline.store import atomic_files, journals
 # All that the program writes to its output goes through these.
 DOORS = (atomic_files, journals)
 # Their calls, and how each of them fails on a disk.
-FULL = (errno.EIO, errno.ENOSPC, errno.EDQUOT)
+FULL = (errno.EIO, errno.ENOSPC)
 CALLS = dict.fromkeys(("open", "write", "pwrite", "fsync", "replace", "mkdir"), FULL)
 CALLS |= dict.fromkeys(("chmod", "fchmod", "pread", "unlink", "rmdir", "ftruncate"), (errno.EIO,))
 # `short`: a write takes half of what it is given, and what comes next finds the disk full.
 # `flipped`: what is read is not what was written. `killed`: the process dies before the call.
-Kind = Literal["EIO", "ENOSPC", "EDQUOT", "short", "flipped", "killed"]
-KINDS: tuple[Kind, ...] = ("EIO", "ENOSPC", "EDQUOT", "short", "flipped", "killed")
-# A quota that is used up fails the same calls as a disk that is full.
-QUICK_KINDS: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "EDQUOT")
+Kind = Literal["EIO", "ENOSPC", "short", "flipped", "killed"]
+KINDS: tuple[Kind, ...] = ("EIO", "ENOSPC", "short", "flipped", "killed")
 
 
 class Killed(BaseException):

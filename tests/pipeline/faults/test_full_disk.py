@@ -54,9 +54,9 @@ def test_no_room(tiny_fleet: TinyFleet, tmp_path: Path) -> None:
 @pytest.mark.full
 @pytest.mark.parametrize("how", ["tmpfs", "limit"])
 def test_more_and_more_room(tiny_fleet: TinyFleet, tmp_path: Path, how: str) -> None:
-    """Page by page until there is enough; without tmpfs, the limit byte by kibibyte is all."""
+    """Page by page until there is enough; without tmpfs, the limit on files is all."""
     how = how if way() == "tmpfs" else "limit"
-    ends = ends_of(tiny_fleet, tmp_path, how, 16 if how == "tmpfs" else 1, 1000)
+    ends = ends_of(tiny_fleet, tmp_path, how, 16 if how == "tmpfs" else 4, 1000)
     assert ends[-1] == "ok"
     assert len(ends) > 10
     sys.stdout.write(

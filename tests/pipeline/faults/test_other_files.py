@@ -21,7 +21,7 @@ from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import FITS, PARAMETERS
 from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
 from tests.pipeline.calling import contents
-from tests.pipeline.faults.disk import KINDS, QUICK_KINDS, Disk, Killed, Kind, on
+from tests.pipeline.faults.disk import KINDS, Disk, Killed, Kind, on
 from tests.pipeline.faults.fleet import ENVIRONMENT, TinyFleet, check_tables
 from tests.pipeline.simulated import NIGHT
 
@@ -82,7 +82,7 @@ def test_what_people_said_is_kept_or_they_are_told(journal: Path, kind: Kind) ->
 
 
 @DEAD
-@pytest.mark.parametrize("kind", [*QUICK_KINDS, pytest.param("EDQUOT", marks=pytest.mark.full)])
+@pytest.mark.parametrize("kind", KINDS)
 def test_an_export_is_whole_or_as_it_was(tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind) -> None:
     folder = tmp_path / "csv"
 

@@ -214,40 +214,26 @@ def test_damaged_settings_are_seen_and_written_anew(
     assert path.read_bytes() == whole
 
 
-class TestModelBefore:
-    MODEL = {"none": (1.0, 2.0)}  # noqa: RUF012 - never changed
-
-    def ledger(self, **nights: bool) -> Ledger:
-        """Nights of January by day, and whether they have a model."""
-        return Ledger(
-            nights={
-                dt.date(2026, 1, int(day[1:])): NightRecord(
-                    "ok" if fitted else "stood_still", {"none": (float(day[1:]),)} if fitted else {}
-                )
-                for day, fitted in nights.items()
-            },
-        )
-
-    def before(self, ledger: Ledger, day: int) -> float | None:
-        model = ledger.model_before(dt.date(2026, 1, day))
-        return model["none"][0] if model else None
-
-    def test_the_night_s_own_model_is_not_before_it(self) -> None:
-        assert self.before(self.ledger(d5=True), 5) is None
-
-    def test_nights_without_a_fit_are_passed_over(self) -> None:
-        ledger = self.ledger(d3=True, d4=False, d5=False)
-        assert self.before(ledger, 6) == 3
-
-    def test_later_nights_do_not_count(self) -> None:
-        assert self.before(self.ledger(d3=True, d9=True), 5) == 3
-
-    def test_the_last_one_whatever_the_order(self) -> None:
-        assert self.before(self.ledger(d4=True, d2=True, d3=True), 8) == 4
-
-    def test_none_before_the_first(self) -> None:
-        assert self.before(Ledger(), 1) is None
-        assert self.before(self.ledger(d3=True), 3) is None
+@pytest.mark.parametrize(
+    ("fitted", "without", "day", "found"),
+    [
+        ([5], [], 5, None),
+        ([3], [4, 5], 6, 3),
+        ([3, 9], [], 5, 3),
+        ([4, 2, 3], [], 8, 4),
+        ([], [], 1, None),
+        ([3], [], 3, None),
+    ],
+)
+def test_the_model_before_is_that_of_the_last_fitted_night(
+    fitted: list[int], without: list[int], day: int, found: int | None
+) -> None:
+    """Not the night's own, nor a later one's, whatever their order."""
+    models = {one: {"none": (float(one),)} for one in fitted}
+    nights = {one: NightRecord("ok", models.get(one, {})) for one in (*fitted, *without)}
+    ledger = Ledger(nights={dt.date(2026, 1, one): record for one, record in nights.items()})
+    expected = {} if found is None else models[found]
+    assert ledger.model_before(dt.date(2026, 1, day)) == expected
 
 
 @settings(max_examples=20)

@@ -116,6 +116,7 @@ def test_what_is_no_number_is_an_error_of_type(tmp_path: Path, cells: pa.Array) 
         (pa.array([T0_US // 10**6]), "epoch_s"),
         (pa.array([T0_US // 10**6], pa.uint32()), "epoch_s"),
         (pa.array([T0_US / 10**6]), "epoch_s"),
+        (pa.array([45717.25]), "excel_days"),
         (pa.array([T0_US // 1000]), "epoch_ms"),
         (pa.array([T0_US]), "epoch_us"),
         (pa.array([T0_US * 1000 + 999]), "epoch_ns"),
@@ -156,20 +157,6 @@ def test_what_is_no_time(tmp_path: Path, cells: pa.Array, time_format: str) -> N
     with pytest.raises(LogError) as raised:
         time_span(path, *source)
     assert raised.value.code == "log_time"
-
-
-def test_a_local_time_that_does_not_exist_is_an_error(tmp_path: Path) -> None:
-    night = pa.array(["2025-03-30T02:30:00"]).cast(pa.timestamp("us"))
-    path = written(tmp_path, {"time": night, "dp": [1.0]})
-    assert error(path, SOURCE.but(time_zone="Europe/Stockholm")).code == "log_time"
-
-
-def test_a_row_without_a_time_is_left_out_and_noted(tmp_path: Path) -> None:
-    times = pa.array([T0_US, None, T0_US + 2], pa.timestamp("us", "UTC"))
-    log = read(tmp_path, pa.array([1.0, 2.0, 3.0]), times)
-    assert log.channels["pressure_difference"].value.tolist() == [1.0, 3.0]
-    assert log.notes == ("1 row without a readable time",)
-    assert log.refused_rows == 1
 
 
 def test_columns_of_one_name_are_an_error(tmp_path: Path) -> None:
@@ -256,26 +243,6 @@ def test_long_tables_of_many_row_groups(tmp_path: Path, dictionary: bool) -> Non
 def test_a_long_table_whose_names_are_numbers(tmp_path: Path) -> None:
     path = written(tmp_path, {"time": TIMES, "tag": [1, 2, 3], "v": [1.0, 2.0, 3.0]})
     assert error(path, LONG).code == "log_type"
-
-
-def test_a_file_a_channel(tmp_path: Path) -> None:
-    channels = {"pressure_difference": column("lo*", "bar"), "speed": column("n_*", "rpm")}
-    source = SOURCE.but(layout="file_per_channel", channels=channels)
-    path = written(tmp_path, {"time": TIMES, "value": [1.0, 2.0, 3.0]})
-    log = read_log(path, *source)
-    assert log.channels["pressure_difference"].value.tolist() == [1.0, 2.0, 3.0]
-    assert log.channels["speed"].time_us.size == 0
-
-
-def test_integers_with_a_scale(tmp_path: Path) -> None:
-    scaled = {"pressure_difference": column("dp", "bar", scale=0.1, offset=-5.0)}
-    log = read(tmp_path, pa.array([2050, None, 50], pa.int16()), channels=scaled)
-    np.testing.assert_allclose(log.channels["pressure_difference"].value, [200.0, np.nan, 0.0])
-
-
-def test_days_of_a_spreadsheet(tmp_path: Path) -> None:
-    log = read(tmp_path, pa.array([1.0]), pa.array([45717.25]), time_format="excel_days")
-    assert log.first_us == T0_US
 
 
 def test_pandas_index_columns_and_other_company_do_not_matter(tmp_path: Path) -> None:
