@@ -128,7 +128,7 @@ class Publisher:
         size = NIGHTS_AT_ONCE // len(files) if 0 < len(files) <= MOTORS_AT_ONCE else 1
         ordered = sorted(nights)
         for some in (ordered[at : at + size] for at in range(0, len(ordered), size)):
-            # Rows of one table at a time.
+            # A table's rows are read when its files are prepared.
             new = {
                 table: partial(new_rows, table, motors, some, self.run_id)
                 for table, motors in staged.items()
@@ -191,7 +191,7 @@ class Publisher:
         manifest_of = cache(partial(read_manifest, self.output))
         with ExitStack() as undone:
 
-            def prepared(table: Table) -> list[tuple[NightFile, dt.date, Collection[str]]]:
+            def prepared(table: Table) -> list[tuple[NightFile, dt.date, tuple[str, ...]]]:
                 """Files of a table, each with its night and the motors with new rows."""
                 files = []
                 for night, rows in new[table]().items():
