@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -133,7 +133,7 @@ class Publisher:
                 table: partial(new_rows, table, motors, some, self.run_id)
                 for table, motors in staged.items()
             }
-            self._publish(new, forget, finish or {})
+            self._publish(some, new, forget, finish or {})
         # Of no further use: what is not on the disk yet need not be written to it.
         remove_all(self.staging / folder)
 
@@ -179,16 +179,20 @@ class Publisher:
                 rows = kept.filter(pl.col("motor_id").is_in(left.implode()))
                 rows = rows.with_columns(run_id=pl.lit(self.run_id)).sort(table.key)
                 without = {night: NewRows(tuple(left), rows.height, [rows])}
-                self._publish({table: partial(dict, without)}, forget, {})
+                self._publish([night], {table: partial(dict, without)}, forget, {})
 
     def _publish(
         self,
+        nights: Sequence[dt.date],
         new: Mapping[Table, Callable[[], Mapping[dt.date, NewRows]]],
         forget: Forget,
         finish: Mapping[str, Finish],
     ) -> None:
         """Prepare all files of some nights, announce them, and put them into their places."""
-        manifest_of = cache(partial(read_manifest, self.output))
+        manifests = {
+            night: read_manifest(self.output, f"{night:%Y-%m}", str(night)) or Manifest()
+            for night in nights
+        }
         with ExitStack() as undone:
 
             def prepared(table: Table) -> list[tuple[NightFile, dt.date, tuple[str, ...]]]:
@@ -196,8 +200,7 @@ class Publisher:
                 files = []
                 for night, rows in new[table]().items():
                     name = self._name_of(night_file(self.output, table, night))
-                    manifest = manifest_of(*manifest_key(name)) or Manifest()
-                    last, accepted = finish.get(table.name), manifest.accepted(name)
+                    last, accepted = finish.get(table.name), manifests[night].accepted(name)
                     file = prepare_night(self.output, table, night, rows, last, accepted)
                     undone.callback(file.drop)
                     files.append((file, night, rows.motor_ids))
