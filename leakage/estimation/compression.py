@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.robust import huber_weights, weight_inflation
-from leakage.estimation.sample_blocks import Block, ShortMeans, merge_neighbours, short_means
+from leakage.estimation.sample_blocks import (
+    Block,
+    ShortMeans,
+    merge_neighbours,
+    numbers_of,
+    short_means,
+)
 from leakage.estimation.smoothing import smooth
 
 Array = NDArray[np.float64]
@@ -27,9 +33,8 @@ class CompressedSamples:
         Their columns, smoothed where that was asked for; shape (n, c).
     unsmoothed
         The same before smoothing; z itself where none was asked for.
-    short_block
-        Number of each sample's block before neighbours are merged, whose borders no smoothing
-        crosses; shape (n,).
+    short
+        Blocks before neighbours are merged, whose borders no smoothing crosses.
     blocks
         Blocks as they are stored.
     factors
@@ -44,7 +49,7 @@ class CompressedSamples:
 
     z: Array
     unsmoothed: Array
-    short_block: NDArray[np.int64]
+    short: tuple[Block, ...]
     blocks: tuple[Block, ...]
     factors: Array
     plain_factors: Array
@@ -110,16 +115,16 @@ def compress(
     EstimationError
         If Huber's weights are asked for and there are fewer samples than coefficients.
     """
-    sizes = [block.n for block in short]
-    number = np.repeat(np.arange(len(short)), sizes)
-    z = smooth(columns, index, number, period_us, smoothing_s, smoothing_of)
+    z = columns
+    if smoothing_s:
+        z = smooth(columns, index, numbers_of(short), period_us, smoothing_s, smoothing_of)
     stored = merge_neighbours(short, maximum_blocks)
     borders = np.array([*(block.first_row for block in stored), len(z)])
     plain = factors(z, borders)
     made, inflation, weighted = plain, 1.0, z
     if loss == "huber":
         chosen = [weighted_parts is None or block.part in weighted_parts for block in short]
-        rows = np.repeat(np.array(chosen, dtype=np.bool_), sizes)
+        rows = np.array(chosen, dtype=np.bool_)[numbers_of(short)]
         weights = np.ones(len(z))
         weights[rows] = huber_weights(z[rows], *bounds)
         weighted = z * np.sqrt(weights)[:, None]
@@ -127,7 +132,7 @@ def compress(
     return CompressedSamples(
         z=z,
         unsmoothed=columns,
-        short_block=number,
+        short=short,
         blocks=stored,
         factors=made,
         plain_factors=plain,

@@ -186,6 +186,11 @@ def merge_neighbours(blocks: tuple[Block, ...], maximum: int) -> tuple[Block, ..
     )
 
 
+def numbers_of(blocks: Sequence[Block]) -> NDArray[np.int64]:
+    """Number of each sample's block, shape (n,)."""
+    return np.repeat(np.arange(len(blocks)), [block.n for block in blocks])
+
+
 ShortMeans: TypeAlias = tuple[list[float] | None, ...]
 
 

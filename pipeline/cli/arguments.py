@@ -47,20 +47,14 @@ Motors = Annotated[str, typer.Option(help="Ids of the motors, with blanks betwee
 Jobs = Annotated[int | None, typer.Option(min=1, help="Motors fitted at the same time.")]
 
 
-def loaded(config: Path) -> Fleet:
-    from pipeline.config import load_fleet
-
-    return load_fleet(config)
-
-
 def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = True) -> Fleet:
     """The fleet of a config, with the options of the command line.
 
     A run into another output folder is private: nothing is taken from or put into an object store.
     """
-    from pipeline.config import ConfigError, Fault, overlap
+    from pipeline.config import ConfigError, Fault, load_fleet, overlap
 
-    fleet = loaded(config)
+    fleet = load_fleet(config)
     if logs and fleet.has_log_folder and not fleet.log_root.is_dir():
         fault = Fault(config.name, "folders.logs", f"expected a folder at {fleet.log_root}")
         raise ConfigError([fault])
@@ -81,13 +75,7 @@ def night_label(text: str | None, option: str) -> dt.date | None:
 
 
 def duration(text: str, option: str) -> dt.timedelta:
-    """A time span such as 30s, 10min, 26h or 2d.
-
-    Examples
-    --------
-    >>> duration("10min", "--every"), duration("26h", "--max-age")
-    (datetime.timedelta(seconds=600), datetime.timedelta(days=1, seconds=7200))
-    """
+    """A time span such as 30s, 10min, 26h or 2d."""
     found = re.fullmatch(rf"(\d{{1,6}}(?:\.\d+)?)({'|'.join(UNITS)})", text)
     if found is None or not float(found[1]):
         raise UsageError("age", f"{option}: got {text!r}; expected such as 30s, 10min, 26h or 2d")

@@ -16,7 +16,6 @@ from pipeline.cli.arguments import (
     absolute_folder,
     in_order,
     load,
-    loaded,
     night_label,
 )
 from pipeline.errors import UsageError
@@ -83,10 +82,10 @@ def report(
     1: a table file could not be read; the rest is there.
     """
     from pipeline.clock import now
-    from pipeline.config import Execution
+    from pipeline.config import Execution, load_fleet
     from pipeline.report.build import ReportRequest, build_report
 
-    fleet = None if config is None else loaded(config)
+    fleet = None if config is None else load_fleet(config)
     if motors and to is None:
         raise UsageError(
             "report_motors", "--motors needs --to: the fleet's own report shows all motors"
@@ -148,6 +147,7 @@ def export(
 
     Delta Lake tables are written whole, each in one transaction; a DuckDB file has all tables.
     """
+    from pipeline.config import load_fleet
     from pipeline.export.csv import Selection, export_csv, tables_named
     from pipeline.export.delta import export_delta
     from pipeline.export.duckdb import export_duckdb
@@ -156,7 +156,7 @@ def export(
         raise UsageError(
             "export_format", "expected one of --csv FOLDER, --delta PLACE and --duckdb FILE"
         )
-    fleet = loaded(config)
+    fleet = load_fleet(config)
     root, named = output or fleet.output, tables_named(tables.replace(",", " ").split())
     if duckdb is not None:
         if tables or motors or since or until or bom:

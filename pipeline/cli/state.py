@@ -84,9 +84,9 @@ def ack(
     motor-leakage ack configs/fleet.toml CB400-02 --opened 2026-05-12 --worn piston_ring
     --sound balance_sleeve --note "rings scored"
     """
-    from pipeline.report.status import RAISED, last_alarm
+    from pipeline.report.status import last_alarm
     from pipeline.trends.nights.decisions import FINDINGS, Decision, record_decision
-    from pipeline.trends.rows.motor_states import TOLD
+    from pipeline.trends.rows.motor_states import CHANGED, TOLD
 
     if not note.strip():
         raise UsageError("note", "--note: expected some words")
@@ -104,7 +104,7 @@ def ack(
     if not indicator:
         message = "expected the indicator of an alarm, or --opened with --worn or --sound"
         raise UsageError("finding", message)
-    indicator, night = last_alarm(fleet.output, motor, indicator, RAISED if finding else TOLD)
+    indicator, night = last_alarm(fleet.output, motor, indicator, CHANGED if finding else TOLD)
     decision = Decision(
         motor_id=motor,
         indicator=indicator,

@@ -23,13 +23,6 @@ def field_path(field: str, topic: str = "") -> FieldPath:
     and so is the topic of the message where it stands before the path.
 
     Raises ValueError if it is no path.
-
-    Examples
-    --------
-    >>> field_path("hydraulics.pressure.a"), field_path("/hydraulics.pressure[1]")
-    (('hydraulics', 'pressure', 'a'), ('hydraulics', 'pressure', 1))
-    >>> field_path("/hydraulics.pressure.a", "/hydraulics"), field_path(r"engine\.rpm")
-    (('pressure', 'a'), ('engine.rpm',))
     """
     if topic.startswith("/") and field.startswith(topic + "."):
         inner = field[len(topic) + 1 :]
@@ -58,13 +51,7 @@ FieldText = Annotated[str, AfterValidator(_field_text)]
 
 
 def path_text(path: FieldPath) -> str:
-    """A path as it is written in a config.
-
-    Examples
-    --------
-    >>> path_text(("pressures", 0, "value.raw"))
-    'pressures[0].value\\\\.raw'
-    """
+    """A path as it is written in a config."""
     written = [
         f"[{step}]" if isinstance(step, int) else "." + re.sub(r"([\\.\[\]])", r"\\\1", step)
         for step in path

@@ -34,14 +34,7 @@ def _end_us(date: dt.date, nights: Nights) -> int:
 
 
 def night_of(time_us: int, nights: Nights) -> dt.date:
-    """Label of the night in which a moment lies [µs since 1970].
-
-    Examples
-    --------
-    >>> evening = int(dt.datetime(2026, 3, 1, 22, tzinfo=dt.UTC).timestamp()) * 1_000_000
-    >>> night_of(evening, Nights())
-    datetime.date(2026, 3, 2)
-    """
+    """Label of the night in which a moment lies [µs since 1970]."""
     local = dt.datetime.fromtimestamp(time_us // 1_000_000, nights.zone)
     label = local.date()
     return label if time_us < _end_us(label, nights) else label + DAY

@@ -21,11 +21,6 @@ def require_time_format(time_format: str) -> str:
     """The format, if it has a day, hour and minute, and no directive that is not supported.
 
     Raises ValueError if it is none of the formats that can be read.
-
-    Examples
-    --------
-    >>> require_time_format("%d.%m.%Y %H:%M:%S,%f")
-    '%d.%m.%Y %H:%M:%S,%f'
     """
     if time_format in ("iso8601", EXCEL_DAYS, *EPOCH_UNITS):
         return time_format

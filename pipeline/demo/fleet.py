@@ -37,14 +37,7 @@ class Wear:
     course: Literal["step", "linear", "accelerating"]
 
     def growth(self, path: str, number: int) -> float:
-        """Relative growth of a path's gap height by a night, counted from 1, [-].
-
-        Examples
-        --------
-        >>> wear = Wear("rings", ("piston_ring",), 31, 0.3, "linear")
-        >>> [round(wear.growth("piston_ring", number), 3) for number in (30, 31, 75, 90)]
-        [0.0, 0.007, 0.3, 0.3]
-        """
+        """Relative growth of a path's gap height by a night, counted from 1, [-]."""
         if path not in self.paths or number < self.first_night:
             return 0.0
         if self.course == "step":

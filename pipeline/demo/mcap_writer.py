@@ -94,13 +94,7 @@ def mcap_bytes(topics: Mapping[str, Topic]) -> bytes:
 def fixed_width_numbers(
     values: NDArray[np.float64], width: int = NUMBER_WIDTH, decimals: int = DECIMALS
 ) -> NDArray[np.uint8]:
-    """ASCII codes of finite numbers as text of one width, padded in front, shape (n, width).
-
-    Examples
-    --------
-    >>> [bytes(row) for row in fixed_width_numbers(np.array([12.3, -0.04]), 7, 2)]
-    [b'  12.30', b'  -0.04']
-    """
+    """ASCII codes of finite numbers as text of one width, padded in front, shape (n, width)."""
     whole = np.rint(values * 10**decimals).astype(np.int64)
     rest, unsigned = np.abs(whole), whole >= 0
     text = np.full((values.size, width), ord(" "), dtype=np.uint8)

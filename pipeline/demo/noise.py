@@ -24,11 +24,6 @@ def autoregression(white: FloatArray, phi: float) -> FloatArray:
     .. math:: x_0 = w_0, \quad x_k = \varphi x_{k-1} + \sqrt{1 - \varphi^2}\,w_k
 
     `white` are independent values of zero mean, shape (n, ...); the correlation at lag k is φ^k.
-
-    Examples
-    --------
-    >>> autoregression(np.array([1.0, 0.0, 1.0]), 0.8).round(2)
-    array([1.  , 0.8 , 1.24])
     """
     driven = white * np.sqrt(1.0 - phi**2)
     driven[:1] = white[:1]
@@ -38,12 +33,5 @@ def autoregression(white: FloatArray, phi: float) -> FloatArray:
 def correlated_noise(
     generator: np.random.Generator, samples: int, step_s: float, time_constant_s: float
 ) -> FloatArray:
-    """Autoregression of unit variance, shape (samples,), by its step and time constant [s].
-
-    Examples
-    --------
-    >>> noise = correlated_noise(np.random.default_rng(1), 200_000, 0.2, 3.9)
-    >>> print(f"{noise.std():.1f} {np.corrcoef(noise[1:], noise[:-1])[0, 1]:.2f}")
-    1.0 0.95
-    """
+    """Autoregression of unit variance, shape (samples,), by its step and time constant [s]."""
     return autoregression(generator.standard_normal(samples), phi_of(step_s, time_constant_s))

@@ -61,13 +61,7 @@ def measure(signal: FloatArray, sensor: Sensor, rng: np.random.Generator) -> Flo
 
 
 def in_steps(values: FloatArray, resolution: float) -> FloatArray:
-    """Round to whole steps, as the shortest decimal numbers.
-
-    Examples
-    --------
-    >>> in_steps(np.array([123.44, 0.26]), 0.1).tolist()
-    [123.4, 0.3]
-    """
+    """Round to whole steps, as the shortest decimal numbers."""
     return np.round(np.rint(values / resolution) * resolution, 6) + 0.0  # no -0.0
 
 

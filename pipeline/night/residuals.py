@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from leakage.estimation.correlation import memory_s
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
-from leakage.estimation.sample_blocks import TRAINING, VALIDATION
+from leakage.estimation.sample_blocks import TRAINING, VALIDATION, numbers_of
 from leakage.estimation.smoothing import smooth
 from pipeline.arrays import chosen_rows
 from pipeline.config import Smoothing
@@ -77,7 +77,7 @@ def _smoothed(
     averaged = smooth(
         np.column_stack(inputs),
         samples.index,
-        statistics.short_block,
+        numbers_of(statistics.short),
         samples.period_us,
         smoothing.window_s,
     )

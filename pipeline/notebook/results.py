@@ -8,28 +8,20 @@ from pathlib import Path
 import polars as pl
 
 from pipeline.errors import StoreError, UsageError
-from pipeline.schema import ALARMS, FITS, TABLES, TRENDS
+from pipeline.schema import ALARMS, FITS, LATEST, TABLES, TRENDS
 from pipeline.store.manifest import manifest_keys
-from pipeline.store.tables import existing_tables, night_paths
+from pipeline.store.tables import existing_tables, files_of
 from pipeline.store.verification import compare_published
-
-LATEST = "latest"
 
 
 @dataclass(frozen=True, slots=True)
 class Tables:
-    """The published tables of an output folder.
-
-    Attributes
-    ----------
-    output
-        The folder.
-    """
+    """The published tables of an output folder."""
 
     output: Path
 
     def table(self, name: str) -> pl.LazyFrame:
-        """A table by name, all nights; columns that an older file lacks are null.
+        """A table by name, whole; columns that an older file lacks are null.
 
         Raises
         ------
@@ -40,7 +32,7 @@ class Tables:
         if name not in known:
             raise UsageError("unknown_table", f"no table {name}; there are {', '.join(known)}")
         table = known[name]
-        if not (paths := list(night_paths(self.output, table).values())):
+        if not (paths := files_of(self.output, table)):
             return pl.LazyFrame(schema=table.schema)
         return pl.scan_parquet(
             paths,
@@ -64,17 +56,8 @@ class Tables:
         return self.table(ALARMS.name).sort("night", "motor_id", "indicator")
 
     def latest(self) -> pl.LazyFrame:
-        """The table `latest`, a row a motor.
-
-        Raises
-        ------
-        UsageError
-            ``unknown_table``: this output has none.
-        """
-        paths = sorted((self.output / "tables" / LATEST).rglob("*.parquet"))
-        if not paths:
-            raise UsageError("unknown_table", f"{self.output} has no table {LATEST}; run fit-fleet")
-        return pl.scan_parquet(paths, hive_partitioning=False)
+        """The table `latest`, a row a motor."""
+        return self.table(LATEST.name)
 
     def verify(self) -> None:
         """Compare every file with the checksum under which it was published.

@@ -130,9 +130,9 @@ def build_report(request: ReportRequest) -> ReportResult:
     remove_leftovers([request.folder])
     history = read_tables(request.output)
     names = _names(request, history)
-    nights = _nights_by_motor(history.fits, names)
+    nights = _motors_by_night(history.fits, names, request.nights)
     now = ReportManifest(_program_hash())
-    made, faults = _make_nights(request, _wanted(nights, request.nights), names, before, now)
+    made, faults = _make_nights(request, nights, names, before, now)
     n_motors = _make_pages(request, history, names, faults, before, now)
     n_written = sum(1 for name, entry in now.files.items() if before.files.get(name) != entry)
     n_removed = remove_stale(request.folder, before, now)
@@ -160,16 +160,13 @@ def _names(request: ReportRequest, history: ReportTables) -> dict[str, str]:
     return {one: names[one] for one in sorted(ids) if not request.motors or one in request.motors}
 
 
-def _nights_by_motor(fits: pl.DataFrame, names: Mapping[str, str]) -> dict[dt.date, list[str]]:
-    """Motors that have a row, by night in time order."""
+def _motors_by_night(
+    fits: pl.DataFrame, names: Mapping[str, str], newest: int | None
+) -> dict[dt.date, list[str]]:
+    """Motors that have a row, by night in time order; of the newest nights, or of all."""
     shown = fits.filter(pl.col("motor_id").is_in(list(names)))
     groups = shown.group_by("night").agg(pl.col("motor_id").sort()).sort("night")
-    return dict(groups.iter_rows())
-
-
-def _wanted(nights: Mapping[dt.date, list[str]], newest: int | None) -> dict[dt.date, list[str]]:
-    labels = list(nights) if newest is None else list(nights)[-newest:]
-    return {label: nights[label] for label in labels}
+    return dict((groups if newest is None else groups.tail(newest)).iter_rows())
 
 
 def night_file_name(motor_name: str, night: dt.date) -> str:

@@ -48,13 +48,7 @@ def scores(
 
 
 def total(found: Iterable[Score]) -> Score:
-    """The score of all motor types together.
-
-    Examples
-    --------
-    >>> total([Score(named_right=2), Score(named_right=1, missed=1)])
-    Score(named_right=3, named_wrong=0, cannot_be_told=0, missed=1)
-    """
+    """The score of all motor types together."""
     parts = [(one.named_right, one.named_wrong, one.cannot_be_told, one.missed) for one in found]
     return Score(*(sum(column) for column in zip(*parts, strict=True)))
 

@@ -126,12 +126,6 @@ def _calendar(motor: MotorHistory, newest: dt.date | None) -> list[str | None]:
 
 
 def _in_words(statuses: list[str]) -> str:
-    """Number of nights by outcome.
-
-    Examples
-    --------
-    >>> _in_words(["ok", "ok", "failed"])
-    '2 fitted, 1 failed'
-    """
+    """Number of nights by outcome."""
     counts = Counter(STATUSES.get(status, status) for status in statuses)
     return ", ".join(f"{n} {words}" for words, n in counts.most_common()) or "none"

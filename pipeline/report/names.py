@@ -14,13 +14,7 @@ DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 
 
 def file_names(motor_ids: Iterable[str]) -> dict[str, str]:
-    """A name without ending for each motor: its id, wherever that is a safe one.
-
-    Examples
-    --------
-    >>> file_names(["CB560-01", "../x"])
-    {'../x': 'motor-d6b96a97d147', 'CB560-01': 'CB560-01'}
-    """
+    """A name without ending for each motor: its id, wherever that is a safe one."""
     ids = sorted(motor_ids)
     sharing = Counter(motor_id.casefold() for motor_id in ids)
     return {

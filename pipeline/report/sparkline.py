@@ -109,13 +109,7 @@ def _band(x: Array, low: Array, high: Array, breaks: NDArray[np.bool_]) -> str:
 
 
 def strip(statuses: Sequence[str | None]) -> dict[str, str]:
-    """One SVG path by outcome, a bar a night; a night without a row has none.
-
-    Examples
-    --------
-    >>> strip(["ok", None, "failed"])
-    {'ok': 'M0 0h3v10h-3z', 'failed': 'M8 0h3v10h-3z'}
-    """
+    """One SVG path by outcome, a bar a night; a night without a row has none."""
     paths: dict[str, str] = {}
     for place, status in enumerate(statuses):
         if status is None:

@@ -25,9 +25,6 @@ from pipeline.trends.rows.latest_states import published_states
 from pipeline.trends.rows.motor_states import CHANGED, SENSORS, MotorState, urgency
 from pipeline.trends.states.words import name_of
 
-# States that an inspection can confirm, and those that can be acknowledged.
-RAISED = CHANGED
-
 
 @dataclass(frozen=True, slots=True)
 class FleetStatus:

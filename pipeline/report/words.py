@@ -93,24 +93,12 @@ EVENTS: Final[Mapping[str, str]] = {
 
 
 def plain(name: str) -> str:
-    """A name of the tables with blanks for underscores.
-
-    Examples
-    --------
-    >>> plain("piston_ring")
-    'piston ring'
-    """
+    """A name of the tables with blanks for underscores."""
     return name.replace("_", " ")
 
 
 def sentence(words: str) -> str:
-    """Words of a state as a sentence.
-
-    Examples
-    --------
-    >>> sentence("piston ring gap +30 %")
-    'Piston ring gap +30 %.'
-    """
+    """Words of a state as a sentence."""
     return f"{words[:1].upper()}{words[1:]}{'' if words.endswith('.') else '.'}"
 
 

@@ -72,14 +72,6 @@ def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) 
 
     Only a flow can be counts of a volume; `resolution` is the sensor's stated step in the unit of
     the samples, 0 where none is stated.
-
-    Examples
-    --------
-    >>> time_us = np.arange(200) * 1_000_000
-    >>> value = np.cumsum(np.resize([1.0, 2.0, 0.0], 200))
-    >>> raw = RawChannel(time_us, value, np.zeros(200, dtype=np.bool_), 0)
-    >>> look_of(raw, is_flow=True).kind
-    'cumulative'
     """
     time_s, value = _head(raw)
     if value.size < FEWEST or not np.ptp(value):

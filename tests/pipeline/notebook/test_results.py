@@ -12,10 +12,11 @@ import pytest
 from pipeline.errors import StoreError, UsageError
 from pipeline.notebook import open_tables, plot_course
 from pipeline.notebook.results import Tables
-from pipeline.schema import ALARMS, FITS, TRENDS, frame
+from pipeline.schema import ALARMS, FITS, LATEST, TRENDS, frame
 from pipeline.store.encoding import write_table
 from pipeline.store.manifest import update_manifest
-from pipeline.store.tables import night_file
+from pipeline.store.months import join_months
+from pipeline.store.tables import files_of, night_file, table_folder
 
 FIRST = dt.date(2026, 1, 30)
 NIGHTS = [FIRST + dt.timedelta(days=at) for at in range(4)]
@@ -61,10 +62,20 @@ def test_fits_are_the_primary_ones_of_all_nights_and_a_trend_is_one_indicator(
     assert tables.alarms().collect().schema == pl.Schema(ALARMS.schema)
 
 
+def test_a_joined_month_and_a_table_without_nights_are_read_once_and_whole(tables: Tables) -> None:
+    before = tables.fits().collect()
+    join_months(tables.output, tables.output / "staging", f"{FIRST:%Y-%m}")
+    assert len(files_of(tables.output, FITS)) == 3
+    assert tables.fits().collect().equals(before)
+    path = table_folder(tables.output, LATEST) / "latest.parquet"
+    path.parent.mkdir(parents=True)
+    write_table(path, frame(LATEST, [{"motor_id": "M1", "state": "ok"}]))
+    assert tables.latest().collect()["motor_id"].to_list() == ["M1"]
+
+
 def test_what_is_not_there_is_told(tables: Tables, tmp_path: Path) -> None:
     for ask, words in (
         (lambda: tables.table("fit"), "no table fit; there are latest"),
-        (tables.latest, "no table latest"),
         (lambda: open_tables(tmp_path / "nowhere"), "run fit-fleet first"),
         (lambda: open_tables("s3://bucket/fleet"), "run fit-fleet first"),
         (lambda: plot_course(tables, "M2"), "no trend of M2"),

@@ -13,13 +13,13 @@ import pytest
 from leakage.course.monitoring import ChangeSize
 from pipeline.cli.arguments import duration
 from pipeline.errors import UsageError
-from pipeline.report.status import RAISED, fleet_status, last_alarm
+from pipeline.report.status import fleet_status, last_alarm
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.store.encoding import write_table
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.rows.motor_states import TOLD
+from pipeline.trends.rows.motor_states import CHANGED, TOLD
 from pipeline.trends.states.words import size_words
 from tests.pipeline.calling import Call, refused
 from tests.pipeline.report.states import LAST, NAMES, output, trend
@@ -187,7 +187,7 @@ def test_a_baseline_is_reset_with_a_night_and_a_reason(
 def test_an_alarm_is_known_by_each_of_its_names(output: Path) -> None:
     names = ("piston ring leakage", "piston ring gap", "Piston ring", " the piston ring leakage")
     for name in (*names, "k_piston_ring"):
-        assert last_alarm(output, "M1", name, RAISED) == ("K_piston_ring", night_of(4)), name
+        assert last_alarm(output, "M1", name, CHANGED) == ("K_piston_ring", night_of(4)), name
 
 
 def test_whatever_can_be_raised_is_known_by_the_words_of_status(output: Path) -> None:
@@ -199,7 +199,7 @@ def test_whatever_can_be_raised_is_known_by_the_words_of_status(output: Path) ->
     for name in names:
         size = ChangeSize(9, 0.3, 0.2, 0.4, 10)
         for words in (name, size_words(name, size, "2026-10-03").partition(" +")[0]):
-            assert last_alarm(output, "M1", words, RAISED) == (name, night_of(4))
+            assert last_alarm(output, "M1", words, CHANGED) == (name, night_of(4))
 
 
 def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
@@ -207,7 +207,7 @@ def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
     stale = row | {"night": night_of(5), "to_state": "stale"}
     write_table(night_file(output, ALARMS, night_of(5)), frame(ALARMS, [stale]))
     assert last_alarm(output, "M1", "K_piston_ring", TOLD) == ("K_piston_ring", night_of(5))
-    assert last_alarm(output, "M1", "K_piston_ring", RAISED) == ("K_piston_ring", night_of(4))
+    assert last_alarm(output, "M1", "K_piston_ring", CHANGED) == ("K_piston_ring", night_of(4))
     with pytest.raises(UsageError, match="alarms so far: none"):
         last_alarm(output, "M2", "K_piston_ring", TOLD)
 
