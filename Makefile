@@ -65,7 +65,7 @@ format: $(READY)
 test: $(READY)   ## the tests of every change
 	$(BIN)/pytest -n 2 -m "not full"
 
-test-full: $(READY) ## all tests, with the long ones: 84 minutes of tests, two at a time
+test-full: $(READY) ## all tests, with the long ones (84 minutes, two tests at a time)
 	$(BIN)/pytest -n 2 --dist worksteal
 
 bench: $(READY)  ## the benchmarks, into benchmarks/results/
