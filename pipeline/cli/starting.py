@@ -137,7 +137,7 @@ def _print(proposal: Proposal) -> None:
             (
                 motor.motor_id,
                 channel,
-                f"{one.source} {one.field if one.field != 'value' else ''}".strip(),
+                f"{one.source} {one.named_field}".strip(),
                 one.unit or "to be asked",
                 motor.quality.get(channel, ""),
                 "; ".join(one.samples[:3]),

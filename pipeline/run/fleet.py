@@ -215,7 +215,7 @@ def _run(
     config_hash = config_hash_of(tasks)
     run_id = run_id_of(finished, config_hash)
     heartbeat.say(stage="publishing", run_id=run_id)
-    publisher = Publisher(fleet.output, staging, run_id)
+    publisher = Publisher(fleet.output, staging, run_id, fleet.execution.workers)
     with interrupts_held() as came:
         damage.look_into(_keys_of(finished))
         n_nights = publish_motors(publisher, finished)

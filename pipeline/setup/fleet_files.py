@@ -73,8 +73,8 @@ def _document(motor: ProposedMotor, motor_type: str, oil: str) -> Document:
     channels = {}
     for name, source in motor.sources.items():
         keys = {"source": source.source, "unit": source.unit}
-        if source.field and source.field != "value":
-            keys["field"] = source.field
+        if source.named_field:
+            keys["field"] = source.named_field
         if source.value_column:
             keys["value_column"] = source.value_column
         if motor.quality.get(name):

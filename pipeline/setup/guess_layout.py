@@ -95,6 +95,16 @@ class GuessedSource:
     field: str = ""
     value_column: str = ""  # of a file a channel, where the files' differ
 
+    @property
+    def named_field(self) -> str:
+        """The field, where it is called something of its own."""
+        return "" if self.field == "value" else self.field
+
+    @property
+    def place(self) -> str:
+        """Column, tag or topic, with a field that has a name."""
+        return f"{self.source}.{self.named_field}" if self.named_field else self.source
+
 
 Candidate = tuple[str, str, str, tuple[str, ...]]
 """Name by which a channel is told, its source, what is written as its unit, and samples."""

@@ -195,15 +195,9 @@ def _motors(
     yield from _grouped(guess, logs, log, asked, unused)
 
 
-def _place(source: GuessedSource) -> str:
-    """Where a channel stands, in words: its column, tag or topic, with a field that has a name."""
-    named = source.field and source.field != "value"
-    return f"{source.source}.{source.field}" if named else source.source
-
-
 def _pressure_or_channel(source: GuessedSource) -> str:
     """A source's channel, or "bare" for a pressure that may be any."""
-    is_bare = source.channel == "pressure_difference" and is_bare_pressure(_place(source))
+    is_bare = source.channel == "pressure_difference" and is_bare_pressure(source.place)
     return "bare" if is_bare else source.channel
 
 
@@ -314,11 +308,11 @@ def _chosen(
         if len(own) == 1 and found != "bare":
             yield channel, own[0]
             continue
-        names = [_place(one) for one in own]
+        names = [one.place for one in own]
         words = channel.replace("_", " ")
         text = f"{motor_id}, and motors alike: {', '.join(names)} may be the {words}: which is it?"
         named = asked.which(f"{motor_id}.{channel}", motor, text, names)
-        yield from ((channel, one) for one in own if _place(one) == named)
+        yield from ((channel, one) for one in own if one.place == named)
 
 
 def _with_unit(source: GuessedSource, guess: LogGuess, asked: _Asked, motor: str) -> GuessedSource:
@@ -328,11 +322,10 @@ def _with_unit(source: GuessedSource, guess: LogGuess, asked: _Asked, motor: str
     numbers = [as_number(cell, guess.marks) for cell in source.samples]
     known = [number for number in numbers if number is not None]
     shown = "; ".join(source.samples[:3])
-    place = _place(source)
-    text = f"unit of {source.channel.replace('_', ' ')} ({place}: {shown}): which is it?"
+    text = f"unit of {source.channel.replace('_', ' ')} ({source.place}: {shown}): which is it?"
     units = tuple(UNITS[QUANTITIES[source.channel]])
     likely = likely_units(source.channel, known) or units
-    key = f"unit of {_rest(place, motor) or source.channel}"
+    key = f"unit of {_rest(source.place, motor) or source.channel}"
     if key in asked.answers and asked.answers[key] not in likely:
         key = f"{key} in {asked.log}"
     return replace(source, unit=asked.ask(key, text, likely, units))

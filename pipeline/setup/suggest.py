@@ -235,8 +235,8 @@ def _channel_lines(sources: Sequence[GuessedSource], marks: Marks) -> Iterator[s
         yield ""
         yield f"[channels.{one.channel}]"
         yield f"source = {quoted(one.source)}" + ("" if one.field else _shown(one.samples))
-        if one.field and one.field != "value":
-            yield f"field = {quoted(one.field)}{_shown(one.samples)}"
+        if one.named_field:
+            yield f"field = {quoted(one.named_field)}{_shown(one.samples)}"
         if one.value_column:
             yield f"value_column = {quoted(one.value_column)}"
         yield _unit_line(one, marks)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,7 +16,7 @@ import polars as pl
 
 from pipeline.errors import StoreError
 from pipeline.schema import Table, frame
-from pipeline.store.atomic_files import flush_folders, move
+from pipeline.store.atomic_files import flush_folders, move, remove_all
 from pipeline.store.encoding import encode_table
 from pipeline.store.manifest import (
     Key,
@@ -62,6 +63,8 @@ class Publisher:
         Output folder, and the run's folder of staged rows.
     run_id
         Goes into every row.
+    threads
+        Tables whose files are prepared at once.
 
     Attributes
     ----------
@@ -74,6 +77,7 @@ class Publisher:
     output: Path
     staging: Path
     run_id: str
+    threads: int = 1
     damaged: list[str] = field(default_factory=list)
     months: set[str] = field(default_factory=set)
 
@@ -124,19 +128,21 @@ class Publisher:
         size = NIGHTS_AT_ONCE // len(files) if 0 < len(files) <= MOTORS_AT_ONCE else 1
         ordered = sorted(nights)
         for some in (ordered[at : at + size] for at in range(0, len(ordered), size)):
-            # Rows of one table at a time.
+            # A table's rows are read when its files are prepared.
             new = {
                 table: partial(new_rows, table, motors, some, self.run_id)
                 for table, motors in staged.items()
             }
-            self._publish(new, forget, finish or {})
+            self._publish(some, new, forget, finish or {})
+        # Of no further use: what is not on the disk yet need not be written to it.
+        remove_all(self.staging / folder)
 
     def _give_up(
         self, table: Table, month: str, staged: Mapping[str, StagedRows], forget: Forget
     ) -> None:
         """Put a damaged file of a month aside, and let its nights be made anew."""
         path = month_file(self.output, table, month)
-        name = path.relative_to(self.output / "tables").as_posix()
+        name = self._name_of(path)
         self.damaged.append(name)
         for night in days_of(month):
             new = {
@@ -173,35 +179,42 @@ class Publisher:
                 rows = kept.filter(pl.col("motor_id").is_in(left.implode()))
                 rows = rows.with_columns(run_id=pl.lit(self.run_id)).sort(table.key)
                 without = {night: NewRows(tuple(left), rows.height, [rows])}
-                self._publish({table: partial(dict, without)}, forget, {})
+                self._publish([night], {table: partial(dict, without)}, forget, {})
 
     def _publish(
         self,
+        nights: Sequence[dt.date],
         new: Mapping[Table, Callable[[], Mapping[dt.date, NewRows]]],
         forget: Forget,
         finish: Mapping[str, Finish],
     ) -> None:
         """Prepare all files of some nights, announce them, and put them into their places."""
-        files: list[NightFile] = []
-        manifests: dict[Key, Manifest] = {}
+        manifests = {
+            night: read_manifest(self.output, f"{night:%Y-%m}", str(night)) or Manifest()
+            for night in nights
+        }
         with ExitStack() as undone:
-            for table, rows_of in new.items():
-                for night, rows in rows_of().items():
-                    path = night_file(self.output, table, night)
-                    name = path.relative_to(self.output / "tables").as_posix()
-                    key = manifest_key(name)
-                    if key not in manifests:
-                        manifests[key] = read_manifest(self.output, *key) or Manifest()
-                    accepted = manifests[key].accepted(name)
-                    last = finish.get(table.name)
+
+            def prepared(table: Table) -> list[tuple[NightFile, dt.date, tuple[str, ...]]]:
+                """Files of a table, each with its night and the motors with new rows."""
+                files = []
+                for night, rows in new[table]().items():
+                    name = self._name_of(night_file(self.output, table, night))
+                    last, accepted = finish.get(table.name), manifests[night].accepted(name)
                     file = prepare_night(self.output, table, night, rows, last, accepted)
                     undone.callback(file.drop)
-                    files.append(file)
-                    if file.lost_rows:
-                        if file.before is not None:
-                            self.damaged.append(name)
-                        forget((night,), set(rows.motor_ids))
-            self._land(files)
+                    files.append((file, night, rows.motor_ids))
+                return files
+
+            # Writing, packing and flushing let other threads go on.
+            with ThreadPoolExecutor(self.threads) as pool:
+                found = [one for some in pool.map(prepared, new) for one in some]
+            for file, night, motor_ids in found:
+                if file.lost_rows:
+                    if file.before is not None:
+                        self.damaged.append(self._name_of(file.path))
+                    forget((night,), set(motor_ids))
+            self._land([file for file, _, _ in found])
             undone.pop_all()
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
@@ -230,10 +243,9 @@ class Publisher:
 
     def _land(self, files: Sequence[NightFile]) -> None:
         """Put files into their places; their manifests list old and new ones meanwhile."""
-        root = self.output / "tables"
         by_manifest: defaultdict[Key, dict[str, NightFile]] = defaultdict(dict)
         for file in files:
-            name = file.path.relative_to(root).as_posix()
+            name = self._name_of(file.path)
             by_manifest[manifest_key(name)][name] = file
         for key, some in sorted(by_manifest.items()):
             # The digest of a damaged file is not accepted.
@@ -247,3 +259,7 @@ class Publisher:
         flush_folders({file.path.parent for file in files if file.prepared is not None})
         for key, some in sorted(by_manifest.items()):
             update_manifest(self.output, *key, {name: file.after for name, file in some.items()})
+
+    def _name_of(self, path: Path) -> str:
+        """Path relative to the folder of the tables, as manifests name it."""
+        return path.relative_to(self.output / "tables").as_posix()

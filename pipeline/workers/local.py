@@ -93,6 +93,8 @@ class Crew:
 
     def end(self) -> None:
         """End all workers; a task under way is dropped, and has published nothing."""
+        for worker in self._workers:  # their memory is given back side by side
+            worker.process.kill()
         while self._workers:
             self._workers.pop().kill()
 

@@ -327,31 +327,29 @@ def json_object(payload: bytes) -> dict[str, Any] | None:
     return message if isinstance(message, dict) else None
 
 
-def _value(message: object, path: FieldPath) -> object:
+def _value(message: Any, path: FieldPath) -> object:
     """The value that a path leads to; None where it leads nowhere."""
     for step in path:
-        if isinstance(message, dict if isinstance(step, str) else list) and _in(message, step):
-            message = message[step]  # type: ignore[index]
-        else:
+        if not _leads(message, step):
             return None
+        message = message[step]
     return message
 
 
-def _in(node: Any, step: str | int) -> bool:
-    return step in node if isinstance(step, str) else step < len(node)
-
-
-def _has(message: object, path: FieldPath) -> bool:
+def _has(message: Any, path: FieldPath) -> bool:
     """True if a path leads to something, be it null, or is cut short by a null."""
     for step in path:
-        if message is None:
-            return True
-        if not isinstance(message, dict if isinstance(step, str) else list):
-            return False
-        if not _in(message, step):
-            return False
-        message = message[step]  # type: ignore[index]
+        if not _leads(message, step):
+            return message is None
+        message = message[step]
     return True
+
+
+def _leads(node: object, step: str | int) -> bool:
+    """True for an object with such a key, or an array with such a position."""
+    if isinstance(step, str):
+        return isinstance(node, dict) and step in node
+    return isinstance(node, list) and step < len(node)
 
 
 def leaves(node: Any, path: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:

@@ -6,7 +6,8 @@ import errno
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from threading import Lock
 from typing import Any, Literal
 
 import pytest
@@ -39,6 +40,7 @@ class Disk:
     die: Callable[[], None] | None = None  # in place of the process's death
     seen: int = 0  # calls that could have failed so far
     struck: str = ""  # name of the call that failed first; empty while none did
+    counting: Lock = field(default_factory=Lock)  # threads of a run call side by side
 
     def __getattr__(self, name: str) -> Any:
         real = getattr(os, name)
@@ -58,11 +60,12 @@ class Disk:
     def _fails(self, name: str) -> bool:
         if not self._can_fail(name):
             return False
-        self.seen += 1
-        due = self.seen == self.point or (bool(self.struck) and self.lasting)
-        if due and not self.struck:
-            self.struck = name
-        return due
+        with self.counting:
+            self.seen += 1
+            due = self.seen == self.point or (bool(self.struck) and self.lasting)
+            if due and not self.struck:
+                self.struck = name
+            return due
 
     def _can_fail(self, name: str) -> bool:
         if self.kind == "killed":

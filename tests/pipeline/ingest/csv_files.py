@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+import pipeline.ingest.csv.log
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
+from pipeline.ingest.csv.text import read_lines
 
 from .sources import Source, column
 
@@ -30,3 +32,8 @@ def error(
         read(folder, data, source, name)
     assert name in raised.value.message
     return raised.value
+
+
+def in_pieces(patch: pytest.MonkeyPatch, size: int) -> None:
+    """Have texts read in pieces of so many bytes."""
+    patch.setattr(pipeline.ingest.csv.log, "read_lines", lambda *at: read_lines(*at[:2], size))

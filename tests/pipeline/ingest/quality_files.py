@@ -11,11 +11,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from mcap.writer import Writer
 
 from pipeline.ingest import RawLog, read_log
 from pipeline.ingest.conformance import T0_US
 
+from .mcap_files import TOPIC, mcap_of
 from .sources import Source, changed, column
 from .writers import iso, mcap_bytes
 
@@ -189,14 +189,8 @@ def schema_mcap(
     folder: Path, schema: tuple[str, str, bytes], encoding: str, payloads: list[bytes]
 ) -> tuple[Path, Source]:
     path = folder / "log.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=200)
-        writer.start()
-        channel = writer.register_channel("/n", encoding, writer.register_schema(*schema))
-        for i, payload in enumerate(payloads):
-            writer.add_message(channel, (T0_US + i) * 1000, payload, 0)
-        writer.finish()
-    return path, Source.of("mcap", {"speed": changed(SPEED, source="/n")})
+    path.write_bytes(mcap_of(payloads, schema, encoding, chunk_size=200))
+    return path, Source.of("mcap", {"speed": changed(SPEED, source=TOPIC)})
 
 
 def protobuf_mcap(folder: Path) -> tuple[Path, Source]:

@@ -15,14 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap_ros2._dynamic import serialize_dynamic
 
-import pipeline.ingest.csv.log
 import pipeline.ingest.mcap.log
 from pipeline.config import ConfigError, load_fleet
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.ingest.conformance import T0_US
-from pipeline.ingest.csv.text import read_lines
 from pipeline.ingest.quality import quality_states
+from tests.pipeline.ingest.csv_files import in_pieces
 from tests.pipeline.ingest.quality_files import (
     CASES,
     EXPECTED,
@@ -83,9 +82,7 @@ def test_pieces_of_a_file_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int
 ) -> None:
     path, source = wide_csv(tmp_path)
-    monkeypatch.setattr(
-        pipeline.ingest.csv.log, "read_lines", lambda *at: read_lines(*at[:2], piece)
-    )
+    in_pieces(monkeypatch, piece)
     bad = read_log(path, *source).channels["speed"].bad_quality
     assert bad is not None
     assert bad.tolist() == EXPECTED

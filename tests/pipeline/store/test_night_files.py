@@ -15,6 +15,7 @@ from polars.testing import assert_frame_equal
 from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, NIGHT_TABLES, QUALITY, TREND_TABLES, Table, frame
 from pipeline.store.night_files import StagedRows, new_rows, stage
+from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file, read_table
 from tests.pipeline.store.made_rows import LATER, NIGHT, Row, example, publish_night, row, rows
 
@@ -154,3 +155,22 @@ class TestStaged:
         )
         assert found is not None
         assert found["statistics"].to_list() == [block["statistics"] for block in blocks]
+
+
+def test_a_table_that_cannot_be_written_leaves_its_night_as_it_was(tmp_path: Path) -> None:
+    publisher = Publisher(tmp_path, tmp_path / "staging", "run", threads=2)
+    staged = publisher.staging / "nights" / "A.arrow"
+    staged.parent.parent.mkdir()
+    block = {"motor_id": "A", "night": NIGHT}
+    stage(staged, {QUALITY: {NIGHT: [row("A")]}, BLOCK_STATISTICS: {NIGHT: [block]}})
+    in_the_way = night_file(tmp_path, QUALITY, NIGHT).parent
+    in_the_way.parent.mkdir(parents=True)
+    in_the_way.touch()
+    tables = (QUALITY, BLOCK_STATISTICS)
+    with pytest.raises(StoreError):
+        publisher.nights("nights", tables, ["A"], lambda *_: None)
+    assert [path for path in (tmp_path / "tables").rglob("*") if path.is_file()] == [in_the_way]
+    in_the_way.unlink()
+    publisher.nights("nights", tables, ["A"], lambda *_: None)
+    assert read_table(night_file(tmp_path, QUALITY, NIGHT), QUALITY).height == 1
+    assert not staged.exists()

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 import zstandard
 
-import pipeline.ingest.csv.text
 from pipeline.ingest import RawLog, time_span
 from pipeline.ingest.conformance import T0_US
-from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, read
+from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, in_pieces, read
 from tests.pipeline.ingest.sources import column
 
 ROWS = "".join(f"{DAY}{i}Z,{i},{10 * i}\n" for i in range(5))
@@ -92,10 +91,7 @@ def test_pieces_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pie
     text = "Logger 7\n" + f"time,dp,n\nUTC,bar,rpm\n{ROWS}" * 6 + "n,time,dp\n,,\n" + "5,2025"
     source = SOURCE.but(skip_rows=1, unit_rows=1)
     whole = read(tmp_path, text, source)
-    read_lines = pipeline.ingest.csv.log.read_lines
-    monkeypatch.setattr(
-        pipeline.ingest.csv.log, "read_lines", lambda path, code: read_lines(path, code, piece)
-    )
+    in_pieces(monkeypatch, piece)
     for line_end in ("\n", "\r\n"):
         log = read(tmp_path, text.replace("\n", line_end), source)
         assert values(log) == values(whole)
@@ -223,10 +219,7 @@ def test_the_hour_that_comes_twice_is_told_apart_across_pieces(
         for i, (moment, offset) in enumerate(zip(moments, offsets, strict=True))
     ]
     source = SOURCE.but(time_format="%d.%m.%Y %H:%M", time_zone="Europe/Stockholm")
-    read_lines = pipeline.ingest.csv.log.read_lines
-    monkeypatch.setattr(
-        pipeline.ingest.csv.log, "read_lines", lambda path, code: read_lines(path, code, 500)
-    )
+    in_pieces(monkeypatch, 500)
     log = read(tmp_path, "time,dp,n\n" + "".join(rows), source)
     wanted = [int(moment.timestamp()) * 1_000_000 for moment in moments]
     assert log.channels["speed"].time_us.tolist() == wanted

@@ -9,13 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import pipeline.ingest.csv.log
 import pipeline.ingest.csv.text
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.ingest.conformance import T0_US
-from pipeline.ingest.csv.text import read_lines
 from pipeline.messages import counted
-from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, read
+from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, in_pieces, read
 from tests.pipeline.ingest.sources import column
 
 
@@ -81,7 +79,7 @@ def test_the_first_row_of_another_width_is_named_by_its_line(
     path.write_text(text, newline="")
     found = ragged_lines(text, 3)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline.ingest.csv.log, "read_lines", lambda *at: read_lines(*at[:2], piece))
+        in_pieces(patch, piece)
         log = read_log(path, *SOURCE.but(skip_rows=2))
     first = lines[found[0] - 1].count(",") + 1 if found else 0
     rows = counted(len(found), "row")

@@ -15,12 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
 
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log, time_span
 from pipeline.ingest.conformance import T0_US
 from tests.pipeline.ingest.sources import Source, column
+from tests.pipeline.ingest.writers import mcap_bytes
 
 COUNT = 400
 STRICT = Source.of("mcap", {"pressure_difference": column("dp", "bar")})
@@ -36,15 +37,8 @@ EVERY_WAY: list[dict[str, Any]] = [
 
 def made(**options: Any) -> bytes:
     """A file whose readings count up from 0."""
-    buffer = io.BytesIO()
-    writer = Writer(buffer, **{"chunk_size": 1000} | options)
-    writer.start()
-    number = writer.register_channel("dp", "json", 0)
-    for i in range(COUNT):
-        time_ns = (T0_US + i) * 1000
-        writer.add_message(number, time_ns, b'{"value": %d}' % i, time_ns)
-    writer.finish()
-    return buffer.getvalue()
+    messages = [("dp", (T0_US + i) * 1000, b'{"value": %d}' % i) for i in range(COUNT)]
+    return mcap_bytes(messages, **{"chunk_size": 1000} | options)
 
 
 def read(path: Path, data: bytes, source: Source = SALVAGE) -> RawLog:
