@@ -34,8 +34,8 @@ Result = TypeVar("Result")
 
 # Read by the libraries as a worker loads them. With all threads each, workers would fight for the
 # cores; Arrow's own allocator reserves a gibibyte at once, which would count as used. The C library
-# (glibc; others ignore it) keeps the pages of arrays of up to 64 MiB: fresh ones take 8 % of a
-# motor-day at 10 Hz.
+# (glibc; others ignore it) keeps the pages of arrays of up to 64 MiB, as fresh ones take 8 % of a
+# motor-day at 10 Hz, and asks for huge ones, with which two workers hinder each other less.
 ENVIRONMENT: Mapping[str, str] = {
     "POLARS_MAX_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -44,6 +44,7 @@ ENVIRONMENT: Mapping[str, str] = {
     "ARROW_DEFAULT_MEMORY_POOL": "system",
     "MALLOC_MMAP_THRESHOLD_": str(1 << 26),
     "MALLOC_TRIM_THRESHOLD_": str(1 << 27),
+    "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
 }
 # A worker takes a task up within this time, [s], loading of the program included.
 START_S = 120.0
