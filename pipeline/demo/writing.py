@@ -105,7 +105,8 @@ def demo_config(folder: Path) -> Path:
 
 def _require_ours(demo: Path) -> None:
     """Refuse a folder that may hold something of somebody's."""
-    is_free = not demo.exists() or (demo.is_dir() and not any(demo.iterdir()))
+    is_there = demo.exists() or demo.is_symlink()
+    is_free = not is_there or (demo.is_dir() and not any(demo.iterdir()))
     if not is_free and not (demo / MARKER).is_file():
         raise UsageError(
             "demo_folder",

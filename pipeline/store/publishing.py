@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import datetime as dt
+import os
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from threading import Event
+from typing import Any, TypeVar
 
 import polars as pl
 
@@ -47,10 +49,16 @@ from pipeline.store.tables import (
     whole_file,
 )
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
 # Lets the next run make nights anew for all motors but some.
 Forget = Callable[[Collection[dt.date], Collection[str]], object]
 # Nights of motors that are prepared together, where few motors have few rows a night.
 NIGHTS_AT_ONCE = 400
+
+
+_Prepared = tuple[NightFile, dt.date, tuple[str, ...]]
 
 
 @dataclass(slots=True)
@@ -195,10 +203,12 @@ class Publisher:
         }
         with ExitStack() as undone:
 
-            def prepared(table: Table) -> list[tuple[NightFile, dt.date, tuple[str, ...]]]:
+            def prepared(table: Table, stopped: Event) -> list[_Prepared]:
                 """Files of a table, each with its night and the motors with new rows."""
-                files = []
+                files: list[_Prepared] = []
                 for night, rows in new[table]().items():
+                    if stopped.is_set():
+                        break
                     name = self._name_of(night_file(self.output, table, night))
                     last, accepted = finish.get(table.name), manifests[night].accepted(name)
                     file = prepare_night(self.output, table, night, rows, last, accepted)
@@ -207,8 +217,7 @@ class Publisher:
                 return files
 
             # Writing, packing and flushing let other threads go on.
-            with ThreadPoolExecutor(self.threads) as pool:
-                found = [one for some in pool.map(prepared, new) for one in some]
+            found = [one for some in _side_by_side(prepared, new, self.threads) for one in some]
             for file, night, motor_ids in found:
                 if file.lost_rows:
                     if file.before is not None:
@@ -263,3 +272,23 @@ class Publisher:
     def _name_of(self, path: Path) -> str:
         """Path relative to the folder of the tables, as manifests name it."""
         return path.relative_to(self.output / "tables").as_posix()
+
+
+def _side_by_side(
+    work: Callable[[Item, Event], Result], items: Collection[Item], threads: int
+) -> list[Result]:
+    """Results by item in their order; a failure or a signal stops the work on the others.
+
+    `work` stops where its event is set, and looks at it between pieces that take little time.
+    """
+    stopped = Event()
+    threads = min(threads, len(items), os.cpu_count() or 1)
+    if threads < 2:
+        return [work(item, stopped) for item in items]
+    with ThreadPoolExecutor(threads) as pool:
+        under_way = [pool.submit(work, item, stopped) for item in items]
+        try:
+            wait(under_way, return_when=FIRST_EXCEPTION)
+        finally:
+            stopped.set()
+    return [one.result() for one in under_way]

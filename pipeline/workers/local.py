@@ -44,8 +44,8 @@ ENVIRONMENT: Mapping[str, str] = {
     "ARROW_DEFAULT_MEMORY_POOL": "system",
     "MALLOC_MMAP_THRESHOLD_": str(1 << 26),
     "MALLOC_TRIM_THRESHOLD_": str(1 << 27),
-    "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
 }
+HUGE_PAGES = "glibc.malloc.hugetlb=1"
 # A worker takes a task up within this time, [s], loading of the program included.
 START_S = 120.0
 # A worker that is told to die is killed if it has not done so by then, [s].
@@ -195,6 +195,12 @@ def _news_of(at_work: Collection[Worker]) -> Collection[object]:
     return wait(ends, max(0.0, due - time.monotonic()))
 
 
+def environment() -> dict[str, str]:
+    """Variables of a worker; tunables of the C library are added to those that are set."""
+    tunables = (os.environ.get("GLIBC_TUNABLES"), HUGE_PAGES)
+    return {**ENVIRONMENT, "GLIBC_TUNABLES": ":".join(filter(None, tunables))}
+
+
 class Worker:
     """A process that does one task at a time; if it dies of one, another does the next."""
 
@@ -207,7 +213,7 @@ class Worker:
         self.stderr, theirs = Pipe(duplex=False)
         os.set_blocking(self.stderr.fileno(), False)
         self.process, self.connection = start(
-            "pipeline.workers.process.serve", ENVIRONMENT, theirs.fileno()
+            "pipeline.workers.process.serve", environment(), theirs.fileno()
         )
         theirs.close()
         self.is_killed = False

@@ -211,7 +211,9 @@ def test_something_else_in_the_folder_or_in_its_place_is_refused(tmp_path: Path)
     (tmp_path / "one" / "demo").mkdir(parents=True)
     (tmp_path / "one" / "demo" / "thesis.txt").write_text("mine")
     (tmp_path / "demo").write_text("mine")
-    for folder in (tmp_path / "one", tmp_path):
+    (tmp_path / "two").mkdir()
+    (tmp_path / "two" / "demo").symlink_to(tmp_path / "nowhere")
+    for folder in (tmp_path / "one", tmp_path / "two", tmp_path):
         with refused("demo_folder", "neither empty nor a demo"):
             small_demo(folder)
         assert not (folder / "configs").exists()

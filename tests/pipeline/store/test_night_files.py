@@ -5,6 +5,8 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Mapping
 from pathlib import Path
+from threading import Event
+from typing import Any
 
 import polars as pl
 import pytest
@@ -14,6 +16,7 @@ from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, NIGHT_TABLES, QUALITY, TREND_TABLES, Table, frame
+from pipeline.store import publishing
 from pipeline.store.night_files import StagedRows, new_rows, stage
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file, read_table
@@ -174,3 +177,23 @@ def test_a_table_that_cannot_be_written_leaves_its_night_as_it_was(tmp_path: Pat
     publisher.nights("nights", tables, ["A"], lambda *_: None)
     assert read_table(night_file(tmp_path, QUALITY, NIGHT), QUALITY).height == 1
     assert not staged.exists()
+
+
+@pytest.mark.parametrize("how", ["a failure", "a signal"])
+def test_the_others_stop_after(how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also files of hundreds of nights are not written to be thrown away."""
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    def work(item: str, stopped: Event) -> None:
+        if item == how == "a failure":
+            raise StoreError("store_write", "no space left")
+        assert stopped.wait(30.0)
+
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    if how == "a signal":
+        monkeypatch.setattr(publishing, "wait", interrupted)
+    expected: Any = StoreError if how == "a failure" else KeyboardInterrupt
+    with pytest.raises(expected):
+        publishing._side_by_side(work, ["another", how], 2)

@@ -15,7 +15,7 @@ import pytest
 
 import pipeline
 from pipeline.config import Execution
-from pipeline.workers.local import Crew, Worker, run_tasks
+from pipeline.workers.local import HUGE_PAGES, Crew, Worker, environment, run_tasks
 from pipeline.workers.process import ITEMS_A_SIGN, Done, Loss, start
 from tests.pipeline.misbehaviour import (
     MISBEHAVIOUR,
@@ -127,6 +127,11 @@ def test_a_process_imports_from_where_the_program_began(
     assert connection.recv() == {}
     connection.close()
     assert process.wait(60.0) == 0
+
+
+def test_tunables_of_the_c_library_that_are_set_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GLIBC_TUNABLES", "glibc.malloc.check=3")
+    assert environment()["GLIBC_TUNABLES"] == f"glibc.malloc.check=3:{HUGE_PAGES}"
 
 
 def test_a_single_task_and_a_single_worker_are_isolated_too() -> None:
