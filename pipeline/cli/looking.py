@@ -76,7 +76,9 @@ def look(
 def _require_files(fleet: Fleet, wanted: Sequence[str]) -> None:
     """Refuse motors whose logs are no files of a folder."""
     if fleet.log_url:
-        raise UsageError("look_logs", "logs in an object store cannot be looked at yet")
+        raise UsageError(
+            "look_logs", "logs in an object store cannot be looked at yet: leave it to fit-fleet"
+        )
     asked = [spec for spec in fleet.motors if not wanted or spec.motor_id in wanted]
     if there := [spec.motor_id for spec in asked if spec.file.logs.database]:
         names = ", ".join(there)

@@ -36,7 +36,9 @@ def export_duckdb(output: Path, path: Path) -> Iterator[Exported]:
         ) from error
     tables = existing_tables(output)
     if path.is_dir() or path.resolve().is_relative_to(tables.resolve()):
-        raise UsageError("duckdb_file", f"{path} is a folder or lies within the tables")
+        raise UsageError(
+            "duckdb_file", f"{path} is a folder or lies within the tables; name another file"
+        )
     new = Prepared(path, path.parent / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}", "")
     try:
         make_folders(path.parent)

@@ -83,7 +83,9 @@ def write_model_figures(
             try:
                 figure = draw()
             except LeakageError as error:
-                raise UsageError("model_range", f"{path.name}: {error}") from error
+                raise UsageError(
+                    "model_range", f"{path.name}: {error}; correct the oil's values"
+                ) from error
             save(figure, path, image_format)
             written.append(path)
     return written
