@@ -10,18 +10,12 @@ from itertools import dropwhile
 from pathlib import Path
 
 BENCHMARKS = (
-    "alarms",
-    "alternatives",
-    "attribution",
     "coverage",
-    "cusum_limits",
     "dates",
     "demo_alarms",
-    "filtered_nights",
     "fuzz",
     "guard",
     "model_choices",
-    "model_verdict",
     "month_files",
     "night_cost",
     "noise",
@@ -30,8 +24,8 @@ BENCHMARKS = (
     "residual_tests",
     "scale",
     "speed",
+    "watch",
     "wide_plant",
-    "within_day",
 )
 
 
@@ -60,7 +54,9 @@ def _usage() -> str:
     """The call, and a line for each benchmark."""
     lines = ["python -m benchmarks NAME ... | all | NAME OPTIONS", ""]
     for name in BENCHMARKS:
-        source = Path(__file__).with_name(f"{name}.py").read_text("utf-8")
+        file = Path(__file__).with_name(name)
+        file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
+        source = file.read_text("utf-8")
         title = (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]
         lines.append(f"{name:16} {title}")
     return "\n".join([*lines, ""])

@@ -13,21 +13,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import error_kinds
 from benchmarks.simulated_nights import (
+    BLOCK_S,
+    RECORDED_PHI,
+    RECORDED_SHORT,
+    RECORDED_SLOW,
+    RECORDED_SLOW_S,
     REFERENCE,
+    WANDER_GAIN,
+    WANDER_PHI,
+    WANDER_PRESSURE_BAR,
+    WANDER_TEMPERATURE_C,
     CompressedNights,
     Duty,
     duty,
+    lagging,
     motor,
     true_coefficients,
 )
 from leakage import AnnularGap, Motor, OperatingConditions, regressors
-from leakage.estimation.block_statistics import merge
-from leakage.estimation.identifiability import Excitation, identify, judge_leakage
-from leakage.estimation.least_squares import fit
-from leakage.estimation.multi_start import Parametrisation, SearchSettings
-from leakage.estimation.slow_errors import short_blocks, slow_errors, whitened
+from leakage.estimation.block_fit import SampleBlocks, fit_blocks
+from leakage.estimation.identifiability import Excitation, judge_leakage
+from leakage.estimation.multi_start import Parametrisation
 from leakage.physics.paths import LeakagePath
 from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression, phi_of
@@ -37,7 +44,6 @@ NIGHTS_A_DUTY = 5
 NOISE_L_PER_MIN = 0.015
 # A load is held for so long.
 STEPS_S, CYCLES_S = (60.0, 900.0), (15.0, 90.0)
-NO_SEARCH = SearchSettings(starting_points=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +73,8 @@ class SimulatedNights:
     @property
     def clean_flow(self) -> Array:
         """Drain flow without errors, shape (n, 1) [l/min]."""
-        return self.compressed.columns @ np.append(self.theta, 1.0)[:, None]
+        flow: Array = self.compressed.columns @ np.append(self.theta, 1.0)[:, None]
+        return flow
 
     @property
     def level(self) -> Array:
@@ -80,8 +87,10 @@ class SimulatedNights:
 
     def as_if(self, **changes: Array) -> Array:
         """Change of the flow, shape (n, 1) [l/min], where the truth is not as the log has it."""
-        truth = replace(self.seen, **changes).conditions
-        return regressors(self.motor, truth) @ np.append(self.theta, 1.0)[:, None] - self.clean_flow
+        truth = replace(self.seen, **changes).conditions  # type: ignore[arg-type]
+        flow = regressors(self.motor, truth) @ np.append(self.theta, 1.0)[:, None]
+        change: Array = flow - self.clean_flow
+        return change
 
     def flow(self, kind: Kind) -> Array:
         """Drain flow as the log has it, shape (n, NIGHTS_A_DUTY) [l/min]."""
@@ -97,30 +106,60 @@ def slow(of: SimulatedNights, minutes: float) -> Array:
     return NOISE_L_PER_MIN * autoregression(of.white(), phi)
 
 
-def late_heat(of: SimulatedNights, minutes: float) -> Array:
-    """Oil at the gaps that warms later than at its sensor."""
-    late = error_kinds.lagging(of.seen.temperature_c, of.step_s, 60.0 * minutes)
-    return of.as_if(temperature_c=late)
+def random_walk(of: SimulatedNights) -> Array:
+    """Twice as large as the short errors after an hour."""
+    found: Array = np.cumsum(of.white(), axis=0) * np.sqrt(of.step_s / 3600.0)
+    return 2.0 * NOISE_L_PER_MIN * found
+
+
+def warm_up(of: SimulatedNights) -> Array:
+    """Fades in ten minutes."""
+    found: Array = 4.0 * NOISE_L_PER_MIN * np.exp(-of.seen.time_s[:, None] / 600.0)
+    return found
 
 
 def dead_band(of: SimulatedNights) -> Array:
-    """Of the flow meter."""
-    return error_kinds.dead_band(of.clean_flow, of.seen.pressure_bar[:, None]) - of.clean_flow
+    """A flow meter that loses 0.02 l/min below 40 bar, and is never below 0."""
+    lost = np.maximum(of.clean_flow - 0.02, 0.0)
+    return np.where(of.seen.pressure_bar[:, None] < 40.0, lost, of.clean_flow) - of.clean_flow
+
+
+def drifting_offset(of: SimulatedNights) -> Array:
+    """By 0.3 l/min in a night, evenly."""
+    time_s = of.seen.time_s[:, None]
+    found: Array = 0.3 * (time_s / time_s[-1] - 0.5)
+    return found
+
+
+def late_heat(of: SimulatedNights, minutes: float) -> Array:
+    """Oil at the gaps that warms later than at its sensor."""
+    return of.as_if(temperature_c=lagging(of.seen.temperature_c, of.step_s, 60.0 * minutes))
+
+
+def heavy_tails(of: SimulatedNights) -> Array:
+    """White errors with the tails of Student's t of 4."""
+    found: Array = of.level * of.generator.standard_t(4.0, of.white().shape) / np.sqrt(2.0)
+    return found
 
 
 def wander(of: SimulatedNights) -> Array:
     """Of temperature, gain and pressure from night to night."""
-    found = error_kinds.night_wander(of.generator, (NIGHTS_A_DUTY,))
+    warmer, more = (
+        autoregression(of.generator.standard_normal(NIGHTS_A_DUTY), WANDER_PHI) for _ in range(2)
+    )
+    offset_bar = WANDER_PRESSURE_BAR * of.generator.standard_normal(NIGHTS_A_DUTY)
     shifted = [
         of.as_if(temperature_c=of.seen.temperature_c - t, pressure_bar=of.seen.pressure_bar - p)
-        for t, p in zip(found.temperature_c, found.pressure_bar, strict=True)
+        for t, p in zip(WANDER_TEMPERATURE_C * warmer, offset_bar, strict=True)
     ]
-    return np.hstack(shifted) + of.clean_flow * found.gain
+    return np.hstack(shifted) + of.clean_flow * WANDER_GAIN * more
 
 
 def as_recorded(of: SimulatedNights) -> Array:
     """As large as on a real record, short ones and slow ones."""
-    return of.clean_flow * error_kinds.as_recorded(of.generator, of.white().shape)
+    short = autoregression(of.white(), RECORDED_PHI)
+    slowly = autoregression(of.white(), phi_of(of.step_s, RECORDED_SLOW_S))
+    return of.clean_flow * (RECORDED_SHORT * short + RECORDED_SLOW * slowly)
 
 
 RECORDED = "as recorded"
@@ -130,13 +169,13 @@ ERRORS: dict[str, Callable[[SimulatedNights], Array | float]] = {
     "slow, 5 min": partial(slow, minutes=5.0),
     "slow, 15 min": partial(slow, minutes=15.0),
     "slow, 60 min": partial(slow, minutes=60.0),
-    "random walk": lambda of: error_kinds.random_walk(of.white(), of.step_s, 2.0 * NOISE_L_PER_MIN),
-    "warm-up": lambda of: error_kinds.warm_up(of.seen.time_s, 4.0 * NOISE_L_PER_MIN)[:, None],
+    "random walk": random_walk,
+    "warm-up": warm_up,
     "dead band": dead_band,
-    "drifting offset": lambda of: error_kinds.drifting_offset(of.seen.time_s)[:, None],
+    "drifting offset": drifting_offset,
     "heat 1 min late": partial(late_heat, minutes=1.0),
     "heat 10 min late": partial(late_heat, minutes=10.0),
-    "heavy tails": lambda of: of.level * error_kinds.heavy_tailed(of.generator, of.white().shape),
+    "heavy tails": heavy_tails,
     "wander": wander,
     RECORDED: as_recorded,
 }
@@ -193,13 +232,11 @@ def figures(nights: SimulatedNights, flow: Array) -> Iterator[list[Figure]]:
 
 def _figures(nights: SimulatedNights, blocks: Array, own: OperatingConditions) -> list[Figure]:
     of, theta = nights.motor, nights.theta
-    bounds = Parametrisation.of(of).coefficient_bounds()
-    short = short_blocks(blocks, np.arange(len(blocks)))
-    errors = slow_errors(blocks, short, bounds[0] == bounds[1], bounds[0])
-    blocks = whitened(blocks, short, errors)
-    estimate = fit(merge(blocks), of, NO_SEARCH, np.random.default_rng(0))
     excitation = Excitation(*((one.min(), one.max()) for one in nights.seen.channels))
-    verdicts = identify(estimate, blocks, excitation, slow=errors)
+    every, n = np.ones(len(blocks), dtype=bool), len(blocks)
+    means = np.zeros((n, 3))
+    made = fit_blocks(SampleBlocks(blocks, np.arange(n), BLOCK_S, every, means, excitation), of)
+    estimate, verdicts = made.fit, made.identified(excitation)
     found = []
     paths = Parametrisation.of(of).paths
     judged = zip(paths, verdicts.coefficients, estimate.coefficients, theta, strict=True)

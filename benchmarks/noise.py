@@ -1,10 +1,10 @@
-"""The noise library held against a real record: sizes by time scale, tails, drift, τ and b.
+"""The noise library held against a real record: sizes by time scale, tails and drift.
 
 `python -m benchmarks noise --folder FOLDER` reads the pump rig's records in a folder (see
 `validation/record.py`); no record is part of this project.
 
-Errors are relative to the mean flow. Those of the record are given twice: beside the law that is
-fitted (a gap, and what leaves the case at no pressure), and beside a free function of pressure and
+Errors are relative to the mean flow. Those of the record are given twice: beside the law by least
+squares (a gap, and what leaves the case at no pressure), and beside a free function of pressure and
 temperature, which leaves what no model of these channels could explain. Sizes by time scale are
 standard deviations of nested means: of samples about those of 10 s, of these about those of a
 minute, and so on. A setting of the library is a night of 4.5 hours of a CB560. Its distance from
@@ -15,27 +15,22 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from benchmarks.model_verdict import VG46
 from benchmarks.night_kinds import CYCLES_S, ERRORS, Kind, SimulatedNights
 from benchmarks.results_file import Part, description, write_parts
-from leakage import Constant, Laminar, Motor, OperatingConditions, Parameter, regressors
-from leakage.course.temperature_correction import temperature_correction
-from leakage.estimation.block_fit import SampleBlocks, fit_blocks
-from leakage.estimation.block_statistics import factors
+from benchmarks.watch.rig import METER_READS_FROM, PUMP, RPM
+from leakage import Motor, OperatingConditions, regressors
+from leakage.estimation.block_statistics import factor
+from leakage.estimation.certificate import certify
 from leakage.estimation.correlation import autocorrelation
-from leakage.estimation.identifiability import Excitation
-from leakage.estimation.model_verdict import structured_misfit
-from leakage.estimation.multi_start import SearchSettings
+from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.robust import MAD_TO_SD
-from leakage.estimation.slow_errors import short_blocks
-from leakage.physics.oil import FilmPressure
 from pipeline.arrays import Array
 from validation.record import FLOW, PRESSURE, TEMPERATURE, TIME, Record, read_records
 
@@ -43,10 +38,7 @@ Numbers = NDArray[np.int64]
 
 SCALES_S = (10, 60, 600, 3600)
 LAGS_S = (1, 60, 600)
-WINDOW_S, BLOCK_S = 1200, 120
-# Below it the rig's meter falls to a constant [l/min].
-METER_FROM = 1.7
-RIG_RPM = 1485.0
+WINDOW_S = 1200
 HOURS = 4.5
 NIGHTS = 5
 # Pressures [bar] between which the free function is a polynomial of the temperature.
@@ -55,8 +47,7 @@ BINS_BAR = np.arange(0.0, 260.0, 10.0)
 LEAST_SIZE = 5e-4
 HEADER = (
     "errors | all | to 10 s | to 1 min | to 10 min | to 1 h | longer | correlation after 1 / 60 "
-    "/ 600 s | beyond 3 sd, % | excess kurtosis | drift of 20 min, % | τ, % | b, %/K | slow "
-    "errors, min | distance"
+    "/ 600 s | beyond 3 sd, % | excess kurtosis | drift of 20 min, % | distance"
 )
 
 
@@ -88,12 +79,6 @@ class Character:
     beyond: float
     kurtosis: float
     drift: float  # standard deviation of the means of 20 minutes
-    # tau, per_kelvin, half_width, memory_min: of the fitted law: structured misfit, b with its ±,
-    # memory of slow errors; nan for others.
-    tau: float = np.nan
-    per_kelvin: float = np.nan
-    half_width: float = np.nan
-    memory_min: float = np.nan
 
     def distance(self, other: Character) -> float:
         """Mean factor between the sizes by time scale of two."""
@@ -102,11 +87,6 @@ class Character:
 
     def row(self, words: str, like: Character) -> list[str]:
         """Its row of the table."""
-        fitted = (
-            f"{100 * self.tau:.1f}",
-            f"{100 * self.per_kelvin:+.2f} ± {100 * self.half_width:.2f}",
-            f"{self.memory_min:.0f}",
-        )
         return [
             words,
             *(f"{100 * one:.2f}" for one in self.sizes),
@@ -114,7 +94,6 @@ class Character:
             f"{100 * self.beyond:.1f}",
             f"{self.kurtosis:.1f}",
             f"{100 * self.drift:.2f}",
-            *("–" if "nan" in one else one for one in fitted),
             f"{self.distance(like):.1f}",
         ]
 
@@ -151,39 +130,12 @@ def character(error: Array, index: Numbers) -> Character:
 
 
 def of_law(seen: Seen, motor: Motor) -> Character:
-    """Errors beside the law as the project fits it."""
+    """Errors beside the law by least squares, coefficients within their bounds."""
     z = np.column_stack([regressors(motor, seen.conditions), seen.flow_l_per_min])
-    group = seen.index // BLOCK_S
-    borders = np.append(np.flatnonzero(np.diff(group, prepend=-1)), len(z))
-    blocks, number = factors(z, borders), group[borders[:-1]]
-    channels = (seen.temperature_c, seen.pressure_bar, seen.speed_rpm)
-    means = np.column_stack(
-        [np.add.reduceat(one, borders[:-1]) / np.diff(borders) for one in channels]
-    )
-    spans = (seen.pressure_bar, seen.temperature_c, seen.speed_rpm)
-    excitation = Excitation(*((float(one.min()), float(one.max())) for one in spans))
-    trains = np.ones(len(blocks), dtype=np.bool_)
-    short = short_blocks(blocks, number)
-    found = fit_blocks(
-        SampleBlocks(blocks, short, trains, means, excitation),
-        motor,
-        SearchSettings(starting_points=0),
-        np.random.default_rng(0),
-    )
-    # Without the weights of slow errors: of these, too, the size is asked.
-    theta = found.training.coefficients
+    bounds = Parametrisation.of(motor).coefficient_bounds()
+    theta = certify(factor(z), *bounds).coefficients
     error = (z @ np.concatenate([-theta, (-1.0, 1.0)])) / seen.flow_l_per_min.mean()
-    told = found.misfit and structured_misfit([found.misfit])
-    b = temperature_correction(
-        blocks, means[:, 0], number // 10, theta, ~found.training.fixed & (theta > 0.0)
-    )
-    return replace(
-        character(error, seen.index),
-        tau=told.share if told else np.nan,
-        per_kelvin=b.per_kelvin if b else np.nan,
-        half_width=b.half_width if b else np.nan,
-        memory_min=found.slow.memory_s(BLOCK_S) / 60.0,
-    )
+    return character(error, seen.index)
 
 
 def of_any_function(seen: Seen) -> Character:
@@ -196,20 +148,13 @@ def of_any_function(seen: Seen) -> Character:
     return character(error, seen.index)
 
 
-def pump(record: Record) -> Motor:
-    """One gap for all and an offset, as in `validation/pump_rig`; the oil is assumed."""
-    gap = Laminar("all_gaps", 1, Parameter("C_all", "m3", 5e-14, 1e-16, 1e-11))
-    drain = Constant("case", Parameter("C_f", "l_per_min", 0.5, 0.0, 20.0))
-    return Motor(record.name, (gap, drain), VG46, FilmPressure(share=0.0))
-
-
 def of_record(record: Record) -> Seen:
     """The warm part of a record, where its meter reads."""
-    rows = record.warm().filter(pl.col(FLOW) >= METER_FROM)
+    rows = record.warm().filter(pl.col(FLOW) >= METER_READS_FROM)
     second = (rows[TIME] - rows[TIME][0]).dt.total_seconds().to_numpy().astype(np.int64)
     channels = (rows[name].cast(pl.Float64).to_numpy() for name in (PRESSURE, TEMPERATURE, FLOW))
     pressure, temperature, flow = channels
-    return Seen(second, pressure, temperature, np.full(len(flow), RIG_RPM), flow)
+    return Seen(second, pressure, temperature, np.full(len(flow), RPM), flow)
 
 
 def of_setting(errors: str, seed: int) -> Character:
@@ -227,18 +172,17 @@ def mean_of(found: Sequence[Character]) -> Character:
         values: Array = np.mean([getattr(one, name) for one in found], axis=0)
         return values
 
-    names = ("beyond", "kurtosis", "drift", "tau", "per_kelvin", "half_width", "memory_min")
     return Character(
         tuple(mean("sizes").tolist()),
         tuple(mean("correlations").tolist()),
-        **{name: float(mean(name)) for name in names},
+        *(float(mean(name)) for name in ("beyond", "kurtosis", "drift")),
     )
 
 
 def record_part(record: Record) -> Part:
     """A record, and the settings of the library from the nearest on."""
     seen = of_record(record)
-    law, left = of_law(seen, pump(record)), of_any_function(seen)
+    law, left = of_law(seen, PUMP), of_any_function(seen)
     settings = {
         name: mean_of([of_setting(name, seed) for seed in range(NIGHTS)]) for name in ERRORS
     }

@@ -6,7 +6,7 @@ published tables.
 
 Cost: one frame of 864 000 rows, a day at 10 Hz, fitted by `fit_frame`, and by the nightly run's own
 steps in the same process: regressors, blocks and their factors, error budget, fit without the
-search and the bootstrap, verdicts and intervals. Both in turn, processor time, medians. What the
+verdicts and intervals. Both in turn, processor time, medians. What the
 frame has on top is reading its columns; what the night has on top is left out of its time.
 """
 
@@ -28,7 +28,6 @@ import polars as pl
 from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_nights import duty
 from leakage import FrameFit, fit_frame, total_flow_l_per_min
-from leakage.estimation.model_verdict import model_verdict
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from leakage.estimation.validation import agreement
 from leakage.frame.words import PARTS
@@ -148,10 +147,9 @@ def published_figures(fit: Figures, parameters: Iterable[Figures]) -> Figures:
 
 def figures_of(found: FrameFit, fit: Figures) -> Figures:
     """The same figures of a fit to a frame, its leakages at the conditions of the published row."""
-    slow, structured = found.identification.slow, found.structured
+    slow, structured = found.identification.slow, found.estimate.misfit
     figures: Figures = {
         "model_misfit_percent": None if structured is None else 100.0 * structured.share,
-        "model_verdict": None if structured is None else model_verdict(structured),
         "slow_error_memory": slow.memory,
         "slow_error_ratio": slow.variance_ratio,
         "correlation_time_s": found.memory_s,
@@ -233,11 +231,9 @@ def cost() -> Part:
 
 
 def demo_motor() -> MotorSpec:
-    """A CB560 of the demo, fitted without the search and the bootstrap."""
+    """A CB560 of the demo, fitted."""
     (spec,) = (one for one in load_fleet(CONFIG).motors if one.motor_id == "CB560-02")
-    estimation = spec.settings.estimation.model_copy(
-        update={"starting_points": 0, "bootstrap_resamples": 0}
-    )
+    estimation = spec.settings.estimation.model_copy(update={"starting_points": 0})
     settings = spec.settings.model_copy(update={"estimation": estimation})
     return replace(spec, settings=settings)
 

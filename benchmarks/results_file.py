@@ -15,9 +15,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 RESULTS = Path(__file__).parent / "results"
 
 
@@ -33,15 +30,17 @@ class Part:
 
 def write_results(name: str, title: str, header: str, rows: Sequence[Sequence[str]]) -> None:
     """Write one Markdown table to `benchmarks/results/`, and print it."""
-    _write(name, title, _table(header, rows))
+    _write(name, title, table(header, rows))
 
 
 def write_parts(name: str, title: str, text: str, parts: Sequence[Part]) -> None:
     """Write several Markdown tables with their words to one file, and print them."""
-    lines = [text, ""]
-    for part in parts:
-        lines += [f"## {part.heading}", "", part.text, "", *_table(part.header, part.rows)]
-    _write(name, title, lines)
+    _write(name, title, [text, "", *_sections(parts)])
+
+
+def show_parts(parts: Sequence[Part]) -> None:
+    """Print several Markdown tables with their words."""
+    sys.stdout.write("\n".join(_sections(parts)))
 
 
 def write_stored(
@@ -93,13 +92,15 @@ def description(doc: str | None) -> str:
     return (doc or "").split("\n\n", 1)[1].strip()
 
 
-def median_and_late(values: Sequence[float] | NDArray[np.float64]) -> str:
-    """Median and 90 % quantile of times of which some never come (infinite)."""
-    ends = np.quantile(values, (0.5, 0.9), method="higher")
-    return " / ".join(f"{one:.0f}" if np.isfinite(one) else "–" for one in ends)
+def _sections(parts: Sequence[Part]) -> list[str]:
+    lines = []
+    for part in parts:
+        lines += [f"## {part.heading}", "", part.text, "", *table(part.header, part.rows)]
+    return lines
 
 
-def _table(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
+def table(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a Markdown table."""
     line = "|" + "---|" * len(header.split(" | "))
     return [f"| {header} |", line, *(f"| {' | '.join(row)} |" for row in rows), ""]
 

@@ -55,16 +55,12 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def demo_folder(shared_folder: Path) -> Path:
-    """The demo fleet, 3 nights of 60 minutes, each with the search; only to be read."""
+    """The demo fleet, 3 nights of 60 minutes; only to be read."""
 
     def make(folder: Path) -> None:
         from pipeline.demo import write_demo
 
         write_demo(folder, nights=DEMO_NIGHTS, minutes=DEMO_MINUTES, workers=1)
-        fleet = folder / "configs" / "fleet.toml"
-        text = fleet.read_text("utf-8")
-        text = text.replace("[estimation]\n", "[estimation]\nsearch_every_nights = 1\n")
-        fleet.write_text(text, "utf-8")
 
     return made_once(shared_folder / "demo", make)
 

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import datetime as dt
 from dataclasses import asdict, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
-from pipeline.schema import DECISIONS, FITS, PARAMETERS, TREND_TABLES, TRENDS, Table, frame
+from pipeline.schema import (
+    ALARMS,
+    BASELINES,
+    DECISIONS,
+    FITS,
+    LATEST,
+    PARAMETERS,
+    TRENDS,
+    WATCH,
+    Table,
+    frame,
+)
 from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file, table_folder
+from pipeline.store.tables import night_file, table_folder, whole_file
 from pipeline.store.views import write_views
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.rows.alarm_rows import alarm_rows
-from pipeline.trends.rows.baseline_rows import baseline_rows, change_point_rows
-from pipeline.trends.rows.q_values import with_q_values
-from pipeline.trends.rows.trend_rows import trend_rows
-from pipeline.trends.states.standing import Standing
-from tests.pipeline.trends.nights import Nights, motor, named, ramp, reset, standing, step
+from pipeline.trends.rows.motor_states import MotorState, latest_rows
+from pipeline.trends.rows.watch_rows import WatchRow
 
 EARLIER = dt.timedelta(days=40)
 NEWEST = dt.date(2026, 1, 4)
@@ -29,66 +35,83 @@ FAILED, THIN, STEADY = "CB560-01", "CB400-01", "CB560-02"
 Rows = list[dict[str, Any]]
 
 
-WORN_AT, NIGHTS_OF_TRENDS = 70, 110
 WORN, SLOW, HEALTHY = "CB560-01", "CB400-02", "CB400-01"
+FIRST_OF_WATCH, LAST_OF_WATCH = dt.date(2026, 1, 2), dt.date(2026, 4, 21)
+SINCE, TOLD_ON = dt.date(2026, 3, 13), dt.date(2026, 3, 15)
+PER_YEAR = 83.6
 
 
-@lru_cache(maxsize=1)
-def standing_motors() -> dict[str, Standing]:
-    """Sleeves damaged within a day, rings that wear since the first night, and none."""
-    n = NIGHTS_OF_TRENDS
-    wear = {
-        WORN: {"balance_sleeve": step(n, WORN_AT, 0.4)},
-        SLOW: {"piston_ring": ramp(n, 0, 0.25)},
-        HEALTHY: {},
+def watch_rows() -> list[WatchRow]:
+    """A sleeve damaged within a day, wear that is alarmed, and a healthy motor: two nights each."""
+    told = {"since": SINCE, "told_on": TOLD_ON, "change": 0.38, "goes_on": False}
+    states: dict[str, tuple[str, dict[str, Any]]] = {
+        WORN: ("alarm", told | {"cause": "balance_sleeve", "tonight_change": 0.4}),
+        SLOW: ("warning", told | {"cause": "cannot_be_told", "tonight_change": 0.1}),
+        HEALTHY: ("ok", {"tonight_change": 0.0}),
     }
-    nights = [
-        Nights(named(motor(), name), n, own, seed=number)
-        for number, (name, own) in enumerate(wear.items())
+    nights = (LAST_OF_WATCH - dt.timedelta(days=1), LAST_OF_WATCH)
+    return [
+        WatchRow(motor_id, night, state, f"it is {state}", "Look.", **figures)
+        for night in nights
+        for motor_id, (state, figures) in states.items()
     ]
-    return {
-        one.spec.motor_id: standing(one, *([RESET] if one.spec.motor_id == WORN else []))
-        for one in nights
-    }
 
 
-RESET = reset(WORN_AT + 3, "own_reference_leakage", "sleeves seen", motor_id=WORN)
+def slopes(row: WatchRow) -> Rows:
+    """Rows of `trends` of a night: only the slow one has a slope, and days to its limit."""
+    key = {"motor_id": row.motor_id, "night": row.night, "indicator": "own_reference_leakage"}
+    slope = {"baseline_mean": 2.0, "n_slope": 110, "slope_start": FIRST_OF_WATCH}
+    slope |= {"provisional": False, "unit": "l/min"}
+    if row.motor_id == SLOW:
+        per_year = 0.02 * PER_YEAR
+        slope |= {"slope_per_year": per_year, "slope_per_year_lower": 0.9 * per_year}
+        slope |= {"slope_per_year_upper": 1.1 * per_year, "slope_per_1000_h": per_year / 4.383}
+        slope |= {"days_to_limit": 90.0, "days_to_limit_lower": 60.0, "days_to_limit_upper": 150.0}
+        slope |= {"days_to_limit_status": "finite", "limit": 2.6}
+    if row.motor_id == WORN:
+        slope |= {"slope_per_year": 0.1, "slope_per_year_lower": -0.1}
+        slope |= {"days_to_limit_lower": 0.0, "days_to_limit_status": "already_crossed"}
+    return [key | slope]
 
 
 def write_trends(output: Path) -> None:
     """The trend tables of those motors, and what people said of the first."""
-    rows: dict[str, Rows] = {table.name: [] for table in TREND_TABLES}
-    places = range(NIGHTS_OF_TRENDS)
-    for found in standing_motors().values():
-        rows["trends"] += trend_rows(found, places[-2:])
-        rows["alarms"] += alarm_rows(found, places)
-        rows["baselines"] += baseline_rows(found, places)
-        rows["change_points"] += change_point_rows(found, places)
-    for table in TREND_TABLES:
-        whole = frame(table, [{"run_id": "made", **row} for row in rows[table.name]])
+    watch = watch_rows()
+    raised = {"indicator": "leakage", "from_state": "ok", "to_state": "warning", "way": "change"}
+    raised |= {"time": dt.datetime(2026, 3, 15, 6, tzinfo=dt.UTC), "night": TOLD_ON}
+    reset = {"motor_id": WORN, "night": TOLD_ON, "indicator": "leakage", "n": 8}
+    reset |= {"start": SINCE + dt.timedelta(days=3), "reason": "reset: sleeves seen"}
+    first = reset | {"start": FIRST_OF_WATCH, "night": FIRST_OF_WATCH, "reason": "first nights"}
+    rows: dict[Table, Rows] = {
+        WATCH: [one.row for one in watch],
+        TRENDS: [row for one in watch for row in slopes(one)],
+        ALARMS: [raised | {"motor_id": motor_id} for motor_id in (WORN, SLOW)],
+        BASELINES: [reset, first, first | {"motor_id": SLOW}],
+    }
+    for table, own in rows.items():
+        whole = frame(table, [{"run_id": "made", **row} for row in own])
         for (night,), part in whole.partition_by("night", as_dict=True).items():
-            if table is TRENDS:
-                part = with_q_values(part, list(standing_motors()), 0.1)
             write_table(night_file(output, table, night), part.sort(table.key))
+    states = [
+        MotorState(one.motor_id, one.state, one.sentence, one.advice, one)
+        for one in watch
+        if one.night == LAST_OF_WATCH
+    ]
+    write_table(whole_file(output, LATEST), frame(LATEST, latest_rows(states, "made")))
     said = [{"run_id": "made", **asdict(one)} for one in decisions()]
-    whole_file = table_folder(output, DECISIONS) / "decisions.parquet"
-    write_table(whole_file, frame(DECISIONS, said).sort(DECISIONS.key))
+    decisions_file = table_folder(output, DECISIONS) / "decisions.parquet"
+    write_table(decisions_file, frame(DECISIONS, said).sort(DECISIONS.key))
     write_views(output)
 
 
 def decisions() -> list[Decision]:
-    """The sleeves' alarm was inspected twice, the deviation's once and in vain."""
-    (raised,) = (
-        row["night"]
-        for row in alarm_rows(standing_motors()[WORN], range(NIGHTS_OF_TRENDS))
-        if row["indicator"] == "K_balance_sleeve" and row["to_state"] == "alarm"
-    )
+    """The sleeves' alarm was inspected twice, a sensor's once and in vain."""
     when = dt.datetime(2026, 4, 1, tzinfo=dt.UTC)
-    first = Decision(WORN, "K_balance_sleeve", when, "finding", raised, "not_confirmed", "nothing")
+    first = Decision(WORN, "leakage", when, "finding", TOLD_ON, "not_confirmed", "nothing")
     second = replace(first, time=when + EARLIER, finding="confirmed", note="a sleeve is scored")
-    vain = replace(first, indicator="baseline_deviation")
-    seen = replace(first, kind="acknowledged", finding=None, indicator="reference_leakage")
-    return [first, second, vain, seen, RESET]
+    vain = replace(first, motor_id=SLOW)
+    seen = replace(first, kind="acknowledged", finding=None, motor_id=HEALTHY)
+    return [first, second, vain, seen]
 
 
 def known(rows: pl.DataFrame, table: Table) -> pl.DataFrame:

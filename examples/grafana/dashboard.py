@@ -15,7 +15,9 @@ OF = "motor_leakage_"
 PANELS = (
     ("Motors by state", f"sum by (state) ({OF}motor_state)", "{{state}}", "short"),
     ("Motors in alarm", f'{OF}motor_state{{state="alarm"}} == 1', "{{motor}}", "short"),
-    ("Largest gap change", f"{OF}gap_change_ratio", "{{motor}} {{path}}", "percentunit"),
+    ("Change tonight", f"{OF}tonight_change_ratio", "{{motor}}", "percentunit"),
+    ("Evidence over its limit", f"{OF}evidence / {OF}evidence_limit", "{{motor}}", "percentunit"),
+    ("Lack of fit of the model", f"{OF}lack_of_fit_ratio", "{{motor}}", "percentunit"),
     ("Age of the newest data", f"time() - {OF}data_timestamp_seconds", "{{motor}}", "s"),
     ("Last good run", f"time() - {OF}last_good_run_timestamp_seconds", "{{fleet}}", "s"),
     ("Failed nights", f"{OF}failed_nights > 0", "{{motor}}", "short"),

@@ -1,1 +1,1 @@
-"""A motor over its nights: baselines, monitoring of changes, forecasts."""
+"""A motor over its nights, for show: slopes, times to a limit, zeros of sensors."""

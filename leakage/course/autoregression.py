@@ -124,29 +124,3 @@ def variance_of_mean(phi: float, nights: Nights) -> float:
     if phi <= 0.0:
         return 1.0 / len(nights)
     return float(np.mean(phi ** np.abs(nights[:, None] - nights)))
-
-
-def variance_of_sum(weights: Array, phi: float, nights: Nights) -> float:
-    """Variance of a weighted sum of nights, shape (n,), in units of the variance of one.
-
-    Examples
-    --------
-    >>> variance_of_sum(np.array([0.5, 0.5]), 0.5, np.array([0, 1]))
-    0.75
-    >>> variance_of_sum(np.array([-1.0, 2.0]), 0.0, np.array([0, 1]))
-    5.0
-    """
-    if phi <= 0.0:
-        return float(weights @ weights)
-    return float(weights @ phi ** np.abs(nights[:, None] - nights) @ weights)
-
-
-def long_run_factor(phi: float) -> float:
-    """Variance of a mean of very many neighbouring nights over that of as many independent ones.
-
-    Examples
-    --------
-    >>> long_run_factor(0.6)
-    4.0
-    """
-    return (1.0 + phi) / (1.0 - phi)

@@ -11,15 +11,9 @@ from leakage.estimation.block_statistics import merge, with_free_known
 from leakage.estimation.certificate import Certificate, certify
 from leakage.estimation.identifiability import Excitation, Identification, identify
 from leakage.estimation.least_squares import Fit, fit
-from leakage.estimation.model_verdict import Misfit, misfit
-from leakage.estimation.multi_start import Parametrisation, SearchSettings
-from leakage.estimation.slow_errors import (
-    ShortBlocks,
-    SlowErrors,
-    short_blocks,
-    slow_errors,
-    whitened,
-)
+from leakage.estimation.misfit import Misfit, misfit
+from leakage.estimation.multi_start import Parametrisation
+from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
 from leakage.physics.motor import Motor
 
 Array = NDArray[np.float64]
@@ -27,77 +21,41 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBlocks:
-    """Blocks of samples in time order, with all that a fit needs of them.
+    """Blocks of samples in time order, with all that a fit needs of them."""
 
-    Attributes
-    ----------
-    factors
-        Triangular factor of each, shape (b, c, c); of weighted samples under a robust loss.
-    short
-        Short blocks from which they were merged.
-    trains
-        Mask of those that train, shape (b,).
-    means
-        Mean temperature [°C], pressure [bar] and speed [rpm] of each, shape (b, 3).
-    excitation
-        Range of the samples.
-    """
-
+    # Triangular factor of each, shape (b, c, c); of weighted samples under a robust loss.
     factors: Array
-    short: ShortBlocks
-    trains: NDArray[np.bool_]
-    means: Array
-    excitation: Excitation
+    # number, block_s: place of each on the clock, in blocks, shape (b,), and their usual
+    # length [s].
+    number: NDArray[np.int64]
+    block_s: float
+    trains: NDArray[np.bool_]  # mask of those that train, shape (b,)
+    means: Array  # mean temperature [°C], pressure [bar] and speed [rpm] of each, shape (b, 3)
+    excitation: Excitation  # range of the samples
 
     def with_free_known(self, place: int, coefficient: float) -> SampleBlocks:
         """The blocks with the known flow as a path of its own; arguments as for a factor."""
-        factors = with_free_known(self.factors, place, coefficient)
-        # Means of blocks that no others were merged into are those of their factors, to the bit.
-        if len(self.short.n) == len(factors):
-            return replace(self, factors=factors, short=short_blocks(factors, self.short.number))
-        means = np.insert(self.short.means, place, self.short.means[:, -2] / coefficient, axis=1)
-        means[:, -2] = 0.0
-        return replace(self, factors=factors, short=replace(self.short, means=means))
+        return replace(self, factors=with_free_known(self.factors, place, coefficient))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockEstimate:
-    """Estimates from blocks of samples.
+    """Estimates from blocks of samples."""
 
-    Attributes
-    ----------
-    fit
-        Estimates from all blocks.
-    training
-        The fit to the blocks that train, which is validated on the others.
-    whole
-        The merged factor of all blocks, shape (c, c).
-    slow
-        Memory of the errors from block to block.
-    whitened
-        The factors without that memory, shape (b, c, c).
-    misfit
-        What the blocks say of the model; None where they are too few.
-    """
-
-    fit: Fit
-    training: Certificate
-    whole: Array
-    slow: SlowErrors
-    whitened: Array
-    misfit: Misfit | None
+    fit: Fit  # estimates from all blocks
+    training: Certificate  # the fit to the blocks that train, which is validated on the others
+    whole: Array  # the merged factor of all blocks, shape (c, c)
+    fitted: Array  # the one that the estimates are the minimum of, shape (c, c)
+    slow: SlowErrors  # memory of the errors from block to block
+    whitened: Array  # the factors without that memory, shape (b, c, c)
+    misfit: Misfit | None  # structured misfit; None where the blocks are too few
 
     def identified(self, excitation: Excitation, inflation: float = 1.0) -> Identification:
         """Verdicts and intervals by the samples alone; arguments as of :func:`identify`."""
         return identify(self.fit, self.whitened, excitation, inflation, self.slow)
 
 
-def fit_blocks(
-    blocks: SampleBlocks,
-    motor: Motor,
-    settings: SearchSettings | None = None,
-    generator: np.random.Generator | None = None,
-) -> BlockEstimate:
+def fit_blocks(blocks: SampleBlocks, motor: Motor) -> BlockEstimate:
     """Fit a motor to blocks of samples.
 
     Parameters
@@ -106,12 +64,6 @@ def fit_blocks(
         Blocks, columns as ``motor.columns``.
     motor
         Paths with their parameters and bounds.
-    settings, generator
-        Settings of the search, and the source of its starting points; None: no search.
-
-    Returns
-    -------
-    BlockEstimate
 
     Raises
     ------
@@ -122,14 +74,27 @@ def fit_blocks(
     fixed = lower == upper
     training = certify(merge(blocks.factors[blocks.trains]), lower, upper)
     whole = merge(blocks.factors)
-    slow = slow_errors(blocks.factors, blocks.short, fixed, lower, whole)
-    white = whitened(blocks.factors, blocks.short, slow)
-    found = fit(merge(white) if slow.are_slow else whole, motor, settings, generator)
+    slow = slow_errors(blocks.factors, blocks.number, fixed, lower, whole)
+    white = whitened(blocks.factors, blocks.number, slow)
+    fitted = merge(white) if slow.are_slow else whole
+    found = fit(fitted, motor)
+    # An estimate on a bound: the slopes ask for what no gap can do.
+    if slow.are_slow and (slow.scales or not found.certificate.off_bounds[~fixed].all()):
+        fitted = with_level(blocks.factors, blocks.number, slow)
+        found = fit(fitted, motor)
+    if slow.hides_level(blocks.number):
+        # The level would be left to a single block, from which nobody can tell how sure it is.
+        adding = slow_errors(blocks.factors, blocks.number, fixed, lower, whole, scales=False)
+        adding = replace(adding, evidence=slow.evidence)
+        white = whitened(blocks.factors, blocks.number, adding)
     return BlockEstimate(
         fit=found,
         training=training,
         whole=whole,
+        fitted=fitted,
         slow=slow,
         whitened=white,
-        misfit=misfit(blocks.factors, blocks.short, found.coefficients, fixed, blocks.means),
+        misfit=misfit(
+            blocks.factors, blocks.number, found.coefficients, fixed, blocks.means, slow.scales
+        ),
     )

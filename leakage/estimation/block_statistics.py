@@ -31,21 +31,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class FlowSummary:
-    """Size, mean and spread of the measured flow of some samples.
+    """Size, mean and spread of the measured flow of some samples."""
 
-    Attributes
-    ----------
-    n
-        Number of samples.
-    mean_l_per_min
-        Mean measured flow [l/min]; nan without samples.
-    centred_norm_l_per_min
-        ‖y − ȳ‖₂ of the measured flow [l/min].
-    """
-
-    n: int
-    mean_l_per_min: float
-    centred_norm_l_per_min: float
+    n: int  # number of samples
+    mean_l_per_min: float  # mean measured flow [l/min]; nan without samples
+    centred_norm_l_per_min: float  # ‖y − ȳ‖₂ of the measured flow [l/min]
 
 
 def factor(z: Array) -> Array:

@@ -7,7 +7,7 @@ In the loss factors K and the flushing C_f the model is linear and the bounds ar
 is convex: its minimum is global. The Karush–Kuhn–Tucker conditions prove it: the gradient is 0 in
 every coefficient off its bounds and points outwards at a bound. The largest violation is reported
 as the dual residual. This minimum is what is published; the multi-start search of the thesis
-(3.5) then shows that it finds the same.
+(3.5) is an audit of it.
 
 References
 ----------
@@ -41,40 +41,26 @@ MOST_EXCHANGES = 200
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """The minimum of a box-bounded linear least squares problem, with its proof.
+    """The minimum of a box-bounded linear least squares problem, with its proof."""
 
-    Attributes
-    ----------
-    coefficients
-        θ: loss factors in the order of the columns, then the constant flow; shape (p + 1,).
-    cost
-        V(θ) [(l/min)²].
-    dual_residual
-        Largest violation of the Karush–Kuhn–Tucker conditions, relative to ‖A_j‖ ‖b‖.
-    at_lower, at_upper
-        Coefficients that lie on a bound and are not fixed; shape (p + 1,).
-    fixed
-        Coefficients whose bounds are equal; shape (p + 1,).
-    rank
-        Rank of the free, column-scaled regressors.
-    singular_values
-        Of the free regressors, each column scaled to norm 1; largest first.
-    n_estimated
-        Rank of the regressors whose coefficients are off their bounds: d of FPE and AIC.
-    rounding
-        Criterion below which nothing but rounding is left [(l/min)²].
-    """
-
+    # θ: loss factors in the order of the columns, then the constant flow; shape (p + 1,).
     coefficients: Array
-    cost: float
+    # θ without its bounds, of least norm where columns depend on each other; shape (p + 1,).
+    # A leakage is told by it: what a bound takes from one coefficient it gives to the others,
+    # which is right for their gaps and wrong for the sum.
+    unbounded: Array
+    cost: float  # V(θ) [(l/min)²]
+    # Largest violation of the Karush–Kuhn–Tucker conditions, relative to ‖A_j‖ ‖b‖.
     dual_residual: float
+    # at_lower, at_upper: coefficients that lie on a bound and are not fixed; shape (p + 1,).
     at_lower: NDArray[np.bool_]
     at_upper: NDArray[np.bool_]
-    fixed: NDArray[np.bool_]
-    rank: int
-    singular_values: Array
+    fixed: NDArray[np.bool_]  # coefficients whose bounds are equal; shape (p + 1,)
+    rank: int  # rank of the free, column-scaled regressors
+    singular_values: Array  # of the free regressors, each column scaled to norm 1; largest first
+    # Rank of the regressors whose coefficients are off their bounds: d of FPE and AIC.
     n_estimated: int
-    rounding: float
+    rounding: float  # criterion below which nothing but rounding is left [(l/min)²]
 
     @property
     def condition_number(self) -> float:
@@ -83,11 +69,6 @@ class Certificate:
         if not len(values):
             return float("nan")
         return float(values[0] / values[-1]) if values[-1] > 0 else float("inf")
-
-    @property
-    def is_short_of_rank(self) -> bool:
-        """Free columns depend on each other, so that the minimum is a set."""
-        return self.rank < len(self.singular_values)
 
     @property
     def off_bounds(self) -> NDArray[np.bool_]:
@@ -138,9 +119,11 @@ def certify(r: Array, lower: Array, upper: Array) -> Certificate:
     scale = np.where(norms > 0, norms, 1.0)
     scaled = matrix / scale
     singular_values = _singular_values(scaled[:, free])
-    solution = lower.copy()
+    solution, unbounded = lower.copy(), lower.copy()
     box = (lower * scale)[free], (upper * scale)[free]
-    found = _bounded_minimum(scaled[:, free], remaining, *box)
+    without = _least_norm(scaled[:, free], remaining)
+    unbounded[free] = without / scale[free]
+    found = _bounded_minimum(scaled[:, free], remaining, *box, without)
     # A bound that was scaled and scaled back is off by rounding: take the bound itself.
     sides = [found <= box[0], found >= box[1]]
     solution[free] = np.select(sides, [lower[free], upper[free]], found / scale[free])
@@ -153,6 +136,7 @@ def certify(r: Array, lower: Array, upper: Array) -> Certificate:
     size = float(np.linalg.norm(target)) or 1.0
     return Certificate(
         coefficients=solution,
+        unbounded=unbounded,
         cost=criterion(r, solution),
         dual_residual=float(max(0.0, violation[free].max(initial=0.0)) / size),
         at_lower=at_lower,
@@ -195,7 +179,9 @@ def _rank(singular_values: Array) -> int:
     return int((singular_values > RANK_TOLERANCE * singular_values.max(initial=0.0)).sum())
 
 
-def _bounded_minimum(matrix: Array, target: Array, lower: Array, upper: Array) -> Array:
+def _bounded_minimum(
+    matrix: Array, target: Array, lower: Array, upper: Array, unbounded: Array
+) -> Array:
     """Minimum over the box: the unbounded one where it fits, else found by active sets [1]_.
 
     SciPy's bounded solver stops on a small change of cost, so a coefficient whose box is tiny can
@@ -203,7 +189,6 @@ def _bounded_minimum(matrix: Array, target: Array, lower: Array, upper: Array) -
     """
     if not matrix.shape[1]:
         return np.empty(0)
-    unbounded = _least_norm(matrix, target)
     x = np.clip(unbounded, lower, upper)
     inside = (lower < unbounded) & (unbounded < upper)
     for _ in range(MOST_EXCHANGES):

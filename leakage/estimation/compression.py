@@ -25,36 +25,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CompressedSamples:
-    """Samples with their columns, and the statistics of their blocks.
+    """Samples with their columns, and the statistics of their blocks."""
 
-    Attributes
-    ----------
-    z
-        Their columns, smoothed where that was asked for; shape (n, c).
-    unsmoothed
-        The same before smoothing; z itself where none was asked for.
-    short
-        Blocks before neighbours are merged, whose borders no smoothing crosses.
-    blocks
-        Blocks as they are stored.
-    factors
-        Triangular factor of each, shape (b, c, c); of weighted samples under a robust loss.
-    plain_factors
-        The same without weights: what a fit is judged on.
-    short_means
-        What each stored block keeps of the short blocks that were merged into it.
-    inflation
-        Factor on standard errors that robust weights ask for; 1 without them.
-    """
-
-    z: Array
-    unsmoothed: Array
+    z: Array  # their columns, smoothed where that was asked for; shape (n, c)
+    unsmoothed: Array  # the same before smoothing; z itself where none was asked for
+    # Blocks before neighbours are merged, whose borders no smoothing crosses.
     short: tuple[Block, ...]
-    blocks: tuple[Block, ...]
+    blocks: tuple[Block, ...]  # blocks as they are stored
+    # Triangular factor of each, shape (b, c, c); of weighted samples under a robust loss.
     factors: Array
-    plain_factors: Array
+    plain_factors: Array  # the same without weights: what a fit is judged on
+    # What each stored block keeps of the short blocks that were merged into it.
     short_means: ShortMeans
-    inflation: float
+    inflation: float  # factor on standard errors that robust weights ask for; 1 without them
 
     def judged_on(self, part: str | None = None) -> Array:
         """Factor of the samples of a part as they are, or of all."""
@@ -105,10 +88,6 @@ def compress(
         ``squared``, or Huber's by weights on the samples.
     weighted_parts
         Parts whose samples find the weights; None: all.
-
-    Returns
-    -------
-    CompressedSamples
 
     Raises
     ------

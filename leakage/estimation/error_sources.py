@@ -78,25 +78,14 @@ Disturbance: TypeAlias = Callable[[Window], Window]
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A source of systematic error.
+    """A source of systematic error."""
 
-    Attributes
-    ----------
-    name
-        Such as ``oil_temperature offset``.
-    tolerance, unit
-        Its stated size.
-    disturbed
-        The window as it would be with that error.
-    sign
-        −1 where the error can only be put on downwards.
-    """
-
-    name: str
+    name: str  # such as ``oil_temperature offset``
+    # tolerance, unit: its stated size.
     tolerance: float
     unit: str
-    disturbed: Disturbance
-    sign: float = 1.0
+    disturbed: Disturbance  # the window as it would be with that error
+    sign: float = 1.0  # −1 where the error can only be put on downwards
 
 
 def sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:

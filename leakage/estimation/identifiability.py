@@ -14,9 +14,22 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.estimation.choices import (
+    FARTHEST,
+    LARGEST_BLOCK_SHARE,
+    LARGEST_ROOT_VIF,
+    LEAST_FREEDOM,
+    LEAST_FREEDOM_LEAKAGE,
+    LEAST_PRESSURE_SPAN_BAR,
+    WIDENING,
+    WIDEST_COEFFICIENT,
+    WIDEST_EXTRAPOLATED,
+    WIDEST_IDENTIFIED,
+    WIDEST_UNCERTAIN,
+)
 from leakage.estimation.least_squares import Fit
 from leakage.estimation.multi_start import Parametrisation
-from leakage.estimation.slow_errors import NOT_SLOW, WIDENING, SlowErrors
+from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors
 from leakage.estimation.uncertainty import ClusterRobust, Interval, cluster_robust
 from leakage.physics.motor import OperatingConditions, regressors
 from leakage.physics.paths import LeakagePath
@@ -36,25 +49,6 @@ Verdict: TypeAlias = Literal[
 TOLD = ("identified", "uncertain", "extrapolated", "fixed")
 OUTSIDE = ("extrapolated", "outside_fitted_range")
 
-# Limits of model.md, section 5: half-width over K, and √VIF.
-WIDEST_COEFFICIENT = 0.5
-LARGEST_ROOT_VIF = 100.0
-# Half-width over the leakage, statistical and systematic together, of each verdict.
-WIDEST_IDENTIFIED = 0.10
-WIDEST_UNCERTAIN = 0.25
-WIDEST_EXTRAPOLATED = 0.12
-# Distance from what the samples saw over which a leakage is extrapolated [bar, K]; not over speed,
-# which only a known curve follows.
-FARTHEST = {"pressure": 20.0, "temperature": 10.0, "speed": 0.0}
-# Least span of pressure for telling gaps apart that differ in their deformation.
-LEAST_PRESSURE_SPAN_BAR = 20.0
-# A combination of which one block tells more than this, or that has fewer degrees of freedom, has
-# no credible interval: with 3 degrees of freedom 92 % of the simulated ones of a loss factor held
-# the truth, as the limit of their width selects lucky nights. A leakage is far below its limit:
-# with 2, 94 to 97 % held.
-LARGEST_BLOCK_SHARE = 0.5
-LEAST_FREEDOM = 4.0
-LEAST_FREEDOM_LEAKAGE = 2.0
 ONE_STRETCH = (
     "it rests on one short stretch of the window; its conditions must recur to show how sure it is"
 )
@@ -94,23 +88,12 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """Verdicts and intervals of a fit.
+    """Verdicts and intervals of a fit."""
 
-    Attributes
-    ----------
-    coefficients
-        One for each coefficient of θ.
-    slow
-        Memory of the errors from block to block.
-    n_blocks
-        Blocks behind the intervals.
-    distribution
-        Of the coefficients that are not fixed; None where there is no interval at all.
-    """
-
-    coefficients: tuple[Judgement, ...]
-    slow: SlowErrors
-    n_blocks: int
+    coefficients: tuple[Judgement, ...]  # one for each coefficient of θ
+    slow: SlowErrors  # memory of the errors from block to block
+    n_blocks: int  # blocks behind the intervals
+    # Of the coefficients that are not fixed; None where there is no interval at all.
     distribution: ClusterRobust | None
 
 
@@ -289,7 +272,7 @@ class LeakageJudgement:
     Attributes
     ----------
     leakage_l_per_min
-        Estimate [l/min].
+        Estimate without bounds [l/min].
     interval
         Its 95 % interval; None where there is none.
     verdict
@@ -339,7 +322,7 @@ def judge_leakage(
     """
     row = regressors(fit.motor, conditions)[0]
     contrast = np.append(row[:-2], 0.0)
-    leakage = float(contrast @ fit.coefficients + row[-1])
+    leakage = float(contrast @ fit.unbounded + row[-1])
     distribution = identification.distribution
     interval = None if distribution is None else distribution.interval(contrast)
     if fit.certificate.fixed[:-1].all():

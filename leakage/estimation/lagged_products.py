@@ -38,14 +38,9 @@ BATCH_POINTS = 1 << 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """Stretches of samples without a gap.
+    """Stretches of samples without a gap."""
 
-    Attributes
-    ----------
-    begins, lengths
-        First sample of each and how many it has, shape (s,).
-    """
-
+    # begins, lengths: first sample of each and how many it has, shape (s,).
     begins: Places
     lengths: Places
 

@@ -22,26 +22,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A fitted motor.
+    """A fitted motor."""
 
-    Attributes
-    ----------
-    motor
-        The motor as declared.
-    certificate
-        Global minimum of the criterion: the published estimate.
-    starts
-        What came of each starting point of the search.
-    """
-
-    motor: Motor
-    certificate: Certificate
-    starts: tuple[Start, ...]
+    motor: Motor  # the motor as declared
+    certificate: Certificate  # global minimum of the criterion: the published estimate
+    starts: tuple[Start, ...] = ()  # what came of each starting point of the search
 
     @property
     def coefficients(self) -> Array:
         """θ: loss factors in the order of the columns, then the constant flow; shape (p + 1,)."""
         return self.certificate.coefficients
+
+    @property
+    def unbounded(self) -> Array:
+        """θ without its bounds, by which leakages are told; shape (p + 1,)."""
+        return self.certificate.unbounded
 
     @property
     def coefficients_by_path(self) -> dict[str, float]:
@@ -83,10 +78,6 @@ def fit(
     settings, generator
         Settings of the search, and the source of its starting points; None: no search.
 
-    Returns
-    -------
-    Fit
-
     Raises
     ------
     EstimationError
@@ -95,7 +86,5 @@ def fit(
     bounds = Parametrisation.of(motor).coefficient_bounds()
     certificate = certify(r, *bounds)
     if settings is None or generator is None:
-        return Fit(motor, certificate, ())
-    if settings.only_at_short_rank and not certificate.is_short_of_rank:
-        return Fit(motor, certificate, ())
+        return Fit(motor, certificate)
     return Fit(motor, certificate, search(r, motor, settings, generator))

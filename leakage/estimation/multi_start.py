@@ -1,10 +1,10 @@
 r"""The search of the thesis: bounded least squares in gap heights and eccentricities (3.4, 3.5).
 
-The trust-region-reflective method runs from several starting points over the triangular factor of
-the samples, so that a start costs milliseconds however long the window. h and e of one path enter
-only as K ∝ h³(1 + 1.5e²): runs from different points end at one minimum of the criterion with
-different (h, e). The starts therefore show that the thesis's search agrees with the certificate,
-and how far the thesis's parameters spread at the minimum.
+SciPy's trust-region-reflective method runs from several starting points over the triangular factor
+of the samples. h and e of one path enter only as K ∝ h³(1 + 1.5e²): runs from different points end
+at one minimum of the criterion with different (h, e). The starts therefore show that the thesis's
+search agrees with the certificate, and how far the thesis's parameters spread at the minimum: an
+audit, on request.
 
 The optimiser sees µm and l/min, never metres: its step test is on an unscaled norm.
 """
@@ -13,23 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import criterion, sample_count
-from leakage.estimation.trust_region import (
-    FAILED,
-    FUNCTION,
-    FUNCTION_AND_STEP,
-    GRADIENT,
-    ITERATION_LIMIT,
-    STEP,
-    Ends,
-    Tolerances,
-    minimise,
-)
 from leakage.physics.motor import Motor
 from leakage.physics.paths import LeakagePath, Parameter
 
@@ -42,17 +31,18 @@ ECCENTRICITY_NUDGE = 1e-3
 # No more than rounding: without one the search divides 0 by 0 where the gradient vanishes exactly.
 GRADIENT_TOLERANCE = float(np.finfo(np.float64).eps)
 
-STATUS = {
-    FAILED: ("failed", "the residuals at the starting point are not finite"),
-    ITERATION_LIMIT: ("iteration_limit", "the maximum number of iterations was used up"),
-    GRADIENT: ("gradient_tolerance", "the gradient vanishes"),
-    FUNCTION: ("function_tolerance", "the criterion changes by less than the tolerance"),
-    STEP: ("step_tolerance", "the step is shorter than the tolerance"),
-    FUNCTION_AND_STEP: (
+FAILED = ("failed", "the residuals at the starting point are not finite")
+# By SciPy's status.
+ENDS = (
+    ("iteration_limit", "the maximum number of iterations was used up"),
+    ("gradient_tolerance", "the gradient vanishes"),
+    ("function_tolerance", "the criterion changes by less than the tolerance"),
+    ("step_tolerance", "the step is shorter than the tolerance"),
+    (
         "function_and_step_tolerance",
         "criterion and step change by less than their tolerances",
     ),
-}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +59,6 @@ class SearchSettings:
         Relative; 1e-10 (MATLAB's own 1e-6 and 1e-5 leave half of the starts short).
     maximum_iterations
         Evaluations of the criterion that a start may take.
-    only_at_short_rank
-        Make the starts only where the certificate finds the rank of the regressors short.
     """
 
     starting_points: int = 10
@@ -78,46 +66,29 @@ class SearchSettings:
     step_tolerance: float = 1e-10
     function_tolerance: float = 1e-10
     maximum_iterations: int = 200
-    only_at_short_rank: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Outcome of one starting point; a failure is a row with its reason, not an exception.
+    """Outcome of one starting point; a failure is a row with its reason, not an exception."""
 
-    Attributes
-    ----------
-    number
-        0 for the configured point.
-    status, reason
-        Why the search stopped: one of `STATUS`, or ``failed``; and in words.
-    cost
-        V at the end [(l/min)²]; nan where it failed.
-    iterations
-        Evaluations of the criterion.
-    initial, final
-        Values of the free parameters [µm, 1, m³ or l/min as the parameter's unit].
-    """
-
-    number: int
+    number: int  # 0 for the configured point
+    # status, reason: why the search stopped: one of `ENDS`, or ``failed``; and in words.
     status: str
     reason: str
-    cost: float
-    iterations: int
+    cost: float  # V at the end [(l/min)²]; nan where it failed
+    iterations: int  # evaluations of the criterion
+    # initial, final: values of the free parameters [µm, 1, m³ or l/min as the parameter's
+    # unit].
     initial: Array
     final: Array
 
 
 @dataclass(frozen=True, slots=True)
 class Parametrisation:
-    """The thesis's parameters, and how they make the coefficients of the columns.
+    """The thesis's parameters, and how they make the coefficients of the columns."""
 
-    Attributes
-    ----------
-    paths
-        One for each coefficient: the column paths, then the constant (None: no constant flow).
-    """
-
+    # One for each coefficient: the column paths, then the constant (None: no constant flow).
     paths: tuple[LeakagePath | None, ...]
 
     @classmethod
@@ -244,68 +215,39 @@ def search(
     points = starting_points(parametrisation.free, settings.starting_points, generator)
     scale = np.sqrt(max(sample_count(r), 1))
     matrix, target = r[:, :-2] / scale, (r[:, -1] - r[:, -2]) / scale
-    lower, upper = parametrisation.bounds()
 
     def residual(free: Array) -> Array:
-        error: Array = parametrisation.coefficients(free)[0] @ matrix.T - target
+        error: Array = matrix @ parametrisation.coefficients(free)[0] - target
         return error
 
-    def analytic(free: Array) -> Array:
-        slope: Array = matrix @ parametrisation.coefficients(free)[1]
-        return slope
+    def slope(free: Array) -> Array:
+        by_parameters: Array = matrix @ parametrisation.coefficients(free)[1]
+        return by_parameters
 
-    def by_differences(free: Array) -> Array:
-        return _differences(
-            residual, free, lower, upper, central=settings.gradient_type == "3-point"
-        )
-
-    ends = minimise(
-        residual,
-        analytic if settings.gradient_type == "analytic" else by_differences,
-        points,
-        lower,
-        upper,
-        Tolerances(
-            step=settings.step_tolerance,
-            function=settings.function_tolerance,
-            gradient=GRADIENT_TOLERANCE,
-            evaluations=settings.maximum_iterations,
-        ),
-    )
     return tuple(
-        _start(number, points[number], ends, r, parametrisation) for number in range(len(points))
+        _start(
+            number,
+            point,
+            lambda x: criterion(r, parametrisation.coefficients(x)[0]),
+            fun=residual,
+            jac=slope if settings.gradient_type == "analytic" else settings.gradient_type,
+            bounds=parametrisation.bounds(),
+            xtol=settings.step_tolerance,
+            ftol=settings.function_tolerance,
+            max_nfev=settings.maximum_iterations,
+        )
+        for number, point in enumerate(points)
     )
 
 
-def _start(
-    number: int, initial: Array, ends: Ends, r: Array, parametrisation: Parametrisation
-) -> Start:
-    """One start's end as a row, whether it succeeded or not."""
-    status, reason = STATUS[int(ends.status[number])]
-    evaluations = int(ends.evaluations[number])
-    if status == "failed":
-        return Start(number, status, reason, float("nan"), evaluations, initial, initial)
-    final = ends.x[number]
-    cost = criterion(r, parametrisation.coefficients(final)[0])
-    return Start(number, status, reason, cost, evaluations, initial, final)
+def _start(number: int, point: Array, cost_of: Callable[[Array], float], **problem: Any) -> Start:
+    """One start as a row, whether it succeeds or not."""
+    from scipy.optimize import least_squares
 
-
-def _differences(
-    residual: Callable[[Array], Array], free: Array, lower: Array, upper: Array, *, central: bool
-) -> Array:
-    """Jacobian by 2-point or 3-point differences that stay within the bounds, shape (m, r, k)."""
-    share = np.finfo(np.float64).eps ** (1 / 3 if central else 1 / 2)
-    room = np.minimum(free - lower, upper - free)
-    step = np.minimum(share * np.maximum(np.abs(free), 1e-3 * (upper - lower)), room / 2)
-    here = residual(free)
-    columns = []
-    for place in range(free.shape[1]):
-        move = np.zeros_like(free)
-        move[:, place] = step[:, place]
-        behind = residual(free - move) if central else here
-        width = (2.0 if central else 1.0) * step[:, place, None]
-        columns.append((residual(free + move) - behind) / width)
-    return np.stack(columns, axis=2)
+    if not np.isfinite(problem["fun"](point)).all():
+        return Start(number, *FAILED, float("nan"), 1, point, point)
+    found = least_squares(x0=point, method="trf", x_scale="jac", gtol=GRADIENT_TOLERANCE, **problem)
+    return Start(number, *ENDS[found.status], cost_of(found.x), int(found.nfev), point, found.x)
 
 
 def at_minimum(starts: Sequence[Start], minimum: float, rounding: float = 0.0) -> NDArray[np.bool_]:

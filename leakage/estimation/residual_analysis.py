@@ -84,32 +84,23 @@ PASSED, FAILED, NOT_TESTED = "passed", "failed", "not_tested"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LagTest:
-    """Correlations over lags with their band, and one figure that judges them together.
+    """Correlations over lags with their band, and one figure that judges them together."""
 
-    Attributes
-    ----------
-    lags
-        Shape (k,), in samples; at a positive one the input is the past one. Empty where nothing
-        could be computed.
-    values
-        Correlations, shape (k,); nan at a lag with fewer pairs than a fifth of the samples.
-    bounds
-        99 % of correlations of independent errors lie within ± this, each by itself; nan where
-        there is no value, and at lag 0 of the autocorrelation, which is 1.
-    statistic, degrees_of_freedom, p_value
-        Q or T, of its chi-square distribution the degrees of freedom, and the probability that
-        independent errors give a larger one; None where not tested.
-    reason
-        Why it was not tested; None where it was.
-    """
-
+    # Shape (k,), in samples; at a positive one the input is the past one. Empty where nothing
+    # could be computed.
     lags: Places
+    # Correlations, shape (k,); nan at a lag with fewer pairs than a fifth of the samples.
     values: Array
+    # 99 % of correlations of independent errors lie within ± this, each by itself; nan where
+    # there is no value, and at lag 0 of the autocorrelation, which is 1.
     bounds: Array
+    # statistic, degrees_of_freedom, p_value: Q or T, of its chi-square distribution the
+    # degrees of freedom, and the probability that independent errors give a larger one; None
+    # where not tested.
     statistic: float | None = None
     degrees_of_freedom: int | None = None
     p_value: float | None = None
-    reason: str | None = None
+    reason: str | None = None  # why it was not tested; None where it was
 
     @property
     def verdict(self) -> str:
@@ -141,30 +132,17 @@ class LagTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualAnalysis:
-    """Results of the residual tests of a model on some samples.
+    """Results of the residual tests of a model on some samples."""
 
-    Attributes
-    ----------
-    n
-        Number of samples.
-    mean_l_per_min
-        Mean error, which the tests leave out [l/min]; nan without samples.
-    whiteness
-        Autocorrelation of the errors.
-    independence
-        Cross-correlation with each input, by its name.
-    n_effective
-        Equivalent number of independent samples, by the sum of the errors' correlations; None if
-        the correlation time is too long to be estimated.
-    lag_one_autocorrelation
-        Correlation of each error with the one before it; None where there is no pair, or no spread.
-    """
-
-    n: int
-    mean_l_per_min: float
-    whiteness: LagTest
-    independence: Mapping[str, LagTest]
+    n: int  # number of samples
+    mean_l_per_min: float  # mean error, which the tests leave out [l/min]; nan without samples
+    whiteness: LagTest  # autocorrelation of the errors
+    independence: Mapping[str, LagTest]  # cross-correlation with each input, by its name
+    # Equivalent number of independent samples, by the sum of the errors' correlations; None
+    # if the correlation time is too long to be estimated.
     n_effective: float | None
+    # Correlation of each error with the one before it; None where there is no pair, or no
+    # spread.
     lag_one_autocorrelation: float | None
 
 
@@ -190,10 +168,6 @@ def analyse_residuals(
         as many lags.
     rounding
         Errors of this size are rounding, and not tested [l/min].
-
-    Returns
-    -------
-    ResidualAnalysis
 
     Raises
     ------

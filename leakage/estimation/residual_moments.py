@@ -36,42 +36,27 @@ THINNED_SAMPLES = 2_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualMoments:
-    """Correlations of errors and inputs within segments, scaled to variances of 1.
+    """Correlations of errors and inputs within segments, scaled to variances of 1."""
 
-    Attributes
-    ----------
-    pairs
-        N_k, shape (longest sum + 51,).
-    told
-        Whether enough pairs tell of a lag, shape (longest sum + 51,).
-    varies
-        Inputs that vary, shape (inputs,); correlations of the others mean nothing.
-    error, inputs
-        Autocorrelations at lags from 0, 0 where too few pairs tell; shapes (longest sum + 51,) and
-        (inputs, longest sum + 51).
-    crossed, crossed_inside
-        Sums of ε(t) u(t − k), k = −25 … 25, over all pairs and over the inner samples alone; shape
-        (inputs, 51).
-    inner
-        Number of inner samples that another inner one follows after 0 to 50, shape (51,).
-    thinned_error, thinned_inputs
-        Errors at some inner samples, shape (c,), and inputs from 25 samples before to 25 after each
-        of them, shape (c, 51) an input; both without their means, not scaled.
-    longest_sum
-        Largest lag of the sums over lags.
-    """
-
-    pairs: Array
-    told: Mask
-    varies: Mask
+    pairs: Array  # N_k, shape (longest sum + 51,)
+    told: Mask  # whether enough pairs tell of a lag, shape (longest sum + 51,)
+    varies: Mask  # inputs that vary, shape (inputs,); correlations of the others mean nothing
+    # error, inputs: autocorrelations at lags from 0, 0 where too few pairs tell; shapes
+    # (longest sum + 51,) and (inputs, longest sum + 51).
     error: Array
     inputs: Array
+    # crossed, crossed_inside: sums of ε(t) u(t − k), k = −25 … 25, over all pairs and over
+    # the inner samples alone; shape (inputs, 51).
     crossed: Array
     crossed_inside: Array
+    # Number of inner samples that another inner one follows after 0 to 50, shape (51,).
     inner: Array
+    # thinned_error, thinned_inputs: errors at some inner samples, shape (c,), and inputs from
+    # 25 samples before to 25 after each of them, shape (c, 51) an input; both without their
+    # means, not scaled.
     thinned_error: Array
     thinned_inputs: list[Array]
-    longest_sum: int
+    longest_sum: int  # largest lag of the sums over lags
 
     @classmethod
     def of(

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, groupby
+from itertools import groupby
 from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-
-from leakage.estimation.slow_errors import ShortBlocks, short_blocks
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -78,23 +76,15 @@ NONE_CHOSEN = ChosenPeriods()
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Consecutive kept samples of one part of a night.
+    """Consecutive kept samples of one part of a night."""
 
-    Attributes
-    ----------
-    first_row, end_row
-        Rows of the kept samples, half open.
-    start_us, end_us
-        Borders on the clock, half open, UTC microseconds.
-    part
-        training, validation or guard.
-    """
-
+    # first_row, end_row: rows of the kept samples, half open.
     first_row: int
     end_row: int
+    # start_us, end_us: borders on the clock, half open, UTC microseconds.
     start_us: int
     end_us: int
-    part: str
+    part: str  # training, validation or guard
 
     @property
     def n(self) -> int:
@@ -186,6 +176,20 @@ def merge_neighbours(blocks: tuple[Block, ...], maximum: int) -> tuple[Block, ..
     )
 
 
+def places_on_clock(begins_us: Times, ends_us: Times) -> tuple[NDArray[np.int64], float]:
+    """Places of blocks on the clock, counted from the first in their usual length, and that [s].
+
+    Examples
+    --------
+    >>> begins, ends = np.array([[0, 120, 600, 720], [120, 240, 720, 780]]) * SECOND_US
+    >>> places, length_s = places_on_clock(begins, ends)
+    >>> places.tolist(), length_s
+    ([0, 1, 5, 6], 120.0)
+    """
+    usual = float(np.median(ends_us - begins_us))
+    return np.round((begins_us - begins_us[:1]) / usual).astype(np.int64), usual / SECOND_US
+
+
 def numbers_of(blocks: Sequence[Block]) -> NDArray[np.int64]:
     """Number of each sample's block, shape (n,)."""
     return np.repeat(np.arange(len(blocks)), [block.n for block in blocks])
@@ -214,39 +218,3 @@ def short_means(z: Array, short: Sequence[Block], stored: Sequence[Block]) -> Sh
     table = np.column_stack([place, n, np.delete(means, -3, axis=1)]).astype(np.float32)
     parts = (table[owner == place] for place in range(len(stored)))
     return tuple(part.ravel().tolist() if len(part) > 1 else None for part in parts)
-
-
-def short_blocks_within(
-    factors: Array,
-    number: NDArray[np.int64],
-    inside: Sequence[list[float] | None],
-    scale: Array | None = None,
-) -> ShortBlocks:
-    """The short blocks that stored ones were merged from; themselves where they were not.
-
-    Parameters
-    ----------
-    factors, number
-        Factors of the stored blocks, shape (b, c, c), and the place of each on the clock, in short
-        blocks, shape (b,).
-    inside
-        From :func:`short_means`, one a stored block.
-    scale
-        Factor on the columns since then, shape (b, c).
-    """
-    whole = short_blocks(factors, number)
-    if not any(inside):
-        return whole
-    itself = np.column_stack(
-        [np.zeros(len(factors)), whole.n, np.delete(whole.means, -3, axis=1)]
-    ).tolist()
-    parts = [values or own for values, own in zip(inside, itself, strict=True)]
-    table = np.array([*chain.from_iterable(parts)]).reshape(-1, len(itself[0]))
-    stored = np.repeat(np.arange(len(parts)), [len(part) // len(itself[0]) for part in parts])
-    table[:, 0] += number[stored]
-    if scale is not None:
-        # Those of the factors are on the scale already.
-        since = np.where(np.array([*map(bool, inside)])[:, None], np.delete(scale, -3, axis=1), 1.0)
-        table[:, 2:] *= since[stored]
-    means = np.insert(table[:, 2:], -2, 1.0, axis=1)
-    return ShortBlocks(table[:, 1], means, table[:, 0].astype(np.int64), stored)

@@ -1,9 +1,13 @@
 r"""Errors that remember for longer than a block: found by REML, and whitened away.
 
 Errors of real machines drift over many minutes, and then neighbouring blocks tell the same story
-twice. A block's factor splits into what its samples say of one another and what their mean says:
-:math:`R_b^T R_b = W_b + n_b \bar z_b \bar z_b^T`. Errors within a block have the variance
-:math:`\sigma^2` and, as neighbours correlate, act as :math:`\kappa` times that; the means have
+twice. A slow error adds to the flow, as a meter's zero does, or scales it, as a temperature or a
+gain does: in a block of samples it is a multiple of :math:`d_b`, which is 1 or the leakage of the
+estimated paths over its mean. A block's factor splits into what lies along it and the rest,
+:math:`R_b^T R_b = W_b + n_b \bar z_b \bar z_b^T` with :math:`n_b = \lVert d_b \rVert^2` and
+:math:`\bar z_b = Z_b^T d_b / n_b`, the block's means where :math:`d_b` is 1. Errors about them have
+the variance :math:`\sigma^2` and, as neighbours correlate, act as :math:`\kappa` times that; along
+them they have
 
 .. math::
     \operatorname{Cov}(\bar e) = \sigma^2 \kappa
@@ -11,11 +15,11 @@ twice. A block's factor splits into what its samples say of one another and what
 
 :math:`R_\rho` a first-order autoregression over blocks on the clock. ρ and λ maximise the
 restricted likelihood [1]_ over a grid: the inverse of :math:`R_\rho` is tridiagonal, and odd-even
-reduction [2]_ takes all points at once. A Kalman filter whitens the means as a Cholesky factor
-does [3]_. At λ = 0 the whitened factors are those of the samples.
-
-A slow error larger than four times what the least squares' means show is left out of the grid:
-it would throw away what the means say of the level, and doubled the error of the leakage.
+reduction [2]_ takes all points at once. Which of the two directions it is, the same likelihood
+tells. An error that scales keeps the level of the flow, as that leakage lies in what the columns
+span [4]_; an error that adds lets it go, and leaves the estimates to the slopes within blocks,
+which a model that is not quite right does not describe. A Kalman filter whitens the means as a
+Cholesky factor does [3]_. At λ = 0 the whitened factors are those of the samples.
 
 References
 ----------
@@ -25,132 +29,121 @@ References
    *Journal of the ACM*, 12(1), 1965.
 .. [3] A. C. Harvey, *Forecasting, Structural Time Series Models and the Kalman Filter*, Cambridge
    University Press, 1989, section 3.4.
+.. [4] W. Kruskal, "When are Gauss-Markov and least squares estimators identical? A coordinate-free
+   approach", *Annals of Mathematical Statistics*, 39(1), 1968.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.estimation.block_statistics import merge
+from leakage.estimation.block_statistics import merge, sample_count
+from leakage.estimation.choices import (
+    EVIDENCE,
+    LARGEST_SLOW,
+    LEAST_BLOCKS,
+    LEAST_FREEDOM_LEAKAGE,
+    LEAST_WITHIN,
+    MEMORIES,
+    RATIOS,
+    ROUNDING,
+)
 
 Array = NDArray[np.float64]
+Places = NDArray[np.int64]
 
-# Grid of the restricted likelihood: memory from block to block, and variance over that of a mean.
-MEMORIES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
-RATIOS = tuple(10.0 ** (half / 2) for half in range(-2, 10))
-# −2 Δ log REML from which on slow errors are taken for real.
-EVIDENCE = 4.0
-# Factor on half-widths that makes up for ρ and λ being estimates.
-WIDENING = 1.25
-# Largest variance of a slow error, over that of the means' errors under least squares.
-LARGEST_SLOW = 4.0
-# Neighbouring samples act at most as one in three, or nothing within a block could tell.
-LEAST_WITHIN = 3.0
-# Errors below this share of the flow are rounding.
-ROUNDING = 1e-9
 # Relative size below which a column does not vary within blocks, or depends on others.
 RANK_TOLERANCE = 1e-9
-LEAST_BLOCKS = 5
-
-
-@dataclass(frozen=True)  # without slots: their usual size is worked out once
-class ShortBlocks:
-    """Means over the short blocks that stored blocks are made of, in time order.
-
-    Attributes
-    ----------
-    n
-        Samples of each, shape (k,).
-    means
-        Means of the columns, shape (k, c).
-    number
-        Place of each on the clock, in short blocks, shape (k,).
-    stored
-        Stored block that each belongs to, shape (k,).
-    """
-
-    n: Array
-    means: Array
-    number: NDArray[np.int64]
-    stored: NDArray[np.int64]
-
-    @property
-    def weights(self) -> Array:
-        """Inverse of the variance of each mean without slow errors, shape (k,)."""
-        return np.maximum(self.n, 0.5)
-
-    @cached_property
-    def usual_n(self) -> float:
-        """Median number of samples."""
-        return float(np.median(self.n))
 
 
 @dataclass(frozen=True, slots=True)
 class SlowErrors:
-    """Correlation of the errors of a window from block to block.
+    """Correlation of the errors of a window from block to block."""
 
-    Attributes
-    ----------
-    memory
-        ρ: correlation of neighbouring short blocks' slow errors.
-    variance_ratio
-        λ: variance of the slow error over that of a short block's mean without it.
-    within
-        κ: effective variance of the errors within a block, over their own.
-    evidence
-        −2 Δ log REML of λ = 0 against the best fit.
-    """
-
-    memory: float
-    variance_ratio: float
-    within: float
-    evidence: float
+    memory: float  # ρ: correlation of neighbouring blocks' slow errors
+    variance_ratio: float  # λ: variance of the slow error over that of a block's mean without it
+    within: float  # κ: effective variance of the errors within a block, over their own
+    evidence: float  # −2 Δ log REML of λ = 0 against the best fit
+    scales: bool  # the slow error scales the estimated leakage; otherwise it adds to the flow
+    direction: Array  # weights of the columns whose sum it is a multiple of, shape (c,)
 
     @property
     def are_slow(self) -> bool:
         """True if the errors are correlated beyond a block, so that the means must be whitened."""
         return self.memory > 0.0 and self.evidence >= EVIDENCE
 
+    def hides_level(self, number: Places) -> bool:
+        """True if blocks at these places of the clock hold too few of its turns to tell a level.
+
+        A mean knows as much of an error of memory τ as T / 2τ independent stretches.
+        """
+        duration = float(number[-1] - number[0] + 1)
+        stretches = 2.0 * self.memory_s(1.0) * LEAST_FREEDOM_LEAKAGE
+        return self.scales and stretches > duration
+
     def memory_s(self, block_s: float) -> float:
-        """Time over which the slow error forgets [s], from the length of a short block; 0: none."""
+        """Time over which the slow error forgets [s], from the length of a block; 0: none."""
         return -block_s / math.log(self.memory) if self.are_slow else 0.0
 
 
-NOT_SLOW = SlowErrors(0.0, 0.0, 1.0, 0.0)
+NOT_SLOW = SlowErrors(0.0, 0.0, 1.0, 0.0, False, np.empty(0))
 
 
-def short_blocks(factors: Array, number: NDArray[np.int64]) -> ShortBlocks:
-    """The short blocks of stored ones that were never merged, shape (b, c, c)."""
-    ones = factors[:, :, -3]
-    n = np.einsum("bi,bi->b", ones, ones)
-    means = np.einsum("bi,bij->bj", ones, factors) / np.maximum(n, 0.5)[:, None]
-    return ShortBlocks(n, means, number, np.arange(len(factors)))
+class Means(NamedTuple):
+    """Blocks along the direction of their slow errors."""
+
+    n: Array  # squared norm of the direction, shape (b,): samples where the error adds
+    usual_n: float  # their median
+    values: Array  # means of the columns along it, shape (b, c)
+    number: Places  # places of the blocks on the clock
+
+    @classmethod
+    def along(cls, factors: Array, direction: Array, number: Places) -> Means:
+        """Of the factors of blocks, shape (b, c, c), along some combination of their columns."""
+        along = factors @ direction
+        n = np.einsum("bi,bi->b", along, along)
+        # A block without flow has nothing that an error could scale.
+        n = np.maximum(n, max(ROUNDING * float(n.mean()), np.finfo(np.float64).tiny))
+        means = (along[:, None] @ factors)[:, 0] / n[:, None]
+        return cls(n, float(np.median(n)), means, number)
+
+    def of(self, design: Array) -> Means:
+        """The same of combinations of the columns, shape (c, d)."""
+        return self._replace(values=self.values @ design)
+
+    def grams(self) -> Array:
+        """What they say of the columns, shape (b, c, c)."""
+        found: Array = (self.n[:, None] * self.values)[:, :, None] * self.values[:, None]
+        return found
 
 
 def slow_errors(
     factors: Array,
-    short: ShortBlocks,
+    number: Places,
     fixed: NDArray[np.bool_],
     values: Array,
     whole: Array | None = None,
+    scales: bool | None = None,
 ) -> SlowErrors:
-    """Memory and size of slow errors.
+    """Memory, size and direction of slow errors.
 
     Parameters
     ----------
     factors
-        Triangular factors of the stored blocks, shape (b, c, c).
-    short
-        What they are made of.
+        Triangular factors of the blocks in time order, shape (b, c, c).
+    number
+        Place of each on the clock, in blocks, shape (b,).
     fixed, values
         Coefficients that are held, and the values they are held at; shape (p + 1,).
     whole
         The merged factor of the blocks, where it is known.
+    scales
+        Look at errors that scale, or that add, alone; None: at both.
 
     Returns
     -------
@@ -159,38 +152,67 @@ def slow_errors(
     """
     whole = merge(factors) if whole is None else whole
     design = _design(whole, fixed, values)
-    if design is None or len(short.n) < LEAST_BLOCKS:
+    if design is None or len(number) < LEAST_BLOCKS:
         return NOT_SLOW
-    rank = design.shape[1] - 1
-    means = short.means @ design
-    # About the means of the short blocks, by stored block.
-    gram = _grams(factors @ design)
-    np.subtract.at(gram, short.stored, _squares(means, short.n))
-    variance, within = _within_errors(gram, short, rank)
-    if not variance > ROUNDING**2 * float(np.mean(short.means[:, -1] ** 2)):
+    ones = np.eye(len(whole))[-3]
+    directions = {False: ones}
+    expected = np.append(np.where(fixed, 0.0, -design[:-2, -1])[:-1], np.zeros(3))
+    mean_leakage = float((whole @ ones) @ (whole @ expected)) / sample_count(whole)
+    if mean_leakage > 0.0:
+        directions[True] = expected / mean_leakage
+    if scales in directions:
+        directions = {scales: directions[scales]}
+    blocks = {
+        scales: Means.along(factors, direction, number).of(design)
+        for scales, direction in directions.items()
+    }
+    seen = factors @ design
+    grams = seen.transpose(0, 2, 1) @ seen
+    errors = {
+        scales: _within_errors(grams - one.grams(), one, sample_count(whole))
+        for scales, one in blocks.items()
+    }
+    # Both are held against one size of the errors: that of the direction that leaves less.
+    variance, within = min(errors.values(), key=lambda one: one[0] * one[1])
+    if not variance * sample_count(whole) > (ROUNDING * np.linalg.norm(whole[:, -1])) ** 2:
         return NOT_SLOW
+    found = {
+        scales: _most_likely(whole @ design, one, variance * within)
+        for scales, one in blocks.items()
+    }
+    scales = max(sorted(found, reverse=True), key=lambda one: found[one][2])
+    return SlowErrors(
+        found[scales][0], found[scales][1], within, found[scales][2], scales, directions[scales]
+    )
+
+
+def _most_likely(free: Array, means: Means, variance: float) -> tuple[float, float, float]:
+    """ρ and λ of the grid by their restricted likelihood, and −2 Δ log REML of none.
+
+    `free` has the design of the whole, `means` that of the blocks, and `variance` is σ²κ.
+    """
+    rank = free.shape[1] - 1
     memories, ratios = (one.ravel() for one in np.meshgrid(MEMORIES, RATIOS))
-    seen = float(np.average(means[:, rank] ** 2, weights=short.n))
-    largest = LARGEST_SLOW * seen * short.usual_n / (variance * within)
-    memories, ratios = memories[ratios <= largest], ratios[ratios <= largest]
-    explained, log_variance = _explained_by_slow(means, short, memories, ratios)
-    free = whole @ design
+    seen = float(np.average(means.values[:, rank] ** 2, weights=means.n))
+    kept = ratios <= LARGEST_SLOW * seen * means.usual_n / variance
+    memories, ratios = memories[kept], ratios[kept]
+    explained, log_variance = _explained_by_slow(means, memories, ratios)
     information = free.T @ free - explained
     x, score = information[:, :rank, :rank], information[:, :rank, rank]
     fitted = np.einsum("gi,gi->g", score, np.linalg.solve(x, score[:, :, None])[:, :, 0])
-    squares = (information[:, rank, rank] - fitted) / (variance * within)
+    squares = (information[:, rank, rank] - fitted) / variance
     deviance = log_variance + np.linalg.slogdet(x)[1] + squares
     best = int(np.argmin(deviance))
     memory, ratio = ((0.0, *one.tolist())[best] for one in (memories, ratios))
-    return SlowErrors(memory, ratio, within, float(deviance[0] - deviance[best]))
+    return memory, ratio, float(deviance[0] - deviance[best])
 
 
-def whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
+def whitened(factors: Array, number: Places, errors: SlowErrors) -> Array:
     """Factors of samples whose slow errors are whitened; as they are where there are none.
 
     Parameters
     ----------
-    factors, short
+    factors, number
         As for :func:`slow_errors`.
     errors
         What was found.
@@ -198,46 +220,38 @@ def whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
     Returns
     -------
     ndarray
-        Shape (b, c, c), not triangular; scaled so that the column of ones keeps its norm, and with
-        it the number of samples.
+        Shape (b, c, c), not triangular: each block's rest, with the whitened means in place of its
+        own; scaled so that the column of ones keeps its norm, and with it the number of samples.
     """
     if not errors.are_slow:
         return factors
-    made = _whitened(factors, short, errors)
+    means = Means.along(factors, errors.direction, number)
+    root = np.sqrt(means.n)[:, None]
+    moved = _whitened_means(means, errors) - root * means.values
+    unit = factors @ errors.direction / root
+    made = factors + unit[:, :, None] * moved[:, None]
     ones, before = made[:, :, -3], factors[:, :, -3]
     result: Array = made * np.sqrt(np.sum(before**2) / np.sum(ones**2))
     return result
 
 
-def _whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
-    """Each block's within part, with the whitened means in place of its own."""
-    rows = _whitened_means(short, errors)
-    ones = factors[:, :, -3]
-    root = np.sqrt(np.maximum(np.einsum("bi,bi->b", ones, ones), 0.5))
-    direction = ones / root[:, None]
-    centred = factors - direction[:, :, None] * np.einsum("bi,bij->bj", direction, factors)[:, None]
-    if len(short.n) == len(factors):
-        same: Array = centred + direction[:, :, None] * rows[:, None]
-        return same
-    scale = np.sqrt(np.einsum("bij,bij->j", factors, factors))
-    scale[scale == 0.0] = 1.0
-    gram = np.einsum("bij,bik->bjk", factors / scale, factors / scale)
-    np.add.at(gram, short.stored, _squares(rows / scale, np.ones(len(rows))))
-    np.subtract.at(gram, short.stored, _squares(short.means / scale, short.n))
-    values, vectors = np.linalg.eigh(gram)
-    roots = np.sqrt(np.maximum(values, 0.0))
-    result: Array = roots[:, :, None] * vectors.transpose(0, 2, 1) * scale
-    return result
+def with_level(factors: Array, number: Places, errors: SlowErrors) -> Array:
+    """Factor of all blocks, whitened but for the level; arguments as for :func:`whitened`.
 
-
-def _squares(rows: Array, weights: Array) -> Array:
-    result: Array = np.einsum("k,ki,kj->kij", weights, rows, rows)
-    return result
-
-
-def _grams(factors: Array) -> Array:
-    result: Array = factors.transpose(0, 2, 1) @ factors
-    return result
+    Off its bounds, an estimate keeps the level under errors that scale. On them it does not: the
+    slopes ask for what no gap can do. So the mean of all blocks keeps its weight, and what each
+    differs by is whitened.
+    """
+    means = Means.along(factors, errors.direction, number)
+    level = np.average(means.values, axis=0, weights=means.n)
+    root = np.sqrt(means.n)[:, None]
+    apart = means._replace(values=means.values - level)
+    moved = _whitened_means(apart, errors) - root * means.values
+    unit = factors @ errors.direction / root
+    made = factors + unit[:, :, None] * moved[:, None]
+    whole = np.zeros_like(factors[:1])
+    whole[0, 0] = math.sqrt(means.n.sum()) * level
+    return merge(np.concatenate([made, whole]))
 
 
 def _design(whole: Array, fixed: NDArray[np.bool_], values: Array) -> Array | None:
@@ -258,16 +272,19 @@ def _design(whole: Array, fixed: NDArray[np.bool_], values: Array) -> Array | No
     return design
 
 
-def _within_errors(gram: Array, short: ShortBlocks, rank: int) -> tuple[float, float]:
-    """Variance of the errors within blocks, and κ: meat over bread of their scores."""
-    whole = gram.sum(axis=0)
+def _within_errors(gram: Array, means: Means, n_samples: int) -> tuple[float, float]:
+    """Variance of the errors about the means, and κ: meat over bread of their scores.
+
+    `gram` has what each block says of the design about its mean, shape (b, rank + 1, rank + 1).
+    """
+    whole, rank = gram.sum(axis=0), gram.shape[1] - 1
     size, vectors = np.linalg.eigh(whole[:rank, :rank])
     moving = size > RANK_TOLERANCE
     basis = vectors[:, moving] / np.sqrt(size[moving])
     estimate = basis @ (basis.T @ whole[:rank, rank])
     squares = float(whole[rank, rank] - estimate @ whole[:rank, rank])
-    freedom = float(short.n.sum()) - len(short.n) - basis.shape[1]
-    if freedom < 1.0 or squares <= 0.0:
+    freedom = n_samples - len(gram) - basis.shape[1]
+    if freedom < 1 or squares <= 0.0:
         return 0.0, 1.0
     variance = squares / freedom
     leverage = basis.T @ gram[:, :rank, :rank] @ basis
@@ -276,28 +293,26 @@ def _within_errors(gram: Array, short: ShortBlocks, rank: int) -> tuple[float, f
     expected = basis.shape[1] - float(np.sum(leverage**2))
     if expected <= RANK_TOLERANCE:
         return variance, 1.0
-    most = max(short.usual_n / LEAST_WITHIN, 1.0)
+    most = max(means.usual_n / LEAST_WITHIN, 1.0)
     within = float(np.sum(scores**2)) / (variance * expected)
     return variance, min(max(within, 1.0), most)
 
 
-def _explained_by_slow(
-    means: Array, short: ShortBlocks, memory: Array, ratio: Array
-) -> tuple[Array, Array]:
+def _explained_by_slow(means: Means, memory: Array, ratio: Array) -> tuple[Array, Array]:
     """Part of the means' weighted Gram that slow errors explain, and log |V| + log |W|.
 
     With W the weights of the means, V their covariance and Q the tridiagonal inverse of that of
     the slow errors, V⁻¹ = W − W (W + Q)⁻¹ W and |V| |W| = |W + Q| / |Q|. Each turn eliminates every
     other block of W + Q. The first point is that of no slow error; shapes (1 + g, c, c), (1 + g,).
     """
-    weights, alone = short.weights[:, None], short.usual_n / ratio
+    weights, alone = means.n[:, None], means.usual_n / ratio
     # Blocks of two nights may be rounded to one place.
-    kept = memory ** np.maximum(np.diff(short.number), 1)[:, None]
+    kept = memory ** np.maximum(np.diff(means.number), 1)[:, None]
     given_before = np.vstack([alone, alone / (1.0 - kept**2)])
     beside = -kept * given_before[1:]
     size = weights + given_before
     size[:-1] -= kept * beside
-    right = (weights * means).T[:, :, None]
+    right = (weights * means.values).T[:, :, None]
     log_size = -np.log(given_before).sum(axis=0)
     explained = np.zeros((len(ratio), len(right), len(right)))
     while len(size):
@@ -314,19 +329,19 @@ def _explained_by_slow(
     return np.pad(explained, ((1, 0), (0, 0), (0, 0))), np.append(0.0, log_size)
 
 
-def _whitened_means(short: ShortBlocks, errors: SlowErrors) -> Array:
-    """Means whitened by a Kalman filter, shape (k, c)."""
-    memory, size = np.array([errors.memory]), errors.variance_ratio / short.usual_n
-    steps = np.diff(short.number, prepend=short.number[:1]).tolist()
-    fading = {step: (memory**step).item() for step in set(steps)}
-    noise = (1.0 / short.weights).tolist()
-    rows = np.empty_like(short.means)
-    state, after = np.zeros(short.means.shape[1]), size
-    for step, one, mean, row in zip(steps, noise, short.means, rows, strict=True):
-        faded = fading[step]
+def _whitened_means(means: Means, errors: SlowErrors) -> Array:
+    """Means whitened by a Kalman filter, shape (b, c)."""
+    size = errors.variance_ratio / means.usual_n
+    steps = np.diff(means.number, prepend=means.number[:1]).tolist()
+    rows = np.empty_like(means.values)
+    state, after = np.zeros(means.values.shape[1]), size
+    for step, noise, mean, row in zip(
+        steps, (1.0 / means.n).tolist(), means.values, rows, strict=True
+    ):
+        faded = errors.memory**step
         spread = faded * faded * after + (1.0 - faded * faded) * size
-        variance = spread + one
-        after = spread * one / variance
+        variance = spread + noise
+        after = spread * noise / variance
         state *= faded
         np.subtract(mean, state, out=row)
         state += spread / variance * row

@@ -46,31 +46,18 @@ Array = NDArray[np.float64]
 LEVERAGE_FLOOR = 1e-8
 # Relative size below which a singular value is rounding.
 RANK_TOLERANCE = 1e-11
-# Determinant below which a draw of the bootstrap may not tell all coefficients.
-LEAST_DETERMINANT = 1e-6
 # Share of a contrast's square that may lie outside of what the samples span.
 ROW_SPACE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A symmetric interval about an estimate.
+    """A symmetric interval about an estimate."""
 
-    Attributes
-    ----------
-    half_width
-        Half of its width, in the estimate's unit.
-    standard_error
-        Cluster-robust standard error, in the estimate's unit.
-    degrees_of_freedom
-        Of Student's t, at least 1.
-    largest_block_share
-        Share of what the samples say of it that rests on one single block, at least 1/b.
-    """
-
-    half_width: float
-    standard_error: float
-    degrees_of_freedom: float
+    half_width: float  # half of its width, in the estimate's unit
+    standard_error: float  # cluster-robust standard error, in the estimate's unit
+    degrees_of_freedom: float  # of Student's t, at least 1
+    # Share of what the samples say of it that rests on one single block, at least 1/b.
     largest_block_share: float
 
 
@@ -81,17 +68,12 @@ class ClusterRobust:
     It is kept in the basis in which the whole of the active columns is orthonormal; where columns
     depend on each other that basis is smaller, and only combinations that lie in it have an
     interval.
-
-    Attributes
-    ----------
-    active
-        Coefficients off their bounds and not fixed; the others have no interval; shape (p + 1,).
-    n_blocks
-        Blocks with samples.
     """
 
+    # Coefficients off their bounds and not fixed; the others have no interval; shape (p +
+    # 1,).
     active: NDArray[np.bool_]
-    n_blocks: int
+    n_blocks: int  # blocks with samples
     _scale: Array
     _basis: Array
     _to_basis: Array
@@ -240,77 +222,3 @@ def cluster_robust(
         _inverse_root=inverse_root,
         _scores=inflation * np.einsum("bij,bj->bi", inverse_root, scores),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Bootstrap:
-    """Percentile limits of a block bootstrap.
-
-    Attributes
-    ----------
-    lower, upper
-        Of all coefficients, shape (p + 1,); nan for inactive ones.
-    """
-
-    lower: Array
-    upper: Array
-
-
-def block_bootstrap(
-    factors: Array,
-    coefficients: Array,
-    distribution: ClusterRobust | None,
-    generator: np.random.Generator,
-    resamples: int = 499,
-    level: float = 0.95,
-) -> Bootstrap:
-    """Percentile limits from blocks drawn anew with replacement: a cross-check of the intervals.
-
-    Parameters
-    ----------
-    factors, coefficients
-        As for :func:`cluster_robust`.
-    distribution
-        What it made of them; the active set stays as it is in the fit.
-    generator
-        Source of the draws.
-    resamples
-        Number of draws; 0 for none.
-    level
-        Coverage.
-
-    Returns
-    -------
-    Bootstrap
-        nan where the active columns depend on each other.
-    """
-    nothing = np.full(len(coefficients), np.nan)
-    if not resamples or distribution is None:
-        return Bootstrap(nothing, nothing.copy())
-    active = distribution.active
-    if len(distribution._basis) < int(active.sum()):
-        return Bootstrap(nothing, nothing.copy())
-    filled = factors[factors.any(axis=(1, 2))]
-    to_basis = distribution._to_basis / distribution._scale
-    orthonormal = filled[:, :, :-2][:, :, active] @ to_basis.T
-    error = -(filled @ np.concatenate([coefficients, (1.0, -1.0)]))
-    gram = orthonormal.transpose(0, 2, 1) @ orthonormal
-    score = np.einsum("bij,bi->bj", orthonormal, error)
-    drawn = generator.multinomial(
-        len(filled), np.full(len(filled), 1 / len(filled)), size=resamples
-    )
-    weights = drawn.astype(np.float64)
-    normal = (weights @ gram.reshape(len(filled), -1)).reshape(resamples, *gram.shape[1:])
-    right = weights @ score
-    # In the basis the normal matrix of all blocks is 1; draws may miss what alone tells of one.
-    whole = np.linalg.det(normal) > LEAST_DETERMINANT
-    step = np.empty_like(right)
-    step[whole] = np.linalg.solve(normal[whole], right[whole, :, None])[:, :, 0]
-    step[~whole] = (np.linalg.pinv(normal[~whole], hermitian=True) @ right[~whole, :, None])[
-        :, :, 0
-    ]
-    shifted = coefficients[active] + step @ to_basis
-    tail = 50 * (1 - level)
-    lower, upper = nothing, nothing.copy()
-    lower[active], upper[active] = np.percentile(shifted, [tail, 100 - tail], axis=0)
-    return Bootstrap(lower, upper)

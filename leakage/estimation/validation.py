@@ -30,25 +30,15 @@ ROUNDING = 1e-14
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Agreement of a model with some samples.
+    """Agreement of a model with some samples."""
 
-    Attributes
-    ----------
-    n
-        Number of samples.
-    fit_percent
-        100 (1 − ‖y − ŷ‖/‖y − ȳ‖) [%], (23); None if the flow varies no more than its
-        resolution.
-    rmse_l_per_min
-        Root mean squared prediction error [l/min]; None without samples.
-    mean_error_l_per_min
-        Mean of y − ŷ [l/min]: positive where more was measured than predicted; None without
-        samples.
-    """
-
-    n: int
+    n: int  # number of samples
+    # 100 (1 − ‖y − ŷ‖/‖y − ȳ‖) [%], (23); None if the flow varies no more than its
+    # resolution.
     fit_percent: float | None
-    rmse_l_per_min: float | None
+    rmse_l_per_min: float | None  # root mean squared prediction error [l/min]; None without samples
+    # Mean of y − ŷ [l/min]: positive where more was measured than predicted; None without
+    # samples.
     mean_error_l_per_min: float | None
 
 

@@ -15,8 +15,7 @@ from leakage.estimation.compression import CompressedSamples, compress
 from leakage.estimation.correlation import memory_s
 from leakage.estimation.error_sources import Tolerances
 from leakage.estimation.identifiability import Excitation
-from leakage.estimation.model_verdict import structured_misfit
-from leakage.estimation.multi_start import Parametrisation, SearchSettings
+from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.sample_blocks import (
     NONE_CHOSEN,
     SECOND_US,
@@ -25,7 +24,7 @@ from leakage.estimation.sample_blocks import (
     ChosenPeriods,
     DefaultWindows,
     Windows,
-    short_blocks_within,
+    places_on_clock,
     split_into_blocks,
 )
 from leakage.estimation.validation import agreement
@@ -52,8 +51,6 @@ def fit_frame(
     smoothing_s: float = 0.0,
     smoothing_of: Literal["all", "leakage"] = "all",
     loss: Literal["squared", "huber"] = "squared",
-    starting_points: int = 0,
-    seed: int = 1,
 ) -> FrameFit:
     """Fit a motor to a frame of samples.
 
@@ -87,13 +84,6 @@ def fit_frame(
         the flow alone (``"leakage"``, which biases the estimates); 0: none.
     loss
         ``"squared"``, or ``"huber"``: samples with large errors count less.
-    starting_points, seed
-        Starting points of the thesis's search, and the seed of their draws. The estimate is the
-        proven minimum and does not depend on them.
-
-    Returns
-    -------
-    FrameFit
 
     Raises
     ------
@@ -157,9 +147,8 @@ def fit_frame(
     )
     sizes = [block.n for block in made.blocks]
     used = np.array([not chosen or block.part == TRAINING for block in made.blocks])
-    blocks = _sample_blocks(samples, made, used, windows.block_s)
-    search, generator = SearchSettings(starting_points), np.random.default_rng(seed)
-    estimate = fit_blocks(blocks, motor, search, generator)
+    blocks = _sample_blocks(samples, made, used)
+    estimate = fit_blocks(blocks, motor)
     theta = estimate.training.coefficients
     found = FrameFit(
         motor=motor,
@@ -168,8 +157,6 @@ def fit_frame(
         used=np.repeat(used, sizes),
         blocks=blocks,
         estimate=estimate,
-        structured=None if estimate.misfit is None else structured_misfit([estimate.misfit]),
-        block_s=windows.block_s,
         memory_s=memory_s(
             made.error_of(theta)[made.rows_of(TRAINING)],
             index[made.rows_of(TRAINING)],
@@ -202,13 +189,11 @@ def _with_flushing(motor: Motor, flushing: float | str | None) -> Motor:
 
 
 def _sample_blocks(
-    samples: FrameSamples, made: CompressedSamples, used: NDArray[np.bool_], block_s: float
+    samples: FrameSamples, made: CompressedSamples, used: NDArray[np.bool_]
 ) -> SampleBlocks:
     """The blocks behind the estimates."""
     blocks = [block for block, is_used in zip(made.blocks, used, strict=True) if is_used]
-    start_us = np.array([block.start_us for block in blocks])
-    number = (start_us - start_us[0]) // round(block_s * SECOND_US)
-    inside = [one for one, is_used in zip(made.short_means, used, strict=True) if is_used]
+    borders_us = np.array([(block.start_us, block.end_us) for block in blocks]).T
     channels = (samples.oil_temperature_c, samples.pressure_bar, samples.speed_rpm)
     parts = [[one[block.first_row : block.end_row] for one in channels] for block in blocks]
     celsius, bar, rpm = (
@@ -217,7 +202,7 @@ def _sample_blocks(
     )
     return SampleBlocks(
         made.factors[used],
-        short_blocks_within(made.factors[used], number, inside),
+        *places_on_clock(*borders_us),
         np.array([block.part == TRAINING for block in blocks]),
         np.array([[float(one.mean()) for one in part] for part in parts]),
         Excitation(bar, celsius, rpm),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from leakage.errors import LeakageError
 from leakage.estimation.block_fit import BlockEstimate
-from leakage.estimation.block_statistics import criterion, merge
+from leakage.estimation.block_statistics import criterion
 from leakage.estimation.certificate import Certificate, certify
 from leakage.estimation.identifiability import Identification
 from leakage.estimation.least_squares import Fit
@@ -122,7 +122,7 @@ def plot_profile(
     """
     parametrisation = Parametrisation.of(estimate.fit.motor)
     lower, upper = parametrisation.coefficient_bounds()
-    best, whole = estimate.fit.certificate, merge(estimate.whitened)
+    best, whole = estimate.fit.certificate, estimate.fitted
     paths = {
         place: path
         for place, path in enumerate(parametrisation.paths)

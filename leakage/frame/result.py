@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from leakage.errors import LeakageError
 from leakage.estimation.block_fit import BlockEstimate, SampleBlocks
 from leakage.estimation.block_statistics import factor
+from leakage.estimation.choices import COEFFICIENT_FACTOR, LEAKAGE_FACTOR
 from leakage.estimation.error_sources import Tolerances
 from leakage.estimation.identifiability import (
     Identification,
@@ -22,12 +23,7 @@ from leakage.estimation.identifiability import (
     judge_by_total,
     judge_leakage,
 )
-from leakage.estimation.model_verdict import (
-    COEFFICIENT_FACTOR,
-    LEAKAGE_FACTOR,
-    StructuredMisfit,
-    model_errors,
-)
+from leakage.estimation.misfit import model_errors
 from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
 from leakage.estimation.sample_blocks import SECOND_US
@@ -64,8 +60,6 @@ class FrameFit:
         The blocks of these, and what was estimated from them.
     identification
         Verdicts on the coefficients, with what sensors and the model can do to them.
-    structured
-        Structured misfit; None where the blocks are too few to tell.
     memory_s
         Time over which the errors of the training samples forget [s].
     training, validation
@@ -80,8 +74,6 @@ class FrameFit:
     used: NDArray[np.bool_]
     blocks: SampleBlocks
     estimate: BlockEstimate
-    structured: StructuredMisfit | None
-    block_s: float
     memory_s: float
     training: Agreement
     validation: Agreement
@@ -222,11 +214,11 @@ class FrameFit:
 
     def _model_errors(self, contrasts: Array, factor: float) -> Array:
         """± of some contrasts of θ by the structured misfit."""
-        if self.structured is None:
+        estimate = self.estimate
+        if estimate.misfit is None:
             return np.zeros(len(contrasts))
-        fixed = self.estimate.fit.certificate.fixed
-        reach = model_errors(self.estimate.whole, fixed, contrasts, 1.0)
-        return factor * reach * self.structured.l_per_min
+        size = factor * estimate.misfit.l_per_min
+        return model_errors(estimate.whole, estimate.fit.certificate.fixed, contrasts, size)
 
     def _sensors(self, at: Sequence[OperatingConditions] = ()) -> ErrorBudget:
         """The stated tolerances of sensors carried through the fit; empty without, or beyond it."""

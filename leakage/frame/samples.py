@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.errors import LeakageError, ShapeError, StatisticsError
+from leakage.estimation.choices import ROUNDING
 from leakage.estimation.sample_blocks import SECOND_US, Stretch
 from leakage.physics.conditions import OperatingConditions
 
@@ -23,8 +24,6 @@ TIME = "time"
 INPUTS = ("pressure_bar", "oil_temperature_c", "speed_rpm")
 FLOW = "leakage_l_per_min"
 CHARGE = "charge_over_case_bar"
-# Errors below this share of the flow are rounding.
-ROUNDING = 1e-9
 # Unit of each column, in words; what stands before the unit tells a column of another one.
 UNITS = {"pressure_bar": "bar", "oil_temperature_c": "°C", "speed_rpm": "rpm", FLOW: "l/min"}
 QUANTITIES = {

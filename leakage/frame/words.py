@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
-from leakage.estimation.model_verdict import model_verdict, verdict_in_words
+from leakage.estimation.misfit import Misfit
 from leakage.estimation.validation import Agreement, is_poor
 
 if TYPE_CHECKING:
@@ -17,30 +17,20 @@ if TYPE_CHECKING:
 Part = Literal["training", "validation"]
 
 PARTS: tuple[Part, Part] = ("training", "validation")
+# Structured misfit over the leakage from which on a model does not describe a motor.
+LARGEST_MISFIT = 0.02
 IN_WORDS = {"m3": "m³", "l_per_min": "l/min", "1": ""}
 HEADINGS = ("coefficient", "value", "unit", "95 % interval", "total ±", "verdict")
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """A summary as text, and as HTML in a notebook.
+    """A summary as text, and as HTML in a notebook."""
 
-    Attributes
-    ----------
-    title
-        Motor, samples and times.
-    warnings
-        What to know before a figure is used.
-    table
-        Headings, then a row a coefficient.
-    notes
-        Fit, residuals and model, a line each.
-    """
-
-    title: str
-    warnings: tuple[str, ...]
-    table: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...]
+    title: str  # motor, samples and times
+    warnings: tuple[str, ...]  # what to know before a figure is used
+    table: tuple[tuple[str, ...], ...]  # headings, then a row a coefficient
+    notes: tuple[str, ...]  # fit, residuals and model, a line each
 
     def __str__(self) -> str:
         widths = [max(map(len, column)) for column in zip(*self.table, strict=True)]
@@ -106,7 +96,7 @@ def explanation(fit: FrameFit) -> str:
         lines.append(f"{text}; {row['reason']}" if row["reason"] else text)
     lines += ["", "Fit", *(f"  {line}" for line in (*_fits(fit), _model(fit)))]
     lines += ["", "Errors of the fit", *(f"  {line}" for line in _residuals(fit))]
-    if memory_s := fit.identification.slow.memory_s(fit.block_s):
+    if memory_s := fit.identification.slow.memory_s(fit.blocks.block_s):
         lines.append(f"  errors remember about {memory_s / 60:.0f} minutes; intervals are wider")
     return "\n".join(lines)
 
@@ -142,8 +132,9 @@ def _warnings(fit: FrameFit) -> Iterator[str]:
             yield f"{part}: the model is worse than a constant flow"
     if not fit.validation.n:
         yield "no samples validate this fit"
-    if fit.structured is not None and model_verdict(fit.structured) == "disproved":
-        yield f"the model is disproved: {verdict_in_words(fit.structured)}"
+    misfit = fit.estimate.misfit
+    if misfit is not None and misfit.is_clear and misfit.share > LARGEST_MISFIT:
+        yield f"the model does not describe these samples: {_misfit(misfit)}"
 
 
 def _row(row: Mapping[str, Any]) -> tuple[str, ...]:
@@ -186,13 +177,17 @@ def _residuals(fit: FrameFit) -> Iterator[str]:
 
 
 def _model(fit: FrameFit) -> str:
-    if fit.structured is None:
+    misfit = fit.estimate.misfit
+    if misfit is None:
         return "model: too few blocks to judge it"
-    verdict = model_verdict(fit.structured)
-    if verdict is None:
-        noise = 100 * fit.structured.noise_share
+    if not misfit.is_clear and misfit.noise_share > LARGEST_MISFIT:
+        noise = 100 * misfit.noise_share
         return f"model: these samples cannot tell; noise alone looks like a misfit of {noise:.1f} %"
-    return f"model: {verdict}: {verdict_in_words(fit.structured)}"
+    return f"model: {_misfit(misfit)}"
+
+
+def _misfit(misfit: Misfit) -> str:
+    return f"{100 * misfit.share:.1f} % of the leakage goes with what the model does not describe"
 
 
 def _percent(judged: Agreement) -> str:

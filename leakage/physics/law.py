@@ -81,49 +81,30 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class PathTolerance:
-    """A path as it would be with one of its constants off by the stated tolerance.
+    """A path as it would be with one of its constants off by the stated tolerance."""
 
-    Attributes
-    ----------
-    constant
-        Name of the constant, in words.
-    share
-        Stated tolerance, relative.
-    path
-        The path with the constant that much larger.
-    """
-
-    constant: str
-    share: float
-    path: Law
+    constant: str  # name of the constant, in words
+    share: float  # stated tolerance, relative
+    path: Law  # the path with the constant that much larger
 
 
 @dataclass(frozen=True, slots=True)
 class DerivedFigure:
-    """A figure that a path's coefficient implies, such as a gap height.
+    """A figure that a path's coefficient implies, such as a gap height."""
 
-    Attributes
-    ----------
-    name, unit
-        As in tables.
-    lowest, highest
-        Values that coefficient and bounds leave possible [unit]; equal where there is one.
-    limits
-        Interval that follows from the coefficient's [unit]; None where none does.
-    combination
-        Combination of parameters that alone shows in the data; empty: the coefficient's verdict
-        is the figure's.
-    is_placeholder
-        Whether the geometry behind it is one.
-    """
-
+    # name, unit: as in tables.
     name: str
     unit: str
+    # lowest, highest: values that coefficient and bounds leave possible [unit]; equal where
+    # there is one.
     lowest: float
     highest: float
+    # Interval that follows from the coefficient's [unit]; None where none does.
     limits: tuple[float, float] | None = None
+    # Combination of parameters that alone shows in the data; empty: the coefficient's verdict
+    # is the figure's.
     combination: str = ""
-    is_placeholder: bool = False
+    is_placeholder: bool = False  # whether the geometry behind it is one
 
 
 class Law(ABC):

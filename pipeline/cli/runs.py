@@ -32,7 +32,7 @@ from pipeline.cli.reporter import Reporter, print_plan
 from pipeline.errors import MotorLeakageError, UsageError
 
 if TYPE_CHECKING:
-    from pipeline.config import Fleet, MotorSpec
+    from pipeline.config import Fleet
     from pipeline.run.fleet import RunRequest
     from pipeline.run.tasks import MotorOutcome
 
@@ -54,12 +54,6 @@ def fit_fleet(
     force: Annotated[
         bool, typer.Option("--force", help="Make nights anew from their logs though unchanged.")
     ] = False,
-    with_starts: Annotated[
-        bool,
-        typer.Option(
-            "--with-starts", help="Search from all starts, too, in nights fitted without their log."
-        ),
-    ] = False,
 ) -> None:
     """Fit every new night of the fleet's motors and write the tables.
 
@@ -78,7 +72,6 @@ def fit_fleet(
             since=night_label(since, "--since"),
             until=night_label(until, "--until"),
             force=force,
-            with_starts=with_starts,
         )
         in_order(request.since, request.until)
         if dry_run:
@@ -140,6 +133,8 @@ def fit(
 ) -> None:
     """Fit one motor's night from its logs and say what came of it; nothing is published.
 
+    An audit follows: the search of the thesis from several starts, and information criteria.
+
     With --train the motor is fitted to a period of its logs, and judged on another with --validate,
     across nights.
 
@@ -155,13 +150,14 @@ def fit(
         raise UsageError("period", "expected a NIGHT, or --train and perhaps --validate")
     from tempfile import TemporaryDirectory
 
+    from pipeline.report.audit import audit
     from pipeline.report.explain import explain as explained
     from pipeline.run.fleet import RunRequest, run_fleet
 
     label = night_label(night, "NIGHT")
     assert label is not None
     with TemporaryDirectory() as folder:
-        fleet = _with_search(load(config, Path(folder), None))
+        fleet = replace(load(config, Path(folder), None), object_store="")
         request = RunRequest(fleet, fleet.known_motors([motor]), since=label, until=label)
         result = run_fleet(request)
         growing = [one for outcome in result.outcomes for one in outcome.growing]
@@ -170,19 +166,9 @@ def fit(
         (outcome,) = result.outcomes
         if label not in outcome.nights:
             _refuse_night(fleet, outcome, label)
-        for line in explained(fleet.output, motor, label):
+        for line in (*explained(fleet.output, motor, label), *audit(fleet, motor, label)):
             typer.echo(line)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
-
-
-def _with_search(fleet: Fleet) -> Fleet:
-    """A fleet of this machine alone, whose every night is searched from all starts."""
-
-    def searched(spec: MotorSpec) -> MotorSpec:
-        every = spec.settings.estimation.model_copy(update={"search_every_nights": 1})
-        return replace(spec, settings=spec.settings.model_copy(update={"estimation": every}))
-
-    return replace(fleet, object_store="", motors=tuple(map(searched, fleet.motors)))
 
 
 def _fit_periods(config: Path, motor: str, train: str, validate: str | None) -> None:

@@ -59,9 +59,8 @@ def ack(
     motor: Annotated[str, typer.Argument(help="The motor's id.")],
     note: Annotated[str, typer.Option(help="Note in words.")],
     indicator: Annotated[
-        str,
-        typer.Argument(help="The indicator: K_piston_ring, or the words of `status` in quotes."),
-    ] = "",
+        str, typer.Argument(help="leakage, or the zero of a sensor: pressure_zero, flow_zero.")
+    ] = "leakage",
     finding: Annotated[
         str, typer.Option(help="confirmed or not_confirmed, after an inspection of the alarm.")
     ] = "",
@@ -76,10 +75,10 @@ def ack(
 ) -> None:
     """Acknowledge an alarm, or record the finding of an inspection.
 
-    Example: motor-leakage ack configs/fleet.toml CB400-02 K_piston_ring --note "rings ordered"
+    Example: motor-leakage ack configs/fleet.toml CB400-02 --note "rings ordered"
 
-    After an inspection of one alarm add --finding confirmed or --finding not_confirmed. For a motor
-    that was opened, with or without an alarm, name the parts instead of an indicator:
+    After an inspection of an alarm add --finding confirmed or --finding not_confirmed. For a motor
+    that was opened, with or without an alarm, name the parts:
 
     motor-leakage ack configs/fleet.toml CB400-02 --opened 2026-05-12 --worn piston_ring
     --sound balance_sleeve --note "rings scored"
@@ -96,15 +95,12 @@ def ack(
     spec = fleet.motor(motor)
     parts = (_parts(spec, worn or ()), _parts(spec, sound or ()))
     if opened or any(parts):
-        found = _opened(motor, opened, parts, note, is_alone=not indicator and not finding)
+        found = _opened(motor, opened, parts, note, is_alone=not finding)
         record_decision(fleet.output, found)
         said = (f"worn: {found.worn or 'none'}", f"sound: {found.sound or 'none'}")
         typer.echo(f"{motor}: opened on {found.night}; {'; '.join(said)}")
         return
-    if not indicator:
-        message = "expected the indicator of an alarm, or --opened with --worn or --sound"
-        raise UsageError("finding", message)
-    indicator, night = last_alarm(fleet.output, motor, indicator, CHANGED if finding else TOLD)
+    night = last_alarm(fleet.output, motor, indicator, CHANGED if finding else TOLD)
     decision = Decision(
         motor_id=motor,
         indicator=indicator,
@@ -147,7 +143,7 @@ def _opened(
 
     now, day = dt.datetime.now(dt.UTC), night_label(opened or None, "--opened")
     if day is None or not any(parts) or not is_alone:
-        message = "expected --opened with --worn or --sound, and no indicator or --finding"
+        message = "expected --opened with --worn or --sound, and no --finding"
         raise UsageError("finding", message)
     if day > now.date() + dt.timedelta(days=1):
         raise UsageError("finding", f"--opened: got {day}, which has not come")
@@ -163,7 +159,6 @@ def baseline_reset(
     motor: Annotated[str, typer.Argument(help="The motor's id.")],
     night: Annotated[str, typer.Argument(help="First night of the new baseline, YYYY-MM-DD.")],
     note: Annotated[str, typer.Option(help="Reason in words.")],
-    indicator: Annotated[str, typer.Option(help="Only this indicator; all if empty.")] = "",
     output: Output = None,
 ) -> None:
     """Start a new baseline of a motor with a night; the next run redoes its trends.
@@ -173,7 +168,6 @@ def baseline_reset(
 
     Example: motor-leakage baseline reset configs/fleet.toml CB560-01 2026-02-15 --note "new"
     """
-    from pipeline.report.status import known_indicators
     from pipeline.trends.nights.decisions import Decision, record_decision
 
     label = night_label(night, "NIGHT")
@@ -182,11 +176,6 @@ def baseline_reset(
         raise UsageError("date", f"NIGHT: got {label}, which has not come")
     fleet = load(config, output, None, logs=False)
     fleet.known_motors([motor])
-    known = known_indicators(fleet.output, motor)
-    if indicator and known and indicator not in known:
-        raise UsageError("indicator", f"{motor} has no {indicator!r}; it has {', '.join(known)}")
-    record_decision(
-        fleet.output,
-        Decision(motor, indicator, dt.datetime.now(dt.UTC), "baseline_reset", label, None, note),
-    )
-    typer.echo(f"{motor}: {indicator or 'every'} baseline starts with the night {label}")
+    now = dt.datetime.now(dt.UTC)
+    record_decision(fleet.output, Decision(motor, "", now, "baseline_reset", label, None, note))
+    typer.echo(f"{motor}: its baseline starts with the night {label}")

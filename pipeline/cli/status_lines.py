@@ -18,30 +18,19 @@ from pipeline.messages import counted
 from pipeline.report.findings import total
 from pipeline.report.status import FleetStatus
 from pipeline.store.heartbeat import FINISHED, RUNNING
-from pipeline.trends.rows.motor_states import MotorState
+from pipeline.trends.rows.motor_states import MotorState, latest_rows
 
 # Colours only support the words of a state.
 COLOURS = {
     "alarm": "bold red",
     "warning": "yellow",
     "common_cause": "magenta",
-    "duty_outside": "blue",
     "stale": "blue",
 }
-COLUMNS = (
-    "motor",
-    "state",
-    "since",
-    "gap change",
-    "leakage l/min",
-    "against baseline",
-    "last good night",
-    "sensors",
-    "what",
-)
+COLUMNS = ("motor", "state", "tonight", "leakage l/min", "since", "last good night", "what")
 # On a terminal the last column has these, too, and needs the room; on a narrow one all that it can.
-IN_WORDS = {"since", "against baseline", "sensors"}
-NARROW, MORE_IN_WORDS = 110, {"gap change", "last good night"}
+IN_WORDS = {"since", "tonight"}
+NARROW, MORE_IN_WORDS = 110, {"leakage l/min", "last good night"}
 
 
 def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool) -> None:
@@ -65,8 +54,10 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
 
 
 def _print_json(found: FleetStatus, *, too_old: bool) -> None:
-    for motor in found.motors:
-        typer.echo(json.dumps({"event": "motor", **asdict(motor)}, default=str))
+    for motor, row in zip(found.motors, latest_rows(found.motors, ""), strict=True):
+        look = None if motor.look is None else asdict(motor.look)
+        del row["run_id"]
+        typer.echo(json.dumps({"event": "motor", **row, "look": look}, default=str))
     fleet = {
         "event": "fleet",
         "last_good_run": found.last_good_run,
@@ -142,25 +133,21 @@ def _run_line(found: FleetStatus) -> str | None:
 
 def _cells(motor: MotorState) -> tuple[str, ...]:
     """Cells of `COLUMNS`."""
-    leakage, deviation, gap = "unknown", "none yet", "unknown"
-    if motor.leakage_l_per_min is not None:
-        leakage = f"{motor.leakage_l_per_min:.3g}"
-        if motor.leakage_verdict in ("uncertain", "extrapolated"):
-            leakage += f" ({motor.leakage_verdict})"
-    elif motor.leakage_night is not None:
-        leakage, deviation = f"not known since {motor.leakage_night}", "not known"
-    if motor.deviation_percent is not None:
-        deviation = f"{motor.deviation_percent:+z.1f} %"
-    if motor.gap_path is not None and motor.gap_change_percent is not None:
-        gap = f"{motor.gap_path.replace('_', ' ')} {motor.gap_change_percent:+z.1f} %"
+    watch, tonight, leakage, since = motor.watch, "unknown", "unknown", ""
+    if watch is not None:
+        change = (watch.tonight_change, watch.tonight_change_lower, watch.tonight_change_upper)
+        if None not in change:
+            value, lower, upper = (100 * one for one in change if one is not None)
+            tonight = f"{value:+z.1f} % [{lower:.1f}, {upper:.1f}]"
+        if watch.own_leakage_l_per_min is not None:
+            leakage = f"{watch.own_leakage_l_per_min:.3g}"
+        since = str(watch.since or "")
     return (
         motor.motor_id,
         motor.state.replace("_", " "),
-        str(motor.known_since or motor.state_since or ""),
-        gap,
+        tonight,
         leakage,
-        deviation,
+        since,
         str(motor.last_good_night or "never"),
-        motor.sensor_health or "unknown",
-        motor.why,
+        f"{motor.why}. {motor.advice}" if motor.needs_attention else motor.why,
     )

@@ -6,7 +6,7 @@ import datetime as dt
 import json
 from collections.abc import Iterable, Iterator, Mapping
 
-from leakage import LeakageError, OperatingConditions, leakage_l_per_min
+from leakage import LeakageError, leakage_l_per_min
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from pipeline.config.channels import channel_faults
 from pipeline.config.defaults import Document
@@ -95,10 +95,7 @@ def faults_of_channels(file: str, document: Document) -> Iterator[Fault]:
 
 def impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
     """Faults that only show when type, oil, flushing and settings come together."""
-    reference = spec.settings.reference
-    conditions = OperatingConditions.from_bar(
-        reference.pressure_bar, reference.temperature_c, reference.speed_rpm
-    )
+    conditions = spec.settings.reference.conditions()
     for night in (dt.date.min, *(event.date for event in spec.file.events)):
         if spec.file.oil_on(night) not in spec.oils:
             continue

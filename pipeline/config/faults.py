@@ -30,6 +30,20 @@ Misfit = tuple[Place, str, object]
 """Key within a table, what was expected, and what stands there."""
 
 
+# Keys of earlier versions, and what is said of them.
+ONE_WATCH = "is gone: one test watches the whole flow of a motor"
+GONE = {
+    "trend.provisional_nights": f"{ONE_WATCH}, from its baseline_nights on; delete it",
+    "trend.false_discovery_rate": f"{ONE_WATCH}, and slopes are shown only; delete it",
+    "alarms.warning_percent": f"{ONE_WATCH}, and any change that it tells is a warning; delete it",
+    "alarms.on_nights": f"{ONE_WATCH}, at alarms.false_alarms_per_year; delete it",
+    "alarms.off_nights": f"{ONE_WATCH}, until the flow is back where it was; delete it",
+    "alarms.deadband_percent": f"{ONE_WATCH}, until the flow is back where it was; delete it",
+    "estimation.search_every_nights": "is gone: `fit` alone searches; delete it",
+    "estimation.bootstrap_resamples": "is gone: intervals are those of the blocks; delete it",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
     """One thing wrong in one config file."""
@@ -89,7 +103,8 @@ def _fault(detail: ErrorDetails, file: str, prefix: str, document: object) -> Fa
     if kind in ("missing", "union_tag_not_found"):
         return Fault(file, key, "is missing")
     if kind == "extra_forbidden":
-        return Fault(file, key, "is no key of this table; check its spelling")
+        gone = next((why for one, why in GONE.items() if key.endswith(one)), None)
+        return Fault(file, key, gone or "is no key of this table; check its spelling")
     if kind == "union_tag_invalid":
         context = detail["ctx"]
         message = f'got "{context["tag"]}"; expected one of {context["expected_tags"]}'

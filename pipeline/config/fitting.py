@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
 from pipeline.config.section import NonNegative, Positive, Section
+
+if TYPE_CHECKING:
+    from leakage import OperatingConditions
 
 
 class Model(Section):
@@ -42,31 +45,27 @@ class Model(Section):
 
 
 class Estimation(Section):
-    """Bounded least squares from several starting points; names as in MATLAB's lsqnonlin."""
+    """Bounded least squares; the search of the thesis, by `fit` alone, names as in MATLAB's
+    lsqnonlin."""
 
     starting_points: int = Field(10, ge=0, le=1000)
-    """Starting points a fit, the configured one first."""
-    search_every_nights: int = Field(30, ge=0)
-    """The starts are made on every n-th night of the calendar, as an audit of the certificate, and
-    where that finds the rank short; 1: on every night; 0: there alone, and by `fit`. Past nights
-    keep what they have; refits search with `--with-starts`."""
+    """Starting points of the audit that `fit` makes, the configured one first; 0: none. No figure
+    depends on it or on the four settings after it."""
     gradient_type: Literal["analytic", "2-point", "3-point"] = "analytic"
-    """Method for the Jacobian."""
+    """Method for the Jacobian of a start."""
     step_tolerance: Positive = 1e-10
-    """Stops at a relative step below this."""
+    """A start stops at a relative step below this."""
     function_tolerance: Positive = 1e-10
-    """Stops at a relative change of the criterion below this."""
+    """A start stops at a relative change of the criterion below this."""
     maximum_iterations: int = Field(200, ge=1)
     """Iterations a start may take."""
     loss: Literal["squared", "huber"] = "squared"
     """`huber`: training samples with large errors count less, by weights found before their
     statistics are made."""
-    bootstrap_resamples: int = Field(499, ge=0, le=100_000)
-    """Draws of the block bootstrap; 0: none."""
     sensitivity_samples: int = Field(1500, ge=100)
     """Training samples that carry the stated tolerances; thinned."""
     seed: int = Field(1, ge=0)
-    """Seed of the run; a night's seed is derived from it."""
+    """Seed of the starts; a night's seed is derived from it."""
 
 
 class ReferenceConditions(Section):
@@ -78,3 +77,15 @@ class ReferenceConditions(Section):
     """Oil temperature."""
     speed_rpm: NonNegative = 30.0
     """Motor speed."""
+
+    def conditions(self, charge_over_case_bar: float | None = None) -> OperatingConditions:
+        """These conditions; of a two-sided motor with a charge above case pressure, else None.
+
+        A night by itself takes its own mean charge, a watch that of its baseline: where the charge
+        is stated and not logged, they are the same.
+        """
+        from leakage.physics.conditions import OperatingConditions
+
+        return OperatingConditions.from_bar(
+            self.pressure_bar, self.temperature_c, self.speed_rpm, charge_over_case_bar
+        )

@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
 from leakage import FilmPressure, Motor
 from pipeline.config.execution import Execution, Retention
@@ -17,9 +16,6 @@ from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import OilSample, Walther, measured_curve
 from pipeline.config.settings import Settings
 from pipeline.errors import UsageError
-
-if TYPE_CHECKING:
-    from leakage.estimation.model_verdict import LowSide
 
 # Object stores that logs and tables may lie in.
 URL_SCHEMES = ("s3", "az", "gs")
@@ -68,14 +64,6 @@ class MotorSpec:
     def oil_on(self, night: dt.date) -> OilFile:
         """The oil of a night."""
         return self.oils[self.file.oil_on(night)]
-
-    @property
-    def low_side(self) -> LowSide:
-        """The low-pressure side in the model: part of it, known and left out, or unknown."""
-        model, is_logged = self.settings.model, not LOW_SIDE.isdisjoint(self.file.channels)
-        if model.two_sided:
-            return "modelled"
-        return "known" if is_logged or model.charge_pressure_bar > 0.0 else "unknown"
 
     def samples_of(self, night: dt.date) -> tuple[OilSample, ...]:
         """Analyses of the filling of a night, later ones too."""

@@ -38,7 +38,7 @@ NOT_OF_CONTENT = {"settle_s", "database"}
 # Where a channel stands in its log, which says nothing of its values.
 WHERE_IT_STANDS = {"field", "value_column"}
 # Raise it when the code makes other figures of the same statistics: every night is then refitted.
-FIGURES_VERSION = 4
+FIGURES_VERSION = 5
 # Raise it when a reader makes other samples of the same file.
 READING_VERSION = 2
 
@@ -47,10 +47,16 @@ WORDS = {"source", "note"}
 SETTINGS_NAMED = 4
 # Sections that shape trends and alarms alone: no night is made anew for them.
 OF_TRENDS = ("trend.", "alarms.")
-# Settings that shape no figure of a night: how people are told, looks within the day, and the
-# nights on which the search is made, which hold from now on.
+# Settings that shape no figure of a night: how people are told, looks within the day, and those of
+# the audit that `fit` makes.
 UNSHAPING: Mapping[str, Any] = {
-    "estimation": {"search_every_nights"},
+    "estimation": {
+        "starting_points",
+        "gradient_type",
+        "step_tolerance",
+        "function_tolerance",
+        "maximum_iterations",
+    },
     "alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret", "email"},
     "look": True,
 }

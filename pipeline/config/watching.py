@@ -16,24 +16,14 @@ DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
 
 class Trend(Section):
-    """The motor against its own past: baseline, slope, change and time to limit."""
+    """The motor against its own past: baseline, slope and time to limit."""
 
-    baseline_nights: int = Field(60, ge=15)
-    """Good nights of a frozen baseline."""
-    provisional_nights: int = Field(15, ge=15)
-    """Good nights after which a provisional baseline is used."""
+    baseline_nights: int = Field(8, ge=8)
+    """Nights with blocks of a baseline period, after which the watch begins."""
     confidence: Share = Field(0.95, lt=1)
     """Coverage of the slope's interval."""
     horizon_years: Positive = 5.0
     """A limit that is reached later than this is `beyond_horizon`."""
-    false_discovery_rate: Share = Field(0.1, lt=1)
-    """Slopes with a `q_value` below this are called trends."""
-
-    def misfits(self) -> Iterator[Misfit]:
-        """A provisional baseline longer than the one after it."""
-        if self.provisional_nights > self.baseline_nights:
-            message = "expected no more than baseline_nights"
-            yield ("provisional_nights",), message, self.provisional_nights
 
 
 class Email(Section):
@@ -75,23 +65,15 @@ class Email(Section):
 
 
 class Alarms(Section):
-    """Rules for the states `warning` and `alarm` of an indicator, and for their end."""
+    """Rules for the states `warning` and `alarm`, and who is told."""
 
-    warning_percent: Positive = 15.0
-    """Rise over the baseline that is a warning."""
     alarm_percent: Positive = 30.0
-    """Rise over the baseline that is an alarm."""
-    on_nights: tuple[int, int] = (3, 5)
-    """On after m of n nights in a row beyond a level, [m, n]."""
-    deadband_percent: NonNegative = 5.0
-    """Points below a level that an indicator must fall before it is off."""
-    off_nights: int = Field(5, ge=1)
-    """Nights in a row below that, before it is off."""
+    """Rise over the baseline that is an alarm, once it is beyond it with 97.5 % probability; any
+    change that is told is a warning."""
     stale_after_nights: int = Field(7, ge=1)
-    """Nights without a trusted figure after which a state is `stale`."""
-    false_alarms_per_year: Positive = 0.1
-    """False alarms per motor and year, over all its indicators together, for which the limits of
-    the change test are calibrated."""
+    """Nights without blocks after which a motor is `stale`."""
+    false_alarms_per_year: Positive = Field(0.04, le=12)
+    """False alarms per motor and year at which the watch tells a change."""
     command: tuple[str, ...] = ()
     """Program and arguments, run without a shell for each delivery; it gets the new rows of
     `alarms` as JSON on its standard input ([trends.md](trends.md#10-notifications))."""
@@ -104,17 +86,6 @@ class Alarms(Section):
     Webhooks; empty: no signature."""
     email: Email = left_out()
     """Mail over SMTP ([trends.md](trends.md#10-notifications))."""
-
-    def misfits(self) -> Iterator[Misfit]:
-        """Levels and counts of nights in the wrong order."""
-        needed, of = self.on_nights
-        if not 1 <= needed <= of:
-            yield ("on_nights",), "expected [m, n] with 1 <= m <= n", self.on_nights
-        if self.warning_percent >= self.alarm_percent:
-            yield ("warning_percent",), "expected less than alarm_percent", self.warning_percent
-        if self.deadband_percent >= self.warning_percent:
-            message = "expected less than warning_percent"
-            yield ("deadband_percent",), message, self.deadband_percent
 
 
 class Look(Section):

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from leakage import AnnularGap, Motor, OperatingConditions, leakage_l_per_min
+from leakage import AnnularGap, Motor, leakage_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.demo.operation import Duty
 
@@ -130,10 +130,7 @@ def truth_of(night: DemoNight) -> Truth:
     if motor.constant is not None:
         scatter = 1.0 + FLUSHING_SCATTER * rng.standard_normal()
         coefficients[motor.constant.name] = night.demo.flushing_l_per_min * scatter
-    reference = night.spec.settings.reference
-    conditions = OperatingConditions.from_bar(
-        reference.pressure_bar, reference.temperature_c, reference.speed_rpm
-    )
+    conditions = night.spec.settings.reference.conditions()
     at_reference = leakage_l_per_min(motor, conditions, coefficients)
     return Truth(gaps, coefficients, float(at_reference[0]))
 

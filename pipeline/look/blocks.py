@@ -1,4 +1,4 @@
-"""Blocks of new samples, cleaned as the night does it, and blocks of nights before."""
+"""Blocks of new samples, cleaned as the night does it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from pipeline.config.nights import Night
 from pipeline.ingest import RawChannel
 from pipeline.night.fit_night import Insufficient, clean_channels
 from pipeline.night.statistics import operating_conditions
-from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples
 from pipeline.night.viscosity import driven, sensor_ratio, viscosity_ratios
 from pipeline.night.windows import left_out
@@ -39,18 +38,33 @@ class Blocks:
         """No block."""
         return cls(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
 
-    @classmethod
-    def joined(cls, parts: Sequence[Blocks]) -> Blocks:
-        """Blocks of one part after those of another."""
-        return cls(
-            np.concatenate([one.start_us for one in parts]),
-            np.concatenate([one.means for one in parts]),
-            np.concatenate([one.conditions for one in parts]),
-        )
-
-    def only(self, chosen: Mask) -> Blocks:
+    def only(self, chosen: slice | Mask) -> Blocks:
         """Some of them."""
         return Blocks(self.start_us[chosen], self.means[chosen], self.conditions[chosen])
+
+    @classmethod
+    def of_rows(cls, rows: Sequence[Sequence[float]]) -> Blocks:
+        """Blocks that a state keeps."""
+        table = np.array(rows, dtype=np.float64)
+        return cls(table[:, 0].astype(np.int64), table[:, 4:], table[:, 1:4])
+
+    @property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """The same for a state: begin, conditions, means."""
+        table = np.column_stack([self.start_us, self.conditions, self.means])
+        return tuple(map(tuple, table.tolist()))
+
+    def merged(self, n: int) -> Blocks:
+        """Means of each `n` neighbours, of which the last may be fewer; they keep the first begin.
+
+        Stored blocks are as long, and the watch knows the errors of those.
+        """
+        first = np.arange(0, len(self.start_us), n)
+        counts = np.diff(first, append=len(self.start_us))[:, None]
+        means, conditions = (
+            np.add.reduceat(one, first) / counts for one in (self.means, self.conditions)
+        )
+        return Blocks(self.start_us[first], means, conditions)
 
 
 def block_us(spec: MotorSpec) -> int:
@@ -136,30 +150,3 @@ def _cause(quality: tuple[Quality, ...]) -> str:
     if most.reason == "standstill":
         return "the motor stands still"
     return f"{most.channel.replace('_', ' ')}: {most.reason.replace('_', ' ')}"
-
-
-def stored_blocks(spec: MotorSpec, stored: StoredBlocks) -> Blocks:
-    """Short blocks behind those of some nights; each has the conditions of the one it is part of.
-
-    What was merged for storage has kept its means.
-    """
-    short = stored.short_blocks(spec.settings.windows.block_s)
-    first_us = int(stored.rows["block_start"].dt.timestamp("us")[0])
-    return Blocks(
-        first_us + short.number * block_us(spec), short.means, stored.block_means()[short.stored]
-    )
-
-
-def is_warm(start_us: Times, length_us: int, warm_up_us: float) -> Mask:
-    """Blocks that begin long enough after a start, where the motor had stood for as long.
-
-    Examples
-    --------
-    >>> is_warm(np.array([0, 2, 4, 6, 8, 20, 22, 24, 26]), 2, 4.0).astype(int).tolist()
-    [0, 0, 1, 1, 1, 0, 0, 1, 1]
-    """
-    pause = np.diff(start_us, prepend=start_us[:1] - length_us) - length_us
-    begins = (pause >= warm_up_us) | (np.arange(len(start_us)) == 0)
-    began = start_us[np.maximum.accumulate(np.where(begins, np.arange(len(start_us)), 0))]
-    warm: Mask = start_us - began >= warm_up_us
-    return warm

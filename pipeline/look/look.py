@@ -17,13 +17,12 @@ from typing import Any
 
 import polars as pl
 
-from pipeline.arrays import SECOND_US
 from pipeline.clock import latest_us, microseconds, now, utc
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash, hash_of, own_version
 from pipeline.errors import MotorLeakageError, StoreError
-from pipeline.look.baseline import baseline_of
-from pipeline.look.motor import Change, change_within, looked_at, without_baseline
+from pipeline.look.before import nights_before
+from pipeline.look.motor import Change, looked_at, without_watch
 from pipeline.look.state import LookState, Rise, read_state, write_state
 from pipeline.look.verdicts import verdicts
 from pipeline.schema import LOOKS, frame
@@ -37,17 +36,12 @@ from pipeline.telling.outbox import TOLD_LOOKS, open_outbox, read_outbox, take_u
 from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import circuits_of, decisions_of
 from pipeline.trends.nights.decisions import Decision, read_decisions
-from pipeline.trends.nights.trend_record import read_record
 from pipeline.workers.process import one_thread
 
 log = logging.getLogger(__name__)
 
 Row = dict[str, Any]
 
-# Time before a rise with which the other motors of its oil circuit are compared, and their least
-# blocks before it and since.
-HOUR_US = 3600 * SECOND_US
-LEAST_BEFORE, LEAST_SINCE = 5, 2
 WHAT_TO_DO = "look at the motor and its drain filter now, and compare the drain flow by hand"
 
 
@@ -120,17 +114,12 @@ def _looked_at(
 ) -> tuple[LookState, list[Change], str]:
     """State and changes of a motor; where it cannot be looked at, it stays as it was."""
     try:
-        record = read_record(output, spec.motor_id)
-        baseline = baseline_of(output, spec, record, said)
-        if isinstance(baseline, str) or record is None:
-            last_night = None if record is None else record.last_night
-            state, changes = without_baseline(spec, before, str(baseline), last_night)
-            return state, changes, ""
-        state, given = verdicts(output, spec, baseline, before, record.last_night)
+        known = nights_before(output, spec, said)
+        if isinstance(known, str):
+            return *without_watch(before, known), ""
+        state, given = verdicts(output, spec, known, before)
         now_us = microseconds(clock)
-        state, changes = looked_at(
-            spec, baseline, state, record.last_night, now_us, latest_us(clock)
-        )
+        state, changes = looked_at(spec, known, state, now_us, latest_us(clock))
     except MotorLeakageError as error:
         return before, [], f"{error.code}: {error}"
     except Exception as error:  # one motor must not cost the others their look
@@ -166,7 +155,7 @@ def _told_words(
 ) -> str:
     value, lower, upper = percent
     return (
-        f"drain flow {value:+.0f} % [{lower:.0f}, {upper:.0f}] above what is expected since "
+        f"drain flow {value:+.0f} % [{lower:.0f}, {upper:.0f}] above the nights before since "
         f"{utc(rise.began_us):%Y-%m-%d %H:%M} UTC, told at {utc(rise.told_us):%H:%M}; "
         f"{_circuit_words(rise, others)}{WHAT_TO_DO}"
     )
@@ -176,23 +165,16 @@ def _circuit_words(rise: Rise, others: Sequence[LookState]) -> str:
     """Whether the other motors of the oil circuit have moved alike, in words."""
     if not others:
         return ""
-    changes = [one for state in others if (one := _change_since(rise, state)) is not None]
-    if not changes:
+    latest = [one.latest for one in others if one.judged_us > rise.began_us]
+    if not latest:
         return "the other motors of its oil circuit say nothing of that time; "
-    alike = sum(one >= rise.change / 2 for one in changes)
-    if alike == len(changes):
+    alike = sum(one >= rise.change / 2 for one in latest)
+    if alike == len(latest):
         return (
             "all motors of its oil circuit that run have risen alike: oil, temperature or charge "
             "pressure rather than this motor; "
         )
-    return f"{alike} of {len(changes)} other motors of its oil circuit have risen alike; "
-
-
-def _change_since(rise: Rise, state: LookState) -> float | None:
-    """Change of another motor's relative error since a rise; None where too little is known."""
-    before = change_within(state, rise.began_us - HOUR_US, rise.began_us, LEAST_BEFORE)
-    since = change_within(state, rise.began_us, rise.told_us, LEAST_SINCE)
-    return None if before is None or since is None else since - before
+    return f"{alike} of {len(latest)} other motors of its oil circuit have risen alike; "
 
 
 def publish_looks(output: Path, rows: Sequence[Row], run_id: str) -> None:

@@ -8,17 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leakage.course.step_detection import StepWatch, advance
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.nights import night_of
 from pipeline.ingest import RawLog
 from pipeline.logs.files import reaches_us, slice_night
-from pipeline.look.baseline import LookBaseline
+from pipeline.look.before import NightsBefore
 from pipeline.look.blocks import Blocks, block_us, blocks_within
 from pipeline.look.reading import PASS_BYTES, News, newest_us_of, read_news
-from pipeline.look.state import BLIND, MOST_RECENT, NOT_READY, LookState, Rise, Scores
+from pipeline.look.state import BLIND, NOT_READY, LookState, Rise
 from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW
 
 # Blocks before the first new one whose samples are cleaned with it, and the wait for the samples
@@ -26,11 +25,13 @@ from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW
 BLOCKS_BEFORE, SETTLE_US = 2, 30 * SECOND_US
 # Longest way back: what is older is left to the nights.
 LONGEST_WAY_BACK = dt.timedelta(days=2)
-# Blocks in a row whose mean ends a rise, below this share of it.
-BLOCKS_OF_END, SHARE_OF_END = 5, 0.5
+# The night so far is judged once in so many blocks: what is told hangs on no look's hour.
+JUDGED_EVERY = 2
+# Latest blocks that are judged by themselves, so that a break is not lost in a long day.
+LATEST_BLOCKS = (5, 15)
+# Share of a rise below which it has ended.
+SHARE_OF_END = 0.5
 NOTHING = "nothing to judge since then"
-# Of a 95 % interval, in standard deviations.
-TWO_SIDED_95 = 1.96
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,52 +47,37 @@ class Change:
     night: dt.date | None = None  # night that gave the verdict
 
 
+Looked = tuple[LookState, list[Change]]
+
+
 def looked_at(
-    spec: MotorSpec,
-    baseline: LookBaseline,
-    state: LookState,
-    last_night: dt.date,
-    now_us: int,
-    latest_us: int,
-) -> tuple[LookState, list[Change]]:
+    spec: MotorSpec, before: NightsBefore, state: LookState, now_us: int, latest_us: int
+) -> Looked:
     """Take up what is new in a motor's logs: the state after it, and its changes in order.
 
-    A first look begins behind `last_night`, the last that is published; samples after `latest_us`
-    are refused.
+    A first look begins behind the last published night; samples after `latest_us` are refused.
     """
-    state, changes = _begun(spec, baseline, state, last_night, now_us)
+    state, changes = _begun(spec, before, state, now_us)
     most_bytes = PASS_BYTES
     while (news := _news(spec, state, latest_us, most_bytes)) is not None:
-        before = state.next_us
-        state, found = _taken_up(spec, baseline, state, news)
+        next_us = state.next_us
+        state, found = _taken_up(spec, before, state, news)
         changes += found
         if news.is_all:
             break
         # A step that is not longer than what has to be read again leads nowhere.
-        most_bytes = most_bytes if state.next_us > before else 2 * most_bytes
+        most_bytes = most_bytes if state.next_us > next_us else 2 * most_bytes
     return _silent(spec, state, now_us, changes), changes
 
 
-def _begun(
-    spec: MotorSpec,
-    baseline: LookBaseline,
-    state: LookState,
-    last_night: dt.date,
-    now_us: int,
-) -> tuple[LookState, list[Change]]:
-    """The state with a filter of this baseline, at a begin."""
-    if state.baseline != baseline.key:
-        watch = StepWatch.begin(baseline.errors)
-        state = replace(state, baseline=baseline.key, watch=watch, recent=())
+def _begun(spec: MotorSpec, before: NightsBefore, state: LookState, now_us: int) -> Looked:
     nights = spec.settings.nights
-    earliest = night_of(now_us, nights) - LONGEST_WAY_BACK
+    begin_us = night_labelled(night_of(now_us, nights) - LONGEST_WAY_BACK, nights).start_us
+    begin_us = max(begin_us, night_labelled(before.last_night, nights).end_us)
     if state.next_us:
-        begin_us = night_labelled(earliest, nights).start_us
-        return replace(state, next_us=max(state.next_us, begin_us)), []
-    begin_us = max(
-        night_labelled(last_night, nights).end_us, night_labelled(earliest, nights).start_us
-    )
-    return _moved(replace(state, next_us=begin_us), begin_us, BLIND, "nothing was judged yet")
+        is_behind = state.next_us < begin_us
+        return (replace(state, next_us=begin_us, blocks=()) if is_behind else state), []
+    return moved(replace(state, next_us=begin_us), begin_us, BLIND, "nothing was judged yet")
 
 
 def _news(spec: MotorSpec, state: LookState, latest_us: int, most_bytes: int) -> News | None:
@@ -100,30 +86,29 @@ def _news(spec: MotorSpec, state: LookState, latest_us: int, most_bytes: int) ->
     return read_news(spec, state.files, needed_us, latest_us, most_bytes)
 
 
-def _taken_up(
-    spec: MotorSpec, baseline: LookBaseline, state: LookState, news: News
-) -> tuple[LookState, list[Change]]:
-    """Take up all blocks whose samples are there."""
+def _taken_up(spec: MotorSpec, before: NightsBefore, state: LookState, news: News) -> Looked:
+    """Take up all blocks whose samples are there, some at a time."""
     changes: list[Change] = []
     newest_us = max((one.newest_us for one in news.files.values()), default=0)
-    state = replace(state, files=news.files, newest_us=newest_us)
-    if news.fault:
-        state = replace(state, cause=news.fault)
+    cause = news.fault or state.cause
+    state = replace(state, files=news.files, newest_us=newest_us, cause=cause)
+    nights, step_us = spec.settings.nights, JUDGED_EVERY * block_us(spec)
     while True:
-        night = night_labelled(night_of(state.next_us, spec.settings.nights), spec.settings.nights)
-        ready_us = _ready_us(spec, news, state.next_us)
-        end_us = min(ready_us - (ready_us - night.start_us) % block_us(spec), night.end_us)
-        if ready_us >= night.end_us:
-            end_us = night.end_us
+        night = night_labelled(night_of(state.next_us, nights), nights)
+        end_us = _ready_us(spec, news, state.next_us)
+        end_us = min(end_us - (end_us - night.start_us) % step_us, night.end_us)
         if end_us <= state.next_us:
             return state, changes
         blocks, cause = _blocks(spec, news.logs, state.next_us, end_us)
-        if len(blocks.start_us):
-            state, found = judged(spec, baseline, state, blocks)
-            changes += found
-        elif cause:
+        if not len(blocks.start_us) and cause:
             state = replace(state, cause=cause)
-        state = replace(state, next_us=end_us)
+        step = (blocks.start_us - night.start_us) // step_us
+        for one in np.unique(step):
+            state, found = _judged(spec, before, state, blocks.only(step == one), night.date)
+            changes += found
+        # The blocks are those of one night.
+        is_over = end_us == night.end_us
+        state = replace(state, next_us=end_us, blocks=() if is_over else state.blocks)
 
 
 def _ready_us(spec: MotorSpec, news: News, next_us: int) -> int:
@@ -138,11 +123,8 @@ def _ready_us(spec: MotorSpec, news: News, next_us: int) -> int:
                 lasts[name] = max(lasts.get(name, 0), newest_us_of(channel))
     if not lasts:
         return next_us
-    periodic = [
-        lasts.get(name, 0)
-        for name, channel in spec.file.channels.items()
-        if channel.sampling != "on_change"
-    ]
+    channels = spec.file.channels.items()
+    periodic = [lasts.get(name, 0) for name, one in channels if one.sampling != "on_change"]
     first = min(periodic, default=0)
     if news.is_all:
         first = max(first, max(lasts.values()) - block_us(spec))
@@ -162,96 +144,59 @@ def _blocks(
     return blocks_within(spec, night, channels, first_us, end_us)
 
 
-def judged(
-    spec: MotorSpec, baseline: LookBaseline, state: LookState, blocks: Blocks
-) -> tuple[LookState, list[Change]]:
-    """Take up some blocks, in order."""
-    measured, expected = baseline.flows(blocks)
-    seen = baseline.has_seen(blocks) & (expected > 0.0)
-    changes: list[Change] = []
-    length = block_us(spec)
+def _judged(
+    spec: MotorSpec, before: NightsBefore, state: LookState, blocks: Blocks, night: dt.date
+) -> Looked:
+    """Take up the warm ones of some blocks, and judge the night so far."""
+    length, warm = block_us(spec), list[int]()
     warm_us = round(spec.settings.look.warm_up_minutes * 60 * SECOND_US)
+    changes: list[Change] = []
     for place, start_us in enumerate(blocks.start_us.tolist()):
         state, went = _went_blind(spec, state, start_us)
         changes += went
         if start_us - state.block_end_us >= warm_us:
             state = replace(state, warm_from_us=start_us + warm_us)
         state = replace(state, block_end_us=start_us + length)
-        if start_us < state.warm_from_us:
-            state = replace(state, cause="the motor is warming up")
-        elif not seen[place]:
-            state = replace(state, cause=_beyond(baseline, blocks, place))
-        else:
-            error = float(measured[place] - expected[place])
-            state, change = _advanced(
-                baseline, state, start_us, length, float(expected[place]), error
-            )
-            changes += change
-    return state, changes
+        if start_us >= state.warm_from_us:
+            warm.append(place)
+    if not warm:
+        return replace(state, cause="the motor is warming up"), changes
+    rows = [*state.blocks, *(blocks.rows[place] for place in warm)]
+    end_us = int(rows[-1][0]) + length
+    state = replace(state, blocks=tuple(rows), judged_us=end_us, cause="")
+    state, found = _told(before, state, Blocks.of_rows(rows), night)
+    return state, changes + found
 
 
-def _beyond(baseline: LookBaseline, blocks: Blocks, place: int) -> str:
-    """The condition of a block that the baseline has not seen, in words."""
-    units = (("oil temperature", "°C"), ("pressure difference", "bar"), ("speed", "rpm"))
-    for (name, unit), value, low, high in zip(
-        units, blocks.conditions[place], baseline.lowest, baseline.highest, strict=True
-    ):
-        if not low <= value <= high:
-            return (
-                f"outside the baseline's conditions: {name} {value:.4g} {unit}, it has seen "
-                f"{low:.4g} to {high:.4g}"
-            )
-    return "no flow is expected"
-
-
-def _advanced(
-    baseline: LookBaseline,
-    state: LookState,
-    start_us: int,
-    length: int,
-    expected: float,
-    error: float,
-) -> tuple[LookState, list[Change]]:
-    """Take up a block that counts."""
-    assert state.watch is not None
-    end_us = start_us + length
-    watch, found = advance(
-        state.watch,
-        baseline.errors,
-        np.array(start_us // length),
-        np.array(expected),
-        np.array(error),
-    )
-    recent = (*state.recent, (end_us, expected, error))[-MOST_RECENT:]
-    state = replace(state, watch=watch, recent=recent, judged_us=end_us, cause="")
+def _told(before: NightsBefore, state: LookState, sofar: Blocks, night: dt.date) -> Looked:
+    """Tell a rise of the night so far, or of its latest blocks, or that it is over."""
+    end_us = state.judged_us
+    if len(sofar.start_us) < LATEST_BLOCKS[0]:
+        return state, []
+    windows = [sofar.only(slice(-n, None)) for n in LATEST_BLOCKS]
+    rises = [before.rise(blocks, night)[0] for blocks in windows]
+    state = replace(state, latest=rises[0].value)
     if state.state == LOOK_NOW:
-        return _ended(state, end_us)
-    if float(found.statistic) > baseline.limit:
-        change = float(found.rise)
-        half = TWO_SIDED_95 * float(found.rise_sd)
-        began_us = int(found.began) * length + start_us % length
-        rise = Rise(began_us, end_us, change, half, baseline.level)
-        return _moved(state, end_us, LOOK_NOW, "", rise)
+        assert state.rise is not None
+        if rises[0].upper >= SHARE_OF_END * state.rise.change:
+            return state, []
+        words = f"the drain flow is back within {100 * SHARE_OF_END:.0f} % of the rise, or the "
+        return moved(state, end_us, CLEAR, f"{words}nights have taken it up", state.rise)
+    all_day, is_told = before.rise(sofar.merged(before.merged), night)
+    for blocks, rise in zip((*windows, sofar), (*rises, all_day), strict=True):
+        is_new = is_told and blocks is sofar
+        if rise.value > 0.0 and (is_new or before.is_sudden(rise)):
+            began_us, half = int(blocks.start_us[0]), rise.upper - rise.value
+            told = Rise(began_us, end_us, rise.value, half, before.level.value)
+            return moved(state, end_us, LOOK_NOW, "", told)
     if state.state != CLEAR:
-        return _moved(state, end_us, CLEAR, "the drain flow is as expected")
+        return moved(state, end_us, CLEAR, "the drain flow is as expected")
     return state, []
 
 
-def _ended(state: LookState, end_us: int) -> tuple[LookState, list[Change]]:
-    """End a rise where the flow is back."""
-    rise = state.rise
-    assert rise is not None
-    last = state.recent[-BLOCKS_OF_END:]
-    change = change_within(state, max(rise.told_us, last[0][0] - 1), end_us, BLOCKS_OF_END)
-    if change is None or change >= SHARE_OF_END * rise.change:
-        return state, []
-    words = f"the drain flow is back within {100 * SHARE_OF_END:.0f} % of the rise, or the nights "
-    return _moved(state, end_us, CLEAR, words + "have taken it up", rise)
-
-
-def _moved(
+def moved(
     state: LookState, time_us: int, after: str, reason: str, rise: Rise | None = None
-) -> tuple[LookState, list[Change]]:
+) -> Looked:
     """Go into another state."""
     told = after == LOOK_NOW
     change = Change(time_us, state.state, after, reason, rise, "told" if told else "")
@@ -264,19 +209,17 @@ def _moved(
     return state, [change]
 
 
-def _went_blind(spec: MotorSpec, state: LookState, until_us: int) -> tuple[LookState, list[Change]]:
+def _went_blind(spec: MotorSpec, state: LookState, until_us: int) -> Looked:
     """Go blind where nothing was judged for long; a rise that is told stands."""
-    after_us = round(spec.settings.look.blind_after_minutes * 60 * SECOND_US)
-    blind_us = state.judged_us + after_us
+    blind_us = state.judged_us + round(spec.settings.look.blind_after_minutes * 60 * SECOND_US)
     if state.state != CLEAR or until_us <= blind_us:
         return state, []
-    why = state.cause or "no new samples"
-    return _moved(state, blind_us, BLIND, f"{NOTHING}: {why}")
+    return moved(state, blind_us, BLIND, f"{NOTHING}: {state.cause or 'no new samples'}")
 
 
 def _silent(spec: MotorSpec, state: LookState, now_us: int, changes: list[Change]) -> LookState:
     """The state by the clock, where the logs say nothing new."""
-    if state.newest_us <= state.judged_us + block_us(spec):
+    if state.newest_us <= state.judged_us + JUDGED_EVERY * block_us(spec):
         state = replace(state, cause="no new samples")
     state, found = _went_blind(spec, state, now_us)
     changes += found
@@ -285,33 +228,9 @@ def _silent(spec: MotorSpec, state: LookState, now_us: int, changes: list[Change
     return state
 
 
-def without_baseline(
-    spec: MotorSpec, state: LookState, why: str, last_night: dt.date | None
-) -> tuple[LookState, list[Change]]:
-    """The state of a motor without a baseline."""
+def without_watch(state: LookState, why: str) -> Looked:
+    """The state of a motor that has no watch."""
     if state.state == NOT_READY:
         return replace(state, reason=why), []
-    time_us = 0
-    if last_night is not None:
-        time_us = night_labelled(last_night, spec.settings.nights).end_us
-    state, changes = _moved(state, max(time_us, state.judged_us), NOT_READY, why, state.rise)
-    return replace(state, next_us=0, baseline="", watch=None, recent=()), changes
-
-
-def scored(state: LookState, verdict: str, rise: Rise) -> LookState:
-    """The state after the verdict of a night on a rise."""
-    old = state.scores
-    scores = Scores(
-        old.told, old.confirmed + (verdict == "confirmed"), old.withdrawn + (verdict == "withdrawn")
-    )
-    waiting = tuple(one for one in state.waiting if one != rise)
-    return replace(state, scores=scores, waiting=waiting)
-
-
-def change_within(state: LookState, first_us: int, end_us: int, least_blocks: int) -> float | None:
-    """Relative error of the remembered blocks that end in some time; None for too few."""
-    chosen = [one for one in state.recent if first_us < one[0] <= end_us]
-    if len(chosen) < least_blocks:
-        return None
-    _, expected, error = np.sum(chosen, axis=0)
-    return float(error / expected)
+    state, changes = moved(state, max(state.judged_us, state.since_us), NOT_READY, why, state.rise)
+    return replace(state, next_us=0, blocks=()), changes

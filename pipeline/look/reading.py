@@ -121,7 +121,7 @@ def _read(
         return _still_needed([whole], needed_us), replace(now, newest_us=_newest_us(whole))
     known = before.ends if before is not None and _is_continued(path, before) else ()
     ends = [*[one for one in known if one.newest_us < needed_us][-1:]]
-    place = ends[-1].place if ends else Place()
+    place = Place(ends[-1].position, ends[-1].columns) if ends else Place()
     logs, last = list[RawLog](), place.position + most_bytes
     log: RawLog | None = None
     while place.position < last:
@@ -129,14 +129,15 @@ def _read(
         if log is None:
             break
         logs += _still_needed([log], needed_us)
-        ends.append(End(place, max(_newest_us(log), ends[-1].newest_us if ends else 0)))
+        newest_us = max(_newest_us(log), ends[-1].newest_us if ends else 0)
+        ends.append(End(place.position, tuple(place.columns), newest_us))
     kept = [*[one for one in ends if one.newest_us < needed_us][-1:]]
     kept += [one for one in ends if one.newest_us >= needed_us]
     found = replace(
         now,
         newest_us=ends[-1].newest_us if ends else 0,
         ends=tuple(kept),
-        digest=_digest(path, kept[0].place.position) if kept else "",
+        digest=_digest(path, kept[0].position) if kept else "",
         is_read=log is None,
     )
     return logs, found
@@ -158,7 +159,7 @@ def _still_needed(logs: list[RawLog], needed_us: int) -> list[RawLog]:
 
 def _is_continued(path: Path, before: FileSeen) -> bool:
     """False for a file that was cut, or written anew, since it was read."""
-    return bool(before.ends) and _digest(path, before.ends[0].place.position) == before.digest
+    return bool(before.ends) and _digest(path, before.ends[0].position) == before.digest
 
 
 def _digest(path: Path, position: int) -> str:

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
-from leakage.course.step_detection import StepWatch
 from pipeline.clock import utc
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.trends.rows.motor_states import LookStanding
 
-if TYPE_CHECKING:
-    from pipeline.ingest import Place
-
 BLIND, NOT_READY = "blind", "not_ready"
-# Judged blocks that are remembered.
-MOST_RECENT = 60
 
 
 @dataclass(frozen=True, slots=True)
 class End:
     """End of a piece of a growing file, and the newest sample up to there [µs since 1970]."""
 
-    place: Place
+    # position, columns: as of `Place`.
+    position: int
+    columns: tuple[str, ...]
     newest_us: int
 
 
@@ -54,13 +49,13 @@ class FileSeen:
 class Rise:
     """A sudden rise that was told."""
 
-    # began_us, told_us: begin of its first block, end of the block that told it [µs since 1970].
+    # began_us, told_us: begin of the blocks that show it, end of the last [µs since 1970].
     began_us: int
     told_us: int
-    # change, half_width: relative rise, and the half-width of its 95 % interval.
+    # change, half_width: rise over the nights before, and the half-width of its 95 % interval.
     change: float
     half_width: float
-    level: float = 0.0  # deviation from the baseline above which it rose [-]
+    level: float  # change of those nights from the baseline
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +85,9 @@ class LookState:
     warm_from_us: int = 0
     judged_us: int = 0  # end of the last block that was judged
     cause: str = ""  # why the latest samples were not judged
-    baseline: str = ""  # key of the baseline that the filter belongs to
-    watch: StepWatch | None = None
-    # End, expected flow, and measured less expected [l/min] of the latest judged blocks.
-    recent: tuple[tuple[int, float, float], ...] = ()
+    # Warm blocks of the night so far: begin [µs since 1970], conditions, means of the columns.
+    blocks: tuple[tuple[float, ...], ...] = ()
+    latest: float = 0.0  # rise of the latest judged blocks over the nights before
     rise: Rise | None = None  # the rise that is told; None where none is
     waiting: tuple[Rise, ...] = ()  # rises that no night has confirmed or withdrawn yet
     scores: Scores = Scores()
@@ -111,52 +105,14 @@ def read_state(output: Path, motor_id: str) -> LookState:
     """
     document = read_if_whole(state_file(output, motor_id), unseal)
     try:
-        return LookState() if document is None else _decoded(document)
-    except (ValueError, KeyError, TypeError, AttributeError):
+        return LookState() if document is None else TypeAdapter(LookState).validate_python(document)
+    except ValidationError:
         return LookState()
-
-
-def _decoded(document: Mapping[str, Any]) -> LookState:
-    files = {name: _file(**one) for name, one in document["files"].items()}
-    watch, rise = document["watch"], document["rise"]
-    return LookState(
-        **{
-            **document,
-            "files": files,
-            "watch": None if watch is None else StepWatch(*map(np.array, watch)),
-            "recent": tuple((int(end), flow, error) for end, flow, error in document["recent"]),
-            "rise": None if rise is None else Rise(**rise),
-            "waiting": tuple(Rise(**one) for one in document["waiting"]),
-            "scores": Scores(**document["scores"]),
-        }
-    )
-
-
-def _file(ends: Sequence[Mapping[str, Any]], **rest: Any) -> FileSeen:
-    from pipeline.ingest import Place
-
-    places = (
-        (Place(one["place"]["position"], tuple(one["place"]["columns"])), one["newest_us"])
-        for one in ends
-    )
-    return FileSeen(ends=tuple(End(*one) for one in places), **rest)
 
 
 def write_state(output: Path, motor_id: str, state: LookState) -> None:
     """Keep the state of a motor's looks; raises as `put_sealed`."""
-    watch = state.watch
-    arrays = None
-    if watch is not None:
-        parts = (watch.number, watch.level, watch.variance, watch.began, watch.step, watch.pulse)
-        arrays = [part.tolist() for part in parts]
-    document = {name: getattr(state, name) for name in LookState.__slots__} | {
-        "files": {name: asdict(one) for name, one in sorted(state.files.items())},
-        "watch": arrays,
-        "rise": None if state.rise is None else asdict(state.rise),
-        "waiting": [asdict(one) for one in state.waiting],
-        "scores": asdict(state.scores),
-    }
-    put_sealed(state_file(output, motor_id), document)
+    put_sealed(state_file(output, motor_id), asdict(state))
 
 
 def look_standings(output: Path, motor_ids: Iterable[str]) -> dict[str, LookStanding]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import EstimationError, Motor, OperatingConditions, regressors
-from leakage.course.temperature_correction import UNKNOWN_PER_KELVIN, temperature_response
 from leakage.estimation.block_fit import BlockEstimate, fit_blocks
 from leakage.estimation.block_statistics import merge, with_free_known
 from leakage.estimation.certificate import Certificate
+from leakage.estimation.choices import COEFFICIENT_FACTOR, LEAKAGE_FACTOR
 from leakage.estimation.identifiability import (
     Excitation,
     Identification,
@@ -28,15 +27,8 @@ from leakage.estimation.identifiability import (
     judge_leakage,
 )
 from leakage.estimation.least_squares import Fit, fit
-from leakage.estimation.model_verdict import (
-    COEFFICIENT_FACTOR,
-    LEAKAGE_FACTOR,
-    StructuredMisfit,
-    model_errors,
-    structured_misfit,
-)
-from leakage.estimation.multi_start import Parametrisation, SearchSettings
-from leakage.estimation.uncertainty import Bootstrap, block_bootstrap
+from leakage.estimation.misfit import Misfit, model_errors
+from leakage.estimation.multi_start import Parametrisation
 from pipeline.config import MotorSpec
 from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, of_stated
 from pipeline.night.residuals import PartResiduals
@@ -45,6 +37,9 @@ from pipeline.night.stored_blocks import StoredBlocks
 Array = NDArray[np.float64]
 
 REFERENCE, OWN = "reference_leakage", "own_conditions_leakage"
+# ± of a change of all loss factors with temperature, which one night cannot tell (model.md,
+# section 5) [1/K].
+UNKNOWN_PER_KELVIN = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,25 +58,20 @@ class BlockFit:
     # fit, identification: estimates from all kept samples; verdicts and intervals.
     fit: Fit
     training: Certificate  # the fit to the training samples alone, which is validated on the others
-    # Estimates of the model as it is stated: what the search, the predictions and the misfit are
-    # of.
+    # Estimates of the model as it is stated: what the predictions and the misfit are of.
     stated: BlockEstimate
     identification: Identification
     excitation: Excitation  # range of the samples
+    block_s: float  # usual length of the blocks [s]
     duration_s: float  # time from the first sample to the last [s]
     # Mean pressure difference [bar], temperature [°C] and speed [rpm].
     own_means: tuple[float, float, float]
-    # dθ/db: change of the estimates with b, a change of all loss factors with temperature.
-    response: Array
     reference_conditions: OperatingConditions  # where the reference leakage is evaluated
     # reference, own: leakage at the reference conditions, and at the night's own mean conditions.
     reference: LeakageJudgement
     own: LeakageJudgement
-    bootstrap: Bootstrap  # percentile limits, a cross-check
     # ± from stated tolerances by indicator, in its unit; without those that have none.
     systematic: Mapping[str, float]
-    # Structured misfit of the model as it is stated; None where the blocks are too few.
-    structured: StructuredMisfit | None
     errors: Mapping[str, ErrorParts]  # parts of the ± by indicator
     # What the blocks say of the scale of the rollers' curve, whether or not the fit uses it; None
     # without such a curve.
@@ -100,8 +90,6 @@ def fit_stored_blocks(
     at: tuple[OperatingConditions, OperatingConditions],
     inflation: float,
     sensitivities: Sequence[Mapping[str, Any]],
-    *,
-    search: bool | None = None,
 ) -> BlockFit:
     """Fit a motor to blocks of samples, with verdicts and intervals.
 
@@ -117,22 +105,15 @@ def fit_stored_blocks(
         Factor on standard errors that robust weights ask for; 1 without them.
     sensitivities
         Rows of the table: effects of the stated tolerances under this mode.
-    search
-        Make the starts of the search, too; None: on every n-th night, and where the rank is
-        short. No estimate depends on them.
 
     Raises
     ------
     EstimationError
         If there are fewer training samples than free coefficients.
     """
-    estimation, motor = spec.settings.estimation, spec.stated.motor(night, mode)
-
-    def generator(purpose: str) -> np.random.Generator:
-        return np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, purpose))
-
-    samples = blocks.sample_blocks(spec.settings.windows.block_s)
-    stated = fit_blocks(samples, motor, _search(spec, night, search), generator(mode))
+    motor = spec.stated.motor(night, mode)
+    samples = blocks.sample_blocks()
+    stated = fit_blocks(samples, motor)
     made = stated
     if spec.roller_is_free and motor.standard is not None:
         free, samples = motor.with_free_standard(), samples.with_free_known(*scale_of(motor))
@@ -141,13 +122,8 @@ def fit_stored_blocks(
     identification = made.identified(excitation, inflation)
     where = dict(zip((REFERENCE, OWN), at, strict=True))
     own_means = blocks.means()
-    structured = None if stated.misfit is None else structured_misfit([stated.misfit])
-    own_structured = structured
-    if made is not stated and made.misfit is not None:
-        own_structured = structured_misfit([made.misfit])
-    errors = _errors(
-        made, identification, excitation, (own_structured, structured), where, sensitivities
-    )
+    misfits = made.misfit, stated.misfit
+    errors = _errors(made, identification, excitation, misfits, where, sensitivities)
     reference, own = (
         judge_leakage(fitted, identification, excitation, where[name], errors[name].beside_samples)
         for name in (REFERENCE, OWN)
@@ -164,44 +140,15 @@ def fit_stored_blocks(
         stated=stated,
         identification=judge_by_total(fitted, identification, total),
         excitation=excitation,
+        block_s=samples.block_s,
         duration_s=blocks.duration_s,
         own_means=own_means,
-        response=temperature_response(
-            made.whitened,
-            fitted.coefficients,
-            fitted.certificate.off_bounds,
-            samples.means[:, 0] - own_means[1],
-        ),
         reference_conditions=where[REFERENCE],
         reference=reference,
         own=own,
-        bootstrap=block_bootstrap(
-            made.whitened,
-            fitted.coefficients,
-            identification.distribution,
-            # A source of its own: limits do not depend on whether the search was made.
-            generator(f"{mode}|bootstrap"),
-            resamples=estimation.bootstrap_resamples,
-        ),
         systematic=of_stated(sensitivities),
-        structured=structured,
         errors=errors,
         roller=_roller(motor, made, identification, excitation, inflation),
-    )
-
-
-def _search(spec: MotorSpec, night: dt.date, search: bool | None) -> SearchSettings:
-    """Settings of the search on a night."""
-    estimation = spec.settings.estimation
-    nights = estimation.search_every_nights
-    is_due = nights > 0 and night.toordinal() % nights == 0
-    return SearchSettings(
-        starting_points=0 if search is False else estimation.starting_points,
-        gradient_type=estimation.gradient_type,
-        step_tolerance=estimation.step_tolerance,
-        function_tolerance=estimation.function_tolerance,
-        maximum_iterations=estimation.maximum_iterations,
-        only_at_short_rank=search is None and not is_due,
     )
 
 
@@ -247,7 +194,7 @@ def _errors(
     made: BlockEstimate,
     identification: Identification,
     excitation: Excitation,
-    misfits: tuple[StructuredMisfit | None, StructuredMisfit | None],
+    misfits: tuple[Misfit | None, Misfit | None],
     at: Mapping[str, OperatingConditions],
     sensitivities: Sequence[Mapping[str, Any]],
 ) -> dict[str, ErrorParts]:
@@ -256,7 +203,7 @@ def _errors(
     fixed = fitted.certificate.fixed
     sensors = of_sensors(sensitivities)
     rows = {name: regressors(fitted.motor, one)[0] for name, one in at.items()}
-    leakages = {name: row[:-2] @ fitted.coefficients[:-1] + row[-1] for name, row in rows.items()}
+    leakages = {name: row[:-2] @ fitted.unbounded[:-1] + row[-1] for name, row in rows.items()}
     constants = 0.0
     if is_outside(excitation, at[REFERENCE]) and leakages[OWN] > 0.0:
         ratio = float(leakages[REFERENCE] / leakages[OWN])
@@ -305,16 +252,7 @@ def conditions(
     spec: MotorSpec, blocks: StoredBlocks, charge_bar: float | None
 ) -> tuple[OperatingConditions, OperatingConditions]:
     """The reference conditions, and the mean ones of some blocks."""
-    reference = spec.settings.reference
     return (
-        OperatingConditions.from_bar(
-            reference.pressure_bar, reference.temperature_c, reference.speed_rpm, charge_bar
-        ),
+        spec.settings.reference.conditions(charge_bar),
         OperatingConditions.from_bar(*blocks.means(), charge_bar),
     )
-
-
-def night_seed(seed: int, motor_id: str, night: dt.date, purpose: str) -> int:
-    """Seed of a fit's draws: the same for the same run seed, motor, night and purpose."""
-    text = "|".join((str(seed), motor_id, night.isoformat(), purpose))
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import LeakageError, Motor, OperatingConditions, regressors
+from leakage import LeakageError, Motor, OperatingConditions
 from leakage.estimation.sensitivities import ErrorBudget, error_budget
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit, conditions, fit_stored_blocks
@@ -18,11 +18,8 @@ from pipeline.night.residuals import night_residuals
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.tolerances import assumed_sensors, tolerances
-from pipeline.night.transport_delay import estimated_delay_s
 
 Array = NDArray[np.float64]
-
-PA_PER_BAR = 1e5
 
 
 def fit_modes(
@@ -57,42 +54,6 @@ def with_residuals(
         memory_s, residuals = night_residuals(statistics, theta, error, smoothing)
         fits.append(replace(mode, memory_s=memory_s, residuals=residuals))
     return tuple(fits)
-
-
-def transport_delays_s(
-    spec: MotorSpec, statistics: NightStatistics, mode: BlockFit
-) -> tuple[float | None, float | None]:
-    """Mean delay of the kept samples as configured, and the one estimated; None where it is off."""
-    samples = statistics.samples
-    delay = samples.delay
-    if delay is None:
-        return None, None
-    rows = samples.index - samples.first_index
-    charge = statistics.conditions.charge_over_case_pa
-    theta = np.append(mode.stated.fit.coefficients, 1.0)
-
-    def predicted(inputs: Mapping[str, Array], chosen: NDArray[np.int64]) -> Array:
-        bar = inputs.get("pressure_difference", samples.pressure_difference_bar[chosen])
-        celsius = inputs.get("oil_temperature", samples.oil_temperature_c[chosen])
-        rpm = inputs.get("speed", samples.speed_rpm[chosen])
-        at = OperatingConditions.from_bar(
-            np.abs(bar),
-            celsius,
-            np.abs(rpm),
-            None if charge is None else charge[chosen] / PA_PER_BAR,
-        )
-        flow: Array = regressors(mode.stated.fit.motor, at) @ theta
-        return flow
-
-    estimate = estimated_delay_s(
-        delay,
-        rows,
-        samples.leakage_l_per_min,
-        predicted,
-        samples.period_us / 1e6,
-        spec.settings.transport_delay.maximum_s,
-    )
-    return float(delay.delay_s[rows].mean()), estimate
 
 
 def _budget(

@@ -30,13 +30,12 @@ def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
     """Rows of `parameters`: coefficients, what they say of gaps, and shares of the leakage."""
     fit = mode.fit
     places = {path.name: place for place, path in enumerate(_columns(fit)) if path}
-    spreads = _spreads(mode.stated.fit)
     rows: list[Row] = []
     for path in fit.motor.paths:
-        row = _coefficient_row(mode, path, places.get(path.name), spreads)
+        row = _coefficient_row(mode, path, places.get(path.name))
         if path is fit.motor.standard and spec.settings.model.roller_scale == "by_information":
             row["reason"] = _why_fixed(mode)
-        rows += [row, *_derived_rows(spec, path, row, spreads)]
+        rows += [row, *_derived_rows(spec, path, row)]
     return rows + _share_rows(mode)
 
 
@@ -51,9 +50,7 @@ def _columns(fit: Fit) -> tuple[LeakagePath | None, ...]:
     return Parametrisation.of(fit.motor).paths
 
 
-def _coefficient_row(
-    mode: BlockFit, path: LeakagePath, place: int | None, spreads: Mapping[str, float]
-) -> Row:
+def _coefficient_row(mode: BlockFit, path: LeakagePath, place: int | None) -> Row:
     """The row of a coefficient: of a known path its configured value, else estimate and verdict."""
     row: Row = {"parameter": path.coefficient_name, "unit": path.coefficient_unit}
     if place is None:
@@ -64,15 +61,12 @@ def _coefficient_row(
     row |= {"value": value, "verdict": judgement.verdict, "reason": judgement.reason or None}
     if place is None or judgement.verdict == "fixed":
         return row
-    row["spread_over_starts"] = spreads.get(path.coefficient_name)
     if judgement.information is not None:
         row["interval_degrees_of_freedom"] = judgement.information.degrees_of_freedom
         row["largest_block_share"] = judgement.information.largest_block_share
     if judgement.interval is None:
         return row
     row |= _interval(value, judgement.interval.half_width)
-    row["bootstrap_lower"] = _finite(mode.bootstrap.lower[place])
-    row["bootstrap_upper"] = _finite(mode.bootstrap.upper[place])
     row["systematic"] = mode.systematic.get(path.coefficient_name)
     row |= mode.errors[path.coefficient_name].columns()
     return row
@@ -82,13 +76,7 @@ def _interval(value: float, half_width: float) -> Row:
     return {"lower": value - half_width, "upper": value + half_width}
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _derived_rows(
-    spec: MotorSpec, path: LeakagePath, coefficient: Row, spreads: Mapping[str, float]
-) -> list[Row]:
+def _derived_rows(spec: MotorSpec, path: LeakagePath, coefficient: Row) -> list[Row]:
     """Rows of the figures that a coefficient implies, each with a value or a feasible range."""
     first, second = spec.motor_type.surface_roughness_um
     limits = (coefficient["lower"], coefficient["upper"]) if "lower" in coefficient else None
@@ -102,7 +90,6 @@ def _derived_rows(
             "unit": figure.unit,
             "feasible_min": figure.lowest,
             "feasible_max": figure.highest,
-            "spread_over_starts": spreads.get(figure.name),
             "verdict": coefficient["verdict"],
             "reason": coefficient["reason"],
             "geometry_is_placeholder": figure.is_placeholder,
@@ -116,24 +103,11 @@ def _derived_rows(
     return rows
 
 
-def _spreads(fit: Fit) -> dict[str, float]:
-    """Largest minus smallest value of parameters and coefficients over starts at the minimum."""
-    starts = fit.starts_at_minimum
-    if not starts:
-        return {}
-    parametrisation = Parametrisation.of(fit.motor)
-    finals = np.array([start.final for start in starts])
-    thetas = np.array([parametrisation.coefficients(final)[0] for final in finals])
-    names = [path.coefficient_name if path else "" for path in parametrisation.paths]
-    spreads = dict(zip(names, np.ptp(thetas, axis=0).tolist(), strict=True))
-    free = [parameter.name for parameter in parametrisation.free]
-    return spreads | dict(zip(free, np.ptp(finals, axis=0).tolist(), strict=True))
-
-
 def _share_rows(mode: BlockFit) -> list[Row]:
     """Share of each path in the reference leakage, where the data determine it.
 
-    With L = Σ K_i φ_i + known, the share Q_j / L has the gradient φ_i (δ_ij L − Q_j) / L².
+    With L = Σ K_i φ_i + known, K within bounds, the share Q_j / L has the gradient
+    φ_i (δ_ij L − Q_j) / L².
     """
     reference, fit = mode.reference, mode.fit
     if not reference.is_told:
@@ -144,7 +118,7 @@ def _share_rows(mode: BlockFit) -> list[Row]:
             if path is not fit.motor.constant
         ]
     flows = path_flows_l_per_min(fit.motor, mode.reference_conditions, fit.coefficients_by_path)
-    total = reference.leakage_l_per_min
+    total = sum(float(flow[0]) for flow in flows.values())
     slopes = np.append(regressors(fit.motor, mode.reference_conditions)[0, :-2], 0.0)
     places = {path.name: place for place, path in enumerate(fit.motor.column_paths)}
     rows = []

@@ -34,12 +34,9 @@ from pipeline.night.rows import (
     Rows,
     agreement_columns,
     block_fit_columns,
-    criteria_columns,
     leakage_columns,
     mark_modes,
     previous_model_columns,
-    search_columns,
-    start_rows,
     upper_triangle,
 )
 from pipeline.night.stored_blocks import BLOCK_COLUMNS, CHANNELS, StoredBlocks
@@ -50,10 +47,9 @@ from pipeline.schema.fits import OK
 Array = NDArray[np.float64]
 
 REFITTED_TABLES = ("fits", "parameters")
-STARTS_TABLES = ("starts",)
 SENSITIVITIES_TABLES = ("sensitivities",)
 JUDGED_TABLES = ("fits",)
-KEPT_TABLES = ("fits", "parameters", "sensitivities")
+KEPT_TABLES = ("fits", "sensitivities")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +57,14 @@ class PublishedNight:
     """Rows of a motor's night in the tables."""
 
     label: dt.date  # the night
-    # fits, parameters, sensitivities: rows of these tables.
+    # fits, sensitivities: rows of these tables.
     fits: Sequence[Row]
-    parameters: Sequence[Row]
     sensitivities: Sequence[Row]
     # Rows of `block_statistics` in order of time; None where there are none.
     blocks: pl.DataFrame | None
 
 
-def refit(
-    spec: MotorSpec, night: PublishedNight, previous: PreviousModel, *, with_starts: bool = False
-) -> NightOutcome | None:
+def refit(spec: MotorSpec, night: PublishedNight, previous: PreviousModel) -> NightOutcome | None:
     """Fit a night anew.
 
     Parameters
@@ -82,8 +75,6 @@ def refit(
         Its rows as published.
     previous
         The motor's model before, by flushing mode.
-    with_starts
-        Search from all starts, too; no estimate depends on it.
 
     Returns
     -------
@@ -104,11 +95,10 @@ def refit(
     # Weighted blocks do not have the plain factor of the night.
     if measured and spec.settings.estimation.loss != "squared":
         return None
-    tables = REFITTED_TABLES + STARTS_TABLES * with_starts
     charge_bar = next(iter(fits.values()))["mean_charge_over_case_bar"]
     at = conditions(spec, blocks, charge_bar)
     is_elsewhere = any(_is_elsewhere(spec, row) for row in fits.values())
-    tables += SENSITIVITIES_TABLES * is_elsewhere
+    tables = REFITTED_TABLES + SENSITIVITIES_TABLES * is_elsewhere
     rows: Rows = {name: [] for name in tables}
     model = {}
     for mode in spec.file.flushing.modes:
@@ -128,19 +118,12 @@ def refit(
                 at,
                 before["weight_inflation"],
                 sensitivities,
-                search=with_starts,
             )
         except EstimationError:
             return None
-        row = _fits_row(spec, before, found, blocks) | (
-            search_columns(found.stated.fit) if with_starts else {}
-        )
-        row |= _previous_model(spec, before, previous)
-        rows["fits"].append(row | criteria_columns(row))
-        known = [row for row in night.parameters if row["flushing_mode"] == mode]
-        rows["parameters"] += [key | row for row in _parameters(spec, found, known)]
-        if with_starts:
-            rows["starts"] += [key | row for row in start_rows(found.stated.fit)]
+        row = _fits_row(spec, before, found, blocks)
+        rows["fits"].append(row | _previous_model(spec, before, previous))
+        rows["parameters"] += [key | row for row in parameter_rows(spec, found)]
         model[mode] = tuple(found.fit.coefficients.tolist())
     mark_modes(rows["fits"], primary)
     return NightOutcome(night.label, OK, None, None, rows, model, tables=tables)
@@ -161,7 +144,7 @@ def refit_in_form(
     if published is None:
         kinds = {one: BLOCK_STATISTICS.schema[one] for one in BLOCK_COLUMNS}
         blocks = pl.DataFrame(rows["block_statistics"], kinds)
-        published = PublishedNight(outcome.night, (), (), (), blocks)
+        published = PublishedNight(outcome.night, (), (), blocks)
     known = {name: rows.get(name, getattr(published, name)) for name in KEPT_TABLES}
     made = refit(spec, replace(published, **known), previous)
     if made is None:
@@ -231,7 +214,7 @@ def is_refit(outcome: NightOutcome) -> bool:
 def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlocks) -> Row:
     """A row of `fits`; what needs samples is as before."""
     reference = spec.settings.reference
-    row = before | block_fit_columns(spec, found) | leakage_columns(spec, found)
+    row = before | block_fit_columns(found) | leakage_columns(spec, found)
     row |= {
         "is_refitted": True,
         "reference_pressure_bar": reference.pressure_bar,
@@ -293,12 +276,3 @@ def _sensitivities(
 def _previous_model(spec: MotorSpec, row: Row, previous: PreviousModel) -> Row:
     """Columns of the model before, judged on the night of a row of `fits`."""
     return previous_model_columns(spec, _square(row), previous.get(row["flushing_mode"]))
-
-
-def _parameters(spec: MotorSpec, found: BlockFit, before: Sequence[Row]) -> list[Row]:
-    """Rows of `parameters`; what needs starts is as before."""
-    spreads = {row["parameter"]: row.get("spread_over_starts") for row in before}
-    return [
-        row | {"spread_over_starts": spreads.get(row["parameter"])}
-        for row in parameter_rows(spec, found)
-    ]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.estimation.choices import ROUNDING
 from leakage.estimation.correlation import memory_s
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION, numbers_of
@@ -18,8 +19,6 @@ from pipeline.night.statistics import NightStatistics
 Array = NDArray[np.float64]
 
 INPUTS = ("pressure_difference", "oil_temperature", "speed")
-# Errors below this share of the flow are rounding.
-ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)

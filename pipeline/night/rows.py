@@ -11,18 +11,15 @@ from numpy.typing import NDArray
 
 from leakage.estimation.certificate import Certificate
 from leakage.estimation.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
-from leakage.estimation.least_squares import Fit
-from leakage.estimation.model_verdict import LowSide, model_verdict, verdict_in_words
-from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
-from leakage.estimation.validation import Agreement, agreement, criteria
+from leakage.estimation.validation import Agreement, agreement
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit, in_form
-from pipeline.night.fit import transport_delays_s
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
+from pipeline.night.time_base import Samples
 from pipeline.night.viscosity import mean_ratio
 
 Array = NDArray[np.float64]
@@ -68,7 +65,6 @@ def fit_rows(
         "fits": [],
         "parameters": [],
         "sensitivities": [motor_night | row for row in sensitivities],
-        "starts": [],
         "residual_tests": [],
         "residual_verdicts": [],
     }
@@ -76,9 +72,8 @@ def fit_rows(
         key = motor_night | {"flushing_mode": mode.name}
         before = previous.get(mode.name)
         own = shared | key | _mode_columns(spec, statistics, mode, judged_on, before)
-        rows["fits"].append(own | criteria_columns(own))
+        rows["fits"].append(own)
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
-        rows["starts"] += [key | row for row in start_rows(mode.stated.fit)]
         for name, made in (
             ("residual_tests", residual_test_rows),
             ("residual_verdicts", residual_verdict_rows),
@@ -115,11 +110,19 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "sample_period_s": samples.period_us / 1e6,
         "mean_charge_over_case_bar": mean_charge_bar(spec, samples),
         "weight_inflation": statistics.inflation,
+        "transport_delay_s": _mean_delay_s(samples),
         "is_refitted": False,
         "viscosity_ratio": mean_ratio(
             statistics.viscosity_ratios, [block.n for block in statistics.blocks]
         ),
     }
+
+
+def _mean_delay_s(samples: Samples) -> float | None:
+    """Mean transport delay of the kept samples; None where it is off."""
+    if samples.delay_s is None:
+        return None
+    return float(samples.delay_s[samples.index - samples.first_index].mean())
 
 
 def _covariance_columns(mode: BlockFit) -> Row:
@@ -154,28 +157,15 @@ def _mode_columns(
     # As of a night fitted from its weighted blocks, which cannot tell how the samples agree.
     if spec.settings.estimation.loss != "squared":
         agrees = statistics.judged_on, mode.stated.training
-    configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {
-        "transport_delay_s": configured_delay,
-        "estimated_transport_delay_s": estimated_delay,
-        **search_columns(mode.stated.fit),
         "correlation_time_s": mode.memory_s,
         "columns": list(mode.fit.motor.columns),
         "night_factor": upper_triangle(whole),
         **agreement_columns(spec, *agrees),
         **previous_model_columns(spec, whole, previous),
-        **block_fit_columns(spec, mode),
+        **block_fit_columns(mode),
         **residual_columns(mode.residuals),
         **leakage_columns(spec, mode),
-    }
-
-
-def search_columns(fit: Fit) -> Row:
-    """Columns of the search from several starts."""
-    return {
-        "n_starts": len(fit.starts),
-        "n_starts_at_minimum": len(fit.starts_at_minimum),
-        "certificate_gap": fit.certificate_gap,
     }
 
 
@@ -211,7 +201,7 @@ def previous_model_columns(
     }
 
 
-def block_fit_columns(spec: MotorSpec, mode: BlockFit) -> Row:
+def block_fit_columns(mode: BlockFit) -> Row:
     """Columns of a fit that are computed from its blocks."""
     certificate, fit, slow = mode.fit.certificate, mode.fit, mode.identification.slow
     pressure, temperature, speed = mode.own_means
@@ -225,8 +215,7 @@ def block_fit_columns(spec: MotorSpec, mode: BlockFit) -> Row:
         "singular_values": certificate.singular_values.tolist(),
         "coefficients": fit.coefficients.tolist(),
         **_covariance_columns(mode),
-        "coefficient_response": mode.response.tolist(),
-        "interval_status": _interval_status(mode, spec.settings.windows.block_s),
+        "interval_status": _interval_status(mode),
         "n_interval_blocks": mode.identification.n_blocks,
         "n_parameters": mode.training.n_estimated,
         "own_pressure_bar": pressure,
@@ -241,38 +230,19 @@ def block_fit_columns(spec: MotorSpec, mode: BlockFit) -> Row:
     }
 
 
-def _interval_status(mode: BlockFit, block_s: float) -> str:
+def _interval_status(mode: BlockFit) -> str:
     """``ok``, how long slow errors remember, or why there are no intervals."""
     found = mode.identification
     if found.distribution is None and not mode.fit.certificate.fixed.all():
         return ONE_BLOCK
     if not found.slow.are_slow:
         return "ok"
-    memory_s = found.slow.memory_s(block_s)
+    memory_s = found.slow.memory_s(mode.block_s)
     minutes = memory_s / 60.0
     time = f"about {minutes:.0f} minutes" if minutes < 120 else f"about {minutes / 60:.0f} hours"
     if memory_s >= mode.duration_s:
         time = "longer than the log"
     return f"ok: the errors remember for {time}; the intervals allow for it"
-
-
-def criteria_columns(row: Row) -> Row:
-    """FPE and information criteria of a row of `fits`, by n_training and by n_effective."""
-    d = row["n_parameters"]
-    # The criteria are those of a squared loss: a robust one has none of them.
-    squared = row["weight_inflation"] == 1.0
-    cost = (row["training_rmse_l_per_min"] or 0.0) ** 2
-    figures = criteria(cost, d, row["n_training"] if squared else 0)
-    honest = criteria(cost, d, (row["n_effective"] or 0.0) if squared else 0.0)
-    return {
-        "fpe": figures.fpe,
-        "aic": figures.aic,
-        "aicc": figures.aicc,
-        "bic": figures.bic,
-        "aic_effective": honest.aic,
-        "aicc_effective": honest.aicc,
-        "bic_effective": honest.bic,
-    }
 
 
 def mark_modes(rows: Sequence[Row], primary: str) -> None:
@@ -288,6 +258,7 @@ def mark_modes(rows: Sequence[Row], primary: str) -> None:
 
 def leakage_columns(spec: MotorSpec, mode: BlockFit) -> Row:
     """Reference leakage and leakage at own conditions, where they are told, with intervals."""
+    misfit = mode.stated.misfit
     return {
         "reference_verdict": mode.reference.verdict,
         "reference_reason": mode.reference.reason or None,
@@ -296,7 +267,8 @@ def leakage_columns(spec: MotorSpec, mode: BlockFit) -> Row:
         "own_conditions_reason": mode.own.reason or None,
         **_leakage(REFERENCE, mode.reference, mode),
         **_leakage(OWN, mode.own, mode),
-        **model_columns(mode, spec.low_side),
+        "model_misfit_percent": misfit and 100.0 * misfit.share,
+        "model_noise_percent": misfit and 100.0 * misfit.noise_share,
         **_roller_columns(spec, mode),
     }
 
@@ -315,25 +287,6 @@ def _roller_columns(spec: MotorSpec, mode: BlockFit) -> Row:
     }
 
 
-def model_columns(mode: BlockFit, low_side: LowSide) -> Row:
-    """Verdict on the model; none where the night has too few blocks for it."""
-    names = ("verdict", "misfit_percent", "noise_percent", "reason", "misfit_statistics")
-    row: Row = dict.fromkeys(f"model_{name}" for name in names)
-    told, found = mode.stated.misfit, mode.structured
-    if told is None or found is None:
-        return row
-    verdict = model_verdict(found)
-    return row | {
-        "model_verdict": verdict,
-        "model_misfit_percent": 100.0 * found.share,
-        "model_noise_percent": 100.0 * found.noise_share,
-        "model_reason": (
-            verdict_in_words(found, low_side) if verdict in ("doubtful", "disproved") else None
-        ),
-        "model_misfit_statistics": told.numbers().tolist(),
-    }
-
-
 def _leakage(name: str, found: LeakageJudgement, mode: BlockFit) -> Row:
     parts = mode.errors[name].columns()
     ends = ("l_per_min", "lower", "upper", "systematic", *parts)
@@ -346,23 +299,3 @@ def _leakage(name: str, found: LeakageJudgement, mode: BlockFit) -> Row:
             row[f"{name}_lower"] = found.leakage_l_per_min - found.interval.half_width
             row[f"{name}_upper"] = found.leakage_l_per_min + found.interval.half_width
     return row
-
-
-def start_rows(fit: Fit) -> list[Row]:
-    """Rows of `starts`."""
-    names = [parameter.name for parameter in Parametrisation.of(fit.motor).free]
-    reached = {start.number for start in fit.starts_at_minimum}
-    return [
-        {
-            "start": start.number,
-            "cost": start.cost if np.isfinite(start.cost) else None,
-            "status": start.status,
-            "reason": start.reason,
-            "iterations": start.iterations,
-            "at_minimum": start.number in reached,
-            "parameters": names,
-            "initial_values": start.initial.tolist(),
-            "final_values": start.final.tolist(),
-        }
-        for start in fit.starts
-    ]

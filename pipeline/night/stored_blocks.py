@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from leakage.estimation.block_fit import SampleBlocks
 from leakage.estimation.block_statistics import merge
 from leakage.estimation.identifiability import Excitation
-from leakage.estimation.sample_blocks import TRAINING, short_blocks_within
-from leakage.estimation.slow_errors import ShortBlocks
+from leakage.estimation.sample_blocks import TRAINING, places_on_clock
 from pipeline.config import MotorSpec
 from pipeline.night.viscosity import driven, mean_ratio, viscosity_ratios
 from pipeline.schema import BLOCK_STATISTICS, staged_table
@@ -34,7 +33,6 @@ BLOCK_COLUMNS = (
     "columns",
     "statistics",
     "model_hash",
-    "short_means",
     "viscosity_ratio",
     *(f"{end}_{name}" for name in CHANNELS for end in ("mean", "minimum", "maximum")),
 )
@@ -48,7 +46,6 @@ class StoredBlocks:
     factors: Array  # their triangular factors, shape (b, c, c)
     # Measured viscosity over the data sheet's, shape (b,); None where it is the data sheet's.
     viscosity_ratios: Array | None
-    scale: Array  # what that makes of the stored columns, shape (b, c)
 
     @classmethod
     def of(cls, spec: MotorSpec, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
@@ -75,38 +72,27 @@ class StoredBlocks:
     def _scaled(
         cls, spec: MotorSpec, rows: pl.DataFrame, factors: Array, columns: Sequence[str]
     ) -> StoredBlocks:
-        ratios, scale = None, np.ones((rows.height, len(columns)))
+        ratios = None
         if rows.height:
             by_sensor = rows["viscosity_ratio"].cast(pl.Float64).to_numpy()
             celsius = rows["mean_temperature_c"].to_numpy()
             ratios = viscosity_ratios(spec, rows["night"][0], celsius, by_sensor)
         if ratios is not None:
-            scale = np.where(driven(columns), 1.0 / ratios[:, None], scale)
-            factors = factors * scale[:, None, :]
-        return cls(rows, factors, ratios, scale)
+            factors = factors * np.where(driven(columns), 1.0 / ratios[:, None], 1.0)[:, None]
+        return cls(rows, factors, ratios)
 
     def factor_of(self, part: str) -> Array:
         """Factor of all blocks of the training or the validation samples, shape (c, c)."""
         return merge(self.factors[(self.rows["part"] == part).to_numpy()])
 
-    def short_blocks(self, block_s: float) -> ShortBlocks:
-        """Short blocks that these were merged from; themselves where they were not.
-
-        Parameters
-        ----------
-        block_s
-            Length of a short block [s].
-        """
-        start_us = self.rows["block_start"].to_physical().to_numpy()
-        number = np.round((start_us - start_us[:1]) / (1e6 * block_s)).astype(np.int64)
-        inside = self.rows["short_means"].to_list()
-        return short_blocks_within(self.factors, number, inside, self.scale)
-
-    def sample_blocks(self, block_s: float) -> SampleBlocks:
-        """All that a fit needs of them; `block_s` is the length of a short block [s]."""
+    def sample_blocks(self) -> SampleBlocks:
+        """All that a fit needs of them."""
+        begins, ends = (
+            self.rows[name].to_physical().to_numpy() for name in ("block_start", "block_end")
+        )
         return SampleBlocks(
             self.factors,
-            self.short_blocks(block_s),
+            *places_on_clock(begins, ends),
             (self.rows["part"] == TRAINING).to_numpy(),
             self.block_means(),
             Excitation(

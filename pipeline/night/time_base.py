@@ -19,7 +19,7 @@ from pipeline.night.cleaning import CleanChannel
 from pipeline.night.halts import Halts, settled_halts
 from pipeline.night.masks import ROUNDING, near, stretches, transient
 from pipeline.night.resampling import on_grid
-from pipeline.night.transport_delay import Delay, delay_inputs
+from pipeline.night.transport_delay import delay_inputs
 
 NO_HALTS = Halts()
 INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
@@ -65,8 +65,8 @@ class Samples:
     # guard times; where every channel is silent, nobody knows.
     n_running: int
     first_index: int = 0  # place of the log's first sample on the grid
-    # The transport delay that the samples were paired with; None where it is off.
-    delay: Delay | None = None
+    # Transport delay on the whole grid that the samples were paired with; None where it is off.
+    delay_s: Values | None = None
     # n_logged, n_turning: samples of the grid with a credible speed, and those of them above
     # standstill.
     n_logged: int = 0
@@ -149,9 +149,9 @@ def bring_together(
         present["pressure_difference"] = present[high] & present[low]
     low_pressures = [name for name in LOW_PRESSURES if name in channels]
     unpaired: dict[str, Mask] = {}
-    delay = None
+    delay_s = None
     if transport_delay is not None and transport_delay.mode != "off":
-        values, present, late, delay = delay_inputs(
+        values, present, late, delay_s = delay_inputs(
             values, present, period / SECOND_US, transport_delay
         )
         unpaired["transport_delay"] = late
@@ -183,7 +183,7 @@ def bring_together(
             n_grid=len(grid),
             n_running=int(np.count_nonzero(running)),
             first_index=begin,
-            delay=delay,
+            delay_s=delay_s,
             n_logged=n_logged,
             n_turning=n_turning,
             halts=settled_halts(

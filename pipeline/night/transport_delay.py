@@ -7,8 +7,6 @@ stated as one that leads the drain flow, or as one that is measured in the line 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from math import pi
 
 import numpy as np
@@ -18,23 +16,8 @@ from pipeline.config import TransportDelay
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 
 L_PER_MIN_PER_M3_PER_S = 60_000.0
-# Lags that the estimate tries, and samples at which it tries them.
-LAGS_TRIED = 61
-SAMPLES_TRIED = 4000
-FEWEST_SAMPLES = 100
-
-
-@dataclass(frozen=True, slots=True)
-class Delay:
-    """Delay of a night, and the inputs of its estimate."""
-
-    delay_s: Values  # τ on the time base, nan where the flow is not known; shape (n,)
-    # The inputs that it is stated for, as logged, nan where not present; shape (n,) each.
-    undelayed: Mapping[str, Values]
-    direction: Mapping[str, int]  # by input: −1 where it leads the drain flow, +1 where it lags
 
 
 def drain_line_delay_s(
@@ -111,8 +94,11 @@ def delay_inputs(
     present: dict[str, Mask],
     period_s: float,
     settings: TransportDelay,
-) -> tuple[dict[str, Values], dict[str, Mask], Mask, Delay]:
-    """Pair the drain flow y(t) with inputs at t − τ(t), those measured in the line at t + τ(t)."""
+) -> tuple[dict[str, Values], dict[str, Mask], Mask, Values]:
+    """Pair the drain flow y(t) with inputs at t − τ(t), those measured in the line at t + τ(t).
+
+    Channels, masks of where they are present, mask of samples with too long a delay, and τ [s].
+    """
     tau = delay_on_grid_s(values["leakage_flow"], present["leakage_flow"], period_s, settings)
     refused = ~(tau <= settings.maximum_s)
     leading: tuple[str, ...] = settings.leading
@@ -124,71 +110,4 @@ def delay_inputs(
         new_values[name], new_present[name] = shifted(
             values[name], present[name], sign * usable / period_s
         )
-    undelayed = {name: np.where(present[name], values[name], np.nan) for name in direction}
-    return new_values, new_present, refused, Delay(tau, undelayed, direction)
-
-
-def estimated_delay_s(
-    delay: Delay,
-    rows: Rows,
-    measured: Values,
-    predict: Callable[[Mapping[str, Values], Rows], Values],
-    period_s: float,
-    maximum_s: float,
-) -> float | None:
-    """The constant delay at which prediction and measured flow agree best, by cross-correlation.
-
-    None where nothing moves, too few samples lie far from gaps, or the best lag is the longest.
-    `predict` gives the drain flow of some kept samples with other inputs.
-    """
-    step = max(1, round(maximum_s / period_s / (LAGS_TRIED - 1)))
-    lags = np.arange(0, int(maximum_s / period_s) + 1, step)
-    if len(lags) < 3 or not delay.direction:
-        return None
-    n = len(next(iter(delay.undelayed.values())))
-    chosen = np.arange(len(rows))
-    for name, sign in delay.direction.items():
-        for lag in lags:
-            place = rows[chosen] + sign * lag
-            inside = (place >= 0) & (place < n)
-            chosen, place = chosen[inside], place[inside]
-            chosen = chosen[np.isfinite(delay.undelayed[name][place])]
-    if len(chosen) < FEWEST_SAMPLES:
-        return None
-    wanted = min(SAMPLES_TRIED, len(chosen))
-    chosen = chosen[np.linspace(0, len(chosen) - 1, wanted).round().astype(np.int64)]
-    agreement = np.array(
-        [
-            _correlation(
-                measured[chosen],
-                predict(
-                    {
-                        name: delay.undelayed[name][rows[chosen] + sign * lag]
-                        for name, sign in delay.direction.items()
-                    },
-                    chosen,
-                ),
-            )
-            for lag in lags
-        ]
-    )
-    best = int(np.argmax(agreement))
-    # Lags that all agree alike tell nothing, and the longest one may not be the best there is.
-    if not np.isfinite(agreement).all() or best == len(lags) - 1 or np.ptp(agreement) < 1e-12:
-        return None
-    return float((best + _summit(agreement, best)) * step * period_s)
-
-
-def _correlation(one: Values, other: Values) -> float:
-    one, other = one - one.mean(), other - other.mean()
-    size = float(np.sqrt((one @ one) * (other @ other)))
-    return float(one @ other) / size if size > 0 else float("nan")
-
-
-def _summit(values: Values, best: int) -> float:
-    """Place of the peak of a parabola through the best value and its neighbours, relative to it."""
-    if best == 0:
-        return 0.0
-    before, at, after = values[best - 1 : best + 2]
-    bend = before - 2 * at + after
-    return float(0.5 * (before - after) / bend) if bend < 0 else 0.0
+    return new_values, new_present, refused, tau

@@ -1,62 +1,51 @@
-"""The course of a motor's gaps over the nights, on Matplotlib axes."""
+"""The course of a motor's leakage over the nights, on Matplotlib axes."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
-import polars as pl
 
 from pipeline.errors import UsageError
 from pipeline.notebook.results import Tables
-from pipeline.palette import COLOURS, path_places
+from pipeline.palette import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-GAP_CHANGE = "gap_change_"
-LEVELS = {"warning": "--", "alarm": ":"}
+LEAKAGE = "own_leakage"
 
 
 def plot_course(tables: Tables, motor_id: str, ax: Axes | None = None) -> Axes:
-    """Change of each gap of a motor over the nights, with 95 % intervals and levels of its state.
+    """Leakage of a motor at its own conditions over the nights, with its 95 % interval.
 
-    The levels of a loss factor K are drawn as those of its gap, K ∝ h³.
+    The nights of the baseline are shaded; a dotted line marks each night in which a change was
+    told.
 
     Raises
     ------
     UsageError
-        ``unknown_motor``: the trends have no row of it.
+        ``unknown_motor``: the watch has no row of it.
     """
-    trends = tables.table("trends").filter(motor_id=motor_id).sort("night").collect()
-    if not trends.height:
-        raise UsageError("unknown_motor", f"no trend of {motor_id} in the tables; run fit-fleet")
-    rows = trends.filter(pl.col("indicator").str.starts_with(GAP_CHANGE)).drop_nulls("value")
+    watch = tables.watch(motor_id).collect()
+    if not watch.height:
+        raise UsageError("unknown_motor", f"no night of {motor_id} in the tables; run fit-fleet")
     axes = ax or plt.subplots(figsize=(9, 4), layout="constrained")[1]
-    axes.set(xlabel="night", ylabel="change of gap [%]", title=motor_id)
+    axes.set(xlabel="night", ylabel="leakage [l/min]", title=motor_id)
+    rows = watch.drop_nulls(f"{LEAKAGE}_l_per_min")
     if not rows.height:
-        note = "no change of a gap is known yet: there is no baseline"
-        axes.text(0.5, 0.5, note, ha="center", transform=axes.transAxes)
+        axes.text(0.5, 0.5, watch["sentence"][-1], ha="center", transform=axes.transAxes)
         return axes
-    names = pl.col("indicator").str.strip_prefix(GAP_CHANGE)
-    courses = rows.with_columns(path=names).partition_by("path", as_dict=True, maintain_order=True)
-    places = path_places(str(name) for (name,) in courses)
-    for (name,), part in courses.items():
-        colour = COLOURS[places[str(name)] % len(COLOURS)]
-        label = str(name).replace("_", " ")
-        axes.plot(part["night"], part["value"], lw=1.3, color=colour, label=label)
-        known = part.drop_nulls(("lower", "upper"))
-        axes.fill_between(
-            known["night"], known["lower"], known["upper"], color=colour, alpha=0.15, lw=0
-        )
-        levels = trends.filter(indicator=f"K_{name}").drop_nulls("baseline_mean")
-        for level, dashes in LEVELS.items():
-            share = levels[f"{level}_limit"] / levels["baseline_mean"]
-            percent = 100.0 * (share.cbrt() - 1.0)
-            axes.plot(levels["night"], percent, dashes, lw=1.0, color=colour)
-    for level, dashes in LEVELS.items():
-        axes.plot([], [], dashes, lw=1.0, color="black", label=f"level of {level}")
-    axes.axhline(0.0, color="0.7", lw=0.8)
+    lower, upper = (rows[f"{LEAKAGE}_{end}"] for end in ("lower", "upper"))
+    axes.fill_between(rows["night"], lower, upper, color=COLOURS[0], alpha=0.2, lw=0)
+    value = rows[f"{LEAKAGE}_l_per_min"]
+    axes.plot(rows["night"], value, lw=1.3, color=COLOURS[0], label="at its own conditions")
+    eras = watch.select("baseline_start", "baseline_end").drop_nulls()
+    for first, last in eras.unique(maintain_order=True).rows():
+        axes.axvspan(first, last, color="0.5", alpha=0.15, lw=0)
+    for night in watch["told_on"].drop_nulls().unique():
+        axes.axvline(night, ls=":", lw=1.0, color="black")
+    axes.set_ylim(bottom=0.0)
     axes.tick_params(axis="x", rotation=30)
-    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.legend(fontsize="small")
     return axes

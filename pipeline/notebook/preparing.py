@@ -79,7 +79,6 @@ class Prepared:
         flushing: float | Literal["none", "estimated"] | None = None,
         train: Period | Sequence[Period] | None = None,
         validate: Period | Sequence[Period] | None = None,
-        starting_points: int = 0,
     ) -> FrameFit:
         """Fit a motor to the samples, with blocks, smoothing and loss as the settings state them.
 
@@ -87,7 +86,7 @@ class Prepared:
         ----------
         motor
             None: the motor of the files.
-        flushing, train, validate, starting_points
+        flushing, train, validate
             As of :func:`leakage.fit_frame`.
 
         Raises
@@ -115,7 +114,6 @@ class Prepared:
             smoothing_s=self.settings.smoothing.window_s,
             smoothing_of=self.settings.smoothing.apply_to,
             loss=self.settings.estimation.loss,
-            starting_points=starting_points,
         )
 
     def __repr__(self) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import polars as pl
 
 from pipeline.errors import StoreError, UsageError
-from pipeline.schema import ALARMS, FITS, LATEST, TABLES, TRENDS
+from pipeline.schema import ALARMS, FITS, LATEST, TABLES, TRENDS, WATCH
 from pipeline.store.manifest import manifest_keys
 from pipeline.store.tables import existing_tables, files_of
 from pipeline.store.verification import compare_published
@@ -45,6 +45,10 @@ class Tables:
     def fits(self) -> pl.LazyFrame:
         """The primary fit of each motor and night."""
         return self.table(FITS.name).filter("is_primary").sort("motor_id", "night")
+
+    def watch(self, motor_id: str) -> pl.LazyFrame:
+        """What is told of a motor, in order of nights."""
+        return self.table(WATCH.name).filter(motor_id=motor_id).sort("night")
 
     def trend(self, motor_id: str, indicator: str) -> pl.LazyFrame:
         """The course of an indicator of a motor, in order of nights."""

@@ -16,10 +16,8 @@ import polars as pl
 
 from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
-from pipeline.look.state import look_standings
 from pipeline.report.encoding import script_json
 from pipeline.report.findings import scores
-from pipeline.report.first_screen import first_screen
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.manifest import (
@@ -35,10 +33,9 @@ from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
 from pipeline.report.pages import ASSETS, UTC, FleetFacts, fleet_html, motor_html
-from pipeline.report.status import changed_by_rules
+from pipeline.report.status import changed_by_rules, standing_states
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
-from pipeline.report.trends import changes_of_state, motor_states, trend_payload
-from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, TRENDS
+from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, WATCH
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
 from pipeline.telling.delivery import Receiver
@@ -50,6 +47,8 @@ INDEX = "index.html"
 CHART_LIBRARY = "assets/plotly.min.js"
 # Fewer nights than this are made in this very process: starting others takes longer.
 WORTH_WORKERS = 8
+# Of changes of state a page lists the newest.
+SHOWN_CHANGES = 200
 
 Entries = dict[str, tuple[str, int]]
 
@@ -257,7 +256,7 @@ def _make_pages(
     motors = list(motor_histories(history, list(names)))
     span = fleet_span(motors)
     types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
-    states = motor_states(history, names, look_standings(request.output, names))
+    states = {one.motor_id: one for one in standing_states(request.output, list(names))}
     rows = fleet_rows(motors, names, types, states)
     name = request.fleet or history.fleet or "Fleet"
     waiting = backlogs(request.output, request.receivers, name)
@@ -278,7 +277,7 @@ def _make_pages(
     told = by_rules.sort(ALARMS.key).with_columns(page=pl.col("motor_id").replace(names))
     by_id = {row.state.motor_id: row for row in rows}
     by_type = {motor_id: row.motor_type for motor_id, row in by_id.items()}
-    parts = scores(history.decisions, history.rows(TRENDS), by_type)
+    parts = scores(history.decisions, history.rows(WATCH), by_type)
     write(INDEX, fleet_html(facts, rows, told.to_dicts(), parts).encode())
     for motor in motors:
         name = names[motor.motor_id]
@@ -302,18 +301,16 @@ def _motor_page(
         {**event, "date": event["date"].isoformat()}
         for event in sorted(known.events, key=lambda event: event["date"])
     ]
-    screen = first_screen(motor, row.state, known.paths)
-    trend = trend_payload(motor, history)
     changes = changes_of_state(motor.motor_id, history)
-    since = row.state.known_since
-    told = [
-        {"night": change["night"].isoformat(), "state": change["to_state"]}
-        for change in changes
-        if change["indicator"] == row.state.indicator and since and change["night"] >= since
-    ]
-    payload = motor_payload(motor, screen, name, detailed, told, trend, events)
+    payload = motor_payload(motor, name, detailed, changes, events, known.paths)
     said = [one for one in history.decisions if one.motor_id == motor.motor_id]
-    return motor_html(facts, row, motor, screen, payload, changes, said)
+    return motor_html(facts, row, motor, payload, changes, said)
+
+
+def changes_of_state(motor_id: str, history: ReportTables) -> list[dict[str, Any]]:
+    """A motor's newest rows of `alarms`, the newest first."""
+    rows = history.rows(ALARMS).filter(motor_id=motor_id)
+    return rows.sort("time", "indicator", descending=[True, False]).head(SHOWN_CHANGES).to_dicts()
 
 
 def _write_chart_library(folder: Path, before: ReportManifest, now: ReportManifest) -> None:

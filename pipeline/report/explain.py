@@ -20,11 +20,11 @@ from pipeline.schema import (
     QUALITY,
     RESIDUAL_VERDICTS,
     SENSITIVITIES,
-    TRENDS,
+    WATCH,
     Table,
 )
 from pipeline.store.tables import read_rows
-from pipeline.trends.rows.motor_states import CHANGED, FITS_OF_A_NIGHT, fit_words
+from pipeline.trends.rows.motor_states import FITS_OF_A_NIGHT, fit_words
 
 Row = dict[str, Any]
 
@@ -55,18 +55,21 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
         *_refusals(_rows(output, QUALITY, motor_id, night)),
     ]
     lines = [_headline(motor_id, night, primary)]
+    watched = list(_watched(_rows(output, WATCH, motor_id, night)))
     if primary["status"] != "ok":
-        return lines + _paragraph("Data", data)
+        # Without a baseline it would but repeat why there is no fit.
+        known = watched if len(watched) > 1 else []
+        return [*lines, *_paragraph("State", known), *_paragraph("Data", data)]
     parameters = _of(primary, _rows(output, PARAMETERS, motor_id, night))
     effects = _of(primary, _rows(output, SENSITIVITIES, motor_id, night))
     tests = _of(primary, _rows(output, RESIDUAL_VERDICTS, motor_id, night))
     return [
         *lines,
         *_leakage(primary),
-        *_paragraph("State", _states(_rows(output, TRENDS, motor_id, night))),
+        *_paragraph("State", watched),
         *_paragraph("Paths", _verdicts(parameters)),
         *_paragraph("Systematic errors", _budget(primary, effects)),
-        *_paragraph("Fit", (*_fit(primary), *_model(primary), *_modes(fits))),
+        *_paragraph("Fit", (*_fit(primary), *_modes(fits))),
         *_paragraph("Errors of the fit", explain_residuals(primary, tests)),
         *_paragraph("Data", (*_kept(primary), *data)),
     ]
@@ -120,11 +123,18 @@ def _refusals(rows: list[Row]) -> Iterator[str]:
         yield f"refused samples of {channel}: {', '.join(parts)}"
 
 
-def _states(rows: list[Row]) -> Iterator[str]:
-    """Indicators that are raised, the worst first; each by its own reason."""
-    raised = [row for row in rows if row["state"] in CHANGED and row["state_reason"]]
-    for row in sorted(raised, key=lambda row: CHANGED.index(row["state"])):
-        yield f"{row['state'].replace('_', ' ')}: {row['state_reason']}"
+def _watched(rows: list[Row]) -> Iterator[str]:
+    """What the watch says of the night."""
+    for row in rows:
+        yield f"{row['state'].replace('_', ' ')}: {row['sentence']}. {row['advice']}"
+        if row["lack_of_fit"] is not None:
+            yield (
+                f"model: {row['model_verdict']}, lack of fit {100 * row['lack_of_fit']:.1f} % of "
+                "the flow"
+            )
+        if row["evidence_limit"] is not None:
+            evidence = "none" if row["evidence"] is None else f"ln R {row['evidence']:.1f}"
+            yield f"evidence of a change: {evidence}; told from {row['evidence_limit']:.1f} on"
 
 
 def _kept(fit: Row) -> Iterator[str]:
@@ -141,31 +151,11 @@ def _fit(fit: Row) -> Iterator[str]:
         if fit[column] is not None
     ]
     yield f"fit: {', '.join(parts) or 'the flow has no shape to fit'}"
-    if fit["n_starts"]:
-        yield (
-            f"search: {fit['n_starts_at_minimum']} of {fit['n_starts']} starts end at the proven "
-            "minimum"
-        )
     status = fit["interval_status"]
     if status.startswith("ok: "):
         yield status.removeprefix("ok: ")
     elif status != "ok":
         yield f"no intervals: {status}"
-
-
-def _model(fit: Row) -> Iterator[str]:
-    """Verdict on the model itself."""
-    if fit["model_misfit_percent"] is None:
-        return
-    verdict = fit["model_verdict"]
-    if verdict is None:
-        yield (
-            f"model: this night cannot tell; noise alone looks like a misfit of "
-            f"{fit['model_noise_percent']:.1f} %"
-        )
-        return
-    told = fit["model_reason"] or f"misfit {fit['model_misfit_percent']:.2f} % of the leakage"
-    yield f"model: {verdict}: {told}"
 
 
 def _leakage(fit: Row) -> Iterator[str]:

@@ -16,7 +16,9 @@ from pipeline.trends.nights.decisions import Decision
 NIGHTS_BEFORE = 7
 ALARMED = ("warning", "alarm")
 COEFFICIENT = "K_"
-COLUMNS = ("motor_id", "night", "state", "path")
+COLUMNS = ("motor_id", "night", "state", "cause")
+# Causes that leave open which part it is.
+NO_PART = ("all_gaps", "all_flows", "cannot_be_told")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,17 +33,17 @@ class Score:
 
 
 def scores(
-    decisions: Iterable[Decision], trends: pl.DataFrame, types: Mapping[str, str]
+    decisions: Iterable[Decision], watch: pl.DataFrame, types: Mapping[str, str]
 ) -> dict[str, Score]:
     """Score of each motor type with an inspection, of the motors that `types` knows.
 
-    Of several findings on a part of the same night the last counts. `trends` holds `COLUMNS`.
+    Of several findings on a part of the same night the last counts. `watch` holds `COLUMNS`.
     """
     found: dict[str, Counter[str]] = {}
     inspected = {one: is_worn for said in decisions for one, is_worn in _parts(said)}
     for (motor_id, night, part), is_worn in sorted(inspected.items()):
         if motor_id in types:
-            named = _named(trends.filter(motor_id=motor_id), night)
+            named = _named(watch.filter(motor_id=motor_id), night)
             counts = found.setdefault(types[motor_id], Counter())
             counts.update(_outcome(part, named, is_worn=is_worn))
     return {motor_type: Score(**counts) for motor_type, counts in sorted(found.items())}
@@ -63,9 +65,9 @@ def _parts(said: Decision) -> list[tuple[tuple[str, dt.date, str], bool]]:
     return [((said.motor_id, said.night, part), is_worn) for part, is_worn in parts]
 
 
-def _named(trends: pl.DataFrame, opened: dt.date) -> Sequence[str] | None:
+def _named(watch: pl.DataFrame, opened: dt.date) -> Sequence[str] | None:
     """Parts that a motor's newest alarm before its opening named; None: there was none."""
-    nights = trends.filter(pl.col("night") <= opened)
+    nights = watch.filter(pl.col("night") <= opened)
     last = nights["night"].max()
     if not isinstance(last, dt.date):
         return None
@@ -73,8 +75,8 @@ def _named(trends: pl.DataFrame, opened: dt.date) -> Sequence[str] | None:
     before = nights.filter(is_late, pl.col("state").is_in(ALARMED))
     if before.is_empty():
         return None
-    paths = before.filter(pl.col("night") == pl.col("night").max())["path"].drop_nulls()
-    return [part for path in paths for part in path.split(" and ")]
+    causes = before.filter(pl.col("night") == pl.col("night").max())["cause"].drop_nulls()
+    return [part for cause in causes if cause not in NO_PART for part in cause.split(" and ")]
 
 
 def _outcome(part: str, named: Sequence[str] | None, *, is_worn: bool) -> list[str]:

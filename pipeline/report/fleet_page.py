@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.report.first_screen import KINDS, drawn_kind
-from pipeline.report.history import COMPARABLE, OWN_REFERENCE, REFERENCE, Course, MotorHistory
+from pipeline.report.history import Course, MotorHistory
 from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
 from pipeline.report.words import SENSORS, STATUSES
 from pipeline.trends.rows.motor_states import MotorState, urgency
@@ -18,8 +17,6 @@ from pipeline.trends.rows.motor_states import MotorState, urgency
 Span = tuple[dt.date, dt.date]
 ONE_DAY = dt.timedelta(days=1)
 RECENT_NIGHTS = 30
-# Indicator with the baseline of a leakage that is drawn.
-BASELINES = {"reference": REFERENCE, "frozen": OWN_REFERENCE, "comparable": COMPARABLE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +26,10 @@ class FleetRow:
     state: MotorState  # as `motor-leakage status` prints it
     page: str
     motor_type: str
-    # Conditions of its leakage: `reference`, `frozen`, `comparable`, `own` or `flow`.
-    leakage_kind: str
-    # Its newest figure where the state has none for want of a baseline, l/min.
-    drawn_now: float | None
     flow_now: float | None  # newest mean drain flow as measured, l/min; None without one
     newest_data: dt.datetime | None  # end of the newest data that were kept, UTC; None without any
-    line: Sparkline | None
+    line: Sparkline | None  # its leakage; the drain flow as measured where `is_flow`
+    is_flow: bool
     validation_fit: float | None  # of the last good night, percent
     kept_percent: float | None  # median share of samples kept in the recent fitted nights
     n_recent_good: int
@@ -74,9 +68,7 @@ def _row(
     state: MotorState,
     span: Span | None,
 ) -> FleetRow:
-    kind = drawn_kind(motor, state)
-    course = motor.leakages[kind]
-    level = motor.baseline(BASELINES[kind]) if kind in BASELINES else None
+    is_flow = not motor.leakage.is_known.any()
     newest = motor.fits["window_end"].max()
     assert newest is None or isinstance(newest, dt.datetime)
     good = motor.fits.filter(status="ok")
@@ -90,11 +82,12 @@ def _row(
         state=state,
         page=page,
         motor_type=_motor_type(motor, types),
-        leakage_kind=KINDS.get(state.leakage_indicator or "", kind),
-        drawn_now=_newest(course) if state.leakage_night is None else None,
         flow_now=_newest(motor.flow),
         newest_data=newest,
-        line=sparkline(days, course, ends, level) if ends else None,
+        line=sparkline(days, motor.flow if is_flow else motor.leakage, ends, _level(motor))
+        if ends
+        else None,
+        is_flow=is_flow,
         validation_fit=last.get("validation_fit_percent"),
         kept_percent=100.0 * kept if isinstance(kept, float) else None,
         n_recent_good=there.count("ok"),
@@ -104,6 +97,12 @@ def _row(
         strip_words=_in_words(there),
         sensors=SENSORS.get(state.sensor_health or "", ""),
     )
+
+
+def _level(motor: MotorHistory) -> float | None:
+    """Leakage of the newest baseline at the motor's own conditions, l/min; None without one."""
+    known = motor.level[np.isfinite(motor.level)]
+    return float(known[-1]) if len(known) else None
 
 
 def _newest(course: Course) -> float | None:

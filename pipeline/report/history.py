@@ -1,4 +1,4 @@
-"""A motor's course over its nights, from its fits and its trends."""
+"""A motor's course over its nights: the watch's figures, and those of each night's own fit."""
 
 from __future__ import annotations
 
@@ -13,13 +13,10 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array
 from pipeline.report.tables import ReportTables, by_motor
-from pipeline.schema import TRENDS, frame
+from pipeline.schema import BASELINES, TRENDS, WATCH, frame
+from pipeline.trends.nights.decisions import LEAKAGE
 
-REFERENCE = "reference_leakage"
-OWN_REFERENCE = "own_reference_leakage"
-COMPARABLE = "comparable_drain_flow"
-FLOW = "drain_flow"
-NO_TRENDS = frame(TRENDS, [])
+NO_TRENDS, NO_WATCH, NO_BASELINE = (frame(one, []) for one in (TRENDS, WATCH, BASELINES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +27,6 @@ class Course:
     value: Array
     lower: Array
     upper: Array
-
-    @classmethod
-    def without_interval(cls, value: Array) -> Course:
-        """A figure that has no interval in any night."""
-        nothing = np.full(len(value), np.nan)
-        return cls(value, nothing, nothing)
 
     @property
     def is_known(self) -> NDArray[np.bool_]:
@@ -52,8 +43,10 @@ class MotorHistory:
     # Its primary fits in time order, one row a night, n of them; none for a motor without any.
     fits: pl.DataFrame
     nights: tuple[dt.date, ...]  # labels of these nights
-    # Its rows of `trends` by indicator, in time order; empty where no run has judged trends.
+    watch: pl.DataFrame  # its rows of `watch` in time order
+    # Its rows of `trends` by indicator, in time order; empty where no run has made trends.
     trends: Mapping[str, pl.DataFrame]
+    baselines: pl.DataFrame  # its rows of `baselines` of the leakage, in time order
 
     @property
     def statuses(self) -> list[str]:
@@ -61,43 +54,36 @@ class MotorHistory:
         return self.fits["status"].to_list()
 
     @cached_property
-    def leakages(self) -> dict[str, Course]:
-        """Leakage by kind of conditions, the most comparable first; the bare drain flow last."""
-        judged = self.course(REFERENCE)
-        return {
-            "reference": judged if judged.is_known.any() else self._fitted(REFERENCE),
-            "frozen": self.course(OWN_REFERENCE),
-            "comparable": self.course(COMPARABLE),
-            "own": self._fitted("own_conditions_leakage"),
-            "flow": self.flow,
-        }
+    def leakage(self) -> Course:
+        """Leakage at the motor's own conditions by the watch, l/min."""
+        stem = "own_leakage"
+        return Course(*(self.watched(f"{stem}_{end}") for end in ("l_per_min", "lower", "upper")))
 
-    @property
-    def leakage_kind(self) -> str:
-        """Conditions of the leakage that stands for the motor: the first that is ever known."""
-        known = (kind for kind, course in self.leakages.items() if course.is_known.any())
-        return next(known, "reference")
+    @cached_property
+    def level(self) -> Array:
+        """The same of each night's baseline, l/min, shape (n,); NaN before there is one."""
+        level = np.full(len(self.nights), np.nan)
+        stamps = np.array(self.nights, dtype="datetime64[D]")
+        for start, mean in self.baselines.select("start", "mean").drop_nulls().iter_rows():
+            level[stamps >= np.datetime64(start)] = mean
+        return level
 
     @cached_property
     def flow(self) -> Course:
-        """Mean drain flow of each night, not fitted, l/min."""
-        flow = self.course(FLOW).value
-        measured = self.fits["mean_flow_l_per_min"].cast(pl.Float64).to_numpy()
-        return Course.without_interval(np.where(np.isfinite(flow), flow, measured))
+        """Mean drain flow of each night as measured, l/min."""
+        value = self.fits["mean_flow_l_per_min"].cast(pl.Float64).to_numpy()
+        nothing = np.full(len(value), np.nan)
+        return Course(value, nothing, nothing)
+
+    def watched(self, name: str) -> Array:
+        """A column of `watch`, shape (n,); NaN in nights without a row."""
+        return self._placed(self.watch, name)
 
     def course(self, indicator: str) -> Course:
-        """Figures of an indicator in the nights that count."""
-        rows = self.trends.get(indicator, NO_TRENDS).filter(pl.col("gated_reason").is_null())
+        """Figures of a night's own indicator in the nights that count."""
+        rows = self.trends.get(indicator, NO_TRENDS)
+        rows = rows.filter(pl.col("gated_reason").is_null())
         return Course(*(self._placed(rows, name) for name in ("value", "lower", "upper")))
-
-    def column(self, indicator: str, name: str) -> Array:
-        """A column of an indicator's rows, shape (n,)."""
-        return self._placed(self.trends.get(indicator, NO_TRENDS), name)
-
-    def baseline(self, indicator: str) -> float | None:
-        """Mean of an indicator's newest baseline; None without one."""
-        means = self.trends.get(indicator, NO_TRENDS)["baseline_mean"].drop_nulls()
-        return float(means[-1]) if len(means) else None
 
     def _placed(self, rows: pl.DataFrame, name: str) -> Array:
         """Figures of some nights among all nights of the motor."""
@@ -109,24 +95,22 @@ class MotorHistory:
         figures[place] = rows[name].cast(pl.Float64).to_numpy()[is_there]
         return figures
 
-    def _fitted(self, name: str) -> Course:
-        columns = (f"{name}_l_per_min", f"{name}_lower", f"{name}_upper")
-        return Course(*(self.fits[column].cast(pl.Float64).to_numpy() for column in columns))
-
 
 def motor_histories(history: ReportTables, motors: Sequence[str]) -> Iterator[MotorHistory]:
     """The history of each motor."""
     fits = by_motor(history.fits)
-    trends = by_motor(history.rows(TRENDS))
+    watches, trends, baselines = (
+        by_motor(history.rows(table)) for table in (WATCH, TRENDS, BASELINES)
+    )
     for motor_id in motors:
         own = fits.get(motor_id, history.fits.clear())
-        judged = trends.get(motor_id, NO_TRENDS).sort("indicator", "night")
+        shown = trends.get(motor_id, NO_TRENDS).sort("indicator", "night")
+        parts = shown.partition_by("indicator", maintain_order=True)
         yield MotorHistory(
             motor_id,
             own,
             tuple(own["night"].to_list()),
-            {
-                part["indicator"][0]: part
-                for part in judged.partition_by("indicator", maintain_order=True)
-            },
+            watches.get(motor_id, NO_WATCH).sort("night"),
+            {part["indicator"][0]: part for part in parts},
+            baselines.get(motor_id, NO_BASELINE).filter(indicator=LEAKAGE).sort("night"),
         )

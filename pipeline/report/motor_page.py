@@ -1,9 +1,9 @@
-"""Payload of a motor's page: its course over all nights."""
+"""Payload of a motor's page: its watch over all nights, and figures of each night's own fit."""
 
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,19 +12,30 @@ from numpy.typing import NDArray
 
 from leakage.estimation.validation import POOR_FIT_PERCENT
 from pipeline.arrays import Array
-from pipeline.palette import COLOURS
+from pipeline.palette import COLOURS, path_places
 from pipeline.report.encoding import numbers, whole_numbers
-from pipeline.report.first_screen import FirstScreen, Line
 from pipeline.report.history import Course, MotorHistory
-from pipeline.report.words import LEAKAGE_KINDS, for_scripts
+from pipeline.report.words import for_scripts, plain
 from pipeline.thinning import keep_extremes
+from pipeline.trends.nights.decisions import LEAKAGE
+from pipeline.trends.sentences import limit_dates, name_of
 
 Payload = dict[str, Any]
 
-# More nights than a chart has pixels are thinned, so that a page stays small for decades.
-PLOTTED_NIGHTS = 1500
+# More nights than a chart has pixels are thinned, so that a page stays small for decades; of each
+# of some fifteen figures of the nights' own fits fewer are drawn, extremes kept.
+PLOTTED_NIGHTS, SHOWN_NIGHTS = 1500, 600
+GAP = "gap_change_"
 # Letters of a night's reason; the night itself has it whole.
 REASON_LETTERS = 120
+# Name in the payload and column of `watch`, beside the leakage.
+WATCHED = {
+    "change": "tonight_change",
+    "changeLower": "tonight_change_lower",
+    "changeUpper": "tonight_change_upper",
+    "evidence": "evidence",
+    "limit": "evidence_limit",
+}
 # Name in the payload and column of `fits`.
 NIGHTLY = {
     "training_fit": "training_fit_percent",
@@ -34,31 +45,29 @@ NIGHTLY = {
     "pressure": "own_pressure_bar",
     "temperature": "own_temperature_c",
     "speed": "own_speed_rpm",
-    "mean_flow": "mean_flow_l_per_min",
 }
-SYSTEMATIC = {
-    "reference": "reference_leakage_systematic",
-    "own": "own_conditions_leakage_systematic",
-}
-CONDITIONS = {
-    "pressure": "reference_pressure_bar",
-    "temperature": "reference_temperature_c",
-    "speed": "reference_speed_rpm",
-}
+# Of the newest night of a figure, beside its course.
+SLOPE = ("slope_per_year", "slope_per_year_lower", "slope_per_year_upper", "days_to_limit_status")
 
 
 def motor_payload(
     motor: MotorHistory,
-    screen: FirstScreen,
     page: str,
     detailed: set[dt.date],
-    told: Sequence[Payload],
-    trend: Payload,
+    changes: Sequence[Mapping[str, Any]],
     events: Sequence[Payload],
+    declared: Sequence[str],
 ) -> Payload:
-    """The payload of a motor's page."""
-    fits = motor.fits
-    places = _plotted(screen)
+    """The payload of a motor's page.
+
+    `changes` are its rows of `alarms`, `declared` its leakage paths in the config's order.
+    """
+    gaps = gap_changes(motor, declared)
+    watched = {name: motor.watched(column) for name, column in WATCHED.items()}
+    # Without any evidence it is minus infinity, which no chart shows.
+    watched["level"] = motor.level
+    watched["evidence"] = np.where(np.isfinite(watched["evidence"]), watched["evidence"], np.nan)
+    places = _plotted(motor, [watched["evidence"], *(one.value for _, _, one in gaps)])
     return {
         "file": page,
         "words": for_scripts(),
@@ -68,50 +77,82 @@ def motor_payload(
         "statuses": motor.statuses,
         "reasons": {
             str(place): reason[:REASON_LETTERS]
-            for place, reason in enumerate(fits["reason"])
+            for place, reason in enumerate(motor.fits["reason"])
             if reason is not None
         },
         "detailed": [int(night in detailed) for night in motor.nights],
         "plotted": whole_numbers(places),
-        "first": _first(screen, fits, places) | {"told": list(told)},
-        "nightly": {name: _column(fits, column, places) for name, column in NIGHTLY.items()},
+        "leakage": _course(motor.leakage, places),
+        "flow": _packed(motor.flow.value, places),
+        "watch": {name: _packed(figures, places) for name, figures in watched.items()},
+        "baselines": _baselines(motor),
+        "told": _told(motor, changes),
+        "gaps": [
+            {"name": plain(path), "place": place} | _course(course, places)
+            for path, place, course in gaps
+        ],
+        "nightly": {
+            name: _packed(motor.fits[column].cast(pl.Float64).to_numpy(), places)
+            for name, column in NIGHTLY.items()
+        },
         "events": list(events),
-        "trend": trend,
+        "shown": [
+            _shown(rows)
+            for name, rows in motor.trends.items()
+            if not name.startswith(GAP) and rows["value"].is_not_null().any()
+        ],
     }
 
 
-def reference_conditions(motor: MotorHistory) -> Mapping[str, float] | None:
-    """The newest reference conditions; None before the first fit."""
-    known = motor.fits.select(CONDITIONS.values()).drop_nulls()
-    if not known.height:
-        return None
-    last = known.row(-1, named=True)
-    return {name: last[column] for name, column in CONDITIONS.items()}
+def gap_changes(motor: MotorHistory, declared: Iterable[str]) -> list[tuple[str, int, Course]]:
+    """Path, its place among the colours, and the gap change of each night's own fit, %."""
+    paths = [name.removeprefix(GAP) for name in motor.trends if name.startswith(GAP)]
+    places = path_places([*declared, *paths])
+    found = ((path, places[path], motor.course(GAP + path)) for path in paths)
+    return sorted((one for one in found if one[2].is_known.any()), key=lambda one: one[1])
 
 
-def _plotted(screen: FirstScreen) -> NDArray[np.int64]:
+def _plotted(motor: MotorHistory, others: Sequence[Array]) -> NDArray[np.int64]:
     """Places of the nights that charts show: all, or those with the extremes among them."""
-    columns = [screen.leakage.value, screen.flow.value]
-    columns += [line.course.value for line in (*screen.changes, *screen.paths)]
-    return keep_extremes(columns, PLOTTED_NIGHTS)
+    return keep_extremes([motor.leakage.value, motor.flow.value, *others], PLOTTED_NIGHTS)
 
 
-def _first(screen: FirstScreen, fits: pl.DataFrame, places: NDArray[np.int64]) -> Payload:
-    systematic = SYSTEMATIC.get(screen.leakage_kind)
+def _baselines(motor: MotorHistory) -> list[list[str]]:
+    """First and last night of the baseline of each era."""
+    ends = motor.baselines.select("start", "end").drop_nulls()
+    return [[one.isoformat() for one in row] for row in ends.rows()]
+
+
+def _told(motor: MotorHistory, changes: Iterable[Mapping[str, Any]]) -> list[Payload]:
+    """Nights in which a change was told, by its cause, and nights that began an alarm."""
+    told = motor.watch.filter(pl.col("told_on").is_not_null(), pl.col("goes_on").not_())
+    causes = told.unique("told_on", keep="last", maintain_order=True).select("told_on", "cause")
+    alarms = [
+        row["night"]
+        for row in changes
+        if row["indicator"] == LEAKAGE and row["to_state"] == "alarm" != row["from_state"]
+    ]
+    marks = [(night, plain(cause), False) for night, cause in causes.rows()]
+    marks += [(night, "alarm", True) for night in alarms]
+    return [
+        {"night": night.isoformat(), "label": label, "isAlarm": is_alarm}
+        for night, label, is_alarm in sorted(marks)
+    ]
+
+
+def _shown(rows: pl.DataFrame) -> Payload:
+    """A figure of each night's own fit."""
+    last = rows.row(-1, named=True)
+    columns = {name: rows[name].cast(pl.Float64).to_numpy() for name in ("value", "lower", "upper")}
+    places = keep_extremes([columns["value"]], SHOWN_NIGHTS)
     return {
-        "changes": [_line(line, places) for line in screen.changes],
-        "limits": {name: _packed(level, places) for name, level in screen.limits.items()},
-        "limitsOf": screen.limits_of,
-        "leakage": _course(screen.leakage, places)
-        | {"name": LEAKAGE_KINDS[screen.leakage_kind]}
-        | ({"systematic": _column(fits, systematic, places)} if systematic else {}),
-        "paths": [_line(line, places) for line in screen.paths],
-        "flow": _packed(screen.flow.value, places),
+        "name": name_of(last["indicator"]),
+        "unit": last["unit"],
+        "days": whole_numbers(rows["night"].to_physical().to_numpy()[places]),
+        **{name: numbers(values[places]) for name, values in columns.items()},
+        "latest": {name: last[name] for name in SLOPE if last[name] is not None},
+        "limitDates": limit_dates(last),
     }
-
-
-def _line(line: Line, places: NDArray[np.int64]) -> Payload:
-    return {"name": line.name, "place": line.place} | _course(line.course, places)
 
 
 def _course(course: Course, places: NDArray[np.int64]) -> Payload:
@@ -121,7 +162,3 @@ def _course(course: Course, places: NDArray[np.int64]) -> Payload:
 
 def _packed(figures: Array, places: NDArray[np.int64]) -> Payload:
     return numbers(figures[places])
-
-
-def _column(fits: pl.DataFrame, column: str, places: NDArray[np.int64]) -> Payload:
-    return _packed(fits[column].cast(pl.Float64).to_numpy(), places)

@@ -33,12 +33,11 @@ LEFT_OUT_OF_FITS = {
     "model_misfit_statistics",
     "singular_values",
 }
-MODE_COLUMNS = ("flushing_mode", "is_primary", "validation_fit_percent", "bic_effective")
+MODE_COLUMNS = ("flushing_mode", "is_primary", "validation_fit_percent")
 FILE_COLUMNS = ("path", "format", "status", "rows", "first_time", "last_time", "message")
 RULE_COLUMNS = ("channel", "reason", "n_samples", "n_refused", "n_noted")
 PARAMETER_FIGURES = ("value", "lower", "upper", "total_half_width", "feasible_min", "feasible_max")
 PARAMETER_COLUMNS = ("parameter", "unit", *PARAMETER_FIGURES, "verdict", "reason", "placeholder")
-START_COLUMNS = ("start", "cost", "status", "reason", "iterations", "at_minimum")
 BUDGET_COLUMNS = ("indicator", "source", "tolerance", "tolerance_unit", "effect", "unit")
 TEST_KEY = ("part", "smoothed", "test", "input")
 VERDICT_COLUMNS = (
@@ -153,15 +152,6 @@ def _rests_on_a_placeholder() -> pl.Expr:
     return of_geometry & pl.col("geometry_is_placeholder").fill_null(value=True)
 
 
-def _starts(rows: pl.DataFrame) -> ByMotor:
-    """Starts by cost, as a waterfall shows them, a list for each column."""
-    ranked = rows.sort("motor_id", "cost", "start", nulls_last=True)
-    return {
-        motor_id: dict(zip(START_COLUMNS, map(list, zip(*group, strict=True)), strict=True))
-        for motor_id, group in _grouped(ranked, START_COLUMNS).items()
-    }
-
-
 def _budget(rows: pl.DataFrame) -> ByMotor:
     """Sources by indicator, the largest effect first."""
     by = ["motor_id", "indicator", pl.col("effect").abs(), "source"]
@@ -263,7 +253,6 @@ PARTS: Mapping[str, tuple[str, Callable[[pl.DataFrame], ByMotor], Any]] = {
     "files": ("input_files", _files, []),
     "quality": ("quality", _quality, []),
     "parameters": ("parameters", _parameters, []),
-    "starts": ("starts", _starts, None),
     "budget": ("sensitivities", _budget, {}),
     "samples": ("predictions", _samples, None),
     "coverage": ("block_statistics", _coverage, None),

@@ -14,20 +14,17 @@ from zoneinfo import ZoneInfo
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from leakage.estimation.validation import POOR_FIT_PERCENT, is_poor
-from pipeline.palette import COLOURS
 from pipeline.report.encoding import script_json
 from pipeline.report.findings import Score
-from pipeline.report.first_screen import FirstScreen
 from pipeline.report.fleet_page import FleetRow
 from pipeline.report.history import MotorHistory
-from pipeline.report.motor_page import reference_conditions
 from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
 from pipeline.report.words import (
     ABSENT,
     DECISIONS,
-    LEAKAGE_KINDS,
     STATES,
     STATUSES,
+    candidates,
     figure,
     plain,
     sentence,
@@ -35,7 +32,7 @@ from pipeline.report.words import (
 )
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.rows.motor_states import ORDER
-from pipeline.trends.states.words import day, name_of
+from pipeline.trends.sentences import day, name_of
 
 FOLDER = Path(__file__).parent
 UTC = ZoneInfo("UTC")
@@ -87,15 +84,12 @@ def motor_html(
     facts: FleetFacts,
     row: FleetRow,
     motor: MotorHistory,
-    screen: FirstScreen,
     payload: Mapping[str, Any],
     changes: Sequence[Mapping[str, Any]],
     decisions: Sequence[Decision],
 ) -> str:
     """The page of one motor; its changes of state and decisions come with the newest first."""
     last = motor.fits.row(-1, named=True) if motor.nights else None
-    gaps = {line.name: line for line in screen.changes if line.place is not None}
-    flows = {line.name: line for line in screen.paths}
     return (
         _environment()
         .get_template("motor.html")
@@ -104,12 +98,9 @@ def motor_html(
             row=row,
             last=last,
             payload=script_json(payload),
-            conditions=reference_conditions(motor),
-            paths=[(name, gaps.get(name), flows.get(name)) for name in {**flows, **gaps}],
-            gaps_known=bool(gaps or not screen.changes),
             changes=changes,
             decisions=decisions,
-            has_trend=bool(payload["trend"]["indicators"]),
+            has_shown=bool(payload["shown"]),
         )
     )
 
@@ -125,9 +116,11 @@ def _environment() -> Environment:
     )
     environment.tests["poor"] = is_poor
     environment.filters |= {
+        "candidates": candidates,
         "day": day,
         "decision": lambda code: DECISIONS.get(code, code),
         "figure": figure,
+        "percent": lambda share: signed(None if share is None else 100.0 * share),
         "indicator": name_of,
         "plain": plain,
         "sentence": sentence,
@@ -136,8 +129,6 @@ def _environment() -> Environment:
     }
     environment.globals |= {
         "absent": ABSENT,
-        "colours": COLOURS,
-        "kinds": LEAKAGE_KINDS,
         "poor_fit_percent": POOR_FIT_PERCENT,
         "states": STATES,
         "spark_width": WIDTH,

@@ -19,18 +19,17 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from pipeline.errors import UsageError
-from pipeline.look.state import look_standings
 from pipeline.palette import COLOURS
 from pipeline.report.build import KnownMotor, ReportRequest
-from pipeline.report.first_screen import FirstScreen, Line, first_screen
 from pipeline.report.history import Course, MotorHistory, motor_histories
+from pipeline.report.motor_page import gap_changes
 from pipeline.report.names import file_names
+from pipeline.report.status import standing_states
 from pipeline.report.tables import read_tables
-from pipeline.report.trends import motor_states
-from pipeline.report.words import LEAKAGE_KINDS, figure, plain, sentence
+from pipeline.report.words import plain, sentence
 from pipeline.store.atomic_files import put
 from pipeline.trends.rows.motor_states import MotorState
-from pipeline.trends.states.words import day
+from pipeline.trends.sentences import day
 
 Nights = NDArray[np.datetime64]
 
@@ -58,40 +57,33 @@ def write_paper(request: ReportRequest, motor_id: str, folder: Path) -> Path:
     (motor,) = motor_histories(history, [motor_id])
     if not motor.nights:
         raise UsageError("unknown_motor", f"no night of motor {motor_id!r} is in the tables")
-    state = motor_states(history, [motor_id], look_standings(request.output, [motor_id]))[motor_id]
+    (state,) = standing_states(request.output, [motor_id])
     known = request.known.get(motor_id, KnownMotor(""))
-    screen = first_screen(motor, state, known.paths)
     path = folder / f"{file_names([motor_id])[motor_id]}.pdf"
     title = " · ".join(part for part in (request.fleet or history.fleet, known.motor_type) if part)
     with mpl.rc_context(STYLE):
-        page = page_of(motor, state, screen, known.paths, title)
+        page = page_of(motor, state, known.paths, title)
         # By default the file holds the date and the version of matplotlib.
         metadata = {"CreationDate": None, "Producer": None, "Creator": "motor-leakage"}
         put(path, lambda stream: page.savefig(stream, format="pdf", metadata=metadata))
     return path
 
 
-def page_of(
-    motor: MotorHistory,
-    state: MotorState,
-    screen: FirstScreen,
-    paths: Sequence[str],
-    title: str,
-) -> Figure:
+def page_of(motor: MotorHistory, state: MotorState, paths: Sequence[str], title: str) -> Figure:
     """The page of a motor that has some declared paths."""
     page = Figure(figsize=PAGE)
     FigureCanvasPdf(page)
+    gaps = gap_changes(motor, paths)
     _head(page, motor, state, title)
-    _charts(page, motor, screen)
-    _finding(page, paths or [line.name for line in screen.changes])
+    _charts(page, motor, gaps)
+    _finding(page, paths or [path for path, _, _ in gaps])
     return page
 
 
 def _head(page: Figure, motor: MotorHistory, state: MotorState, title: str) -> None:
     page.text(LEFT, 0.955, motor.motor_id, fontsize=20, weight="bold")
     page.text(RIGHT, 0.955, title, ha="right", color="0.35")
-    known = f"known since {day(state.known_since)}; " if state.known_since else ""
-    page.text(LEFT, 0.935, f"{plain(state.state)}; {known}data up to {day(motor.nights[-1])}")
+    page.text(LEFT, 0.935, f"{plain(state.state)}; data up to {day(motor.nights[-1])}")
     notes = "; ".join(state.notes)
     said = _wrapped(sentence(state.sentence), 80)
     page.text(LEFT, 0.915, said, fontsize=11, va="top", linespacing=1.4)
@@ -101,61 +93,44 @@ def _head(page: Figure, motor: MotorHistory, state: MotorState, title: str) -> N
         page.text(LEFT, below - 0.024, _wrapped(sentence(notes)), va="top", color="0.35")
 
 
-def _charts(page: Figure, motor: MotorHistory, screen: FirstScreen) -> None:
+def _charts(page: Figure, motor: MotorHistory, gaps: Sequence[tuple[str, int, Course]]) -> None:
     grid = page.add_gridspec(
-        3, 1, left=LEFT, right=RIGHT, top=0.80, bottom=0.27, hspace=0.32, height_ratios=(4, 3, 2)
+        3, 1, left=LEFT, right=RIGHT, top=0.80, bottom=0.27, hspace=0.32, height_ratios=(4, 2, 3)
     )
     nights = np.array(motor.nights, dtype="datetime64[D]")
-    first = page.add_subplot(grid[0])
-    rest = [page.add_subplot(grid[place], sharex=first) for place in (1, 2)]
-    _changes(first, nights, screen)
-    _leakage(rest[0], nights, screen)
-    _line(rest[1], nights, Line("", None, screen.flow))
-    _title(rest[1], "Drain flow as measured, mean of each night", "l/min")
-    dates = matplotlib.dates.ConciseDateFormatter(rest[1].xaxis.get_major_locator())  # type: ignore[no-untyped-call]
-    rest[1].xaxis.set_major_formatter(dates)
-    for axes in (first, rest[0]):
+    leakage = page.add_subplot(grid[0])
+    evidence, changes = (page.add_subplot(grid[place], sharex=leakage) for place in (1, 2))
+    leakage.plot(nights, motor.flow.value, color=GREY, lw=1.0, label="drain flow, measured")
+    _line(leakage, nights, motor.leakage, COLOURS[0], "leakage")
+    _shade_baselines(leakage, motor)
+    leakage.legend(framealpha=0.9, fontsize=8, loc="upper left", ncols=2)
+    _title(leakage, "Leakage at the motor's own conditions, with its 95 % interval", "l/min")
+    limit = motor.watched("evidence_limit")
+    evidence.plot(nights, motor.watched("evidence"), color=COLOURS[0], lw=1.2)
+    evidence.plot(nights, limit, "--", color="black", lw=1.0)
+    if np.isfinite(limit).any():
+        evidence.set_ylim(-2.0, 2.5 * float(np.nanmax(limit)))
+    _title(evidence, "Evidence of a change; dashed: told from here on", "ln R")
+    for path, place, course in gaps:
+        _line(changes, nights, course, COLOURS[place % len(COLOURS)], plain(path))
+    if gaps:
+        changes.legend(frameon=False, fontsize=8, loc="upper left", ncols=2)
+    _title(changes, "Gap changes by each night's own fit", "% of the baseline")
+    dates = matplotlib.dates.ConciseDateFormatter(changes.xaxis.get_major_locator())  # type: ignore[no-untyped-call]
+    changes.xaxis.set_major_formatter(dates)
+    for axes in (leakage, evidence):
         axes.tick_params(labelbottom=False)
 
 
-def _changes(axes: Axes, nights: Nights, screen: FirstScreen) -> None:
-    for line in screen.changes:
-        _line(axes, nights, line)
-    for name, level in screen.limits.items():
-        dashes = "--" if name == "alarm" else ":"
-        axes.plot(nights, level, dashes, color="black", lw=1, label=f"{name} ({screen.limits_of})")
-    gaps = all(line.place is not None for line in screen.changes)
-    _title(axes, "Gap change" if gaps else "Change of the leakage", "% of the baseline")
-    if screen.changes:
-        axes.legend(frameon=False, fontsize=8, loc="upper left")
+def _shade_baselines(axes: Axes, motor: MotorHistory) -> None:
+    ends = motor.baselines.select("start", "end").drop_nulls()
+    for first, last in ends.rows():
+        axes.axvspan(first, last, color="0.5", alpha=0.15, lw=0)
 
 
-def _leakage(axes: Axes, nights: Nights, screen: FirstScreen) -> None:
-    if screen.paths:
-        axes.stackplot(
-            nights,
-            [np.nan_to_num(line.course.value) for line in screen.paths],
-            colors=[_colour(line) for line in screen.paths],
-            labels=[line.name for line in screen.paths],
-            alpha=0.8,
-        )
-        axes.legend(framealpha=0.9, fontsize=8, loc="upper left", ncols=2)
-    else:
-        _line(axes, nights, Line("", None, screen.leakage))
-    now = Line("", None, screen.leakage).now
-    value = f": {figure(now[0], 4)} l/min" if now else ""
-    _title(axes, f"{LEAKAGE_KINDS[screen.leakage_kind].capitalize()}{value}", "l/min")
-
-
-def _line(axes: Axes, nights: Nights, line: Line) -> None:
-    course: Course = line.course
-    colour = _colour(line)
+def _line(axes: Axes, nights: Nights, course: Course, colour: str, name: str) -> None:
     axes.fill_between(nights, course.lower, course.upper, color=colour, alpha=0.25, lw=0)
-    axes.plot(nights, course.value, color=colour, lw=1.5, label=line.name or None)
-
-
-def _colour(line: Line) -> str:
-    return GREY if line.place is None else COLOURS[line.place % len(COLOURS)]
+    axes.plot(nights, course.value, color=colour, lw=1.5, label=name)
 
 
 def _title(axes: Axes, title: str, unit: str) -> None:

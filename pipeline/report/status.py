@@ -13,7 +13,7 @@ from pipeline.errors import UsageError
 from pipeline.look.state import look_standings
 from pipeline.report.findings import COLUMNS as SCORED
 from pipeline.report.findings import Score, scores
-from pipeline.schema import ALARMS, FITS, TRENDS
+from pipeline.schema import ALARMS, FITS, WATCH
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.manifest import manifest_keys
 from pipeline.store.tables import read_rows
@@ -22,8 +22,7 @@ from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.rows.latest_states import published_states
-from pipeline.trends.rows.motor_states import CHANGED, SENSORS, MotorState, urgency
-from pipeline.trends.states.words import name_of
+from pipeline.trends.rows.motor_states import CHANGED, MotorState, urgency
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +53,8 @@ def fleet_status(
 
     Raises StoreError if a table is damaged.
     """
-    motors = published_states(output, motor_ids)
+    motors = standing_states(output, motor_ids)
     decisions = read_decisions(output)
-    looks = look_standings(output, motor_ids)
-    motors = [replace(one, look=looks.get(one.motor_id)) for one in motors]
     findings = last_findings(decisions)
     alarms = read_rows(output, ALARMS, motor_ids, ("rules", "state_before_rules", "to_state"))
     return FleetStatus(
@@ -71,6 +68,16 @@ def fleet_status(
         changed_by_rules(alarms).height,
         compare_published(output, manifest_keys(output), lambda _: False).faults,
     )
+
+
+def standing_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
+    """States of some motors as the last run left them, with their looks within the day.
+
+    Raises StoreError if a table is damaged.
+    """
+    looks = look_standings(output, motor_ids)
+    found = published_states(output, motor_ids)
+    return [replace(one, look=looks.get(one.motor_id)) for one in found]
 
 
 def changed_by_rules(alarms: pl.DataFrame) -> pl.DataFrame:
@@ -98,51 +105,20 @@ def _scores(
         return {}
     fits = read_rows(output, FITS, motor_ids, ("motor_id", "night", "motor_type")).sort("night")
     types = dict(fits.select("motor_id", "motor_type").iter_rows())
-    return scores(decisions, read_rows(output, TRENDS, motor_ids, SCORED), types)
+    return scores(decisions, read_rows(output, WATCH, motor_ids, SCORED), types)
 
 
-def last_alarm(
-    output: Path, motor_id: str, name: str, states: Collection[str]
-) -> tuple[str, dt.date]:
-    """The indicator of a name, and the night of its last alarm in one of some states.
-
-    The name is that in the tables (``K_piston_ring``) or in words (piston ring gap).
+def last_alarm(output: Path, motor_id: str, indicator: str, states: Collection[str]) -> dt.date:
+    """The night of the last alarm of an indicator in one of some states.
 
     Raises UsageError (``no_alarm``) if there was none; the message lists the alarms so far.
     """
     rows = read_rows(output, ALARMS, [motor_id], ("motor_id", "night", "indicator", "to_state"))
     raised = rows.filter(pl.col("to_state").is_in(list(states)))
-    known = sorted(raised["indicator"].unique())
-    indicator = name if name in known else _in_words(known).get(_plain(name))
-    if indicator is None:
-        named = ", ".join(known) or "none"
-        raise UsageError(
-            "no_alarm", f"{motor_id} has had no alarm of {name!r}; alarms so far: {named}"
-        )
     night = raised.filter(indicator=indicator)["night"].max()
-    assert isinstance(night, dt.date)
-    return indicator, night
-
-
-def _in_words(indicators: Sequence[str]) -> dict[str, str]:
-    """Indicators by all that they are called; a path is called by its name alone, too."""
-    paths = {
-        _plain(one.removeprefix("K_") + also): one
-        for one in indicators
-        if one.startswith("K_")
-        for also in ("", " leakage")
-    }
-    names = {_plain(name): one for one in indicators for name in (one, name_of(one))}
-    return paths | names
-
-
-def _plain(name: str) -> str:
-    return name.strip().replace("_", " ").lower().removeprefix("the ")
-
-
-def known_indicators(output: Path, motor_id: str) -> list[str]:
-    """Indicators of a motor that have a baseline of their own, by its trends; none before those."""
-    rows = read_rows(output, TRENDS, [motor_id], ("motor_id", "indicator", "n_slope", "state"))
-    # What follows from another one (a path's leakage, its gap) begins anew with that.
-    own = rows.filter(pl.col("n_slope").is_not_null() | pl.col("indicator").is_in(SENSORS))
-    return sorted(own["indicator"].unique())
+    if not isinstance(night, dt.date):
+        named = ", ".join(sorted(raised["indicator"].unique())) or "none"
+        raise UsageError(
+            "no_alarm", f"{motor_id} has had no alarm of {indicator!r}; alarms so far: {named}"
+        )
+    return night

@@ -54,23 +54,15 @@ TESTS: Final[Mapping[str, str]] = {
     "not_tested": "not tested",
     "none": "",
 }
-LEAKAGE_KINDS: Final[Mapping[str, str]] = {
-    "reference": "leakage at the reference conditions",
-    "frozen": "leakage at the motor's own conditions",
-    "comparable": "drain flow at the reference conditions, not fitted",
-    "own": "leakage at each night's conditions",
-    "flow": "drain flow as measured",
-}
 SENSORS: Final[Mapping[str, str]] = {"ok": "unchanged", "drifted": "moved"}
 # A state has the name that the tables have; the pages say its meaning beside.
 STATES: Final[Mapping[str, str]] = {
-    "alarm": "an indicator lies beyond its alarm limit",
-    "warning": "an indicator lies beyond its warning limit",
-    "common_cause": "all motors of an oil circuit have moved",
-    "duty_outside": "load, temperature or speed is none that the baseline has seen",
-    "stale": "no trusted figure for more than a week",
-    "insufficient": "too few good nights for a baseline",
-    "ok": "no change of external leakage; wear that leaks from port to port does not show",
+    "alarm": "the leakage is above the alarm level, or above the motor type's own limit",
+    "warning": "a change is told and in force",
+    "common_cause": "the other motors of the tank have changed alike",
+    "stale": "no night with samples for long; nothing is known of now",
+    "insufficient": "too few nights for a baseline",
+    "ok": "no change is told; each motor says how small a change would have been",
 }
 TIMES_TO_LIMIT: Final[Mapping[str, str]] = {
     "no_trend": "no trend towards it",
@@ -95,6 +87,18 @@ EVENTS: Final[Mapping[str, str]] = {
 def plain(name: str) -> str:
     """A name of the tables with blanks for underscores."""
     return name.replace("_", " ")
+
+
+def candidates(text: str | None) -> list[tuple[str, float]]:
+    """Causes with their probabilities, as a row of `watch` lists them.
+
+    Examples
+    --------
+    >>> candidates("balance_sleeve 0.93; all_gaps 0.05")
+    [('balance sleeve', 0.93), ('all gaps', 0.05)]
+    """
+    parts = (one.rsplit(" ", 1) for one in (text or "").split("; ") if one)
+    return [(plain(cause), float(probability)) for cause, probability in parts]
 
 
 def sentence(words: str) -> str:

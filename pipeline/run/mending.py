@@ -173,21 +173,21 @@ class Damage:
     def _forget(self, names: Iterable[str]) -> None:
         """Let the nights of some files be made anew."""
         nights: defaultdict[dt.date, set[str]] = defaultdict(set)
-        trends: list[dt.date] = []
+        touched: list[dt.date] = []
         for name in names:
             table, label = name.split("/")[0], manifest_key(name)[1]
             if table in OF_MOTORS:
                 for night in days_of(label):
                     nights[night].add(table)
-            elif table in OF_TRENDS:
-                trends.append(days_of(label)[0])
+            if table in OF_MOTORS | OF_TRENDS:
+                touched.append(days_of(label)[0])
         if nights:
             refit = {night for night, tables in nights.items() if tables <= FROM_BLOCKS}
             for motor_id, some in forget_nights(self.output, nights, refit=refit).items():
                 self._fitted[motor_id] |= some
-        if trends:
+        if touched:
             for folder in sorted((self.output / "ledger").glob("*/")):
-                note_touched(self.output, folder.name, min(trends))
+                note_touched(self.output, folder.name, min(touched))
 
     def left(self, made: Mapping[str, Collection[dt.date]]) -> Iterator[TableFault]:
         """Faults that were found and are not mended, given the nights made by motor."""

@@ -17,6 +17,13 @@ from pipeline.telling.outbox import Backlog
 from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW, ORDER, LookStanding, MotorState
 
 HEAD = "# Made by motor-leakage"
+# Name of a metric, its column of `watch`, and what it is.
+WATCHED = (
+    ("tonight_change_ratio", "tonight_change", "Change of the newest night against the baseline"),
+    ("evidence", "evidence", "Evidence of a change, ln R"),
+    ("evidence_limit", "evidence_limit", "Evidence beyond which a change is told"),
+    ("lack_of_fit_ratio", "lack_of_fit", "Lack of fit of the model over the baseline"),
+)
 # Labels and value of a sample.
 Sample = tuple[Mapping[str, str], float]
 
@@ -53,11 +60,14 @@ def metrics_text(
             for one in states
             for state in ORDER
         ],
-        ("gap_change_ratio", "Largest gap change of a motor since its baseline"): [
-            ({"motor": one.motor_id, "path": one.gap_path or ""}, one.gap_change_percent / 100)
-            for one in states
-            if one.gap_change_percent is not None
-        ],
+        **{
+            (name, words): [
+                ({"motor": one.motor_id}, value)
+                for one in states
+                if one.watch is not None and (value := getattr(one.watch, column)) is not None
+            ]
+            for name, column, words in WATCHED
+        },
         ("data_timestamp_seconds", "End of the newest night with samples of a motor"): [
             ({"motor": one.motor_id}, night(one.data_night, nights).end_us / 1e6)
             for one in states

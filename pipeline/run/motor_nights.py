@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 
 from pipeline.config.hashes import ROLLER, SettingsHashes, hash_of, settings_of, why_anew
 from pipeline.config.nights import nights_between
-from pipeline.errors import StoreError
 from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import (
     Ledger,
@@ -46,6 +45,8 @@ if TYPE_CHECKING:
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.
 LONGEST_HOLE = dt.timedelta(days=366)
+# Nights that decide on the scale of the rollers.
+FIRST_NIGHTS = 15
 
 
 def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
@@ -92,15 +93,6 @@ def _without_failures(ledger: Ledger) -> Ledger:
         if one.status == "ok" and not labels_of(one) & failed
     }
     return Ledger(files, nights)
-
-
-def _refitted(output: Path, motor_id: str) -> set[dt.date]:
-    """Nights whose fits were made from their published rows."""
-    try:
-        rows = read_rows(output, FITS, [motor_id], ("night", "is_refitted"))
-    except StoreError:
-        return set()
-    return set(rows.filter("is_refitted")["night"])
 
 
 class MotorNights:
@@ -189,12 +181,6 @@ class MotorNights:
                     found[label] = Step(Work.READ, self._why_anew)
             elif record.figures_hash != self.hashes.figures(label):
                 found[label] = Step(Work.REFIT if record.model else Work.READ, self._why_anew)
-        if self.task.with_starts:
-            for label in (
-                _refitted(self.task.output, self.spec.motor_id)
-                & self.before.nights.keys() - found.keys()
-            ):
-                found[label] = Step(Work.REFIT, "its starts are asked for")
         return found
 
     @cached_property
@@ -261,7 +247,7 @@ class MotorNights:
             return self.form.roller_is_free
         told = {label: one.tells_roller for label, one in self.records.items()} | self.first_told
         begins = [event.date for event in self.spec.file.events]
-        return is_roller_free(told, begins, self.spec.settings.trend.provisional_nights)
+        return is_roller_free(told, begins, FIRST_NIGHTS)
 
     def _no_longer_told(self) -> set[dt.date]:
         """Published nights that only the name or time of an unreadable log told, and may not."""

@@ -129,7 +129,7 @@ class _Making(MotorNights):
             self.memory_of_chunks_mib = max(self.memory_of_chunks_mib, chunk.peak_memory_mib)
             self._add(chunk.seconds)
         self.lost_nights = task.lost_nights
-        self.stored = StoredNights(task.output, self.spec.motor_id, with_starts=task.with_starts)
+        self.stored = StoredNights(task.output, self.spec.motor_id)
 
     def plan_of_chunks(self) -> MotorOutcome | None:
         """The chunks in which the motor's nights are to be made; None: here, in one."""

@@ -29,7 +29,6 @@ def task_of(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
         until=request.until,
         force=request.force,
         retry=request.retry,
-        with_starts=request.with_starts,
         nights_a_chunk=nights_a_chunk(request.fleet.execution, len(request.specs)),
         latest_us=latest_us(request.clock),
     )

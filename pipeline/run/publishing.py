@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -27,20 +26,24 @@ from pipeline.schema import (
     LATEST,
     NIGHT_TABLES,
     TREND_TABLES,
-    TRENDS,
+    WATCH,
     data_dictionary,
     frame,
 )
-from pipeline.store.atomic_files import take_over
+from pipeline.store.atomic_files import remove, take_over
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import month_stamps, published_rows, whole_file
 from pipeline.trends.nights.decisions import journal_file, read_decisions
 from pipeline.trends.nights.tonight import Tonight, tonight_of
-from pipeline.trends.nights.trend_record import forget_records, note_touched, record_file
+from pipeline.trends.nights.trend_record import (
+    forget_records,
+    kept_file,
+    note_touched,
+    record_file,
+)
 from pipeline.trends.rows.latest_states import latest_states
 from pipeline.trends.rows.motor_states import latest_rows
-from pipeline.trends.rows.q_values import with_q_values
 from pipeline.trends.tasks import (
     TrendOutcome,
     TrendTask,
@@ -131,9 +134,8 @@ def publish_trends(
         log.warning("%s; the next run makes the trends", error)
         made = [lost_trends(task, Loss(error.code, error.message)) for task in tasks]
     failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
-    # All tasks first: a night's q-values are over the slopes of the whole fleet.
     with interrupts_held() as came:
-        alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
+        alarms = _publish_trend_rows(publisher, made)
     return PublishedTrends(tonight, failures, alarms, bool(came))
 
 
@@ -165,7 +167,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
 def _nothing_since(path: Path) -> bool:
     """True if neither fits nor trends nor decisions were published after a file of theirs."""
     output = path.parents[2]
-    stamps = [*month_stamps(output, FITS).values(), *month_stamps(output, TRENDS).values()]
+    stamps = [*month_stamps(output, FITS).values(), *month_stamps(output, WATCH).values()]
     journal = journal_file(output)
     if journal.exists():
         stamps.append(journal.stat().st_mtime_ns)
@@ -188,8 +190,16 @@ def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:
     return tonight_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
 
 
+def _remove_older(kept: Iterable[Path]) -> None:
+    """Remove what older versions kept, beside what is kept now."""
+    for file in kept:
+        for other in file.parent.glob("*"):
+            if other != file:
+                remove(other)
+
+
 def _publish_trend_rows(
-    publisher: Publisher, made: Sequence[TrendOutcome], false_discovery_rate: float
+    publisher: Publisher, made: Sequence[TrendOutcome]
 ) -> list[Mapping[str, Any]]:
     """Publish what the tasks have staged; returns the new rows of `alarms`."""
     if not made:
@@ -201,14 +211,12 @@ def _publish_trend_rows(
         lost.append(keep)
         forget_records(publisher.output, keep)
 
-    finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
-    publisher.nights("trends", TREND_TABLES, fresh, forget, {TRENDS.name: finish})
-    records = {
-        record_file(publisher.staging, motor_id): record_file(publisher.output, motor_id)
-        for one in made
-        for motor_id in one.nights
-        if all(motor_id in keep for keep in lost)
-    }
-    take_over(publisher.staging, records)
+    publisher.nights("trends", TREND_TABLES, fresh, forget)
+    done = [one for one in fresh if all(one in keep for keep in lost)]
+    # What is kept first: without its record it is not believed.
+    for file in (kept_file, record_file):
+        places = {file(publisher.staging, one): file(publisher.output, one) for one in done}
+        take_over(publisher.staging, places)
+    _remove_older(kept_file(publisher.output, one) for one in done)
     new = [row for one in made for row in one.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))

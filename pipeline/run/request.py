@@ -26,9 +26,6 @@ class RunRequest:
     until: dt.date | None = None
     force: bool = False  # whether to make nights anew from their logs that nothing has changed of
     retry: bool = False  # whether to try nights and logs again that failed
-    # Whether nights that are, or were, fitted anew without their log get the starts of their
-    # search.
-    with_starts: bool = False
     # The time of the run, by which logs lie in the future.
     clock: dt.datetime = field(default_factory=now)
 

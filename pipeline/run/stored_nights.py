@@ -14,14 +14,13 @@ from pipeline.errors import StoreError
 from pipeline.night.fit_night import NightOutcome, PreviousModel
 from pipeline.night.refit import PublishedNight, judge_again, refit, refit_in_form
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
-from pipeline.schema import BLOCK_STATISTICS, FIT_KEY_NAMES, FITS, PARAMETERS, SENSITIVITIES, Table
+from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, SENSITIVITIES, Table
 from pipeline.schema.fits import OK
 from pipeline.store.tables import read_rows
 
 # Columns that a fit without a log takes; all of the other tables.
 NEEDED = {
     "block_statistics": BLOCK_COLUMNS,
-    "parameters": (*FIT_KEY_NAMES, "parameter", "spread_over_starts"),
 }
 
 log = logging.getLogger(__name__)
@@ -30,10 +29,9 @@ log = logging.getLogger(__name__)
 class StoredNights:
     """The published nights of a motor."""
 
-    def __init__(self, output: Path, motor_id: str, *, with_starts: bool = False) -> None:
+    def __init__(self, output: Path, motor_id: str) -> None:
         self._output = output
         self._motor_id = motor_id
-        self._with_starts = with_starts
         self._month = ""
         self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
 
@@ -41,7 +39,7 @@ class StoredNights:
         self, spec: MotorSpec, label: dt.date, previous: PreviousModel
     ) -> NightOutcome | None:
         """Fit a night anew; None where the log has to be read."""
-        return refit(spec, self._published(label), previous, with_starts=self._with_starts)
+        return refit(spec, self._published(label), previous)
 
     def outcome(self, label: dt.date) -> NightOutcome:
         """A fitted night as published: what another form of its fits replaces."""
@@ -60,14 +58,13 @@ class StoredNights:
         self, spec: MotorSpec, label: dt.date, previous: PreviousModel
     ) -> NightOutcome | None:
         """Judge another model before on a night; None where the log has to be read."""
-        night = PublishedNight(label, self._rows(FITS, label), (), (), None)
+        night = PublishedNight(label, self._rows(FITS, label), (), None)
         return judge_again(spec, night, previous)
 
     def _published(self, label: dt.date) -> PublishedNight:
         return PublishedNight(
             label,
             self._rows(FITS, label),
-            self._rows(PARAMETERS, label),
             self._rows(SENSITIVITIES, label),
             self._of_night(BLOCK_STATISTICS, label),
         )

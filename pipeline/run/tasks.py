@@ -49,9 +49,6 @@ class MotorTask:
     until: dt.date | None = None
     force: bool = False  # whether to make nights anew from their logs that nothing has changed of
     retry: bool = False  # whether to try nights and logs again that failed
-    # Whether nights that are, or were, fitted anew without their log get the starts of their
-    # search.
-    with_starts: bool = False
     # Whether to look at a log before it is read, though it is the only new one: its worker died.
     looks_first: bool = False
     # Losses of this run, each in a night that is not made, or at a log that is not opened.

@@ -51,7 +51,7 @@ def _is_quick(task: MotorTask, execution: Execution) -> bool:
     logs = task.spec.file.logs
     return (
         execution.backend != "dask"
-        and not (task.force or task.retry or task.with_starts)
+        and not (task.force or task.retry)
         and not (task.spec.log_url or logs.database)
         and ledger_folder(task.output, task.spec.motor_id).exists()
     )

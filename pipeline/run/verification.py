@@ -12,6 +12,7 @@ from pipeline.store.sealed import read_sealed, unseal
 from pipeline.store.verification import TableFault, compare_published, verify_unlisted
 from pipeline.telling.outbox import OUTBOX_FILES, read_outbox_file
 from pipeline.trends.nights.decisions import damaged_lines, journal_file
+from pipeline.trends.nights.trend_record import kept_file
 
 ONLY_WORK = "it only saves work: `check --tables --mend` removes it, and a run makes it anew"
 
@@ -34,14 +35,15 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
 
 
 def _verify_sealed(output: Path) -> Iterator[TableFault]:
-    from pipeline.trends.nights.kept_nights import decoded, kept_folder
+    from pipeline.trends.nights.kept import decoded
 
-    kinds: tuple[tuple[Path, str, Callable[[bytes], object]], ...] = (
-        (output / "ledger", "ledger_damaged", unseal),
-        (kept_folder(output), "history_damaged", decoded),
+    kept = kept_file(output, "*").relative_to(output).as_posix()
+    kinds: tuple[tuple[str, str, Callable[[bytes], object]], ...] = (
+        ("ledger/*/*", "ledger_damaged", unseal),
+        (kept, "history_damaged", decoded),
     )
-    for folder, code, unsealed in kinds:
-        for path in sorted(folder.glob("*/*")):
+    for pattern, code, unsealed in kinds:
+        for path in sorted(output.glob(pattern)):
             if path.name.startswith(TEMPORARY_PREFIX):
                 continue
             try:

@@ -18,7 +18,7 @@ from typing import Any
 import polars as pl
 import pyarrow as pa
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 Type = pl.DataType | type[pl.DataType]
 TIMESTAMP = pl.Datetime("us", "UTC")
@@ -104,7 +104,7 @@ def _table(name: str, row: str) -> Table:
 FITS = _table("fits", "a motor, a night, a flushing mode")
 PARAMETERS = _table("parameters", "a fit, a parameter")
 SENSITIVITIES = _table("sensitivities", "a fit, an indicator, a source of systematic error")
-STARTS = _table("starts", "a fit, a start")
+STARTS = _table("starts", "a fit, a start: no longer filled")
 RESIDUAL_TESTS = _table("residual_tests", "a fit, a part, a test (and input), a lag")
 RESIDUAL_VERDICTS = _table("residual_verdicts", "a fit, a part, a test (and input)")
 PREDICTIONS = _table(
@@ -116,10 +116,11 @@ OPERATION = _table("operation", "a motor, a night with samples")
 BLOCK_STATISTICS = _table("block_statistics", "a motor, a block")
 INPUT_FILES = _table("input_files", "a file read")
 TRENDS = _table("trends", "a motor, a night, an indicator")
+WATCH = _table("watch", "a motor, a night")
 ALARMS = _table("alarms", "a change of state")
-BASELINES = _table("baselines", "a motor, an indicator, a baseline as it was frozen in a night")
+BASELINES = _table("baselines", "a motor, a baseline as it was frozen in a night")
 CHANGE_POINTS = _table(
-    "change_points", "a motor, an indicator, a change as it was seen from a night"
+    "change_points", "a motor, an indicator, a change as it was seen from a night: no longer filled"
 )
 LOOKS = _table("looks", "a change of state of the look within the day")
 DECISIONS = _table("decisions", "what people said of a motor")
@@ -147,7 +148,7 @@ NIGHT_TABLES = (
     INPUT_FILES,
 )
 # The same, made from the tables above after all motors are done.
-TREND_TABLES = (TRENDS, ALARMS, BASELINES, CHANGE_POINTS)
+TREND_TABLES = (WATCH, TRENDS, ALARMS, BASELINES, CHANGE_POINTS)
 # One file each.
 WHOLE_TABLES = (LATEST, DECISIONS, DATA_DICTIONARY)
 TABLES = (

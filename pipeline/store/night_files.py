@@ -12,7 +12,7 @@ import hashlib
 import json
 import logging
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, chain
 from math import ceil
@@ -30,8 +30,6 @@ from pipeline.store.tables import PUT_ASIDE, UNREADABLE, damaged, decode, night_
 
 log = logging.getLogger(__name__)
 
-# Completes all rows of a night, given the motors whose rows are new.
-Finish = Callable[[pl.DataFrame, Sequence[str]], pl.DataFrame]
 # Rows of one table, by night.
 StagedNights = Mapping[dt.date, Sequence[Mapping[str, object]]]
 # Motors whose staged rows are read together; those of all would fill the memory.
@@ -207,12 +205,9 @@ def prepare_night(
     table: Table,
     night: dt.date,
     new: NewRows,
-    finish: Finish | None = None,
     accepted: Collection[str | None] = (),
 ) -> NightFile:
     """Prepare a night's file with the new rows of some motors; those of the others stay.
-
-    `finish` completes all rows of the night at once.
 
     Raises StoreError if the new file cannot be written, or the present one not be read.
     """
@@ -226,8 +221,6 @@ def prepare_night(
     if rows_before is not None:
         kept = rows_before.filter(~pl.col("motor_id").is_in(new.motor_ids))
         pieces = _merged(kept, pieces, table)
-    if finish is not None:
-        pieces = [finish(pl.concat(pieces), new.motor_ids)]
     prepared = prepare_table(path, pieces)
     if prepared.sha256 == before:
         prepared.drop()

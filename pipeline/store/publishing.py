@@ -31,7 +31,6 @@ from pipeline.store.manifest import (
 from pipeline.store.months import part_month
 from pipeline.store.night_files import (
     MOTORS_AT_ONCE,
-    Finish,
     NewRows,
     NightFile,
     StagedRows,
@@ -95,7 +94,6 @@ class Publisher:
         tables: Iterable[Table],
         motor_ids: Sequence[str],
         forget: Forget,
-        finish: Mapping[str, Finish] | None = None,
     ) -> None:
         """Publish the staged rows of some motors, the oldest night first.
 
@@ -108,8 +106,6 @@ class Publisher:
         forget
             Called before a damaged file is replaced: its rows are then made anew, even if this run
             is broken off.
-        finish
-            By table, completes a night's rows.
 
         Raises
         ------
@@ -141,7 +137,7 @@ class Publisher:
                 table: partial(new_rows, table, motors, some, self.run_id)
                 for table, motors in staged.items()
             }
-            self._publish(some, new, forget, finish or {})
+            self._publish(some, new, forget)
         # Of no further use: what is not on the disk yet need not be written to it.
         remove_all(self.staging / folder)
 
@@ -187,14 +183,13 @@ class Publisher:
                 rows = kept.filter(pl.col("motor_id").is_in(left.implode()))
                 rows = rows.with_columns(run_id=pl.lit(self.run_id)).sort(table.key)
                 without = {night: NewRows(tuple(left), rows.height, [rows])}
-                self._publish([night], {table: partial(dict, without)}, forget, {})
+                self._publish([night], {table: partial(dict, without)}, forget)
 
     def _publish(
         self,
         nights: Sequence[dt.date],
         new: Mapping[Table, Callable[[], Mapping[dt.date, NewRows]]],
         forget: Forget,
-        finish: Mapping[str, Finish],
     ) -> None:
         """Prepare all files of some nights, announce them, and put them into their places."""
         manifests = {
@@ -210,8 +205,8 @@ class Publisher:
                     if stopped.is_set():
                         break
                     name = self._name_of(night_file(self.output, table, night))
-                    last, accepted = finish.get(table.name), manifests[night].accepted(name)
-                    file = prepare_night(self.output, table, night, rows, last, accepted)
+                    accepted = manifests[night].accepted(name)
+                    file = prepare_night(self.output, table, night, rows, accepted)
                     undone.callback(file.drop)
                     files.append((file, night, rows.motor_ids))
                 return files

@@ -31,11 +31,11 @@ from pipeline.store.tables import night_paths
 # Tables that may be pruned, and what is lost with each.
 LOSSES: Mapping[str, str] = {
     "predictions": "the report's course of measured and predicted flow",
-    "starts": "the search start by start; how many met the minimum stays in fits",
+    "starts": "the search start by start, of earlier versions",
     "residual_tests": "residual correlations lag by lag; residual_verdicts stays",
     "sensitivities": "the share of each tolerance in ±; the sum stays in fits and parameters",
     "block_statistics": "a changed setting of the fit then needs the logs of these nights, and "
-    "trends that are made anew leave out nights too poor for a fit of their own",
+    "a watch that is made anew begins with the first night that is left",
 }
 
 

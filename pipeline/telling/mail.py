@@ -23,7 +23,7 @@ EMAIL = "email"
 PORTS = {"starttls": 587, "tls": 465, "none": 25}
 # Characters of a subject at most; the rest stands in the text.
 LONGEST_SUBJECT = 150
-RISING = ("stale", "duty_outside", "common_cause", "warning", "alarm", "look_now")
+RISING = ("stale", "common_cause", "warning", "alarm", "look_now")
 
 Row = Mapping[str, Any]
 
@@ -100,7 +100,9 @@ def _summary(motors: Sequence[Row]) -> tuple[str, list[str]]:
     subject = ", ".join(f"{n} {_plain(state)}" for state, n in counts.items())
     lines = []
     for row in motors:
-        lines += [f"{row['motor_id']}, {_plain(row['state'])}", f"  {row['sentence']}", ""]
+        words = (row["sentence"], row.get("advice", ""))
+        said = " ".join(one.removesuffix(".") + "." for one in words if one)
+        lines += [f"{row['motor_id']}, {_plain(row['state'])}", f"  {said}", ""]
     return f"week: {subject}", lines
 
 

@@ -1,28 +1,22 @@
 """Oil circuits: their motors, what is remembered of each, and which nights are to be made.
 
-An event or a reset is often entered nights after its date. The motor itself begins anew with that
-date. The others were told of the nights since by what was known then, and that stands: they see
-the new baseline from the first night on that none of the circuit had been told when it was entered.
+A log that comes late makes the nights of all motors of the circuit anew: what one does says what
+the oil did. Events, resets and settings of a motor touch its own nights alone.
 """
 
 from __future__ import annotations
 
 import datetime as dt
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pipeline.config import MotorSpec
-from pipeline.config.motors import Event
 from pipeline.logs.ledger import as_published
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.tonight import Tonight
 from pipeline.trends.nights.trend_record import Record, read_record, trend_hash
-
-if TYPE_CHECKING:
-    from pipeline.trends.nights.history import History
 
 DAY = dt.timedelta(days=1)
 
@@ -89,37 +83,17 @@ class Circuit:
         first = self.first_nights(changed_from, tonight)
         return any(night <= tonight.of(motor_id) for motor_id, night in first.items())
 
-    def nights_to_do(
-        self,
-        changed_from: Mapping[str, dt.date | None],
-        tonight: Tonight,
-        histories: Mapping[str, History],
-    ) -> dict[str, tuple[dt.date, dt.date]]:
-        """First and last night of each motor whose trends are to be made.
+    def last_night(
+        self, motor_id: str, changed_from: Mapping[str, dt.date | None], tonight: Tonight
+    ) -> dt.date:
+        """The last night of a motor whose trends may be made.
 
         A motor that was not asked for gets no new nights.
         """
-        found = {}
-        for motor_id, first in self.first_nights(changed_from, tonight).items():
-            if motor_id not in histories:
-                continue
-            last, before = histories[motor_id].nights[-1], self.records[motor_id]
-            if motor_id not in changed_from and before is not None:
-                last = min(last, before.last_night)
-            if first <= last:
-                found[motor_id] = (first, last)
-        return found
-
-    def beginnings(self) -> dict[str, dict[str, dt.date]]:
-        """By motor, from when on the others see its events and resets."""
-        known = [record for record in self.records.values() if record is not None]
-        last_told = max((record.last_night for record in known), default=None)
-        found = {}
-        for spec in self.specs:
-            record, said = self.records[spec.motor_id], self.decisions[spec.motor_id]
-            before = None if record is None else record.beginnings
-            found[spec.motor_id] = beginnings(spec, said, before, last_told)
-        return found
+        last, before = tonight.of(motor_id), self.records[motor_id]
+        if motor_id in changed_from or before is None:
+            return last
+        return min(last, before.last_night)
 
 
 def decisions_of(
@@ -131,62 +105,3 @@ def decisions_of(
         if one.motor_id in found:
             found[one.motor_id].append(one)
     return {motor_id: tuple(said) for motor_id, said in found.items()}
-
-
-def beginnings(
-    spec: MotorSpec,
-    decisions: Sequence[Decision],
-    before: Mapping[str, dt.date] | None,
-    last_told: dt.date | None,
-) -> dict[str, dt.date]:
-    """By event and reset of a motor, the first night from which others see its new baseline."""
-    dates = _dates(spec, decisions)
-    if before is None or last_told is None:
-        return dates
-    # With another oil the figures since its date are others: what was seen then is gone.
-    other_oil = {_name(one) for one in spec.file.events if _changes_oil(spec, one)}
-    return {
-        name: before[name]
-        if name in before
-        else date
-        if name in other_oil
-        else max(date, last_told + DAY)
-        for name, date in dates.items()
-    }
-
-
-def earlier_views(
-    history: History, seen_from: Mapping[str, dt.date]
-) -> Iterator[tuple[dt.date, History]]:
-    """A motor as others saw it before a night, without what was entered later; latest night first.
-
-    Nothing where all events and resets were entered in time.
-    """
-    dates = _dates(history.spec, history.decisions)
-    late = {name: night for name, night in seen_from.items() if night > dates[name]}
-    for until in sorted(set(late.values()), reverse=True):
-        yield until, _without(history, {one for one in late if late[one] >= until})
-
-
-def _without(history: History, names: Collection[str]) -> History:
-    file = history.spec.file
-    kept = tuple(one for one in file.events if _name(one) not in names)
-    spec = replace(history.spec, file=file.model_copy(update={"events": kept}))
-    said = tuple(one for one in history.decisions if _name(one) not in names)
-    return replace(history, spec=spec, decisions=said)
-
-
-def _dates(spec: MotorSpec, decisions: Sequence[Decision]) -> dict[str, dt.date]:
-    events = {_name(one): one.date for one in spec.file.events}
-    resets = {_name(one): one.night for one in decisions if one.kind == "baseline_reset"}
-    return events | resets
-
-
-def _name(one: Event | Decision) -> str:
-    if isinstance(one, Event):
-        return f"{one.kind} {one.date}"
-    return f"{one.kind} {one.night} {one.indicator}"
-
-
-def _changes_oil(spec: MotorSpec, event: Event) -> bool:
-    return spec.file.oil_on(event.date) != spec.file.oil_on(event.date - DAY)

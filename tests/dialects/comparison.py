@@ -10,20 +10,14 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from pipeline.schema import FIT_KEY_NAMES, FITS, PARAMETERS, QUALITY, SENSITIVITIES, STARTS, Table
+from pipeline.schema import FIT_KEY_NAMES, FITS, PARAMETERS, QUALITY, SENSITIVITIES, Table
 
 Array = NDArray[np.float64]
 
-TABLES = (FITS, PARAMETERS, STARTS, SENSITIVITIES, QUALITY)
+TABLES = (FITS, PARAMETERS, SENSITIVITIES, QUALITY)
 OF_THE_RUN = frozenset({"run_id", "model_hash"})
 """They hash the config too, which says how the logs are written."""
-OF_THE_SEARCH = {
-    STARTS.name: frozenset({"status", "reason", "iterations", "final_values"}),
-    PARAMETERS.name: frozenset({"spread_over_starts"}),
-}
-"""The last digit of a reading decides which tolerance a start meets first, and where in the flat
-set of equal minima."""
-ABSOLUTE = frozenset({"certificate_gap", "dual_residual"})
+ABSOLUTE = frozenset({"dual_residual"})
 """Relative figures themselves, and nothing but rounding."""
 
 
@@ -75,7 +69,7 @@ def read_table(output: Path, name: str) -> pl.DataFrame:
 
 
 def _columns(table: Table) -> list[str]:
-    left_out = OF_THE_RUN.union(table.key, OF_THE_SEARCH.get(table.name, ()))
+    left_out = OF_THE_RUN.union(table.key)
     return [name for name in table.schema if name not in left_out]
 
 

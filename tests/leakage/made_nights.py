@@ -1,4 +1,4 @@
-"""Nightly indicators made for tests, and baselines whose figures are given."""
+"""Nightly indicators made for tests."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-
-from leakage.course.baseline import Baseline
 
 Array = NDArray[np.float64]
 
@@ -20,24 +18,3 @@ def autoregression(n: int, phi: float, generator: np.random.Generator) -> Array:
         fresh = generator.standard_normal() * math.sqrt(1 - phi**2)
         values[night] = phi * values[night - 1] + fresh
     return values
-
-
-def known_baseline(
-    mean: float = 0.0, sd: float = 1.0, phi: float = 0.0, mean_error: float = 0.0, n: int = 60
-) -> Baseline:
-    """A baseline that ends with night −1."""
-    return Baseline(
-        status="frozen",
-        first_night=-n,
-        last_night=-1,
-        n=n,
-        mean=mean,
-        sd=sd,
-        phi=phi,
-        floored_sd=sd,
-        floored_phi=phi,
-        mean_error=mean_error,
-        floored_mean_error=mean_error,
-        sloped=False,
-        reason="",
-    )

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from leakage import Motor, OperatingConditions, total_flow_l_per_min
-from pipeline.config import Fleet, MotorSpec, Nights, load_fleet
+from pipeline.config import MotorSpec, Nights, load_fleet
 from pipeline.config.nights import Night, night
 from pipeline.demo import shipped_configs
 from pipeline.ingest import RawChannel
@@ -82,12 +82,6 @@ def with_settings(spec: MotorSpec, section: str, **keys: Any) -> MotorSpec:
     """A motor with other settings of a section."""
     part = getattr(spec.settings, section).model_copy(update=keys)
     return replace(spec, settings=spec.settings.model_copy(update={section: part}))
-
-
-def with_search(fleet: Fleet) -> Fleet:
-    """A fleet of which every night is searched from all starts."""
-    motors = (with_settings(spec, "estimation", search_every_nights=1) for spec in fleet.motors)
-    return replace(fleet, motors=tuple(motors))
 
 
 def with_channel(spec: MotorSpec, name: str, **keys: Any) -> MotorSpec:

@@ -72,14 +72,8 @@ class Workshop:
         text = motor_toml("M1", "MINI", files=files, more=more)
         write_configs(self.folder, {"M1": text}, {"MINI": MINI}, fleet)
 
-    def run(
-        self,
-        since: dt.date | None = None,
-        until: dt.date | None = None,
-        *,
-        with_starts: bool = False,
-    ) -> MotorOutcome:
-        request = RunRequest(load_fleet(self.fleet), (), since, until, with_starts=with_starts)
+    def run(self, since: dt.date | None = None, until: dt.date | None = None) -> MotorOutcome:
+        request = RunRequest(load_fleet(self.fleet), (), since, until)
         (outcome,) = run_fleet(request).outcomes
         return outcome
 

@@ -75,7 +75,6 @@
       ["pressure", "pressure, bar"],
       ["temperature", "oil, °C"],
       ["speed", "speed, rpm"],
-      ["mean_flow", "drain flow, l/min"],
     ].filter(([key]) => known(nightly[key]));
     if (!rows.length) return { absent: "No night of this motor has a fit." };
     const layout = {

@@ -51,7 +51,6 @@ motorLeakage.nightTables = (() => {
     rows.unshift(
       leakageRow(night.fit, "reference", "leakage at reference conditions"),
       leakageRow(night.fit, "own", "leakage at the night's own conditions"),
-      modelRow(night.fit),
     );
     const made = table(
       ["Parameter", "Value or range", "95 % interval", "In all", "Unit", "What the data say"],
@@ -91,18 +90,6 @@ motorLeakage.nightTables = (() => {
     ];
   }
 
-  /* What the night says of the model itself. */
-  function modelRow(fit) {
-    return [
-      element("b", {}, "misfit of the model", element("small", {}, "share of the leakage")),
-      cell(format(fit.model_misfit_percent, 2)),
-      cell(null),
-      cell(null),
-      "%",
-      withRemark(word("verdicts", fit.model_verdict ?? "too_little_data"), fit.model_reason),
-    ];
-  }
-
   const FIGURE_ROWS = [
     ["Fit on training data", "training_fit_percent", "%"],
     ["Fit on validation data", "validation_fit_percent", "%"],
@@ -114,17 +101,11 @@ motorLeakage.nightTables = (() => {
     ["RMSE of the model before", "previous_model_rmse_l_per_min", "l/min"],
     ["Mean error of the model before", "previous_model_mean_error_l_per_min", "l/min"],
     ["Criterion V", "cost", "(l/min)²"],
-    ["FPE", "fpe", "(l/min)²"],
-    ["AIC", "aic", ""],
-    ["AICc", "aicc", ""],
-    ["BIC", "bic", ""],
     ["Samples, training", "n_training", ""],
     ["Samples, validation", "n_validation", ""],
     ["Effective samples, training", "n_effective", ""],
     ["The same by all correlations", "n_effective_summed", ""],
     ["Effective samples, validation", "validation_n_effective", ""],
-    ["AIC with effective samples", "aic_effective", ""],
-    ["BIC with effective samples", "bic_effective", ""],
     ["Correlation time of the errors", "correlation_time_s", "s"],
     ["Estimated coefficients off their bounds", "n_parameters", ""],
     ["Rank of the regressors", "rank", ""],
@@ -143,12 +124,6 @@ motorLeakage.nightTables = (() => {
         itsUnit,
       ],
     );
-    if (fit.n_starts)
-      rows.push([
-        "Starts at the proven minimum",
-        cell(`${fit.n_starts_at_minimum} of ${fit.n_starts}`),
-        "",
-      ]);
     const parts = [table(["Figure", "Value", "Unit"], rows)];
     if (FIGURE_ROWS.some(([, key]) => key.endsWith("_fit_percent") && isPoor(fit[key])))
       parts.push(
@@ -162,11 +137,10 @@ motorLeakage.nightTables = (() => {
       parts.push(
         element("h3", {}, "Modes of flushing"),
         table(
-          ["Mode", { name: "Fit on validation data", unit: "%" }, "BIC with effective samples"],
+          ["Mode", { name: "Fit on validation data", unit: "%" }],
           modes.map((mode) => [
             word("flushing", mode.flushing_mode) + (mode.is_primary ? " (configured)" : ""),
             fitCell(mode.validation_fit_percent),
-            mode.bic_effective,
           ]),
         ),
       );

@@ -1,4 +1,4 @@
-/* How sure a night is: search, error budget, coverage, refused samples. */
+/* How sure a night is: error budget, coverage, refused samples. */
 "use strict";
 
 (() => {
@@ -7,82 +7,6 @@
   const { INPUTS, noFigure, parameterName } = motorLeakage.ofNight;
 
   const longestLabel = () => (isNarrow() ? 26 : 60);
-
-  function waterfall(night) {
-    const { starts, fit } = night;
-    if (!starts)
-      return noFigure(
-        night,
-        "No search was run: nothing is free, or none was due (estimation.search_every_nights).",
-      );
-    const reached = starts.cost.map((cost, at) => at).filter((at) => starts.cost[at] !== null);
-    const failed = starts.cost.length - reached.length;
-    if (!reached.length) return { absent: `All ${failed} starts failed: ${starts.reason[0]}.` };
-    const group = (name, wantedAt, symbol, colour) => {
-      const at = reached.filter((one) => starts.at_minimum[one] === wantedAt);
-      return {
-        type: "scatter",
-        mode: "markers",
-        name,
-        x: at.map((one) => one + 1),
-        y: at.map((one) => starts.cost[one]),
-        marker: { size: 8, symbol, color: colour },
-        text: at.map((one) => text(`start ${starts.start[one]}: ${starts.reason[one] ?? ""}`)),
-        hovertemplate: "%{y:.6g} (l/min)², %{text}<extra></extra>",
-      };
-    };
-    const costs = reached.map((at) => starts.cost[at]);
-    const low = Math.min(fit.cost ?? Infinity, ...costs);
-    const high = Math.max(fit.cost ?? -Infinity, ...costs);
-    const spread = Math.max(high - low, 0.02 * low);
-    return {
-      traces: [
-        group("at the minimum", true, "circle", COLOURS.blue),
-        group("elsewhere", false, "diamond-open", COLOURS.vermilion),
-      ].filter((trace) => trace.x.length),
-      layout: {
-        xaxis: {
-          title: `starts, sorted${failed ? ` (${failed} failed)` : ""}`,
-          dtick: starts.cost.length > 20 ? undefined : 1,
-        },
-        yaxis: {
-          title: "criterion V, (l/min)²",
-          range: [low - 0.1 * spread, low + 1.1 * spread],
-          exponentformat: "power",
-        },
-        shapes:
-          fit.cost === undefined
-            ? []
-            : [
-                {
-                  type: "line",
-                  xref: "paper",
-                  x0: 0,
-                  x1: 1,
-                  y0: fit.cost,
-                  y1: fit.cost,
-                  line: { dash: "dash", width: 1, color: COLOURS.ink },
-                },
-              ],
-      },
-      table: {
-        columns: [
-          "Start",
-          { name: "V", unit: "(l/min)²" },
-          "At the minimum",
-          "Evaluations",
-          "Why it ended",
-        ],
-        rows: starts.start.map((start, at) => [
-          start,
-          starts.cost[at],
-          starts.at_minimum[at] ? "yes" : "no",
-          starts.iterations[at],
-          starts.reason[at] ?? "",
-        ]),
-      },
-    };
-  }
 
   /* An axis of names from the top down; bars go by place, so that no two names fall together. */
   const axisOfNames = (labels) => ({
@@ -392,7 +316,6 @@
   }
 
   Object.assign(motorLeakage.nightFigures, {
-    starts: waterfall,
     budget,
     coverage,
     conditions,

@@ -2,7 +2,7 @@
 "use strict";
 
 motorLeakage.overNights = (() => {
-  const { COLOURS, page, decode, plain, text, format, word, show } = motorLeakage;
+  const { COLOURS, page, decode, text, word, show } = motorLeakage;
 
   const places = decode(page.plotted);
   const nights = places.map((place) => page.nights[place]);
@@ -71,8 +71,8 @@ motorLeakage.overNights = (() => {
     line: { color, width: 1, dash },
   });
 
-  /* Events that start a new baseline, change points, and alarms, as lines over the whole height. */
-  function marks(changePoints = [], told = []) {
+  /* Events that start a new baseline, and changes that were told, as lines over the whole height. */
+  function marks(withTold = false) {
     const dated = [
       ...page.events.map((event) => ({
         date: event.date,
@@ -80,16 +80,10 @@ motorLeakage.overNights = (() => {
         colour: COLOURS.ink,
         dash: "solid",
       })),
-      ...changePoints.map((point) => ({
-        date: point.change_night,
-        label: `${point.size_percent > 0 ? "+" : ""}${format(point.size_percent, 2)} % (${point.model})`,
-        colour: COLOURS.purple,
-        dash: "dot",
-      })),
-      ...told.map(({ night, state }) => ({
+      ...(withTold ? page.told : []).map(({ night, label, isAlarm }) => ({
         date: night,
-        label: plain(state),
-        colour: state === "alarm" ? COLOURS.vermilion : COLOURS.orange,
+        label,
+        colour: isAlarm ? COLOURS.vermilion : COLOURS.orange,
         dash: "dot",
       })),
     ];

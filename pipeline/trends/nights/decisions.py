@@ -23,6 +23,9 @@ log = logging.getLogger(__name__)
 Kind = Literal["acknowledged", "finding", "baseline_reset"]
 Finding = Literal["confirmed", "not_confirmed"]
 KINDS, FINDINGS = get_args(Kind), get_args(Finding)
+# What alarms, decisions and baselines are of.
+LEAKAGE = "leakage"
+PRESSURE_ZERO, FLOW_ZERO = SENSORS = ("pressure_zero", "flow_zero")
 
 
 @dataclass(frozen=True, slots=True)

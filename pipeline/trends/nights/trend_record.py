@@ -13,7 +13,7 @@ from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.trends.nights.decisions import Decision
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
-TRENDS_VERSION = 6
+TRENDS_VERSION = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +24,6 @@ class Record:
     last_night: dt.date  # the last night
     # First night whose trends are out of date, as its rows were made anew; None without one.
     redo_from: dt.date | None = None
-    # By event and reset, the first night from which the other motors of its oil circuit see the
-    # baseline that it begins; None in a record of an older version.
-    beginnings: Mapping[str, dt.date] | None = None
     # Rules that made them, by name; None in a record of an older version.
     rules: Mapping[str, int | str] | None = None
 
@@ -59,6 +56,16 @@ def record_file(output: Path, motor_id: str) -> Path:
     return output / "ledger" / motor_id / "trends"
 
 
+def kept_folder(output: Path) -> Path:
+    """Folder with what is kept of all motors, so that the watch need not be made anew."""
+    return output / "history"
+
+
+def kept_file(output: Path, motor_id: str) -> Path:
+    """File of a motor; beside it may be those of older versions."""
+    return kept_folder(output) / motor_id / "watch"
+
+
 def read_record(output: Path, motor_id: str) -> Record | None:
     """The record of a motor's trends; None without one, or if it is damaged."""
     document = read_if_whole(record_file(output, motor_id), unseal)
@@ -66,14 +73,10 @@ def read_record(output: Path, motor_id: str) -> Record | None:
         return None
     try:
         last, redo = (document[name] for name in ("last_night", "redo_from"))
-        beginnings = document.get("beginnings")
         return Record(
             str(document["trend_hash"]),
             dt.date.fromisoformat(last),
             None if redo is None else dt.date.fromisoformat(redo),
-            None
-            if beginnings is None
-            else {name: dt.date.fromisoformat(night) for name, night in beginnings.items()},
             None if (rules := document.get("rules")) is None else dict(rules),
         )
     except (ValueError, KeyError, TypeError, AttributeError):

@@ -3,160 +3,159 @@
 from __future__ import annotations
 
 import datetime as dt
-import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import FIGURES_VERSION, READING_VERSION, STATISTICS_VERSION
 from pipeline.schema import ALARM_CONTENT
-from pipeline.trends.figures.indicators import MODEL_MISFIT, TEMPERATURE_EFFECT
-from pipeline.trends.nights.segments import segment_at
 from pipeline.trends.nights.trend_record import TRENDS_VERSION, Record
-from pipeline.trends.states.standing import CHANGED, RAISED, Standing
-from pipeline.trends.states.temperature_watch import NOT_TOLD
-from pipeline.trends.why.reasons import path_behind, path_named, way_of, why_state
+from pipeline.trends.rows.motor_states import CHANGED
 
 Row = dict[str, Any]
 
-RECOMPUTED = "recomputed"
-INSUFFICIENT = "insufficient"
+RECOMPUTED, INSUFFICIENT = "recomputed", "insufficient"
+RAISED = ("warning", "alarm")
 MARKS = ("rules", "state_before_rules", "is_silent")
 # Why an indicator is ok again, by the state before.
 WHY_OK = {
     INSUFFICIENT: "a baseline was taken",
-    "stale": "there is a trusted figure again",
-    "duty_outside": "its duty is one that the baseline has seen",
+    "stale": "there are blocks again",
     "common_cause": "the oil circuit is back where it was",
 }
-# What is judged by rules of its own, in words; the others are zeros of sensors.
-OF_OWN_RULES = {
-    MODEL_MISFIT: "the model's misfit",
-    TEMPERATURE_EFFECT: "the effect of temperature",
-}
+
+
+@dataclass(frozen=True, slots=True)
+class NightState:
+    """State of an indicator in a night, with the way into it and the reason in words.
+
+    `is_news`: a change was told in this night, whatever the state before. `advice` says what to do;
+    a row that is made of the night ends on it, as mail and web hook tell rows alone.
+    """
+
+    night: dt.date
+    time: dt.datetime  # the end of the night
+    state: str
+    way: str
+    reason: str
+    path: str | None = None
+    deviation_percent: float | None = None
+    is_news: bool = False
+    advice: str = ""
 
 
 def alarm_rows(
-    standing: Standing, places: Sequence[int], published: Sequence[Row] = ()
+    motor_id: str, states: Mapping[str, Sequence[NightState]], published: Sequence[Row]
 ) -> list[Row]:
-    """Changes of state in some nights, together with what had been raised in them before."""
-    rows: list[Row] = []
+    """Changes of state in some nights, together with what had been raised in them before.
+
+    Parameters
+    ----------
+    motor_id
+        The motor.
+    states
+        By indicator, its states in nights in a row, up to the motor's last.
+    published
+        The motor's rows so far: those of the nights before say which state was told last.
+    """
     by_indicator: dict[str, dict[dt.date, Row]] = {}
     for row in published:
         by_indicator.setdefault(row["indicator"], {})[row["night"]] = row
-    names = [*standing.states, *sorted(by_indicator.keys() - standing.states.keys())]
-    for name in names:
-        rows += _of_indicator(standing, name, places, by_indicator.get(name, {}))
-    return rows
+    nights = next(iter(states.values()))
+    gone = [
+        NightState(one.night, one.time, INSUFFICIENT, RECOMPUTED, "no longer watched by itself")
+        for one in nights
+    ]
+    # Indicators of older versions are closed.
+    every = {name: states.get(name, gone) for name in [*states, *sorted(by_indicator)]}
+    return [
+        row
+        for name, course in every.items()
+        for row in _of_indicator(motor_id, name, course, by_indicator.get(name, {}))
+    ]
 
 
 def _of_indicator(
-    standing: Standing, name: str, places: Sequence[int], published: Mapping[dt.date, Row]
+    motor_id: str, name: str, course: Sequence[NightState], published: Mapping[dt.date, Row]
 ) -> list[Row]:
-    states = standing.states.get(name, (INSUFFICIENT,) * len(standing.history))
-    first = standing.label(places[0])
-    before = [night for night in published if night < first]
+    before = [night for night in published if night < course[0].night]
     told = str(published[max(before)]["to_state"]) if before else INSUFFICIENT
     last_raised = max(
         (night for night in before if published[night]["to_state"] in RAISED), default=None
     )
-    rows = []
-    for place in places:
-        state, earlier = states[place], states[place - 1] if place else INSUFFICIENT
-        label = standing.label(place)
-        old = published.get(label)
+    rows, earlier = [], told
+    for one in course:
+        old = published.get(one.night)
         raised = old if old is not None and old["to_state"] in RAISED else None
-        row = None
-        if state != earlier:
-            row = _change(standing, name, place, earlier, state)
-            if raised is not None and raised["to_state"] != state:
-                row["reason"] += f"; before its data changed: {raised['reason']}"
+        row, advice = None, ""
+        has_changed = one.state not in (earlier, told)
+        if has_changed or (one.is_news and one.state in CHANGED):
+            row, advice = _change(motor_id, name, one, told), one.advice
+            if raised is not None and raised["to_state"] != one.state:
+                row["reason"] += f"; before its data changed: {_said(raised)}"
         elif raised is not None:
             row = raised
-        elif told != state:
+        elif told != one.state:
             what = "told before" if last_raised is None else f"raised on {last_raised}"
             what = f"what was {what} is not in the figures as they are now"
-            row = _closing(standing, name, place, told, state, what)
-        if label == standing.history.nights[-1]:
-            later = [said for night, said in sorted(published.items()) if night > label]
-            row = _with_withdrawn(standing, name, place, state, row, later)
+            row = _closing(motor_id, name, one, told, what)
+        if one is course[-1]:
+            later = [said for night, said in sorted(published.items()) if night > one.night]
+            row = _with_withdrawn(motor_id, name, one, row, later)
         if row is not None:
-            rows.append(row)
+            rows.append(row | {"reason": f"{row['reason']}. {advice}"} if advice else row)
             told = row["to_state"]
-            last_raised = label if told in RAISED else last_raised
+            last_raised = one.night if told in RAISED else last_raised
+        earlier = one.state
     return rows
 
 
-def _change(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
+def _said(row: Row) -> str:
+    """Reason of a row within that of another one."""
+    return str(row["reason"]).removesuffix(".")
+
+
+def _change(motor_id: str, name: str, one: NightState, before: str) -> Row:
     """The row of a change of state."""
-    row = _row(standing, name, place, before, after)
-    if name in standing.by_own_rules:
-        return row | _by_own_rules(standing, name, place, before, after)
-    watched = standing.watched[name]
-    deviation = float(watched.found.deviation[place])
-    row["deviation_percent"] = None if math.isnan(deviation) else 100.0 * deviation
-    if after == "ok":
-        why = WHY_OK.get(before, "back below its levels")
-        return row | {"reason": why, "way": "baseline" if before == INSUFFICIENT else "recovered"}
-    if after == INSUFFICIENT:
-        return row | {
-            "reason": f"a new baseline begins: {watched.segment(place).reason}",
-            "way": "baseline",
-        }
-    path = path_behind(standing, name, place)
-    return row | {
-        "reason": why_state(standing, name, place, path),
-        "way": way_of(standing, name, place) if after in RAISED else after,
-        "path": path_named(standing, name, place, path),
-    }
-
-
-def _by_own_rules(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
-    one = standing.by_own_rules[name]
-    if after == "common_cause":
-        return {"reason": one.words(place), "way": after}
-    if after == "warning":
-        return {"reason": one.words(place), "way": "change" if name == MODEL_MISFIT else "drift"}
-    if after == INSUFFICIENT:
-        part = segment_at(one.segments, place)
-        if place > part.first:
-            return {"reason": NOT_TOLD, "way": "baseline"}
-        return {"reason": f"a new baseline begins: {part.reason}", "way": "baseline"}
-    what = OF_OWN_RULES.get(name, "its zero")
-    if before == INSUFFICIENT:
-        return {"reason": f"{what} is known", "way": "baseline"}
-    return {"reason": f"{what} is back where it was", "way": "recovered"}
+    row = _row(motor_id, name, one, before)
+    if one.state == "ok":
+        why = WHY_OK.get(before, "back where it was")
+        way = "baseline" if before == INSUFFICIENT else "recovered"
+        return row | {"reason": f"{why}: {one.reason}", "way": way}
+    return row | {"reason": one.reason, "way": one.way}
 
 
 def _with_withdrawn(
-    standing: Standing, name: str, place: int, state: str, row: Row | None, later: Sequence[Row]
+    motor_id: str, name: str, one: NightState, row: Row | None, later: Sequence[Row]
 ) -> Row | None:
     """The row of the last night, where there is one, once what was told of later ones is gone."""
-    raised = [one for one in later if one["to_state"] in RAISED]
-    if not raised and (not later or later[-1]["to_state"] == state):
+    raised = [said for said in later if said["to_state"] in RAISED]
+    if not raised and (not later or later[-1]["to_state"] == one.state):
         return row
-    what = f"the nights after {standing.label(place)} are withdrawn: no log has samples of them"
-    what += "".join(f"; {one['to_state']} on {one['night']}: {one['reason']}" for one in raised)
+    what = f"the nights after {one.night} are withdrawn: no log has samples of them"
+    what += "".join(f"; {one['to_state']} on {one['night']}: {_said(one)}" for one in raised)
     if row is not None:
         return row | {"reason": f"{row['reason']}; {what}"}
-    return _closing(standing, name, place, later[-1]["to_state"], state, what)
+    return _closing(motor_id, name, one, later[-1]["to_state"], what)
 
 
-def _closing(standing: Standing, name: str, place: int, told: str, state: str, what: str) -> Row:
+def _closing(motor_id: str, name: str, one: NightState, told: str, what: str) -> Row:
     """The row that says which state an indicator is in, where published rows say another."""
-    row = _row(standing, name, place, told, state)
-    return row | {"reason": f"recomputed: {what}", "way": RECOMPUTED}
+    row = _row(motor_id, name, one, told)
+    return row | {"reason": f"recomputed: {what}", "way": RECOMPUTED, "path": None}
 
 
-def _row(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
+def _row(motor_id: str, name: str, one: NightState, before: str) -> Row:
     return {
-        **standing.key(place),
-        "time": standing.end_of(place),
+        "motor_id": motor_id,
+        "night": one.night,
+        "time": one.time,
         "indicator": name,
         "from_state": before,
-        "to_state": after,
-        "deviation_percent": None,
-        "path": None,
+        "to_state": one.state,
+        "deviation_percent": one.deviation_percent,
+        "path": one.path,
     }
 
 
@@ -221,3 +220,14 @@ def _told(published: Sequence[Row], name: str, night: dt.date) -> str:
     """State of an indicator in a night, as it was told."""
     rows = [(row["night"], row["to_state"]) for row in published if row["indicator"] == name]
     return max((row for row in rows if row[0] <= night), default=(night, INSUFFICIENT))[1]
+
+
+def new_alarms(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
+    """Rows that say something which was not said before, as far as receivers are told of them."""
+
+    def said(row: Row) -> tuple[object, ...]:
+        return row["night"], row["indicator"], row["to_state"], row["way"] == RECOMPUTED
+
+    made = {row["night"] for row in rows}
+    before = {said(row) for row in published if row["night"] in made}
+    return [row for row in rows if not row["is_silent"] and said(row) not in before]

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from leakage.estimation.validation import is_poor
-from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.states.words import FALL
+from pipeline.trends.nights.decisions import LEAKAGE, SENSORS, Decision
+from pipeline.trends.rows.watch_rows import WATCH_COLUMNS, WatchRow
 
 Row = dict[str, Any]
 
 # From what needs attention most to what needs none.
 CHANGED = ("alarm", "warning", "common_cause")
-ORDER = (*CHANGED, "duty_outside", "stale", "insufficient", "ok")
-REFERENCES = ("reference_leakage", "own_reference_leakage", "comparable_drain_flow")
-GAP = "gap_change_"
-SENSORS = ("pressure_zero", "flow_zero")
-TEMPERATURE_EFFECT, MODEL_MISFIT = "temperature_effect", "model_misfit"
-OIL_VISCOSITY = "oil_viscosity"
+ORDER = (*CHANGED, "stale", "insufficient", "ok")
 TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 FITS_OF_A_NIGHT = {
     "training_fit_percent": "training",
@@ -32,13 +27,12 @@ LIMITS = ("days_to_limit", "days_to_limit_lower", "days_to_limit_upper", "days_t
 TOLD = (*CHANGED, "stale")
 # States of the looks within the day: a sudden rise, and none.
 LOOK_NOW, CLEAR = "look_now", "clear"
-ADVICE = {
-    "common_cause": "Check oil, temperature and charge pressure of the circuit first.",
-    "duty_outside": "Begin a new baseline if this duty is to stay.",
-    "stale": "Check whether the motor's logs arrive, and the reason of its last nights.",
-    "insufficient": "Wait for more good nights.",
-    "ok": "Nothing to do.",
-}
+# Columns of `latest` that the watch fills under the names they have in its own table.
+AS_IN_WATCH = tuple(
+    name
+    for name in WATCH_COLUMNS
+    if name not in ("motor_id", "night", "state", "sentence", "advice")
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +54,8 @@ class LookStanding:
 
         Examples
         --------
-        >>> LookStanding("not_ready", None, "12 of 30 good nights").words
-        'within the day not ready: 12 of 30 good nights'
+        >>> LookStanding("not_ready", None, "5 of 8 nights").words
+        'within the day not ready: 5 of 8 nights'
         """
         since = "" if self.since is None else f" since {self.since:%Y-%m-%d %H:%M} UTC"
         return f"within the day {self.state.replace('_', ' ')}{since}: {self.reason}"
@@ -72,108 +66,58 @@ class MotorState:
     """A motor's state in its newest night."""
 
     motor_id: str
-    state: str  # the worst of its indicators
-    # indicator, reason: that indicator and its reason in words; of a motor that is ok, the drift of
-    # a sensor.
-    indicator: str | None = None
-    reason: str | None = None
-    # leakage_l_per_min, deviation_percent: reference leakage now, and its deviation from the
-    # baseline; at the motor's own conditions where it is not known at the fleet's. None where
-    # neither is known: a figure counts neither if it is older than the change in force, nor if it
-    # is stale.
-    leakage_l_per_min: float | None = None
-    deviation_percent: float | None = None
+    state: str
+    # reason, advice: what is told of it, and what to do: the watch's, or of a motor that is ok the
+    # drift of a sensor.
+    reason: str
+    advice: str
+    watch: WatchRow | None = None  # its newest row of `watch`; None without one
+    state_since: dt.date | None = None  # first night of the state; None where ok
     sensor_health: str | None = None  # ok, drifted or unknown
     # last_night, last_good_night: last night with a row, and with a fit; None without one.
     last_night: dt.date | None = None
     last_good_night: dt.date | None = None
-    # Note of the last acknowledgement since the state began; empty without one.
-    acknowledged: str = ""
-    leakage_night: dt.date | None = None  # last night with a reference leakage; None without one
-    # First night of the newest change in force; None without one.
-    change_start: dt.date | None = None
-    # poor_fit, failure: sentence on a poor fit of the last good night, and on the last night if it
-    # failed; else empty.
-    poor_fit: str = ""
-    failure: str = ""
-    # leakage_indicator, leakage_lower, leakage_upper: indicator that the leakage is from, and its
-    # 95 % interval.
-    leakage_indicator: str | None = None
-    leakage_lower: float | None = None
-    leakage_upper: float | None = None
-    # gap_path, gap_change_percent: path with the largest gap change now, and that change; None
-    # where no gap is known.
-    gap_path: str | None = None
-    gap_change_percent: float | None = None
-    # Verdict on the leakage at the reference conditions; None for that at the motor's own.
-    leakage_verdict: str | None = None
-    # Dates between which the indicator reaches its limit, in words; empty without one.
-    limit_dates: str = ""
-    # That loss factors change with temperature, in words; empty where they do not.
-    temperature_effect: str = ""
-    # That the model does not describe the motor, in words; empty where it does.
-    model_misfit: str = ""
-    # The same as a verdict: supported, doubtful or disproved; None without one.
-    model_verdict: str | None = None
-    oil: str = ""  # the oil as measured, in words; empty where its data sheet holds
-    path: str | None = None  # paths whose growth explains the state; None where none is told
-    # gap_change_lower, gap_change_upper: 95 % interval of the gap change.
-    gap_change_lower: float | None = None
-    gap_change_upper: float | None = None
-    # state_since, known_since: first night of the state, of the indicator that tells it, and of its
-    # stretch of warnings, alarms or common causes; None of a motor that is ok.
-    state_since: dt.date | None = None
-    known_since: dt.date | None = None
-    # days_to_limit, days_to_limit_lower, days_to_limit_upper, days_to_limit_status: of the
-    # indicator that tells the state, as in `trends`.
-    days_to_limit: float | None = None
-    days_to_limit_lower: float | None = None
-    days_to_limit_upper: float | None = None
-    days_to_limit_status: str | None = None
-    # Standing of the looks within the day, which the table `latest` does not hold; None where there
-    # was none.
-    look: LookStanding | None = None
     # data_night, data_age_nights: newest night with samples, and nights from it to the fleet's
     # newest such night.
     data_night: dt.date | None = None
     data_age_nights: int | None = None
+    # poor_fit, failure: sentence on a poor fit of the last good night, and on the last night if it
+    # failed; else empty.
+    poor_fit: str = ""
+    failure: str = ""
+    oil: str = ""  # the oil as measured, in words; empty where its data sheet holds
+    # As in `trends`, of the leakage: when it reaches its limit; the same as dates, in words.
+    days_to_limit: float | None = None
+    days_to_limit_lower: float | None = None
+    days_to_limit_upper: float | None = None
+    days_to_limit_status: str | None = None
+    limit_dates: str = ""
+    # Note of the last acknowledgement since the state began; empty without one.
+    acknowledged: str = ""
+    # Standing of the looks within the day, which the table `latest` does not hold; None where there
+    # was none.
+    look: LookStanding | None = None
 
     @property
     def sentence(self) -> str:
         """The state in words, a sudden rise within the day first."""
-        reason = self.reason or "no change of external leakage"
         rise = self.look.words if self.look is not None and self.is_sudden else ""
-        return f"{rise}; {reason}" if rise else reason
+        return f"{rise}; {self.reason}" if rise else self.reason
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Further notes on the motor, in words."""
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
-        oil = "" if self.oil in self.sentence else self.oil
-        beside = (self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
         is_told = self.look is not None and not self.is_sudden and self.look.state != CLEAR
         look = self.look.words if self.look is not None and is_told else ""
-        return tuple(note for note in (dates, *beside, oil, look) if note)
+        every = (dates, self.failure, self.poor_fit, self.oil, look)
+        return tuple(note for note in every if note)
 
     @property
     def why(self) -> str:
         """The sentence with its notes, and an acknowledgement."""
         words = "; ".join((self.sentence, *self.notes))
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
-
-    @property
-    def advice(self) -> str:
-        """Advice on the state, in words."""
-        if self.state in CHANGED and self.reason and FALL in self.reason:
-            return "Check oil, sensors and flushing first."
-        if self.state in ("warning", "alarm"):
-            look = "Look at" if self.state == "alarm" else "Plan a look at"
-            parts = (self.path or "").replace("_", " ").replace(" and ", " and the ")
-            found = f"the {parts}" if parts else "the motor, as its part is not known,"
-            return f"{look} {found}{' at the next stop' if self.state == 'alarm' else ''}."
-        if self.failure and self.state not in CHANGED:
-            return "Mend what failed in the last night."
-        return ADVICE[self.state]
 
     @property
     def needs_attention(self) -> bool:
@@ -185,15 +129,80 @@ class MotorState:
         """A sudden rise within the day stands."""
         return self.look is not None and self.look.state == LOOK_NOW
 
+    @property
+    def path(self) -> str | None:
+        """The path that the cause names; None where it names none."""
+        return None if self.watch is None else self.watch.path
 
-# What `latest` holds.
-STORED = tuple(one.name for one in fields(MotorState) if one.name != "look")
+    @property
+    def tonight_percent(self) -> float | None:
+        """Change of tonight's flow from the baseline [%]; None where it is not known."""
+        tonight = None if self.watch is None else self.watch.tonight_change
+        return None if tonight is None else 100.0 * tonight
+
+
+# Fields of a state that are columns of `latest` as they are.
+STORED = (
+    *("motor_id", "state", "reason", "advice", "state_since", "sensor_health", "last_night"),
+    *("last_good_night", "data_night", "data_age_nights", "poor_fit", "failure", "oil", *LIMITS),
+    *("limit_dates", "acknowledged"),
+)
 
 
 def latest_rows(states: Iterable[MotorState], run_id: str) -> list[Row]:
     """Rows of `latest`."""
-    own = ({name: getattr(one, name) for name in STORED} | {"sentence": one.why} for one in states)
-    return [row | {"run_id": run_id} for row in own]
+    return [_latest_row(one) | {"run_id": run_id} for one in states]
+
+
+def _latest_row(state: MotorState) -> Row:
+    row: Row = {name: getattr(state, name) for name in STORED} | {"sentence": state.why}
+    if (watch := state.watch) is None:
+        return row
+    gap = (watch.gap_growth, watch.gap_growth_lower, watch.gap_growth_upper)
+    gap_percent = [None if one is None else 100.0 * one for one in gap]
+    indicator, conditions = "reference_leakage", "reference"
+    if watch.reference_leakage_l_per_min is None:
+        indicator, conditions = "own_reference_leakage", "own"
+    leakage = {
+        f"leakage_{end}": getattr(watch, f"{conditions}_leakage_{end}")
+        for end in ("l_per_min", "lower", "upper")
+    }
+    is_known = leakage["leakage_l_per_min"] is not None
+    return (
+        row
+        | {name: getattr(watch, name) for name in AS_IN_WATCH}
+        | leakage
+        | {
+            "leakage_indicator": indicator if is_known else None,
+            "leakage_night": watch.night if is_known else None,
+            "watch_night": watch.night,
+            "indicator": None if state.state == "ok" else LEAKAGE,
+            "path": watch.path,
+            "known_since": watch.told_on,
+            "change_start": watch.since,
+            "deviation_percent": state.tonight_percent,
+            "gap_path": None if gap[0] is None else watch.path,
+            "gap_change_percent": gap_percent[0],
+            "gap_change_lower": gap_percent[1],
+            "gap_change_upper": gap_percent[2],
+        }
+    )
+
+
+def state_of_row(row: Mapping[str, Any]) -> MotorState:
+    """The state of a row of `latest`; of a version without a watch, that it is to be made."""
+    known: Row = {name: row[name] for name in STORED}
+    if row["watch_night"] is not None:
+        watch = {**row, "night": row["watch_night"], "sentence": row["reason"]}
+        known["watch"] = WatchRow.of(watch)
+    if known["state"] not in ORDER or known["advice"] is None:
+        return MotorState(
+            row["motor_id"],
+            "insufficient",
+            "the state is of an earlier version",
+            "Wait for the next run.",
+        )
+    return MotorState(**known)
 
 
 def fit_words(name: str, percent: float) -> str:
@@ -213,7 +222,7 @@ def urgency(motor: MotorState) -> tuple[int, float, str]:
     place = -1 if motor.is_sudden else ORDER.index(motor.state)
     if motor.failure:
         place = min(place, ORDER.index("stale"))
-    return place, -(motor.deviation_percent or 0.0), motor.motor_id
+    return place, -(motor.tonight_percent or 0.0), motor.motor_id
 
 
 def with_acknowledgement(state: MotorState, decisions: Sequence[Decision]) -> MotorState:
@@ -223,7 +232,7 @@ def with_acknowledgement(state: MotorState, decisions: Sequence[Decision]) -> Mo
     said = [
         one.note or one.kind
         for one in decisions
-        if one.indicator in ("", state.indicator)
+        if one.indicator not in SENSORS
         and one.kind in ("acknowledged", "finding")
         and one.night >= state.state_since
     ]

@@ -1,1 +1,1 @@
-"""A motor's states night by night: changes, steps, sensors, model, and its oil circuit."""
+"""What the watch says of a motor night by night, the zeros of its sensors, and its state."""

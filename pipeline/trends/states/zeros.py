@@ -9,15 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from leakage.course.alarms import Levels, above_level
 from leakage.course.sensor_zero import zero_course
 from pipeline.config import MotorSpec
+from pipeline.trends.nights.decisions import FLOW_ZERO, PRESSURE_ZERO, SENSORS
+from pipeline.trends.nights.eras import Era, eras_of
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.segments import Segment, segments
 
 Array = NDArray[np.float64]
 
-PRESSURE_ZERO, FLOW_ZERO = "pressure_zero", "flow_zero"
 PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
 # A smaller move is no drift where the config states no tolerance: it moves the piston rings' K by
 # less than K scatters (model.md, section 5).
@@ -27,9 +26,10 @@ COLUMNS = {
     FLOW_ZERO: ("flow_zero_l_per_min", "flow_zero_standard_error_l_per_min"),
 }
 UNITS = {PRESSURE_ZERO: "bar", FLOW_ZERO: "l/min"}
-SENSORS = {PRESSURE_ZERO: "pressure", FLOW_ZERO: "flow"}
-NO_HALT = "no settled halt without pressure"
+NAMES = {PRESSURE_ZERO: "pressure", FLOW_ZERO: "flow"}
 HALF = float(ndtri(0.975))
+# Nights with halts in a row that tell a drift, and that end it.
+ON_NIGHTS, OFF_NIGHTS = 3, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +50,14 @@ class Zero:
     lower: Array
     upper: Array
     state: tuple[str, ...]  # insufficient, ok or warning
-    segments: tuple[Segment, ...]  # nights that one zero at first serves
+    eras: tuple[Era, ...]  # nights that one zero at first serves
 
     def words(self, place: int) -> str:
         """That the sensor has drifted by a night, in words; empty where it has not."""
         if self.state[place] != "warning":
             return ""
         return (
-            f"the zero of the {SENSORS[self.name]} sensor has moved by "
+            f"the zero of the {NAMES[self.name]} sensor has moved by "
             f"{self.move[place]:+.3g} {self.unit} [{self.lower[place]:.3g}, "
             f"{self.upper[place]:.3g}]: check it before the motor"
         )
@@ -65,7 +65,7 @@ class Zero:
 
 def sensor_zeros(history: History) -> dict[str, Zero]:
     """The zeros of a motor's sensors, by indicator."""
-    return {name: _zero(history, name) for name in (PRESSURE_ZERO, FLOW_ZERO)}
+    return {name: _zero(history, name) for name in SENSORS}
 
 
 def health(zeros: Sequence[Zero], place: int) -> str:
@@ -82,10 +82,9 @@ def _zero(history: History, name: str) -> Zero:
     n = len(history)
     first, move, lower, upper = (np.full(n, np.nan) for _ in range(4))
     state = np.full(n, "insufficient", dtype=object)
-    parts = segments(history, name)
-    rule = nights_rule(history.spec)
-    for part in parts if np.isfinite(value).any() else ():
-        here = part.here
+    eras = eras_of(history, name)
+    for era in eras if np.isfinite(value).any() else ():
+        here = slice(era.first, era.end)
         found = zero_course(
             history.numbers[here],
             value[here],
@@ -94,14 +93,25 @@ def _zero(history: History, name: str) -> Zero:
         )
         first[here], move[here] = found.zero - found.change, found.change
         lower[here], upper[here] = found.change_lower, found.change_upper
-        # Nights with a halt decide; the others hold.
-        drifts = np.where(np.isfinite(value[here]), found.drifts.astype(np.float64), np.nan)
+        told = _held(found.drifts, np.isfinite(value[here]))
         known = np.isfinite(found.change)
-        told = above_level(np.where(known, drifts, np.nan), 0.5, 0.0, rule)
         state[here] = np.where(known, np.where(told, "warning", "ok"), "insufficient")
     return Zero(
-        name, UNITS[name], value, error, first, move, lower, upper, tuple(state.tolist()), parts
+        name, UNITS[name], value, error, first, move, lower, upper, tuple(state.tolist()), eras
     )
+
+
+def _held(drifts: NDArray[np.bool_], halted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Nights in which a drift is told: some with a halt in a row begin and end it, others hold."""
+    told = np.zeros(len(drifts), dtype=np.bool_)
+    is_on, in_a_row = False, 0
+    for place in range(len(drifts)):
+        if halted[place]:
+            in_a_row = in_a_row + 1 if drifts[place] != is_on else 0
+            if in_a_row == (OFF_NIGHTS if is_on else ON_NIGHTS):
+                is_on, in_a_row = not is_on, 0
+        told[place] = is_on
+    return told
 
 
 def tolerance(spec: MotorSpec, name: str) -> float:
@@ -110,9 +120,3 @@ def tolerance(spec: MotorSpec, name: str) -> float:
     declared = [spec.file.channels[one] for one in names if one in spec.file.channels]
     stated = float(np.hypot.reduce([one.offset_tolerance for one in declared]))
     return max(stated, LEAST_MOVE[name], *(one.resolution for one in declared))
-
-
-def nights_rule(spec: MotorSpec) -> Levels:
-    """As many nights as other indicators need to go on and off."""
-    needed, of = spec.settings.alarms.on_nights
-    return Levels(on_nights=needed, of_nights=of, off_nights=spec.settings.alarms.off_nights)

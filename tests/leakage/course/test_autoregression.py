@@ -8,7 +8,6 @@ import pytest
 from leakage.course.autoregression import (
     correlation_to_previous,
     estimated_phi,
-    long_run_factor,
     variance_of_mean,
     whitened,
 )
@@ -31,12 +30,6 @@ def test_whitening_takes_the_covariance_to_the_identity(phi: float) -> None:
 def test_the_variance_of_a_mean_is_that_of_its_covariance(phi: float) -> None:
     ones = np.ones(len(UNEVEN)) / len(UNEVEN)
     assert variance_of_mean(phi, UNEVEN) == pytest.approx(ones @ covariance(phi, UNEVEN) @ ones)
-
-
-def test_means_of_very_many_nights_spread_by_the_long_run_factor() -> None:
-    nights = np.arange(800)
-    for phi in (0.0, 0.3, 0.8):
-        assert 800 * variance_of_mean(phi, nights) == pytest.approx(long_run_factor(phi), rel=0.01)
 
 
 @pytest.mark.parametrize(("n", "phi"), [(30, 0.0), (30, 0.4), (60, 0.6), (200, 0.8)])

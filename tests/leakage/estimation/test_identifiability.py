@@ -12,7 +12,7 @@ from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.identifiability import Excitation, Identification, identify, judge_leakage
 from leakage.estimation.least_squares import Fit, fit
 from leakage.estimation.multi_start import SearchSettings
-from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors
+from leakage.estimation.slow_errors import NOT_SLOW
 from leakage.physics.annular_gap import AnnularGap
 from tests.leakage.made_samples import made_samples
 from tests.leakage.placeholders import placeholder_motor
@@ -156,7 +156,7 @@ def test_slow_errors_widen_every_interval_by_a_quarter() -> None:
     estimate = fit(merge(blocks), motor, NO_SEARCH, np.random.default_rng(0))
     seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
     halves = []
-    for slow in (NOT_SLOW, SlowErrors(0.9, 10.0, 5.0, 20.0)):
+    for slow in (NOT_SLOW, replace(NOT_SLOW, memory=0.9, evidence=20.0)):
         interval = identify(estimate, blocks, seen, slow=slow).coefficients[0].interval
         assert interval is not None
         halves.append(interval.half_width)

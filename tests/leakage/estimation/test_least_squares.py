@@ -182,14 +182,6 @@ def test_no_search_is_a_fit_without_starts() -> None:
     assert found.certificate_gap is None
 
 
-def test_a_search_can_be_left_to_fits_whose_columns_depend_on_each_other() -> None:
-    where_needed = replace(TEN_STARTS, only_at_short_rank=True)
-    z = made_samples(FLUSHED)
-    assert fitted(z, FLUSHED, where_needed).starts == ()
-    z[:, 1] = 2.0 * z[:, 0]
-    assert len(fitted(z, FLUSHED, where_needed).starts) == 10
-
-
 def test_gap_to_the_certificate_is_that_of_the_best_start_that_ended() -> None:
     found = fitted(made_samples(FLUSHED), FLUSHED)
     nowhere = np.empty(0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,17 +13,8 @@ from scipy.signal import lfilter
 
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.certificate import certify
-from leakage.estimation.slow_errors import (
-    LARGEST_SLOW,
-    MEMORIES,
-    RATIOS,
-    WIDENING,
-    ShortBlocks,
-    SlowErrors,
-    short_blocks,
-    slow_errors,
-    whitened,
-)
+from leakage.estimation.choices import LARGEST_SLOW, MEMORIES, RATIOS, WIDENING
+from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
 from leakage.estimation.uncertainty import cluster_robust
 
 Array = NDArray[np.float64]
@@ -30,7 +22,12 @@ Array = NDArray[np.float64]
 PER_BLOCK = 120
 BOUNDS = np.full(3, 1e9)
 FREE = np.zeros(3, dtype=bool)
-SLOW = SlowErrors(0.9, 10.0, 3.0, 99.0)
+THETA = np.array([2.0, 3.0, 0.5])
+# Columns of which a slow error is a multiple: the ones, or the leakage that is estimated.
+ONES = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+FLOW = np.array([2.0, 3.0, 0.0, 0.0, 0.0]) / 2.0
+ADDS = SlowErrors(0.9, 10.0, 3.0, 99.0, scales=False, direction=ONES)
+SCALES = SlowErrors(0.9, 10.0, 3.0, 99.0, scales=True, direction=FLOW)
 
 
 def made_night(blocks: int, error: Array, seed: int = 0, hold: int = 300) -> Array:
@@ -41,7 +38,7 @@ def made_night(blocks: int, error: Array, seed: int = 0, hold: int = 300) -> Arr
     load = load + 0.01 * generator.standard_normal(n)
     paths = np.column_stack([load, load * np.exp(-3 * load)])
     known = 0.1 * load
-    measured = paths @ [2.0, 3.0] + 0.5 + known + error[:n]
+    measured = paths @ THETA[:2] + THETA[2] + known + error[:n]
     return np.column_stack([paths, np.ones(n), known, measured])
 
 
@@ -58,56 +55,67 @@ def autoregression(n: int, memory_s: float, generator: np.random.Generator) -> A
     return made
 
 
-def covariance_of_means(short: ShortBlocks, memory: float, ratio: float) -> Array:
+def covariance_of_means(n: Array, number: Array, memory: float, ratio: float) -> Array:
     """Over σ²κ: diag(1/n) + λ/n̄ R, R the powers of ρ by distance on the clock."""
-    distance = np.abs(short.number[:, None] - short.number)
+    distance = np.abs(number[:, None] - number)
     powers = np.where(distance == 0, 1.0, memory**distance)
-    covariance: Array = np.diag(1.0 / short.n) + ratio / np.median(short.n) * powers
+    covariance: Array = np.diag(1.0 / n) + ratio / np.median(n) * powers
     return covariance
 
 
-def grams_by_definition(z: Array, short: ShortBlocks, covariance: Array) -> tuple[Array, Array]:
-    """Gram of the samples about their block's mean, and of the means by their covariance."""
-    within = np.zeros((z.shape[1],) * 2)
-    for first, n in zip(np.cumsum(short.n) - short.n, short.n, strict=True):
-        part = z[int(first) : int(first + n)]
-        within += (part - part.mean(axis=0)).T @ (part - part.mean(axis=0))
-    return within, short.means.T @ np.linalg.solve(covariance, short.means)
+def means_by_definition(z: Array, direction: Array) -> tuple[Array, Array, Array]:
+    """Squared norm of d, the means Z'd/d'd of each block, and the Gram of what is left beside d."""
+    blocks = z.reshape(-1, PER_BLOCK, z.shape[1])
+    along = blocks @ direction
+    n = np.sum(along**2, axis=1)
+    means = np.einsum("bi,bij->bj", along, blocks) / n[:, None]
+    rest = blocks - along[:, :, None] * means[:, None]
+    return n, means, np.einsum("bij,bik->jk", rest, rest)
 
 
-def test_whitened_factors_are_those_of_the_covariance_written_out() -> None:
+@pytest.mark.parametrize("errors", [ADDS, SCALES], ids=["adds", "scales"])
+def test_whitened_factors_are_those_of_the_covariance_written_out(errors: SlowErrors) -> None:
     z = made_night(12, np.random.default_rng(1).standard_normal(5000))
     number = np.array([0, 1, 2, 3, 7, 8, 9, 10, 11, 30, 31, 32])
-    blocks = blocks_of(z)
-    short = short_blocks(blocks, number)
-    within, means = grams_by_definition(z, short, covariance_of_means(short, 0.9, 10.0))
-    made = merge(whitened(blocks, short, SLOW))
-    expected = within + means
+    n, means, rest = means_by_definition(z, errors.direction)
+    expected = rest + means.T @ np.linalg.solve(covariance_of_means(n, number, 0.9, 10.0), means)
+    made = merge(whitened(blocks_of(z), number, errors))
     scale = len(z) / expected[-3, -3]
     np.testing.assert_allclose(made.T @ made, scale * expected, rtol=1e-9)
 
 
+def test_the_level_keeps_its_weight_and_what_differs_from_it_is_whitened() -> None:
+    z = made_night(12, np.random.default_rng(1).standard_normal(5000))
+    number = np.arange(12)
+    n, means, rest = means_by_definition(z, FLOW)
+    level = n @ means / n.sum()
+    apart = means - level
+    covariance = covariance_of_means(n, number, 0.9, 10.0)
+    expected = (
+        rest + apart.T @ np.linalg.solve(covariance, apart) + n.sum() * np.outer(level, level)
+    )
+    made = with_level(blocks_of(z), number, SCALES)
+    np.testing.assert_allclose(made.T @ made, expected, rtol=1e-9)
+
+
 def test_errors_that_are_not_slow_leave_the_factors_as_they_are() -> None:
     blocks = blocks_of(made_night(6, np.zeros(1000)))
-    for errors in (SlowErrors(0.9, 10.0, 1.0, 3.9), SlowErrors(0.0, 10.0, 1.0, 99.0)):
-        assert whitened(blocks, short_blocks(blocks, np.arange(6)), errors) is blocks
+    for errors in (replace(ADDS, evidence=3.9), replace(ADDS, memory=0.0)):
+        assert whitened(blocks, np.arange(6), errors) is blocks
 
 
-def test_merged_blocks_with_the_means_of_their_short_ones_say_the_same() -> None:
-    generator = np.random.default_rng(2)
-    error = generator.standard_normal(3600) + 3 * autoregression(3600, 900.0, generator)
-    blocks = blocks_of(made_night(30, 0.02 * error))
-    short = short_blocks(blocks, np.arange(30))
-    pairs = np.stack([merge(blocks[first : first + 3]) for first in range(0, 30, 3)])
-    inside = ShortBlocks(short.n, short.means, short.number, np.arange(30) // 3)
-    found = slow_errors(blocks, short, FREE, np.zeros(3))
-    merged = slow_errors(pairs, inside, FREE, np.zeros(3))
-    # κ comes from the scores of ten blocks in place of thirty.
-    assert merged.within == pytest.approx(found.within, rel=0.5)
-    assert merged.are_slow
-    assert found.are_slow
-    long, fine = merge(whitened(pairs, inside, SLOW)), merge(whitened(blocks, short, SLOW))
-    np.testing.assert_allclose(long.T @ long, fine.T @ fine, rtol=1e-9)
+@pytest.mark.parametrize("scales", [False, True])
+def test_the_likelihood_tells_errors_that_scale_from_errors_that_add(scales: bool) -> None:
+    found = []
+    for seed in range(20):
+        generator = np.random.default_rng(seed)
+        clean = made_night(45, np.zeros(45 * PER_BLOCK), seed)[:, -1]
+        slow = 0.02 * autoregression(len(clean), 1200.0, generator)
+        fast = 0.02 * autoregression(len(clean), 10.0, generator)
+        error = slow * (clean if scales else clean.mean()) + fast
+        blocks = blocks_of(made_night(45, error, seed))
+        found.append(slow_errors(blocks, np.arange(45), FREE, np.zeros(3)).scales)
+    assert np.mean([one == scales for one in found]) >= 0.75
 
 
 def test_memory_and_size_maximise_the_restricted_likelihood_written_out() -> None:
@@ -115,32 +123,50 @@ def test_memory_and_size_maximise_the_restricted_likelihood_written_out() -> Non
     generator = np.random.default_rng(3)
     error = generator.standard_normal(2400) + 2 * autoregression(2400, 600.0, generator)
     z = made_night(20, 0.02 * error)
-    blocks = blocks_of(z)
-    short = short_blocks(blocks, np.arange(20))
-    found = slow_errors(blocks, short, FREE, np.zeros(3))
-    within, _ = grams_by_definition(z, short, np.eye(20))
+    blocks, number = blocks_of(z), np.arange(20)
+    found = slow_errors(blocks, number, FREE, np.zeros(3))
     combine = np.eye(5)[:, [0, 1, 2, 4]]
     combine[3, 3] = -1.0
-    about = combine.T @ within @ combine
-    moving = about[:2, :2]
-    squares = about[3, 3] - about[:2, 3] @ np.linalg.solve(moving, about[:2, 3])
-    scale = found.within * squares / (len(z) - 20 - 2)
+    theta = certify(merge(blocks), -BOUNDS, BOUNDS).coefficients
+    expected = np.array([*theta[:2], 0.0, 0.0, 0.0])
+    expected /= (z @ expected).mean()
+    least = {False: math.inf, True: math.inf}
+    sizes, parts = {}, {}
+    for scales, direction in ((False, ONES), (True, expected)):
+        n, means, rest = means_by_definition(z, direction)
+        about = combine.T @ rest @ combine
+        size, vectors = np.linalg.eigh(about[:3, :3])
+        moving = vectors[:, size > 1e-9 * size.max()]
+        fitted = np.linalg.solve(moving.T @ about[:3, :3] @ moving, moving.T @ about[:3, 3])
+        left = about[3, 3] - fitted @ moving.T @ about[:3, 3]
+        sizes[scales] = left / (len(z) - 20 - moving.shape[1])
+        parts[scales] = (n, means @ combine, about)
+    # Both are held against the errors about the direction whose scores scatter less.
+    scale = found.within * sizes[True]
 
-    def deviance(memory: float, ratio: float) -> float:
-        covariance = covariance_of_means(short, memory, ratio)
-        gram = about + combine.T @ grams_by_definition(z, short, covariance)[1] @ combine
+    def deviance(scales: bool, memory: float, ratio: float) -> float:
+        n, means, about = parts[scales]
+        covariance = covariance_of_means(n, number, memory, ratio)
+        gram = about + means.T @ np.linalg.solve(covariance, means)
         x, y = gram[:3, :3], gram[:3, 3]
         left = gram[3, 3] - y @ np.linalg.solve(x, y)
-        return float(np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(x)[1] + left / scale)
+        weights = np.log(n).sum()
+        return float(
+            np.linalg.slogdet(covariance)[1] + weights + np.linalg.slogdet(x)[1] + left / scale
+        )
 
-    means = short.means @ combine
-    left = means[:, 3] - means[:, :3] @ certify(merge(blocks), -BOUNDS, BOUNDS).coefficients
-    largest = LARGEST_SLOW * np.mean(left**2) * PER_BLOCK / scale
-    ratios = [ratio for ratio in RATIOS if ratio <= largest]
-    assert 0 < len(ratios) < len(RATIOS)
-    best = min(deviance(*point) for point in itertools.product(MEMORIES, ratios))
-    assert deviance(found.memory, found.variance_ratio) == pytest.approx(best, abs=1e-6)
-    assert found.evidence == pytest.approx(deviance(0.0, 0.0) - best, abs=1e-6)
+    for scales, (n, means, _) in parts.items():
+        left = means[:, 3] - means[:, :3] @ theta
+        largest = LARGEST_SLOW * np.average(left**2, weights=n) * np.median(n) / scale
+        ratios = [ratio for ratio in RATIOS if ratio <= largest]
+        assert 0 < len(ratios) < len(RATIOS)
+        least[scales] = min(
+            deviance(scales, *point) for point in itertools.product(MEMORIES, ratios)
+        )
+    assert least[found.scales] == min(least.values())
+    best = deviance(found.scales, found.memory, found.variance_ratio)
+    assert best == pytest.approx(least[found.scales], abs=1e-6)
+    assert found.evidence == pytest.approx(deviance(found.scales, 0.0, 0.0) - best, abs=1e-6)
 
 
 def test_white_errors_act_as_themselves_and_steady_ones_as_many() -> None:
@@ -152,7 +178,7 @@ def test_white_errors_act_as_themselves_and_steady_ones_as_many() -> None:
             (steady, autoregression(5400, 10.0, generator)),
         ):
             blocks = blocks_of(made_night(45, 0.02 * error, seed))
-            kept.append(slow_errors(blocks, short_blocks(blocks, np.arange(45)), FREE, np.zeros(3)))
+            kept.append(slow_errors(blocks, np.arange(45), FREE, np.zeros(3)))
     assert np.median([errors.within for errors in white]) < 1.5
     # A first-order autoregression acts as (1 + φ)/(1 − φ) = 20 times its variance.
     assert 10 < np.median([errors.within for errors in steady]) < 25
@@ -162,15 +188,13 @@ def test_white_errors_act_as_themselves_and_steady_ones_as_many() -> None:
 @pytest.mark.parametrize("scale", [0.0, 1e-12])
 def test_without_noise_nothing_is_slow(scale: float) -> None:
     blocks = blocks_of(made_night(20, scale * np.random.default_rng(5).standard_normal(3000)))
-    assert not slow_errors(blocks, short_blocks(blocks, np.arange(20)), FREE, np.zeros(3)).are_slow
+    assert not slow_errors(blocks, np.arange(20), FREE, np.zeros(3)).are_slow
 
 
 def test_too_few_blocks_and_fixed_coefficients_tell_nothing() -> None:
     blocks = blocks_of(made_night(20, np.random.default_rng(6).standard_normal(3000)))
-    short = short_blocks(blocks[:4], np.arange(4))
-    assert slow_errors(blocks[:4], short, FREE, np.zeros(3)).evidence == 0.0
-    everything = short_blocks(blocks, np.arange(20))
-    assert slow_errors(blocks, everything, ~FREE, np.zeros(3)).evidence == 0.0
+    assert slow_errors(blocks[:4], np.arange(4), FREE, np.zeros(3)).evidence == 0.0
+    assert slow_errors(blocks, np.arange(20), ~FREE, np.zeros(3)).evidence == 0.0
 
 
 def error_of(kind: str, n: int, generator: np.random.Generator) -> Array:
@@ -183,6 +207,17 @@ def error_of(kind: str, n: int, generator: np.random.Generator) -> Array:
 
 
 NIGHTS = 250
+
+
+def test_an_error_that_turns_too_seldom_hides_the_level() -> None:
+    """T / 2τ stretches, of which a leakage needs two; an error that adds hides none."""
+    for memory, hides in ((0.5, False), (0.9, False), (0.95, True), (0.98, True)):
+        scaling = replace(SCALES, memory=memory)
+        assert scaling.hides_level(np.arange(45)) == hides
+        assert not replace(ADDS, memory=memory).hides_level(np.arange(45))
+    assert not replace(SCALES, memory=0.98, evidence=3.9).hides_level(np.arange(45))
+    # With gaps between them, blocks last longer.
+    assert not replace(SCALES, memory=0.95).hides_level(10 * np.arange(45))
 
 
 @pytest.mark.parametrize(
@@ -202,11 +237,11 @@ def test_intervals_hold_under_slow_errors(kind: str, least: float, plain_at_most
     for night in range(NIGHTS):
         error = 0.02 * error_of(kind, 45 * PER_BLOCK, generator)
         blocks = blocks_of(made_night(45, error, night))
-        short = short_blocks(blocks, np.arange(45))
-        errors = slow_errors(blocks, short, FREE, np.zeros(3))
+        number = np.arange(45)
+        errors = slow_errors(blocks, number, FREE, np.zeros(3))
         for name, made, widening in (
             ("plain", blocks, 1.0),
-            ("whitened", whitened(blocks, short, errors), WIDENING if errors.are_slow else 1.0),
+            ("whitened", whitened(blocks, number, errors), WIDENING if errors.are_slow else 1.0),
         ):
             theta = certify(merge(made), -BOUNDS, BOUNDS).coefficients
             distribution = cluster_robust(made, theta, ~FREE, widening)

@@ -12,7 +12,7 @@ from scipy.stats import t as student_t
 
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.certificate import certify
-from leakage.estimation.uncertainty import block_bootstrap, cluster_robust
+from leakage.estimation.uncertainty import cluster_robust
 
 Array = NDArray[np.float64]
 
@@ -187,43 +187,6 @@ def test_intervals_of_strongly_correlated_errors_hold_the_truth() -> None:
         assert interval is not None
         held += abs(found.coefficients[0] - 2.0) <= interval.half_width
     assert 0.92 <= held / 400 <= 0.98
-
-
-def test_the_bootstrap_agrees_with_the_intervals() -> None:
-    z, borders, _ = made_blocks(9, (40,) * 60)
-    theta = least_squares(z)
-    blocks = factors(z, borders)
-    active = np.ones(4, dtype=bool)
-    distribution = cluster_robust(blocks, theta, active)
-    assert distribution is not None
-    drawn = block_bootstrap(blocks, theta, distribution, np.random.default_rng(1), resamples=2000)
-    for place, unit in enumerate(np.eye(4)):
-        interval = distribution.interval(unit)
-        assert interval is not None
-        half = (drawn.upper[place] - drawn.lower[place]) / 2
-        assert half == pytest.approx(interval.half_width, rel=0.15)
-        assert drawn.lower[place] < theta[place] < drawn.upper[place]
-
-
-def test_the_bootstrap_is_seeded() -> None:
-    z, borders, _ = made_blocks(10, (40,) * 12)
-    theta, active = least_squares(z), np.ones(4, dtype=bool)
-    blocks = factors(z, borders)
-    distribution = cluster_robust(blocks, theta, active)
-    one, other = (
-        block_bootstrap(blocks, theta, distribution, np.random.default_rng(3)) for _ in range(2)
-    )
-    assert np.array_equal(one.lower, other.lower)
-
-
-def test_no_resamples_are_no_limits() -> None:
-    z, borders, _ = made_blocks(11, (40,) * 6)
-    theta, active = least_squares(z), np.ones(4, dtype=bool)
-    blocks = factors(z, borders)
-    distribution = cluster_robust(blocks, theta, active)
-    drawn = block_bootstrap(blocks, theta, distribution, np.random.default_rng(1), resamples=0)
-    assert np.isnan(drawn.lower).all()
-    assert np.isnan(drawn.upper).all()
 
 
 def test_an_inflation_widens_every_interval_and_a_share_is_a_share() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,14 @@ def test_fit_tells_of_a_night_and_publishes_nothing(call: Call, fleet: Path) -> 
     assert (code, err) == (0, "")
     assert out.startswith(f"{CSV}, night of 2026-01-03: fitted")
     assert {path: path.stat().st_mtime_ns for path in fleet.parent.parent.rglob("*")} == before
+    # The audit: the search ends at the proven minimum, wherever h and e are on the way there.
+    assert "\nAudit, flushing " in out
+    assert re.search(r"search: 10 of 10 starts end at the proven minimum, the best [+-]\d", out)
+    spreads = re.findall(r"  (\w+_balance_piston): (\S+) to (\S+) ", out)
+    apart = {name: float(high) / float(low) - 1.0 for name, low, high in spreads}
+    assert apart["h_balance_piston"] > 0.01
+    assert apart["K_balance_piston"] < 1e-3
+    assert re.search(r"FPE \S+ \(l/min\)², AIC \S+, AICc \S+, BIC \S+: \d+ training samples", out)
 
 
 def test_fit_trains_on_one_period_and_validates_on_another(call: Call, fleet: Path) -> None:

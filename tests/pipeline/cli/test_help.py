@@ -81,7 +81,7 @@ def test_version(call: Call) -> None:
     assert (code, out, err) == (0, f"motor-leakage {version('motor-leakage')}\n", "")
 
 
-NO_COMMAND_NEEDS = ("pandas", "matplotlib", "plotly", "jinja2", "ruptures", "pyarrow.dataset")
+NO_COMMAND_NEEDS = ("pandas", "matplotlib", "plotly", "jinja2", "pyarrow.dataset")
 EXTRAS = ("dask", "distributed", "obstore", "deltalake", "duckdb")
 NOT_AT_ONCE = (*NO_COMMAND_NEEDS, "scipy", "pyarrow.compute", "rich")
 
@@ -109,7 +109,7 @@ def test_status_neither_fits_nor_draws(fleet: Path) -> None:
         "import contextlib, pipeline.cli.state as s; from pathlib import Path; from typer import "
         f"Exit\nwith contextlib.suppress(Exit): s.status(Path({str(fleet)!r}))"
     )
-    unused = (*NOT_AT_ONCE, "pipeline.night.fit_night", "leakage.course.monitoring")
+    unused = (*NOT_AT_ONCE, "pipeline.night.fit_night", "leakage.watch")
     assert loaded_by(code, unused) == []
 
 

@@ -274,21 +274,20 @@ def test_reference_conditions_beyond_the_oil_are_a_fault_of_the_config(configs: 
 
 
 @pytest.mark.parametrize(
-    ("ports", "model", "is_two_sided", "low_side"),
+    ("ports", "model", "is_two_sided"),
     [
-        ((), "", False, "unknown"),
-        ((), "charge_pressure_bar = 15.0", True, "modelled"),
-        ((), "two_sided = true", True, "modelled"),
-        (PORTS, "", True, "modelled"),
-        (PORTS, "two_sided = false", False, "known"),
+        ((), "", False),
+        ((), "charge_pressure_bar = 15.0", True),
+        ((), "two_sided = true", True),
+        (PORTS, "", True),
+        (PORTS, "two_sided = false", False),
     ],
 )
 def test_leakage_is_two_sided_where_the_low_side_is_known(
-    configs: Path, ports: tuple[tuple[str, str], ...], model: str, is_two_sided: bool, low_side: str
+    configs: Path, ports: tuple[tuple[str, str], ...], model: str, is_two_sided: bool
 ) -> None:
     for before, after in ports:
         change(configs, MOTOR, before, after)
     add(configs, MOTOR, f"\n[override.model]\n{model}\n")
     spec = next(one for one in load(configs).motors if one.motor_id == MOTOR[7:-5])
     assert spec.settings.model.two_sided is is_two_sided
-    assert spec.low_side == low_side

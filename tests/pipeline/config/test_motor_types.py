@@ -27,7 +27,6 @@ from tests.pipeline.simulated import (
     night_of,
     operate,
     raw,
-    with_settings,
     write_configs,
     write_log,
 )
@@ -181,20 +180,6 @@ def test_speeds_beyond_the_points_are_counted(axial: MotorSpec) -> None:
     assert counted > 0
 
 
-def test_the_laminar_path_is_searched_as_well(axial: MotorSpec) -> None:
-    """The search sees the distributor in m³ beside gaps in µm; it must still come home."""
-    operation = operate()
-    flow = operation.flow(axial_by_hand(axial))
-    noisy = flow + np.random.default_rng(3).normal(0.0, 0.005, len(flow))
-    values = operation.channels(noisy)
-    searched = with_settings(axial, "estimation", search_every_nights=1)
-    outcome = fit_night(searched, night_of(), raw(operation.time_us, values), {})
-    (row,) = outcome.rows["fits"]
-    assert row["n_starts"] == 10
-    assert row["n_starts_at_minimum"] >= 9
-    assert row["certificate_gap"] >= -1e-10
-
-
 def test_a_free_scale_on_the_roller_curve(tmp_path: Path) -> None:
     shipped = load_motor(tmp_path / "a", motor_toml("M1"))
     text = (tmp_path / "a/configs/motor_types/CB560.toml").read_text(encoding="utf-8")
@@ -222,7 +207,6 @@ def test_a_type_with_nothing_free_is_judged_and_not_fitted(tmp_path: Path) -> No
     assert outcome.status == OK, outcome.reason
     (row,) = outcome.rows["fits"]
     assert row["validation_fit_percent"] == pytest.approx(100.0, abs=1e-6)
-    assert row["n_starts"] == 0
     assert {one["verdict"] for one in outcome.rows["parameters"] if one.get("verdict")} == {"fixed"}
 
 

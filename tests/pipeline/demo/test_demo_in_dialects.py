@@ -17,7 +17,6 @@ from tests.dialects.catalogue import DIALECTS, OVER_A_CLOCK_CHANGE
 from tests.dialects.comparison import compare
 from tests.dialects.dialect import Dialect
 from tests.dialects.fleet import Nights, first_nights, write_fleet
-from tests.pipeline.simulated import with_search
 
 END_OF_SUMMER_TIME = dt.date(2025, 10, 26)
 SEARCH = 1e-6
@@ -38,7 +37,7 @@ class Fitted:
 
 
 def fit(config: Path, output: Path, *motors: str) -> RunResult:
-    fleet = with_search(load_fleet(config))
+    fleet = load_fleet(config)
     execution = fleet.execution.model_copy(update={"backend": "sequential"})
     return run_fleet(RunRequest(replace(fleet, execution=execution, output=output), motors))
 
@@ -65,7 +64,7 @@ def assert_the_same(
     found = compare(fitted.output, folder / "out", tuple(motors))
     files = sum(path.is_file() for path in (folder / "demo" / "logs").rglob("*"))
     assert (found.n_read, found.n_failed) == (files, 0)
-    assert set(found.largest) == {"fits", "parameters", "starts", "sensitivities"}
+    assert set(found.largest) == {"fits", "parameters", "sensitivities"}
     for table, largest in found.largest.items():
         allowed = max(dialect.precision, SEARCH if table == "starts" else 0.0)
         assert largest <= allowed, found.where[table]

@@ -123,14 +123,14 @@ def test_no_flipped_bit_gets_into_a_new_file(output: Path, size: int) -> None:
     manifest = read_manifest(output, f"{NIGHT:%Y-%m}", NIGHT.isoformat())
     accepted = manifest.accepted(path.relative_to(output / "tables").as_posix())
     new = NewRows(("M3",), 0, [frame(QUALITY, [])])
-    sound = prepare_night(output, QUALITY, NIGHT, new, None, accepted)
+    sound = prepare_night(output, QUALITY, NIGHT, new, accepted)
     assert not sound.lost_rows
     bits = np.arange(8 * len(whole))
     if size:
         bits = np.random.default_rng(4).choice(bits, size, replace=False)
     for bit in bits:
         flip(path, whole, int(bit))
-        file = prepare_night(output, QUALITY, NIGHT, new, None, accepted)
+        file = prepare_night(output, QUALITY, NIGHT, new, accepted)
         file.drop()
         assert file.lost_rows, bit
 

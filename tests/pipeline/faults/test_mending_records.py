@@ -37,7 +37,7 @@ def test_a_deleted_folder_of_manifests_is_rebuilt(tiny_fleet: TinyFleet, output:
     assert set(codes(output)) == {"manifest_missing"}
     result = tiny_fleet.run(output)
     assert {fault.code for fault in result.damage} == {"manifest_missing"}
-    assert "10 files proven to the last byte" in result.damage[0].message
+    assert "11 files proven to the last byte" in result.damage[0].message
     assert result.damage_left == ()
     del before["latest.json"]  # its rows name the run
     assert manifests(output).items() >= before.items()
@@ -75,7 +75,7 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
     mine = shutil.copy(older, older.with_name("mine.parquet"))
     result = tiny_fleet.run(output)
     told = {fault.path: fault for fault in result.damage}
-    assert "7 files proven to the last byte, 1 of other libraries by the checksums of their " in (
+    assert "8 files proven to the last byte, 1 of other libraries by the checksums of their " in (
         told[f"manifest/month={MONTH}/{NIGHT}.json"].message
     )
     altered = [path for path, code in found(result) if code == "table_altered"]
@@ -90,7 +90,7 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
 LEDGER = (f"ledger/M1/{MONTH}.json", "ledger/M1/settings", "ledger/M1/trends")
 
 
-@pytest.mark.parametrize("name", [*LEDGER, f"history/M1/{MONTH}.lz4"])
+@pytest.mark.parametrize("name", [*LEDGER, "history/M1/watch"])
 def test_own_files_are_named_and_mended_by_the_next_run(
     tiny_fleet: TinyFleet, output: Path, name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -104,7 +104,7 @@ def test_own_files_are_named_and_mended_by_the_next_run(
 
 
 @pytest.mark.parametrize(
-    "name", [f"ledger/M9/{MONTH}.json", "ledger/M9/settings", f"history/M9/{MONTH}.lz4"]
+    "name", [f"ledger/M9/{MONTH}.json", "ledger/M9/settings", "history/M9/watch"]
 )
 def test_own_files_of_a_motor_that_there_is_no_more_are_mended_by_the_command(
     tiny_fleet: TinyFleet, output: Path, name: str

@@ -13,19 +13,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.watch import NightBlocks, Watch
 from pipeline.clock import utc
 from pipeline.config import Fleet, MotorSpec, load_fleet
-from pipeline.look.baseline import LookBaseline, calibrated
-from pipeline.look.blocks import Blocks, blocks_within
+from pipeline.look.before import NightsBefore, night_blocks
+from pipeline.look.blocks import blocks_within
 from pipeline.look.look import MotorLook, look_at_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import LOOKS
 from pipeline.store.tables import read_table
+from pipeline.trends.nights.layout import Layout
+from pipeline.trends.states.course import watch_settings
 from tests.pipeline.simulated import Operation, motor_toml, night_of, operate, raw, write_configs
 from tests.pipeline.workshop import DAY, MINI, QUICK
 
 FIRST = dt.date(2026, 1, 2)
-NIGHTS = 30
+NIGHTS = 20
+MADE_NIGHTS = 12
 TODAY = FIRST + NIGHTS * DAY
 BEGIN = dt.datetime.combine(TODAY - DAY, dt.time(22), dt.UTC)
 MINUTES = 50.0
@@ -140,20 +144,24 @@ def published(folder: Path) -> Growing:
     return made
 
 
-def made_baseline(spec: MotorSpec) -> LookBaseline:
-    """A baseline of five made nights, for a motor that has none published."""
-    parts, labels = [], [FIRST + night * DAY for night in range(5)]
-    for seed, label in enumerate(labels):
-        operation = operate(label, MINUTES, seed)
-        motor = spec.motor(label, "none")
-        flow = operation.flow(motor)
-        flow = flow * (1.0 + noise(seed, len(flow)))
-        channels = raw(operation.time_us, operation.channels(flow))
-        night = night_of(label)
-        parts.append(blocks_within(spec, night, channels, night.start_us, night.end_us)[0])
-    columns = ((part.start_us, part.means, part.conditions) for part in parts)
-    blocks = Blocks(*map(np.concatenate, zip(*columns, strict=True)))
-    theta = np.array([blocks.means[:, -1].sum() / blocks.means[:, 0].sum(), 0.0])
-    found = calibrated(spec, blocks, "made", labels, theta, None)
-    assert isinstance(found, LookBaseline), found
-    return found
+def made_watch(spec: MotorSpec) -> NightsBefore:
+    """The watch of some made nights, for a motor that has none published."""
+    labels = [TODAY - DAY * (MADE_NIGHTS - night) for night in range(MADE_NIGHTS)]
+    layout = Layout.of(spec, labels[0])
+    nights = [_made_night(spec, layout, seed, label) for seed, label in enumerate(labels)]
+    settings = watch_settings(spec)
+    watch = Watch.begin(layout.machine(spec, labels[0]), nights[:8], settings)
+    for night in nights[8:]:
+        watch = watch.after(night, lambda _: ())
+    return NightsBefore(watch, layout, labels[-1])
+
+
+def _made_night(spec: MotorSpec, layout: Layout, seed: int, label: dt.date) -> NightBlocks:
+    operation = operate(label, MINUTES, seed)
+    flow = operation.flow(spec.motor(label, "none"))
+    flow = flow * (1.0 + noise(seed, len(flow)))
+    night = night_of(label)
+    channels = raw(operation.time_us, operation.channels(flow))
+    blocks, why = blocks_within(spec, night, channels, night.start_us, night.end_us)
+    assert not why
+    return night_blocks(layout, blocks, label)

@@ -38,4 +38,4 @@ def test_a_day_of_looks_leaves_the_tables_of_the_night_as_they_are_without(tmp_p
     assert moves[3] == ("look_now", "confirmed")
     scores = read_state(looked.output, "M1").scores
     assert (scores.told, scores.confirmed, scores.withdrawn) == (1, 1, 0)
-    assert [one["verdict"] for one in looked.told()] == ["told", "confirmed"]
+    assert [one["verdict"] for one in looked.told() if "verdict" in one] == ["told", "confirmed"]

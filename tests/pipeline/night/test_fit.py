@@ -64,7 +64,7 @@ def true_k(spec: MotorSpec) -> dict[str, float]:
     return {path.coefficient_name: path.configured_coefficient for path in paths}
 
 
-def test_a_good_night_has_verdicts_intervals_and_a_cross_check(spec: MotorSpec) -> None:
+def test_a_good_night_has_verdicts_and_intervals(spec: MotorSpec) -> None:
     operation = operate(minutes=TWO_HOURS)
     flow = configured_flow(spec, operation) + noise(len(operation.time_us))
     outcome = fitted(spec, operation, flow)
@@ -76,8 +76,6 @@ def test_a_good_night_has_verdicts_intervals_and_a_cross_check(spec: MotorSpec) 
         # Three half-widths: a fixed seed must not sit on the edge of one night in twenty.
         half = (found["upper"] - found["lower"]) / 2
         assert abs(found["value"] - true) < 3 * half
-        assert found["bootstrap_lower"] == pytest.approx(found["lower"], abs=half)
-        assert found["bootstrap_upper"] == pytest.approx(found["upper"], abs=half)
     assert row["reference_verdict"] == "identified"
     assert row["reference_leakage_l_per_min"] == pytest.approx(1.371423, rel=0.01)
     assert row["n_parameters"] == 3
@@ -200,11 +198,6 @@ def test_a_short_night_pays_for_the_parameters_that_it_estimates(tmp_path: Path)
         flow = configured_flow(spec, operation) + flushing + noise(len(operation.time_us))
         none, estimated = fitted(spec, operation, flow).rows["fits"]
         assert (none["n_parameters"], estimated["n_parameters"]) == (3, n_estimated)
-        for row in (none, estimated):
-            n, d = row["n_training"], row["n_parameters"]
-            v = row["training_rmse_l_per_min"] ** 2
-            expected = n * np.log(v) + 2 * d + n * (np.log(2 * np.pi) + 1)
-            assert row["aic"] == pytest.approx(expected, rel=1e-12)
 
 
 def test_one_pressure_all_night_leaves_the_leakage_at_own_conditions(spec: MotorSpec) -> None:
@@ -280,8 +273,6 @@ def test_modes_are_compared_on_validation(tmp_path: Path) -> None:
     rows = {row["flushing_mode"]: row for row in fitted(spec, operation, flow).rows["fits"]}
     assert rows["estimated"]["is_best_on_validation"]
     assert not rows["none"]["is_best_on_validation"]
-    for criterion in ("aic", "aicc", "bic", "aic_effective", "bic_effective"):
-        assert rows["estimated"][criterion] < rows["none"][criterion]
 
 
 def test_hubers_loss_withstands_what_the_cleaning_lets_through(spec: MotorSpec) -> None:

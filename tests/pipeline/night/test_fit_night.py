@@ -193,12 +193,12 @@ def test_rows_fit_their_tables_and_no_key_stands_twice(tmp_path: Path) -> None:
     values = simulate(spec, operation)
     # Without any error there are no residuals to test.
     values["leakage_flow"] += 0.01 * np.random.default_rng(1).standard_normal(2400)
-    outcome = fit(with_settings(spec, "estimation", search_every_nights=1), operation, values)
+    outcome = fit(spec, operation, values)
     for table in NIGHT_TABLES:
         rows = frame(table, outcome.rows.get(table.name, []))
         key = [name for name in table.key if name in rows.columns]
         assert rows.select(key).is_unique().all(), table.name
-        if table.name != "input_files":
+        if table.name not in ("input_files", "starts"):
             assert rows.height, table.name
 
 

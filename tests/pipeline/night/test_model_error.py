@@ -1,4 +1,4 @@
-"""Parts of the ± of a figure, and the verdict on the model, in the rows of a night."""
+"""Parts of the ± of a figure in the rows of a night."""
 
 from __future__ import annotations
 
@@ -74,12 +74,10 @@ def test_a_stated_tolerance_takes_the_place_of_the_assumed_one(tmp_path: Path) -
     assert set(assumed_sensors(spec)) == {"pressure_difference", "leakage_flow"}
 
 
-def test_a_right_model_is_supported_and_its_figures_have_all_parts(spec: MotorSpec) -> None:
+def test_a_right_model_leaves_little_and_its_figures_have_all_parts(spec: MotorSpec) -> None:
     rows = outcome(spec).rows
     (fit,) = rows["fits"]
-    assert fit["model_verdict"] == "supported"
     assert fit["model_misfit_percent"] < 0.5
-    assert fit["model_reason"] is None
     figures = {
         "reference_leakage_": fit,
         "own_conditions_leakage_": fit,
@@ -103,8 +101,7 @@ def test_another_film_law_is_told_and_widens_the_total(spec: MotorSpec) -> None:
     slot = settings.model.model_copy(update={"film_pressure": "slot"})
     truth = replace(spec, settings=settings.model_copy(update={"model": slot}))
     (fit,) = outcome(spec, truth).rows["fits"]
-    assert fit["model_verdict"] == "disproved"
-    assert "film law" in fit["model_reason"]
+    assert fit["model_misfit_percent"] > 2.0
     assert fit["reference_leakage_model_half_width"] > fit["reference_leakage_sensor_half_width"]
     there = OperatingConditions.from_bar(200.0, 50.0, 30.0)
     (true,) = total_flow_l_per_min(truth.motor(NIGHT, "none"), there)

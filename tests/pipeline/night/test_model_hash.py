@@ -10,65 +10,13 @@ import pytest
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import model_hash
-from pipeline.night.block_fit import night_seed
-from tests.pipeline.night.noise_free import TRUTH, fit, fit_of, noisy, simulate, values_of
 from tests.pipeline.simulated import (
     NIGHT,
     load_motor,
     motor_toml,
-    operate,
     with_channel,
     with_settings,
 )
-
-# Seeds
-
-
-def test_a_seed_for_each_run_motor_night_and_mode() -> None:
-    seeds = {
-        night_seed(seed, motor, night, mode)
-        for seed in (1, 2)
-        for motor in ("A", "B")
-        for night in (NIGHT, NIGHT + dt.timedelta(days=1))
-        for mode in ("none", "estimated")
-    }
-    assert len(seeds) == 16
-    # regression: another value would move every start; Python's own hash moves in every process.
-    assert night_seed(1, "M", NIGHT, "none") == 3_302_863_321_456_288_741
-
-
-def test_the_seed_moves_the_starts_and_not_the_estimate(spec: MotorSpec) -> None:
-    operation = operate()
-    values = noisy(simulate(spec, operation))
-    spec = with_settings(spec, "estimation", search_every_nights=1)
-    other = with_settings(spec, "estimation", seed=2)
-    one, same, two = (fit(which, operation, values).rows for which in (spec, spec, other))
-    assert one == same
-    initial = [[row["initial_values"] for row in rows["starts"]] for rows in (one, two)]
-    assert initial[0][0] == initial[1][0]
-    assert all(a != b for a, b in zip(initial[0][1:], initial[1][1:], strict=True))
-    for name in TRUTH:
-        key = f"K_{name}"
-        assert values_of(one, "none")[key] == values_of(two, "none")[key]
-
-
-def test_starts_end_at_the_certificate_and_never_below(spec: MotorSpec) -> None:
-    operation = operate()
-    values = noisy(simulate(spec, operation))
-    every = with_settings(spec, "estimation", search_every_nights=1)
-    rows = fit(every, operation, values).rows
-    row = fit_of(rows)
-    assert (row["n_starts"], row["n_starts_at_minimum"]) == (10, 10)
-    assert all(start["cost"] >= row["cost"] * (1.0 - 1e-10) for start in rows["starts"])
-    # The audit of another night leaves nothing but what the search itself tells.
-    other = fit(with_settings(spec, "estimation", search_every_nights=7), operation, values).rows
-    assert NIGHT.toordinal() % 7
-    assert (fit_of(other)["n_starts"], fit_of(other)["certificate_gap"]) == (0, None)
-    assert (other["starts"], values_of(other, "none")) == ([], values_of(rows, "none"))
-    # h and e of one gap spread over the starts, K does not (model.md, section 4.1).
-    spread = {one["parameter"]: one.get("spread_over_starts") or 0.0 for one in rows["parameters"]}
-    assert spread["h_balance_piston"] > 0.5
-    assert spread["K_balance_piston"] < 1e-4 * values_of(rows, "none")["K_balance_piston"]
 
 
 def same_hash(one: MotorSpec, other: MotorSpec) -> bool:

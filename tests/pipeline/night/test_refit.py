@@ -19,7 +19,6 @@ from pipeline.schema import NIGHT_TABLES
 from tests.pipeline.simulated import NIGHT
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
-EVERY_NIGHT = "search_every_nights = 1\nstarting_points = "
 OTHER_REFERENCE = QUICK + "[reference]\npressure_bar = 150.0\ntemperature_c = 45.0\n"
 OTHER_CLEANING = QUICK + "[cleaning]\nhampel_threshold = 6.0\n"
 
@@ -61,30 +60,6 @@ def from_scratch(workshop: Workshop) -> Workshop:
 
 def figures(workshop: Workshop, table: str) -> pl.DataFrame:
     return workshop.rows(table).drop("is_refitted", strict=False)
-
-
-def test_starts_are_made_without_a_log_where_asked_for(tmp_path: Path) -> None:
-    workshop = Workshop.at(tmp_path)
-    workshop.log(NIGHT)
-    workshop.configure(fleet=QUICK.replace("starting_points = 0", EVERY_NIGHT + "4"))
-    workshop.run()
-    first = workshop.rows("starts")
-    workshop.configure(fleet=OTHER_REFERENCE.replace("starting_points = 0", EVERY_NIGHT + "6"))
-    assert workshop.run().n_refitted == 1
-    assert_frame_equal(workshop.rows("starts"), first, check_exact=True)
-    assert workshop.run(with_starts=True).n_refitted == 1
-    fresh = from_scratch(workshop)
-    for name, columns in (
-        ("starts", ["start", "status", "at_minimum", "cost", "initial_values"]),
-        ("fits", ["n_starts", "n_starts_at_minimum", "own_conditions_leakage_l_per_min"]),
-    ):
-        assert_frame_equal(
-            workshop.rows(name).select(columns),
-            fresh.rows(name).select(columns),
-            check_exact=False,
-            rel_tol=1e-9,
-        )
-    assert workshop.rows("starts").height == 6
 
 
 @pytest.mark.usefixtures("unread")
@@ -136,15 +111,13 @@ def test_other_verdicts_of_the_same_settings_are_those_of_the_logs(
         assert_frame_equal(figures(workshop, table), rows, rel_tol=1e-9)
 
 
-def test_a_night_of_merged_blocks_is_made_anew_from_their_short_means(tmp_path: Path) -> None:
-    """Twelve minutes in at most four blocks: what slow errors do is told from all six."""
+def test_a_night_of_merged_blocks_is_made_anew(tmp_path: Path) -> None:
     workshop = Workshop.at(tmp_path)
     workshop.log(NIGHT)
     workshop.configure(fleet=QUICK + "[windows]\nmaximum_blocks = 4\n")
     workshop.run()
     blocks, before = workshop.rows("block_statistics"), figures(workshop, "fits")
     assert blocks.height <= 4
-    assert blocks["short_means"].is_not_null().any()
     other = QUICK.replace("starting_points = 0", "starting_points = 0\nseed = 8")
     workshop.configure(fleet=other + "[windows]\nmaximum_blocks = 4\n")
     assert workshop.run().n_refitted == 1

@@ -121,19 +121,11 @@ ALL = 'leading = ["pressure_difference", "oil_temperature", "speed"]'
 def test_a_flow_that_follows_late_fits_once_its_delay_is_stated(tmp_path: Path) -> None:
     late = ("leakage_flow",)
     without = fit_of(delayed_night(tmp_path / "a", 'mode = "off"', 7, late))
-    assert (without["transport_delay_s"], without["estimated_transport_delay_s"]) == (None, None)
+    assert without["transport_delay_s"] is None
     assert without["training_fit_percent"] < 90
     stated = fit_of(delayed_night(tmp_path / "b", f'mode = "fixed"\nfixed_s = 7.0\n{ALL}', 7, late))
     assert stated["transport_delay_s"] == 7.0
     assert stated["training_fit_percent"] > 99.9
-    assert stated["estimated_transport_delay_s"] == pytest.approx(7.0, abs=0.2)
-
-
-def test_it_is_estimated_where_none_is_configured(tmp_path: Path) -> None:
-    mode = f'mode = "fixed"\nfixed_s = 0.0\n{ALL}'
-    found = fit_of(delayed_night(tmp_path, mode, 7, ("leakage_flow",)))
-    assert found["transport_delay_s"] == 0.0
-    assert found["estimated_transport_delay_s"] == pytest.approx(7.0, abs=0.5)
 
 
 def test_a_temperature_measured_in_the_line_lags_and_pressure_does_not(tmp_path: Path) -> None:
@@ -142,7 +134,6 @@ def test_a_temperature_measured_in_the_line_lags_and_pressure_does_not(tmp_path:
     wrong = fit_of(
         delayed_night(tmp_path / "a", f'mode = "fixed"\nfixed_s = 0.0\n{lagging}', 30, late)
     )
-    assert wrong["estimated_transport_delay_s"] == pytest.approx(30.0, abs=1.0)
     right = fit_of(
         delayed_night(tmp_path / "b", f'mode = "fixed"\nfixed_s = 30.0\n{lagging}', 30, late)
     )

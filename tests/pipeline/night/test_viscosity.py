@@ -15,7 +15,7 @@ from pipeline.config import Channel, MotorSpec
 from pipeline.config.oil_samples import OilSample
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.refit import PublishedNight, refit
-from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, frame
+from pipeline.schema import BLOCK_STATISTICS, FITS, frame
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
 # 20 % thinner than VG 68 (68 and 8.7 mm²/s), 15 % at 100 °C.
@@ -97,8 +97,7 @@ def test_an_analysis_that_comes_late_needs_no_log(spec: MotorSpec) -> None:
     before, after = night(spec), night(with_sample(spec))
     blocks = frame(BLOCK_STATISTICS, before.rows["block_statistics"])
     fits = frame(FITS, before.rows["fits"]).to_dicts()
-    parameters = frame(PARAMETERS, before.rows["parameters"]).to_dicts()
-    published = PublishedNight(NIGHT, fits, parameters, (), blocks)
+    published = PublishedNight(NIGHT, fits, (), blocks)
     anew = refit(with_sample(spec), published, {})
     assert anew is not None
     for column in ("coefficients", "night_factor", "viscosity_ratio", "training_fit_percent"):
@@ -114,8 +113,7 @@ def test_a_late_analysis_of_robust_blocks_needs_the_log(spec: MotorSpec) -> None
     robust = replace(spec, settings=spec.settings.model_copy(update={"estimation": estimation}))
     blocks = frame(BLOCK_STATISTICS, before.rows["block_statistics"])
     fits = frame(FITS, before.rows["fits"]).to_dicts()
-    parameters = frame(PARAMETERS, before.rows["parameters"]).to_dicts()
-    published = PublishedNight(NIGHT, fits, parameters, (), blocks)
+    published = PublishedNight(NIGHT, fits, (), blocks)
     assert refit(with_sample(robust), published, {}) is None
 
 

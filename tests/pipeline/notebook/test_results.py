@@ -12,13 +12,14 @@ import pytest
 from pipeline.errors import StoreError, UsageError
 from pipeline.notebook import open_tables, plot_course
 from pipeline.notebook.results import Tables
-from pipeline.schema import ALARMS, FITS, LATEST, TRENDS, frame
+from pipeline.schema import ALARMS, FITS, LATEST, TRENDS, WATCH, frame
 from pipeline.store.encoding import write_table
 from pipeline.store.manifest import update_manifest
 from pipeline.store.months import join_months
 from pipeline.store.tables import files_of, night_file, table_folder
 
 FIRST = dt.date(2026, 1, 30)
+DAY = dt.timedelta(days=1)
 NIGHTS = [FIRST + dt.timedelta(days=at) for at in range(4)]
 
 
@@ -36,9 +37,6 @@ def tables(tmp_path: Path) -> Tables:
             for mode in ("none", "fixed")
         ]
         courses = [trend(night, "gap_change_ring", 2.0 * at), trend(night, "drain_flow", 1.0)]
-        # Levels of K ∝ h³: a gap 10 % and 20 % higher.
-        levels = {"baseline_mean": 1.0, "warning_limit": 1.1**3, "alarm_limit": 1.2**3}
-        courses.append(trend(night, "K_ring", 1.0) | levels)
         for table, rows in ((FITS, fits), (TRENDS, courses)):
             path = night_file(tmp_path, table, night)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -78,7 +76,7 @@ def test_what_is_not_there_is_told(tables: Tables, tmp_path: Path) -> None:
         (lambda: tables.table("fit"), "no table fit; there are latest"),
         (lambda: open_tables(tmp_path / "nowhere"), "run fit-fleet first"),
         (lambda: open_tables("s3://bucket/fleet"), "run fit-fleet first"),
-        (lambda: plot_course(tables, "M2"), "no trend of M2"),
+        (lambda: plot_course(tables, "M2"), "no night of M2"),
     ):
         with pytest.raises(UsageError, match=words):
             ask()
@@ -92,12 +90,26 @@ def test_a_changed_file_is_found_where_that_is_asked_for(tables: Tables) -> None
         open_tables(tables.output, verify=True)
 
 
-def test_the_course_of_each_gap_is_plotted_with_its_levels(tables: Tables) -> None:
+def test_the_course_of_the_leakage_is_plotted_with_its_baseline_and_what_was_told(
+    tables: Tables,
+) -> None:
     mpl.use("agg")
+    rows = [
+        {
+            "motor_id": "M1",
+            "night": FIRST + n * DAY,
+            "state": "ok",
+            "own_leakage_l_per_min": 2.0 + n,
+        }
+        | {"baseline_start": FIRST, "baseline_end": FIRST + DAY}
+        | {"told_on": FIRST + 2 * DAY if n == 2 else None}
+        for n in range(3)
+    ]
+    for row in rows:
+        write_table(night_file(tables.output, WATCH, row["night"]), frame(WATCH, [row]))
     axes = plot_course(tables, "M1")
-    line, warning, alarm, *_ = axes.get_lines()
-    assert list(line.get_ydata()) == [0.0, 2.0, 4.0, 6.0]
-    assert list(warning.get_ydata()) == pytest.approx([10.0] * 4)
-    assert list(alarm.get_ydata()) == pytest.approx([20.0] * 4)
-    told = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert told == ["ring", "level of warning", "level of alarm"]
+    leakage, told = axes.get_lines()
+    assert list(leakage.get_ydata()) == [2.0, 3.0, 4.0]
+    assert told.get_xdata()[0] == FIRST + 2 * DAY
+    # The interval, and the nights of the baseline.
+    assert len(axes.collections) + len(axes.patches) == 2

@@ -1,67 +1,121 @@
-"""Rows of `trends` and `fits` of which states are made, and an output of a worn motor."""
+"""States of motors with rows of `watch` made by hand, and an output of a worn motor."""
 
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import polars as pl
 import pytest
 
-from pipeline.schema import ALARMS, FITS, TRENDS, frame
+from pipeline.schema import ALARMS, FITS, LATEST, WATCH, Table, frame
 from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file
+from pipeline.store.tables import night_file, whole_file
 from pipeline.trends.nights.decisions import Decision
-from tests.pipeline.trends.nights import configure, night_of
+from pipeline.trends.rows.motor_states import MotorState, latest_rows
+from pipeline.trends.rows.watch_rows import WatchRow
+from tests.pipeline.simulated import motor_toml, write_configs
 
 LAST = 5
-NAMES = ("reference_leakage", "K_piston_ring")
 
 
-def trend(motor: str, night: int, name: str, state: str = "ok", **more: Any) -> dict[str, Any]:
-    row = {"run_id": "r", "motor_id": motor, "night": night_of(night), "indicator": name}
-    row |= {"value": 1.4, "deviation_percent": 0.0, "n_slope": 30, "sensor_health": "ok"}
-    reason = None if state == "ok" else f"{name} is {state}"
-    return row | {"state": state, "state_reason": reason} | more
+def night_of(place: int) -> dt.date:
+    """Label of a night by its place."""
+    return dt.date(2026, 1, 2) + dt.timedelta(days=place)
 
 
-def rows_of(motor: str, **states: list[str]) -> pl.DataFrame:
-    """Trends of some nights: a state for each night and indicator."""
-    rows = [
-        trend(motor, night, name, state)
-        for name in NAMES
-        for night, state in enumerate(states.get(name, ["ok"] * (LAST + 1)))
-    ]
-    return frame(TRENDS, rows)
+SENTENCES = {
+    "ok": "no change of more than 3 % since 2 January 2026",
+    "alarm": "leakage +21 % [17, 25] tonight, since 4 January 2026 [3, 5]: balance sleeve",
+}
+ADVICE = {"ok": "Nothing to do.", "alarm": "Look at the balance sleeve at the next stop."}
+FIGURES = {
+    "evidence": 2.5,
+    "evidence_limit": 9.1,
+    "lack_of_fit": 0.004,
+    "model_verdict": "supported",
+    "tonight_change": 0.01,
+    "tonight_change_lower": -0.01,
+    "tonight_change_upper": 0.03,
+    "own_leakage_l_per_min": 2.02,
+    "own_leakage_lower": 1.98,
+    "own_leakage_upper": 2.06,
+    "smallest_change": 0.03,
+    "baseline_start": night_of(0),
+    "baseline_end": night_of(1),
+}
+WORN = {
+    "evidence": 31.0,
+    "cause": "balance_sleeve",
+    "cause_probability": 0.95,
+    "candidates": "balance_sleeve 0.95; all_gaps 0.04",
+    "tonight_change": 0.21,
+    "tonight_change_lower": 0.17,
+    "tonight_change_upper": 0.25,
+    "own_leakage_l_per_min": 2.42,
+    "own_leakage_lower": 2.34,
+    "own_leakage_upper": 2.5,
+    "since": night_of(2),
+    "told_on": night_of(3),
+    "goes_on": False,
+}
 
 
-def fits_of(motor: str, nights: int = LAST + 1) -> pl.DataFrame:
-    row = {"run_id": "r", "motor_id": motor, "motor_type": "CB560", "status": "ok"}
-    return frame(FITS, [row | {"night": night_of(night)} for night in range(nights)])
+def watched(motor: str, night: int = LAST, state: str = "ok", **more: Any) -> WatchRow:
+    """A row of `watch`: of a motor that has not changed, or of one with a worn sleeve."""
+    words = (SENTENCES.get(state, f"it is {state}"), ADVICE.get(state, "Do something."))
+    figures = FIGURES | (WORN if state == "alarm" else {}) | more
+    return WatchRow(motor, night_of(night), state, *words, **figures)
+
+
+def state_of(motor: str, state: str = "ok", **more: Any) -> MotorState:
+    """The state of a motor whose newest row of `watch` is that."""
+    row = watched(motor, state=state)
+    found = MotorState(motor, state, row.sentence, row.advice, row)
+    return replace(found, last_good_night=night_of(LAST), state_since=night_of(3), **more)
+
+
+def publish_latest(output: Path, states: Iterable[MotorState]) -> None:
+    """Write the table `latest`."""
+    write_table(whole_file(output, LATEST), frame(LATEST, latest_rows(states, "r")))
+
+
+def publish(output: Path, table: Table, rows: Iterable[dict[str, Any]]) -> None:
+    """Write rows to the files of their nights."""
+    for one in frame(table, [{"run_id": "r"} | row for row in rows]).partition_by("night"):
+        write_table(night_file(output, table, one["night"][0]), one)
 
 
 def said(night: int, kind: str = "acknowledged", **more: Any) -> Decision:
     when = dt.datetime(2026, 2, 1, night, tzinfo=dt.UTC)
-    return Decision("M1", "K_piston_ring", when, kind, night_of(night), **more)  # type: ignore[arg-type]
+    return Decision("M1", "leakage", when, kind, night_of(night), **more)  # type: ignore[arg-type]
 
 
-WORN = ["ok", "ok", "warning", "warning", "alarm", "alarm"]
+COURSE = ["ok", "ok", "warning", "warning", "alarm", "alarm"]
 
 
 @pytest.fixture
 def output(tmp_path: Path) -> Path:
-    """A fleet of M1, whose rings are worn, with the tables that status reads."""
-    configure(tmp_path)
+    """A fleet of M1, whose sleeve is worn, with the tables that status reads."""
+    header = 'name = "Tests"\n[folders]\nlogs = "../logs"\noutput = "../out"\n'
+    write_configs(tmp_path, {"M1": motor_toml("M1", "CB560")}, {}, fleet=header)
     output = tmp_path / "out"
-    trends, fits = rows_of("M1", K_piston_ring=WORN), fits_of("M1")
-    for night in range(LAST + 1):
-        for table, rows in ((TRENDS, trends), (FITS, fits)):
-            own = rows.filter(night=night_of(night))
-            write_table(night_file(output, table, night_of(night)), own)
-    for night, before, after in ((2, "ok", "warning"), (4, "warning", "alarm")):
-        row = {"run_id": "r", "motor_id": "M1", "night": night_of(night), "way": "level"}
-        row |= {"time": dt.datetime(2026, 1, 2 + night, 6, tzinfo=dt.UTC), "reason": "it grew"}
-        row |= {"indicator": "K_piston_ring", "from_state": before, "to_state": after}
-        write_table(night_file(output, ALARMS, night_of(night)), frame(ALARMS, [row]))
+    fit = {"motor_id": "M1", "motor_type": "CB560", "status": "ok"}
+    publish(output, FITS, [fit | {"night": night_of(night)} for night in range(LAST + 1)])
+    publish(output, WATCH, [watched("M1", n, one).row for n, one in enumerate(COURSE)])
+    alarm = {"motor_id": "M1", "indicator": "leakage", "way": "change", "reason": "it grew"}
+    moves = ((2, "ok", "warning"), (4, "warning", "alarm"))
+    publish(
+        output,
+        ALARMS,
+        [
+            alarm
+            | {"night": night_of(night), "from_state": before, "to_state": after}
+            | {"time": dt.datetime(2026, 1, 2 + night, 6, tzinfo=dt.UTC)}
+            for night, before, after in moves
+        ],
+    )
+    publish_latest(output, [state_of("M1", "alarm")])
     return output

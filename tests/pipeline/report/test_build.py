@@ -6,6 +6,7 @@ import datetime as dt
 import json
 import os
 import re
+import shutil
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -93,7 +94,7 @@ def test_pages_of_ten_years_are_small(output: Path) -> None:
     payload = page_payload(page)
     assert len(payload["nights"]) == 3653
     # Nights that are all alike have no extremes but the first of each stretch.
-    assert 100 < len(unpacked(payload["first"]["leakage"]["value"])) <= 1500
+    assert 100 < len(unpacked(payload["flow"])) <= 1500
 
 
 def test_workers_and_the_time_of_making_change_no_byte(
@@ -150,7 +151,7 @@ def test_a_changed_night_makes_its_motor_s_files_anew_and_no_others(built: Path)
     result = build(built)
     assert result.n_nights == 1
     changed = {name for name, time in times(built / "report").items() if time != before[name]}
-    pages = {f"data/{MOTOR}/{NIGHTS[2]}.js", f"motors/{MOTOR}.html", "index.html"}
+    pages = {f"data/{MOTOR}/{NIGHTS[2]}.js", f"motors/{MOTOR}.html"}
     assert changed == {*pages, "manifest.json"}
 
 
@@ -235,6 +236,8 @@ def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> 
     failed = {"status": "failed", "error_code": "log_truncated"}
     failed |= {"reason": "a.csv: its end is missing", "reference_leakage_l_per_min": None}
     change_table(output, "fits", rows_with(MOTOR, **failed))
+    # Without what the run has left, states are made from the other tables.
+    shutil.rmtree(output / "tables" / "latest")
     build(output, known={"CB560-09": KnownMotor("CB560")})
     text = (output / "report" / "motors" / f"{MOTOR}.html").read_text("utf-8")
     assert "Night of 2026-01-04 failed: a.csv: its end is missing." in text

@@ -19,7 +19,7 @@ FACTS = FleetFacts("Mill", NIGHT, NIGHT, ())
 
 def row(before: str | None, after: str, **more: Any) -> dict[str, Any]:
     rules = None if before is None else "trends 5 to 6"
-    keys = {"motor_id": "M<1>", "night": NIGHT, "indicator": "K_piston_ring"}
+    keys = {"motor_id": "M<1>", "night": NIGHT, "indicator": "leakage"}
     states = {"to_state": after, "state_before_rules": before, "rules": rules}
     return keys | states | {"reason": "+9 % [8, 10]", "is_silent": True} | more
 
@@ -43,7 +43,7 @@ def test_the_page_lists_them_and_is_linked_only_where_there_are_any() -> None:
     _, section = page.split('<section id="rules">')
     cells = re.sub(r"<[^>]+>", " ", section.split("</section>")[0])
     words = " ".join(cells.split())
-    line = "M&lt;1&gt; 2026-03-04 piston ring gap ok {} +9 % [8, 10] trends 5 to 6 {}"
+    line = "M&lt;1&gt; 2026-03-04 leakage ok {} +9 % [8, 10] trends 5 to 6 {}"
     assert line.format("warning", "no") in words
     assert line.format("alarm", "yes") in words
     assert "rules" not in fleet_html(FACTS, [])

@@ -53,11 +53,11 @@ def test_the_tables_alone_will_do_and_some_motors_go_to_a_folder_of_their_own(
 
 
 def test_a_damaged_table_ends_with_1_and_is_named(call: Call, output: Path) -> None:
-    next((output / "tables" / "starts").rglob("*.parquet")).write_bytes(b"PAR1")
+    next((output / "tables" / "parameters").rglob("*.parquet")).write_bytes(b"PAR1")
     code, out, err = call("report", "--output", output)
     assert code == 1
     assert "6 motors, 3 nights" in out
-    assert re.search(r"store_read: 2026-01-0\d\.parquet of starts is damaged", err)
+    assert re.search(r"store_read: 2026-01-0\d\.parquet of parameters is damaged", err)
 
 
 def test_without_tables_it_ends_with_4(call: Call, own_fleet: OwnFleet, tmp_path: Path) -> None:

@@ -24,7 +24,6 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) 
         "log CB560-01/CB560-01_2026-01-02.mcap: ok",
         "of the running motor's samples",
         "validation",
-        "starts end at the proven minimum",
         "reference leakage (200 bar, 50 °C, 30 rpm): 1.4",
         "K_piston_ring: identified, ",
         "training errors: 0.0",
@@ -40,7 +39,7 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) 
     assert "_per_" not in told
     # The answer stands first, and each part under its title.
     titles = [line for before, line in pairwise(lines) if not before]
-    assert titles == ["Paths", "Systematic errors", "Fit", "Errors of the fit", "Data"]
+    assert titles == ["State", "Paths", "Systematic errors", "Fit", "Errors of the fit", "Data"]
     assert lines[1].startswith("reference leakage")
     assert lines[1].count("±") == lines[2].count("±") == 1
     under = {line for line in lines if line.startswith("  ")}

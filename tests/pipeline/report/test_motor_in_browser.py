@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import polars as pl
@@ -23,7 +24,7 @@ from tests.pipeline.report.browser import (
     wait,
 )
 from tests.pipeline.report.conftest import change_table, rows_with
-from tests.pipeline.report.judged import NIGHTS, NOTE, REASON, RING
+from tests.pipeline.report.judged import NIGHTS, NOTE, REASON, WORN
 
 pytestmark = needs_browser
 
@@ -173,6 +174,7 @@ def test_motors_without_a_good_night_or_any_have_pages_that_say_why(
     for table in (*NIGHT_TABLES, *TREND_TABLES):
         if table.name not in ("fits", "input_files", "quality"):
             change_table(output, table.name, lambda rows: rows.clear())
+    shutil.rmtree(output / "tables" / "latest")
     folder = output / "report"
     build_report(ReportRequest(output, folder, known={"new": KnownMotor("CB400")}))
     visit(browser, folder / "motors" / "CB560-01.html")
@@ -190,8 +192,6 @@ def test_a_poor_fit_is_marked_wherever_it_is_shown(browser: Chrome, output: Path
     change_table(output, "fits", rows_with("CB560-01", validation_fit_percent=-1295.0), NIGHTS[2])
     build_report(ReportRequest(output, output / "report"))
     visit(browser, output / "report" / "index.html")
-    marked = browser.find_elements(By.CSS_SELECTOR, "#fleet .poor")
-    assert [one.find_element(By.XPATH, "./..").text for one in marked] == ["−1295 poor"]
     browser.find_element(By.LINK_TEXT, "CB560-01").click()
     drawn(browser)
     assert text(browser, "#quality tr:nth-child(2)").endswith("−1295 poor%")
@@ -206,58 +206,53 @@ def test_a_poor_fit_is_marked_wherever_it_is_shown(browser: Chrome, output: Path
     assert "on validation data" in last.text
 
 
-@pytest.mark.parametrize(
-    ("motor", "sentence", "lines", "has_limits"),
-    [
-        ("CB560-01", "Piston ring gap +14 %", ["piston ring"], True),
-        ("CB400-01", "No change of external leakage", ["balance sleeve", "piston ring"], True),
-        ("CB1120-02", "own conditions +60 %", ["leakage at the motor's own conditions"], True),
-        ("CB560-02", "good nights for a baseline", [], False),
-    ],
-)
-def test_the_first_screen_has_sentence_chart_and_limits(
-    browser: Chrome, told: Path, motor: str, sentence: str, lines: list[str], has_limits: bool
+def names(browser: Chrome, chart: str) -> list[str]:
+    """Names of a chart's lines; an interval's outline has none."""
+    script = f"return document.querySelector('#{chart} .plot').data.map((one) => one.name)"
+    return [name for name in browser.execute_script(script) if name]
+
+
+def test_the_first_screen_has_sentence_leakage_evidence_and_gaps(
+    browser: Chrome, told: Path
 ) -> None:
-    visit(browser, told / "motors" / f"{motor}.html")
+    visit(browser, told / "motors" / f"{WORN}.html")
     figures = drawn(browser)
-    assert sentence in browser.find_element(By.ID, "sentence").text
-    assert browser.find_element(By.CSS_SELECTOR, "aside p").text.endswith(".")
-    assert figures["course-leakage"] == figures["course-nights"] == "chart"
-    assert figures["course-gaps"] == ("chart" if lines else "absent")
-    limits = ["level of warning", "level of alarm"] if has_limits else []
-    if lines:
-        names = browser.execute_script(
-            "return document.querySelector('#course-gaps .plot').data.map((one) => one.name)"
-        )
-        # The interval's outline has no name.
-        assert sorted(name for name in names if name) == sorted([*lines, *limits])
-    flow = "return document.querySelector('#course-leakage .plot').data.map((one) => one.name)"
-    assert "drain flow, measured" in browser.execute_script(flow)
-
-
-def test_trends_alarms_and_what_was_said_are_shown(browser: Chrome, told: Path) -> None:
-    visit(browser, told / "motors" / "CB560-01.html")
-    assert drawn(browser)["trend-course"] == "chart"
-    levels = browser.execute_script(
-        "return document.querySelector('#course-gaps .plot').data.slice(-2).map((one) => one.y[0])"
+    assert f"L{REASON[1:]}." in browser.find_element(By.ID, "sentence").text
+    charts = ("course-leakage", "course-evidence", "course-gaps", "course-nights")
+    assert [figures[name] for name in charts] == ["chart"] * 4
+    assert names(browser, "course-leakage") == ["drain flow, measured", "leakage", "baseline"]
+    assert names(browser, "course-evidence") == ["evidence", "limit"]
+    assert names(browser, "course-gaps") == ["balance sleeve"]
+    # 9.1 is the limit; evidence far beyond it is cut, and its table has it whole.
+    evidence = "return document.querySelector('#course-evidence .plot').data[0].y[0]"
+    assert browser.execute_script(evidence) == pytest.approx(2.5 * 9.1, rel=1e-6)
+    aside = browser.find_element(By.TAG_NAME, "aside").text
+    for words in ("balance sleeve 95", "+21.0\n+17.0 to +25.0", "0.40"):
+        assert words in aside
+    marked = browser.execute_script(
+        "return document.querySelector('#course-leakage .plot').layout.annotations"
+        ".map((one) => one.text)"
     )
-    # 1.15^⅓ and 1.30^⅓
-    assert levels == pytest.approx([4.77, 9.14], abs=0.01)
-    menu = Select(browser.find_element(By.CSS_SELECTOR, "#trend-course select"))
-    assert menu.first_selected_option.text == "K of the piston ring, m³: alarm"
-    assert text(browser, "#trend-course .annotation-text") == "+50 % (step)"
-    last = "'#trend-course .plot').data.map((one) => [one.name, one.y.at(-1)])"
-    lines = dict(browser.execute_script(f"return document.querySelector({last}"))
-    levels = ["baseline", "level of warning", "level of alarm"]
-    assert [name for name in lines if name] == [
-        *("K of the piston ring", *levels, "CUSUM", "its limit")
-    ]
-    assert lines["level of alarm"] == pytest.approx(1.3 * RING)
-    row = browser.find_element(By.CSS_SELECTOR, "#trend-table tbody tr").text
-    assert "4.00e−14 (3.00e−14 to 5.00e−14)" in row
+    assert marked == ["alarm", "balance sleeve"]
+
+
+def test_a_young_motor_shows_its_drain_flow_and_says_what_it_waits_for(
+    browser: Chrome, told: Path
+) -> None:
+    visit(browser, told / "motors" / "CB560-02.html")
+    figures = drawn(browser)
+    assert "3 of 8 nights" in browser.find_element(By.ID, "sentence").text
+    assert names(browser, "course-leakage") == ["drain flow, measured"]
+    assert figures["course-evidence"] == figures["course-gaps"] == "absent"
+
+
+def test_other_figures_alarms_and_what_was_said_are_shown(browser: Chrome, told: Path) -> None:
+    visit(browser, told / "motors" / f"{WORN}.html")
+    assert drawn(browser)["shown-course"] == "chart"
+    row = browser.find_element(By.CSS_SELECTOR, "#shown-table tbody tr").get_property("textContent")
+    assert "balance sleeve leakage coefficient" in row
+    assert "4 (3 to 5)" in row
     assert "already crossed" in row
     changed = browser.find_element(By.CSS_SELECTOR, "#alarm-table tbody tr").text
-    assert f"piston ring gap ok alarm {REASON}" in " ".join(changed.split())
+    assert f"leakage ok alarm {REASON}" in " ".join(changed.split())
     assert NOTE in browser.find_element(By.ID, "decision-table").text
-    menu.select_by_index(1)
-    assert drawn(browser)["trend-course"] in ("chart", "absent")

@@ -79,13 +79,9 @@ def test_coverage_counts_every_kept_sample_once(
     assert len(coverage["block_parts"]) == rows.height
 
 
-def test_budget_is_sorted_by_the_size_of_the_effect_and_starts_by_cost(
+def test_budget_is_sorted_by_the_size_of_the_effect(
     fitted: dict[str, Any], fitted_output: Path
 ) -> None:
-    starts = fitted[MOTOR]["starts"]
-    assert len(starts["cost"]) == 10
-    assert starts["cost"] == sorted(starts["cost"])
-    assert sorted(starts["start"]) == list(range(10))
     budget, rows = fitted[MOTOR]["budget"], rows_of(fitted_output, SENSITIVITIES)
     assert sum(map(len, budget.values())) == rows.height
     for name, sources in budget.items():
@@ -179,11 +175,11 @@ def test_heights_of_a_known_geometry_are_shown(output: Path) -> None:
 def test_a_night_without_a_fit_says_why_and_what_was_refused(output: Path) -> None:
     said = {"status": "insufficient_data", "reason": "only 3 % are kept"}
     change_table(output, "fits", rows_with(MOTOR, **said), str(NIGHT))
-    for name in ("parameters", "starts", "sensitivities", "predictions", "block_statistics"):
+    for name in ("parameters", "sensitivities", "predictions", "block_statistics"):
         change_table(output, name, rows_without(MOTOR))
     payload = payloads(output)[MOTOR]
     assert payload["fit"].items() >= said.items()
-    assert (payload["samples"], payload["coverage"], payload["starts"]) == (None, None, None)
+    assert (payload["samples"], payload["coverage"]) == (None, None)
     assert (payload["parameters"], payload["budget"]) == ([], {})
     assert payload["quality"]
     assert payload["files"][0]["path"].startswith(MOTOR)

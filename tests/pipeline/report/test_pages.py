@@ -35,10 +35,10 @@ def hostile_output(output: Path) -> Path:
         "fits": ("motor_type", "oil", "reason", "reference_reason", "interval_status"),
         "parameters": ("reason",),
         "sensitivities": ("source",),
-        "starts": ("reason",),
         "quality": ("reason",),
         "input_files": ("path", "message"),
-        "trends": ("state_reason", "gated_reason", "path_reason", "path", "unit"),
+        "trends": ("state_reason", "gated_reason", "unit"),
+        "watch": ("cause", "candidates", "sentence", "advice"),
     }
     for table in (*NIGHT_TABLES, *TREND_TABLES):
         names = ("motor_id", *texts.get(table.name, ()))

@@ -11,11 +11,10 @@ from matplotlib.figure import Figure
 
 from pipeline.errors import UsageError
 from pipeline.report.build import ReportRequest
-from pipeline.report.first_screen import first_screen
 from pipeline.report.history import motor_histories
 from pipeline.report.paper import STYLE, page_of, write_paper
+from pipeline.report.status import standing_states
 from pipeline.report.tables import read_tables
-from pipeline.report.trends import motor_states
 from pipeline.report.words import sentence
 
 PATHS = ("piston_ring", "balance_piston", "balance_sleeve", "cam_roller")
@@ -25,10 +24,9 @@ def drawn(output: Path, motor_id: str) -> tuple[Figure, str]:
     """The page of a motor, and the words of its state."""
     history = read_tables(output)
     (motor,) = motor_histories(history, [motor_id])
-    state = motor_states(history, [motor_id], {})[motor_id]
-    screen = first_screen(motor, state, PATHS)
+    (state,) = standing_states(output, [motor_id])
     with mpl.rc_context(STYLE):
-        page = page_of(motor, state, screen, PATHS, "Demo fleet")
+        page = page_of(motor, state, PATHS, "Demo fleet")
         page.canvas.draw()
     return page, f"{sentence(state.sentence)} {state.advice}"
 

@@ -215,18 +215,7 @@ def test_a_state_is_shown_as_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = Console(force_terminal=True, width=400, record=True, no_color=True)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setattr("rich.console.Console", lambda: shown)
-    motor = MotorState(
-        motor_id="M1",
-        state="alarm",
-        indicator="K_total",
-        leakage_l_per_min=None,
-        deviation_percent=None,
-        last_night=None,
-        last_good_night=None,
-        sensor_health=None,
-        reason=TEXT,
-        acknowledged="",
-    )
+    motor = MotorState("M1", "alarm", TEXT, "Look at the motor.")
     found = FleetStatus((motor,), None, 0, 0)
     status_lines.print_status(TEXT, found, too_old=False, as_json=False)
     text = shown.export_text()

@@ -33,7 +33,7 @@ SETTINGS = {
     "[smoothing]\nwindow_s = 10.0\n": ("smoothing.window_s", Work.READ),
     "[reference]\npressure_bar = 210.0\n": ("reference.pressure_bar", Work.REFIT),
     "[trend]\nbaseline_nights = 40\n": ("trend.baseline_nights", None),
-    "[alarms]\nwarning_percent = 12.0\n": ("alarms.warning_percent", None),
+    "[alarms]\nalarm_percent = 25.0\n": ("alarms.alarm_percent", None),
 }
 
 

@@ -24,6 +24,7 @@ from pipeline.run.metrics import (
 from pipeline.run.tasks import MotorOutcome
 from pipeline.telling.outbox import Backlog
 from pipeline.trends.rows.motor_states import LookStanding, MotorState
+from pipeline.trends.rows.watch_rows import WatchRow
 from tests.pipeline.faults.disk import Disk, on
 
 WHEN = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
@@ -44,12 +45,12 @@ class SomeOutcome:
 
 def metrics() -> str:
     """Metrics of a fleet of one motor."""
-    state = MotorState(
-        "M1", "alarm", gap_path="piston_ring", gap_change_percent=25.0, data_night=WHEN.date()
-    )
+    figures = {"tonight_change": 0.21, "evidence": 31.0, "evidence_limit": 9.1}
+    watch = WatchRow("M1", WHEN.date(), "alarm", "+21 %", "Look at it.", **figures)
+    state = MotorState("M1", "alarm", "+21 %", "Look at it.", watch, data_night=WHEN.date())
     return metrics_text(
         cast(Fleet, SomeFleet()),
-        [state, MotorState("M2", "insufficient")],
+        [state, MotorState("M2", "insufficient", "3 of 8 nights", "Wait.")],
         [cast(MotorOutcome, SomeOutcome(counts={"failed": 2, "ok": 1}))],
         {"motors_s": 1.5, "trends_s": 0.25},
         [Backlog("hook", WHEN, 3, WHEN, None)],
@@ -67,8 +68,16 @@ def test_figures() -> None:
     fleet = 'fleet="Mill \\"A\\"\\\\ north"'
     assert found[f'motor_leakage_motor_state{{{fleet},motor="M1",state="alarm"}}'] == 1.0
     assert sum(value for name, value in found.items() if "motor_state{" in name) == 2.0
-    ring = f'motor_leakage_gap_change_ratio{{{fleet},motor="M1",path="piston_ring"}}'
-    assert found[ring] == 0.25
+    for name, value in (
+        ("tonight_change_ratio", 0.21),
+        ("evidence", 31.0),
+        ("evidence_limit", 9.1),
+    ):
+        assert found[f'motor_leakage_{name}{{{fleet},motor="M1"}}'] == value
+    # What is not known has no sample.
+    assert not [
+        name for name in found if "lack_of_fit" in name or "tonight_change_ratio{M2" in name
+    ]
     # The night of 2 March ends at 06:00 UTC.
     newest = f'motor_leakage_data_timestamp_seconds{{{fleet},motor="M1"}}'
     assert found[newest] == WHEN.timestamp()

@@ -77,11 +77,8 @@ def test_a_run_records_what_made_it_and_how_long_it_took(fitted_output: Path) ->
     assert outcomes.select(stages).to_numpy().sum() <= run["motors_s"]
 
 
-# Nothing is raised, frozen or said in three nights.
-WITHOUT_ROWS = {"alarms", "baselines", "change_points", "decisions", "looks"}
-
-
-# Nothing is raised, frozen or said in three nights.
+# Nothing is raised, frozen or said in three nights, and a run makes no starts.
+WITHOUT_ROWS = {"alarms", "baselines", "change_points", "decisions", "looks", "starts"}
 
 
 @pytest.mark.parametrize("table", sorted({table.name for table in TABLES} - WITHOUT_ROWS))
@@ -138,16 +135,6 @@ def test_a_motor_at_one_pressure_has_its_own_leakage_only(
         fits["mean_flow_l_per_min"].to_list(), rel=0.05
     )
     assert fits["outside_fitted_range"].all()
-
-
-def test_no_start_ends_below_the_certificate(fitted_output: Path) -> None:
-    ((lowest, count),) = query(
-        fitted_output,
-        "SELECT min(s.cost / f.cost) - 1, count(*) FROM @fits f JOIN @starts s"
-        " USING (motor_id, night, flushing_mode)",
-    )
-    assert count == 18 * 10
-    assert lowest > -1e-10
 
 
 def test_the_first_night_alone_has_no_model_before(fitted_output: Path) -> None:

@@ -111,7 +111,7 @@ def test_a_motor_with_news_is_left_to_its_task(
     assert list(unchanged_motors([other.task()], HERE)) == []
 
 
-@pytest.mark.parametrize("asked", ["force", "retry", "with_starts"])
+@pytest.mark.parametrize("asked", ["force", "retry"])
 def test_what_is_asked_for_is_a_task(workshop: Workshop, asked: str) -> None:
     task: MotorTask = replace(workshop.task(), **{asked: True})
     assert list(unchanged_motors([task], HERE)) == []

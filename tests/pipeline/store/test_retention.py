@@ -24,8 +24,7 @@ from tests.pipeline.workshop import DAY, QUICK, Workshop
 # The nights lie on both sides of a month's end.
 FIRST = dt.date(2026, 2, 26)
 NIGHTS = tuple(FIRST + number * DAY for number in range(6))
-SEARCHED = QUICK.replace("starting_points = 0", "search_every_nights = 1\nstarting_points = 2")
-HEAVY = ("predictions", "starts")
+HEAVY = ("predictions", "sensitivities")
 KEPT = dict.fromkeys(HEAVY, 2)
 Command = Callable[..., tuple[object, str, str]]
 
@@ -33,7 +32,6 @@ Command = Callable[..., tuple[object, str, str]]
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     workshop = Workshop.at(tmp_path_factory.mktemp("made"))
-    workshop.configure(fleet=SEARCHED)
     for seed, night in enumerate(NIGHTS):
         workshop.log(night, seed=seed + 1)
     workshop.run()
@@ -99,7 +97,7 @@ def test_a_refit_works_without_what_is_pruned(workshop: Workshop) -> None:
     pruned(workshop, dict.fromkeys(HEAVY, 1))
     for log in workshop.logs.iterdir():
         log.unlink()
-    workshop.configure(more="[override.reference]\nspeed_rpm = 31.0\n", fleet=SEARCHED)
+    workshop.configure(more="[override.reference]\nspeed_rpm = 31.0\n")
     assert workshop.run().n_refitted == len(NIGHTS)
     assert set(workshop.rows("fits")["reference_speed_rpm"]) == {31.0}
     assert nights_of(workshop, "predictions") == [NIGHTS[-1]]
@@ -108,7 +106,7 @@ def test_a_refit_works_without_what_is_pruned(workshop: Workshop) -> None:
 def test_without_statistics_a_refit_reads_the_logs_where_they_are(workshop: Workshop) -> None:
     pruned(workshop, {"block_statistics": 3})
     (workshop.logs / f"{NIGHTS[0]}.parquet").unlink()
-    workshop.configure(more="[override.reference]\nspeed_rpm = 31.0\n", fleet=SEARCHED)
+    workshop.configure(more="[override.reference]\nspeed_rpm = 31.0\n")
     assert workshop.run().n_refitted == 3
     speeds = dict(workshop.rows("fits").select("night", "reference_speed_rpm").iter_rows())
     assert speeds == {NIGHTS[0]: 30.0, **dict.fromkeys(NIGHTS[1:], 31.0)}
@@ -127,7 +125,7 @@ def test_a_crash_between_manifest_and_file_is_mended_by_pruning_again(
     assert list(verify_tables(workshop.output)) == []
     pruned(workshop)
     assert list(verify_tables(workshop.output)) == []
-    assert nights_of(workshop, "starts") == list(NIGHTS[-2:])
+    assert nights_of(workshop, "sensitivities") == list(NIGHTS[-2:])
 
 
 def test_what_is_told_is_what_goes(workshop: Workshop) -> None:
@@ -182,7 +180,7 @@ def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) 
 
 
 def test_nothing_is_removed_without_yes(workshop: Workshop, command: Command) -> None:
-    workshop.configure(fleet=SEARCHED + "[retention]\npredictions = 2\n")
+    workshop.configure(fleet=QUICK + "[retention]\npredictions = 2\n")
     before = contents(workshop)
     code, out, err = command("prune", str(workshop.fleet))
     assert (code, err) == (0, "")
@@ -200,7 +198,7 @@ def test_nothing_is_removed_without_yes(workshop: Workshop, command: Command) ->
 def test_pruning_waits_for_no_run(workshop: Workshop, command: Command) -> None:
     before = contents(workshop)
     with locked(workshop.output):
-        arguments = ("--tables", "starts", "--keep", "1", "--yes")
+        arguments = ("--tables", "sensitivities", "--keep", "1", "--yes")
         code, _, err = command("prune", str(workshop.fleet), *arguments)
     assert code == 3
     assert "motor-leakage: locked: " in err

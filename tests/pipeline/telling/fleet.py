@@ -1,4 +1,4 @@
-"""A motor that is in alarm from its third night on, by a limit of its type."""
+"""A motor that is in alarm from its first night on, by a limit of its type."""
 
 from __future__ import annotations
 

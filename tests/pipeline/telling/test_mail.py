@@ -231,8 +231,9 @@ def test_settings_that_cannot_work_are_refused(changed: dict[str, Any], words: s
 
 def test_a_summary_has_every_motor_and_its_sentence() -> None:
     motors = [
-        {"motor_id": "CB400-02", "state": "alarm", "sentence": "piston ring gap +30 %"},
-        {"motor_id": "CB400-01", "state": "ok", "sentence": "no change of external leakage"},
+        {"motor_id": "CB400-02", "state": "alarm", "sentence": "ring +30 %", "advice": "Look."},
+        # As a version without advice has queued it.
+        {"motor_id": "CB400-01", "state": "ok", "sentence": "no change of more than 3 %"},
     ]
     content = json.dumps({"type": "summary", "fleet": "Mill 3", "changes": motors}).encode()
     with serving() as server:
@@ -241,10 +242,10 @@ def test_a_summary_has_every_motor_and_its_sentence() -> None:
     assert mail["Subject"] == "Mill 3: week: 1 alarm, 1 ok"
     assert mail.get_content().splitlines() == [
         "CB400-02, alarm",
-        "  piston ring gap +30 %",
+        "  ring +30 %. Look.",
         "",
         "CB400-01, ok",
-        "  no change of external leakage",
+        "  no change of more than 3 %.",
     ]
 
 

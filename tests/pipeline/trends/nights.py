@@ -1,16 +1,16 @@
-"""Motors with nights of known truth: rows of the tables as fits would leave them, without a log.
+"""Motors with nights of known truth: rows of the tables as a run would leave them, without a log.
 
-Each night has its loss factors θ, estimates that scatter about them, and the statistics of samples
-at a fixed set of conditions, whose flow is exactly that of θ.
+Each night has blocks of samples at changing conditions, whose flow is that of the night's loss
+factors θ but for an error of the night and one of each block, and a fit that found θ.
 """
 
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable, Mapping, Sequence
+import shutil
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -23,32 +23,29 @@ from leakage import OperatingConditions, regressors
 from leakage.estimation.block_statistics import factor
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.config.motors import Event
-from pipeline.config.nights import nights_between
 from pipeline.demo import shipped_configs
 from pipeline.night.rows import upper_triangle
-from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
+from pipeline.run.fleet import RunRequest, RunResult, run_fleet
+from pipeline.schema import BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table, frame
 from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file
+from pipeline.store.tables import night_file, read_rows
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.nights.from_tables import rows_by_night
-from pipeline.trends.nights.history import History, every_night
-from pipeline.trends.nights.records import Layout
-from pipeline.trends.stage import Part, neighbours_of, standing_of
-from pipeline.trends.states.model import with_misfit
-from pipeline.trends.states.standing import Standing
 from tests.pipeline.simulated import motor_toml, write_configs
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
+Frames = dict[str, pl.DataFrame]
 
 FIRST = dt.date(2026, 1, 2)
 DAY = dt.timedelta(days=1)
+# By this name a change of all flows, the rollers' among them, as thinner oil makes it.
 OIL = "oil"
 PATHS = ("piston_ring", "balance_piston", "balance_sleeve")
-# Relative scatter of the estimates, as simulated nights of one to three hours have it.
-SCATTER = {"piston_ring": 0.013, "balance_piston": 0.024, "balance_sleeve": 0.016, "C_f": 0.002}
-CONDITIONS = tuple(product((20.0, 60.0, 120.0, 200.0, 280.0), (42.0, 50.0, 58.0), (10.0, 30.0, 90)))
 HOURS = 12.0
+# Errors of a night's flow and of a block's, relative.
+NIGHT_ERROR, BLOCK_ERROR = 0.003, 0.004
+BLOCKS, SAMPLES, BLOCK_S = 12, 8, 240
+QUICK = '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
 
 
 @lru_cache(maxsize=16)
@@ -116,23 +113,21 @@ class Nights:
         Nights.
     wear
         By path (and C_f), a factor on its coefficient in each night, shape (n,); by `OIL` one on
-        all flows, those of the rollers among them, as thinner oil makes it.
+        all flows.
     seed
-        Of the estimates' scatter.
+        Of the errors.
     noise
-        Factor on that scatter.
-    trade
-        Correlation of the errors of pistons and sleeves: what one gains the other loses.
+        Factor on them.
     changes
         By place, columns of `fits` that are otherwise.
-    verdicts
-        By place and parameter, another verdict than identified.
-    absent
-        Places of nights without any row.
+    absent, without_blocks
+        Places of nights without any row, and without blocks.
     operation
         By column of `operation`, its values, shape (n,); nan for null.
-    charge
-        Charge over case pressure of each night [bar], shape (n,); None for none.
+    pressure_bar
+        Highest pressure of each night; the same in all by default.
+    model
+        By place, another hash of the model.
     """
 
     spec: MotorSpec
@@ -140,12 +135,12 @@ class Nights:
     wear: Mapping[str, Array] = field(default_factory=dict)
     seed: int = 1
     noise: float = 1.0
-    trade: float = 0.0
     changes: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
-    verdicts: Mapping[tuple[int, str], str] = field(default_factory=dict)
     absent: frozenset[int] = frozenset()
+    without_blocks: frozenset[int] = frozenset()
     operation: Mapping[str, Array] = field(default_factory=dict)
-    charge: Array | None = None
+    pressure_bar: float = 280.0
+    model: Mapping[int, str] = field(default_factory=dict)
 
     @property
     def mode(self) -> str:
@@ -159,110 +154,79 @@ class Nights:
         factors = [self.wear.get(name, np.ones(self.n)) for name in (*PATHS, "C_f")]
         return np.array(values) * np.array(factors).T
 
-    @property
-    def oil(self) -> Array:
-        """Factor of all flows of each night, shape (n,)."""
-        return self.wear.get(OIL, np.ones(self.n))
-
-    def fitted(self) -> Array:
-        """θ of each night as a fit has it, which takes the rollers' flow as known."""
-        charge = None if self.charge is None else float(self.charge[0])
-        triangle = _design(self.spec, self.spec.file.oil_on(FIRST), charge).triangle
-        paths = triangle[:, : len(PATHS)]
-        as_paths, *_ = np.linalg.lstsq(paths, triangle[:, -1])
-        found = self.truth() * self.oil[:, None]
-        found[:, : len(PATHS)] += (self.oil - 1.0)[:, None] * as_paths
-        return found
-
-    def estimates(self) -> Array:
-        """θ as the nights' fits have it, shape (n, p + 1)."""
-        generator = np.random.default_rng(self.seed)
-        truth = self.fitted()
-        scatter = np.array([SCATTER[name] for name in (*PATHS, "C_f")]) * self.noise
-        drawn = generator.standard_normal(truth.shape)
-        drawn[:, 2] = self.trade * drawn[:, 1] + np.sqrt(1.0 - self.trade**2) * drawn[:, 2]
-        drawn *= scatter
-        if self.mode != "estimated":
-            drawn[:, -1] = 0.0
-        return truth * (1.0 + drawn)
-
-    def frames(self) -> dict[str, pl.DataFrame]:
-        """Rows of `fits`, `parameters` and `operation`."""
-        rows: dict[str, list[Row]] = {"fits": [], "parameters": [], "operation": []}
-        truth, estimates = self.truth(), self.estimates()
-        for place in range(self.n):
+    def frames(self) -> Frames:
+        """Rows of `fits`, `parameters`, `operation` and `block_statistics`."""
+        rows: dict[str, list[Row]] = {table.name: [] for table in TABLES}
+        for place, theta in enumerate(self.truth()):
             if place not in self.absent:
-                self._add(rows, place, truth[place], estimates[place])
-        return {
-            table.name: frame(table, rows[table.name]) for table in (FITS, PARAMETERS, OPERATION)
-        }
+                self._add(rows, place, theta)
+        return {table.name: frame(table, rows[table.name]) for table in TABLES}
 
-    def _add(self, rows: dict[str, list[Row]], place: int, truth: Array, theta: Array) -> None:
-        spec, label = self.spec, night_of(place)
-        charge = None if self.charge is None else float(self.charge[place])
-        design = _design(spec, spec.file.oil_on(label), charge)
-        key = {"motor_id": spec.motor_id, "night": label}
-        error = theta * np.array([SCATTER[name] for name in (*PATHS, "C_f")])
-        if self.mode != "estimated":
-            error[-1] = 0.0
-        leakage = float(design.reference @ np.append(theta, 1.0) - theta[-1])
-        contrast = np.append(design.reference[:-2], 0.0)
-        half = 1.96 * float(np.sqrt(np.sum((contrast * error / 20.0) ** 2)))
-        row: Row = key | {
-            "motor_type": spec.file.motor_type,
+    def _add(self, rows: dict[str, list[Row]], place: int, theta: Array) -> None:
+        label = night_of(place)
+        key = {"motor_id": self.spec.motor_id, "night": label}
+        leakage = float(_reference(self.spec) @ np.append(theta[:-1], (0.0, 1.0)))
+        fit: Row = key | {
+            "motor_type": self.spec.file.motor_type,
             "flushing_mode": self.mode,
             "is_primary": True,
             "status": "ok",
-            "n_training": 20_000,
-            "sample_period_s": 0.2,
-            "correlation_time_s": 1.0,
-            "weight_inflation": 1.0,
-            "interval_status": "ok",
-            "n_interval_blocks": 33,
-            "columns": list(design.columns),
-            "coefficients": theta.tolist(),
-            "coefficient_covariance_root": upper_triangle(np.diag(error / 20.0)),
-            "night_factor": design.statistics(truth, float(self.oil[place])),
+            "training_fit_percent": 99.0,
+            "validation_fit_percent": 98.0,
             "reference_leakage_l_per_min": leakage,
-            "reference_leakage_lower": leakage - half,
-            "reference_leakage_upper": leakage + half,
+            "reference_leakage_lower": 0.99 * leakage,
+            "reference_leakage_upper": 1.01 * leakage,
             "reference_verdict": "identified",
-            "reference_pressure_bar": spec.settings.reference.pressure_bar,
-            "reference_temperature_c": spec.settings.reference.temperature_c,
-            "reference_speed_rpm": spec.settings.reference.speed_rpm,
-            "own_pressure_bar": 136.0,
-            "own_temperature_c": 50.0,
-            "own_speed_rpm": 43.0,
-            "model_hash": f"hash-{spec.file.oil_on(label)}",
-            "mean_charge_over_case_bar": charge,
-            "oil": spec.file.oil_on(label),
+            "model_hash": self._hash(place),
+            "oil": self.spec.file.oil_on(label),
         }
-        changed = self.changes.get(place, {})
-        row |= changed
-        rows["fits"].append(row)
-        if row["status"] in ("ok", "insufficient_data"):
+        fit |= self.changes.get(place, {})
+        rows["fits"].append(fit)
+        if fit["status"] in ("ok", "insufficient_data"):
             rows["operation"].append(key | self._operated(place))
-        if row["status"] != "ok":
+        if fit["status"] != "ok" or place in self.without_blocks:
             return
-        names = [*(f"K_{path}" for path in PATHS), *(["C_f"] if self.mode != "none" else [])]
-        for number, name in enumerate(names):
-            verdict = self.verdicts.get((place, name), "identified")
-            if name == "C_f" and self.mode == "fixed":
-                verdict = "fixed"
-            known = verdict == "identified"
+        rows["block_statistics"] += [key | one for one in self._blocks(place, theta)]
+        for name, value in zip(PATHS, theta, strict=False):
+            interval = {"lower": 0.97 * value, "upper": 1.03 * value}
             rows["parameters"].append(
                 key
-                | {
-                    "flushing_mode": self.mode,
-                    "parameter": name,
-                    "value": float(theta[number]),
-                    "unit": "m3",
-                    "lower": float(theta[number] - 1.96 * error[number]) if known else None,
-                    "upper": float(theta[number] + 1.96 * error[number]) if known else None,
-                    "verdict": verdict,
-                    "reason": None if known else f"{name} is {verdict}",
+                | {"flushing_mode": self.mode, "parameter": f"K_{name}", "value": float(value)}
+                | {"unit": "m3", "verdict": "identified"}
+                | interval
+            )
+
+    def _hash(self, place: int) -> str:
+        return self.model.get(place, f"hash-{self.spec.file.oil_on(night_of(place))}")
+
+    def _blocks(self, place: int, theta: Array) -> list[Row]:
+        label = night_of(place)
+        generator = np.random.default_rng([self.seed, place])
+        oil = self.wear.get(OIL, np.ones(self.n))[place]
+        night = 1.0 + self.noise * NIGHT_ERROR * generator.standard_normal()
+        begin = dt.datetime.combine(label - DAY, dt.time(8), dt.UTC)
+        designs = _designs(self.spec, self.spec.file.oil_on(label), self.pressure_bar)
+        rows = []
+        for number, (triangle, means) in enumerate(designs):
+            error = 1.0 + self.noise * BLOCK_ERROR * generator.standard_normal()
+            leaks, flushed = np.append(theta[:-1], (0.0, 1.0)), triangle[:, -2] * theta[-1]
+            whole = np.zeros((len(triangle) + 1,) * 2)
+            whole[:-1, :-1] = triangle
+            whole[:-1, -1] = oil * night * error * triangle @ leaks + flushed
+            start = begin + dt.timedelta(seconds=number * BLOCK_S)
+            rows.append(
+                {
+                    "block_start": start,
+                    "block_end": start + dt.timedelta(seconds=BLOCK_S),
+                    "part": "training",
+                    "n": SAMPLES,
+                    "columns": list(self.spec.motor(label, self.mode).columns),
+                    "statistics": upper_triangle(whole),
+                    "model_hash": self._hash(place),
+                    **means,
                 }
             )
+        return rows
 
     def _operated(self, place: int) -> Row:
         row: Row = {
@@ -271,106 +235,97 @@ class Nights:
             "running_hours_source": "share",
             "mean_temperature_c": 50.0,
             "share_reversed": 0.25,
-            "pressure_histogram": [10] * 15 + [0] * 5,
-            "temperature_histogram": [0] * 12 + [10] * 4 + [0] * 12,
-            "speed_histogram": [10] * 10 + [0] * 5,
         }
         own = {name: float(values[place]) for name, values in self.operation.items()}
         return row | {name: None if np.isnan(value) else value for name, value in own.items()}
 
 
-@dataclass(frozen=True)
-class _Design:
-    """Names of the columns, their triangular factor, and the columns at reference conditions."""
-
-    columns: tuple[str, ...]
-    triangle: Array
-    reference: Array
-
-    def statistics(self, theta: Array, oil: float = 1.0) -> list[float]:
-        """Triangular factor of the samples of a night, whose flow is exactly that of θ and oil."""
-        whole = np.zeros((len(theta) + 2, len(theta) + 2))
-        whole[:-1, :-1] = self.triangle
-        whole[:-1, -1] = oil * self.triangle @ np.append(theta, 1.0)
-        return upper_triangle(whole)
+TABLES = (FITS, PARAMETERS, OPERATION, BLOCK_STATISTICS)
 
 
-_DESIGNS: dict[object, _Design] = {}
+_DESIGNS: dict[object, list[tuple[Array, Row]]] = {}
 
 
-def _design(spec: MotorSpec, oil: str, charge: float | None) -> _Design:
-    """Columns of the samples' conditions, and of the reference conditions."""
-    reference = spec.settings.reference
-    key = (spec.file.motor_type, oil, charge, reference.model_dump_json(), spec.file.flushing.mode)
+def _designs(spec: MotorSpec, oil: str, highest: float) -> list[tuple[Array, Row]]:
+    """Factor of the columns of each block of a night, and the means of its conditions."""
+    key = (spec.file.motor_type, oil, highest, spec.file.flushing.mode)
     if key not in _DESIGNS:
         label = next(
-            night
-            for night in nights_between(FIRST, FIRST + 800 * DAY)
-            if spec.file.oil_on(night) == oil
+            FIRST + n * DAY for n in range(800) if spec.file.oil_on(FIRST + n * DAY) == oil
         )
         made = spec.motor(label, spec.file.flushing.mode)
-        columns = np.array(CONDITIONS).T
-        _DESIGNS[key] = _Design(
-            made.columns,
-            factor(regressors(made, OperatingConditions.from_bar(*columns, charge))),
-            regressors(
-                made,
-                OperatingConditions.from_bar(
-                    reference.pressure_bar, reference.temperature_c, reference.speed_rpm, charge
-                ),
-            )[0],
-        )
+        _DESIGNS[key] = [_design(made, number, highest) for number in range(BLOCKS)]
     return _DESIGNS[key]
 
 
-def history(nights: Nights, until: int | None = None, tonight: int | None = None) -> History:
-    """The nights as trends see them, all of them or up to a place."""
-    return histories(nights, until=until, tonight=tonight)[nights.spec.motor_id]
+def _design(made: Any, number: int, highest: float) -> tuple[Array, Row]:
+    share = number / (BLOCKS - 1)
+    middle = 30.0 + (highest - 40.0) * ((3.0 * share) % 1.0)
+    bar = middle + np.linspace(-10.0, 10.0, SAMPLES)
+    celsius, rpm = 42.0 + 16.0 * share, 10.0 + 80.0 * ((7.0 * share) % 1.0)
+    at = OperatingConditions.from_bar(bar, np.full(SAMPLES, celsius), np.full(SAMPLES, rpm))
+    means: Row = {}
+    for name, values in (("pressure_bar", bar), ("temperature_c", [celsius]), ("speed_rpm", [rpm])):
+        means |= {f"mean_{name}": float(np.mean(values))}
+        means |= {f"minimum_{name}": float(min(values)), f"maximum_{name}": float(max(values))}
+    return factor(regressors(made, at)), means
 
 
-def histories(
-    *motors: Nights, until: int | None = None, tonight: int | None = None
-) -> dict[str, History]:
-    """Several motors' nights, each up to its last row where no night is given."""
-    frames = [one.frames() for one in motors]
-    whole = {name: pl.concat([one[name] for one in frames]) for name in frames[0]}
-    if until is not None:
-        whole = {
-            name: rows.filter(pl.col("night") <= night_of(until)) for name, rows in whole.items()
-        }
-    specs = [one.spec for one in motors]
-    layouts = {one.motor_id: Layout.of(one, FIRST) for one in specs}
-    by_motor = rows_by_night(specs, layouts, whole["fits"], whole["parameters"], whole["operation"])
-    last = None if tonight is None else night_of(tonight)
-    filled = {
-        motor_id: every_night(one, last or one.nights[-1]) for motor_id, one in by_motor.items()
-    }
-    return {motor_id: one for motor_id, one in filled.items() if one is not None}
+def _reference(spec: MotorSpec) -> Array:
+    """Columns at the reference conditions."""
+    asked = spec.settings.reference
+    made = spec.motor(FIRST, spec.file.flushing.mode)
+    at = OperatingConditions.from_bar(asked.pressure_bar, asked.temperature_c, asked.speed_rpm)
+    row: Array = regressors(made, at)[0]
+    return row
 
 
-def standings(
-    found: Mapping[str, History],
-    decisions: Sequence[Decision] = (),
-    change: Callable[[History], History] = lambda one: one,
-) -> dict[str, Standing]:
-    """Standings of the motors of one oil circuit, or of one motor alone."""
-    said = {name: tuple(d for d in decisions if d.motor_id == name) for name in found}
-    parts = {
-        name: Part.of(with_misfit(change(replace(one, decisions=said[name])), dt.date.min))
-        for name, one in found.items()
-    }
-    peers, circuit = neighbours_of(parts)
-    return {name: standing_of(part, peers.get(name), circuit) for name, part in parts.items()}
+def published_trends(output: Path, table: Table, motor_id: str = "M1") -> pl.DataFrame:
+    """A motor's published rows of a table."""
+    return read_rows(output, table, [motor_id]).drop("run_id").sort(table.key)
 
 
-def standing(nights: Nights, *decisions: Decision, tonight: int | None = None) -> Standing:
-    """Standing of a motor on its own."""
-    name = nights.spec.motor_id
-    return standings(histories(nights, tonight=tonight), decisions)[name]
+def run(config: Path, **asked: Any) -> RunResult:
+    """A run on a fleet without logs: it makes the trends of what is published."""
+    return run_fleet(RunRequest(load_fleet(config), **asked))
 
 
-def publish(output: Path, frames: Mapping[str, pl.DataFrame]) -> None:
-    """Write rows as the tables of an output folder; nights that are there are replaced."""
-    for table in (FITS, PARAMETERS, OPERATION):
-        for (night,), part in frames[table.name].partition_by("night", as_dict=True).items():
+def fleet_of(
+    folder: Path,
+    *motors: Nights,
+    fleet: str = "",
+    more: Mapping[str, str] | None = None,
+    until: int = 10_000,
+) -> tuple[Path, Path]:
+    """Publish the nights of some motors before a place, with their config; its file, the output."""
+    header = f'name = "Tests"\n[folders]\nlogs = "../logs"\noutput = "../out"\n{QUICK}{fleet}'
+    files = {}
+    for one in motors:
+        file = one.spec.file
+        text = motor_toml(file.motor_id, file.motor_type, more=(more or {}).get(file.motor_id, ""))
+        files[file.motor_id] = f'oil_circuit = "{file.oil_circuit}"\n{text}'
+    config = write_configs(folder, files, {}, fleet=header)
+    publish(folder / "out", *(part_of(one.frames(), 0, until) for one in motors))
+    return config, folder / "out"
+
+
+def publish(output: Path, *motors: Mapping[str, pl.DataFrame]) -> None:
+    """Write rows of motors as the tables of an output folder, in place of those of its nights."""
+    for table in TABLES:
+        rows = pl.concat([one[table.name] for one in motors])
+        for (night,), part in rows.partition_by("night", as_dict=True).items():
             write_table(night_file(output, table, night), part.sort(table.key))
+            # What a run has published there before proves another file.
+            (output / "manifest" / f"month={night:%Y-%m}" / f"{night}.json").unlink(missing_ok=True)
+
+
+def part_of(frames: Frames, first: int, end: int) -> Frames:
+    """Rows of the nights between two places."""
+    here = pl.col("night").is_between(night_of(first), night_of(end), closed="left")
+    return {name: one.filter(here) for name, one in frames.items()}
+
+
+def copy_of(folder: Path, place: Path) -> tuple[Path, Path]:
+    """A copy of a fleet: its config and its output."""
+    shutil.copytree(folder, place)
+    return place / "configs" / "fleet.toml", place / "out"

@@ -3,118 +3,139 @@
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Sequence
 from typing import Any
 
-import pytest
+from pipeline.trends.rows.alarm_rows import NightState, alarm_rows, new_alarms
+from tests.pipeline.trends.nights import night_of
 
-from pipeline.trends.figures.indicators import REFERENCE
-from pipeline.trends.rows.alarm_rows import alarm_rows
-from pipeline.trends.states.standing import Standing
-from tests.pipeline.trends.nights import Nights, motor, night_of, standing, step
-
-N, AT = 100, 70
 Rows = list[dict[str, Any]]
-WORN = {"balance_sleeve": step(N, AT, 0.4)}
 
 
-def of(rows: Rows, name: str = "K_balance_sleeve") -> Rows:
-    return [row for row in rows if row["indicator"] == name]
+def course(*states: str, first: int = 0, **more: Any) -> dict[str, list[NightState]]:
+    """States of the leakage in nights in a row."""
+    nights = [
+        NightState(
+            night_of(place),
+            dt.datetime.combine(night_of(place), dt.time(6), dt.UTC),
+            state,
+            "change" if state in ("warning", "alarm") else "baseline",
+            f"it is {state}",
+            is_news=place in more.get("news", ()),
+            advice=more.get("advice", ""),
+        )
+        for place, state in enumerate(states, start=first)
+    ]
+    return {"leakage": nights}
 
 
-@pytest.fixture(scope="module")
-def worn() -> Standing:
-    return standing(Nights(motor(), N, WORN))
+def told(states: dict[str, list[NightState]], published: Sequence[dict[str, Any]] = ()) -> Rows:
+    return alarm_rows("M1", states, published)
 
 
-@pytest.fixture(scope="module")
-def healthy() -> Standing:
-    return standing(Nights(motor(), N))
+def brief(rows: Rows) -> list[tuple[int, str, str, str]]:
+    return [
+        ((row["night"] - night_of(0)).days, row["from_state"], row["to_state"], row["way"])
+        for row in rows
+    ]
 
 
-def test_every_change_has_one_row_that_joins_the_one_before(worn: Standing) -> None:
-    rows = alarm_rows(worn, range(N))
-    for name, states in worn.states.items():
-        told = "insufficient"
-        for row in of(rows, name):
-            assert (row["from_state"], row["to_state"]) == (
-                told,
-                states[worn.history.place_from(row["night"])],
-            )
-            told = row["to_state"]
-        assert told == states[-1]
-        changes = sum(a != b for a, b in zip(("insufficient", *states), states, strict=False))
-        assert len(of(rows, name)) == changes
+WORN = ("insufficient", "ok", "ok", "warning", "alarm", "alarm", "ok")
 
 
-def test_a_step_of_40_percent_is_told_on_its_first_night(worn: Standing) -> None:
-    raised = of(alarm_rows(worn, range(N)))[1]
-    assert raised["night"] == night_of(AT)
-    assert raised["to_state"] == "alarm"
-    assert raised["way"] == "sudden"
-    assert raised["deviation_percent"] == pytest.approx(40.0, abs=6.0)
-    # The time is the end of the night, 06:00 UTC here, never the clock.
-    assert raised["time"] == dt.datetime.combine(raised["night"], dt.time(6), dt.UTC)
+def test_every_change_has_one_row_that_joins_the_one_before() -> None:
+    rows = told(course(*WORN))
+    assert brief(rows) == [
+        (1, "insufficient", "ok", "baseline"),
+        (3, "ok", "warning", "change"),
+        (4, "warning", "alarm", "change"),
+        (6, "alarm", "ok", "recovered"),
+    ]
+    # The time is the end of the night, never the clock.
+    assert rows[1]["time"] == dt.datetime.combine(night_of(3), dt.time(6), dt.UTC)
+    assert {row["indicator"] for row in rows} == {"leakage"}
 
 
-def test_made_again_they_are_the_same(worn: Standing) -> None:
-    rows = alarm_rows(worn, range(N))
-    assert alarm_rows(worn, range(N), rows) == rows
-    late = [row for row in rows if row["night"] >= night_of(72)]
-    assert alarm_rows(worn, range(72, N), rows) == late
+def test_made_again_they_are_the_same() -> None:
+    rows = told(course(*WORN))
+    assert told(course(*WORN), rows) == rows
+    late = [row for row in rows if row["night"] >= night_of(4)]
+    assert told(course(*WORN[4:], first=4), rows) == late
 
 
-def test_what_late_data_take_back_stays_and_is_closed(worn: Standing, healthy: Standing) -> None:
-    before = alarm_rows(worn, range(N))
-    after = of(alarm_rows(healthy, range(N), before))
-    kept = [row for row in of(before) if row["to_state"] in ("warning", "alarm")]
-    assert kept
+def test_night_by_night_they_are_those_of_one_run() -> None:
+    rows: Rows = []
+    for place, state in enumerate(WORN):
+        rows += told(course(state, first=place), rows)
+    assert rows == told(course(*WORN))
+
+
+def test_a_further_change_that_is_told_in_a_state_that_stands_has_a_row() -> None:
+    rows = told(course("ok", "warning", "warning", "warning", news=(1, 3)))
+    assert brief(rows)[1:] == [
+        (1, "ok", "warning", "change"),
+        (3, "warning", "warning", "change"),
+    ]
+
+
+def test_what_late_data_take_back_stays_and_is_closed() -> None:
+    before = told(course(*WORN))
+    after = told(course("insufficient", *["ok"] * 6), before)
+    kept = [row for row in before if row["to_state"] in ("warning", "alarm")]
     assert all(row in after for row in kept)
     closing = after[-1]
-    assert (closing["to_state"], closing["way"]) == ("ok", "recomputed")
-    assert closing["night"] == kept[-1]["night"] + dt.timedelta(days=1)
+    assert brief([closing]) == [(5, "alarm", "ok", "recomputed")]
     assert closing["reason"] == (
-        f"recomputed: what was raised on {kept[-1]['night']} is not in the figures as they are now"
+        f"recomputed: what was raised on {night_of(4)} is not in the figures as they are now"
     )
-    # Once more with that: nothing changes.
-    again = of(alarm_rows(healthy, range(N), [*before, *after]))
+    again = told(course("insufficient", *["ok"] * 6), after)
     assert again == after
 
 
-def test_an_alarm_that_comes_out_otherwise_says_what_it_was(
-    worn: Standing, healthy: Standing
-) -> None:
-    before = of(alarm_rows(worn, range(N)))
-    night = before[-1]["night"]
-    milder = standing(Nights(motor(), N, {"balance_sleeve": step(N, AT, 0.22)}))
-    after = of(alarm_rows(milder, range(N), before))
-    row = next(row for row in after if row["night"] == night)
-    if row["to_state"] != before[-1]["to_state"]:
-        assert "; before its data changed: balance sleeve gap" in row["reason"]
-    assert after[-1]["to_state"] == milder.states["K_balance_sleeve"][-1]
+def test_an_alarm_that_comes_out_otherwise_says_what_it_was() -> None:
+    before = told(course(*WORN))
+    after = told(course("insufficient", "ok", "ok", "warning", "common_cause"), before[:3])
+    assert brief(after)[-1] == (4, "warning", "common_cause", "baseline")
+    assert after[-1]["reason"] == "it is common_cause; before its data changed: it is alarm"
 
 
-def test_an_indicator_that_is_no_longer_watched_is_closed(healthy: Standing) -> None:
-    gone = {
-        "motor_id": "M1",
-        "night": night_of(50),
-        "time": dt.datetime(2026, 2, 21, 6, tzinfo=dt.UTC),
-        "indicator": "K_ring_of_another_type",
-        "from_state": "ok",
-        "to_state": "alarm",
-        "reason": "it was high",
-        "deviation_percent": 40.0,
-        "way": "level",
-        "path": None,
-    }
-    (row,) = of(alarm_rows(healthy, [N - 1], [gone]), "K_ring_of_another_type")
-    assert (row["from_state"], row["to_state"], row["way"]) == (
-        "alarm",
-        "insufficient",
-        "recomputed",
+def test_what_is_told_a_night_later_by_better_data_is_not_told_twice() -> None:
+    before = told(course("ok", "warning", "warning"))
+    after = told(course("ok", "ok", "warning", "alarm"), before)
+    assert brief(after)[1:] == [(1, "ok", "warning", "change"), (3, "warning", "alarm", "change")]
+
+
+def test_an_indicator_that_is_no_longer_watched_is_closed() -> None:
+    gone = {"night": night_of(2), "indicator": "K_piston_ring", "to_state": "alarm"}
+    rows = [row for row in told(course("ok", first=3), [gone]) if row["indicator"] != "leakage"]
+    assert brief(rows) == [(3, "alarm", "insufficient", "recomputed")]
+
+
+def test_withdrawn_nights_are_closed_in_the_last_one() -> None:
+    before = told(course(*WORN[:6]))
+    (row,) = told(course("ok", first=2), before)
+    assert brief([row]) == [(2, "alarm", "ok", "recomputed")]
+    assert "are withdrawn: no log has samples of them; warning on" in row["reason"]
+
+
+def test_alarms_are_new_only_once() -> None:
+    def row(state: str, way: str = "change", night: int = 0, **more: Any) -> dict[str, Any]:
+        said = {"night": night_of(night), "indicator": "x", "to_state": state, "way": way}
+        return said | {"is_silent": None} | more
+
+    fresh = row("alarm", night=1)
+    assert new_alarms([row("warning"), fresh], [row("warning")]) == [fresh]
+    closed = row("ok", "recomputed")
+    assert new_alarms([closed], [row("ok", "recovered")]) == [closed]
+    assert new_alarms([row("warning", reason="in other words")], [row("warning")]) == []
+    assert new_alarms([row("warning", is_silent=True)], []) == []
+
+
+def test_a_row_ends_on_what_to_do_once() -> None:
+    before = told(course("ok", "alarm", advice="Look at it."))
+    assert before[-1]["reason"] == "it is alarm. Look at it."
+    assert told(course("ok", "alarm", advice="Look at it."), before) == before
+    (_, after) = told(course("ok", "warning", advice="Plan a look."), before)
+    assert after["reason"] == (
+        "it is warning; before its data changed: it is alarm. Look at it. Plan a look."
     )
-
-
-def test_a_healthy_motor_has_only_its_baselines_taken(healthy: Standing) -> None:
-    rows = alarm_rows(healthy, range(N))
-    assert {(row["to_state"], row["reason"]) for row in rows} == {("ok", "a baseline was taken")}
-    assert {row["night"] for row in of(rows, REFERENCE)} == {night_of(15)}

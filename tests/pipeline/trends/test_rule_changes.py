@@ -100,5 +100,5 @@ def test_nights_after_the_last_one_are_told_as_ever(state: str) -> None:
 
 
 def test_a_baseline_of_a_new_indicator_is_silent() -> None:
-    new = row(15, "insufficient", "ok", "temperature_effect")
+    new = row(15, "insufficient", "ok", "flow_zero")
     assert marks(marked([new], [], OLD, RULES)[0]) == (CHANGE, "insufficient", True)

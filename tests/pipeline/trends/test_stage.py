@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import datetime as dt
-import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
 import pytest
+from polars.testing import assert_frame_equal
 
-from pipeline.config import load_fleet
-from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.verification import verify_tables
-from pipeline.schema import ALARMS, BASELINES, TREND_TABLES, TRENDS, Table, frame
+from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TREND_TABLES, TRENDS, WATCH
 from pipeline.store.night_files import stage
 from pipeline.store.publishing import Publisher
-from pipeline.store.tables import read_rows
 from pipeline.trends.circuits import Circuit, circuits_of
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.nights.tonight import Tonight
@@ -29,32 +27,30 @@ from pipeline.trends.nights.trend_record import (
     write_record,
 )
 from pipeline.trends.rows.alarm_rows import rules_now
-from pipeline.trends.rows.q_values import with_q_values
-from pipeline.trends.stage import new_alarms
+from pipeline.trends.stage import run_trends
+from pipeline.trends.states.course import Course
 from pipeline.trends.tasks import TrendTask, trend_tasks
 from pipeline.workers.process import Loss
 from tests.pipeline.trends.nights import (
+    HOURS,
     Nights,
-    configure,
+    copy_of,
     event,
-    histories,
+    fleet_of,
     motor,
     named,
     night_of,
+    part_of,
     publish,
+    published_trends,
+    ramp,
     reset,
+    run,
+    step,
 )
 
-QUICK = '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
-N = 33
-
-
-def run(config: Path) -> RunResult:
-    return run_fleet(RunRequest(load_fleet(config)))
-
-
-def rows(output: Path, table: Table) -> pl.DataFrame:
-    return read_rows(output, table, ["M1"]).drop("run_id").sort(table.key)
+N, AT = 24, 16
+WORN = Nights(motor(), N + 1, {"balance_sleeve": step(N + 1, AT, 0.9)})
 
 
 def files(output: Path) -> dict[Path, int]:
@@ -67,47 +63,118 @@ def files(output: Path) -> dict[Path, int]:
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with one motor whose nights are published, and trends that a run made of them."""
+    """A folder with one motor, whose sleeve breaks, and the trends that a run made of it."""
     folder = tmp_path_factory.mktemp("trends")
-    config = configure(folder, fleet=QUICK)
-    publish(folder / "out", nights_before(N))
+    config, _ = fleet_of(folder, WORN, until=N)
     assert run(config).failed == ()
     return folder
-
-
-def nights_before(place: int) -> dict[str, pl.DataFrame]:
-    """Rows of the motor's nights before a place."""
-    frames = Nights(motor(), N + 1).frames()
-    return {name: one.filter(pl.col("night") < night_of(place)) for name, one in frames.items()}
 
 
 @pytest.fixture
 def fleet(published: Path, tmp_path: Path) -> tuple[Path, Path]:
     """A copy of that folder: its config and its output."""
-    folder = tmp_path / "fleet"
-    shutil.copytree(published, folder)
-    return folder / "configs" / "fleet.toml", folder / "out"
+    return copy_of(published, tmp_path / "fleet")
 
 
 def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path]) -> None:
     _, output = fleet
-    trends = rows(output, TRENDS)
-    assert trends["night"].unique().sort().to_list() == [night_of(place) for place in range(N)]
-    assert trends.n_unique(["night", "indicator"]) == trends.height
-    states = trends.filter(indicator="K_piston_ring").sort("night")["state"].to_list()
-    # The fifteenth good night makes the first baseline, which serves from the next on.
-    assert states == ["insufficient"] * 15 + ["ok"] * 18
-    frozen = rows(output, BASELINES).filter(indicator="K_piston_ring")
-    assert frozen.select("night", "n", "provisional").rows() == [
-        (night_of(14), 15, True),
-        (night_of(29), 30, True),
-    ]
-    assert rows(output, ALARMS)["to_state"].unique().to_list() == ["ok"]
-    # The made-up fits were not published by a run; what the stage wrote is proven.
+    watch = published_trends(output, WATCH)
+    assert watch["night"].to_list() == [night_of(place) for place in range(N)]
+    states = watch["state"].to_list()
+    # The eighth night makes the baseline; the step of 28 % is told within three nights.
+    assert states[:8] == ["insufficient"] * 7 + ["ok"]
+    assert set(states[8:AT]) == {"ok"}
+    assert set(states[AT + 2 :]) <= {"warning", "alarm"}
+    last = watch.row(-1, named=True)
+    assert last["cause"] == "balance_sleeve"
+    assert last["since"] == night_of(AT)
+    assert last["gap_growth"] == pytest.approx(1.9 ** (1 / 3) - 1, abs=0.01)
+    assert last["gap_growth_lower"] < last["gap_growth"] < last["gap_growth_upper"]
+    assert (last["baseline_start"], last["baseline_end"]) == (night_of(0), night_of(7))
+    # The made-up nights were not published by a run; what the stage wrote is proven.
     assert [one for one in verify_tables(output) if one.code != "table_unlisted"] == []
     found = read_record(output, "M1")
     assert found is not None
     assert found.last_night == night_of(N - 1)
+
+
+def test_a_baseline_is_one_row_an_era(fleet: tuple[Path, Path]) -> None:
+    _, output = fleet
+    (row,) = published_trends(output, BASELINES).to_dicts()
+    assert (row["night"], row["indicator"], row["n"]) == (night_of(7), "leakage", 8)
+    assert (row["start"], row["end"], row["reason"]) == (night_of(0), night_of(7), "first nights")
+    assert 0.0 <= row["phi"] < 1.0
+    assert row["lack_of_fit"] < 0.02
+    # Medians of the blocks' means.
+    assert row["own_temperature_c"] == pytest.approx(50.0)
+    assert not (output / "tables" / CHANGE_POINTS.name).exists()
+
+
+def test_alarms_tell_the_changes_of_the_one_state(fleet: tuple[Path, Path]) -> None:
+    _, output = fleet
+    alarms = published_trends(output, ALARMS)
+    assert set(alarms["indicator"]) == {"leakage"}
+    first, raised = alarms.to_dicts()[:2]
+    assert (first["to_state"], first["way"]) == ("ok", "baseline")
+    assert raised["way"] in ("change", "level")
+    assert raised["path"] == "balance_sleeve"
+    assert raised["deviation_percent"] == pytest.approx(28.0, abs=4.0)
+    # Mail and web hook tell rows alone.
+    (advice,) = published_trends(output, WATCH).filter(night=raised["night"])["advice"]
+    assert "balance sleeve" in advice
+    assert raised["reason"].endswith(f". {advice}")
+    assert "Nothing to do" not in first["reason"]
+
+
+def test_wear_that_goes_on_is_told_once_a_state(tmp_path: Path) -> None:
+    """A ramp is told again and again as it grows: in `watch` alone, unless its state changes."""
+    worn = Nights(motor(), 60, {"balance_sleeve": ramp(60, 15, 1.2)})
+    config, output = fleet_of(tmp_path, worn)
+    assert run(config).failed == ()
+    watch = published_trends(output, WATCH)
+    again = watch.filter(pl.col("goes_on") & (pl.col("told_on") == pl.col("night")))
+    assert again.height
+    alarms = published_trends(output, ALARMS)
+    assert (alarms["from_state"] != alarms["to_state"]).all()
+    assert alarms["to_state"].to_list() == ["ok", "warning", "alarm"]
+    assert set(again["night"]).isdisjoint(alarms.filter(way="change")["night"][1:])
+
+
+def test_a_slope_is_held_against_the_frozen_baseline(fleet: tuple[Path, Path]) -> None:
+    """Whatever a night brings, the leakage of the baseline stays what it was frozen at."""
+    _, output = fleet
+    watch = published_trends(output, WATCH)
+    trends = published_trends(output, TRENDS)
+    for name, column in (
+        ("own_reference_leakage", "own_leakage_l_per_min"),
+        ("reference_leakage", "reference_leakage_l_per_min"),
+    ):
+        (frozen,) = trends.filter(indicator=name)["baseline_mean"].drop_nulls().unique()
+        healthy = watch.filter(pl.col("night").is_between(night_of(7), night_of(AT - 1)))[column]
+        assert frozen == pytest.approx(healthy.median(), rel=0.005)
+
+
+def test_figures_are_shown_beside_it(fleet: tuple[Path, Path]) -> None:
+    _, output = fleet
+    trends = published_trends(output, TRENDS).filter(night=night_of(N - 1))
+    rows = {row["indicator"]: row for row in trends.to_dicts()}
+    watched = published_trends(output, WATCH).row(-1, named=True)
+    for name, column in (
+        ("reference_leakage", "reference_leakage_l_per_min"),
+        ("own_reference_leakage", "own_leakage_l_per_min"),
+        ("baseline_deviation", "tonight_change"),
+    ):
+        assert rows[name]["value"] == watched[column]
+        assert rows[name]["state"] == watched["state"]
+        assert rows[name]["slope_start"] is None
+        assert rows[name]["change_start"] == night_of(AT)
+    # The sleeve leaks 1.9 times as much; the others what they did.
+    assert rows["gap_change_balance_sleeve"]["value"] == pytest.approx(23.9, abs=1.5)
+    assert rows["gap_change_piston_ring"]["value"] == pytest.approx(0.0, abs=3.0)
+    assert rows["K_piston_ring"]["state"] is None
+    assert rows["drain_flow"]["value"] > 0.0
+    assert rows["reference_leakage"]["running_hours"] == pytest.approx(N * HOURS)
+    assert trends.select("q_value", "cusum", "path").null_count().row(0) == (trends.height,) * 3
 
 
 def test_a_second_run_has_nothing_to_do(fleet: tuple[Path, Path]) -> None:
@@ -120,28 +187,68 @@ def test_a_second_run_has_nothing_to_do(fleet: tuple[Path, Path]) -> None:
 def test_a_new_night_is_added_and_the_others_stay(fleet: tuple[Path, Path]) -> None:
     config, output = fleet
     before = files(output)
-    publish(
-        output, {name: one.filter(night=night_of(N)) for name, one in nights_before(N + 1).items()}
-    )
+    publish(output, part_of(WORN.frames(), N, N + 1))
     run(config)
     after = files(output)
     assert {path: after[path] for path in before} == before
     assert {path.stem for path in after.keys() - before.keys()} == {str(night_of(N))}
 
 
-def test_a_reset_makes_all_nights_anew(fleet: tuple[Path, Path]) -> None:
+@pytest.mark.parametrize("kind", ["reset", "overhaul"])
+def test_a_reset_and_an_event_begin_anew_and_close_what_stood(
+    fleet: tuple[Path, Path], kind: str
+) -> None:
     config, output = fleet
-    record_decision(output, replace(reset(31, note="new rings"), indicator="K_piston_ring"))
+    if kind == "reset":
+        record_decision(output, reset(AT, note="new sleeves"))
+    else:
+        file = config.parent / "motors" / "M1.toml"
+        lines = f'[[events]]\ndate = {night_of(AT)}\nkind = "overhaul"\nnote = "new sleeves"\n'
+        file.write_text(file.read_text() + lines)
+    told = published_trends(output, ALARMS).filter(pl.col("to_state").is_in(["warning", "alarm"]))
     run(config)
-    trends = rows(output, TRENDS)
-    ring = trends.filter(indicator="K_piston_ring", night=night_of(N - 1)).row(0, named=True)
-    assert ring["state"] == "insufficient"
-    assert ring["state_reason"].startswith("2 of 15 good nights for a baseline (reset from ")
-    assert ring["state_reason"].endswith(": new rings)")
-    sleeve = trends.filter(indicator="K_balance_sleeve", night=night_of(N - 1)).row(0, named=True)
-    assert sleeve["state"] == "ok"
-    decisions = pl.read_parquet(output / "tables" / "decisions" / "**" / "*.parquet")
-    assert decisions["note"].to_list() == ["new rings"]
+    watch = published_trends(output, WATCH)
+    states = watch["state"].to_list()
+    assert states[:AT] == ["insufficient"] * 7 + ["ok"] * (AT - 7)
+    assert states[AT:] == ["insufficient"] * 7 + ["ok"] * (N - AT - 7)
+    assert f"2 of 8 nights of a baseline since {kind}" in watch["sentence"][AT + 1]
+    assert "new sleeves" in watch["sentence"][AT + 1]
+    assert published_trends(output, BASELINES)["night"].to_list() == [night_of(7), night_of(AT + 7)]
+    # What was raised stays, and is closed.
+    alarms = published_trends(output, ALARMS)
+    assert set(told["night"]) <= set(alarms["night"])
+    assert alarms["to_state"].to_list()[-1] == "ok"
+
+
+def test_nights_without_blocks_hold_then_are_stale_and_never_green(tmp_path: Path) -> None:
+    silent = range(AT + 3, AT + 13)
+    nights = Nights(
+        motor(), AT + 15, {"balance_sleeve": step(AT + 15, AT, 0.9)},
+        changes={place: {"status": "stood_still", "reason": None} for place in silent},
+    )  # fmt: skip
+    config, output = fleet_of(tmp_path, nights)
+    run(config)
+    watch = published_trends(output, WATCH)
+    states = watch["state"].to_list()
+    assert set(states[AT + 2 : AT + 10]) <= {"warning", "alarm"}
+    assert states[AT + 10 : AT + 13] == ["stale"] * 3
+    assert states[AT + 13] in ("warning", "alarm")
+    stale = watch.row(AT + 11, named=True)
+    assert stale["sentence"].startswith(f"nothing is known since {night_of(AT + 2).day} January")
+    assert ": stood still; leakage of the balance sleeve" in stale["sentence"]
+    assert (stale["tonight_change"], stale["n_blocks"]) == (None, 0)
+
+
+def test_a_limit_of_the_motor_type_holds_before_there_is_a_baseline(tmp_path: Path) -> None:
+    """The placeholders leak 1.371 l/min at the reference conditions."""
+    config, output = fleet_of(tmp_path, Nights(motor(), 10))
+    types = config.parent / "motor_types" / "CB560.toml"
+    types.write_text(types.read_text() + "\n[limits]\nalarm_l_per_min = 1.3\n")
+    run(config)
+    watch = published_trends(output, WATCH)
+    assert set(watch["state"]) == {"alarm"}
+    assert "beyond the motor type's limit of 1.3 l/min" in watch["sentence"][0]
+    assert published_trends(output, ALARMS)["way"].to_list() == ["limit"]
 
 
 def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
@@ -153,7 +260,7 @@ def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
         night_of(place): [
             said | {"night": night_of(place), "from_state": before, "to_state": after}
         ]
-        for place, before, after in ((20, "ok", "warning"), (25, "warning", "alarm"))
+        for place, before, after in ((10, "ok", "warning"), (15, "warning", "alarm"))
     }
     stage(tmp_path / "trends" / "M1.arrow", {ALARMS: by_old_rules})
     Publisher(output, tmp_path, "old").nights("trends", (ALARMS,), ["M1"], lambda *_: None)
@@ -162,27 +269,49 @@ def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
     rules = rules_now(motor())
     assert record.rules == rules
     write_record(output, "M1", replace(record, trend_hash="", rules={**rules, "trends": 0}))
-    (told,) = run(config).alarms
-    assert (told["indicator"], told["from_state"], told["to_state"]) == (
-        "K_balance_sleeve",
-        "alarm",
-        "ok",
-    )
-    assert told["rules"] == f"trends 0 to {TRENDS_VERSION}"
-    alarms = rows(output, ALARMS).filter(indicator="K_balance_sleeve")
+    told = run(config).alarms
+    closed = [one for one in told if one["indicator"] == "K_balance_sleeve"]
+    assert [(one["from_state"], one["to_state"]) for one in closed] == [("alarm", "insufficient")]
+    assert closed[0]["rules"] == f"trends 0 to {TRENDS_VERSION}"
+    alarms = published_trends(output, ALARMS).filter(indicator="K_balance_sleeve")
     raised = alarms.filter(pl.col("to_state").is_in(["warning", "alarm"]))
     assert raised["night"].to_list() == list(by_old_rules)
-    assert alarms.filter(~pl.col("is_silent"))["night"].to_list() == [told["night"]]
     assert run(config).alarms == ()
-    assert rows(output, ALARMS).filter(indicator="K_balance_sleeve").equals(alarms)
+
+
+# A tank
+
+
+TANK = [Nights(named(motor(), name, "mill"), N, seed=seed) for name, seed in (("A", 1), ("B", 2))]
+
+
+def test_what_is_said_of_a_motor_moves_nothing_that_the_others_were_told(tmp_path: Path) -> None:
+    oil = {"oil": step(N, AT, 0.2)}
+    config, output = fleet_of(tmp_path, *(replace(one, wear=oil) for one in TANK))
+    run(config)
+    before = {table: published_trends(output, table, "B") for table in TREND_TABLES}
+    assert set(before[WATCH]["state"][AT + 2 :]) == {"common_cause"}
+    record_decision(output, reset(AT, motor_id="A"))
+    run(config)
+    assert published_trends(output, WATCH, "A")["state"][AT + 1] == "insufficient"
+    for table, told in before.items():
+        assert_frame_equal(published_trends(output, table, "B"), told)
+
+
+def test_wear_of_one_motor_is_its_own(tmp_path: Path) -> None:
+    worn, other = TANK
+    sleeve = {"balance_sleeve": step(N, AT, 0.9)}
+    config, output = fleet_of(tmp_path, replace(worn, wear=sleeve), other)
+    run(config)
+    last = published_trends(output, WATCH, "A").row(-1, named=True)
+    assert (last["cause"], last["state"] in ("warning", "alarm")) == ("balance_sleeve", True)
+    assert set(published_trends(output, WATCH, "B")["state"][8:]) == {"ok"}
 
 
 # Which nights
 
 
 SPECS = [named(motor(), name, circuit) for name, circuit in (("A", "t"), ("B", "t"), ("C", ""))]
-
-
 OTHER_A = named(motor(), "A", "t", [event(20, "oil_change", oil="vg46")])
 
 
@@ -192,9 +321,13 @@ def task(changed: dict[str, dt.date | None], output: Path, *said: Decision) -> T
 
 
 def to_do(one: TrendTask) -> dict[str, tuple[dt.date, dt.date]]:
-    found = histories(*(Nights(spec, 40) for spec in one.specs))
     (circuit,) = one.circuits
-    return circuit.nights_to_do(one.changed_from, one.tonight, found)
+    first = circuit.first_nights(one.changed_from, one.tonight)
+    spans = {
+        name: (night, circuit.last_night(name, one.changed_from, one.tonight))
+        for name, night in first.items()
+    }
+    return {name: (begin, end) for name, (begin, end) in spans.items() if begin <= end}
 
 
 def remember(output: Path, last: int) -> None:
@@ -287,77 +420,22 @@ def test_tasks_hold_whole_circuits(tmp_path: Path) -> None:
     assert motors() == []
 
 
-# Over the fleet
-
-
-def test_q_values_are_over_the_fleets_slopes_of_one_night() -> None:
-    p_values = {"A": 0.001, "B": 0.02, "C": 0.6, "D": None}
-    trends = frame(
-        TRENDS,
-        [
-            {
-                "run_id": "r",
-                "motor_id": name,
-                "night": night_of(0),
-                "indicator": indicator,
-                "p_value": p_value if indicator == "x" else 0.04,
-                "q_value": 0.5,
-            }
-            for name, p_value in p_values.items()
-            for indicator in ("x", "y")
-        ],
-    )
-    found = with_q_values(trends, ["A", "B", "D"], 0.05)
-    of_x = {row["motor_id"]: row for row in found.filter(indicator="x").to_dicts()}
-    # Three slopes that have a p: by Benjamini and Hochberg 3/1 and 3/2 times p.
-    assert of_x["A"]["q_value"] == pytest.approx(0.003)
-    assert of_x["B"]["q_value"] == pytest.approx(0.03)
-    assert (of_x["A"]["is_trend"], of_x["B"]["is_trend"]) == (True, True)
-    # What was published of a motor that is not made anew stays.
-    assert of_x["C"]["q_value"] == 0.5
-    assert of_x["D"]["q_value"] is None
-    assert of_x["D"]["is_trend"] is None
-    # Each indicator is a family of its own.
-    assert found.filter(indicator="y", motor_id="A")["q_value"].to_list() == pytest.approx([0.04])
-
-
-def test_alarms_are_new_only_once() -> None:
-    def row(state: str, way: str = "change", night: int = 0) -> dict[str, object]:
-        return {"night": night_of(night), "indicator": "x", "to_state": state, "way": way}
-
-    assert new_alarms([row("warning"), row("alarm", night=1)], [row("warning")]) == [
-        row("alarm", night=1)
-    ]
-    assert new_alarms([row("ok", "recomputed")], [row("ok", "recovered")]) == [
-        row("ok", "recomputed")
-    ]
-    assert new_alarms([row("warning") | {"reason": "in other words"}], [row("warning")]) == []
-
-
 def test_a_broken_motor_takes_no_other_down(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from pipeline.trends import stage
+    publish(tmp_path, *(Nights(spec, 5).frames() for spec in SPECS[:2]))
+    real: Callable[[Course], None] = Course.step
 
-    publish(
-        tmp_path,
-        {
-            name: pl.concat([Nights(spec, 5).frames()[name] for spec in SPECS[:2]])
-            for name in ("fits", "parameters", "operation")
-        },
-    )
-    real = stage.indicators_of
-
-    def broken(history: object, eras: object) -> object:
-        if history.spec.motor_id == "A":  # type: ignore[attr-defined]
+    def broken(course: Course) -> None:
+        if course.spec.motor_id == "A" and course.place == 3:
             raise ZeroDivisionError("in one motor")
-        return real(history, eras)  # type: ignore[arg-type]
+        real(course)
 
-    monkeypatch.setattr(stage, "indicators_of", broken)
+    monkeypatch.setattr(Course, "step", broken)
     (tmp_path / "staging").mkdir()
     asked = {"A": night_of(0), "B": night_of(0)}
     circuit = Circuit.of(tmp_path, SPECS[:2], ())
-    found = stage.run_trends(
+    found = run_trends(
         TrendTask((circuit,), tmp_path, tmp_path / "staging", asked, Tonight(night_of(4)))
     )
     assert found.failures == {"A": Loss("internal", "ZeroDivisionError: in one motor")}

@@ -20,15 +20,15 @@ from pipeline.report.explain import explain
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.publishing import fleets_tonight
 from pipeline.run.verification import verify_tables
-from pipeline.schema import ALARMS, FITS, NIGHT_TABLES, OPERATION, TREND_TABLES, TRENDS, Table
+from pipeline.schema import ALARMS, FITS, NIGHT_TABLES, OPERATION, TREND_TABLES, WATCH, Table
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.nights.tonight import Tonight, tonight_of
 from tests.pipeline.simulated import motor_toml, write_configs
-from tests.pipeline.trends.nights import DAY, Nights, night_of, publish
+from tests.pipeline.trends.nights import DAY, Nights, night_of, part_of, publish
 from tests.pipeline.workshop import QUICK, Workshop, check_same_figures
 
 MOTORS = ("M1", "M2")
-N = 33
+N = 12
 LAST = night_of(N - 1)
 CENTURY = dt.date(2099, 1, 1)
 JUNK = b"x\n1\n"
@@ -41,7 +41,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("watched")
     config = write_configs(folder, {name: motor_toml(name) for name in MOTORS}, fleet=QUICK)
     frames = [Nights(spec, N).frames() for spec in load_fleet(config).motors]
-    publish(folder / "out", {name: pl.concat([one[name] for one in frames]) for name in frames[0]})
+    publish(folder / "out", *frames)
     assert run(folder).failed == ()
     return folder
 
@@ -83,34 +83,23 @@ def junk(folder: Path, name: str, written: dt.datetime | None = None) -> Path:
     ],
 )
 def test_a_junk_file_blinds_nobody(fleet: Path, name: str, written: dt.datetime | None) -> None:
-    before = rows(fleet, TRENDS)
-    assert set(before.filter(night=LAST, indicator="K_piston_ring")["state"]) == {"ok"}
+    before = rows(fleet, WATCH)
+    assert set(before.filter(night=LAST)["state"]) == {"ok"}
     junk(fleet, name, written)
     result = run(fleet)
     assert [one.error_code for one in result.failed] == ["log_not_parquet"]
     assert result.alarms == ()
-    assert_frame_equal(rows(fleet, TRENDS), before)
+    assert_frame_equal(rows(fleet, WATCH), before)
 
 
 def test_a_motor_without_logs_is_stale_when_the_others_go_on(fleet: Path) -> None:
     """Nights of another one that are added before its last are no reason."""
     m1, _ = load_fleet(fleet / "configs" / "fleet.toml").motors
     more = Nights(m1, N + 9).frames()
-    publish(
-        fleet / "out",
-        {
-            name: pl.concat([of(fleet, name), one.filter(pl.col("night") > LAST)])
-            for name, one in more.items()
-        },
-    )
+    publish(fleet / "out", part_of(more, N, N + 9))
     run(fleet)
-    tonight = rows(fleet, TRENDS).filter(night=LAST + 9 * DAY, indicator="K_piston_ring")
+    tonight = rows(fleet, WATCH).filter(night=LAST + 9 * DAY)
     assert dict(tonight.select("motor_id", "state").iter_rows()) == {"M1": "ok", "M2": "stale"}
-
-
-def of(folder: Path, name: str) -> pl.DataFrame:
-    (table,) = (one for one in NIGHT_TABLES if one.name == name)
-    return read_rows(folder / "out", table, MOTORS)
 
 
 # What an earlier version has published
@@ -129,7 +118,7 @@ def poisoned(watched: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(pipeline.run.publishing, "fleets_tonight", lambda *_: Tonight(WRONG))
         run(folder, clock=at(WRONG))
     assert rows(folder, FITS).filter(night=WRONG)["status"].to_list() == ["failed"]
-    newest = rows(folder, TRENDS).filter(night=WRONG, indicator="K_piston_ring")
+    newest = rows(folder, WATCH).filter(night=WRONG)
     assert newest["state"].to_list() == ["stale"] * 2
     return folder
 
@@ -158,7 +147,7 @@ def test_a_poisoned_fleet_heals_in_the_next_run(
     for table, told in before.items():
         if table is not ALARMS:
             assert_frame_equal(rows(fleet, table), told)
-    # Each indicator of which stale was told says what it is, and that this was none.
+    # Stale was told: it says what the state is, and that this was none.
     alarms = rows(fleet, ALARMS)
     healed = alarms.filter(way="recomputed")
     assert_frame_equal(alarms.filter(pl.col("way") != "recomputed"), before[ALARMS])
@@ -201,7 +190,8 @@ def tables(output: Path, *nights: tuple[int, str, str, float | None]) -> None:
             table.name: pl.DataFrame(some, schema=table.schema, orient="row")
             for table, some in frames.items()
         }
-        publish(output, whole | {"parameters": of_nothing("parameters")})
+        nothing = {name: of_nothing(name) for name in ("parameters", "block_statistics")}
+        publish(output, whole | nothing)
 
 
 def of_nothing(name: str) -> pl.DataFrame:

@@ -117,16 +117,16 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
     fleet = own_fleet(GOOD, BAD, OTHER)
 
     def run_or_die(task: TrendTask) -> TrendOutcome:
-        import pipeline.trends.stage as module
+        from pipeline.trends.states.course import Course
 
-        indicators = module.indicators_of
+        step = Course.step
 
-        def die(history: Any, *arguments: Any) -> Any:
-            if history.spec.motor_id == BAD:
+        def die(course: Course) -> None:
+            if course.spec.motor_id == BAD:
                 MISBEHAVIOUR["segfault"]()
-            return indicators(history, *arguments)
+            step(course)
 
-        module.indicators_of = die
+        Course.step = die  # type: ignore[method-assign]
         return run_trends(task)
 
     monkeypatch.setattr(pipeline.run.publishing, "run_trends", Carried(run_or_die))

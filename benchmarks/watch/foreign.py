@@ -1,0 +1,179 @@
+"""Machines that nobody here fitted: what happens to them, and what the watch sees of it.
+
+The physics of each is in a file of its own, which knows neither the fitted model nor its constants
+(`mill.py`, `winch.py`, `conveyor.py`). The model sees what a log has: pressure difference,
+temperature, speed and drain flow; its paths are those of a CB560.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from benchmarks.simulated_nights import lagging
+from benchmarks.watch.cb560 import AN_HOUR, MODEL
+from benchmarks.watch.history import History, block_means, night_blocks
+from leakage import OperatingConditions, regressors
+from pipeline.arrays import Array
+from pipeline.demo.noise import autoregression, phi_of
+
+STEP_S = 10.0
+ROWS = round(3600.0 / STEP_S)
+BASELINE = 15  # nights whose conditions are the machine's own
+Duty = tuple[Array, Array, Array]  # ΔP [bar], oil temperature [°C], speed [rpm]; (n, nights) each
+
+
+@dataclass(frozen=True, slots=True)
+class Night:
+    """What a machine and its sensors are in a night; as at first, by default."""
+
+    wear: float = 1.0  # factor on the conductance of what wears
+    viscosity: float = 1.0
+    meter: float = 1.0
+    load: float = 1.0
+    warmer_k: float = 0.0
+
+    @property
+    def as_first(self) -> Night:
+        """The same duty of a machine in which nothing has changed."""
+        return Night(load=self.load, warmer_k=self.warmer_k)
+
+
+class Foreign(Protocol):
+    """A machine with physics of its own."""
+
+    def duty(self, generator: np.random.Generator, load: Array, warmer_k: Array) -> Duty:
+        """What it does in its nights, by factor on the load and warmth of each."""
+
+    def flow(self, duty: Duty, wear: Array, thinning: Array) -> Array:
+        """Drain flow [l/min], by factors on what wears and on the viscosity of each night."""
+
+    def errors(self, generator: np.random.Generator, nights: int) -> Duty:
+        """Errors of flow (relative), pressure [bar] and temperature [°C]."""
+
+
+def history(
+    machine: Foreign, story: Callable[[int], Night], nights: int, seed: Sequence[int]
+) -> History:
+    """Nights of a machine, as the model that is none of it sees them."""
+    of_duty, of_errors = (np.random.default_rng([*seed, part]) for part in range(2))
+    told = [story(place) for place in range(nights)]
+    duty = machine.duty(of_duty, _each(told, "load"), _each(told, "warmer_k"))
+    flow = _measured(machine, duty, told)
+    tonight = flow.mean(axis=0) / _measured(machine, duty, [Night()] * nights).mean(axis=0) - 1.0
+    pressure, temperature, speed = duty
+    bar, celsius, rpm = (one[::12, :BASELINE].reshape(-1, 1) for one in duty)
+    own = _measured(machine, (bar, celsius, rpm), told).mean(axis=0)
+    change = own / _measured(machine, (bar, celsius, rpm), [Night()]).mean() - 1.0
+    gain, off_bar, off_c = machine.errors(of_errors, nights)
+    seen = np.stack(np.broadcast_arrays(temperature + off_c, pressure + off_bar, speed), axis=-1)
+    at = OperatingConditions.from_bar(*(seen[..., one].T.ravel() for one in (1, 0, 2)))
+    columns = AN_HOUR.drives(regressors(MODEL, at)).reshape(nights, ROWS, -1).swapaxes(0, 1)
+    means = (block_means(one, STEP_S) for one in (columns, flow * (1.0 + gain), seen))
+    return History(AN_HOUR.watched, night_blocks(*means), tonight, change)
+
+
+def _measured(machine: Foreign, duty: Duty, nights: Sequence[Night]) -> Array:
+    """What a good meter would have read, shape (n, nights) [l/min]."""
+    flow = machine.flow(duty, _each(nights, "wear"), _each(nights, "viscosity"))
+    return flow * _each(nights, "meter")
+
+
+def _each(nights: Sequence[Night], name: str) -> Array:
+    return np.array([getattr(one, name) for one in nights])
+
+
+def levels(generator: np.random.Generator, nights: int, hold_s: float, lag_s: float) -> Array:
+    """Levels within 0 to 1 that are held for so long each, smoothed; shape (n, nights)."""
+    held = round(hold_s / STEP_S)
+    drawn = np.repeat(generator.random((ROWS // held + 1, nights)), held, axis=0)
+    return lagging(drawn[:ROWS], STEP_S, lag_s)
+
+
+def slow(generator: np.random.Generator, nights: int, memory_s: float) -> Array:
+    """Errors of unit variance that forget within a night, shape (n, nights)."""
+    return autoregression(generator.standard_normal((ROWS, nights)), phi_of(STEP_S, memory_s))
+
+
+def nightly(generator: np.random.Generator, nights: int, phi: float) -> Array:
+    """Errors of unit variance that last for a night, shape (nights,)."""
+    return autoregression(generator.standard_normal(nights), phi)
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """What happens, from which night on, and what it may be called."""
+
+    words: str
+    at: Callable[[int], Night]
+    nights: int
+    begin: int | None = None  # None: nothing changes
+    right: frozenset[str] = frozenset()  # names that would be true
+    is_step: bool = True
+
+
+def _ramp(place: int, begin: int, end: int) -> float:
+    return float(np.clip((place - begin) / (end - begin), 0.0, 1.0))
+
+
+def _warming(place: int) -> Night:
+    """A season of +12 K in 90 nights."""
+    return Night(warmer_k=12.0 * _ramp(place, 0, 90) - 6.0)
+
+
+def _from(begin: int, **changed: float) -> Callable[[int], Night]:
+    return lambda night: Night(**changed) if night >= begin else Night()
+
+
+WEAR = frozenset({"all_gaps", "all_flows"})
+OIL, METER = frozenset({"all_flows", "oil_grade"}), frozenset({"all_flows"})
+STORIES = (
+    Story("nothing", _from(0), 100),
+    Story("load +30 %", _from(30, load=1.3), 70),
+    Story("load −40 %", _from(30, load=0.6), 70),
+    Story("season, +12 K in 90 nights", _warming, 100),
+    Story("oil −20 %", _from(30, viscosity=0.8), 60, 30, OIL),
+    Story("meter +6 %", _from(30, meter=1.06), 60, 30, METER),
+    Story("wear, a step", _from(30, wear=1.25), 60, 30, WEAR),
+    Story(
+        "the season, and a step of wear",
+        lambda n: replace(_warming(n), wear=1.18 if n >= 45 else 1.0),
+        100,
+        45,
+        WEAR,
+    ),
+    Story(
+        "the season, and wear in 70 nights",
+        lambda n: replace(_warming(n), wear=1.0 + 0.35 * _ramp(n, 20, 90)),
+        100,
+        20,
+        WEAR,
+        False,
+    ),
+    Story(
+        "wear in 8 nights",
+        lambda n: Night(wear=1.0 + 0.4 * _ramp(n, 20, 28)),
+        50,
+        20,
+        WEAR,
+        False,
+    ),
+    Story(
+        "wear in 45 nights, then a repair",
+        lambda n: Night(wear=1.0 + 0.3 * _ramp(n, 15, 60) * (n < 60)),
+        90,
+        15,
+        WEAR,
+        False,
+    ),
+    Story(
+        "every third night +8 %",
+        lambda n: Night(meter=1.08 if n >= 40 and n % 3 == 0 else 1.0),
+        90,
+        40,
+        frozenset({"odd_nights"}),
+    ),
+)

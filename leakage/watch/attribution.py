@@ -1,0 +1,230 @@
+"""Since when, how much and through what: a change at its most probable start."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from leakage.watch import choices
+from leakage.watch.baseline import Baseline
+from leakage.watch.causes import (
+    ALL_FLOWS,
+    ALL_GAPS,
+    BACK,
+    CANNOT_BE_TOLD,
+    COMMON,
+    TANK,
+    TEMPERATURE_EFFECT,
+    Cause,
+    is_path,
+)
+from leakage.watch.evidence import RAMP, SHAPES, STEP, Causes, Evidence
+from leakage.watch.nights import Array, Estimate, Machine
+
+# Causes below this probability are no candidates.
+LEAST_PROBABILITY = 0.01
+# Of a group's probability: what has it names the group.
+HALF = 0.5
+INTERVAL = (0.025, 0.5, 0.975)
+
+
+@dataclass(frozen=True, slots=True)
+class Attribution:
+    """A change as the nights so far show it; `since` and `start` are numbers of days.
+
+    `weights` are the causes' probabilities where every cause has its exact shape, shape (d,);
+    `size` is that of the likeliest in its own units, `flow` the relative change of the flow, over
+    all causes.
+    """
+
+    since: tuple[int, int, int]
+    start: int
+    shape: str
+    weights: Array
+    likeliest: int
+    size: Estimate
+    flow: Estimate
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """The cause that is told, its probability, and all candidates."""
+
+    cause: str
+    probability: float
+    candidates: Mapping[str, float]
+    likeliest: Cause
+
+
+def attribute(evidence: Evidence, baseline: Baseline, first: int) -> Attribution:
+    """The change whose start is at a place or later, by the nights up to the newest.
+
+    Neither another duty nor odd nights move its start: with them it moved by 2 to 8 nights.
+    """
+    starts = np.arange(first, len(evidence.window))
+    told = evidence.of_starts(starts, by_duty=False)
+    weights = np.exp(told.log_ratio - told.log_ratio.max())
+    weights /= weights.sum()
+    of_starts, of_causes = weights.sum(axis=(0, 2)), weights.sum(axis=(0, 1))
+    likeliest = int(of_causes.argmax())
+    days = evidence.window.days
+    places = np.searchsorted(of_starts.cumsum(), INTERVAL)
+    since = days[starts[np.minimum(places, len(starts) - 1)]].tolist()
+    # A size that the nights tell well is theirs, not the prior's.
+    is_own = (told.second * told.size**2 > choices.OWN_SIZE) & evidence.causes.is_half
+    value = np.where(is_own, told.first / told.second, told.size)
+    sd = np.where(is_own, 1.0 / np.sqrt(told.second), told.sd)
+    rise = np.ones((len(SHAPES), len(starts), 1))
+    rise[RAMP, :, 0] = (days[-1] - days[starts] + 1) / choices.RAMP_DAYS
+    value, sd, lack = value * rise, sd * rise, baseline.lack_of_fit
+    of_flow = np.array([share_of_flow(one, baseline) for one in evidence.causes.every])
+    size = _pooled(weights[:, :, likeliest], value[:, :, likeliest], sd[:, :, likeliest], lack)
+    return Attribution(
+        (since[0], since[1], since[2]),
+        int(days[starts[of_starts.argmax()]]),
+        SHAPES[RAMP if weights[RAMP].sum() > 0.5 else STEP],
+        of_causes,
+        likeliest,
+        size,
+        _pooled(weights, value * of_flow, sd * np.abs(of_flow), lack),
+    )
+
+
+def share_of_flow(cause: Cause, baseline: Baseline) -> float:
+    """Relative change of the flow by a cause of size 1; of the effect of temperature in 10 K."""
+    if cause.name == TEMPERATURE_EFFECT:
+        return float(cause.direction[baseline.n_paths])
+    return float(cause.direction @ baseline.own_row)
+
+
+def _pooled(weights: Array, value: Array, sd: Array, lack_of_fit: float) -> Estimate:
+    """A size over starts and shapes, with what the model may miss of it."""
+    weights = weights / weights.sum()
+    mean = float((weights * value).sum())
+    variance = float((weights * (sd**2 + value**2)).sum()) - mean**2
+    missed = choices.SIZE_BY_LACK * lack_of_fit * mean
+    return Estimate(mean, math.sqrt(max(variance, 0.0) + missed**2))
+
+
+def name_of(
+    evidence: Evidence,
+    machine: Machine,
+    baseline: Baseline,
+    found: Attribution,
+    tank: Estimate | None = None,
+) -> Name:
+    """The cause of a change, where every coordinate of its shape may err by the lack of fit.
+
+    `tank` is the change of the other motors' flows on the same tank since then, where they moved.
+    """
+    causes, log_prior = _with_tank(evidence.causes, baseline, tank)
+    error = choices.SHAPE_BY_LACK * baseline.lack_of_fit * abs(found.flow.value)
+    log_ratio = _log_ratios(evidence, causes, baseline, found.start, error) + log_prior
+    weights = np.exp(log_ratio - log_ratio.max())
+    weights /= weights.sum()
+    likeliest = causes.every[int(weights.argmax())]
+    by_name: dict[str, float] = {}
+    for one, weight in zip(causes.every, weights.tolist(), strict=True):
+        by_name[one.name] = by_name.get(one.name, 0.0) + weight
+    groups = _together(by_name, machine, baseline)
+    cause, probability = _told(groups, by_name, likeliest.name)
+    known = {name: value for name, value in by_name.items() if value > LEAST_PROBABILITY}
+    candidates = dict(sorted(known.items(), key=lambda one: -one[1]))
+    return Name(cause, probability, candidates, likeliest)
+
+
+def _with_tank(causes: Causes, baseline: Baseline, tank: Estimate | None) -> tuple[Causes, Array]:
+    """Causes with what the tank's other motors say, and ln of their prior weights."""
+    log_prior = np.zeros(len(causes))
+    if tank is None:
+        return causes, log_prior
+    spread = math.hypot(tank.sd, choices.TANK_SPREAD)
+    own = Cause(TANK, baseline.all_flows, tank.value, spread)
+    return Causes.of([*causes.every, own]), np.append(log_prior, math.log(choices.TANK_PRIOR))
+
+
+def _log_ratios(
+    evidence: Evidence, causes: Causes, baseline: Baseline, day: int, error: float
+) -> Array:
+    """ln of the likelihood ratios of a step of each cause, shape (d,), its shape uncertain."""
+    window, p = evidence.window, baseline.n_paths
+    start = int(np.searchsorted(window.days, day))
+    at = np.array([start])
+    (of_after, *_), (of_score, _) = evidence.since(at)
+    after, score = of_after[0], of_score[0]
+    before, score_before = (one[0] for one in evidence.sums.before(at, window))
+    variance = np.full(len(score), error**2)
+    beyond = float(evidence.duty_beyond(at)[0])
+    variance[:p] = (error / baseline.share) ** 2 + (beyond * baseline.duty_error) ** 2
+    blurred = np.eye(len(score)) + after * variance
+    after, score = np.linalg.solve(blurred, after), np.linalg.solve(blurred, score)
+    along = after @ causes.directions
+    rows = np.column_stack([along, score_before + score])
+    solved = np.linalg.solve(before + after, rows)
+    first = causes.directions.T @ (score - after @ solved[:, -1])
+    second = np.einsum("id,id->d", causes.directions, along)
+    second = np.maximum(second - np.einsum("id,id->d", along, solved[:, :-1]), 1e-12)
+    mean, spread = causes.mean, causes.spread
+    sd = 1.0 / np.sqrt(second + spread**-2)
+    size = sd**2 * (first + mean / spread**2)
+    gain = (size / sd) ** 2 - (mean / spread) ** 2
+    one_sided = np.where(causes.is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
+    ratio: Array = 0.5 * evidence.tempered(gain) + np.log(sd / spread) + one_sided
+    return ratio
+
+
+def _together(
+    by_name: Mapping[str, float], machine: Machine, baseline: Baseline
+) -> dict[frozenset[str], float]:
+    """Probabilities of the names that can be told: some stand for several causes."""
+    groups: dict[str, frozenset[str]] = {}
+    free = sum(name in machine.gaps for name in machine.paths)
+    if baseline.lack_of_fit > choices.LACK_TO_TELL_APART or free < 2:
+        groups |= dict.fromkeys(COMMON, frozenset(COMMON))
+    if not baseline.tells_gaps:
+        alike = frozenset(name for name in by_name if is_path(name) or name == ALL_GAPS)
+        groups |= dict.fromkeys(alike, alike)
+    if not baseline.tells_speed:
+        alike = groups.get(ALL_GAPS, frozenset((ALL_GAPS,))) | groups.get(
+            ALL_FLOWS, frozenset((ALL_FLOWS,))
+        )
+        groups |= dict.fromkeys(alike, alike)
+    if TANK in by_name:
+        alike = groups.get(ALL_FLOWS, frozenset(COMMON)) | {TANK}
+        groups |= dict.fromkeys(alike, alike)
+    if by_name.get(BACK, 0.0) > HALF:
+        # What undoes a change is its cause in the other direction.
+        others = {name: value for name, value in by_name.items() if name != BACK}
+        nearest = max(others, key=others.__getitem__)
+        alike = groups.get(nearest, frozenset((nearest,))) | {BACK}
+        groups |= dict.fromkeys(alike, alike)
+    told: dict[frozenset[str], float] = {}
+    for name, probability in by_name.items():
+        group = groups.get(name, frozenset((name,)))
+        told[group] = told.get(group, 0.0) + probability
+    return told
+
+
+def _told(
+    groups: Mapping[frozenset[str], float], by_name: Mapping[str, float], likeliest: str
+) -> tuple[str, float]:
+    """The name of the likeliest group, or that it cannot be told, and its probability."""
+    group, probability = max(groups.items(), key=lambda one: one[1])
+    if probability < choices.NAMED:
+        return CANNOT_BE_TOLD, probability
+    for whole in (TANK, BACK):
+        if whole in group and by_name[whole] >= HALF * probability:
+            return whole, probability
+    group -= {TANK, BACK}
+    if len(group) == 1:
+        return next(iter(group)), probability
+    if group <= frozenset(COMMON):
+        # What is the temperature's alone is no change of the flow at one temperature.
+        is_warmth = likeliest == TEMPERATURE_EFFECT
+        return (TEMPERATURE_EFFECT if is_warmth else ALL_FLOWS), probability
+    # One gap or all, or all gaps or all flows.
+    return CANNOT_BE_TOLD, probability

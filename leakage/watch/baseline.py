@@ -1,0 +1,233 @@
+"""What the first nights of an era fix: expected flow, effect of temperature, surface, errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import lsq_linear, nnls
+
+from leakage.watch import choices
+from leakage.watch.columns import Columns, knots_at
+from leakage.watch.nights import FLUSHING, Array, Machine, NightBlocks
+from leakage.watch.within_night import (
+    START,
+    BlockErrors,
+    estimate_errors,
+    night_information,
+)
+
+# Tolerances of the errors' logarithms, of fits of coefficients and errors in turn: a fourth changes
+# nothing that counts.
+PASSES = (0.1, 0.1, 0.01)
+# Share of the flow that a unit of a path has at least, where it is divided by.
+LEAST_SHARE = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """A motor as its first nights show it.
+
+    Attributes
+    ----------
+    columns
+        Units of the unknowns z, and θ₀.
+    unknowns
+        z of the baseline, shape (q,): 0 for the paths, whose share is in θ₀.
+    errors
+        Errors within a night.
+    duty_mean, duty_sd
+        Of the nights' duty, shape (p + 2,) each.
+    own_row
+        What a unit of each unknown is of the flow at the motor's own conditions, shape (q,).
+    path_sd
+        Standard errors of the paths, in their units, shape (p,).
+    lack_of_fit
+        Root mean square of what temperature and surface explain, which the model does not.
+    tells_gaps, tells_speed
+        Whether pressures, and speeds, vary by enough to tell paths apart by them.
+    """
+
+    columns: Columns
+    unknowns: Array
+    errors: BlockErrors
+    duty_mean: Array
+    duty_sd: Array
+    own_row: Array
+    path_sd: Array
+    lack_of_fit: float
+    tells_gaps: bool
+    tells_speed: bool
+
+    @property
+    def n_paths(self) -> int:
+        return self.columns.n_paths
+
+    @property
+    def share(self) -> Array:
+        """What a unit of each path is of the flow, at least a hundredth, shape (p,)."""
+        share: Array = np.maximum(self.own_row[: self.n_paths], LEAST_SHARE)
+        return share
+
+    @property
+    def all_paths(self) -> Array:
+        """All paths by the same factor, shape (q,)."""
+        direction = np.zeros(self.columns.n)
+        direction[: self.n_paths] = self.columns.theta / self.columns.unit
+        return direction
+
+    @property
+    def all_flows(self) -> Array:
+        """The same with what the model misses, which scales too, shape (q,)."""
+        return self.all_paths + self.unknowns
+
+    @property
+    def duty_error(self) -> Array:
+        """Error of each path's unit a standard deviation of another duty, shape (p,)."""
+        error = choices.DUTY_ERROR
+        if self.tells_gaps and self.tells_speed:
+            by_lack = choices.DUTY_BY_LACK * self.lack_of_fit
+            error = min(error, max(by_lack, choices.DUTY_LEAST_ERROR))
+        return error / self.share
+
+    def information(self, night: NightBlocks) -> tuple[Array, Array]:
+        """Information about z − z₀, shape (q, q), and score, shape (q,), of a night."""
+        design, residuals = self.columns.of_night(night)
+        residuals = residuals - design @ self.unknowns
+        return night_information(design, residuals, night.middle_s, self.errors, self.n_paths)
+
+    def distance(self, night: NightBlocks) -> float:
+        """Largest distance of a night's duty from the baseline's, in standard deviations."""
+        apart = np.abs(self.columns.duty(night) - self.duty_mean) / self.duty_sd
+        return float(apart.max())
+
+
+def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
+    """The baseline of some nights.
+
+    θ₀ ≥ 0, effect of temperature and surface are fitted together, by generalised least squares;
+    clipping θ₀ afterwards would put the expected flow off.
+    """
+    drives = np.concatenate([night.drives for night in nights])
+    flow = np.concatenate([night.flow for night in nights])
+    conditions = np.concatenate([night.conditions for night in nights])
+    sign = np.where(drives.mean(axis=0) < 0.0, -1.0, 1.0)
+    mean_flow = max(float(flow.mean()), 1e-9)
+    drives = drives * sign
+    least_unit = choices.LEAST_UNIT * mean_flow / np.maximum(np.abs(drives).mean(axis=0), 1e-12)
+    theta = _first_guess(drives, flow)
+    pressures, speeds = conditions[:, 1], conditions[:, 2]
+    columns = Columns(
+        sign,
+        theta,
+        np.maximum(theta, least_unit),
+        choices.LEAST_SCALE * mean_flow,
+        float(conditions[:, 0].mean()),
+        knots_at(pressures, choices.PRESSURE_KNOTS, choices.PRESSURE_APART),
+        knots_at(speeds, choices.SPEED_KNOTS, choices.SPEED_APART),
+        FLUSHING not in machine.paths,
+    )
+    errors = BlockErrors.of(START)
+    unknowns = np.zeros(columns.n)
+    for tolerance in PASSES:
+        theta, unknowns, errors, path_sd = _fit(columns, nights, errors, tolerance)
+        if not np.any(theta > 0.0):
+            theta = _first_guess(drives, np.full(len(flow), mean_flow))
+        columns = _with_theta(columns, theta, np.maximum(theta, least_unit))
+    duties = np.array([columns.duty(night) for night in nights])
+    return Baseline(
+        columns,
+        unknowns,
+        errors,
+        duties.mean(axis=0),
+        duties.std(axis=0, ddof=1) + _least_spread(columns.n_paths),
+        _own_row(columns, nights),
+        path_sd,
+        _lack_of_fit(columns, unknowns, nights),
+        varies(pressures),
+        varies(speeds),
+    )
+
+
+def varies(values: Array) -> bool:
+    """True if a quantity leaves ± 20 % of its middle.
+
+    Examples
+    --------
+    >>> varies(np.array([180.0, 181.0, 182.0])), varies(np.array([60.0, 120.0, 240.0]))
+    (False, True)
+    """
+    low, high = np.quantile(values, (0.05, 0.95))
+    return bool(high - low > choices.ONE_DUTY * (high + low))
+
+
+def _first_guess(drives: Array, flow: Array) -> Array:
+    """θ ≥ 0 by weighted least squares, leaning a little to equal shares, shape (p,)."""
+    p, mean = drives.shape[1], float(flow.mean())
+    usual = np.maximum(np.abs(drives).mean(axis=0), 1e-12) / mean
+    weights = 1.0 / np.maximum(flow, choices.LEAST_UNIT * mean)
+    lean = 1e-3 * math.sqrt(len(flow)) * np.eye(p) / mean
+    rows = np.vstack([drives / usual * weights[:, None], lean])
+    wanted = np.concatenate([flow * weights, lean @ np.full(p, mean / p)])
+    theta: Array = nnls(rows, wanted)[0] / usual
+    return theta
+
+
+def _with_theta(columns: Columns, theta: Array, unit: Array) -> Columns:
+    return replace(columns, theta=theta, unit=unit)
+
+
+def _fit(
+    columns: Columns, nights: Sequence[NightBlocks], errors: BlockErrors, tolerance: float
+) -> tuple[Array, Array, BlockErrors, Array]:
+    """θ ≥ 0, the other unknowns, the errors of what is left, and the paths' standard errors."""
+    p, told = columns.n_paths, [columns.of_night(night) for night in nights]
+    information, score = columns.prior(), np.zeros(columns.n)
+    for night, (design, residuals) in zip(nights, told, strict=True):
+        covariance = errors.covariance(night.middle_s, with_night=True)
+        weighted = np.linalg.solve(covariance, np.column_stack([design, residuals]))
+        information = information + design.T @ weighted[:, :-1]
+        score = score + design.T @ weighted[:, -1]
+    if columns.has_zero:
+        # A zero is a change alone: what does not scale with the flow from the first is a flushing.
+        information[-1] = information[:, -1] = 0.0
+        information[-1, -1], score[-1] = 1.0, 0.0
+    before = np.zeros(columns.n)
+    before[:p] = columns.theta / columns.unit
+    root = np.linalg.cholesky(information).T
+    least = np.where(np.arange(columns.n) < p, 0.0, -np.inf)
+    wanted = np.linalg.solve(root.T, score) + root @ before
+    found = lsq_linear(root, wanted, (least, np.inf), method="bvls").x
+    rest = [
+        (night.middle_s, residuals - design @ (found - before))
+        for night, (design, residuals) in zip(nights, told, strict=True)
+    ]
+    unknowns = np.where(np.arange(columns.n) < p, 0.0, found)
+    theta = np.maximum(columns.unit * found[:p], 0.0)
+    path_sd = np.sqrt(np.diag(np.linalg.inv(information))[:p])
+    return theta, unknowns, estimate_errors(rest, errors, tolerance), path_sd
+
+
+def _least_spread(n_paths: int) -> Array:
+    least = np.full(n_paths + 2, choices.DUTY_LEAST_SHARE)
+    least[n_paths:] = choices.DUTY_LEAST_BAR, choices.DUTY_LEAST_RPM
+    return least
+
+
+def _own_row(columns: Columns, nights: Sequence[NightBlocks]) -> Array:
+    """Mean effect of each unknown over the baseline's blocks, over their mean expected flow."""
+    expected = [columns.expected(night.drives) for night in nights]
+    effects = [
+        columns.design(night.drives, night.conditions, columns.scale(flow)).T @ columns.scale(flow)
+        for night, flow in zip(nights, expected, strict=True)
+    ]
+    total: Array = np.sum(effects, axis=0) / max(float(np.concatenate(expected).sum()), 1e-12)
+    return total
+
+
+def _lack_of_fit(columns: Columns, unknowns: Array, nights: Sequence[NightBlocks]) -> float:
+    p = columns.n_paths
+    missed = [columns.of_night(night)[0][:, p:] @ unknowns[p:] for night in nights]
+    return float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))

@@ -1,0 +1,151 @@
+"""Causes of a change: a direction of the unknowns z each, with a prior of its size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
+from leakage.watch import choices
+from leakage.watch.baseline import Baseline
+from leakage.watch.nights import FLUSHING, KNOWN, Array, Machine
+
+ALL_GAPS, ALL_FLOWS, OIL_GRADE = "all_gaps", "all_flows", "oil_grade"
+TEMPERATURE_SENSOR, TEMPERATURE_EFFECT = "temperature_sensor", "temperature_effect"
+ZERO, AND = "zero", " and "
+BACK, ODD_NIGHTS, TANK = "back_as_before", "odd_nights", "tank"
+CANNOT_BE_TOLD = "cannot_be_told"
+# What moves all flows together, and is no path.
+COMMON = (ALL_FLOWS, OIL_GRADE, TEMPERATURE_SENSOR, TEMPERATURE_EFFECT)
+# Within these many degrees the factor of another oil is followed.
+STEP_K = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """A cause: its direction, shape (q,), and its size's prior.
+
+    The prior is half-normal of scale `spread` where `mean` is 0, else normal about `mean`. `grade`
+    is the ISO grade of another oil.
+    """
+
+    name: str
+    direction: Array
+    mean: float = 0.0
+    spread: float = choices.STEP_SIZE
+    grade: int | None = None
+
+    @property
+    def is_half(self) -> bool:
+        """One sign only."""
+        return self.mean == 0.0
+
+
+def causes_of(machine: Machine, baseline: Baseline) -> tuple[Cause, ...]:
+    """All causes of a motor, both signs."""
+    return (
+        *_of_paths(machine, baseline),
+        *_of_gaps(machine, baseline),
+        *_both(ALL_FLOWS, baseline.all_flows),
+        *(_both(ALL_FLOWS, _by_oil(machine, baseline)) if FLUSHING in machine.paths else ()),
+        *_both(TEMPERATURE_EFFECT, _of_one(baseline.n_paths, baseline)),
+        *(_both(ZERO, _of_one(-1, baseline)) if _tells_zero(baseline) else ()),
+        *(() if machine.oil is None else _of_oil(machine, machine.oil, baseline)),
+    )
+
+
+def back_as_before(direction: Array, size: float = 1.0) -> Cause:
+    """The cause that a change is undone."""
+    return Cause(BACK, -size * direction, 1.0, choices.BACK_SPREAD)
+
+
+def _both(name: str, direction: Array, *, falls: bool = True) -> Iterator[Cause]:
+    if np.any(direction):
+        yield Cause(name, direction)
+        if falls:
+            yield Cause(name, -direction)
+
+
+def _of_paths(machine: Machine, baseline: Baseline) -> Iterator[Cause]:
+    shares = baseline.all_paths[: baseline.n_paths] * baseline.share
+    for name, direction, share in zip(
+        machine.paths, np.eye(baseline.columns.n), shares, strict=False
+    ):
+        yield from _both(name, direction, falls=share > choices.LEAST_SHARE_TO_FALL)
+
+
+def _of_gaps(machine: Machine, baseline: Baseline) -> Iterator[Cause]:
+    own = np.eye(baseline.columns.n) * baseline.all_paths
+    gaps = {name: own[machine.paths.index(name)] for name in machine.gaps}
+    gaps = {name: direction for name, direction in gaps.items() if np.any(direction)}
+    every = sum(gaps.values(), np.zeros(baseline.columns.n))
+    if len(gaps) > 1 and not np.allclose(every, baseline.all_paths):
+        yield from _both(ALL_GAPS, every)
+    # Under a wrong model two gaps can do what one does.
+    if len(gaps) > 2 and baseline.lack_of_fit <= choices.LACK_TO_TELL_APART:
+        for (one, first), (other, second) in combinations(gaps.items(), 2):
+            yield Cause(one + AND + other, first + second)
+
+
+def _tells_zero(baseline: Baseline) -> bool:
+    """True if a zero can be told: under a wrong model a gap can do what it does."""
+    return baseline.columns.has_zero and baseline.lack_of_fit <= choices.LACK_TO_TELL_APART
+
+
+def _of_one(place: int, baseline: Baseline) -> Array:
+    """The direction of one unknown."""
+    direction = np.zeros(baseline.columns.n)
+    direction[place] = 1.0
+    return direction
+
+
+def _by_oil(machine: Machine, baseline: Baseline) -> Array:
+    """All flows that follow the oil's viscosity: a flushing does not."""
+    direction = baseline.all_flows
+    direction[: baseline.n_paths] *= [name != FLUSHING for name in machine.paths]
+    return direction
+
+
+def _of_oil(machine: Machine, oil: tuple[float, float], baseline: Baseline) -> Iterator[Cause]:
+    """Another grade, and a temperature sensor that reads low or high.
+
+    Each scales all flows by a factor that changes with temperature.
+    """
+    middle_c = baseline.columns.temperature_c
+    own = _viscosity(oil, middle_c)
+
+    def direction(factor: Array) -> Array:
+        """Of a factor less 1 at T₀, T₀ + 5 K and T₀ − 5 K, for a size of 1 at T₀."""
+        found = _by_oil(machine, baseline)
+        half = STEP_K / 10.0
+        straight, bent = baseline.n_paths, baseline.n_paths + 1
+        found[straight] += (factor[1] - factor[2]) / (2.0 * half * factor[0])
+        found[bent] += ((factor[1] + factor[2]) / factor[0] - 2.0) / (2.0 * half**2)
+        return found
+
+    for grade in machine.grades:
+        if abs(grade[0] / oil[0] - 1.0) > 0.1:
+            factor = own / _viscosity(grade, middle_c) - 1.0
+            size = float(factor[0])
+            spread = choices.GRADE_SPREAD * abs(size)
+            yield Cause(OIL_GRADE, direction(factor), size, spread, round(grade[0]))
+    for shift_k in (choices.SENSOR_SHIFT_K, -choices.SENSOR_SHIFT_K):
+        factor = own / _viscosity(oil, middle_c + shift_k) - 1.0
+        sign = float(np.sign(factor[0]))
+        yield Cause(TEMPERATURE_SENSOR, sign * direction(factor), 0.0, choices.SENSOR_SIZE)
+
+
+def _viscosity(oil: tuple[float, float], middle_c: float) -> Array:
+    """Kinematic viscosity at T₀, T₀ + 5 K and T₀ − 5 K, shape (3,), [mm²/s]."""
+    walther = walther_coefficients(40.0, oil[0], 100.0, oil[1])
+    at_c = np.array([middle_c, middle_c + STEP_K, middle_c - STEP_K])
+    return kinematic_viscosity_mm2_per_s(at_c, *walther)
+
+
+def is_path(name: str) -> bool:
+    """True of the name of a path that can wear, or of two."""
+    others = (*COMMON, ALL_GAPS, ZERO, BACK, ODD_NIGHTS, TANK, CANNOT_BE_TOLD, FLUSHING, KNOWN)
+    return name not in others

@@ -1,0 +1,99 @@
+"""Constants of the watch that a motor's own nights do not tell, each with its reason.
+
+Measured on machines that are not the fitted one: `benchmarks/results/watch.md`. All relative
+figures are shares of the flow unless they say otherwise.
+"""
+
+from __future__ import annotations
+
+# -- a block in numbers ----------------------------------------------------------------------------
+# The scale of a residual never falls below this share of the mean flow: at a low flow the meter's
+# error is a fixed one. The floor is in the scale alone; in the expectation it raised false alarms.
+LEAST_SCALE = 0.2
+# A change of a path is counted in its own flow, or in this share of the mean flow if that is more.
+LEAST_UNIT = 0.1
+# Priors (standard deviations): a path's change; the effect of temperature in 10 K, straight and
+# bent; each knot of the discrepancy surface; the meter's zero. They only have to be wide beside
+# what motors do.
+PATH_PRIOR, TEMPERATURE_PRIOR, SURFACE_PRIOR, ZERO_PRIOR = 1.0, (0.2, 0.05), 0.03, 0.02
+# Quantiles of the baseline's pressures and speeds at which the surface has its knots, and how near
+# to one another (share of the largest) they are merged.
+PRESSURE_KNOTS, PRESSURE_APART = (0.02, 0.35, 0.65, 0.98), 0.10
+SPEED_KNOTS, SPEED_APART = (0.03, 0.50, 0.97), 0.15
+
+# -- errors within a night -------------------------------------------------------------------------
+# Blocks of a piece of which the covariance is estimated, and the largest number of pieces.
+PIECE_BLOCKS, MOST_PIECES = 40, 60
+# Residuals beyond so many robust standard deviations are clipped before that.
+CLIP = 4.0
+# A block that the others of its night contradict by more standard deviations than this gets a
+# larger error; so often the weights are made anew.
+ROBUST, ROBUST_PASSES = 3.0, 4
+
+# -- errors from night to night --------------------------------------------------------------------
+# The wander of the paths has a prior worth so many nights, of this size, three quarters of it
+# common to all paths: what the sensors of most motors do.
+WANDER_NIGHTS, WANDER_SIZE, WANDER_COMMON = 6.0, 0.012, 0.75
+# Variance of the mean of the nights, as a share of one night's, that Q is corrected for at most.
+MOST_OF_MEAN = 0.6
+# Wander and its memory are estimated anew when the nights have grown by this factor, from nights
+# up to a week ago, and not while something may be about to be told.
+ANEW_FACTOR, ANEW_DELAY, ANEW_BELOW = 1.3, 7, 6.0
+
+# -- the statistic ---------------------------------------------------------------------------------
+# Size of a step, half-normal; rise of a ramp in ten days; spread of the factor of another grade.
+STEP_SIZE, RAMP_SIZE, RAMP_DAYS, GRADE_SPREAD = 0.3, 0.1, 10.0, 0.15
+# Size of an error of the temperature sensor, in shifts of SENSOR_SHIFT_K.
+SENSOR_SIZE, SENSOR_SHIFT_K = 0.25, 5.0
+# A path whose share of the flow is less cannot fall visibly.
+LEAST_SHARE_TO_FALL = 0.05
+# Share of nights that are odd by themselves, and once odd nights have become frequent.
+ODD, OFTEN = 0.003, 0.25
+# Odd nights are counted within so many nights; at least so many; at most this share of the nights.
+ODD_WITHIN, LEAST_ODD, MOST_ODD = 60, 3, 0.5
+# Model error a standard deviation of another duty beyond the first 1.5, at most 4 of them. Where
+# the baseline's pressures and speeds vary, half of the lack of fit stands in, but for this least.
+DUTY_ERROR, DUTY_FREE, DUTY_MOST = 0.01, 1.5, 4.0
+DUTY_BY_LACK, DUTY_LEAST_ERROR = 0.5, 0.0025
+# Standard deviations beyond those from which it is another duty, and no chance.
+DUTY_OTHER = 0.5
+# What a duty varies by at least: share of a path, bar, rpm.
+DUTY_LEAST_SHARE, DUTY_LEAST_BAR, DUTY_LEAST_RPM = 0.002, 0.1, 0.04
+# Starts of so many last nights stand one by one; older ones 2, 4, 8 … nights apart.
+DENSE_STARTS = 40
+# Nights that are kept one by one, and how many more until the oldest are summed up; no start lies
+# among those.
+WINDOW, WINDOW_SLACK = 300, 50
+# A change of the flow that is told at all.
+LEAST_CHANGE = 0.005
+
+# -- since, how much, which cause ------------------------------------------------------------------
+# Evidence (in twice the gain of ln likelihood) from which a size is its own, without the prior.
+OWN_SIZE = 25.0
+# Error of a size by the model's lack of fit, as a share of it; error of a change's shape, in lacks
+# of fit. Without the latter, four foreign machines of five got a part named, wrongly.
+SIZE_BY_LACK, SHAPE_BY_LACK = 0.3, 2.0
+# A cause is named from this probability.
+NAMED = 0.9
+# Lack of fit up to which another grade, a sensor and a meter may be told apart, and two gaps from
+# one.
+LACK_TO_TELL_APART = 0.02
+# Pressures or speeds within ± this share are one pressure or one speed: gaps cannot be told apart.
+ONE_DUTY = 0.2
+# Share of the flow from which a path's own change is told.
+LEAST_SHARE_TO_TELL = 0.1
+# Nights behind the present change: after a step, and during a ramp.
+PRESENT_NIGHTS, PRESENT_OF_RAMP = 10, 3
+
+# -- after a change --------------------------------------------------------------------------------
+# Nights from the night on which a change is told to its adoption.
+SETTLE = 10
+# What an adopted change leaves unexplained: fixed, and relative to it on paths and temperature, and
+# on the surface.
+LEFT, LEFT_OF_PATHS, LEFT_OF_SURFACE = 0.02, 0.2, 0.1
+# A larger change of the flow begins an era of its own, which needs so many nights.
+OWN_ERA, ERA_NIGHTS = 0.15, 8
+# Spread of what counts as "back as before".
+BACK_SPREAD = 0.15
+# What the motors of a tank have in common beyond what the others' nights say.
+TANK_SPREAD, TANK_PRIOR = 0.02, 10.0

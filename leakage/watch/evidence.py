@@ -1,0 +1,241 @@
+"""Evidence of every start, shape and cause of a change, as ln of a likelihood ratio.
+
+With A₋ what is known before a start k and A₊, u₊ the information and the scores from it on:
+w = u₊ − A₊(A₋ + A₊)⁻¹(u₋ + u₊), W = A₊ − A₊(A₋ + A₊)⁻¹A₊; of a cause d, T₁ = d'w and T₂ = d'Wd. Its
+size has a prior, half-normal or normal, which is integrated out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr
+
+from leakage.watch import choices
+from leakage.watch.causes import Cause
+from leakage.watch.nights import Array
+from leakage.watch.verdict import RAMPS, STEPS
+from leakage.watch.wander import Wander
+from leakage.watch.window import Sums, Window
+
+STEP, RAMP = 0, 1
+SHAPES = (STEPS, RAMPS)
+Places = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Causes:
+    """Causes as arrays: directions, shape (q, d), means and spreads of their sizes, shape (d,)."""
+
+    every: tuple[Cause, ...]
+    directions: Array
+    mean: Array
+    spread: Array
+    is_half: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, every: Sequence[Cause]) -> Causes:
+        return cls(
+            tuple(every),
+            np.array([one.direction for one in every]).T,
+            np.array([one.mean for one in every]),
+            np.array([one.spread for one in every]),
+            np.array([one.is_half for one in every]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.every)
+
+    def prior(self, shape: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Mean, spread and kind of the size's prior; of a ramp, of its rise in ten days."""
+        if shape == STEP:
+            return self.mean, self.spread, self.is_half
+        rise = choices.RAMP_SIZE / choices.STEP_SIZE
+        return np.zeros(len(self)), self.spread * rise, np.ones(len(self), dtype=np.bool_)
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What starts, shapes and causes say, shape (2, k, d) each.
+
+    `log_ratio` holds the prior of shape and cause; `size` and `sd` are of the size's posterior,
+    `first` and `second` are T₁ and T₂.
+    """
+
+    log_ratio: Array
+    size: Array
+    sd: Array
+    first: Array
+    second: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Freed:
+    """What some starts say of all nights, with an error of the paths since each start left free.
+
+    `error` is (E⁻¹ + A₊)⁻¹ of the paths, shape (k, p, p); `across` the columns of A₊ of the paths,
+    `of_paths` their part of u₊; `total` and `score` are A₋ + A₊ and u₋ + u₊ without what that
+    error takes.
+    """
+
+    error: Array
+    across: Array
+    of_paths: Array
+    total: Array
+    score: Array
+
+    @classmethod
+    def of(cls, error: Array, after: Array, score: Array, before: tuple[Array, Array]) -> _Freed:
+        p = error.shape[1]
+        across, of_paths = after[:, :, :p], score[:, :p]
+        total = before[0] + after - across @ (error @ after[:, :p, :])
+        taken = across @ (error @ of_paths[:, :, None])
+        return cls(error, across, of_paths, total, before[1] + score - taken[:, :, 0])
+
+    def told(
+        self, directions: Array, linear: Array, square: Array, score: Array
+    ) -> tuple[Array, Array]:
+        """T₁ and T₂ of all causes, shape (k, d), from sums of A₊ and u₊ weighted by a shape."""
+        p = self.error.shape[1]
+        along = linear @ directions
+        lost = self.error @ along[:, :p]
+        left = along - self.across @ lost
+        solved = np.linalg.solve(self.total, np.concatenate([left, self.score[:, :, None]], axis=2))
+        first = (
+            score @ directions
+            - np.einsum("kpd,kp->kd", lost, self.of_paths)
+            - np.einsum("kid,ki->kd", left, solved[:, :, -1])
+        )
+        second = (
+            np.einsum("id,kid->kd", directions, square @ directions)
+            - np.einsum("kpd,kpd->kd", along[:, :p], lost)
+            - np.einsum("kid,kid->kd", left, solved[:, :, :-1])
+        )
+        return first, np.maximum(second, 1e-12)
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """All that the evidence of a night is made from.
+
+    `duty_error` is the error of each path a standard deviation of another duty, shape (p,);
+    `n_nights` all nights so far.
+    """
+
+    window: Window
+    sums: Sums
+    wander: Wander
+    causes: Causes
+    duty_error: Array
+    n_nights: int
+
+    def of_starts(
+        self, starts: Places, *, by_duty: bool = True, without: Places | None = None
+    ) -> Told:
+        """What some starts say, up to the newest night.
+
+        With `by_duty` the paths may err where the duty is not the baseline's; `without` is a night
+        that each start leaves out.
+        """
+        (a0, a1, a2), (u0, u1) = self.since(starts, without)
+        before = self.sums.before(starts, self.window)
+        freed = _Freed.of(self._duty_error(starts, a0, is_told=by_duty), a0, u0, before)
+        # On its first night a ramp has risen by a day.
+        origin = (self.window.days[starts] - 1).astype(float)
+        by_vector, by_matrix, tens = origin[:, None], origin[:, None, None], choices.RAMP_DAYS
+        linear = (a1 - by_matrix * a0) / tens
+        square = (a2 - 2.0 * by_matrix * a1 + by_matrix**2 * a0) / tens**2
+        score = (u1 - by_vector * u0) / tens
+        directions = self.causes.directions
+        told = freed.told(directions, a0, a0, u0), freed.told(directions, linear, square, score)
+        first, second = (np.stack([one[place] for one in told]) for place in (0, 1))
+        return self._weighed(first, second)
+
+    def since(
+        self, starts: Places, without: Places | None = None
+    ) -> tuple[list[Array], list[Array]]:
+        """Information, (k, q, q), and scores, (k, q), of starts, weighted by powers of the day."""
+        n_nights = (len(self.window) - starts).astype(float)
+        share = self.wander.share_of_short(n_nights)
+        # At another duty the model's error is that of all nights alike, those within nights too.
+        is_other = self.duty_beyond(starts) > choices.DUTY_OTHER
+        inflated = 1.0 / self.wander.inflation(n_nights)
+        weights = np.where(is_other, inflated, share), np.where(is_other, 0.0, 1.0 - share)
+        information = [
+            self.sums.since(one, starts, weights, without) for one in self.sums.information
+        ]
+        return information, [
+            self.sums.since(one, starts, weights, without) for one in self.sums.score
+        ]
+
+    def is_other_duty(self, starts: Places) -> bool:
+        """True if a start's nights have another duty than the baseline's."""
+        return bool(np.any(self.duty_beyond(starts) > 0.0))
+
+    def duty_beyond(self, starts: Places) -> Array:
+        """Mean distance of the duty since each start beyond what is usual, shape (k,)."""
+        n = len(self.window)
+        apart = (self.sums.distance[n] - self.sums.distance[starts]) / (n - starts)
+        beyond: Array = np.clip(apart - choices.DUTY_FREE, 0.0, choices.DUTY_MOST)
+        return beyond
+
+    def _duty_error(self, starts: Places, after: Array, *, is_told: bool) -> Array:
+        """(E⁻¹ + A₊)⁻¹ of the paths, shape (k, p, p), E their error at a duty not seen before."""
+        p = len(self.duty_error)
+        variance = np.zeros((len(starts), p, p))
+        if is_told:
+            size = self.duty_beyond(starts)[:, None] * self.duty_error
+            variance[:, np.arange(p), np.arange(p)] = size**2
+        inner = np.eye(p) + variance @ after[:, :p, :p]
+        error: Array = np.linalg.solve(inner, variance).astype(np.float64)
+        return error
+
+    def _weighed(self, first: Array, second: Array) -> Told:
+        """Likelihood ratios of T₁ and T₂, the sizes integrated out."""
+        priors = [self.causes.prior(shape) for shape in (STEP, RAMP)]
+        mean = np.stack([one[0] for one in priors])[:, None, :]
+        spread = np.stack([one[1] for one in priors])[:, None, :]
+        is_half = np.stack([one[2] for one in priors])[:, None, :]
+        sd = 1.0 / np.sqrt(second + spread**-2)
+        size = sd**2 * (first + mean / spread**2)
+        gain = (size / sd) ** 2 - (mean / spread) ** 2
+        one_sided = np.where(is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
+        log_ratio = 0.5 * self.tempered(gain) + np.log(sd / spread) + one_sided
+        prior = math.log(len(self.causes) * len(SHAPES))
+        return Told(log_ratio - prior, size, sd, first, second)
+
+    def tempered(self, gain: Array) -> Array:
+        """Twice a gain of ln likelihood, as the wander is an estimate: t in place of normal."""
+        freedom = self.wander.degrees_of_freedom(self.n_nights)
+        most = float(np.max(gain))
+        rest: Array = np.log((freedom + most) / (freedom + most - gain))
+        return (freedom + 1.0) * rest
+
+
+def starts_of(first: int, last: int) -> tuple[Places, Array]:
+    """Candidate starts from a place to the newest, and ln of how many each stands for.
+
+    The last 40 nights one by one, older ones 2, 4, 8 … nights apart at multiples of that.
+
+    Examples
+    --------
+    >>> starts_of(0, 3)[0].tolist(), starts_of(5, 49)[0][:4].tolist()
+    ([0, 1, 2, 3], [6, 8, 10, 11])
+    """
+    starts, weights = [], []
+    place, step = last, 1
+    while place >= first:
+        starts.append(place)
+        weights.append(step)
+        age = last - place + 1
+        step = 1
+        if age >= choices.DENSE_STARTS:
+            step = 2 ** (int(math.log2(age / choices.DENSE_STARTS)) + 1)
+        after = place - step
+        aligned = after - after % step
+        place = aligned if aligned >= first else after
+    return np.array(starts[::-1]), np.log(np.array(weights[::-1], dtype=float))

@@ -1,0 +1,150 @@
+"""The state of a watch as arrays of numbers, and back: what a run keeps for the next one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from typing import Any
+
+import numpy as np
+
+from leakage.watch.attribution import Attribution
+from leakage.watch.baseline import Baseline
+from leakage.watch.causes import BACK, Cause
+from leakage.watch.columns import Columns
+from leakage.watch.nights import Array, Estimate, Machine, WatchSettings
+from leakage.watch.state import Standing, State
+from leakage.watch.verdict import Change
+from leakage.watch.wander import Wander
+from leakage.watch.window import Sums, Window
+from leakage.watch.within_night import BlockErrors
+
+Arrays = dict[str, Any]
+# Scalars of each part, in order; what has no value is nan.
+OF_COLUMNS = ("least_scale", "temperature_c", "has_zero")
+OF_BASELINE = ("lack_of_fit", "tells_gaps", "tells_speed")
+OF_STATE = ("first_start", "n_baseline", "n_nights", "due", "often", "evidence", "era_from")
+
+
+def arrays_of(state: State) -> dict[str, Array]:
+    """All numbers of a state, by name."""
+    baseline, window, columns = state.baseline, state.window, state.baseline.columns
+    q = columns.n
+    kept: Arrays = {
+        **{f"columns.{name}": getattr(columns, name) for name in _arrays(Columns, OF_COLUMNS)},
+        "columns": _scalars(columns, OF_COLUMNS),
+        **{f"baseline.{name}": getattr(baseline, name) for name in _of_baseline()},
+        "baseline": _scalars(baseline, OF_BASELINE),
+        "errors": np.array([getattr(baseline.errors, one.name) for one in fields(BlockErrors)]),
+        **{f"window.{one.name}": getattr(window, one.name) for one in fields(Window)},
+        "wander.spread": state.wander.spread,
+        "wander.memory": state.wander.memory,
+        "undone": np.array([one.direction for one in state.undone]).reshape(-1, q),
+        "undone.size": np.array([(one.mean, one.spread) for one in state.undone]).reshape(-1, 2),
+        "carried": np.array([state.carried.value, state.carried.sd]),
+        "state": _scalars(state, OF_STATE),
+    }
+    return kept | _of_standing("standing", state.standing)
+
+
+def state_of(machine: Machine, settings: WatchSettings, kept: Mapping[str, Any]) -> State:
+    """The state that was kept."""
+    least_scale, temperature_c, has_zero = kept["columns"].tolist()
+    columns = Columns(
+        least_scale=least_scale,
+        temperature_c=temperature_c,
+        has_zero=bool(has_zero),
+        **{name: kept[f"columns.{name}"] for name in _arrays(Columns, OF_COLUMNS)},
+    )
+    lack, *tells = kept["baseline"].tolist()
+    baseline = Baseline(
+        columns=columns,
+        errors=BlockErrors(*kept["errors"].tolist()),
+        lack_of_fit=lack,
+        tells_gaps=bool(tells[0]),
+        tells_speed=bool(tells[1]),
+        **{name: kept[f"baseline.{name}"] for name in _of_baseline()},
+    )
+    window = Window(**{one.name: kept[f"window.{one.name}"] for one in fields(Window)})
+    wander = Wander(kept["wander.spread"], kept["wander.memory"])
+    first_start, n_baseline, n_nights, due, often, evidence, era_from = kept["state"].tolist()
+    return State(
+        machine,
+        settings,
+        baseline,
+        window,
+        Sums.of(window, wander),
+        wander,
+        tuple(
+            Cause(BACK, direction, mean, spread)
+            for direction, (mean, spread) in zip(
+                kept["undone"], kept["undone.size"].tolist(), strict=True
+            )
+        ),
+        int(first_start),
+        int(n_baseline),
+        int(n_nights),
+        int(due),
+        often,
+        evidence,
+        None if np.isnan(era_from) else int(era_from),
+        Estimate(*kept["carried"].tolist()),
+        _standing_of("standing", kept),
+    )
+
+
+def _arrays(kind: type, scalars: tuple[str, ...]) -> list[str]:
+    return [one.name for one in fields(kind) if one.name not in scalars]
+
+
+def _of_baseline() -> list[str]:
+    return _arrays(Baseline, ("columns", "errors", *OF_BASELINE))
+
+
+def _scalars(part: Any, names: tuple[str, ...]) -> Array:
+    values = (getattr(part, name) for name in names)
+    return np.array([np.nan if one is None else float(one) for one in values])
+
+
+def _of_standing(name: str, standing: Standing | None) -> Arrays:
+    """A change in force: its words as the bytes of a text."""
+    if standing is None:
+        return {}
+    found = standing.found
+    words = {
+        "change": asdict(standing.change),
+        "of_flow": standing.of_flow,
+        "before": asdict(standing.before),
+        "tank": None if standing.tank is None else asdict(standing.tank),
+    }
+    if found is not None:
+        words["found"] = asdict(found) | {"weights": None}
+    text = np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)
+    kept: Arrays = {name: text, f"{name}.along": standing.along}
+    if found is not None:
+        kept[f"{name}.weights"] = found.weights
+    return kept | _of_standing(f"{name}.prior", standing.prior)
+
+
+def _standing_of(name: str, kept: Mapping[str, Any]) -> Standing | None:
+    if name not in kept:
+        return None
+    words = json.loads(bytes(kept[name]))
+    change = words["change"]
+    for one in ("size", "path_growth"):
+        change[one] = None if change[one] is None else Estimate(**change[one])
+    found = words.get("found")
+    if found is not None:
+        sizes = {one: Estimate(**found[one]) for one in ("size", "flow")}
+        since = {"since": tuple(found["since"]), "weights": kept[f"{name}.weights"]}
+        found = Attribution(**(found | sizes | since))
+    return Standing(
+        Change(**change),
+        kept[f"{name}.along"],
+        words["of_flow"],
+        Estimate(**words["before"]),
+        found,
+        _standing_of(f"{name}.prior", kept),
+        None if words["tank"] is None else Estimate(**words["tank"]),
+    )

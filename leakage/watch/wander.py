@@ -1,0 +1,197 @@
+"""What a motor does by itself from night to night: each night has its own shift of the paths.
+
+Q is the covariance of these shifts, by expectation maximisation over the nights with a prior. Their
+memory is that of their common direction, by the likelihood of its levels beside a straight line in
+time: slow wear is no memory. A part of the wander may forget at once (duty, under a wrong model)
+and hide a long memory from the correlation of neighbours, so both parts are weighed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.watch import choices
+from leakage.watch.nights import Array
+
+MOST_PASSES, CONVERGED = 60, 1e-3
+# Weight of a path in the prior of the wander is at least this share of its own unit.
+LEAST_WEIGHT = 0.3
+
+
+# Memories that a motor may have: correlation of neighbouring nights of a part of its wander, and
+# that part's share of the variance; what is left forgets from night to night.
+CORRELATIONS = np.array([0.3, 0.6, 0.8, 0.9, 0.95])
+SHARES = np.array([0.25, 0.5, 0.75, 1.0])
+PHI, SHARE = (grid.ravel() for grid in np.meshgrid(CORRELATIONS, SHARES, indexing="ij"))
+# How likely each is before any night, on the safe side: too short a memory raises false alarms.
+USUAL_MEMORY = np.repeat([0.1, 0.2, 0.3, 0.25, 0.15], len(SHARES)) / len(SHARES)
+
+
+@dataclass(frozen=True, slots=True)
+class Wander:
+    """Covariance Q of a night's shift of the paths, shape (p, p), and its memory.
+
+    `memory` has the probabilities of the memories, shape (g,).
+    """
+
+    spread: Array
+    memory: Array
+
+    @property
+    def serial(self) -> float:
+        """Serial correlation of neighbouring nights."""
+        return float(self.memory @ (SHARE * PHI))
+
+    def degrees_of_freedom(self, n_nights: int) -> float:
+        """Of the evidence, as Q is an estimate from so many correlated nights."""
+        squared = self.serial**2
+        return n_nights * (1.0 - squared) / (1.0 + squared) + choices.WANDER_NIGHTS
+
+    def inflation(self, n_nights: Array) -> Array:
+        """By what the variance of a mean of so many nights is larger, shape of `n_nights`."""
+        phi, n = PHI[:, None], n_nights
+        series = phi / (1.0 - phi) - phi * (1.0 - phi**n) / (n * (1.0 - phi) ** 2)
+        inflation: Array = 1.0 + 2.0 * (self.memory * SHARE) @ series
+        return inflation
+
+    def share_of_short(self, n_nights: Array) -> Array:
+        """Weight of sums with Q itself among those with Q and Q of a long record.
+
+        So weighted, the information of so many nights is exact where their shifts outweigh the
+        errors within nights, and where they do not.
+        """
+        long = self.long_inflation
+        share: Array = (1.0 / self.inflation(n_nights) - 1.0 / long) / (1.0 - 1.0 / long)
+        return share
+
+    @property
+    def long_inflation(self) -> float:
+        """The same of a long record."""
+        return float(1.0 + 2.0 * (self.memory * SHARE) @ (PHI / (1.0 - PHI)))
+
+
+@dataclass(frozen=True, slots=True)
+class WanderPrior:
+    """Size of the common wander and probabilities of its memories, before any night."""
+
+    size: float = choices.WANDER_SIZE
+    memory: Array = field(default_factory=USUAL_MEMORY.copy)
+
+
+def effective(information: Array, score: Array, spread: Array) -> tuple[Array, Array]:
+    """Information, shape (n, q, q), and scores, (n, q), of nights whose paths shift by N(0, Q)."""
+    p = len(spread)
+    inner = np.linalg.inv(spread) + information[:, :p, :p]
+    rows = np.concatenate([information[:, :p, :], score[:, :p, None]], axis=2)
+    taken = np.linalg.solve(inner, rows)
+    across = information[:, :, :p]
+    return (
+        information - across @ taken[:, :, :-1],
+        score - (across @ taken[:, :, -1:])[:, :, 0],
+    )
+
+
+def estimate_wander(
+    information: Array,
+    score: Array,
+    days: NDArray[np.int64],
+    all_paths: Array,
+    prior_information: Array,
+    prior: WanderPrior,
+) -> Wander:
+    """Q and φ of some nights, from their information, scores and days."""
+    n = len(information)
+    usual = _usual_spread(all_paths, prior)
+    spread = usual
+    for _ in range(MOST_PASSES):
+        told, told_score = effective(information, score, spread)
+        certain = np.linalg.inv(told.sum(axis=0) + prior_information)
+        mean = certain @ told_score.sum(axis=0)
+        shifts = _squared_shifts(information, score, spread, mean, certain)
+        new = (shifts.sum(axis=0) + choices.WANDER_NIGHTS * usual) / (n + choices.WANDER_NIGHTS)
+        moved = np.abs(new - spread).max() / np.abs(new).max()
+        spread = new
+        if moved < CONVERGED:
+            break
+    memory = _memory(told, told_score, mean, days, all_paths, prior)
+    return Wander(_of_correlated(spread, usual, n, Wander(spread, memory)), memory)
+
+
+def _of_correlated(spread: Array, usual: Array, n_nights: int, wander: Wander) -> Array:
+    """Q of correlated nights, which scatter less about their own mean than about the true one."""
+    short = float(wander.inflation(np.array([float(n_nights)]))[0]) / n_nights
+    more = (1.0 - 1.0 / n_nights) / (1.0 - min(short, choices.MOST_OF_MEAN))
+    prior = choices.WANDER_NIGHTS
+    of_nights = (n_nights + prior) * spread - prior * usual
+    corrected: Array = (more * of_nights + prior * usual) / (n_nights + prior)
+    return corrected
+
+
+def _usual_spread(all_paths: Array, prior: WanderPrior) -> Array:
+    own = np.diag(np.maximum(all_paths, LEAST_WEIGHT) ** 2)
+    common = np.outer(all_paths, all_paths)
+    mixed = (1.0 - choices.WANDER_COMMON) * own + choices.WANDER_COMMON * common
+    usual: Array = prior.size**2 * mixed
+    return usual
+
+
+def _squared_shifts(
+    information: Array, score: Array, spread: Array, mean: Array, certain: Array
+) -> Array:
+    """Expected outer products of the nights' shifts, shape (n, p, p); the mean is uncertain too."""
+    p = len(spread)
+    inner = np.linalg.inv(np.linalg.inv(spread) + information[:, :p, :p])
+    rest = score[:, :p] - information[:, :p] @ mean
+    shift = (inner @ rest[:, :, None])[:, :, 0]
+    lever = inner @ information[:, :p]
+    uncertain = inner + lever @ certain @ lever.swapaxes(1, 2)
+    squared: Array = uncertain + shift[:, :, None] * shift[:, None, :]
+    return squared
+
+
+def _memory(
+    told: Array,
+    told_score: Array,
+    mean: Array,
+    days: NDArray[np.int64],
+    all_paths: Array,
+    prior: WanderPrior,
+) -> Array:
+    """Probabilities of the memories by the levels of the common direction, shape (g,).
+
+    By restricted likelihood, the variance profiled out.
+    """
+    n, p = len(told), len(all_paths)
+    weight = np.einsum("nij,i,j->n", told[:, :p, :p], all_paths, all_paths)
+    root = np.sqrt(np.maximum(weight, 1e-12))
+    level = (told_score - told @ mean)[:, :p] @ all_paths / root
+    line = np.column_stack([root, root * (days - days.mean()) / max(float(np.ptp(days)), 1.0)])
+    if n <= line.shape[1] + 1:
+        return prior.memory
+    apart = np.abs(days[:, None] - days).astype(float)
+    log_likelihood = np.array(
+        [
+            _restricted(level, line, share * phi**apart + (1.0 - share) * np.eye(n))
+            for phi, share in zip(PHI, SHARE, strict=True)
+        ]
+    )
+    weights = prior.memory * np.exp(log_likelihood - log_likelihood.max())
+    memory: Array = weights / weights.sum()
+    return memory
+
+
+def _restricted(values: Array, line: Array, covariance: Array) -> float:
+    """ln of the restricted likelihood of values about a line, up to a constant."""
+    n, columns = line.shape
+    factor = np.linalg.cholesky(covariance)
+    rows = np.linalg.solve(factor, np.column_stack([line, values]))
+    design, whitened = rows[:, :-1], rows[:, -1]
+    normal = design.T @ design
+    rest = whitened - design @ np.linalg.solve(normal, design.T @ whitened)
+    log_det = 2.0 * float(np.log(np.diag(factor)).sum()) + float(np.linalg.slogdet(normal)[1])
+    cost: float = log_det + (n - columns) * math.log(float(rest @ rest))
+    return -0.5 * cost

@@ -1,0 +1,163 @@
+"""Errors of a night's blocks: a slow part, σ_s² exp(−Δt/τ), and one of each block, σ_e².
+
+By maximum likelihood over the baseline's residuals; a part that is constant over the night stands
+in for the wander from night to night while that is not known, and is left out afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from leakage.watch import choices
+from leakage.watch.nights import Array
+
+# Where the search begins and where it may go: ln of the three errors and of τ [s].
+START = np.log([0.01, 0.005, 0.007, 600.0])
+CENTRE, REACH = -5.0, 5.0
+LEAST_LOG_S, MOST_LOG_S = 3.0, 10.0
+# A slow part of 1 % is likelier than none or a large one, worth a hundredth of a piece.
+USUAL_LOG, USUAL_WEIGHT = -4.6, 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class BlockErrors:
+    """Standard deviations of the slow part, of each block and of a whole night; τ [s]."""
+
+    slow: float
+    block: float
+    night: float
+    memory_s: float
+
+    @classmethod
+    def of(cls, logarithms: Array) -> BlockErrors:
+        return cls(*np.exp(logarithms).tolist())
+
+    @property
+    def logarithms(self) -> Array:
+        return np.log([self.slow, self.block, self.night, self.memory_s])
+
+    def covariance(
+        self, middle_s: Array, wider: Array | None = None, *, with_night: bool = False
+    ) -> Array:
+        """Covariance of a night's residuals, shape (b, b); `wider` multiplies σ_e² by block."""
+        apart = np.abs(middle_s[:, None] - middle_s)
+        own = np.full(len(middle_s), self.block**2)
+        covariance: Array = self.slow**2 * np.exp(-apart / self.memory_s)
+        covariance[np.diag_indices_from(covariance)] += own if wider is None else own * wider
+        return covariance + self.night**2 if with_night else covariance
+
+
+@dataclass(frozen=True, slots=True)
+class _Pieces:
+    """Pieces of nights of one length, the shorter ones filled up; of g different rows of times.
+
+    `apart` are the times between blocks [s], `products` those of the residuals, `is_real` tells
+    what is not filled up, shape (g, b, b) each; `number` how many pieces have these times, (g,).
+    """
+
+    apart: Array
+    products: Array
+    is_real: NDArray[np.bool_]
+    number: Array
+
+    def cost(self, errors: BlockErrors) -> float:
+        """−2 ln of the likelihood, up to a constant."""
+        slow = errors.slow**2 * np.exp(-self.apart / errors.memory_s) + errors.night**2
+        covariance = np.where(self.is_real, slow, 0.0)
+        each = np.arange(covariance.shape[1])
+        own = self.is_real[:, each, each]
+        covariance[:, each, each] += np.where(own, errors.block**2, 1.0)
+        log_det = 2.0 * np.log(np.linalg.cholesky(covariance)[:, each, each]).sum(axis=1)
+        fits = (np.linalg.inv(covariance) * self.products).sum()
+        return float(self.number @ log_det + fits)
+
+
+def estimate_errors(
+    nights: Sequence[tuple[Array, Array]], start: BlockErrors, tolerance: float = 0.01
+) -> BlockErrors:
+    """Errors by maximum likelihood from times [s] and residuals of some nights.
+
+    `tolerance` is that of the logarithms of the errors.
+    """
+    pieces = _pieces(nights)
+
+    def cost(logarithms: Array) -> float:
+        if np.any(np.abs(logarithms[:3] - CENTRE) > REACH):
+            return np.inf
+        if not LEAST_LOG_S < logarithms[3] < MOST_LOG_S:
+            return np.inf
+        usual = USUAL_WEIGHT * (logarithms[0] - USUAL_LOG) ** 2
+        return float(usual) + pieces.cost(BlockErrors.of(logarithms))
+
+    found = minimize(
+        cost,
+        start.logarithms,
+        method="Nelder-Mead",
+        options={"maxiter": 250, "xatol": tolerance, "fatol": tolerance},
+    )
+    return BlockErrors.of(found.x)
+
+
+def _pieces(nights: Sequence[tuple[Array, Array]]) -> _Pieces:
+    every = np.concatenate([residuals for _, residuals in nights])
+    spread = 1.4826 * np.median(np.abs(every - np.median(every)))
+    most = choices.CLIP * spread + 1e-6
+    pieces = [
+        (middle_s[first:][: choices.PIECE_BLOCKS], residuals[first:][: choices.PIECE_BLOCKS])
+        for middle_s, residuals in nights
+        for first in range(0, len(middle_s), choices.PIECE_BLOCKS)
+    ]
+    if len(pieces) > choices.MOST_PIECES:
+        taken = np.linspace(0, len(pieces) - 1, choices.MOST_PIECES).astype(int)
+        pieces = [pieces[place] for place in taken]
+    # Blocks of most nights have the same times: their products serve together.
+    alike: dict[tuple[int, ...], list[Array]] = {}
+    for middle_s, residuals in pieces:
+        times = tuple(np.round((middle_s - middle_s[0]) / 10.0).astype(int).tolist())
+        alike.setdefault(times, []).append(np.clip(residuals, -most, most))
+    length = max(map(len, alike))
+    apart, products = np.zeros((2, len(alike), length, length))
+    is_real = np.zeros(apart.shape, dtype=np.bool_)
+    for place, (times, values) in enumerate(alike.items()):
+        own, at_s = slice(len(times)), 10.0 * np.array(times, dtype=float)
+        apart[place, own, own] = np.abs(at_s[:, None] - at_s)
+        products[place, own, own] = np.array(values).T @ np.array(values)
+        is_real[place, own, own] = True
+    number = np.array([len(values) for values in alike.values()], dtype=float)
+    return _Pieces(apart, products, is_real, number)
+
+
+def night_information(
+    design: Array, residuals: Array, middle_s: Array, errors: BlockErrors, n_paths: int
+) -> tuple[Array, Array]:
+    """Information S'V⁻¹S, shape (q, q), and score S'V⁻¹r, shape (q,), of a night.
+
+    Any rank will do. Blocks that the others of their night contradict, whatever its own paths do,
+    count less.
+    """
+    wider = _wider(design[:, :n_paths], residuals, middle_s, errors)
+    factor = cho_factor(errors.covariance(middle_s, wider), lower=True, check_finite=False)
+    weighted = cho_solve(factor, np.column_stack([design, residuals]), check_finite=False)
+    return design.T @ weighted[:, :-1], design.T @ weighted[:, -1]
+
+
+def _wider(paths: Array, residuals: Array, middle_s: Array, errors: BlockErrors) -> Array:
+    """Factors on the variance of blocks that the others of their night contradict, shape (b,)."""
+    wider = np.ones(len(residuals))
+    if len(residuals) < 5:
+        return wider
+    own = paths @ paths.T
+    for _ in range(choices.ROBUST_PASSES):
+        precision = np.linalg.inv(errors.covariance(middle_s, wider) + own)
+        score = precision @ residuals / np.sqrt(np.diag(precision))
+        new = wider * np.maximum(1.0, (score / choices.ROBUST) ** 2)
+        if np.allclose(new, wider):
+            break
+        wider = new
+    return wider

@@ -1,1 +1,0 @@
-"""Figures of each night: indicators, the filter over poor nights, the effect of temperature."""

@@ -1,0 +1,150 @@
+"""All rows of a motor's trends, made night by night as its watch is told them."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from leakage.estimation.identifiability import TOLD
+from leakage.watch import Estimate, Watch
+from pipeline.clock import utc
+from pipeline.config.nights import night as night_labelled
+from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TRENDS, WATCH, Table
+from pipeline.trends.nights.decisions import LEAKAGE
+from pipeline.trends.nights.from_tables import MotorNights
+from pipeline.trends.nights.trend_record import Record
+from pipeline.trends.rows.alarm_rows import NightState, alarm_rows, marked
+from pipeline.trends.rows.baseline_rows import baseline_rows
+from pipeline.trends.rows.motor_states import CHANGED
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.rows.watch_figures import watch_row
+from pipeline.trends.rows.watch_rows import WatchRow
+from pipeline.trends.sentences import CHECK_ZERO
+from pipeline.trends.states.course import Course, WatchedNight
+from pipeline.trends.states.judged import JudgedNight, judged
+from pipeline.trends.states.zeros import HALF, Zero, sensor_zeros
+
+Row = dict[str, Any]
+
+DAY = dt.timedelta(days=1)
+NO_FIT: Row = {"status": "", "reference_verdict": None}
+
+
+@dataclass(slots=True)
+class MadeTrends:
+    """A motor's trends: rows by table and states by indicator, of the nights from a first one on.
+
+    `changed` is the last night so far in which a change stood told.
+    """
+
+    course: Course
+    first: dt.date
+    zeros: Mapping[str, Zero]
+    changed: dt.date
+    rows: dict[Table, list[Row]]
+    states: dict[str, list[NightState]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, output: Path, motor: MotorNights) -> MadeTrends:
+        """A motor of which no night is made yet."""
+        first = motor.wanted.first
+        assert first is not None
+        assert motor.beginning is not None
+        return cls(
+            Course.of(output, motor, motor.beginning),
+            first,
+            sensor_zeros(motor.history),
+            _last_changed(motor.alarms, first),
+            {WATCH: [], TRENDS: [], BASELINES: []},
+        )
+
+    @property
+    def nights(self) -> list[dt.date]:
+        """Nights with rows."""
+        return [row["night"] for row in self.rows[WATCH]]
+
+    def judge(self, others: Sequence[Watch]) -> None:
+        """Make the rows of the night that was told last; `others` are the tank's other motors."""
+        self.course.know_tank(others)
+        watched = self.course.watched()
+        if watched.night < self.first:
+            return
+        nights = self.course.nights
+        fit = nights.fits.get(watched.night, NO_FIT)
+        why = "" if watched.n_blocks else nights.why_no_blocks(watched.night)
+        night = judged(self.course.spec, watched, _of_fit(fit), why)
+        drifts = [one for zero in self.zeros.values() if (one := zero.words(watched.place))]
+        row = watch_row(night, self._quiet_since(watched), drifts)
+        if night.state in CHANGED:
+            self.changed = watched.night
+        self.rows[WATCH].append(row.row)
+        self.rows[TRENDS] += trend_rows(self.course, night, self.zeros, row.sentence)
+        self.rows[BASELINES] += baseline_rows([night])
+        self._note_states(night, row)
+
+    def _quiet_since(self, watched: WatchedNight) -> dt.date | None:
+        """Since when no change has been told."""
+        if watched.baseline is None:
+            return None
+        if self.changed < watched.baseline.start:
+            return watched.baseline.start
+        return self.changed + DAY
+
+    def _note_states(self, night: JudgedNight, row: WatchRow) -> None:
+        label = night.watched.night
+        time = utc(night_labelled(label, night.spec.settings.nights).end_us)
+        tonight = row.tonight_change
+        of_leakage = NightState(
+            label,
+            time,
+            night.state,
+            night.way,
+            row.sentence,
+            row.path,
+            None if tonight is None else 100.0 * tonight,
+            is_news=row.told_on == label and not row.goes_on,
+            advice=row.advice if night.state in (*CHANGED, "stale") else "",
+        )
+        self.states.setdefault(LEAKAGE, []).append(of_leakage)
+        for name, zero in self.zeros.items():
+            state, words = zero.state[night.watched.place], zero.words(night.watched.place)
+            way = "drift" if state == "warning" else "baseline"
+            known = NightState(
+                label,
+                time,
+                state,
+                way,
+                words or "its zero is known",
+                advice=CHECK_ZERO if state == "warning" else "",
+            )
+            self.states.setdefault(name, []).append(known)
+
+    def by_table(self, before: Record | None, record: Record) -> dict[Table, list[Row]]:
+        """The rows of all tables, with the changes of state."""
+        course = self.course
+        published = course.nights.alarms
+        rows = alarm_rows(course.spec.motor_id, self.states, published)
+        alarms = marked(rows, published, before, record.rules or {})
+        return {**self.rows, ALARMS: alarms, CHANGE_POINTS: []}
+
+
+def _last_changed(alarms: Sequence[Row], first: dt.date) -> dt.date:
+    """The last night before one in which a change of the leakage stood told."""
+    told = sorted((row["night"], row["to_state"]) for row in alarms if row["indicator"] == LEAKAGE)
+    last, stands = dt.date.min, False
+    for night, state in told:
+        if night < first:
+            last = night - DAY if stands else last
+            stands = state in CHANGED
+    return first - DAY if stands else last
+
+
+def _of_fit(fit: Row) -> Estimate | None:
+    """Leakage at the reference conditions by a night's own fit; None where it tells none."""
+    if fit["reference_verdict"] not in TOLD or fit["reference_leakage_upper"] is None:
+        return None
+    value, upper = fit["reference_leakage_l_per_min"], fit["reference_leakage_upper"]
+    return Estimate(value, (upper - value) / HALF)

@@ -1,0 +1,312 @@
+"""What is told of a motor, in plain words: its sentence, what to do, names and dates."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from leakage.watch import Change, Estimate
+    from pipeline.trends.states.judged import JudgedNight
+
+NAMES = {
+    "leakage": "leakage",
+    "reference_leakage": "leakage at the reference conditions",
+    "own_reference_leakage": "leakage at the motor's own conditions",
+    "baseline_deviation": "case drain flow against the baseline",
+    "drain_flow": "case drain flow",
+    "oil_viscosity": "viscosity as measured against the data sheet",
+    "C_f": "flushing",
+    "pressure_zero": "zero of the pressure sensor",
+    "flow_zero": "zero of the flow sensor",
+}
+# What has happened, by cause; of any other cause the leakage of its path has changed.
+WHAT = {
+    "all_gaps": "leakage of all gaps has {risen} together",
+    "all_flows": "all flows have {risen} together",
+    "oil_grade": "flows have {risen} as with a {thinner} oil",
+    "temperature_sensor": "flows have {risen} as with an oil temperature that reads wrong",
+    "flushing": "the flushing has {risen}",
+    "known": "the flow that is taken as known has {risen}",
+    "zero": "flow has {risen} as with a zero of the flow sensor that has moved",
+    "back_as_before": "flow is back where it was",
+    "odd_nights": "single nights are odd, again and again",
+    "tank": "all flows have {risen} as those of the oil circuit's other motors",
+    "cannot_be_told": "the cause of a change cannot be told",
+}
+CAUSES = {
+    "all_gaps": "all gaps",
+    "all_flows": "all flows (all gaps worn, another oil, the flow meter)",
+    "oil_grade": "another oil",
+    "temperature_sensor": "the oil temperature sensor",
+    "temperature_effect": "the effect of temperature",
+    "known": "the flow that is taken as known",
+    "zero": "the zero of the flow sensor",
+    "back_as_before": "back as before",
+    "odd_nights": "single odd nights",
+    "tank": "the oil circuit",
+}
+FALL = "A fall is no wear: check oil, sensors and flushing, and whether a part was replaced."
+ADVICE = {
+    "all_flows": "Check oil, its temperature sensor and the flow meter; if they hold, gaps wear.",
+    "oil_grade": "Take an oil sample; if another oil was filled in, enter an oil_change.",
+    "temperature_sensor": "Compare the oil temperature with a second thermometer.",
+    "flushing": "Check the flushing; if it was changed, enter a flushing_change.",
+    "known": "Check the constants of the motor type, and the speed sensor.",
+    "zero": "Check the zero of the flow sensor at a halt without pressure.",
+    "back_as_before": "Nothing to do.",
+    "odd_nights": "Compare duty, charge pressure and oil of these nights with the others.",
+    "tank": "Check oil, temperature and charge pressure of the oil circuit first.",
+}
+CHECK_ZERO = "Check the sensor whose zero has moved."
+# Causes that are no part of the motor.
+OF_OIL_AND_SENSORS = {"all_flows", "oil_grade", "temperature_sensor", "temperature_effect", "zero"}
+# Candidates that are told, and from which probability on beside a named cause.
+MOST_CANDIDATES, LEAST_TOLD = 3, 0.05
+# Smallest change that is told, beyond which it is none that anybody asks for.
+TELLS_NOTHING = 0.5
+# Statuses of a time to a limit that have dates.
+DATED = ("finite", "not_before", "beyond_horizon")
+# Days ahead up to which a date is told to the day, not to the month.
+TO_THE_DAY = 60
+MONTHS = (
+    *("January", "February", "March", "April", "May", "June"),
+    *("July", "August", "September", "October", "November", "December"),
+)
+
+
+def name_of(indicator: str) -> str:
+    """An indicator's name for people.
+
+    Examples
+    --------
+    >>> name_of("K_balance_sleeve"), name_of("gap_change_piston_ring"), name_of("drain_flow")
+    ('balance sleeve leakage coefficient', 'piston ring gap', 'case drain flow')
+    """
+    kinds = (("K_", "leakage coefficient"), ("leakage_", "leakage"), ("gap_change_", "gap"))
+    for prefix, what in kinds:
+        if indicator.startswith(prefix):
+            return f"{indicator.removeprefix(prefix).replace('_', ' ')} {what}"
+    return NAMES.get(indicator, indicator.replace("_", " "))
+
+
+def day(date: object) -> str:
+    """A date for people.
+
+    Examples
+    --------
+    >>> import datetime as dt
+    >>> day(dt.date(2026, 10, 3))
+    '3 October 2026'
+    """
+    year, month, day_of_month = str(date)[:10].split("-")
+    return f"{int(day_of_month)} {MONTHS[int(month) - 1]} {year}"
+
+
+def limit_dates(row: Mapping[str, Any]) -> str:
+    """Dates between which a row of `trends` has its limit reached; empty without an earliest one.
+
+    Examples
+    --------
+    >>> import datetime as dt
+    >>> row = {"night": dt.date(2026, 10, 3), "days_to_limit_status": "not_before"}
+    >>> limit_dates(row | {"days_to_limit_lower": 320.0, "days_to_limit_upper": None})
+    'not before August 2027'
+    >>> row = row | {"days_to_limit_status": "finite", "days_to_limit_upper": 200.0}
+    >>> limit_dates(row | {"days_to_limit_lower": 20.0})
+    'between 23 October 2026 and April 2027'
+    """
+    if row["days_to_limit_status"] not in DATED:
+        return ""
+    earliest = _date_ahead(row["night"], row["days_to_limit_lower"])
+    if row["days_to_limit_upper"] is None:
+        return f"not before {earliest}"
+    return f"between {earliest} and {_date_ahead(row['night'], row['days_to_limit_upper'])}"
+
+
+def _date_ahead(night: dt.date, days: float) -> str:
+    """A day in the next two months, a month later on."""
+    date = day(night + dt.timedelta(days=int(days)))
+    return date if days < TO_THE_DAY else date.split(" ", 1)[1]
+
+
+def sentence(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[str]) -> str:
+    """What is told of a motor in a night: what, how much, since when, and what else it could be.
+
+    Parameters
+    ----------
+    night
+        The night.
+    quiet_since
+        Since when no change has been told; None without a baseline.
+    drifts
+        Zeros of sensors that have moved, in words.
+    """
+    parts = [_limit_words(night)] if night.way == "limit" else []
+    if night.state == "stale":
+        parts.append(_stale(night))
+    elif night.watched.verdict is None:
+        parts.append(_insufficient(night))
+    if night.change is not None and night.change.cause != "temperature_effect":
+        parts.append(_changed(night, night.change))
+    elif quiet_since is not None and night.watched.verdict and night.state != "stale":
+        parts.append(_quiet(night, quiet_since))
+    if night.model_verdict == "disproved" and night.watched.verdict is not None:
+        lack = night.watched.verdict.lack_of_fit
+        parts.append(f"the model misses {100 * lack:.0f} % of the flow, so no part is named")
+    return "; ".join([*parts, *drifts])
+
+
+def advice(night: JudgedNight, drifts: Sequence[str]) -> str:
+    """What to do in a night, or what would tell where the cause cannot be told."""
+    if night.way == "limit" and night.change is None:
+        return _look_at("the motor", night.state)
+    if night.state == "stale":
+        return "Check whether the motor's logs arrive, and the reason of its last nights."
+    check = f"{CHECK_ZERO} " if drifts else ""
+    if night.state == "insufficient":
+        return check.strip() or "Wait for more nights."
+    if night.change is None or night.state == "ok":
+        return check.strip() or "Nothing to do."
+    return check + _advice_on(night, night.change)
+
+
+def _advice_on(night: JudgedNight, change: Change) -> str:
+    if change.cause in ADVICE:
+        return ADVICE[change.cause]
+    if change.cause == "cannot_be_told":
+        return _what_would_tell(change)
+    if not change.is_rise:
+        return f"{FALL} After a repair enter an overhaul."
+    if change.cause == "all_gaps":
+        look = _look_at("the motor", night.state)
+        return f"Take an oil sample first: all gaps at once are rare. {look}"
+    return _look_at(f"the {_parts(change)}", night.state)
+
+
+def _look_at(what: str, state: str) -> str:
+    if state == "alarm":
+        return f"Look at {what} at the next stop."
+    return f"Plan a look at {what}."
+
+
+def _what_would_tell(change: Change) -> str:
+    """What would tell between the causes that are left."""
+    left = change.candidates.keys()
+    steps = []
+    if left & OF_OIL_AND_SENSORS:
+        steps.append("an oil sample, the meter's zero at a halt and a second thermometer")
+    if not left <= OF_OIL_AND_SENSORS:
+        steps.append("nights at other pressures and speeds")
+    told = f"{' and '.join(steps)} would tell"
+    rise = "" if change.is_rise else f" {FALL}"
+    return f"{told[0].upper()}{told[1:]}.{rise}"
+
+
+def _limit_words(night: JudgedNight) -> str:
+    limits, found = night.spec.motor_type.limits, night.reference
+    limit = limits.alarm_l_per_min if night.state == "alarm" else limits.warning_l_per_min
+    assert found is not None
+    return (
+        f"leakage at the reference conditions {found.value:.3g} l/min "
+        f"[{found.lower:.3g}, {found.upper:.3g}], beyond the motor type's limit of {limit:g} l/min"
+    )
+
+
+def _stale(night: JudgedNight) -> str:
+    last = night.watched.night - dt.timedelta(days=night.watched.silent)
+    why = night.why_no_blocks
+    return f"nothing is known since {day(last)}{f': {why}' if why else ''}"
+
+
+def _insufficient(night: JudgedNight) -> str:
+    watched = night.watched
+    begin = "" if watched.era.reason == "first nights" else f" since {watched.era.reason}"
+    none = f"; tonight none: {night.why_no_blocks}" if night.why_no_blocks else ""
+    return f"{watched.n_waiting} of {night.needed} nights of a baseline{begin}{none}"
+
+
+def _quiet(night: JudgedNight, since: dt.date) -> str:
+    verdict = night.watched.verdict
+    assert verdict is not None
+    percent = max(math.ceil(100.0 * verdict.smallest), 1)
+    words = f"no change of more than {percent} % since {day(since)}"
+    if verdict.smallest > TELLS_NOTHING:
+        words = f"too few nights since {day(since)} to tell a change"
+    words = f"{words}; {_tonight(night)}"
+    change = night.change
+    if change is None:
+        return words
+    return f"{words}; the flow follows temperature otherwise than before {_since(change)}"
+
+
+def _changed(night: JudgedNight, change: Change) -> str:
+    """A change that stands told."""
+    what = WHAT.get(change.cause, f"leakage of the {_parts(change)} has {{risen}}")
+    grade = f" (ISO VG {change.grade})" if change.grade else ""
+    risen = "risen" if change.is_rise else "fallen"
+    told = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
+    goes_on = "; it goes on" if change.goes_on else ""
+    parts = (f"{told}: {_tonight(night)}, {_since(change)}{goes_on}", _gap(night), _others(change))
+    return "; ".join(one for one in parts if one)
+
+
+def _gap(night: JudgedNight) -> str:
+    """How far a gap that is named has grown."""
+    gap = night.gap_growth
+    return "" if gap is None else f"its gap {_change(gap)}"
+
+
+def _others(change: Change) -> str:
+    """What it could be, with probabilities."""
+    several = sorted(change.candidates.items(), key=lambda one: -one[1])
+    if change.cause == "cannot_be_told":
+        left = [f"{_cause(name)} {_percent(p)}" for name, p in several[:MOST_CANDIDATES]]
+        return f"it could be {', '.join(left)}" if left else ""
+    sure = "over 99 %" if change.probability > 0.99 else _percent(change.probability)
+    left = [
+        f"{_cause(name)} {_percent(p)}"
+        for name, p in several
+        if name != change.cause and p >= LEAST_TOLD
+    ]
+    else_ = f", else {', '.join(left[:MOST_CANDIDATES])}" if left else ""
+    return f"{sure} probable{else_}"
+
+
+def _tonight(night: JudgedNight) -> str:
+    verdict = night.watched.verdict
+    assert verdict is not None
+    when = "tonight" if night.watched.n_blocks else "in its last night with blocks"
+    return f"case drain flow {_change(verdict.tonight)} {when}"
+
+
+def _change(size: Estimate) -> str:
+    digits = 0 if abs(size.value) >= 0.1 else 1
+    ends = f"{100 * size.lower:.{digits}f}, {100 * size.upper:.{digits}f}"
+    return f"{100 * size.value:+.{digits}f} % [{ends}]"
+
+
+def _since(change: Change) -> str:
+    first, low, high = (
+        dt.date.fromordinal(one) for one in (change.since, change.since_lower, change.since_upper)
+    )
+    between = "" if low == high else f" ({day(low)} to {day(high)})"
+    return f"since {day(first)}{between}"
+
+
+def _cause(name: str) -> str:
+    return CAUSES.get(name, _spoken(name))
+
+
+def _parts(change: Change) -> str:
+    return _spoken(change.cause).replace(" and ", " and the ")
+
+
+def _spoken(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _percent(probability: float) -> str:
+    return f"{100 * probability:.0f} %"

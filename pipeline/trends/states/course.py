@@ -1,0 +1,308 @@
+"""A motor's watch night by night: eras, baseline periods, and what each night says."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leakage.watch import Estimate, NightBlocks, Verdict, Watch, WatchSettings
+from pipeline.config import MotorSpec
+from pipeline.trends.nights.eras import Era, era_at, eras_of
+from pipeline.trends.nights.from_tables import Beginning, MotorNights, read_blocks
+from pipeline.trends.nights.history import WATCHED, Array, Records
+from pipeline.trends.nights.kept import Kept, KeptWatch
+from pipeline.trends.nights.layout import Conditions
+
+# A leakage is told at conditions as far beyond those of the era's blocks [°C, bar, rpm].
+REACH = np.array([10.0, 20.0, 10.0])
+OUT_OF_REACH = "the era's blocks do not reach these conditions"
+# Standard deviations by which another motor of the tank has moved, to be asked at all; what its
+# change may differ from this motor's own, relative to the flow.
+MOVED_SD, TANK_SPREAD = 2.0, 0.01
+
+
+NOTHING_SEEN = np.full((2, 3), np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """A baseline period: its nights, and what is frozen with it.
+
+    `own` are the motor's own conditions, `coefficients` those of the paths as the watch has them;
+    the leakages are at the motor's own and at the reference conditions, [l/min].
+    """
+
+    start: dt.date
+    end: dt.date
+    n: int
+    own: Conditions
+    coefficients: tuple[float, ...]
+    own_leakage: float | None = None
+    reference_leakage: float | None = None
+
+    @classmethod
+    def of(cls, watch: Watch, nights: Sequence[NightBlocks], charges: Array) -> Baseline:
+        """The baseline of some nights, after which a watch stands, and their charge pressures."""
+        every = np.concatenate([one.conditions for one in nights])
+        temperature, pressure, speed = np.median(every, axis=0).tolist()
+        known = charges[np.isfinite(charges)]
+        charge = float(np.median(known)) if len(known) else None
+        first, last = (dt.date.fromordinal(one.day) for one in (nights[0], nights[-1]))
+        own = Conditions(pressure, temperature, speed, charge)
+        theta = watch.state.baseline.columns.theta
+        return cls(first, last, len(nights), own, tuple(theta.tolist()))
+
+    @classmethod
+    def of_kept(cls, numbers: Mapping[str, Any]) -> Baseline:
+        """A baseline from what is kept of it."""
+        start, end = (dt.date.fromisoformat(numbers[name]) for name in ("start", "end"))
+        own, coefficients = Conditions(**numbers["own"]), tuple(numbers["coefficients"])
+        leakages = numbers["own_leakage"], numbers["reference_leakage"]
+        return cls(start, end, numbers["n"], own, coefficients, *leakages)
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What is kept of it."""
+        return asdict(self) | {"start": self.start.isoformat(), "end": self.end.isoformat()}
+
+
+@dataclass(frozen=True, slots=True)
+class WatchedNight:
+    """What the watch says of a motor in a night.
+
+    `n_waiting` are the nights so far of a baseline that is not whole; `silent` the nights since
+    the last one with blocks. The leakages are at the motor's own and at the reference conditions,
+    [l/min], without flushing; a text says why there is none.
+    """
+
+    place: int
+    night: dt.date
+    era: Era
+    n_blocks: int
+    n_waiting: int
+    silent: int
+    baseline: Baseline | None = None
+    watch: Watch | None = None
+    verdict: Verdict | None = None
+    own: Estimate | str = "no baseline yet"
+    reference: Estimate | str = "no baseline yet"
+
+
+@dataclass(slots=True)
+class Course:
+    """A motor's nights, as far as its watch has been told them.
+
+    `figures` are those of `WATCHED` by place, shape (n, 3).
+    """
+
+    output: Path
+    nights: MotorNights
+    eras: tuple[Era, ...]
+    place: int  # of the next night
+    era: Era
+    figures: Array
+    watch: Watch | None = None
+    baseline: Baseline | None = None
+    waiting: list[NightBlocks] = field(default_factory=list)
+    # Lowest and highest block means of the era, shape (2, 3).
+    seen: Array = field(default_factory=lambda: NOTHING_SEEN)
+    # The watch before the newest night, to be kept.
+    before: tuple[Era, dict[str, Any], Watch] | None = None
+    # Flow a unit of each coefficient at some conditions, by oil and conditions.
+    drives: dict[tuple[str, Conditions], Array | str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, output: Path, nights: MotorNights, beginning: Beginning) -> Course:
+        """A motor whose watch goes on from what is kept, or begins with its era."""
+        history = nights.history
+        eras, place = eras_of(history), history.place_from(beginning.night)
+        figures = np.column_stack([history.records[name] for name in WATCHED])
+        course = cls(output, nights, eras, place, era_at(eras, max(place - 1, 0)), figures)
+        kept = nights.wanted.kept
+        if beginning.resumes and kept is not None and kept.watch is not None:
+            machine = history.layout.machine(history.spec, kept.watch.era)
+            settings = watch_settings(history.spec)
+            course.watch = Watch.of_arrays(machine, settings, kept.watch.arrays)
+            course.baseline = Baseline.of_kept(kept.watch.own["baseline"])
+            course.seen = np.array(kept.watch.own["seen"])
+        return course
+
+    @property
+    def nights_to_come(self) -> tuple[dt.date, ...]:
+        """Nights that the watch is to be told."""
+        return self.nights.history.nights[self.place :]
+
+    @property
+    def next_night(self) -> dt.date | None:
+        """The first of them; None after the last."""
+        return next(iter(self.nights_to_come), None)
+
+    @property
+    def night(self) -> dt.date | None:
+        """The night that the watch was told last; None before the first."""
+        return self.nights.history.nights[self.place - 1] if self.place else None
+
+    @property
+    def spec(self) -> MotorSpec:
+        """The motor."""
+        return self.nights.history.spec
+
+    def step(self) -> None:
+        """Tell the watch the next night."""
+        history = self.nights.history
+        self.before = None
+        if self.watch is not None and self.baseline is not None:
+            own = {"baseline": self.baseline.numbers, "seen": self.seen.tolist()}
+            self.before = self.era, own, self.watch
+        if self.place in (self.era.first, self.era.end):
+            self.era = era_at(self.eras, self.place)
+            self.watch, self.baseline, self.waiting, self.seen = None, None, [], NOTHING_SEEN
+        blocks = self.nights.blocks.get(history.nights[self.place].toordinal())
+        if blocks is not None:
+            self._take(blocks)
+        self.place += 1
+
+    def _take(self, blocks: NightBlocks) -> None:
+        history = self.nights.history
+        ends = np.min(blocks.conditions, axis=0), np.max(blocks.conditions, axis=0)
+        self.seen = np.stack([np.fmin(self.seen[0], ends[0]), np.fmax(self.seen[1], ends[1])])
+        if self.watch is not None:
+            self.watch = self.watch.after(blocks, partial(self._since, blocks.day))
+            return
+        self.waiting.append(blocks)
+        settings = watch_settings(history.spec)
+        if len(self.waiting) < settings.baseline_nights:
+            return
+        machine = history.layout.machine(history.spec, history.nights[self.era.first])
+        self.watch = Watch.begin(machine, self.waiting, settings)
+        charges = history.records["charge"][self.era.first : self.place + 1]
+        self.baseline = Baseline.of(self.watch, self.waiting, charges)
+        self.baseline = replace(
+            self.baseline,
+            own_leakage=self._frozen(self.watch, self.baseline.own),
+            reference_leakage=self._frozen(self.watch, self.reference),
+        )
+        self.waiting = []
+
+    def _frozen(self, watch: Watch, at: Conditions) -> float | None:
+        """Leakage by the baseline that begins a watch."""
+        drives = self.drives_at(at, self.place)
+        return None if isinstance(drives, str) else watch.frozen_leakage_at(drives, at.measured)
+
+    def _since(self, until: int, day: int) -> list[NightBlocks]:
+        """Blocks of the nights from a day to another one, as the watch asks for them."""
+        history, known = self.nights.history, self.nights.blocks
+        begin = self.nights.blocks_from.toordinal()
+        earlier = [
+            night
+            for night, n in zip(history.nights, history.records["blocks"].tolist(), strict=True)
+            if n and day <= night.toordinal() < begin
+        ]
+        found = read_blocks(self.output, history, earlier) if earlier else []
+        return found + [known[one] for one in sorted(known) if max(day, begin) <= one <= until]
+
+    def know_tank(self, others: Sequence[Watch]) -> None:
+        """Tell the watch what the other motors of the tank did since its own change."""
+        if self.watch is None or not self.watch.state.is_settling:
+            return
+        change = self.watch.verdict().change
+        tank = None if change is None else tank_change(others, change.since)
+        if tank is not None:
+            self.watch = self.watch.with_tank(tank)
+
+    def watched(self) -> WatchedNight:
+        """What is said of the newest night; its figures are noted."""
+        history, place = self.nights.history, self.place - 1
+        counted = np.flatnonzero(history.records["blocks"][: place + 1])
+        last = int(history.numbers[counted[-1]]) if len(counted) else -1
+        night = WatchedNight(
+            place,
+            history.nights[place],
+            self.era,
+            int(history.records["blocks"][place]),
+            len(self.waiting),
+            int(history.numbers[place]) - last,
+        )
+        if self.watch is None or self.baseline is None:
+            return night
+        verdict = self.watch.verdict()
+        found = replace(
+            night,
+            baseline=self.baseline,
+            watch=self.watch,
+            verdict=verdict,
+            own=self._leakage(self.baseline.own, place),
+            reference=self._leakage(self.reference, place),
+        )
+        if night.n_blocks:
+            leakages = (
+                np.nan if isinstance(one, str) else one.value
+                for one in (found.reference, found.own)
+            )
+            self.figures[place] = *leakages, 1.0 + verdict.tonight.value
+        return found
+
+    @property
+    def reference(self) -> Conditions:
+        """The fleet's reference conditions, with the charge pressure of the baseline."""
+        asked = self.spec.settings.reference
+        charge = None if self.baseline is None else self.baseline.own.charge_over_case_bar
+        return Conditions(asked.pressure_bar, asked.temperature_c, asked.speed_rpm, charge)
+
+    def _leakage(self, at: Conditions, place: int) -> Estimate | str:
+        assert self.watch is not None
+        drives = self.drives_at(at, place)
+        if isinstance(drives, str):
+            return drives
+        conditions = at.measured
+        if (conditions < self.seen[0] - REACH).any() or (conditions > self.seen[1] + REACH).any():
+            return OUT_OF_REACH
+        return self.watch.leakage_at(drives, conditions)
+
+    def drives_at(self, at: Conditions, place: int) -> Array | str:
+        """Flow a unit of each coefficient in a night; what else shapes it is the same for all."""
+        history = self.nights.history
+        night = history.nights[place]
+        key = history.spec.file.oil_on(night), at
+        if key not in self.drives:
+            self.drives[key] = history.layout.drives_at(history.spec, night, at)
+        return self.drives[key]
+
+    def records(self) -> Records:
+        """Records of the nights that were told, with the figures of each."""
+        records = self.nights.history.records[: self.place].copy()
+        for column, name in enumerate(WATCHED):
+            records[name] = self.figures[: self.place, column]
+        return records
+
+    def kept(self, key: str) -> Kept:
+        """What is kept for the next run: the watch before the newest night, which may be redone."""
+        watch = None
+        history = self.nights.history
+        if self.before is not None:
+            era, own, before = self.before
+            watch = KeptWatch(history.nights[era.first], own, before.day, before.arrays())
+        return Kept(key, history.nights[self.place - 1], self.records(), watch)
+
+
+def watch_settings(spec: MotorSpec) -> WatchSettings:
+    """Settings of a motor's watch."""
+    trend, alarms = spec.settings.trend, spec.settings.alarms
+    return WatchSettings(alarms.false_alarms_per_year, trend.baseline_nights)
+
+
+def tank_change(others: Sequence[Watch], day: int) -> Estimate | None:
+    """Change of all flows of the tank's other motors from a day on; None where none moved."""
+    changes = [one.change_since(day) for one in others]
+    moved = [one for one in changes if one is not None and abs(one.value) >= MOVED_SD * one.sd]
+    if not moved:
+        return None
+    weights = np.array([1.0 / (one.sd**2 + TANK_SPREAD**2) for one in moved])
+    values = np.array([one.value for one in moved])
+    return Estimate(float(weights @ values / weights.sum()), float(weights.sum() ** -0.5))

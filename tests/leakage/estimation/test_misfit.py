@@ -1,0 +1,185 @@
+"""Structured misfit: nights made by the physics of another motor than the one fitted."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from leakage.estimation.block_statistics import factors, merge
+from leakage.estimation.certificate import certify
+from leakage.estimation.misfit import Misfit, misfit, model_errors
+from leakage.physics.motor import Motor, OperatingConditions, regressors, total_flow_l_per_min
+from leakage.physics.oil import FilmPressure
+from leakage.physics.paths import SpeedCurve
+from tests.leakage.placeholders import placeholder_motor, placeholder_oil
+
+Array = NDArray[np.float64]
+
+BLOCK, MINUTES = 120, 60
+MODEL = placeholder_motor()
+FIXED = np.array([False, False, False, True])
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """A motor and its sensors as they are: one sample a second."""
+
+    motor: Motor = MODEL
+    charge_bar: float | None = None
+    temperature_lag_s: float = 0.0
+    error_memory_s: float = 10.0
+    error: float = 0.015
+
+
+def lagged(values: Array, lag_s: float) -> Array:
+    """First-order lag."""
+    if not lag_s:
+        return values
+    phi = math.exp(-1.0 / lag_s)
+    made: Array = lfilter([1.0 - phi], [1.0, -phi], values, zi=[phi * values[0]])[0]
+    return made
+
+
+def autoregression(n: int, memory_s: float, generator: np.random.Generator) -> Array:
+    phi = math.exp(-1.0 / memory_s)
+    start = [phi * generator.standard_normal()]
+    white = math.sqrt(1.0 - phi * phi) * generator.standard_normal(n)
+    made: Array = lfilter([1.0], [1.0, -phi], white, zi=start)[0]
+    return made
+
+
+def night(truth: Truth, generator: np.random.Generator) -> tuple[Array, Array]:
+    """Block factors and mean temperature, pressure and speed: a warm-up under steps of load."""
+    n = 60 * MINUTES
+    pressure, speed = (
+        lagged(np.repeat(generator.uniform(low, high, n // hold + 1), hold)[:n], 3.0)
+        for low, high, hold in ((15.0, 300.0, 60), (3.0, 110.0, 90))
+    )
+    temperature = 58.0 - 14.0 * np.exp(-np.arange(n) / 1800.0) + autoregression(n, 600.0, generator)
+    at = OperatingConditions.from_bar(pressure, temperature, speed, truth.charge_bar)
+    noise = 0.015 * autoregression(n, 10.0, generator)
+    noise += truth.error * autoregression(n, truth.error_memory_s, generator)
+    # The sensors wander from night to night.
+    gain = 1.0 + 0.003 * generator.standard_normal()
+    flow = gain * total_flow_l_per_min(truth.motor, at) + noise
+    read = lagged(temperature, truth.temperature_lag_s) + 0.3 * generator.standard_normal()
+    columns = regressors(MODEL, OperatingConditions.from_bar(pressure, read, speed))
+    seen = np.column_stack([read, pressure, speed])
+    means = seen.reshape(-1, BLOCK, 3).mean(axis=1)
+    return factors(np.column_stack([columns, flow]), np.arange(0, n + 1, BLOCK)), means
+
+
+def misfits(truth: Truth, nights: int, seed: int = 1) -> list[Misfit]:
+    generator = np.random.default_rng(seed)
+    found = []
+    for _ in range(nights):
+        blocks, means = night(truth, generator)
+        theta = certify(merge(blocks), np.zeros(4), np.array([1e-9] * 3 + [0.0])).coefficients
+        told = misfit(blocks, np.arange(len(blocks)), theta, FIXED, means)
+        assert told is not None
+        found.append(told)
+    return found
+
+
+def with_roller(factor: float) -> Motor:
+    paths = tuple(
+        replace(path, coefficients=tuple(factor * one for one in path.coefficients))
+        if isinstance(path, SpeedCurve)
+        else path
+        for path in MODEL.paths
+    )
+    return replace(MODEL, paths=paths)
+
+
+def test_a_right_model_leaves_little() -> None:
+    shares = [one.share for one in misfits(Truth(), 60)]
+    assert np.quantile(shares, 0.95) < 0.007
+
+
+@pytest.mark.parametrize("minutes", [5, 15, 60])
+def test_slow_errors_alone_are_no_misfit(minutes: int) -> None:
+    found = misfits(Truth(error_memory_s=60.0 * minutes, error=0.03), 30)
+    assert sum(one.is_clear and one.share > 0.015 for one in found) <= 1
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        Truth(charge_bar=15.0),
+        Truth(replace(MODEL, film_pressure=FilmPressure("slot"))),
+        Truth(replace(MODEL, oil=placeholder_oil("VG 46"))),
+        Truth(with_roller(0.6)),
+    ],
+    ids=["two-sided", "slot film", "VG 46", "roller"],
+)
+def test_a_wrong_model_leaves_much(truth: Truth) -> None:
+    found = misfits(truth, 10)
+    assert np.median([one.share for one in found]) > 0.015
+    assert sum(one.is_clear for one in found) >= 8
+
+
+def test_a_temperature_that_lags_shows_as_a_misfit_or_as_slow_errors() -> None:
+    """Its errors scale with the flow and drift: the intervals of one night allow for either."""
+    for one in misfits(Truth(temperature_lag_s=600.0), 10):
+        assert max(one.share, one.noise_share) > 0.01
+
+
+def test_the_size_is_that_of_the_flow_which_the_fit_cannot_follow() -> None:
+    """Without noise, τ² is at most V at the minimum, and most of it for a wrong roller."""
+    truth = Truth(with_roller(0.6), error=0.0)
+    generator = np.random.default_rng(3)
+    blocks, means = night(truth, generator)
+    whole = merge(blocks)
+    certificate = certify(whole, np.zeros(4), np.array([1e-9] * 3 + [0.0]))
+    number = np.arange(len(blocks))
+    told = misfit(blocks, number, certificate.coefficients, FIXED, means)
+    assert told is not None
+    assert 0.9 * certificate.cost < told.l_per_min**2 < certificate.cost
+
+
+def test_a_shift_of_the_flow_along_its_misfit_moves_no_figure_further_than_the_model_error() -> (
+    None
+):
+    blocks, _ = night(Truth(), np.random.default_rng(4))
+    whole = merge(blocks)
+    x, n = whole[:, :3], float(np.sum(whole[:, -3] ** 2))
+    contrast = regressors(MODEL, OperatingConditions.from_bar(200.0, 50.0, 30.0))[0, :3]
+    (bound,) = model_errors(merge(blocks), FIXED, np.append(contrast, 0.0)[None], 0.01)
+    generator = np.random.default_rng(5)
+    inverse = np.linalg.inv(x.T @ x)
+    moved = []
+    for shift in (*generator.standard_normal((50, len(x))), x @ inverse @ contrast):
+        scaled = 0.01 * math.sqrt(n) * shift / np.linalg.norm(shift)
+        moved.append(abs(contrast @ inverse @ x.T @ scaled))
+    assert max(moved[:-1]) < bound
+    assert moved[-1] == pytest.approx(bound)
+
+
+def test_few_blocks_or_one_steady_state_tell_nothing_false() -> None:
+    generator = np.random.default_rng(6)
+    blocks, means = night(Truth(), generator)
+    theta = np.array([path.configured_coefficient for path in MODEL.column_paths] + [0.0])
+    few = np.arange(8)
+    assert misfit(blocks[:8], few, theta, FIXED, means[:8]) is None
+    one = np.repeat(blocks[:1], 30, axis=0)
+    steady = misfit(one, np.arange(30), theta, FIXED, np.repeat(means[:1], 30, 0))
+    assert steady is None or steady.share < 0.015
+
+
+def test_flushing_that_is_estimated_is_no_misfit() -> None:
+    model = placeholder_motor(flushing="estimated", flushing_l_per_min=2.0)
+    truth = Truth(model)
+    generator = np.random.default_rng(7)
+    for fixed, is_clear in ((np.zeros(4, dtype=bool), False), (FIXED, True)):
+        for _ in range(3):
+            blocks, means = night(truth, generator)
+            upper = np.array([1e-9] * 3 + [0.0 if fixed[-1] else 20.0])
+            theta = certify(merge(blocks), np.zeros(4), upper).coefficients
+            told = misfit(blocks, np.arange(len(blocks)), theta, fixed, means)
+            assert told is not None
+            assert (told.is_clear and told.share > 0.015) == is_clear

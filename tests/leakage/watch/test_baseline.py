@@ -1,0 +1,121 @@
+"""What the first nights fix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from leakage.watch import NightBlocks
+from leakage.watch.baseline import Baseline, baseline_of
+from tests.leakage.watch.made_machine import CB560, COEFFICIENTS, Plant
+
+Array = NDArray[np.float64]
+
+
+def mean_residual(baseline: Baseline, nights: Sequence[NightBlocks]) -> float:
+    every = [baseline.columns.of_night(night) for night in nights]
+    return float(
+        np.concatenate([rest - design @ baseline.unknowns for design, rest in every]).mean()
+    )
+
+
+def with_paths(nights: Sequence[NightBlocks], drives: Sequence[Array]) -> list[NightBlocks]:
+    return [replace(night, drives=one) for night, one in zip(nights, drives, strict=True)]
+
+
+def test_coefficients_of_the_fitted_machine_are_found_again() -> None:
+    baseline = baseline_of(CB560, Plant().nights(60, 1))
+    assert baseline.columns.theta == pytest.approx(COEFFICIENTS, rel=0.05)
+    assert baseline.lack_of_fit < 0.009
+    assert (baseline.all_paths[:4] * baseline.share).sum() == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        Plant(),
+        Plant(film="slot"),
+        Plant(film="turbulent"),
+        Plant(duty="one pressure"),
+        Plant(blocks=5),
+        Plant(wander=0.03),
+    ],
+    ids=["fitted", "slot", "turbulent", "one pressure", "ten minutes", "wild"],
+)
+@pytest.mark.parametrize("n", [8, 40])
+def test_mean_residual_of_the_baseline_is_within_one_per_cent(plant: Plant, n: int) -> None:
+    nights = plant.nights(n, 2)
+    baseline = baseline_of(CB560, nights)
+    assert abs(mean_residual(baseline, nights)) < 0.01
+    assert np.all(baseline.columns.theta >= 0.0)
+
+
+def test_lack_of_fit_tells_the_fitted_machine_from_another() -> None:
+    for seed in range(5):
+        assert baseline_of(CB560, Plant().nights(15, seed)).lack_of_fit < 0.009
+        assert baseline_of(CB560, Plant(film="turbulent").nights(15, seed)).lack_of_fit > 0.03
+
+
+def test_a_path_that_does_not_leak_has_a_coefficient_of_zero_and_costs_nothing() -> None:
+    """A path that would be fitted below 0: clipped afterwards, it would put ŷ off."""
+    nights = Plant(growth=lambda _: np.array([1.0, 0.0, 1.0, 1.0])).nights(15, 3)
+    pulling = [
+        replace(one, flow=one.flow - 0.1 * COEFFICIENTS[1] * one.drives[:, 1]) for one in nights
+    ]
+    baseline = baseline_of(CB560, pulling)
+    assert baseline.columns.theta[1] == 0.0
+    assert np.all(baseline.columns.unit > 0.0)
+    assert abs(mean_residual(baseline, pulling)) < 0.01
+
+
+def test_a_drive_that_counts_backwards_is_turned() -> None:
+    nights = Plant().nights(15, 4)
+    backwards = with_paths(nights, [one.drives * [1.0, 1.0, -1.0, 1.0] for one in nights])
+    ours, theirs = baseline_of(CB560, nights), baseline_of(CB560, backwards)
+    assert theirs.columns.sign.tolist() == [1.0, 1.0, -1.0, 1.0]
+    assert theirs.columns.theta == pytest.approx(ours.columns.theta, rel=1e-9)
+    for one, other in zip(nights, backwards, strict=True):
+        assert theirs.information(other)[1] == pytest.approx(ours.information(one)[1], rel=1e-6)
+
+
+def test_low_flow_has_a_floor_in_the_scale_only() -> None:
+    """Half of the blocks nearly still: their expectation stays theirs."""
+    nights = []
+    for one in Plant().nights(15, 6):
+        still = np.where(np.arange(30) % 2, 1.0, 0.02)
+        nights.append(replace(one, drives=one.drives * still[:, None], flow=one.flow * still))
+    baseline = baseline_of(CB560, nights)
+    flow = np.concatenate([one.flow for one in nights])
+    expected = np.concatenate([baseline.columns.expected(one.drives) for one in nights])
+    assert baseline.columns.least_scale == pytest.approx(0.2 * flow.mean())
+    assert expected == pytest.approx(flow, rel=0.08)
+
+
+def test_one_pressure_tells_no_gap_from_another() -> None:
+    still, varied = (
+        baseline_of(CB560, Plant(duty=duty).nights(15, 7)) for duty in ("one pressure", "varied")
+    )
+    assert (still.tells_gaps, still.tells_speed) == (False, False)
+    assert (varied.tells_gaps, varied.tells_speed) == (True, True)
+
+
+def test_duty_is_near_its_own_and_far_from_another() -> None:
+    nights = Plant().nights(15, 8)
+    baseline = baseline_of(CB560, nights)
+    lighter = Plant(load=lambda _: 0.5).nights(3, 9)
+    assert max(baseline.distance(night) for night in nights) < 4.0
+    assert min(baseline.distance(night) for night in lighter) > 6.0
+
+
+def test_information_of_a_night_is_about_what_is_left_of_the_baseline() -> None:
+    """Solved for all, fifteen nights of the baseline say that the flow has not changed."""
+    nights = Plant().nights(15, 10)
+    baseline = baseline_of(CB560, nights)
+    told = [baseline.information(night) for night in nights]
+    certain = sum(one for one, _ in told) + baseline.columns.prior()
+    found = np.linalg.solve(certain, sum(score for _, score in told))
+    assert abs(found @ baseline.own_row) < 0.003

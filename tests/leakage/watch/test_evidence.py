@@ -1,0 +1,216 @@
+"""Evidence against the marginal likelihood of the whole Gaussian model, with dense matrices.
+
+All blocks of all nights r = S(z + s_n + x_n a d) + e stand in one vector: z has its prior, each
+night's shift s_n ~ N(0, Q), and a the size of a change d with shape x_n.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import simpson
+from scipy.linalg import block_diag
+from scipy.stats import halfnorm, multivariate_normal, norm
+
+from leakage.watch.causes import Cause
+from leakage.watch.evidence import RAMP, STEP, Causes, Evidence, starts_of
+from leakage.watch.wander import PHI, SHARE, Wander
+from leakage.watch.window import Sums, Window
+
+Array = NDArray[np.float64]
+
+# So many nights that Q is as good as known: no allowance for its being an estimate.
+KNOWN = 10**9
+P, Q_UNKNOWNS, BLOCKS = 2, 4, 5
+DAYS = np.array([100, 101, 102, 105, 106, 107])
+# The last three nights have another duty.
+DISTANCE = np.array([0.5, 1.0, 0.7, 3.0, 2.5, 6.0])
+DUTY_ERROR = np.array([0.02, 0.05])
+SPREAD = 1e-4 * np.array([[2.0, 0.7], [0.7, 1.5]])
+PRIOR = np.diag([1.0, 1.0, 25.0, 1000.0])
+CAUSES = (
+    Cause("first", np.array([1.0, 0.0, 0.0, 0.0])),
+    Cause("both", -np.array([0.6, 0.8, 0.1, 0.02])),
+    Cause("oil_grade", np.array([0.6, 0.8, -0.3, 0.0]), mean=0.15, spread=0.02, grade=46),
+)
+
+
+def one_memory(phi: float) -> Array:
+    """All of the wander remembers by one correlation."""
+    return np.where((phi == PHI) & (SHARE == 1.0), 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Dense:
+    """The nights as blocks: designs and residuals of each, and the covariance of a night's."""
+
+    designs: tuple[Array, ...]
+    residuals: tuple[Array, ...]
+    within: Array
+
+    @classmethod
+    def of_seed(cls, seed: int, change: float = 0.1) -> Dense:
+        generator = np.random.default_rng(seed)
+        apart = np.abs(np.subtract.outer(np.arange(BLOCKS), np.arange(BLOCKS)))
+        within = 1e-4 * (np.exp(-apart / 3.0) + np.eye(BLOCKS))
+        designs, residuals = [], []
+        for night in range(len(DAYS)):
+            design = generator.normal(0.6, 0.3, (BLOCKS, Q_UNKNOWNS))
+            covariance = within + design[:, :P] @ SPREAD @ design[:, :P].T
+            noise = generator.multivariate_normal(np.zeros(BLOCKS), covariance)
+            moved = change * design[:, 0] * (night >= 3)
+            designs.append(design)
+            residuals.append(noise + moved + 0.05 * design[:, 1])
+        return cls(tuple(designs), tuple(residuals), within)
+
+    def evidence(self, serial: float = 0.3, n_nights: int = KNOWN) -> Evidence:
+        """The same as the watch is given it."""
+        weighted = [design.T @ np.linalg.inv(self.within) for design in self.designs]
+        window = Window(
+            DAYS,
+            np.array([one @ design for one, design in zip(weighted, self.designs, strict=True)]),
+            np.array([one @ rest for one, rest in zip(weighted, self.residuals, strict=True)]),
+            DISTANCE,
+            np.zeros(len(DAYS)),
+            PRIOR,
+            np.zeros(Q_UNKNOWNS),
+        )
+        wander = Wander(SPREAD, one_memory(serial))
+        sums = Sums.of(window, wander)
+        return Evidence(window, sums, wander, Causes.of(CAUSES), DUTY_ERROR, n_nights)
+
+    def covariance(self, start: int, serial: float, *, by_duty: bool) -> Array:
+        """Of all blocks without a change.
+
+        Shifts of correlated nights vary by more in their mean, of a long record by L: nights before
+        the start have L Q, those since lie between Q and L Q so that m precise ones have f(m) Q. At
+        another duty errors within nights are inflated by f(m), too.
+        """
+        n = len(DAYS) - start
+        lags = np.arange(1, n)
+        short = 1.0 + 2.0 * float(np.sum((1.0 - lags / n) * serial**lags))
+        long = (1.0 + serial) / (1.0 - serial)
+        share = (1 / short - 1 / long) / (1 - 1 / long)
+        is_other = float(DISTANCE[start:].mean()) - 1.5 > 0.5
+        nights = []
+        for night, design in enumerate(self.designs):
+            shift = design[:, :P] @ SPREAD @ design[:, :P].T
+            once, often = (np.linalg.inv(self.within + factor * shift) for factor in (1.0, long))
+            since = once / short if is_other else share * once + (1.0 - share) * often
+            mixed = since if night >= start else often
+            nights.append(np.linalg.inv(mixed))
+        every = np.concatenate(self.designs)
+        covariance = block_diag(*nights) + every @ np.linalg.inv(PRIOR) @ every.T
+        if by_duty:
+            beyond = min(max(float(DISTANCE[start:].mean()) - 1.5, 0.0), 4.0)
+            late = every[:, :P] * np.repeat(np.arange(len(DAYS)) >= start, BLOCKS)[:, None]
+            covariance = covariance + late @ np.diag((beyond * DUTY_ERROR) ** 2) @ late.T
+        return np.asarray(covariance)
+
+    def moved(self, start: int, cause: Cause, shape: int) -> Array:
+        """What a change of size 1 does to all blocks."""
+        rise = np.ones(len(DAYS)) if shape == STEP else (DAYS - DAYS[start] + 1) / 10.0
+        rise = np.where(np.arange(len(DAYS)) >= start, rise, 0.0)
+        return np.concatenate(
+            [x * design @ cause.direction for x, design in zip(rise, self.designs, strict=True)]
+        )
+
+
+def log_ratio_by_quadrature(
+    data: Dense, start: int, cause: Cause, shape: int, covariance: Array
+) -> float:
+    """ln of the ratio of marginal likelihoods, the size integrated out numerically."""
+    every, moved = np.concatenate(data.residuals), data.moved(start, cause, shape)
+    blocks = multivariate_normal(np.zeros(len(every)), covariance)
+    nothing = blocks.logpdf(every)
+    spread = cause.spread if shape == STEP else cause.spread / 3.0
+    is_half = cause.mean == 0.0 or shape == RAMP
+    size = halfnorm(scale=spread) if is_half else norm(cause.mean, spread)
+
+    low = 0.0 if is_half else cause.mean - 8 * spread
+    sizes = np.linspace(low, low + (8 if is_half else 16) * spread, 4001)
+    changed = blocks.logpdf(every - sizes[:, None] * moved)
+    return math.log(simpson(np.exp(changed - nothing) * size.pdf(sizes), x=sizes))
+
+
+@pytest.mark.parametrize("serial", [0.3, 0.8])
+@pytest.mark.parametrize("by_duty", [False, True])
+def test_sums_and_ratios_are_those_of_the_whole_model(serial: float, by_duty: bool) -> None:
+    data = Dense.of_seed(1)
+    starts = np.arange(1, len(DAYS))
+    told = data.evidence(serial).of_starts(starts, by_duty=by_duty)
+    for place, start in enumerate(starts.tolist()):
+        covariance = data.covariance(start, serial, by_duty=by_duty)
+        precise = np.linalg.inv(covariance)
+        for shape in (STEP, RAMP):
+            for of_cause, cause in enumerate(CAUSES):
+                moved = data.moved(start, cause, shape)
+                at = shape, place, of_cause
+                assert told.first[at] == pytest.approx(
+                    moved @ precise @ np.concatenate(data.residuals), rel=1e-6, abs=1e-6
+                )
+                assert told.second[at] == pytest.approx(moved @ precise @ moved, rel=1e-6)
+                wanted = log_ratio_by_quadrature(data, start, cause, shape, covariance)
+                # Six pairs of shape and cause share the prior.
+                assert told.log_ratio[at] == pytest.approx(wanted - math.log(6.0), abs=1e-4)
+
+
+def test_posterior_of_the_size_is_of_a_normal_prior() -> None:
+    data = Dense.of_seed(2)
+    told, start = data.evidence().of_starts(np.array([3]), by_duty=False), 3
+    precise = np.linalg.inv(data.covariance(start, 0.3, by_duty=False))
+    for of_cause, cause in enumerate(CAUSES):
+        moved = data.moved(start, cause, STEP)
+        certain = moved @ precise @ moved + cause.spread**-2
+        mean = (
+            moved @ precise @ np.concatenate(data.residuals) + cause.mean / cause.spread**2
+        ) / certain
+        assert told.size[STEP, 0, of_cause] == pytest.approx(mean, rel=1e-6)
+        assert told.sd[STEP, 0, of_cause] == pytest.approx(certain**-0.5, rel=1e-6)
+
+
+def test_a_start_without_one_of_its_nights_forgets_that_night() -> None:
+    data, start, left_out = Dense.of_seed(3), 2, 4
+    evidence = data.evidence()
+    told = evidence.of_starts(np.array([start]), without=np.array([left_out]), by_duty=False)
+    kept = np.repeat(np.arange(len(DAYS)) != left_out, BLOCKS)
+    precise = np.linalg.inv(data.covariance(start, 0.3, by_duty=False)[np.ix_(kept, kept)])
+    moved = data.moved(start, CAUSES[0], STEP)[kept]
+    every = np.concatenate(data.residuals)[kept]
+    assert told.first[STEP, 0, 0] == pytest.approx(moved @ precise @ every, rel=1e-6)
+    assert told.second[STEP, 0, 0] == pytest.approx(moved @ precise @ moved, rel=1e-6)
+
+
+def test_a_wander_from_few_nights_says_less() -> None:
+    """Students's t in place of the normal: ν = n(1 − φ²)/(1 + φ²) + 6, twice the gain as told."""
+    data, phi = Dense.of_seed(1, change=0.5), 0.3
+    starts = np.arange(1, len(DAYS))
+    few, certain = (data.evidence(phi, n).of_starts(starts) for n in (15, KNOWN))
+    freedom = 15 * (1 - phi**2) / (1 + phi**2) + 6
+    mean = np.array([[[0.0, 0.0, 0.15]], [[0.0, 0.0, 0.0]]])
+    spread = np.array([[[0.3, 0.3, 0.02]], [[0.1, 0.1, 0.02 / 3]]])
+    gain = (certain.size / certain.sd) ** 2 - (mean / spread) ** 2
+    most = gain.max()
+    tempered = (freedom + 1) * np.log((freedom + most) / (freedom + most - gain))
+    assert few.log_ratio - certain.log_ratio == pytest.approx(
+        0.5 * (tempered - gain), abs=1e-4 * most
+    )
+    # What is left of the best is far less than all, and the order of the causes stays.
+    assert few.log_ratio.max() < 0.5 * certain.log_ratio.max()
+    assert few.log_ratio.argmax() == certain.log_ratio.argmax()
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 0), (0, 39), (7, 200), (13, 350), (0, 1000)])
+def test_thinned_starts_stand_for_all(first: int, last: int) -> None:
+    starts, weights = starts_of(first, last)
+    assert np.all(np.diff(starts) > 0)
+    assert starts[0] >= first
+    assert starts[-1] == last
+    assert starts[-40:].tolist() == list(range(max(first, last - 39), last + 1))
+    n = last - first + 1
+    assert np.exp(weights).sum() == pytest.approx(n, rel=0.0 if n <= 40 else 0.07)
+    assert len(starts) <= 40 + 24 * math.log2(n / 40 + 1)

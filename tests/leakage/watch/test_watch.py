@@ -1,0 +1,393 @@
+"""The watch as a whole, on made nights whose changes are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from leakage.errors import EstimationError
+from leakage.watch import Change, Estimate, Machine, NightBlocks, Watch, WatchSettings, wander
+from tests.leakage.watch.made_machine import (
+    CB560,
+    COEFFICIENTS,
+    VG_46,
+    VG_68,
+    Plant,
+    drives,
+    earlier_of,
+    first_told,
+    grown,
+    of_flow,
+    watched,
+)
+
+Array = NDArray[np.float64]
+
+SEEDS = (1, 2)
+FIRST, BEGIN = 15, 30
+# Shares of ring, piston, sleeve and roller in the flow of the fitted machine.
+SHARES = np.array([of_flow(path) for path in np.eye(4)])
+
+
+@cache
+def story(plant: Plant, n: int, seed: int) -> tuple[Watch, ...]:
+    return tuple(watched(plant.nights(n, seed), first=FIRST))
+
+
+def told_of(plant: Plant, n: int, seed: int) -> tuple[Watch, Change, Change]:
+    """The watch when a change was told, that change, and the one in force at the end."""
+    watches = story(plant, n, seed)
+    told = first_told(watches)
+    assert told is not None
+    first, last = told.verdict().change, watches[-1].verdict().change
+    assert first is not None
+    assert last is not None
+    return told, first, last
+
+
+def step(at: int, by: Array | float) -> Callable[[int], Array]:
+    return lambda night: np.ones(4) + (night >= at) * np.asarray(by)
+
+
+# Plants are the keys of stories: one object each.
+GAPS_10, GAPS_20 = (Plant(growth=grown("all_gaps", by, BEGIN)) for by in (0.10, 0.20))
+FALL = Plant(growth=grown("all_gaps", -0.15, BEGIN))
+METER = Plant(growth=grown("all_flows", 0.10, BEGIN))
+OIL = Plant(oil=lambda night: VG_46 if night >= BEGIN else VG_68)
+SENSOR = Plant(offset_c=lambda night: -3.0 if night >= BEGIN else 0.0)
+SLEEVE = Plant(growth=grown("sleeve", 0.30, BEGIN))
+REPAIRED = Plant(growth=grown("sleeve", 0.30, BEGIN, 50))
+RING = Plant(growth=lambda night: np.array([1.0 + 0.03 * max(0, night - 29), 1.0, 1.0, 1.0]))
+THIRD = Plant(growth=lambda night: 1.1 if night >= 25 and night % 3 == 0 else 1.0)
+ONCE = Plant(growth=lambda night: 1.3 if night == 25 else 1.0)
+TWO = Plant(growth=lambda n: 1.0 + 0.3 * np.array([0, n >= 60, n >= BEGIN, 0]))
+ERA = Plant(growth=lambda night: (1.0 + 0.4 * (night >= BEGIN)) * (1.0 + 0.1 * (night >= 60)))
+HEALTHY, LIGHTER = Plant(), Plant(load=lambda night: 0.5 if night >= BEGIN else 1.0)
+SMALL = Machine(("gap",), ("gap",))
+
+
+def small_nights(n: int, seed: int, growth: Callable[[int], float]) -> list[NightBlocks]:
+    """A cheap machine of one path and five blocks at one duty."""
+    generator = np.random.default_rng(seed)
+    middle_s, made = 120.0 * np.arange(5.0) + 60.0, []
+    conditions = np.tile([50.0, 180.0, 30.0], (5, 1))
+    for night in range(n):
+        moved = growth(night) * (1.0 + 0.01 * generator.standard_normal())
+        drive = generator.uniform(0.9, 1.1, (5, 1))
+        flow = 2.0 * drive[:, 0] * moved * (1.0 + 0.003 * generator.standard_normal(5))
+        warm = conditions + generator.normal(0.0, 1.0, 3) * [1.0, 0.1, 0.01]
+        made.append(NightBlocks(night + night // 100, middle_s, drive, flow, warm))
+    return made
+
+
+def assert_resumes(nights: Sequence[NightBlocks], machine: Machine, first: int) -> list[Watch]:
+    """Kept every night and taken up again, the watch is the same to the last bit."""
+    settings = WatchSettings(baseline_nights=first)
+    straight = watched(nights, machine, settings)
+    kept = straight[0].arrays()
+    for night, watch in zip(range(first, len(nights)), straight[1:], strict=True):
+        before = {name: array.copy() for name, array in kept.items()}
+        resumed = Watch.of_arrays(machine, settings, kept)
+        resumed = resumed.after(nights[night], earlier_of(nights[: night + 1]))
+        # Neither the arrays nor what is known of a night depends on what comes after it.
+        assert all(np.array_equal(kept[name], before[name], equal_nan=True) for name in kept)
+        kept, ours = resumed.arrays(), watch.arrays()
+        assert kept.keys() == ours.keys()
+        for name, array in ours.items():
+            assert np.array_equal(kept[name], array, equal_nan=True), (night, name)
+        assert resumed.verdict() == watch.verdict()
+    return straight
+
+
+def test_kept_arrays_resume_to_the_same_bits_across_adoption_and_era() -> None:
+    watches = assert_resumes(ERA.nights(75, 1), CB560, FIRST)
+    assert watches[-1].state.carried.value > 0.0
+
+
+def test_kept_arrays_stay_of_one_size_and_resume_in_a_long_history() -> None:
+    nights = small_nights(375, 1, lambda night: 1.0 + 0.1 * (night >= 358))
+    watches = assert_resumes(nights, SMALL, 8)
+    sizes = [sum(array.nbytes for array in watch.arrays().values()) for watch in watches]
+    assert max(sizes[350:]) < 1.02 * max(sizes[:350])
+    # Summed up or not, the same change is told.
+    change = watches[-1].verdict().change
+    assert change is not None
+    assert change.since == nights[358].day
+    assert change.size.value == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_longer_history_changes_nothing_of_what_was_said() -> None:
+    short, long = (watched(SLEEVE.nights(n, 4), first=FIRST) for n in (40, 50))
+    assert [watch.verdict() for watch in long[: len(short)]] == [watch.verdict() for watch in short]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    ("plant", "by", "within"), [(GAPS_10, 0.10, 4), (GAPS_20, 0.20, 2), (FALL, -0.15, 3)]
+)
+def test_all_gaps(plant: Plant, by: float, within: int, seed: int) -> None:
+    told, first, last = told_of(plant, 50, seed)
+    flow = by * SHARES[:3].sum()
+    assert BEGIN <= told.day < BEGIN + within
+    assert (last.cause, last.shape, last.is_rise) == ("all_gaps", "step", by > 0.0)
+    assert first.is_rise == (by > 0.0)
+    assert last.since_lower <= BEGIN <= last.since_upper
+    assert abs(first.size.value - flow) < 3.0 * first.size.sd
+    assert last.size.value == pytest.approx(flow, abs=0.008)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_one_worn_gap_is_named_and_its_own_growth_told(seed: int) -> None:
+    told, _, last = told_of(SLEEVE, 50, seed)
+    assert told.day < BEGIN + 3
+    assert (last.cause, last.since) == ("sleeve", BEGIN)
+    assert last.probability > 0.9
+    assert last.path_growth is not None
+    assert last.path_growth.value == pytest.approx(0.30, abs=0.03)
+    assert last.size.value == pytest.approx(0.30 * SHARES[2], abs=0.01)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_ring_that_wears_goes_on_and_keeps_its_begin(seed: int) -> None:
+    told, first, last = told_of(RING, 80, seed)
+    assert told.day < BEGIN + 10
+    assert (first.shape, first.goes_on) == ("ramp", False)
+    assert next(iter(first.candidates)) == "ring"
+    assert (last.cause, last.goes_on, last.is_rise) == ("ring", True, True)
+    assert last.told_on > told.day
+    assert last.since == pytest.approx(BEGIN, abs=2)
+    assert last.size.value == pytest.approx(0.03 * 50 * SHARES[0], abs=0.012)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    ("plant", "cause", "flow"),
+    [(METER, "all_flows", 0.10), (OIL, "oil_grade", 0.43), (SENSOR, "temperature_sensor", 0.137)],
+    ids=["meter", "oil", "sensor"],
+)
+def test_what_is_common_to_all_flows(plant: Plant, cause: str, flow: float, seed: int) -> None:
+    told, _, last = told_of(plant, 45, seed)
+    assert told.day < BEGIN + 5
+    assert last.since == BEGIN
+    assert last.size.value == pytest.approx(flow, abs=0.012)
+    # Where it cannot be told, the right one is the likeliest: never another.
+    assert last.cause in (cause, "cannot_be_told")
+    assert next(iter(last.candidates)) == cause
+    assert last.grade == (46 if cause == "oil_grade" else None)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_repair_is_told_and_at_rest_afterwards(seed: int) -> None:
+    watches = story(REPAIRED, 75, seed)
+    changes = [change for one in watches if (change := one.verdict().change)]
+    assert changes[0].cause == "sleeve"
+    back = next(one for one in changes if one.cause == "back_as_before")
+    assert not back.is_rise
+    assert back.since == 50
+    last = watches[-1].verdict()
+    assert last.change is None
+    assert last.present.value == pytest.approx(0.0, abs=0.01)
+
+
+def test_odd_nights_again_and_again() -> None:
+    """Told by the third of them; by chance one of the seeds may take them for a step."""
+    told = [first_told(story(THIRD, 36, seed)) for seed in range(1, 6)]
+    changes = [c for one in told if one and (c := one.verdict().change) and c.cause == "odd_nights"]
+    assert len(changes) >= 4
+    assert {(c.shape, c.since, c.told_on) for c in changes} == {("now and then", 27, 33)}
+    assert [c.size.value for c in changes] == pytest.approx([0.10] * len(changes), abs=0.02)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_no_change_is_silent(seed: int) -> None:
+    """One odd night, half of the load, and nothing at all."""
+    for plant in (ONCE, LIGHTER, HEALTHY):
+        assert first_told(story(plant, 50, seed)) is None
+    # Of one night no more than its rarity can be left: −ln 0.003 = 5.8.
+    assert max(watch.verdict().evidence for watch in story(ONCE, 50, seed)) < 7.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_second_change_keeps_its_own_size(seed: int) -> None:
+    """Now against before its own begin; what is present is against the first baseline."""
+    watches = story(TWO, 90, seed)
+    for watch in watches:
+        change = watch.verdict().change
+        if change is not None and change.since >= 58:
+            assert change.cause in ("piston", "cannot_be_told")
+            assert change.size.value == pytest.approx(
+                0.3 * SHARES[1] / (1.0 + 0.3 * SHARES[2]), abs=0.015
+            )
+            if change.path_growth is not None:
+                assert change.path_growth.value == pytest.approx(0.3, abs=0.09)
+    last = watches[-1].verdict()
+    assert last.change is not None
+    assert last.change.since == 60
+    assert last.present.value == pytest.approx(0.3 * SHARES[1:3].sum(), abs=0.012)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_fall_after_a_rise_stays_a_fall(seed: int) -> None:
+    fall = Plant(growth=lambda n: 1.0 + 0.2 * (n >= BEGIN) - 0.06 * (n >= 60))
+    watches = watched(fall.nights(85, seed), first=FIRST)
+    of_fall = [c for one in watches if (c := one.verdict().change) is not None and c.since >= 58]
+    assert len(of_fall) > 15
+    assert not any(change.is_rise for change in of_fall)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_large_change_begins_an_era_that_carries_what_was_before(seed: int) -> None:
+    watches = story(ERA, 75, seed)
+    before, after = (watches[night - FIRST + 1] for night in (55, 74))
+    assert before.state.carried.value == pytest.approx(0.40, abs=0.02)
+    assert before.state.n_baseline < FIRST
+    assert before.verdict().present.value == pytest.approx(0.40, abs=0.02)
+    assert after.verdict().present.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.025)
+    assert after.verdict().tonight.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.04)
+
+
+@pytest.mark.parametrize("by", [0.08, -0.08])
+def test_the_tank_is_named_while_it_settles_and_stays(by: float) -> None:
+    nights = Plant(growth=grown("all_flows", by, 20)).nights(45, 1)
+    watch = Watch.begin(CB560, nights[:FIRST], WatchSettings())
+    seen = []
+    for night in range(FIRST, len(nights)):
+        watch = watch.after(nights[night], earlier_of(nights[: night + 1]))
+        watch = watch.with_tank(Estimate(by, 0.01))
+        seen += [change.cause for change in [watch.verdict().change] if change is not None]
+    assert len(seen) > 15
+    assert set(seen) == {"tank"}
+    # Settled, it is not asked again.
+    assert watch.with_tank(Estimate(-by, 0.01)) == watch
+
+
+def test_a_tank_that_did_something_else_is_not_named() -> None:
+    told = first_told(story(METER, 45, 1))
+    assert told is not None
+    change = told.with_tank(Estimate(-0.10, 0.01)).verdict().change
+    assert change is not None
+    assert change.cause != "tank"
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_at_one_pressure_no_gap_is_named(seed: int) -> None:
+    plant = Plant(duty="one pressure", growth=grown("sleeve", 0.30, BEGIN))
+    watches = watched(plant.nights(45, seed), first=FIRST)
+    assert {c.cause for one in watches if (c := one.verdict().change)} == {"cannot_be_told"}
+    at = drives(np.array([50.0, 180.0, 30.0])) * COEFFICIENTS
+    wanted = 0.30 * at[2] / at.sum()
+    assert watches[-1].verdict().present.value == pytest.approx(wanted, abs=0.012)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_size_on_a_machine_that_is_not_the_fitted_one(seed: int) -> None:
+    """Told, with its size, and no part blamed."""
+    plant = Plant(film="turbulent", growth=grown("all_gaps", 0.20, BEGIN))
+    watches = watched(plant.nights(50, seed), first=FIRST)
+    told, last = first_told(watches), watches[-1].verdict()
+    assert told is not None
+    assert told.day < BEGIN + 4
+    assert last.present.value == pytest.approx(
+        of_flow(np.array([0.2, 0.2, 0.2, 0.0]), "turbulent"), abs=0.02
+    )
+    assert {c.cause for one in watches if (c := one.verdict().change)} <= {
+        "cannot_be_told",
+        "all_gaps",
+    }
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_name_is_careful_where_the_model_is_wrong(seed: int) -> None:
+    """Sharp where it is right: 1.00; the shape of a change may err by the lack of fit."""
+    growth = grown("piston", 0.4, BEGIN)
+    right, wrong = (
+        watched(Plant(film=film, growth=growth).nights(40, seed), first=FIRST)[-1].verdict().change
+        for film in ("barus", "turbulent")
+    )
+    assert right is not None
+    assert (right.cause, round(right.probability, 2)) == ("piston", 1.0)
+    assert wrong is not None
+    assert wrong.probability < 0.97
+
+
+def test_a_season_is_no_change() -> None:
+    """Twelve degrees on another film law than the fitted one."""
+
+    def season(night: int) -> float:
+        return 12.0 * float(np.sin(min(max(night - 15, 0) / 45.0, 1.0) * np.pi / 2.0))
+
+    watches = watched(Plant(film="slot", warmer_c=season).nights(70, 1), first=FIRST)
+    assert first_told(watches) is None
+    late = [watch.verdict().present for watch in watches[-20:]]
+    assert np.abs([one.value for one in late]).max() < 0.006
+    assert np.mean([one.holds_zero for one in late]) > 0.9
+
+
+def test_the_smallest_change_that_would_be_told_is_about_right() -> None:
+    enough: list[bool] = []
+    half: list[bool] = []
+    for seed in range(4):
+        smallest = story(HEALTHY, 50, seed)[40 - FIRST].verdict().smallest
+        for factor, found in ((1.3, enough), (0.5, half)):
+            plant = Plant(growth=grown("all_flows", factor * smallest, 40))
+            found.append(first_told(watched(plant.nights(50, seed), first=FIRST)) is not None)
+    assert sum(enough) >= 3
+    assert sum(half) <= 1
+
+
+def test_leakage_at_conditions_follows_the_worn_path() -> None:
+    watch = story(SLEEVE, 50, 1)[-1]
+    for conditions in ([50.0, 200.0, 30.0], [46.0, 80.0, 60.0]):
+        at = np.array(conditions)
+        truth = float(drives(at) @ (COEFFICIENTS * [1.0, 1.0, 1.3, 1.0]))
+        told = watch.leakage_at(drives(at), at)
+        assert told.value == pytest.approx(truth, rel=0.02)
+        assert abs(told.value - truth) < 4.0 * told.sd
+
+
+def test_change_since_is_what_others_on_the_tank_are_asked() -> None:
+    watch = story(METER, 45, 2)[35 - FIRST]
+    told = watch.change_since(BEGIN)
+    assert told is not None
+    assert told.lower < 0.10 < told.upper
+    assert watch.change_since(0) is None
+    assert watch.change_since(36) is None
+
+
+def test_limit_is_of_the_rate_and_a_baseline_needs_its_nights() -> None:
+    assert WatchSettings(0.04).limit == pytest.approx(9.119, abs=1e-3)
+    with pytest.raises(EstimationError):
+        Watch.begin(CB560, HEALTHY.nights(7, 1), WatchSettings())
+
+
+# Evidence by an independent implementation of the same description (dense matrices, other
+# optimisers, no bend in the effect of temperature), nights that do not remember one another.
+INDEPENDENT = {
+    "sleeve": {20: 1.553, 40: 1.004, 60: 3.885, 80: 1.887, 119: 1.547, 120: 2.448, 122: 3.496},
+    "all_flows": {100: 1.164, 110: 1.687, 120: 1.046, 121: 4.443, 122: 6.572},
+}
+
+
+@pytest.mark.parametrize(("path", "by"), [("sleeve", 0.03), ("all_flows", -0.015)])
+def test_evidence_agrees_with_an_independent_implementation(
+    path: str, by: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ring and sleeve beside a constant and the known roller: the balance piston is missed."""
+    monkeypatch.setattr(wander, "PHI", np.full(len(wander.PHI), 1e-6))
+    paths = ("ring", "sleeve", "flushing", "known")
+    nights = [
+        replace(night, drives=night.drives[:, [0, 2, 0, 3]] * [1, 1, 0, 1] + [0, 0, 1, 0])
+        for night in Plant(growth=grown(path, by, 120)).nights(123, 7)
+    ]
+    watches = watched(nights, Machine(paths, paths[:2], VG_68), first=FIRST)
+    baseline = watches[0].state.baseline
+    assert baseline.lack_of_fit == pytest.approx(0.0507, rel=0.05)
+    in_theirs = baseline.columns.theta / [7.148e-14, 6.756e-14, 0.0354, 0.9942]
+    assert in_theirs[[1, 3]] == pytest.approx([1.0, 1.0], abs=0.01)
+    for night, wanted in INDEPENDENT[path].items():
+        assert watches[night - FIRST + 1].verdict().evidence == pytest.approx(wanted, abs=0.06)

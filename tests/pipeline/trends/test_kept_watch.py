@@ -1,0 +1,221 @@
+"""What is kept of a motor only saves work: the same rows come out without it, and in any order."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import polars as pl
+import pytest
+from polars.testing import assert_frame_equal
+
+import pipeline.trends.nights.from_tables
+from pipeline.schema import ALARMS, BASELINES, TRENDS, WATCH, Table
+from pipeline.store.tables import read_rows
+from pipeline.trends.nights.kept import decoded
+from pipeline.trends.nights.trend_record import kept_file, note_touched, read_record
+from tests.pipeline.trends.nights import (
+    OIL,
+    Frames,
+    Nights,
+    fleet_of,
+    motor,
+    named,
+    night_of,
+    part_of,
+    publish,
+    published_trends,
+    run,
+    step,
+)
+
+N, AT = 34, 22
+TABLES = (WATCH, TRENDS, ALARMS, BASELINES)
+TANK = dict.fromkeys(("M1", "M2", "M3"), 'oil_circuit = "mill"\n')
+# M1's sleeve breaks; in a tank of three the oil is another one from the same night on.
+WORN = Nights(motor(), N, {"balance_sleeve": step(N, AT, 0.5)})
+TANK_NIGHTS = tuple(
+    Nights(named(motor(), name, "mill"), N, {OIL: step(N, AT, 0.2)}, seed=number)
+    for number, name in enumerate(TANK)
+)
+
+
+def rows(output: Path, motor_id: str = "M1") -> dict[Table, pl.DataFrame]:
+    return {table: published_trends(output, table, motor_id) for table in TABLES}
+
+
+def check_same(found: Mapping[Table, pl.DataFrame], expected: Mapping[Table, pl.DataFrame]) -> None:
+    for table, one in expected.items():
+        assert_frame_equal(found[table], one, check_exact=True)
+
+
+def new_night(config: Path, output: Path, *frames: Frames, place: int) -> None:
+    publish(output, *(part_of(one, place, place + 1) for one in frames))
+    run(config)
+
+
+def fleet_until(folder: Path, nights: tuple[Nights, ...], end: int) -> tuple[Path, Path]:
+    """A fleet with the trends of its first nights."""
+    config, output = fleet_of(folder, *nights, until=end)
+    run(config)
+    return config, output
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[Table, pl.DataFrame]:
+    """Rows of the motor whose nights were all made in one run."""
+    config, output = fleet_of(tmp_path_factory.mktemp("whole"), WORN)
+    run(config)
+    return rows(output)
+
+
+@pytest.fixture(scope="module")
+def whole_tank(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[Table, pl.DataFrame]]:
+    config, output = fleet_of(tmp_path_factory.mktemp("tank"), *TANK_NIGHTS)
+    run(config)
+    return {name: rows(output, name) for name in TANK}
+
+
+def test_night_by_night_gives_what_one_run_gives(
+    tmp_path: Path, whole: dict[Table, pl.DataFrame]
+) -> None:
+    """Before the baseline is whole, across the step, and while the change settles."""
+    config, output = fleet_until(tmp_path, (WORN,), 6)
+    frames = WORN.frames()
+    for place in (6, 7, 8, 9):
+        new_night(config, output, frames, place=place)
+    publish(output, part_of(frames, 10, AT - 1))
+    run(config)
+    for place in range(AT - 1, AT + 4):
+        new_night(config, output, frames, place=place)
+    publish(output, part_of(frames, AT + 4, N))
+    run(config)
+    check_same(rows(output), whole)
+
+
+def test_rows_of_the_first_nights_are_the_first_rows(
+    tmp_path: Path, whole: dict[Table, pl.DataFrame]
+) -> None:
+    for end in (9, AT + 1, AT + 3):
+        _, output = fleet_until(tmp_path / str(end), (WORN,), end)
+        known = {table: one.filter(pl.col("night") < night_of(end)) for table, one in whole.items()}
+        check_same(rows(output), known)
+
+
+def test_a_tank_night_by_night_gives_what_one_run_gives(
+    tmp_path: Path, whole_tank: dict[str, dict[Table, pl.DataFrame]]
+) -> None:
+    config, output = fleet_until(tmp_path, TANK_NIGHTS, AT)
+    frames = [one.frames() for one in TANK_NIGHTS]
+    for place in (AT, AT + 1, AT + 2):
+        new_night(config, output, *frames, place=place)
+    publish(output, *(part_of(one, AT + 3, N) for one in frames))
+    run(config)
+    for name, expected in whole_tank.items():
+        check_same(rows(output, name), expected)
+    states = whole_tank["M2"][WATCH].filter(night=night_of(N - 1))
+    assert states.select("state", "cause").rows() == [("common_cause", "tank")]
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-9])
+
+
+def flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("harm", [Path.unlink, cut, flip, lambda path: path.write_bytes(b"")])
+def test_without_what_was_kept_it_is_the_same_at_the_cost_of_time(
+    tmp_path: Path, whole: dict[Table, pl.DataFrame], harm: Callable[[Path], object]
+) -> None:
+    config, output = fleet_until(tmp_path, (WORN,), AT + 3)
+    harm(kept_file(output, "M1"))
+    publish(output, part_of(WORN.frames(), AT + 3, N))
+    run(config)
+    check_same(rows(output), whole)
+
+
+def test_what_is_kept_of_another_run_is_not_believed(
+    tmp_path: Path, whole: dict[Table, pl.DataFrame]
+) -> None:
+    """A copy from an earlier night, as a backup of one folder leaves it."""
+    config, output = fleet_until(tmp_path, (WORN,), AT)
+    before = kept_file(output, "M1").read_bytes()
+    new_night(config, output, WORN.frames(), place=AT)
+    kept_file(output, "M1").write_bytes(before)
+    publish(output, part_of(WORN.frames(), AT + 1, N))
+    run(config)
+    check_same(rows(output), whole)
+
+
+def test_a_new_night_reads_no_blocks_but_its_own_and_those_of_the_night_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The night before may still have been growing: the watch is kept from before it."""
+    config, output = fleet_until(tmp_path, (WORN,), AT)
+    read: list[tuple[str, dt.date]] = []
+
+    def spied(
+        place: Path, table: Table, *asked: object, nights: object = None, **more: object
+    ) -> pl.DataFrame:  # type: ignore[misc]
+        if nights is not None:
+            read.extend((table.name, night) for night in nights)  # type: ignore[attr-defined]
+        return read_rows(place, table, *asked, nights=nights, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(pipeline.trends.nights.from_tables, "read_rows", spied)
+    new_night(config, output, WORN.frames(), place=AT)
+    assert {night for name, night in read if name == "fits"} == {night_of(AT)}
+    blocks = {night for name, night in read if name == "block_statistics"}
+    assert blocks == {night_of(AT - 1), night_of(AT)}
+
+
+@pytest.mark.parametrize("place", [3, AT - 1, N - 1])
+def test_a_late_log_gives_what_it_would_have_given_in_time(
+    tmp_path: Path, whole: dict[Table, pl.DataFrame], place: int
+) -> None:
+    """Of a night of the baseline, of one before the change, and of the last one."""
+    config, output = fleet_of(tmp_path, Nights(WORN.spec, N, WORN.wear, absent=frozenset({place})))
+    run(config)
+    note_touched(output, "M1", night_of(place))
+    new_night(config, output, WORN.frames(), place=place)
+    found = rows(output)
+    for table in (WATCH, TRENDS, BASELINES):
+        assert_frame_equal(found[table], whole[table], check_exact=True)
+
+
+def test_a_late_log_of_one_motor_redoes_the_others_of_its_tank(
+    tmp_path: Path, whole_tank: dict[str, dict[Table, pl.DataFrame]]
+) -> None:
+    late = AT + 1
+    first, *others = TANK_NIGHTS
+    gap = Nights(first.spec, N, first.wear, seed=first.seed, absent=frozenset({late}))
+    config, output = fleet_of(tmp_path, gap, *others)
+    run(config)
+    note_touched(output, "M1", night_of(late))
+    publish(output, *(part_of(one.frames(), late, late + 1) for one in TANK_NIGHTS))
+    run(config)
+    for name, expected in whole_tank.items():
+        assert_frame_equal(rows(output, name)[WATCH], expected[WATCH], check_exact=True)
+
+
+def test_kept_files_of_older_versions_go(tmp_path: Path) -> None:
+    config, output = fleet_until(tmp_path, (WORN,), 10)
+    older = kept_file(output, "M1").with_name("2026-01.lz4")
+    older.write_bytes(b"of an older version")
+    new_night(config, output, WORN.frames(), place=10)
+    assert [path.name for path in older.parent.iterdir()] == ["watch"]
+
+
+def test_what_is_kept_says_up_to_which_night(tmp_path: Path) -> None:
+    _, output = fleet_until(tmp_path, (WORN,), 12)
+    kept, record = decoded(kept_file(output, "M1").read_bytes()), read_record(output, "M1")
+    assert kept is not None
+    assert record is not None
+    assert kept.last_night == record.last_night == night_of(11)
+    assert kept.watch is not None
+    assert kept.watch.day == night_of(10).toordinal()
+    assert len(kept.records) == 12
