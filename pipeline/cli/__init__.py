@@ -36,7 +36,6 @@ baseline = typer.Typer(no_args_is_help=True, help="Baselines of a motor.")
 # In the order in which the help lists them.
 app.command("fit-fleet")(runs.fit_fleet)
 app.command()(looking.look)
-app.command()(runs.retry)
 app.command()(starting.init)
 app.command()(checking.check)
 app.command()(publishing.explain)

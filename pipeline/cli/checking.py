@@ -98,6 +98,7 @@ def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, me
     from pipeline.run.mending import mend_output
     from pipeline.run.verification import verify_tables
     from pipeline.store.locks import locked
+    from pipeline.store.state import make_ready, open_state
     from pipeline.store.tables import existing_tables
     from pipeline.store.working_copy import working_copy
 
@@ -107,7 +108,9 @@ def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, me
     folder = fleet.output
     if mend:
         with locked(folder), working_copy(fleet.object_store, folder) as restore:
-            found, left = mend_output(folder, restore)
+            make_ready(folder)
+            with open_state(folder) as state:
+                found, left = mend_output(state, restore)
     else:
         found = left = tuple(verify_tables(folder))
     _say_faults(found, "table_fault", "", as_json=as_json)

@@ -132,6 +132,7 @@ class Reporter:
                 "run_id": result.run_id,
                 "n_motors": len(result.outcomes),
                 "n_failed": len(result.failed),
+                "n_standing": result.n_standing,
                 "n_nights": result.n_nights,
                 "files": _by_fate(result.files),
                 "interrupted": result.interrupted,
@@ -163,6 +164,9 @@ class Reporter:
             say(f"seconds by stage, summed over motors: {stages}")
         for code, count in _by_code(result).items():
             say(f"{code}: {counted(count, 'motor')}")
+        if result.n_standing:
+            stand = "failure stands" if result.n_standing == 1 else "failures stand"
+            say(f"{result.n_standing} {stand}: mend or remove the logs, then fit-fleet --retry")
         for fault in result.damage_left:
             say(f"motor-leakage: {fault}", err=True)
         if result.damage:

@@ -54,13 +54,18 @@ def fit_fleet(
     force: Annotated[
         bool, typer.Option("--force", help="Make nights anew from their logs though unchanged.")
     ] = False,
+    retry: Annotated[
+        bool, typer.Option("--retry", help="Try nights and logs again that failed.")
+    ] = False,
 ) -> None:
     """Fit every new night of the fleet's motors and write the tables.
 
     Example: motor-leakage fit-fleet configs/fleet.toml --jobs 2 --since 2026-01-02
 
-    Exit code 0: no motor failed; 1: at least one did, the others are done, or published rows are
-    lost; 2: wrong usage or config; 3: another run holds the output; 4: nothing could be published.
+    A night or log that failed stands as failed, and is not tried again while it is unchanged, but
+    with --retry. A failed night whose log was removed fails no more.
+
+    Exit code 0: no failure stands; 1: one does, the others are done, or published rows are lost; 2: wrong usage or config; 3: another run holds the output; 4: nothing could be published.
     """
     with stoppable():
         from pipeline.run.fleet import RunRequest
@@ -72,35 +77,13 @@ def fit_fleet(
             since=night_label(since, "--since"),
             until=night_label(until, "--until"),
             force=force,
+            retry=retry,
         )
         in_order(request.since, request.until)
         if dry_run:
             print_plan(request, as_json)
         else:
             _run(request, as_json, fail_on_alarm=fail_on_alarm)
-
-
-def retry(
-    config: ConfigFile,
-    output: Output = None,
-    jobs: Jobs = None,
-    motors: Motors = "",
-    as_json: AsJson = False,
-) -> None:
-    """Try the nights and logs again that failed, and do what is new.
-
-    A log that cannot be read is not tried again while it is unchanged; this does.
-
-    Example: motor-leakage retry configs/fleet.toml
-
-    Exit codes as those of fit-fleet.
-    """
-    with stoppable():
-        from pipeline.run.fleet import RunRequest
-
-        fleet = load(config, output, jobs)
-        request = RunRequest(fleet, fleet.known_motors(motors.split()), retry=True)
-        _run(request, as_json)
 
 
 def _run(request: RunRequest, as_json: bool, *, fail_on_alarm: bool = False) -> NoReturn:
@@ -114,7 +97,7 @@ def _run(request: RunRequest, as_json: bool, *, fail_on_alarm: bool = False) -> 
     if result.interrupted:
         raise KeyboardInterrupt
     alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)
-    failed = result.failed or result.damage_left or alarmed
+    failed = result.failed or result.n_standing or result.damage_left or alarmed
     raise typer.Exit(EXIT_MOTORS_FAILED if failed else EXIT_OK)
 
 

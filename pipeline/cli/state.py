@@ -47,7 +47,7 @@ def status(
     fleet = load(config, output, None, logs=False)
     receivers = receivers_of(fleet.settings.alarms)
     motor_ids = [spec.motor_id for spec in fleet.motors]
-    found = fleet_status(fleet.output, motor_ids, receivers, fleet.name)
+    found = fleet_status(fleet.output, motor_ids, receivers)
     ended = found.last_good_run
     too_old = limit is not None and (ended is None or dt.datetime.now(dt.UTC) - ended > limit)
     print_status(fleet.name, found, too_old=too_old, as_json=as_json)

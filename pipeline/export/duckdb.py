@@ -59,11 +59,11 @@ def export_duckdb(output: Path, path: Path) -> Iterator[Exported]:
 
 def _fill(connection: DuckDBPyConnection, output: Path, table: Table) -> int:
     """Fill a table, file after file: memory does not grow with the history."""
-    connection.execute(f"DELETE FROM {table.name}")  # noqa: S608 - a name of the schema
+    connection.execute(f"DELETE FROM {table.name}")
     count = 0
     for path in files_of(output, table):
         rows = read_table(path, table).to_arrow(compat_level=pl.CompatLevel.oldest())
         connection.register("rows", rows)
-        connection.execute(f"INSERT INTO {table.name} BY NAME SELECT * FROM rows")  # noqa: S608
+        connection.execute(f"INSERT INTO {table.name} BY NAME SELECT * FROM rows")
         count += rows.num_rows
     return count

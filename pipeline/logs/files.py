@@ -66,13 +66,23 @@ def inspect_log(
     record = look_at(name, path)
     if record.status == "failed":
         return record
-    same = before and (before.size, before.modified_ns) == (record.size, record.modified_ns)
     # An unreadable file has no hash: its permissions may have changed.
-    if before and before.sha256 and same:
-        return before if before.inode == record.inode else replace(before, inode=record.inode)
+    if before and before.sha256 and _is_same(before, record):
+        return _now(before, record)
     found = _inspected(record, path, before, spec, latest_us, ends)
     why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
     return found if why is None else growing(found, why)
+
+
+def _is_same(before: FileRecord, now: FileRecord) -> bool:
+    """True if nobody has written to a file, or put another one of its time into its place."""
+    stamps = (before.size, before.modified_ns, before.changed_ns or now.changed_ns)
+    return stamps == (now.size, now.modified_ns, now.changed_ns)
+
+
+def _now(before: FileRecord, now: FileRecord) -> FileRecord:
+    """The record of a file with the same content, as the file is now."""
+    return replace(before, modified_ns=now.modified_ns, inode=now.inode, changed_ns=now.changed_ns)
 
 
 def _inspected(
@@ -90,7 +100,7 @@ def _inspected(
     except OSError as error:
         return failed(record, _not_readable(path, error))
     if before and before.sha256 == record.sha256:
-        return replace(before, modified_ns=record.modified_ns, inode=record.inode)
+        return _now(before, record)
     with reading(record.path):
         return spanned(record, path, spec, latest_us, ends)
 
@@ -133,7 +143,14 @@ def look_at(name: str, path: Path) -> FileRecord:
         return failed(
             FileRecord(name, 0, _link_modified_ns(path), None), _not_readable(path, error)
         )
-    record = FileRecord(name, state.st_size, state.st_mtime_ns, None, inode=state.st_ino)
+    record = FileRecord(
+        name,
+        state.st_size,
+        state.st_mtime_ns,
+        None,
+        inode=state.st_ino,
+        changed_ns=state.st_ctime_ns,
+    )
     if not stat.S_ISREG(state.st_mode):
         # Opening a pipe would block.
         fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")

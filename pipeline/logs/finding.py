@@ -15,7 +15,7 @@ from pipeline.errors import one_line
 from pipeline.workers.process import asking, told_alive
 
 # Size, time of the last change [ns] and inode.
-State = tuple[int, int, int]
+FileState = tuple[int, int, int, int]
 
 LONGEST_PATH = 4096
 GLOB_CHARACTERS = frozenset("*?[")
@@ -84,7 +84,7 @@ def legible(text: str) -> str:
     return one_line(text, LONGEST_PATH)
 
 
-def states_of(root: Path, patterns: Iterable[str]) -> dict[str, State] | None:
+def states_of(root: Path, patterns: Iterable[str]) -> dict[str, FileState] | None:
     """State of each log, by relative path; None where one is absent or no readable file."""
     found = {}
     try:
@@ -93,7 +93,7 @@ def states_of(root: Path, patterns: Iterable[str]) -> dict[str, State] | None:
             state = path.stat()
             if not stat.S_ISREG(state.st_mode):
                 return None
-            found[name] = (state.st_size, state.st_mtime_ns, state.st_ino)
+            found[name] = (state.st_size, state.st_mtime_ns, state.st_ino, state.st_ctime_ns)
     except OSError:
         return None
     return None if absent else found

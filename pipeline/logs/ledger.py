@@ -1,28 +1,31 @@
 """Ledger of a motor: the files that were read, and the outcome of each night.
 
-One sealed file for each motor and month, beside the tables: a night costs the same however long the
-history is. It only saves work: without it all logs are read again and give the same tables.
+It stands in the state file. A task gets its motor's ledger with it, and stages what has changed.
+It only saves work: without it all logs are read again and give the same tables.
 """
 
 from __future__ import annotations
 
 import datetime as dt
 import hashlib
-from collections import defaultdict
+import json
+import pickle
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import ROLLER
-from pipeline.store.sealed import put_sealed, read_if_whole, unseal
+from pipeline.store.atomic_files import scratch, store_errors
+from pipeline.store.state import State
 from pipeline.workers.process import still_alive
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
 
 # Read at a time for the hash of a file.
 PIECE_BYTES = 1 << 20
-# Stands for the month of files without a night.
-NO_MONTH = "unknown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,10 @@ class FileRecord:
     status: str = "ok"
     error_code: str | None = None
     message: str | None = None
-    inode: int = 0  # of the file: it differs if another one has taken its name
+    # inode, changed_ns: of the file; one of them differs if another one has taken its name and
+    # time. 0 where they are not known.
+    inode: int = 0
+    changed_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,145 +81,182 @@ class NightRecord:
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """Files and nights of a motor."""
+    """Files and nights of a motor, and the settings of its last run."""
 
     # By path relative to the log root.
     files: Mapping[str, FileRecord] = field(default_factory=dict)
     nights: Mapping[dt.date, NightRecord] = field(default_factory=dict)  # by label
+    settings: Mapping[str, Any] | None = None  # as `settings_of`; None before the first run
 
     def model_before(self, night: dt.date) -> Mapping[str, tuple[float, ...]]:
         """The motor's last model before a night; empty where there is none."""
         earlier = [label for label, record in self.nights.items() if label < night and record.model]
         return self.nights[max(earlier)].model if earlier else {}
 
-    def without(self, nights: Collection[dt.date], refit: Collection[dt.date] = ()) -> Ledger:
-        """A ledger without the files that have samples of some nights: these are made anew.
 
-        Nights with a fit are kept: if their log is gone, the night after is still judged with their
-        model. Those of `refit` are then fitted anew from their statistics.
-        """
-        labels = {night.isoformat() for night in nights}
-        return Ledger(
-            {name: one for name, one in self.files.items() if labels.isdisjoint(one.nights)},
-            {
-                night: replace(one, figures_hash="") if night in refit else one
-                for night, one in self.nights.items()
-                if one.model or night not in nights
-            },
+@dataclass(frozen=True, slots=True)
+class LedgerChange:
+    """What a run changes in a motor's ledger; None for what goes."""
+
+    files: Mapping[str, FileRecord | None]
+    nights: Mapping[dt.date, NightRecord | None]
+    settings: Mapping[str, Any] | None  # None where they stay
+
+    @classmethod
+    def between(cls, before: Ledger, after: Ledger) -> LedgerChange:
+        """The change from one ledger to another."""
+        return cls(
+            _changed(before.files, after.files),
+            _changed(before.nights, after.nights),
+            None if after.settings == before.settings else after.settings,
         )
 
-    def by_month(self) -> dict[str, Ledger]:
-        """Content of each month's file: a night goes by its label, a file by its first night."""
-        files: defaultdict[str, dict[str, FileRecord]] = defaultdict(dict)
-        nights: defaultdict[str, dict[dt.date, NightRecord]] = defaultdict(dict)
-        for path, record in self.files.items():
-            files[min(record.nights)[:7] if record.nights else NO_MONTH][path] = record
-        for label, one in self.nights.items():
-            nights[f"{label:%Y-%m}"][label] = one
-        return {month: Ledger(files[month], nights[month]) for month in sorted({*files, *nights})}
+    def __bool__(self) -> bool:
+        return bool(self.files or self.nights or self.settings is not None)
 
 
-def changed_months(before: Ledger, after: Ledger) -> dict[str, Ledger]:
-    """Months that have changed; an empty one has no content left."""
-    old, new = before.by_month(), after.by_month()
-    return {
-        month: new.get(month, Ledger())
-        for month in sorted({*old, *new})
-        if old.get(month) != new.get(month)
+def _changed(before: Mapping[Key, Value], after: Mapping[Key, Value]) -> dict[Key, Value | None]:
+    changed: dict[Key, Value | None] = {
+        key: value for key, value in after.items() if before.get(key) != value
     }
+    return changed | dict.fromkeys(before.keys() - after.keys())
 
 
-def ledger_folder(output: Path, motor_id: str) -> Path:
-    """Folder of a motor's ledger."""
-    return output / "ledger" / motor_id
+_LOG_COLUMNS = tuple(one.name for one in fields(FileRecord))
+_NIGHT_COLUMNS = tuple(one.name for one in fields(NightRecord))
 
 
-def read_ledger(output: Path, motor_id: str) -> Ledger:
-    """A motor's ledger, without damaged months."""
-    files: dict[str, FileRecord] = {}
-    nights: dict[dt.date, NightRecord] = {}
-    for path in sorted(ledger_folder(output, motor_id).glob("*.json")):
-        month = _read_month(path)
-        files |= month.files
-        nights |= month.nights
-    return Ledger(files, nights)
-
-
-def _read_month(path: Path) -> Ledger:
-    document = read_if_whole(path, unseal)
-    if document is None:
+def read_ledger(state: State, motor_id: str) -> Ledger:
+    """A motor's ledger."""
+    settings = state.rows("SELECT settings FROM motors WHERE motor_id = ?", motor_id)
+    if not settings:
         return Ledger()
-    try:
-        files = {
-            name: FileRecord(**(record | {"nights": tuple(record["nights"])}))
-            for name, record in document["files"].items()
-        }
-        nights = {
-            dt.date.fromisoformat(label): NightRecord(
-                **(record | {"model": {k: tuple(v) for k, v in record["model"].items()}})
-            )
-            for label, record in document["nights"].items()
-        }
-    except (ValueError, KeyError, TypeError, AttributeError):
-        return Ledger()
-    return Ledger(files, nights)
+    logs = state.rows(f"SELECT {', '.join(_LOG_COLUMNS)} FROM logs WHERE motor_id = ?", motor_id)
+    nights = state.rows(
+        f"SELECT night, {', '.join(_NIGHT_COLUMNS)} FROM nights WHERE motor_id = ?", motor_id
+    )
+    return Ledger(
+        {row[0]: _file_record(dict(zip(_LOG_COLUMNS, row, strict=True))) for row in logs},
+        {
+            dt.date.fromisoformat(night): _night_record(dict(zip(_NIGHT_COLUMNS, row, strict=True)))
+            for night, *row in nights
+        },
+        json.loads(settings[0][0]),
+    )
 
 
-def month_files(
-    output: Path, motor_id: str, before: Ledger, after: Ledger
-) -> dict[Path, dict[str, Any]]:
-    """Documents of the months of a motor's ledger that have changed, by file."""
+def _file_record(row: dict[str, Any]) -> FileRecord:
+    return FileRecord(**row | {"nights": tuple(row["nights"].split())})
+
+
+def _night_record(row: dict[str, Any]) -> NightRecord:
+    model = {mode: tuple(theta) for mode, theta in json.loads(row["model"]).items()}
+    tells = row["tells_roller"]
+    return NightRecord(
+        **row | {"model": model, "tells_roller": None if tells is None else tells == 1}
+    )
+
+
+def write_change(state: State, motor_id: str, change: LedgerChange) -> None:
+    """Change a motor's ledger; raises StoreError."""
+    with state.transaction():
+        state.write("INSERT OR IGNORE INTO motors VALUES (?, '{}')", motor_id)
+        if change.settings is not None:
+            text = json.dumps(change.settings, sort_keys=True)
+            state.write("UPDATE motors SET settings = ? WHERE motor_id = ?", text, motor_id)
+        for table, key, changed in (
+            ("logs", "path", change.files),
+            ("nights", "night", change.nights),
+        ):
+            gone = [(motor_id, str(one)) for one, record in changed.items() if record is None]
+            state.write_all(f"DELETE FROM {table} WHERE (motor_id, {key}) = (?, ?)", gone)
+        files = [_file_row(one) for one in change.files.values() if one is not None]
+        nights = [_night_row(one, two) for one, two in change.nights.items() if two is not None]
+        for table, columns, rows in (
+            ("logs", _LOG_COLUMNS, files),
+            ("nights", ("night", *_NIGHT_COLUMNS), nights),
+        ):
+            places = ", ".join("?" * (1 + len(columns)))
+            insert = f"INSERT OR REPLACE INTO {table} (motor_id, {', '.join(columns)})"
+            state.write_all(f"{insert} VALUES ({places})", ((motor_id, *row) for row in rows))
+
+
+def _file_row(record: FileRecord) -> list[Any]:
+    row = {name: getattr(record, name) for name in _LOG_COLUMNS}
+    return list((row | {"nights": " ".join(record.nights)}).values())
+
+
+def _night_row(night: dt.date, record: NightRecord) -> list[Any]:
+    row = {name: getattr(record, name) for name in _NIGHT_COLUMNS}
+    return [str(night), *(row | {"model": json.dumps(dict(record.model))}).values()]
+
+
+def stage_change(staging: Path, motor_id: str, change: LedgerChange) -> None:
+    """Leave a change for the run to write, when the motor's nights are published.
+
+    Raises StoreError if it cannot be written.
+    """
+    path = _staged_file(staging, motor_id)
+    if not change:
+        path.unlink(missing_ok=True)  # of a task that was lost and is done again
+        return
+    with store_errors(path), scratch(path) as stream:
+        pickle.dump(change, stream)
+
+
+def staged_change(staging: Path, motor_id: str) -> LedgerChange | None:
+    """The change that a motor's task has staged; None where nothing has changed."""
+    path = _staged_file(staging, motor_id)
+    # Written by this run, in a folder of its own.
+    return pickle.loads(path.read_bytes()) if path.exists() else None  # noqa: S301
+
+
+def _staged_file(staging: Path, motor_id: str) -> Path:
+    return staging / "ledger" / motor_id
+
+
+def as_published(spec: MotorSpec, settings: Mapping[str, Any] | None) -> MotorSpec:
+    """A motor with the form of its fits that its last run's settings have."""
+    return replace(spec, roller_is_free=ROLLER in (settings or {}))
+
+
+def read_settings(state: State) -> dict[str, dict[str, Any]]:
+    """Settings of each motor's last run, by motor."""
     return {
-        ledger_folder(output, motor_id) / f"{month}.json": {
-            "files": {path: asdict(record) for path, record in sorted(ledger.files.items())},
-            "nights": {
-                label.isoformat(): asdict(record) for label, record in sorted(ledger.nights.items())
-            },
-        }
-        for month, ledger in changed_months(before, after).items()
+        motor_id: json.loads(text)
+        for motor_id, text in state.rows("SELECT motor_id, settings FROM motors")
     }
-
-
-def settings_file(output: Path, motor_id: str) -> Path:
-    """File of the settings of a motor's last run."""
-    return ledger_folder(output, motor_id) / "settings"
-
-
-def read_settings(output: Path, motor_id: str) -> dict[str, Any]:
-    """Settings of a motor's last run, as `settings_of` has them; empty without a record."""
-    return read_if_whole(settings_file(output, motor_id), unseal) or {}
-
-
-def as_published(output: Path, spec: MotorSpec) -> MotorSpec:
-    """A motor with the scale of its rollers' curve free where its published fits have it so."""
-    is_free = ROLLER in read_settings(output, spec.motor_id)
-    return replace(spec, roller_is_free=is_free)
 
 
 def forget_nights(
-    output: Path,
+    state: State,
     nights: Collection[dt.date],
     keep: Collection[str] = (),
     refit: Collection[dt.date] = (),
 ) -> dict[str, set[dt.date]]:
     """Let the next run make nights anew whose tables were lost, for all motors but those to keep.
 
-    Nights of `refit` may be fitted from their statistics if their logs are gone. Returns, by motor,
-    those of the nights with a fit.
+    Nights with a fit are kept: if their log is gone, the night after is still judged with their
+    model. Those of `refit` may be fitted from their statistics. Returns, by motor, those of the
+    nights with a fit.
 
-    Raises StoreError if a ledger cannot be written.
+    Raises StoreError if the state cannot be written.
     """
-    fitted = {}
-    for folder in sorted((output / "ledger").glob("*")):
-        if folder.name in keep:
-            continue
-        before = read_ledger(output, folder.name)
-        fitted[folder.name] = {
-            night for night, one in before.nights.items() if one.model and night in nights
-        }
-        after = before.without(nights, refit)
-        for path, document in month_files(output, folder.name, before, after).items():
-            put_sealed(path, document)
+    fitted: dict[str, set[dt.date]] = {}
+    others = [one for (one,) in state.rows("SELECT motor_id FROM motors") if one not in keep]
+    with state.transaction():
+        for night in nights:
+            label = night.isoformat()
+            for motor_id in others:
+                where, values = "WHERE (motor_id, night) = (?, ?)", (motor_id, label)
+                state.write(
+                    "DELETE FROM logs WHERE motor_id = ? AND nights LIKE ?", motor_id, f"%{label}%"
+                )
+                state.write(f"DELETE FROM nights {where} AND model = '{{}}'", *values)
+                if state.rows(f"SELECT 1 FROM nights {where}", *values):
+                    fitted.setdefault(motor_id, set()).add(night)
+                if night in refit:
+                    state.write(f"UPDATE nights SET figures_hash = '' {where}", *values)
     return fitted
 
 

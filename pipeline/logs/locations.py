@@ -172,7 +172,9 @@ class StoredLogs:
             became = failed if error.code == "log_missing" else growing
             return became(_record(name, found), error)
         record = inspect_log(name, path, None, self._spec, self._latest_us, ends)
-        record = replace(record, modified_ns=_modified_ns(found), inode=_number(found.tag))
+        record = replace(
+            record, modified_ns=_modified_ns(found), inode=_number(found.tag), changed_ns=0
+        )
         if before is not None and before.sha256 == record.sha256 and record.sha256:
             return replace(before, modified_ns=record.modified_ns, inode=record.inode)
         return record

@@ -17,12 +17,10 @@ from pipeline.config import MotorSpec
 from pipeline.look.blocks import Blocks, block_us
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.schema import BLOCK_STATISTICS
-from pipeline.store.sealed import read_if_whole
 from pipeline.store.tables import read_rows
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.kept import decoded, key_of
 from pipeline.trends.nights.layout import Layout
-from pipeline.trends.nights.trend_record import kept_file
 from pipeline.trends.states.course import watch_settings
 
 # A rise that is told by itself within the day, and the probability that it is larger.
@@ -101,13 +99,13 @@ def _no_nights(_: int) -> Sequence[NightBlocks]:
 
 
 def nights_before(
-    output: Path, spec: MotorSpec, decisions: Sequence[Decision]
+    output: Path, spec: MotorSpec, decisions: Sequence[Decision], content: bytes | None
 ) -> NightsBefore | str:
-    """The motor's watch, or why there is none.
+    """The motor's watch, by what the last run kept of it, or why there is none.
 
     Raises StoreError if a published table is damaged.
     """
-    kept = read_if_whole(kept_file(output, spec.motor_id), decoded)
+    kept = decoded(content)
     if kept is None:
         return "the nightly run has not published a night yet"
     if kept.key != key_of(spec, decisions):

@@ -23,19 +23,21 @@ from pipeline.config.hashes import config_hash, hash_of, own_version
 from pipeline.errors import MotorLeakageError, StoreError
 from pipeline.look.before import nights_before
 from pipeline.look.motor import Change, looked_at, without_watch
-from pipeline.look.state import LookState, Rise, read_state, write_state
+from pipeline.look.state import LookState, Rise, read_states, write_state
 from pipeline.look.verdicts import verdicts
 from pipeline.schema import LOOKS, frame
 from pipeline.store.locks import locked
 from pipeline.store.manifest import MONTH_PREFIX
 from pipeline.store.publishing import Publisher
+from pipeline.store.state import State, open_state
 from pipeline.store.tables import ENDING, read_table, table_folder
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Receiver
-from pipeline.telling.outbox import TOLD_LOOKS, open_outbox, read_outbox, take_up
+from pipeline.telling.outbox import TOLD_LOOKS, open_outbox, take_up
 from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import circuits_of, decisions_of
 from pipeline.trends.nights.decisions import Decision, read_decisions
+from pipeline.trends.nights.trend_record import read_kept
 from pipeline.workers.process import one_thread
 
 log = logging.getLogger(__name__)
@@ -66,26 +68,27 @@ def look_at_fleet(
     """
     output, receivers = fleet.output, receivers_of(fleet.settings.alarms)
     wanted = [one for one in fleet.motors if not motors or one.motor_id in motors]
-    with locked(output / TOLD_LOOKS.folder), one_thread():
-        open_outbox(output, [one.name for one in receivers], fleet.name, TOLD_LOOKS)
+    with locked(output / "look"), open_state(output) as state, one_thread():
+        open_outbox(state, [one.name for one in receivers], fleet.name, TOLD_LOOKS)
         said = decisions_of(wanted, read_decisions(output))
         found: list[MotorLook] = []
         for group in circuits_of(wanted):
-            found += _look_at_circuit(output, group, said, clock or now())
-        _tell(output, receivers, fleet.name)
+            found += _look_at_circuit(state, group, said, clock or now())
+        _tell(state, receivers, fleet.name)
     return tuple(sorted(found, key=lambda one: one.motor_id))
 
 
 def _look_at_circuit(
-    output: Path,
+    kept: State,
     specs: Sequence[MotorSpec],
     said: Mapping[str, Sequence[Decision]],
     clock: dt.datetime,
 ) -> list[MotorLook]:
     """Look at the motors of an oil circuit, publish their rows, and keep their states."""
-    before = {one.motor_id: read_state(output, one.motor_id) for one in specs}
+    known = read_states(kept)
+    before = {one.motor_id: known.get(one.motor_id, LookState()) for one in specs}
     looks = {
-        one.motor_id: _looked_at(output, one, before[one.motor_id], said[one.motor_id], clock)
+        one.motor_id: _looked_at(kept, one, before[one.motor_id], said[one.motor_id], clock)
         for one in specs
     }
     found = []
@@ -98,15 +101,15 @@ def _look_at_circuit(
             if rows[-1]["to_state"] == after.state:
                 after = replace(after, reason=rows[-1]["reason"])
             run_id = hash_of({"version": own_version(), "config": config_hash(spec)})
-            publish_looks(output, rows, run_id)
+            publish_looks(kept.output, rows, run_id)
         if after is not before[motor_id]:
-            write_state(output, motor_id, after)
+            write_state(kept, motor_id, after)
         found.append(MotorLook(motor_id, after, tuple(rows), fault))
     return found
 
 
 def _looked_at(
-    output: Path,
+    kept: State,
     spec: MotorSpec,
     before: LookState,
     said: Sequence[Decision],
@@ -114,7 +117,8 @@ def _looked_at(
 ) -> tuple[LookState, list[Change], str]:
     """State and changes of a motor; where it cannot be looked at, it stays as it was."""
     try:
-        known = nights_before(output, spec, said)
+        output = kept.output
+        known = nights_before(output, spec, said, read_kept(kept, spec.motor_id))
         if isinstance(known, str):
             return *without_watch(before, known), ""
         state, given = verdicts(output, spec, known, before)
@@ -194,13 +198,11 @@ def publish_looks(output: Path, rows: Sequence[Row], run_id: str) -> None:
         Publisher(output, output, run_id).put({path: new.sort(LOOKS.key)})
 
 
-def _tell(output: Path, receivers: Sequence[Receiver], fleet: str) -> None:
+def _tell(state: State, receivers: Sequence[Receiver], fleet: str) -> None:
     """Queue and deliver what is new; what fails waits for the next look."""
     try:
-        take_up(output, fleet, TOLD_LOOKS)
-        outbox = read_outbox(output / TOLD_LOOKS.folder)
-        if outbox is not None and any(one.waiting for one in outbox.queues.values()):
-            for fault in deliver(output, receivers, fleet, told=TOLD_LOOKS):
-                log.warning("%s", fault)
+        take_up(state, fleet, TOLD_LOOKS)
+        for fault in deliver(state, receivers, fleet, told=TOLD_LOOKS):
+            log.warning("%s", fault)
     except StoreError as error:
         log.warning("looks: %s; the next look tells of them", error)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.clock import utc
-from pipeline.store.sealed import put_sealed, read_if_whole, unseal
+from pipeline.store.state import State, read_state_file
 from pipeline.trends.rows.motor_states import LookStanding
 
 BLIND, NOT_READY = "blind", "not_ready"
@@ -93,36 +95,36 @@ class LookState:
     scores: Scores = Scores()
 
 
-def state_file(output: Path, motor_id: str) -> Path:
-    """File of a motor's state."""
-    return output / "look" / motor_id / "state.json"
+_STATE = TypeAdapter(LookState)
 
 
-def read_state(output: Path, motor_id: str) -> LookState:
-    """State of a motor's looks; that before the first look where there is none, or it is damaged.
+def read_states(state: State) -> dict[str, LookState]:
+    """States of the looks of all motors that were looked at, by motor; one that is strange is left.
 
-    Raises StoreError if it cannot be read.
+    Raises StoreError if they cannot be read.
     """
-    document = read_if_whole(state_file(output, motor_id), unseal)
-    try:
-        return LookState() if document is None else TypeAdapter(LookState).validate_python(document)
-    except ValidationError:
-        return LookState()
+    found = {}
+    for motor_id, text in state.rows("SELECT motor_id, state FROM looks"):
+        with suppress(ValidationError):
+            found[motor_id] = _STATE.validate_python(json.loads(text))
+    return found
 
 
-def write_state(output: Path, motor_id: str, state: LookState) -> None:
-    """Keep the state of a motor's looks; raises as `put_sealed`."""
-    put_sealed(state_file(output, motor_id), asdict(state))
+def write_state(state: State, motor_id: str, now: LookState) -> None:
+    """Keep the state of a motor's looks; raises StoreError."""
+    state.write("INSERT OR REPLACE INTO looks VALUES (?, ?)", motor_id, json.dumps(asdict(now)))
 
 
 def look_standings(output: Path, motor_ids: Iterable[str]) -> dict[str, LookStanding]:
     """Standings of some motors that were looked at, by motor.
 
-    Raises StoreError if a state cannot be read.
+    Raises StoreError if they cannot be read.
     """
+    with read_state_file(output) as state:
+        states = read_states(state)
     found = {}
     for motor_id in motor_ids:
-        one = read_state(output, motor_id)
+        one = states.get(motor_id, LookState())
         if one != LookState():
             since = utc(one.since_us) if one.since_us else None
             found[motor_id] = LookStanding(one.state, since, one.reason, **asdict(one.scores))

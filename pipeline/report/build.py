@@ -259,7 +259,7 @@ def _make_pages(
     states = {one.motor_id: one for one in standing_states(request.output, list(names))}
     rows = fleet_rows(motors, names, types, states)
     name = request.fleet or history.fleet or "Fleet"
-    waiting = backlogs(request.output, request.receivers, name)
+    waiting = backlogs(request.output, request.receivers)
     facts = FleetFacts(
         name=name,
         first=span[0] if span else None,

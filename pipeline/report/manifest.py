@@ -7,13 +7,13 @@ has changed or it is not there as it was left.
 from __future__ import annotations
 
 import hashlib
+import json
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put
-from pipeline.store.sealed import put_sealed, read_if_whole, unseal
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, read
 
 FILE = "manifest.json"
 
@@ -49,10 +49,10 @@ def read_report_manifest(folder: Path) -> ReportManifest | None:
             )
         return None
     try:
-        document = read_if_whole(path, unseal) or {}
+        document = json.loads(read(path))
         files = {name: (str(one[0]), int(one[1])) for name, one in document["files"].items()}
         return ReportManifest(document["program"], dict(document["nights"]), files)
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError):
         # Without it all files are made anew, over the present ones.
         return None
 
@@ -70,7 +70,9 @@ def write_report_manifest(folder: Path, manifest: ReportManifest) -> None:
     # One flush for all pages, not one for each; of a new report there is nothing yet.
     if folder.is_dir():
         flush_disk(folder)
-    put_sealed(folder / FILE, asdict(manifest))
+    content = json.dumps(asdict(manifest), separators=(",", ":"), sort_keys=True).encode()
+    if not (folder / FILE).exists() or read(folder / FILE) != content:
+        put(folder / FILE, content)
 
 
 def write_changed(

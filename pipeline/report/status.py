@@ -47,7 +47,7 @@ class FleetStatus:
 
 
 def fleet_status(
-    output: Path, motor_ids: Sequence[str], receivers: Sequence[Receiver] = (), fleet: str = ""
+    output: Path, motor_ids: Sequence[str], receivers: Sequence[Receiver] = ()
 ) -> FleetStatus:
     """The state of some motors, and undelivered changes by receiver.
 
@@ -63,7 +63,7 @@ def fleet_status(
         findings.count("confirmed"),
         len(findings),
         read_heartbeat(output),
-        backlogs(output, receivers, fleet),
+        backlogs(output, receivers),
         _scores(output, motor_ids, decisions),
         changed_by_rules(alarms).height,
         compare_published(output, manifest_keys(output), lambda _: False).faults,

@@ -38,6 +38,7 @@ from pipeline.store.manifest import Key, manifest_keys
 from pipeline.store.months import join_months, last_month_over
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.publishing import Publisher
+from pipeline.store.state import make_ready, open_state
 from pipeline.store.verification import TableFault
 from pipeline.store.working_copy import pull, working_copy
 from pipeline.telling.outbox import open_outbox
@@ -52,7 +53,7 @@ log = logging.getLogger(__name__)
 Progress = Callable[[MotorOutcome], None]
 
 # Folders of the output in which a killed run leaves temporary files.
-WRITTEN_FOLDERS = ("tables", "ledger", "manifest", "history", LANDED_FOLDER)
+WRITTEN_FOLDERS = ("tables", "manifest", LANDED_FOLDER)
 PUT_ASIDE_LATE = "it is not what was published, and was put aside when its night was published"
 
 
@@ -135,17 +136,23 @@ def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunRes
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (fleet.log_root, staging) if fleet.has_log_folder else (staging,)
             stores = (fleet.log_url,) if fleet.log_url else ()
-            open_outbox(output, [one.name for one in receivers], fleet.name)
-            with open_engine(fleet.execution, folders, stores) as run_tasks:
-                damage = Damage(output, restore)
-                result = _run(request, staging, progress, heartbeat, run_tasks, damage, first=first)
-            queue_alarms(fleet)
+            is_lost = make_ready(output)
+            with open_state(output) as state:
+                if is_lost:
+                    restore_decisions(state)
+                open_outbox(state, [one.name for one in receivers], fleet.name)
+                with open_engine(fleet.execution, folders, stores) as run_tasks:
+                    damage = Damage(state, restore)
+                    result = _run(
+                        request, staging, progress, heartbeat, run_tasks, damage, first=first
+                    )
+                queue_alarms(fleet, state)
         if not result.files:
             place = fleet.log_place
             log.warning("no log of any motor is below %s: is the folder mounted?", place)
-        # What was said before may not be published: now it is.
-        heartbeat.finished(result.run_id, good=not result.interrupted)
+        heartbeat.say(stage="telling")
         deliver_alarms(fleet, receivers)
+        heartbeat.finished(result.run_id, interrupted=result.interrupted, good=result.is_good)
         measure(fleet, receivers, result)
     return result
 
@@ -193,14 +200,13 @@ def _run(
     first: bool,
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
-    fleet = request.fleet
+    fleet, state = request.fleet, damage.state
     damage.look_around(share_due(fleet.output, fleet.execution.prove_within_days, started))
-    restore_decisions(fleet.output)
     tasks = [task_of(request, spec, staging) for spec in request.specs]
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in motor_outcomes(run_tasks, tasks, fleet.execution, first=first):
+        for outcome in motor_outcomes(run_tasks, tasks, fleet.execution, state, first=first):
             if outcome.chunk:
                 progress(outcome)
                 continue
@@ -218,19 +224,19 @@ def _run(
     publisher = Publisher(fleet.output, staging, run_id, fleet.execution.workers)
     with interrupts_held() as came:
         damage.look_into(_keys_of(finished))
-        n_nights = publish_motors(publisher, finished)
+        n_nights = publish_motors(publisher, state, finished)
     interrupted = interrupted or bool(came)
     ends.append(time.perf_counter())
     heartbeat.say(stage="trends")
     trends = PublishedTrends()
     if not interrupted:
         try:
-            trends = publish_trends(fleet, request.clock, publisher, finished, run_tasks)
+            trends = publish_trends(fleet, request.clock, publisher, state, finished, run_tasks)
             interrupted = trends.interrupted
         except KeyboardInterrupt:
             interrupted = True
     with interrupts_held() as came:
-        publish_latest(publisher, fleet)
+        publish_latest(publisher, state, fleet)
     interrupted = interrupted or bool(came)
     finished = [_with_trends(one, trends.failures.get(one.motor_id)) for one in finished]
     codes = {one.error_code for one in finished} | {one.code for one in trends.failures.values()}

@@ -31,6 +31,7 @@ from pipeline.store.manifest import (
     renew_manifest,
     update_manifest,
 )
+from pipeline.store.state import State
 from pipeline.store.tables import (
     ENDING,
     PUT_ASIDE,
@@ -51,12 +52,7 @@ from pipeline.store.verification import (
     proofs_of,
     unlisted_files,
 )
-from pipeline.trends.nights.decisions import (
-    Decision,
-    journal_file,
-    put_back,
-    take_out_damaged_lines,
-)
+from pipeline.trends.nights.decisions import Decision, put_back
 from pipeline.trends.nights.trend_record import note_touched
 
 log = logging.getLogger(__name__)
@@ -104,8 +100,8 @@ class Damage:
 
     Parameters
     ----------
-    output
-        Output folder, of which the caller holds the lock.
+    state
+        State of an output folder, of which the caller holds the lock.
     restore
         Restores a file from the object store.
 
@@ -115,13 +111,18 @@ class Damage:
         Faults by path.
     """
 
-    output: Path
+    state: State
     restore: Restore = lambda _: False
     found: dict[str, TableFault] = field(default_factory=dict)
     # By motor, the nights with a fit of which rows were lost; and faults found when the motors
     # had their turn.
     _fitted: defaultdict[str, set[dt.date]] = field(default_factory=lambda: defaultdict(set))
     _late: set[str] = field(default_factory=set)
+
+    @property
+    def output(self) -> Path:
+        """The output folder."""
+        return self.state.output
 
     def look_around(self, due: Callable[[Key], bool]) -> None:
         """Before the motors: check all published files, and prove those due.
@@ -183,11 +184,11 @@ class Damage:
                 touched.append(days_of(label)[0])
         if nights:
             refit = {night for night, tables in nights.items() if tables <= FROM_BLOCKS}
-            for motor_id, some in forget_nights(self.output, nights, refit=refit).items():
+            for motor_id, some in forget_nights(self.state, nights, refit=refit).items():
                 self._fitted[motor_id] |= some
         if touched:
-            for folder in sorted((self.output / "ledger").glob("*/")):
-                note_touched(self.output, folder.name, min(touched))
+            motors = self.state.rows("SELECT motor_id FROM trends")
+            note_touched(self.state, ((motor_id, min(touched)) for (motor_id,) in motors))
 
     def left(self, made: Mapping[str, Collection[dt.date]]) -> Iterator[TableFault]:
         """Faults that were found and are not mended, given the nights made by motor."""
@@ -267,25 +268,26 @@ def _how_rebuilt(counts: Mapping[Proof, int]) -> str:
     return f"{told}; what may have been gone before is not known"
 
 
-def restore_decisions(output: Path) -> None:
-    """Put back lost lines of the journal, from the table `decisions` of the last run.
+def restore_decisions(state: State) -> None:
+    """Put back decisions that a restored state file lacks, from the table of the last run.
 
-    Raises StoreError if the journal cannot be read or written.
+    Raises StoreError if the state cannot be read or written.
     """
-    path = whole_file(output, DECISIONS)
-    if not path.exists() or fault_of(output, path.relative_to(output / "tables").as_posix()):
+    path = whole_file(state.output, DECISIONS)
+    if not path.exists() or fault_of(
+        state.output, path.relative_to(state.output / "tables").as_posix()
+    ):
         return
     try:
         rows = read_table(path, DECISIONS).drop("run_id").to_dicts()
     except StoreError:
         return
-    if count := put_back(output, [Decision(**row) for row in rows]):
-        name = journal_file(output).name
-        log.warning("%s is damaged or gone; put back from the table: %d lines", name, count)
+    if count := put_back(state, (Decision(**row) for row in rows)):
+        log.warning("put back from the table `decisions`: %s", counted(count, "decision"))
 
 
 def mend_output(
-    output: Path, restore: Restore
+    state: State, restore: Restore
 ) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
     """Mend damage without a run; the caller holds the lock.
 
@@ -299,18 +301,14 @@ def mend_output(
     StoreError
         If something cannot be read or written.
     """
+    output = state.output
     found = tuple(verify_tables(output))
-    damage = Damage(output, restore)
+    damage = Damage(state, restore)
     damage.mend([*rebuild_manifests(output, restore), *found])
     for one in found:
         if one.code in LOST and not (output / "tables" / one.path).exists():
             # It cannot be made anew, and is reported no more.
             update_manifest(output, *manifest_key(one.path), {one.path: None})
-        elif one.code in ("ledger_damaged", "history_damaged"):
-            remove(output / one.path)
         elif one.path.endswith(PUT_ASIDE):
             remove(output / "tables" / one.path)
-    if any(one.code == "journal_damaged" for one in found):
-        restore_decisions(output)
-        take_out_damaged_lines(output)
     return found, tuple(verify_tables(output))

@@ -11,7 +11,6 @@ from pipeline.config.nights import night
 from pipeline.errors import StoreError
 from pipeline.look.state import BLIND, NOT_READY
 from pipeline.run.tasks import MotorOutcome
-from pipeline.schema.fits import FAILED
 from pipeline.store.atomic_files import put, read, remove_leftovers
 from pipeline.telling.outbox import Backlog
 from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW, ORDER, LookStanding, MotorState
@@ -73,8 +72,8 @@ def metrics_text(
             for one in states
             if one.data_night is not None
         ],
-        ("failed_nights", "Nights of a motor that failed in the last run"): [
-            ({"motor": one.motor_id}, float(one.counts.get(FAILED, 0))) for one in outcomes
+        ("standing_failures", "Nights and logs of a motor that failed and are as they were"): [
+            ({"motor": one.motor_id}, float(one.n_standing)) for one in outcomes
         ],
         ("undelivered_changes", "Changes of state that are not delivered to a receiver"): [
             ({"receiver": one.receiver}, float(one.undelivered)) for one in backlogs
@@ -83,7 +82,7 @@ def metrics_text(
             ({"stage": stage.removesuffix("_s")}, taken)
             for stage, taken in seconds_by_stage.items()
         ],
-        ("last_good_run_timestamp_seconds", "End of the last run through all motors"): [
+        ("last_good_run_timestamp_seconds", "End of the last run after which no failure stands"): [
             ({}, last_good_run.timestamp()) for _ in [0] if last_good_run is not None
         ],
     }

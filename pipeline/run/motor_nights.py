@@ -20,23 +20,13 @@ from typing import TYPE_CHECKING
 from pipeline.config.hashes import ROLLER, SettingsHashes, hash_of, settings_of, why_anew
 from pipeline.config.nights import nights_between
 from pipeline.logs.files import labels_of
-from pipeline.logs.ledger import (
-    Ledger,
-    NightRecord,
-    ledger_folder,
-    month_files,
-    read_ledger,
-    read_settings,
-    settings_file,
-)
+from pipeline.logs.ledger import Ledger, LedgerChange, NightRecord, stage_change
 from pipeline.logs.motor_logs import LogShelf
 from pipeline.logs.told_nights import is_guess
 from pipeline.night.roller import is_roller_free
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
 from pipeline.schema import FITS
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
-from pipeline.store.atomic_files import remove_all
-from pipeline.store.sealed import stage_sealed
 from pipeline.store.tables import nights_back, read_rows
 
 if TYPE_CHECKING:
@@ -111,8 +101,8 @@ class MotorNights:
         self.spec = task.spec
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.memory_of_chunks_mib = 0.0
-        self.remembered = read_ledger(task.output, task.spec.motor_id)
-        self.settings_before = read_settings(task.output, task.spec.motor_id)
+        self.remembered = task.ledger
+        self.settings_before = task.ledger.settings or {}
         if published is None:
             published = set(nights_back(task.output, FITS))
         self.before = _still_published(self.remembered, published)
@@ -128,8 +118,13 @@ class MotorNights:
                 reads_new=not (task.looks_first or task.since or task.until),
             )
         self.withdrawn = self._no_longer_told()
+        self.abandoned = self._without_log()
         self.before = Ledger(
-            self.logs.before,
+            {
+                name: one
+                for name, one in self.logs.before.items()
+                if not labels_of(one) & self.abandoned
+            },
             {
                 label: one
                 for label, one in self.before.nights.items()
@@ -204,6 +199,7 @@ class MotorNights:
                 # A night of which there is no log, or not yet, is none to be done.
                 reached = self.logs.touched(name) | (self.logs.reached(name) & present)
                 later |= dict.fromkeys(reached, Step(Work.READ, news))
+        later |= dict.fromkeys(self.abandoned, Step(Work.READ, "its log is gone"))
         plan |= {label: step for label, step in later.items() if label not in self.done}
         return {
             label: step
@@ -253,7 +249,7 @@ class MotorNights:
         """Published nights that only the name or time of an unreadable log told, and may not."""
         files = self.remembered.files.values()
         told = {label for one in files if is_guess(one) for label in labels_of(one)}
-        if not ledger_folder(self.task.output, self.spec.motor_id).exists():
+        if self.remembered.settings is None:
             # Without its ledger the tables alone say which nights failed.
             columns = ("motor_id", "night", "status")
             rows = read_rows(self.task.output, FITS, [self.spec.motor_id], columns)
@@ -261,6 +257,26 @@ class MotorNights:
         sure = {label for one in files if not is_guess(one) for label in labels_of(one)}
         none = {label for label in told if self.logs.plausible.why_not(label) is not None}
         return none - sure - self.logs.present()
+
+    def _without_log(self) -> set[dt.date]:
+        """Failed nights whose log somebody has removed: there is nothing to fail any more."""
+        # Nobody can say so where a folder is not mounted, or does not answer.
+        if not (self.logs.files or self.task.retry) or self.task.silent:
+            return set()
+        failed = {
+            label
+            for label, one in self.remembered.nights.items()
+            if one.status == FAILED and self.task.wants(label)
+        }
+        return failed - self.logs.present() - self.withdrawn
+
+    def _n_standing(self) -> int:
+        """Failures that stand after this run: nights, logs of no night, and absent logs."""
+        failed = [one for one in self.records.values() if one.status == FAILED]
+        logs = [
+            one for one in self.logs.files.values() if one.status == "failed" and not one.nights
+        ]
+        return len(failed) + len(logs) + len(self.logs.absent)
 
     def _why_nothing(self, status: str) -> str | None:
         """The reason for no fit although nothing failed; None: there is one, or none was to do."""
@@ -272,17 +288,11 @@ class MotorNights:
         return f"night {label}: {self.done[label].reason}"
 
     def stage_ledger(self) -> None:
-        """Stage what of the ledger and the settings has changed; raises as `stage_sealed`."""
-        staging, motor_id = self.task.staging, self.spec.motor_id
-        # What a task left that was lost and is done again is not of this one.
-        remove_all(ledger_folder(staging, motor_id))
-        after = Ledger({**self.before.files, **self.logs.finished(self.done)}, self.records)
-        files = month_files(staging, motor_id, self.remembered, after)
-        settings = settings_of(self.form)
-        if settings != self.settings_before:
-            files[settings_file(staging, motor_id)] = settings
-        for path, document in files.items():
-            stage_sealed(path, document)
+        """Stage what of the ledger and the settings has changed; raises as `stage_change`."""
+        files = {**self.before.files, **self.logs.finished(self.done)}
+        after = Ledger(files, self.records, settings_of(self.form))
+        change = LedgerChange.between(self.remembered, after)
+        stage_change(self.task.staging, self.spec.motor_id, change)
 
     def outcome(self) -> MotorOutcome:
         counts = Counter(outcome.status for outcome in self.done.values())
@@ -329,6 +339,7 @@ class MotorNights:
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
             files=self.logs.counts(self.done),
             growing=tuple(self.logs.growing()),
+            n_standing=self._n_standing(),
             seconds=dict(self.seconds),
             peak_memory_mib=max(peak_memory_mib(), self.memory_of_chunks_mib),
         )

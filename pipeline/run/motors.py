@@ -14,9 +14,11 @@ from dataclasses import replace
 
 from pipeline.config import Execution
 from pipeline.errors import EngineError
+from pipeline.logs.ledger import read_ledger
 from pipeline.run.tasks import MotorOutcome, MotorTask, lost, set_aside, without_lost_part
 from pipeline.run.unchanged import unchanged_motors
 from pipeline.schema.fits import FAILED
+from pipeline.store.state import State
 from pipeline.workers.engine import RunTasks, results_of
 from pipeline.workers.process import Loss
 
@@ -26,14 +28,23 @@ RunMotor = Callable[[MotorTask], MotorOutcome]
 
 
 def motor_outcomes(
-    run_tasks: RunTasks, tasks: Sequence[MotorTask], execution: Execution, *, first: bool
+    run_tasks: RunTasks,
+    tasks: Sequence[MotorTask],
+    execution: Execution,
+    state: State,
+    *,
+    first: bool,
 ) -> Iterator[MotorOutcome]:
     """Outcomes of the motors with nothing new, then those of the others."""
     done = set()
-    for outcome in unchanged_motors(tasks, execution):
+    for outcome in unchanged_motors(tasks, execution, state):
         done.add(outcome.motor_id)
         yield outcome
-    others = [task for task in tasks if task.spec.motor_id not in done]
+    others = [
+        replace(task, ledger=read_ledger(state, task.spec.motor_id))
+        for task in tasks
+        if task.spec.motor_id not in done
+    ]
     yield from with_failures(run_tasks, others, first=first)
 
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.clock import latest_us
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import settings_of, why_anew
-from pipeline.logs.ledger import as_published, read_settings
+from pipeline.logs.ledger import as_published, read_ledger, read_settings
 from pipeline.run.motor_nights import plan_motor
 from pipeline.run.request import RunRequest
 from pipeline.run.tasks import MotorTask, Step
+from pipeline.store.state import read_state_file
 from pipeline.trends.circuits import decisions_of
 from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.nights.trend_record import read_record, trend_hash
+from pipeline.trends.nights.trend_record import read_records, trend_hash
 from pipeline.workers.engine import nights_a_chunk
 
 
@@ -40,8 +42,11 @@ def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step
     Raises StoreError if a published table that is needed is damaged.
     """
     output = request.fleet.output
-    for spec in request.specs:
-        yield spec.motor_id, plan_motor(task_of(request, spec, output / "staging"))
+    with read_state_file(output) as state:
+        for spec in request.specs:
+            task = task_of(request, spec, output / "staging")
+            ledger = read_ledger(state, spec.motor_id)
+            yield spec.motor_id, plan_motor(replace(task, ledger=ledger))
 
 
 def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
@@ -51,10 +56,12 @@ def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
     """
     output, specs = request.fleet.output, request.specs
     decisions = decisions_of(specs, read_decisions(output))
-    for spec in (as_published(output, one) for one in specs):
-        record = read_record(output, spec.motor_id)
+    with read_state_file(output) as state:
+        records, settings = read_records(state), read_settings(state)
+    for spec in (as_published(one, settings.get(one.motor_id)) for one in specs):
+        record = records.get(spec.motor_id)
         if record is not None and record.trend_hash != trend_hash(spec, decisions[spec.motor_id]):
-            before, now = read_settings(output, spec.motor_id), settings_of(spec)
+            before, now = settings.get(spec.motor_id, {}), settings_of(spec)
             yield (
                 spec.motor_id,
                 "a baseline was reset, or a new version"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import logging
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import ceil
 from pathlib import Path
@@ -16,37 +16,31 @@ from pipeline.clock import latest_us
 from pipeline.config import Fleet
 from pipeline.config.nights import night_of
 from pipeline.errors import EngineError, StoreError
-from pipeline.logs.ledger import forget_nights, ledger_folder
+from pipeline.logs.ledger import forget_nights, staged_change, write_change
 from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import (
     ALARMS,
     DATA_DICTIONARY,
     DECISIONS,
-    FITS,
     LATEST,
     NIGHT_TABLES,
     TREND_TABLES,
-    WATCH,
     data_dictionary,
     frame,
 )
-from pipeline.store.atomic_files import remove, take_over
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
-from pipeline.store.tables import month_stamps, published_rows, whole_file
-from pipeline.trends.nights.decisions import journal_file, read_decisions
+from pipeline.store.state import State
+from pipeline.store.tables import published_rows, whole_file
+from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.nights.tonight import Tonight, tonight_of
-from pipeline.trends.nights.trend_record import (
-    forget_records,
-    kept_file,
-    note_touched,
-    record_file,
-)
+from pipeline.trends.nights.trend_record import forget_records, note_touched, write_record
 from pipeline.trends.rows.latest_states import latest_states
 from pipeline.trends.rows.motor_states import latest_rows
 from pipeline.trends.tasks import (
     TrendOutcome,
     TrendTask,
+    kept_file,
     lost_trends,
     trend_tasks,
     without_lost_motor,
@@ -60,27 +54,27 @@ log = logging.getLogger(__name__)
 MOTORS_A_TREND_TASK = 32
 
 
-def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> int:
+def publish_motors(publisher: Publisher, state: State, outcomes: Sequence[MotorOutcome]) -> int:
     """Publish the rows that the motors' tasks have staged, then their ledgers."""
-    output, staging = publisher.output, publisher.staging
+    forgotten: list[tuple[Collection[dt.date], Collection[str]]] = []
 
     def forget(nights: Collection[dt.date], keep: Collection[str]) -> None:
-        for place in (output, staging):
-            forget_nights(place, nights, keep)
+        forgotten.append((nights, keep))
+        forget_nights(state, nights, keep)
 
-    for outcome in outcomes:
-        if outcome.nights:
-            note_touched(output, outcome.motor_id, min(outcome.nights))
+    note_touched(state, ((one.motor_id, min(one.nights)) for one in outcomes if one.nights))
     # Of a motor without a new night there may be the row of a log that is of none.
     staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
     publisher.nights("nights", NIGHT_TABLES, staged, forget)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
-    ledgers = {
-        file: ledger_folder(output, motor_id) / file.name
-        for motor_id in staged
-        for file in sorted(ledger_folder(staging, motor_id).glob("*"))
-    }
-    take_over(staging, ledgers)
+    with state.transaction():
+        for motor_id in staged:
+            change = staged_change(publisher.staging, motor_id)
+            if change is not None:
+                write_change(state, motor_id, change)
+        _note_published(state, any(outcome.nights for outcome in outcomes))
+        for nights, keep in forgotten:  # what a task has found unchanged is to be read again
+            forget_nights(state, nights, keep)
     return sum(len(outcome.nights) for outcome in outcomes)
 
 
@@ -101,6 +95,7 @@ def publish_trends(
     fleet: Fleet,
     clock: dt.datetime,
     publisher: Publisher,
+    state: State,
     outcomes: Sequence[MotorOutcome],
     run_tasks: RunTasks,
 ) -> PublishedTrends:
@@ -120,7 +115,7 @@ def publish_trends(
     n_tasks = workers * ceil(len(changed) / (workers * MOTORS_A_TREND_TASK))
     tasks = trend_tasks(
         fleet.motors,
-        fleet.output,
+        state,
         publisher.staging,
         changed,
         tonight,
@@ -135,17 +130,24 @@ def publish_trends(
         made = [lost_trends(task, Loss(error.code, error.message)) for task in tasks]
     failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
     with interrupts_held() as came:
-        alarms = _publish_trend_rows(publisher, made)
+        alarms = _publish_trend_rows(publisher, state, made)
     return PublishedTrends(tonight, failures, alarms, bool(came))
 
 
-def publish_latest(publisher: Publisher, fleet: Fleet) -> None:
+def _note_published(state: State, has_changed: bool) -> None:
+    """Count what was published: `latest` is made again where there is more since."""
+    if has_changed:
+        state.set_meta("revision", str(int(state.meta("revision") or 0) + 1))
+
+
+def publish_latest(publisher: Publisher, state: State, fleet: Fleet) -> None:
     """Publish the state of each motor; where a table is damaged, that of the run before stays."""
     output, motor_ids = publisher.output, sorted(spec.motor_id for spec in fleet.motors)
     published = _published_latest(output)
     is_of_all = published["motor_id"].to_list() == motor_ids
-    # The times of a working copy's files say nothing of when they were made.
-    if is_of_all and not fleet.object_store and _nothing_since(whole_file(output, LATEST)):
+    ((n_decisions,),) = state.rows("SELECT count(*) FROM decisions")
+    made_of = f"revision {state.meta('revision')}, {n_decisions} decisions"
+    if is_of_all and state.meta("latest") == made_of:
         return
     try:
         states = latest_states(output, motor_ids)
@@ -155,6 +157,7 @@ def publish_latest(publisher: Publisher, fleet: Fleet) -> None:
     rows = frame(LATEST, latest_rows(states, publisher.run_id)).sort(LATEST.key)
     if not rows.drop("run_id").equals(published.drop("run_id")):
         publisher.whole(LATEST, rows)
+    state.set_meta("latest", made_of)
 
 
 def run_trends(task: TrendTask) -> TrendOutcome:
@@ -162,16 +165,6 @@ def run_trends(task: TrendTask) -> TrendOutcome:
     from pipeline.trends import stage
 
     return stage.run_trends(task)
-
-
-def _nothing_since(path: Path) -> bool:
-    """True if neither fits nor trends nor decisions were published after a file of theirs."""
-    output = path.parents[2]
-    stamps = [*month_stamps(output, FITS).values(), *month_stamps(output, WATCH).values()]
-    journal = journal_file(output)
-    if journal.exists():
-        stamps.append(journal.stat().st_mtime_ns)
-    return max(stamps, default=0) < path.stat().st_mtime_ns
 
 
 def _published_latest(output: Path) -> pl.DataFrame:
@@ -190,33 +183,25 @@ def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:
     return tonight_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
 
 
-def _remove_older(kept: Iterable[Path]) -> None:
-    """Remove what older versions kept, beside what is kept now."""
-    for file in kept:
-        for other in file.parent.glob("*"):
-            if other != file:
-                remove(other)
-
-
 def _publish_trend_rows(
-    publisher: Publisher, made: Sequence[TrendOutcome]
+    publisher: Publisher, state: State, made: Sequence[TrendOutcome]
 ) -> list[Mapping[str, Any]]:
     """Publish what the tasks have staged; returns the new rows of `alarms`."""
     if not made:
         return []
-    fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
+    records = {motor_id: one for some in made for motor_id, one in sorted(some.records.items())}
     lost: list[Collection[str]] = []
 
     def forget(_: Collection[dt.date], keep: Collection[str]) -> None:
         lost.append(keep)
-        forget_records(publisher.output, keep)
+        forget_records(state, keep)
 
-    publisher.nights("trends", TREND_TABLES, fresh, forget)
-    done = [one for one in fresh if all(one in keep for keep in lost)]
-    # What is kept first: without its record it is not believed.
-    for file in (kept_file, record_file):
-        places = {file(publisher.staging, one): file(publisher.output, one) for one in done}
-        take_over(publisher.staging, places)
-    _remove_older(kept_file(publisher.output, one) for one in done)
+    publisher.nights("trends", TREND_TABLES, sorted(records), forget)
+    with state.transaction():
+        for motor_id, record in records.items():
+            if all(motor_id in keep for keep in lost):
+                kept = kept_file(publisher.staging, motor_id).read_bytes()
+                write_record(state, motor_id, record, kept)
+        _note_published(state, bool(records))
     new = [row for one in made for row in one.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))

@@ -59,6 +59,16 @@ class RunResult:
         return sum((Counter(outcome.files) for outcome in self.outcomes), Counter())
 
     @property
+    def n_standing(self) -> int:
+        """Failures of nights and logs that stand, of this run or of one before."""
+        return sum(outcome.n_standing for outcome in self.outcomes)
+
+    @property
+    def is_good(self) -> bool:
+        """True where it went through all motors, and no failure stands."""
+        return not (self.interrupted or self.failed or self.n_standing)
+
+    @property
     def failed(self) -> tuple[MotorOutcome, ...]:
         """Motors with at least one failed night."""
         return tuple(outcome for outcome in self.outcomes if outcome.status == FAILED)

@@ -61,7 +61,7 @@ def publish_run(
         "status": "interrupted"
         if result.interrupted
         else "motors_failed"
-        if result.failed
+        if not result.is_good
         else "ok",
         "fleet": fleet.name,
         "version": own_version(),

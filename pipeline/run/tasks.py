@@ -12,7 +12,7 @@ from pipeline.clock import latest_us
 from pipeline.config import MotorSpec
 from pipeline.logs.files import NEW_LOG
 from pipeline.logs.finding import legible
-from pipeline.logs.ledger import SeenLogs
+from pipeline.logs.ledger import Ledger, SeenLogs
 from pipeline.schema.fits import FAILED
 from pipeline.workers.process import Loss
 
@@ -42,8 +42,9 @@ class MotorTask:
     """A motor for a worker, or a chunk of its nights: plain data, small enough to send."""
 
     spec: MotorSpec  # the motor with its resolved config
-    output: Path  # output folder, for the ledger (read only)
+    output: Path  # output folder, for the tables (read only)
     staging: Path  # folder for this run's staged rows and chunks
+    ledger: Ledger = field(default_factory=Ledger)  # the motor's, as the run before left it
     # since, until: labels of the first and last night to do; None: no limit.
     since: dt.date | None = None
     until: dt.date | None = None
@@ -105,6 +106,8 @@ class MotorOutcome:
     files: Mapping[str, int] = field(default_factory=dict)
     # What there is to say of each file that is changed while it is read.
     growing: tuple[str, ...] = ()
+    # Nights and logs that failed, in this run or in one before, and are as they were.
+    n_standing: int = 0
     n_refitted: int = 0  # nights that were fitted anew from their stored statistics, without a log
     reasons: Mapping[str, int] = field(default_factory=dict)  # nights by why they were made anew
     seconds: Mapping[str, float] = field(default_factory=dict)  # time by stage

@@ -11,25 +11,26 @@ from pipeline.errors import StoreError
 from pipeline.run.metrics import metrics_text, write_metrics
 from pipeline.run.request import RunResult
 from pipeline.store.heartbeat import last_good_run
+from pipeline.store.state import State, open_state
 from pipeline.store.working_copy import working_copy
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.mail import EMAIL
-from pipeline.telling.outbox import add_summary, backlogs, is_waiting, take_up
+from pipeline.telling.outbox import add_summary, backlogs, take_up, waiting
 from pipeline.trends.rows.latest_states import published_states
 from pipeline.trends.rows.motor_states import urgency
 
 log = logging.getLogger(__name__)
 
 
-def queue_alarms(fleet: Fleet) -> None:
+def queue_alarms(fleet: Fleet, state: State) -> None:
     """Queue what was published; where that fails, the next run does it."""
     today = dt.datetime.now(fleet.settings.nights.zone).date()
     due = fleet.settings.alarms.email.summary_due(today)
     try:
-        take_up(fleet.output, fleet.name)
+        take_up(state, fleet.name)
         if due is not None:
-            add_summary(fleet.output, EMAIL, fleet.name, due, lambda: _states(fleet))
+            add_summary(state, EMAIL, fleet.name, due, lambda: _states(fleet))
     except StoreError as error:
         log.warning("alarms: %s; the next run tells of them", error)
 
@@ -46,11 +47,13 @@ def _states(fleet: Fleet) -> list[dict[str, str]]:
 def deliver_alarms(fleet: Fleet, receivers: Sequence[Receiver]) -> None:
     """Deliver what waits; that it cannot be delivered costs nobody the run."""
     try:
-        if is_waiting(fleet.output):
-            # What was delivered is to be known on every machine.
-            with working_copy(fleet.object_store, fleet.output):
-                for fault in deliver(fleet.output, receivers, fleet.name):
-                    log.warning("%s", fault)
+        with open_state(fleet.output) as state:
+            if not any(waiting(state, one.name) for one in receivers):
+                return
+        # What was delivered is to be known on every machine.
+        with working_copy(fleet.object_store, fleet.output), open_state(fleet.output) as state:
+            for fault in deliver(state, receivers, fleet.name):
+                log.warning("%s", fault)
     except StoreError as error:
         log.warning("alarms: %s; what was delivered may be delivered again", error)
 
@@ -66,7 +69,7 @@ def measure(fleet: Fleet, receivers: Sequence[Receiver], result: RunResult) -> N
             published_states(output, [spec.motor_id for spec in fleet.motors]),
             result.outcomes,
             result.seconds_by_stage,
-            backlogs(output, receivers, fleet.name),
+            backlogs(output, receivers),
             last_good_run(output),
         )
         write_metrics(fleet.metrics_file, text)

@@ -18,11 +18,12 @@ from polars.exceptions import PanicException
 from pipeline.config import Execution
 from pipeline.config.hashes import reading_hash
 from pipeline.errors import StoreError
-from pipeline.logs.finding import State, states_of
-from pipeline.logs.ledger import FileRecord, SeenLogs, ledger_folder, read_ledger
+from pipeline.logs.finding import FileState, states_of
+from pipeline.logs.ledger import FileRecord, SeenLogs, read_ledger
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import FITS
+from pipeline.store.state import State
 from pipeline.store.tables import nights_back
 from pipeline.workers.process import SignOfLife, start
 
@@ -30,7 +31,9 @@ from pipeline.workers.process import SignOfLife, start
 GRACE_S = 1.0
 
 
-def unchanged_motors(tasks: Sequence[MotorTask], execution: Execution) -> Iterator[MotorOutcome]:
+def unchanged_motors(
+    tasks: Sequence[MotorTask], execution: Execution, state: State
+) -> Iterator[MotorOutcome]:
     """Outcomes of the motors with nothing to be done."""
     asked = [task for task in tasks if _is_quick(task, execution)]
     if not asked:
@@ -41,7 +44,8 @@ def unchanged_motors(tasks: Sequence[MotorTask], execution: Execution) -> Iterat
         return
     # Without an answer, this and all further ones are left.
     for task, states in zip(asked, _states(asked, execution), strict=False):
-        outcome = None if states is None else _outcome(task, states, published)
+        known = replace(task, ledger=read_ledger(state, task.spec.motor_id))
+        outcome = None if states is None else _outcome(known, states, published)
         if outcome is not None:
             yield outcome
 
@@ -53,16 +57,15 @@ def _is_quick(task: MotorTask, execution: Execution) -> bool:
         execution.backend != "dask"
         and not (task.force or task.retry)
         and not (task.spec.log_url or logs.database)
-        and ledger_folder(task.output, task.spec.motor_id).exists()
     )
 
 
 def _outcome(
-    task: MotorTask, states: Mapping[str, State], published: Set[dt.date]
+    task: MotorTask, states: Mapping[str, FileState], published: Set[dt.date]
 ) -> MotorOutcome | None:
     """The outcome of a motor whose logs are as the last run left them; None: there is work."""
     try:
-        known = read_ledger(task.output, task.spec.motor_id).files
+        known = task.ledger.files
         if not states or not _are_known(states, known, reading_hash(task.spec)):
             return None
         seen = SeenLogs({name: known[name] for name in states})
@@ -76,21 +79,21 @@ def _outcome(
 
 
 def _are_known(
-    states: Mapping[str, State], known: Mapping[str, FileRecord], read_with: str
+    states: Mapping[str, FileState], known: Mapping[str, FileRecord], read_with: str
 ) -> bool:
     """True where each log has a record of the same file, read with the same settings."""
     return all(
         (one := known.get(name)) is not None
         and one.sha256 is not None
         and one.read_with == read_with
-        and (one.size, one.modified_ns, one.inode) == state
+        and (one.size, one.modified_ns, one.inode, one.changed_ns) == state
         for name, state in states.items()
     )
 
 
 def _states(
     tasks: Sequence[MotorTask], execution: Execution
-) -> Iterator[Mapping[str, State] | None]:
+) -> Iterator[Mapping[str, FileState] | None]:
     """States of each motor's logs, None where one cannot be told; ends early where one hangs."""
     asked = [(one.spec.log_root, one.spec.file.logs.files) for one in tasks]
     if execution.backend == "sequential":
@@ -105,7 +108,7 @@ def _states(
                 if not connection.poll(execution.answer_s):
                     return
                 answer = connection.recv()
-            yield cast("Mapping[str, State] | None", answer)
+            yield cast("Mapping[str, FileState] | None", answer)
     except (EOFError, OSError):
         return
     finally:

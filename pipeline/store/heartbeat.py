@@ -28,8 +28,8 @@ log = logging.getLogger(__name__)
 INTERVAL_S = 15.0
 # A run is missing once so many beats in a row are.
 MISSED_BEATS = 4
-# Runs that went through all motors.
-GOOD_RUNS = ("ok", "motors_failed")
+# Status of a run that went through all motors, and after which no failure stands.
+GOOD_RUN = "ok"
 RUNNING, FINISHED, INTERRUPTED, FAILED = "running", "finished", "interrupted", "failed"
 
 
@@ -38,7 +38,7 @@ class Beat:
     """State of a run; times are UTC."""
 
     state: str  # running, finished, interrupted or failed
-    stage: str  # motors, publishing, trends or recording
+    stage: str  # motors, publishing, trends, recording or telling
     # started_at, beaten_at: begin of the run, and time of this beat.
     started_at: dt.datetime
     beaten_at: dt.datetime
@@ -49,7 +49,7 @@ class Beat:
     n_motors: int
     n_motors_done: int = 0
     run_id: str | None = None  # known once all motors are done: it is a hash of their inputs
-    last_good_run: dt.datetime | None = None  # end of the last run that went through all motors
+    last_good_run: dt.datetime | None = None  # end of the last run after which no failure stands
     error_code: str | None = None  # of a run that failed
 
     def is_missing(self, now: dt.datetime) -> bool:
@@ -128,10 +128,10 @@ class Heartbeat:
         with self._changing:
             self._beat = replace(self._beat, n_motors_done=n_done)
 
-    def finished(self, run_id: str, *, good: bool) -> None:
-        """The run has ended; good if it went through all motors."""
+    def finished(self, run_id: str, *, interrupted: bool, good: bool) -> None:
+        """The run has ended; good if it went through all motors and no failure stands."""
         ended = dt.datetime.now(dt.UTC) if good else self._beat.last_good_run
-        state = FINISHED if good else INTERRUPTED
+        state = INTERRUPTED if interrupted else FINISHED
         self.say(state=state, run_id=run_id, last_good_run=ended)
 
     def say(self, **changes: str | int | dt.datetime | None) -> None:
@@ -160,10 +160,10 @@ def _as_text(values: Mapping[str, object]) -> dict[str, object]:
 
 
 def last_good_run(output: Path) -> dt.datetime | None:
-    """End of the last run that went through all motors; None without one."""
+    """End of the last run after which no failure stands; None without one."""
     for month in sorted(table_folder(output, RUNS).glob("month=*"), reverse=True):
         for path in sorted(month.glob("*.parquet"), reverse=True):
-            rows = read_table(path, RUNS).filter(pl.col("status").is_in(GOOD_RUNS))
+            rows = read_table(path, RUNS).filter(pl.col("status") == GOOD_RUN)
             if not rows.is_empty():
                 ended = rows["finished_at"].max()
                 assert isinstance(ended, dt.datetime)

@@ -78,8 +78,7 @@ class TableFault:
 
     path: str  # relative to the folder of the tables; of another file, to the output folder
     # ``table_altered``, ``table_missing``, ``table_unreadable``, ``table_unlisted``, ``rows_lost``,
-    # ``manifest_missing``, ``manifest_damaged``, ``ledger_damaged``, ``history_damaged``,
-    # ``journal_damaged`` or ``outbox_damaged``.
+    # ``manifest_missing``, ``manifest_damaged`` or ``state_damaged``.
     code: str
     message: str  # the fault, and a remedy
 

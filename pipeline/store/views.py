@@ -64,7 +64,7 @@ def _view(output: Path, table: Table) -> str:
     """Statement that makes a table's view; one without a file yet has no rows."""
     files = f"{table_folder(Path(), table).as_posix()}/**/*{ENDING}"
     how = "union_by_name = true, hive_partitioning = false"
-    rows = f"SELECT * FROM read_parquet('{files}', {how})"  # noqa: S608 - names of the schema
+    rows = f"SELECT * FROM read_parquet('{files}', {how})"
     if not files_of(output, table):
         rows = f"SELECT {', '.join(f'NULL::{kind} AS {name}' for name, kind in columns_of(table))}"
         rows += " WHERE false"

@@ -28,6 +28,7 @@ from pipeline.errors import StoreError
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, read, remove
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.object_store import ObjectStore
+from pipeline.store.state import STATE_FILE, replace_state
 
 log = logging.getLogger(__name__)
 
@@ -36,9 +37,8 @@ Made = TypeVar("Made")
 
 ROOT = "current.json"
 # Published parts of an output folder: not the lock, the staging folder, or a report.
-FOLDERS = ("tables", "ledger", "manifest")
-JOURNAL = "decisions.jsonl"
-FILES = (JOURNAL, "outbox.json", "outbox.copy.json")
+FOLDERS = ("tables", "manifest")
+FILES = (STATE_FILE,)
 # File in a working copy that says of which store.
 RECORD = ".object-store.json"
 # Replaced objects stay this long, for readers of an older `current.json`.
@@ -174,15 +174,16 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
     if snapshot.tag is None:
         return snapshot
     _record(store, output, None)
-    for path in sorted(here.keys() - snapshot.files.keys() - {JOURNAL}):
+    for path in sorted(here.keys() - snapshot.files.keys() - {STATE_FILE}):
         remove(output / path)
     news = [path for path, entry in snapshot.files.items() if here.get(path) != entry.sha256]
 
     def bring(path: str) -> None:
         content = _content(store, snapshot.files[path])
-        if path == JOURNAL:
-            content = _joined(content, output / path)
-        put(output / path, content, durable=False)
+        if path == STATE_FILE:
+            replace_state(output, content)
+        else:
+            put(output / path, content, durable=False)
 
     in_turn(bring, news)
     _record(store, output, snapshot)
@@ -221,16 +222,6 @@ def _same(snapshot: Snapshot, path: str, digest: str) -> bool:
     return path in snapshot.files and snapshot.files[path].sha256 == digest
 
 
-def _joined(content: bytes, path: Path) -> bytes:
-    """The published journal, and the lines that were added here since."""
-    try:
-        own = read(path).splitlines(keepends=True)
-    except FileNotFoundError:
-        return content
-    known = set(content.splitlines(keepends=True))
-    return content + b"".join(line for line in own if line not in known)
-
-
 def _record(store: ObjectStore, output: Path, snapshot: Snapshot | None) -> None:
     """Record the snapshot of which the folder is a copy; None while it is being changed."""
     files = snapshot and {path: entry.sha256 for path, entry in snapshot.files.items()}
@@ -260,7 +251,7 @@ def push(store: ObjectStore, output: Path, before: Snapshot, started_ns: int = 0
     def land(path: str) -> tuple[str, Entry]:
         known = before.files.get(path)
         is_old = (output / path).stat().st_mtime_ns < started_ns
-        if known is not None and is_old and path != JOURNAL:  # people add to it between runs
+        if known is not None and is_old and path != STATE_FILE:  # people add to it between runs
             return path, known
         content = read(output / path)
         entry = _entry(f"files/{path}", content)

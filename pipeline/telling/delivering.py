@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
 from pipeline.messages import counted
+from pipeline.store.state import State
 from pipeline.telling.delivery import Delivery, Receiver, UndeliveredError
-from pipeline.telling.outbox import (
-    TOLD_ALARMS,
-    Outbox,
-    Queue,
-    Told,
-    Waiting,
-    read_outbox,
-    write_outbox,
-)
+from pipeline.telling.outbox import TOLD_ALARMS, Told, Waiting, waiting, was_refused, was_taken
 
 # Waits before a delivery is tried again in the same run [s].
 PAUSES_S = (1.0, 4.0)
@@ -27,55 +18,48 @@ MOST_FAILURES = 3
 
 
 def deliver(
-    output: Path,
+    state: State,
     receivers: Sequence[Receiver],
     fleet: str,
     pause: Callable[[float], None] = time.sleep,
     told: Told = TOLD_ALARMS,
 ) -> tuple[str, ...]:
-    """Deliver what waits in the outbox, which is written after each delivery; faults, as text.
+    """Deliver what waits in the outbox, where each delivery is noted at once; faults, as text.
 
     Raises StoreError if the outbox cannot be read or written: deliveries may then be repeated.
     """
-    folder, faults = output / told.folder, []
-    outbox = read_outbox(folder) or Outbox()
+    faults = []
     for receiver in receivers:
-        if receiver.name not in outbox.queues:
-            continue
-        for queue in _after_each(outbox.queues[receiver.name], receiver, fleet, told, pause):
-            outbox = replace(outbox, queues={**outbox.queues, receiver.name: queue})
-            write_outbox(folder, outbox)
-        left = outbox.queues[receiver.name]
-        if left.waiting:
-            n = sum(len(one.changes) for one in left.waiting)
-            faults.append(
-                f"{receiver.label}: {left.fault}; for the next run: {counted(n, 'change')}"
-            )
+        fault = _deliver_to(state, receiver, fleet, told, pause)
+        if n := sum(len(one.changes) for one in waiting(state, receiver.name, told)):
+            faults.append(f"{receiver.label}: {fault}; for the next run: {counted(n, 'change')}")
     return tuple(faults)
 
 
-def _after_each(
-    queue: Queue, receiver: Receiver, fleet: str, told: Told, pause: Callable[[float], None]
-) -> Iterator[Queue]:
-    """The queue after each delivery that was tried; a failed one goes to its end.
+def _deliver_to(
+    state: State, receiver: Receiver, fleet: str, told: Told, pause: Callable[[float], None]
+) -> str:
+    """Deliver what waits for a receiver; the last fault, empty without one.
 
-    A receiver that failed in the run before, or hangs, gets one try for each: a dead one costs a
-    run little, and a delivery that it never takes does not hold up the others.
+    One that failed in the run before, or hangs, gets one try for each: a dead one costs a run
+    little, and a delivery that it never takes does not hold up the others.
     """
-    failures, pauses = 0, () if queue.fault else PAUSES_S
-    for one in queue.waiting:
-        rest = tuple(other for other in queue.waiting if other is not one)
+    name = receiver.name
+    where = "WHERE topic = ? AND receiver = ?"
+    rows = state.rows(f"SELECT fault FROM queues {where}", told.topic, name)
+    fault = rows[0][0] if rows else ""
+    failures, pauses = 0, () if fault else PAUSES_S
+    for one in waiting(state, name, told):
         try:
             _take(receiver, _delivery(one, fleet, told), pauses, pause)
         except UndeliveredError as error:
-            pauses, failures = (), failures + 1
-            queue = replace(queue, waiting=(*rest, one), fault=error.why)
-            yield queue
+            pauses, failures, fault = (), failures + 1, error.why
+            was_refused(state, name, one, fault, told)
             if error.hung or failures == MOST_FAILURES:
-                return
+                break
         else:
-            queue = replace(queue, waiting=rest, fault=queue.fault if rest else "")
-            yield queue
+            was_taken(state, name, one, told)
+    return fault
 
 
 def _take(

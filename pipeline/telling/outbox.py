@@ -1,9 +1,9 @@
-"""The outbox: rows of `alarms` that wait for each receiver, and those already taken up.
+"""The outbox: rows of `alarms` that wait for each receiver, and the keys of those queued so far.
 
 Rows come from the published table alone, and each is known by its key and its content: a run may be
 broken off anywhere, and a row that is made anew is delivered again only if it has changed. A failed
-delivery waits, unchanged, for the next run. The outbox is two sealed files with the same content;
-one of them is enough. Rows of `looks` have one of their own: a look never waits for a run.
+delivery waits, unchanged, for the next run; of one that was taken only the keys of its rows stay.
+Rows of `looks` are a topic of their own: a look never waits for a run.
 """
 
 from __future__ import annotations
@@ -14,20 +14,19 @@ import json
 import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
 from pipeline.messages import counted
 from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
-from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, unseal
+from pipeline.store.state import State, read_state_file
 from pipeline.store.tables import month_stamps, read_table, table_folder
 from pipeline.telling.delivery import Receiver
 
 log = logging.getLogger(__name__)
 
-OUTBOX_FILES = ("outbox.json", "outbox.copy.json")
 # Rows of one delivery at most.
 MOST_CHANGES = 500
 # Kind of a delivery with the state of every motor.
@@ -38,12 +37,16 @@ Change = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """Rows of a table that receivers are told."""
+    """Rows of a table that receivers are told: a topic of the outbox, by the table's name."""
 
     table: Table
     said: tuple[str, ...]  # columns with a row's content; others are its key or follow from it
-    folder: str = ""  # folder of its outbox, below the output
     states: frozenset[str] = frozenset()  # states into or out of which a row is told; empty: all
+
+    @property
+    def topic(self) -> str:
+        """Name of the topic."""
+        return self.table.name
 
     def tells(self, row: Mapping[str, Any]) -> bool:
         """True for a row that is told."""
@@ -51,9 +54,7 @@ class Told:
 
 
 TOLD_ALARMS = Told(ALARMS, ALARM_CONTENT)
-TOLD_LOOKS = Told(
-    LOOKS, ("from_state", "to_state", "reason", "verdict"), "look", frozenset({"look_now"})
-)
+TOLD_LOOKS = Told(LOOKS, ("from_state", "to_state", "reason", "verdict"), frozenset({"look_now"}))
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,30 +63,8 @@ class Waiting:
 
     id: str
     since: dt.datetime
-    changes: tuple[Change, ...]
+    changes: Sequence[Change]
     kind: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Queue:
-    """Queue of a receiver."""
-
-    # Time at which the config first named it (UTC); rows published before are not sent.
-    told_since: dt.datetime
-    waiting: tuple[Waiting, ...] = ()  # deliveries that it has not taken
-    fault: str = ""  # the last fault; empty if all was taken
-    summarised: str = ""  # date of the last summary, ISO; empty before the first
-
-
-@dataclass(frozen=True, slots=True)
-class Outbox:
-    """All queues, and the rows of `alarms` that were taken up."""
-
-    queues: Mapping[str, Queue] = field(default_factory=dict)  # by the receiver's name
-    # By a hash of a row's key, a hash of its content and how often that has changed.
-    known: Mapping[str, str] = field(default_factory=dict)
-    # `month_stamps` of the time at which rows were taken up.
-    stamps: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,66 +87,7 @@ class Backlog:
         )
 
 
-def read_outbox(output: Path) -> Outbox | None:
-    """The outbox, from the first file that is whole; None without one.
-
-    Raises StoreError if a file cannot be read, and none is whole.
-    """
-    unreadable: StoreError | None = None
-    for name in OUTBOX_FILES:
-        try:
-            found = read_outbox_file(output / name)
-        except DamagedError as error:
-            log.warning("%s", error)
-        except StoreError as error:
-            unreadable = error
-        else:
-            if found is not None:
-                return found
-    if unreadable is not None:
-        raise unreadable
-    return None
-
-
-def read_outbox_file(path: Path) -> Outbox | None:
-    """The outbox in one of its files; None without a file; raises as `read_sealed`."""
-    document = read_sealed(path, unseal)
-    try:
-        return (
-            None
-            if document is None
-            else Outbox(
-                {name: _queue(one) for name, one in document["queues"].items()},
-                dict(one.split("-", 1) for one in document["known"]),
-                document["stamps"],
-            )
-        )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DamagedError("store_read", f"{path.name} is damaged") from error
-
-
-def _queue(document: Mapping[str, Any]) -> Queue:
-    waiting = tuple(
-        Waiting(
-            one["id"],
-            dt.datetime.fromisoformat(one["since"]),
-            tuple(one["changes"]),
-            one.get("kind", ""),
-        )
-        for one in document["waiting"]
-    )
-    told_since = dt.datetime.fromisoformat(document["told_since"])
-    return Queue(told_since, waiting, document["fault"], document.get("summarised", ""))
-
-
-def write_outbox(output: Path, outbox: Outbox) -> None:
-    """Write both files; raises as `put_sealed`."""
-    document = asdict(outbox) | {"known": sorted(map("-".join, outbox.known.items()))}
-    for name in OUTBOX_FILES:
-        put_sealed(output / name, document)
-
-
-def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOLD_ALARMS) -> None:
+def open_outbox(state: State, names: Sequence[str], fleet: str, told: Told = TOLD_ALARMS) -> None:
     """Give the receivers of a config their queues, before a run publishes anything.
 
     Rows that the run before has published and not taken up go to the receivers of that time. A new
@@ -175,84 +95,147 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOL
 
     Raises StoreError if the outbox cannot be read or written.
     """
-    before = read_outbox(output / told.folder)
-    if not names and (before is None or not before.queues):
+    before = _receivers(state, told)
+    if not names and not before:
         return
-    outbox = taken_up(before or Outbox(), output, fleet, told)
-    for name in sorted(outbox.queues.keys() - set(names)):
-        if n := sum(len(one.changes) for one in outbox.queues[name].waiting):
-            words = "alarms: there is no %s any more; not delivered: %s"
-            log.warning(words, name, counted(n, "change"))
-    for name in sorted(set(names) - outbox.queues.keys()):
-        if outbox.known:
-            log.warning(
-                "alarms: the %s is told from now on; the %d rows of `%s` so far are not sent",
+    with state.transaction():
+        _take_up(state, before, fleet, told)
+        for name in sorted(set(before) - set(names)):
+            if n := sum(len(one.changes) for one in waiting(state, name, told)):
+                words = "alarms: there is no %s any more; not delivered: %s"
+                log.warning(words, name, counted(n, "change"))
+            where = "WHERE topic = ? AND receiver = ?"
+            state.write(f"DELETE FROM queues {where}", told.topic, name)
+        ((n,),) = state.rows("SELECT count(*) FROM queued WHERE topic = ?", told.topic)
+        for name in sorted(set(names) - set(before)):
+            if n:
+                log.warning(
+                    "alarms: the %s is told from now on; the %d rows of `%s` so far are not sent",
+                    name,
+                    n,
+                    told.topic,
+                )
+            state.write(
+                "INSERT INTO queues (topic, receiver, told_since) VALUES (?, ?, ?)",
+                told.topic,
                 name,
-                len(outbox.known),
-                told.table.name,
+                dt.datetime.now(dt.UTC).isoformat(),
             )
-    now = dt.datetime.now(dt.UTC)
-    queues = {name: outbox.queues.get(name, Queue(now)) for name in names}
-    write_outbox(output / told.folder, replace(outbox, queues=queues))
 
 
-def take_up(output: Path, fleet: str, told: Told = TOLD_ALARMS) -> None:
+def take_up(state: State, fleet: str, told: Told = TOLD_ALARMS) -> None:
     """Put new rows into all queues.
 
     Raises StoreError if the outbox cannot be read or written.
     """
-    before = read_outbox(output / told.folder)
-    if before is not None and before.queues:
-        after = taken_up(before, output, fleet, told)
-        if after != before:
-            write_outbox(output / told.folder, after)
+    receivers = _receivers(state, told)
+    if receivers:
+        with state.transaction():
+            _take_up(state, receivers, fleet, told)
+
+
+def _receivers(state: State, told: Told) -> list[str]:
+    rows = state.rows("SELECT receiver FROM queues WHERE topic = ? ORDER BY receiver", told.topic)
+    return [name for (name,) in rows]
+
+
+def waiting(state: State, name: str, told: Told = TOLD_ALARMS) -> list[Waiting]:
+    """Deliveries that a receiver has not taken, in order.
+
+    Raises StoreError if the outbox cannot be read.
+    """
+    rows = state.rows(
+        "SELECT id, since, changes, kind FROM outbox WHERE topic = ? AND receiver = ?"
+        " ORDER BY place",
+        told.topic,
+        name,
+    )
+    return [
+        Waiting(key, dt.datetime.fromisoformat(since), json.loads(changes), kind)
+        for key, since, changes, kind in rows
+    ]
+
+
+def _queue(state: State, name: str, told: Told, one: Waiting) -> None:
+    state.write(
+        "INSERT INTO outbox (topic, receiver, id, since, kind, changes) VALUES (?, ?, ?, ?, ?, ?)",
+        *(told.topic, name, one.id, one.since.isoformat(), one.kind, json.dumps(one.changes)),
+    )
+
+
+def was_taken(state: State, name: str, one: Waiting, told: Told = TOLD_ALARMS) -> None:
+    """A receiver has taken a delivery: its rows are known by their keys alone."""
+    with state.transaction():
+        where, values = "WHERE topic = ? AND receiver = ?", (told.topic, name)
+        state.write(f"DELETE FROM outbox {where} AND id = ?", *values, one.id)
+        if not state.rows(f"SELECT 1 FROM outbox {where} LIMIT 1", *values):
+            state.write(f"UPDATE queues SET fault = '' {where}", *values)
+
+
+def was_refused(
+    state: State, name: str, one: Waiting, fault: str, told: Told = TOLD_ALARMS
+) -> None:
+    """A receiver has not taken a delivery, which goes to the end of its queue."""
+    with state.transaction():
+        where, values = "WHERE topic = ? AND receiver = ?", (told.topic, name)
+        last = "(SELECT max(place) + 1 FROM outbox)"
+        state.write(f"UPDATE outbox SET place = {last} {where} AND id = ?", *values, one.id)
+        state.write(f"UPDATE queues SET fault = ? {where}", fault, *values)
 
 
 def add_summary(
-    output: Path, name: str, fleet: str, due: dt.date, rows: Callable[[], Iterable[Change]]
+    state: State, name: str, fleet: str, due: dt.date, rows: Callable[[], Iterable[Change]]
 ) -> None:
     """Queue a summary for a receiver, once for each date that it is due on.
 
     Raises StoreError if the outbox, or what the rows are made from, cannot be read or written.
     """
-    outbox = read_outbox(output)
-    queue = None if outbox is None else outbox.queues.get(name)
-    if outbox is None or queue is None or queue.summarised >= due.isoformat():
+    where, values = "WHERE topic = ? AND receiver = ?", (TOLD_ALARMS.topic, name)
+    last = state.rows(f"SELECT summarised FROM queues {where}", *values)
+    if not last or last[0][0] >= due.isoformat():
         return
     key = f"msg_{_digest([fleet, name, SUMMARY, due.isoformat()])}"
-    summary = Waiting(key, dt.datetime.now(dt.UTC), tuple(rows()), SUMMARY)
-    queue = replace(queue, waiting=(*queue.waiting, summary), summarised=due.isoformat())
-    write_outbox(output, replace(outbox, queues={**outbox.queues, name: queue}))
+    summary = Waiting(key, dt.datetime.now(dt.UTC), list(rows()), SUMMARY)
+    with state.transaction():
+        _queue(state, name, TOLD_ALARMS, summary)
+        state.write(f"UPDATE queues SET summarised = ? {where}", due.isoformat(), *values)
 
 
-def taken_up(outbox: Outbox, output: Path, fleet: str, told: Told = TOLD_ALARMS) -> Outbox:
-    """The outbox with new rows of the months that were written to since."""
-    stamps = month_stamps(output, told.table)
-    known, changes, since = dict(outbox.known), list[Change](), 0
-    for month, stamp in sorted(stamps.items()):
-        if outbox.stamps.get(month) == stamp:
+def _take_up(state: State, receivers: Sequence[str], fleet: str, told: Told) -> None:
+    """Queue the new rows of the months that were written to since, in a transaction."""
+    taken = dict(state.rows("SELECT name, stamp FROM taken_up WHERE topic = ?", told.topic))
+    changes: list[Change] = []
+    for month, stamp in sorted(month_stamps(state.output, told.table).items()):
+        if taken.get(month) == str(stamp):
             continue
-        rows, whole = _rows_of(output, month, told)
-        if not whole:
-            del stamps[month]
-        for row in rows:
-            key = _digest([str(row[name]) for name in told.table.key])
-            said = _digest([row[name] for name in told.said])
-            before, _, times = known.get(key, "-").partition("-")
-            if before != said:
-                # Counted: a row that changes back is delivered again.
-                known[key] = f"{said}-{int(times) + 1 if before else 0}"
-                if row.get("is_silent"):
-                    continue
-                what = "rules" if row.get("rules") else "changed" if before else "new"
-                changes.append({"id": f"{key}-{known[key]}", "change": what, **_plain(row)})
-                since = max(since, stamp)
-    when = dt.datetime.fromtimestamp(since / 1e9, dt.UTC)
-    queues = {
-        name: replace(queue, waiting=(*queue.waiting, *_deliveries(fleet, name, when, changes)))
-        for name, queue in outbox.queues.items()
-    }
-    return Outbox(queues, known, stamps)
+        rows, whole = _rows_of(state.output, month, told)
+        if whole:
+            values = told.topic, month, str(stamp)
+            state.write("INSERT OR REPLACE INTO taken_up VALUES (?, ?, ?)", *values)
+        changes += _new_among(state, rows, told)
+    now = dt.datetime.now(dt.UTC)
+    for name in receivers:
+        for one in _deliveries(fleet, name, now, changes):
+            _queue(state, name, told, one)
+
+
+def _new_among(state: State, rows: Iterable[Mapping[str, Any]], told: Told) -> Iterator[Change]:
+    """Rows that say something that was not queued before; from now on they are known."""
+    for row in rows:
+        key = _digest([str(row[name]) for name in told.table.key])
+        said = _digest([row[name] for name in told.said])
+        where = "WHERE topic = ? AND key = ?"
+        known = state.rows(f"SELECT said, times FROM queued {where}", told.topic, key)
+        if known and known[0][0] == said:
+            continue
+        # Counted: a row that changes back is delivered again.
+        times = known[0][1] + 1 if known else 0
+        state.write(
+            "INSERT OR REPLACE INTO queued VALUES (?, ?, ?, ?)", told.topic, key, said, times
+        )
+        if not row.get("is_silent"):
+            what = "rules" if row.get("rules") else "changed" if known else "new"
+            yield {"id": f"{key}-{said}-{times}", "change": what, **_plain(row)}
 
 
 def _rows_of(output: Path, month: str, told: Told) -> tuple[list[dict[str, Any]], bool]:
@@ -297,32 +280,30 @@ def _deliveries(
             yield Waiting(f"msg_{_digest(parts)}", since, some)
 
 
-def is_waiting(output: Path) -> bool:
-    """True if a delivery waits.
+def backlogs(output: Path, receivers: Sequence[Receiver]) -> tuple[Backlog, ...]:
+    """Undelivered rows of each receiver.
 
     Raises StoreError if the outbox cannot be read.
     """
-    outbox = read_outbox(output)
-    return outbox is not None and any(queue.waiting for queue in outbox.queues.values())
-
-
-def backlogs(output: Path, receivers: Sequence[Receiver], fleet: str) -> tuple[Backlog, ...]:
-    """Undelivered rows of each receiver, those included that no run has taken up yet.
-
-    Raises StoreError if the outbox cannot be read.
-    """
-    outbox = read_outbox(output)
-    if outbox is None or not receivers:
+    if not receivers:
         return ()
-    queues = taken_up(outbox, output, fleet).queues
-    return tuple(
-        Backlog(
-            receiver.label,
-            queue.told_since,
-            sum(len(one.changes) for one in queue.waiting),
-            min((one.since for one in queue.waiting), default=None),
-            queue.fault or None,
+    found = []
+    with read_state_file(output) as state:
+        rows = state.rows(
+            "SELECT receiver, told_since, fault FROM queues WHERE topic = ?", TOLD_ALARMS.topic
         )
-        for receiver in receivers
-        if (queue := queues.get(receiver.name)) is not None
-    )
+        queues = {name: more for name, *more in rows}
+        for receiver in receivers:
+            if receiver.name in queues:
+                told_since, fault = queues[receiver.name]
+                left = waiting(state, receiver.name)
+                found.append(
+                    Backlog(
+                        receiver.label,
+                        dt.datetime.fromisoformat(told_since),
+                        sum(len(one.changes) for one in left),
+                        min((one.since for one in left), default=None),
+                        fault or None,
+                    )
+                )
+    return tuple(found)

@@ -10,13 +10,13 @@ import datetime as dt
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 from pipeline.config import MotorSpec
 from pipeline.logs.ledger import as_published
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.tonight import Tonight
-from pipeline.trends.nights.trend_record import Record, read_record, trend_hash
+from pipeline.trends.nights.trend_record import Record, trend_hash
 
 DAY = dt.timedelta(days=1)
 
@@ -43,14 +43,20 @@ class Circuit:
     hashes: Mapping[str, str]
 
     @classmethod
-    def of(cls, output: Path, specs: Sequence[MotorSpec], decisions: Iterable[Decision]) -> Circuit:
+    def of(
+        cls,
+        specs: Sequence[MotorSpec],
+        decisions: Iterable[Decision],
+        records: Mapping[str, Record],
+        settings: Mapping[str, Mapping[str, Any]],
+    ) -> Circuit:
         """A circuit with its motors as their fits are published, and what is remembered of them."""
-        specs = [as_published(output, one) for one in specs]
+        specs = [as_published(one, settings.get(one.motor_id)) for one in specs]
         said = decisions_of(specs, decisions)
         return cls(
             tuple(specs),
             said,
-            {one.motor_id: read_record(output, one.motor_id) for one in specs},
+            {one.motor_id: records.get(one.motor_id) for one in specs},
             {one.motor_id: trend_hash(one, said[one.motor_id]) for one in specs},
         )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
@@ -18,19 +18,18 @@ from typing import TypeVar
 from leakage.watch import Watch
 from pipeline.errors import StoreError
 from pipeline.schema import ALARMS, WATCH, Table
-from pipeline.store.atomic_files import put
+from pipeline.store.atomic_files import scratch, store_errors
 from pipeline.store.night_files import stage
-from pipeline.store.sealed import stage_sealed
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.circuits import Circuit
 from pipeline.trends.nights.from_tables import MotorNights, Wanted, read_nights
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.kept import key_of, read_kept
-from pipeline.trends.nights.trend_record import Record, kept_file, record_file
+from pipeline.trends.nights.kept import decoded, key_of
+from pipeline.trends.nights.trend_record import Record
 from pipeline.trends.rows.alarm_rows import new_alarms, rules_now
 from pipeline.trends.rows.made_trends import MadeTrends
 from pipeline.trends.states.course import Course
-from pipeline.trends.tasks import Row, TrendOutcome, TrendTask
+from pipeline.trends.tasks import Row, TrendOutcome, TrendTask, kept_file
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -50,7 +49,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
         for circuit in task.circuits:
             own = {name: nights[name] for name in sorted(circuit.records) if name in nights}
             _run_circuit(task, circuit, own, done)
-        return TrendOutcome(done.nights, done.failures, tuple(done.alarms))
+        return TrendOutcome(done.nights, done.failures, done.records, tuple(done.alarms))
 
 
 def _wanted(task: TrendTask, circuit: Circuit) -> list[Wanted]:
@@ -61,7 +60,9 @@ def _wanted(task: TrendTask, circuit: Circuit) -> list[Wanted]:
         motor_id, record = spec.motor_id, circuit.records[spec.motor_id]
         said, kept = circuit.decisions[motor_id], None
         if record is not None and record.trend_hash == circuit.hashes[motor_id]:
-            kept = read_kept(task.output, motor_id, key_of(spec, said), record.last_night)
+            kept = decoded(task.kept.get(motor_id))
+            if kept and (kept.key, kept.last_night) != (key_of(spec, said), record.last_night):
+                kept = None
         until = circuit.last_night(motor_id, task.changed_from, task.tonight)
         night = first.get(motor_id)
         is_due = night is not None and night <= until
@@ -75,6 +76,7 @@ class _Done:
 
     failures: dict[str, Loss]
     nights: dict[str, int] = field(default_factory=dict)
+    records: dict[str, Record] = field(default_factory=dict)
     alarms: list[Row] = field(default_factory=list)
 
     def guarded(self, motor_id: str, make: Callable[[], Made]) -> Made | None:
@@ -116,7 +118,7 @@ def _run_circuit(
     for name, trends in made.items():
         found = done.guarded(name, partial(_stage_motor, task, circuit, trends))
         if found is not None:
-            done.nights[name], new = found
+            done.nights[name], done.records[name], new = found
             done.alarms += new
 
 
@@ -150,12 +152,14 @@ def _watches(
     }
 
 
-def _stage_motor(task: TrendTask, circuit: Circuit, trends: MadeTrends) -> tuple[int, list[Row]]:
-    """Stage a motor's rows, its record and what is kept; number of nights, and new alarms."""
+def _stage_motor(
+    task: TrendTask, circuit: Circuit, trends: MadeTrends
+) -> tuple[int, Record, list[Row]] | None:
+    """Stage a motor's rows and what is kept; number of nights, its record, and new alarms."""
     history = trends.course.nights.history
     spec, labels = history.spec, trends.nights
     if not labels:
-        return 0, []
+        return None
     motor_id, before = spec.motor_id, circuit.records[spec.motor_id]
     record = Record(circuit.hashes[motor_id], labels[-1], None, rules_now(spec))
     gone = _withdrawn(task.output, history, trends.first)
@@ -166,10 +170,13 @@ def _stage_motor(task: TrendTask, circuit: Circuit, trends: MadeTrends) -> tuple
         for row in some:
             nights[row["night"]].append(row)
     stage(task.staging / "trends" / f"{motor_id}.arrow", staged)
-    stage_sealed(record_file(task.staging, motor_id), asdict(record))
-    kept = trends.course.kept(key_of(spec, history.decisions))
-    put(kept_file(task.staging, motor_id), kept.encoded(), durable=False)
-    return len(labels), new_alarms(rows[ALARMS], trends.course.nights.alarms)
+    kept, path = (
+        trends.course.kept(key_of(spec, history.decisions)),
+        kept_file(task.staging, motor_id),
+    )
+    with store_errors(path), scratch(path) as stream:
+        stream.write(kept.encoded())
+    return len(labels), record, new_alarms(rows[ALARMS], trends.course.nights.alarms)
 
 
 def _withdrawn(output: Path, history: History, first: dt.date) -> list[dt.date]:

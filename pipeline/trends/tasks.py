@@ -9,9 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config import MotorSpec
+from pipeline.logs.ledger import read_settings
+from pipeline.store.state import State
 from pipeline.trends.circuits import Circuit, circuits_of
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.tonight import Tonight
+from pipeline.trends.nights.trend_record import Record, read_kept, read_records
 from pipeline.workers.process import Loss
 
 Row = dict[str, Any]
@@ -21,6 +24,7 @@ Row = dict[str, Any]
 class TrendTask:
     """Whole oil circuits whose trends are to be made, up to tonight.
 
+    `kept` has what the run before kept of a motor, if anything, as the state file has it;
     `changed_from` has the first night with new rows of each motor that was asked for, or None;
     `given_up` how this run's workers were lost in a motor's trends.
     """
@@ -30,6 +34,7 @@ class TrendTask:
     staging: Path
     changed_from: Mapping[str, dt.date | None]
     tonight: Tonight
+    kept: Mapping[str, bytes | None] = field(default_factory=dict)
     given_up: Mapping[str, Loss] = field(default_factory=dict)
 
     @property
@@ -40,19 +45,22 @@ class TrendTask:
 
 @dataclass(frozen=True, slots=True)
 class TrendOutcome:
-    """By motor: number of staged nights, and failures; of each with nights a record is staged.
+    """By motor: number of staged nights, failures, and of each with nights its record.
+
+    What is to be kept of a motor is staged beside its rows.
 
     `alarms` are the staged rows of `alarms` that were not published before.
     """
 
     nights: Mapping[str, int] = field(default_factory=dict)
     failures: Mapping[str, Loss] = field(default_factory=dict)
+    records: Mapping[str, Record] = field(default_factory=dict)
     alarms: tuple[Row, ...] = ()
 
 
 def trend_tasks(
     specs: Sequence[MotorSpec],
-    output: Path,
+    state: State,
     staging: Path,
     changed_from: Mapping[str, dt.date | None],
     tonight: Tonight,
@@ -60,20 +68,33 @@ def trend_tasks(
     motors_a_task: int,
 ) -> list[TrendTask]:
     """Tasks of whole circuits with nights to be made, of about so many motors each."""
+    records, settings = read_records(state), read_settings(state)
     batches: list[list[Circuit]] = [[]]
     for group in circuits_of(specs):
         if not any(one.motor_id in changed_from for one in group):
             continue
-        circuit = Circuit.of(output, group, decisions)
+        circuit = Circuit.of(group, decisions, records, settings)
         if circuit.is_due(changed_from, tonight):
             if sum(len(one.specs) for one in batches[-1]) >= motors_a_task:
                 batches.append([])
             batches[-1].append(circuit)
     return [
-        TrendTask(tuple(batch), output, staging, changed_from, tonight)
+        TrendTask(
+            tuple(batch),
+            state.output,
+            staging,
+            changed_from,
+            tonight,
+            {name: read_kept(state, name) for circuit in batch for name in circuit.records},
+        )
         for batch in batches
         if batch
     ]
+
+
+def kept_file(staging: Path, motor_id: str) -> Path:
+    """File below the staging folder with what is to be kept of a motor."""
+    return staging / "kept" / motor_id
 
 
 def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:

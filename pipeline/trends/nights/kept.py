@@ -12,7 +12,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import lz4.frame
@@ -23,10 +22,9 @@ from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import hash_of, own_version
-from pipeline.store.sealed import read_if_whole
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import RECORD, Records
-from pipeline.trends.nights.trend_record import kept_file, trend_hash
+from pipeline.trends.nights.trend_record import trend_hash
 
 DIGEST_SIZE = 32
 
@@ -51,7 +49,7 @@ class Kept:
     watch: KeptWatch | None
 
     def encoded(self) -> bytes:
-        """Content of its file: a digest, and compressed a line of JSON and the bytes of arrays."""
+        """As bytes: a digest, and compressed a line of JSON and the bytes of arrays."""
         arrays: dict[str, NDArray[Any]] = {} if self.watch is None else dict(self.watch.arrays)
         head: dict[str, Any] = {
             "key": self.key,
@@ -67,8 +65,10 @@ class Kept:
         return hashlib.sha256(packed).digest() + packed
 
 
-def decoded(content: bytes) -> Kept | None:
-    """What is kept by its file's content; None where that is not as it was written."""
+def decoded(content: bytes | None) -> Kept | None:
+    """What is kept, from its bytes; None where there are none, or not as they were written."""
+    if content is None:
+        return None
     digest, packed = content[:DIGEST_SIZE], content[DIGEST_SIZE:]
     if hashlib.sha256(packed).digest() != digest:
         return None
@@ -89,13 +89,6 @@ def decoded(content: bytes) -> Kept | None:
         return None
     last_night = dt.date.fromisoformat(head["last_night"])
     return Kept(head["key"], last_night, np.frombuffer(parts[0], RECORD), watch)
-
-
-def read_kept(output: Path, motor_id: str, key: str, last_night: dt.date) -> Kept | None:
-    """What is kept of a motor, if whole, of the same key, and done up to a night."""
-    kept = read_if_whole(kept_file(output, motor_id), decoded)
-    is_of = kept is not None and (kept.key, kept.last_night) == (key, last_night)
-    return kept if is_of else None
 
 
 def key_of(spec: MotorSpec, decisions: Sequence[Decision]) -> str:

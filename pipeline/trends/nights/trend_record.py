@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+import json
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
-from pipeline.store.sealed import put_sealed, read_if_whole, unseal
+from pipeline.store.state import State
 from pipeline.trends.nights.decisions import Decision
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
@@ -51,62 +51,57 @@ def resets_of(decisions: Sequence[Decision]) -> list[tuple[str, str, str]]:
     ]
 
 
-def record_file(output: Path, motor_id: str) -> Path:
-    """File of the record."""
-    return output / "ledger" / motor_id / "trends"
-
-
-def kept_folder(output: Path) -> Path:
-    """Folder with what is kept of all motors, so that the watch need not be made anew."""
-    return output / "history"
-
-
-def kept_file(output: Path, motor_id: str) -> Path:
-    """File of a motor; beside it may be those of older versions."""
-    return kept_folder(output) / motor_id / "watch"
-
-
-def read_record(output: Path, motor_id: str) -> Record | None:
-    """The record of a motor's trends; None without one, or if it is damaged."""
-    document = read_if_whole(record_file(output, motor_id), unseal)
-    if document is None:
-        return None
-    try:
-        last, redo = (document[name] for name in ("last_night", "redo_from"))
-        return Record(
-            str(document["trend_hash"]),
-            dt.date.fromisoformat(last),
-            None if redo is None else dt.date.fromisoformat(redo),
-            None if (rules := document.get("rules")) is None else dict(rules),
+def read_records(state: State) -> dict[str, Record]:
+    """Records of the trends of all motors, by motor."""
+    rows = state.rows("SELECT motor_id, trend_hash, last_night, redo_from, rules FROM trends")
+    return {
+        motor_id: Record(
+            trend_hash,
+            dt.date.fromisoformat(last_night),
+            None if redo_from is None else dt.date.fromisoformat(redo_from),
+            None if rules is None else json.loads(rules),
         )
-    except (ValueError, KeyError, TypeError, AttributeError):
-        return None
+        for motor_id, trend_hash, last_night, redo_from, rules in rows
+    }
 
 
-def write_record(output: Path, motor_id: str, record: Record) -> None:
-    """Write the record of a motor's trends; raises as `put_sealed`."""
-    put_sealed(record_file(output, motor_id), asdict(record))
+def read_kept(state: State, motor_id: str) -> bytes | None:
+    """What is kept of a motor, so that its watch need not be made anew; None without any."""
+    rows = state.rows("SELECT kept FROM trends WHERE motor_id = ?", motor_id)
+    return rows[0][0] if rows else None
 
 
-def note_touched(output: Path, motor_id: str, night: dt.date) -> None:
-    """Mark a motor's trends from a night on as out of date, before its rows change.
+def write_record(state: State, motor_id: str, record: Record, kept: bytes | None = None) -> None:
+    """Write the record of a motor's trends, and what is kept of it; raises StoreError."""
+    state.write(
+        "INSERT OR REPLACE INTO trends VALUES (?, ?, ?, ?, ?, ?)",
+        motor_id,
+        record.trend_hash,
+        str(record.last_night),
+        None if record.redo_from is None else str(record.redo_from),
+        None if record.rules is None else json.dumps(record.rules),
+        kept,
+    )
+
+
+def note_touched(state: State, touched: Iterable[tuple[str, dt.date]]) -> None:
+    """Mark motors' trends from a night on as out of date, before their rows change.
 
     If the run is broken off before its trends, the next one makes them.
 
     Raises StoreError if it cannot be written.
     """
-    record = read_record(output, motor_id)
-    if record is not None and night <= record.last_night:
-        earlier = [one for one in (night, record.redo_from) if one is not None]
-        write_record(output, motor_id, replace(record, redo_from=min(earlier)))
+    state.write_all(
+        "UPDATE trends SET redo_from = min(coalesce(redo_from, ?2), ?2)"
+        " WHERE motor_id = ?1 AND last_night >= ?2",
+        [(motor_id, str(night)) for motor_id, night in touched],
+    )
 
 
-def forget_records(output: Path, keep: Collection[str]) -> None:
+def forget_records(state: State, keep: Collection[str]) -> None:
     """Let the next run make the trends of all motors but some anew.
 
     Raises StoreError if a record cannot be written.
     """
-    for folder in (output / "ledger").glob("*"):
-        record = read_record(output, folder.name)
-        if folder.name not in keep and record is not None:
-            write_record(output, folder.name, replace(record, trend_hash=""))
+    others = [(one,) for (one,) in state.rows("SELECT motor_id FROM trends") if one not in keep]
+    state.write_all("UPDATE trends SET trend_hash = '' WHERE motor_id = ?", others)

@@ -16,6 +16,7 @@ from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.tasks import MotorTask
 from pipeline.run.unchanged import unchanged_motors
+from pipeline.store.state import open_state
 from tests.pipeline.workshop import DAY, Workshop
 
 NIGHT = dt.date(2026, 3, 2)
@@ -30,6 +31,11 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     made.log(NIGHT + DAY, seed=2)
     made.run()
     return made
+
+
+def unchanged(execution: Execution, *tasks: MotorTask) -> int:
+    with open_state(tasks[0].output) as state:
+        return len(list(unchanged_motors(tasks, execution, state)))
 
 
 def test_a_run_with_nothing_new_starts_no_worker(
@@ -106,19 +112,19 @@ def test_a_motor_with_news_is_left_to_its_task(
     shutil.copytree(workshop.folder, tmp_path / "copy")
     other = Workshop(tmp_path / "copy")
     other.run()  # the copies of the logs are other files
-    assert len(list(unchanged_motors([other.task()], HERE))) == 1
+    assert unchanged(HERE, other.task()) == 1
     change(other)
-    assert list(unchanged_motors([other.task()], HERE)) == []
+    assert unchanged(HERE, other.task()) == 0
 
 
 @pytest.mark.parametrize("asked", ["force", "retry"])
 def test_what_is_asked_for_is_a_task(workshop: Workshop, asked: str) -> None:
     task: MotorTask = replace(workshop.task(), **{asked: True})
-    assert list(unchanged_motors([task], HERE)) == []
+    assert unchanged(HERE, task) == 0
 
 
 def test_logs_that_do_not_answer_are_left_to_the_tasks(workshop: Workshop) -> None:
     task = workshop.task()
-    assert len(list(unchanged_motors([task, task], BESIDE))) == 2
+    assert unchanged(BESIDE, task, task) == 2
     hasty = BESIDE.model_copy(update={"answer_s": 1e-9})
-    assert list(unchanged_motors([task, task], hasty)) == []
+    assert unchanged(hasty, task, task) == 0

@@ -12,6 +12,7 @@ from typing import Any
 
 from pipeline.schema import ALARMS, frame
 from pipeline.store.encoding import write_table
+from pipeline.store.state import open_state
 from pipeline.store.tables import night_file
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Delivery, UndeliveredError
@@ -71,11 +72,12 @@ def run(
     output: Path, rows: Iterable[dict[str, Any]], *receivers: Fake, fleet: str = FLEET
 ) -> tuple[str, ...]:
     """The steps of a run that publishes some rows, without waits between tries."""
-    open_outbox(output, [one.name for one in receivers], fleet)
-    publish(output, *rows)
-    take_up(output, fleet)
-    return deliver(output, receivers, fleet, lambda _: None)
+    with open_state(output) as state:
+        open_outbox(state, [one.name for one in receivers], fleet)
+        publish(output, *rows)
+        take_up(state, fleet)
+        return deliver(state, receivers, fleet, lambda _: None)
 
 
 def undelivered(output: Path, *receivers: Fake) -> list[int]:
-    return [one.undelivered for one in backlogs(output, receivers, FLEET)]
+    return [one.undelivered for one in backlogs(output, receivers)]

@@ -9,10 +9,20 @@ from typing import Any
 import pytest
 
 from pipeline.schema import ALARMS
+from pipeline.store.state import open_state
 from pipeline.store.tables import night_file
+from pipeline.telling import outbox as module
 from pipeline.telling.delivering import MOST_FAILURES, PAUSES_S, deliver
 from pipeline.telling.delivery import Delivery
-from pipeline.telling.outbox import MOST_CHANGES, OUTBOX_FILES, backlogs, open_outbox, take_up
+from pipeline.telling.outbox import (
+    MOST_CHANGES,
+    Told,
+    add_summary,
+    backlogs,
+    open_outbox,
+    take_up,
+    waiting,
+)
 from tests.pipeline.telling.made_alarms import FIRST, FLEET, Fake, publish, row, run, undelivered
 
 
@@ -55,15 +65,14 @@ def test_a_new_receiver_is_told_of_what_comes_and_the_run_says_so(
 ) -> None:
     first, second = Fake(), Fake("webhook")
     assert run(tmp_path, [row("M1")]) == ()
-    assert not any((tmp_path / name).exists() for name in OUTBOX_FILES)
-    assert backlogs(tmp_path, [], FLEET) == ()
+    assert backlogs(tmp_path, []) == ()
     run(tmp_path, [], first)
     assert "the command is told from now on; the 1 rows of `alarms` so far are not sent" in (
         caplog.text
     )
     run(tmp_path, [row("M1"), row("M2")], first, second)
     assert first.motors() == second.motors() == ["M2"]
-    (backlog,) = backlogs(tmp_path, [second], FLEET)
+    (backlog,) = backlogs(tmp_path, [second])
     assert dt.datetime.now(dt.UTC) - backlog.told_since < dt.timedelta(minutes=10)
 
 
@@ -83,9 +92,9 @@ def test_rows_that_a_run_published_and_did_not_take_up_are_told_by_the_next(
     tmp_path: Path,
 ) -> None:
     receiver = Fake()
-    open_outbox(tmp_path, ["command"], FLEET)
+    with open_state(tmp_path) as state:
+        open_outbox(state, ["command"], FLEET)
     publish(tmp_path, row("M1"))  # and there the run was killed
-    assert undelivered(tmp_path, receiver) == [1]
     run(tmp_path, [row("M1"), row("M2")], receiver)
     assert receiver.motors() == ["M1", "M2"]
     assert undelivered(tmp_path, receiver) == [0]
@@ -156,28 +165,28 @@ def test_what_was_not_taken_is_tried_again_by_the_next_run(tmp_path: Path) -> No
     receiver = Fake(refuses=lambda _: True)
     (fault,) = run(tmp_path, [row("M1")], receiver)
     assert fault == "alarms.command: out of ink; for the next run: 1 change"
-    (backlog,) = backlogs(tmp_path, [receiver], FLEET)
+    (backlog,) = backlogs(tmp_path, [receiver])
     assert (backlog.undelivered, backlog.fault) == (1, "out of ink")
-    stamp = night_file(tmp_path, ALARMS, FIRST).parent.stat().st_mtime
-    assert backlog.since.timestamp() == pytest.approx(stamp)
+    assert dt.datetime.now(dt.UTC) - backlog.since < dt.timedelta(minutes=10)
     receiver.refuses = lambda _: False
     assert run(tmp_path, [], receiver) == ()
     assert undelivered(tmp_path, receiver) == [0]
     # Bytes and id are the same each time.
     assert len(set(receiver.tried)) == 1
-    assert backlogs(tmp_path, [receiver], FLEET)[0].fault is None
+    assert backlogs(tmp_path, [receiver])[0].fault is None
 
 
 def test_a_run_tries_three_times_and_the_next_once(tmp_path: Path) -> None:
     receiver = Fake(refuses=lambda _: True)
     waits: list[float] = []
-    open_outbox(tmp_path, ["command"], FLEET)
-    publish(tmp_path, row("M1"))
-    take_up(tmp_path, FLEET)
-    deliver(tmp_path, [receiver], FLEET, waits.append)
-    assert (len(receiver.tried), waits) == (3, list(PAUSES_S))
-    assert waits == sorted(waits)
-    deliver(tmp_path, [receiver], FLEET, waits.append)
+    with open_state(tmp_path) as state:
+        open_outbox(state, ["command"], FLEET)
+        publish(tmp_path, row("M1"))
+        take_up(state, FLEET)
+        deliver(state, [receiver], FLEET, waits.append)
+        assert (len(receiver.tried), waits) == (3, list(PAUSES_S))
+        assert waits == sorted(waits)
+        deliver(state, [receiver], FLEET, waits.append)
     assert (len(receiver.tried), len(waits)) == (4, 2)
 
 
@@ -220,10 +229,11 @@ def test_one_that_fails_does_not_keep_the_other(tmp_path: Path) -> None:
 def test_what_was_taken_is_known_at_once(tmp_path: Path) -> None:
     """A run that ends between two deliveries repeats neither the first nor its rows."""
     receiver = Fake()
-    open_outbox(tmp_path, ["command"], FLEET)
-    for number in range(2):
-        publish(tmp_path, row("M1", FIRST + dt.timedelta(number)))
-        take_up(tmp_path, FLEET)
+    with open_state(tmp_path) as state:
+        open_outbox(state, ["command"], FLEET)
+        for number in range(2):
+            publish(tmp_path, row("M1", FIRST + dt.timedelta(number)))
+            take_up(state, FLEET)
 
     def stop(delivery: Delivery) -> bool:
         if len(receiver.tried) == 2:
@@ -231,8 +241,76 @@ def test_what_was_taken_is_known_at_once(tmp_path: Path) -> None:
         return False
 
     receiver.refuses = stop
-    with pytest.raises(KeyboardInterrupt):
-        deliver(tmp_path, [receiver], FLEET)
+    with pytest.raises(KeyboardInterrupt), open_state(tmp_path) as state:
+        deliver(state, [receiver], FLEET)
     receiver.refuses = lambda _: False
-    deliver(tmp_path, [receiver], FLEET)
+    with open_state(tmp_path) as state:
+        deliver(state, [receiver], FLEET)
     assert [one["night"] for one in receiver.changes()] == ["2026-02-17", "2026-02-18"]
+
+
+def test_of_what_was_taken_only_the_keys_stay(tmp_path: Path) -> None:
+    for number in range(3):
+        run(tmp_path, [row("M1", FIRST + dt.timedelta(number))], Fake())
+    with open_state(tmp_path) as state:
+        assert waiting(state, "command") == []
+        assert state.rows("SELECT count(*) FROM outbox") == [(0,)]
+        assert state.rows("SELECT count(*) FROM queued") == [(3,)]
+
+
+def test_a_damaged_table_waits_and_keeps_nothing_else(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    receiver, later = Fake(), FIRST + dt.timedelta(1)
+    run(tmp_path, [], receiver)
+    publish(tmp_path, row("M1"), row("M2", later))
+    whole = night_file(tmp_path, ALARMS, FIRST).read_bytes()
+    night_file(tmp_path, ALARMS, FIRST).write_bytes(whole[:-4])
+    run(tmp_path, [], receiver)
+    assert receiver.motors() == ["M2"]
+    assert "2026-02-17.parquet of alarms is damaged" in caplog.text
+    night_file(tmp_path, ALARMS, FIRST).write_bytes(whole)
+    run(tmp_path, [], receiver)
+    assert receiver.motors() == ["M2", "M1"]
+
+
+def test_only_months_that_were_written_to_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    receiver = Fake()
+    run(tmp_path, [row("M1"), row("M2", dt.date(2026, 3, 1))], receiver)
+    read: list[str] = []
+    real = module._rows_of
+
+    def counted(output: Path, month: str, told: Told) -> tuple[list[dict[str, Any]], bool]:
+        read.append(month)
+        return real(output, month, told)
+
+    monkeypatch.setattr(module, "_rows_of", counted)
+    run(tmp_path, [], receiver)
+    assert read == []
+    run(tmp_path, [row("M3", dt.date(2026, 3, 2))], receiver)
+    assert set(read) == {"2026-03"}
+
+
+def test_what_is_not_finite_is_null(tmp_path: Path) -> None:
+    receiver = Fake()
+    run(tmp_path, [row("M1", deviation_percent=float("nan"))], receiver)
+    assert receiver.changes()[0]["deviation_percent"] is None
+
+
+def test_a_summary_waits_once_for_each_date_it_is_due_on(tmp_path: Path) -> None:
+    made: list[int] = []
+
+    def rows() -> list[dict[str, Any]]:
+        made.append(1)
+        return [{"motor_id": "M", "state": "ok"}]
+
+    with open_state(tmp_path) as state:
+        open_outbox(state, ["email"], "Mill 3")
+        for due in (dt.date(2026, 11, 16), dt.date(2026, 11, 16), dt.date(2026, 11, 23)):
+            add_summary(state, "email", "Mill 3", due, rows)
+            add_summary(state, "stranger", "Mill 3", due, rows)
+        found = waiting(state, "email")
+    assert [one.kind for one in found] == ["summary", "summary"]
+    assert len({one.id for one in found}) == len(made) == 2

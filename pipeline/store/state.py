@@ -1,0 +1,304 @@
+"""The state of an output folder: one SQLite file, `state.db`, with all that is no analyst's table.
+
+Logs and nights that were done, trends, published files, what waits for receivers, and people's
+decisions. One process at a time, the holder of the run's lock, writes all but the decisions and
+what is of the looks. Workers never open it: SQLite's log does not work across machines.
+
+It can be lost. The run then takes the backup of the run before, and without that begins anew: the
+logs and tables give the same tables again, and the table `decisions` what people have said.
+"""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import StoreError
+from pipeline.store.atomic_files import (
+    flush_path,
+    make_folders,
+    move,
+    put,
+    read,
+    remove,
+    store_errors,
+)
+
+log = logging.getLogger(__name__)
+
+STATE_FILE, BACKUP_FILE, DAMAGED_FILE = "state.db", "state.backup.db", "state.damaged.db"
+# Of `PRAGMA user_version`; raise it with a step in `open_state` that brings older files up to it.
+VERSION = 1
+# So long a command waits for the transaction of another process [s].
+BUSY_S = 30.0
+
+SCHEMA = """
+CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE motors (motor_id TEXT PRIMARY KEY, settings TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE logs (
+    motor_id TEXT NOT NULL REFERENCES motors, path TEXT NOT NULL,
+    size INTEGER NOT NULL, modified_ns INTEGER NOT NULL, sha256 TEXT, read_with TEXT NOT NULL,
+    rows INTEGER, first_us INTEGER, last_us INTEGER, nights TEXT NOT NULL, status TEXT NOT NULL,
+    error_code TEXT, message TEXT, inode INTEGER NOT NULL, changed_ns INTEGER NOT NULL,
+    PRIMARY KEY (motor_id, path)
+) WITHOUT ROWID;
+CREATE TABLE nights (
+    motor_id TEXT NOT NULL REFERENCES motors, night TEXT NOT NULL, status TEXT NOT NULL,
+    model TEXT NOT NULL, judged_with TEXT NOT NULL, statistics_hash TEXT NOT NULL,
+    figures_hash TEXT NOT NULL, tells_roller INTEGER,
+    PRIMARY KEY (motor_id, night)
+) WITHOUT ROWID;
+CREATE TABLE trends (
+    motor_id TEXT PRIMARY KEY, trend_hash TEXT NOT NULL, last_night TEXT NOT NULL,
+    redo_from TEXT, rules TEXT, kept BLOB
+);
+CREATE TABLE looks (motor_id TEXT PRIMARY KEY, state TEXT NOT NULL);
+CREATE TABLE queues (
+    topic TEXT NOT NULL, receiver TEXT NOT NULL, told_since TEXT NOT NULL,
+    fault TEXT NOT NULL DEFAULT '', summarised TEXT NOT NULL DEFAULT '',
+    PRIMARY KEY (topic, receiver)
+) WITHOUT ROWID;
+CREATE TABLE outbox (
+    place INTEGER PRIMARY KEY, topic TEXT NOT NULL, receiver TEXT NOT NULL, id TEXT NOT NULL,
+    since TEXT NOT NULL, kind TEXT NOT NULL, changes TEXT NOT NULL,
+    FOREIGN KEY (topic, receiver) REFERENCES queues ON DELETE CASCADE
+);
+CREATE TABLE queued (
+    topic TEXT NOT NULL, key TEXT NOT NULL, said TEXT NOT NULL, times INTEGER NOT NULL,
+    PRIMARY KEY (topic, key)
+) WITHOUT ROWID;
+CREATE TABLE taken_up (
+    topic TEXT NOT NULL, name TEXT NOT NULL, stamp TEXT NOT NULL, PRIMARY KEY (topic, name)
+) WITHOUT ROWID;
+CREATE TABLE decisions (
+    motor_id TEXT NOT NULL, indicator TEXT NOT NULL, time TEXT NOT NULL, kind TEXT NOT NULL,
+    night TEXT NOT NULL, finding TEXT, note TEXT NOT NULL, worn TEXT, sound TEXT
+);
+"""
+
+
+class State:
+    """The open state file of an output folder."""
+
+    def __init__(self, output: Path, connection: sqlite3.Connection) -> None:
+        self.output = output
+        self._connection = connection
+
+    def rows(self, query: str, *values: Any) -> list[tuple[Any, ...]]:
+        """Rows of a query; raises StoreError (``store_read``)."""
+        with _errors("store_read"):
+            return self._connection.execute(query, values).fetchall()
+
+    def write(self, statement: str, *values: Any) -> None:
+        """Change something, by itself or in the transaction that is open; raises StoreError."""
+        with _errors("store_write"):
+            self._connection.execute(statement, values)
+
+    def write_all(self, statement: str, rows: Iterable[Sequence[Any]]) -> None:
+        """Change something for each of some rows of values, as `write`."""
+        with self.transaction(), _errors("store_write"):
+            self._connection.executemany(statement, rows)
+
+    def meta(self, name: str) -> str:
+        """A value by its name; empty where there is none."""
+        found = self.rows("SELECT value FROM meta WHERE name = ?", name)
+        return str(found[0][0]) if found else ""
+
+    def set_meta(self, name: str, value: str) -> None:
+        """Keep a value by its name."""
+        self.write("INSERT OR REPLACE INTO meta VALUES (?, ?)", name, value)
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Changes that are all done, on the disk, or none; one within another is part of it.
+
+        Raises StoreError if they cannot be written.
+        """
+        if self._connection.in_transaction:
+            yield
+            return
+        self.write("BEGIN IMMEDIATE")
+        try:
+            yield
+            self.write("COMMIT")
+        except BaseException:
+            with suppress(sqlite3.Error):
+                self._connection.rollback()
+            raise
+
+
+@contextmanager
+def _errors(code: str) -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.Error as error:
+        how = "read" if code == "store_read" else "written"
+        raise StoreError(code, f"{STATE_FILE} cannot be {how}: {error}") from error
+
+
+@contextmanager
+def open_state(output: Path) -> Iterator[State]:
+    """Open the state file for changes; it is made where there is none.
+
+    Raises StoreError: ``store_write``; ``store_newer``: it is of a newer version of the program.
+    """
+    with store_errors(output):
+        make_folders(output)
+    with _errors("store_write"):
+        connection = sqlite3.connect(
+            output / STATE_FILE, timeout=BUSY_S, isolation_level=None, cached_statements=256
+        )
+    with closing(connection):
+        state = State(output, connection)
+        for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+            state.write(f"PRAGMA {pragma}")
+        if _version(state) == 0:
+            with state.transaction():
+                if _version(state) == 0:  # nobody else was faster
+                    _make_tables(state)
+        yield state
+
+
+@contextmanager
+def read_state_file(output: Path) -> Iterator[State]:
+    """Open the state file for reading; an empty one where there is none.
+
+    Raises StoreError as `open_state`.
+    """
+    place = (output / STATE_FILE).resolve()
+    if not place.exists():
+        with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+            state = State(output, connection)
+            _make_tables(state)
+            yield state
+        return
+    with closing(_reader(place)) as connection:
+        state = State(output, connection)
+        state.write("PRAGMA query_only = ON")
+        _version(state)
+        yield state
+
+
+def _reader(place: Path) -> sqlite3.Connection:
+    """A connection to a file; in a folder where nobody may write it is taken to be at rest."""
+    with _errors("store_read"):
+        connection = sqlite3.connect(
+            f"{place.as_uri()}?mode=rw", timeout=BUSY_S, isolation_level=None, uri=True
+        )
+        try:
+            connection.execute("PRAGMA schema_version")
+        except sqlite3.OperationalError:
+            connection.close()
+            connection = sqlite3.connect(
+                f"{place.as_uri()}?mode=ro&immutable=1", isolation_level=None, uri=True
+            )
+        return connection
+
+
+def _make_tables(state: State) -> None:
+    for statement in SCHEMA.split(";\n"):
+        if statement.strip():
+            state.write(statement)
+    state.write(f"PRAGMA user_version = {VERSION}")
+
+
+def _version(state: State) -> int:
+    ((version,),) = state.rows("PRAGMA user_version")
+    if version > VERSION:
+        message = f"{STATE_FILE} is of version {version}; update the program"
+        raise StoreError("store_newer", message)
+    return int(version)
+
+
+def make_ready(output: Path) -> bool:
+    """At a run's start: check the state file, restore a lost one, and keep a backup of it.
+
+    Returns
+    -------
+    bool
+        True where it was lost: what the run before left is then known from the backup alone, or
+        not at all.
+
+    Raises
+    ------
+    StoreError
+        If the files cannot be written, or are of a newer version of the program.
+    """
+    place, backup = output / STATE_FILE, output / BACKUP_FILE
+    version = _version_of(place)
+    is_lost = version is None or (version == 0 and backup.exists())
+    if is_lost:
+        _set_aside(place)
+        if _version_of(backup):
+            put(place, read(backup))
+        log.warning(
+            "%s is damaged or gone; %s",
+            STATE_FILE,
+            "the backup of the run before is taken" if place.exists() else "it is made anew",
+        )
+    with open_state(output) as state:
+        _back_up(state, backup)
+    return is_lost
+
+
+def is_sound(output: Path) -> bool:
+    """True for a state file that SQLite finds whole, and where there is none."""
+    return _version_of(output / STATE_FILE) is not None
+
+
+def _version_of(place: Path) -> int | None:
+    """Version of a file; 0 where there is none or an empty one, None where it is damaged.
+
+    Raises StoreError (``store_newer``).
+    """
+    if not place.exists():
+        return 0
+    try:
+        with closing(sqlite3.connect(place, timeout=BUSY_S, isolation_level=None)) as connection:
+            if connection.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
+                return None
+            return _version(State(place.parent, connection))
+    except sqlite3.DatabaseError:
+        return None
+    except StoreError as error:
+        if error.code == "store_newer":
+            raise
+        return None
+
+
+def replace_state(output: Path, content: bytes) -> None:
+    """Put another state file into the place of the present one, whose decisions are kept.
+
+    Raises StoreError if one cannot be read or written.
+    """
+    with read_state_file(output) as state:
+        own = state.rows("SELECT * FROM decisions")
+    _set_aside(output / STATE_FILE)
+    put(output / STATE_FILE, content)
+    with open_state(output) as state:
+        known = set(state.rows("SELECT * FROM decisions"))
+        lost = [one for one in own if one not in known]
+        state.write_all("INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", lost)
+
+
+def _set_aside(place: Path) -> None:
+    """Put a damaged file aside, and remove what SQLite keeps beside it."""
+    if place.exists():
+        move(place, place.with_name(DAMAGED_FILE))
+    for ending in ("-wal", "-shm"):
+        remove(place.with_name(place.name + ending))
+
+
+def _back_up(state: State, backup: Path) -> None:
+    """Copy the state as it is, and put the copy into the place of the last one."""
+    made = backup.with_name(f".writing-{backup.name}")
+    remove(made)
+    with _errors("store_write"):
+        state.write("VACUUM INTO ?", str(made))
+    with store_errors(backup):
+        flush_path(made)
+    move(made, backup)
