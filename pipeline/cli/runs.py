@@ -65,7 +65,8 @@ def fit_fleet(
     A night or log that failed stands as failed, and is not tried again while it is unchanged, but
     with --retry. A failed night whose log was removed fails no more.
 
-    Exit code 0: no failure stands; 1: one does, the others are done, or published rows are lost; 2: wrong usage or config; 3: another run holds the output; 4: nothing could be published.
+    Exit code 0: no failure stands; 1: one does, the others are done, or published rows are lost;
+    2: wrong usage or config; 3: another run holds the output; 4: nothing could be published.
     """
     with stoppable():
         from pipeline.run.fleet import RunRequest

@@ -13,7 +13,7 @@ import io
 import os
 import secrets
 import stat
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -261,27 +261,6 @@ def move(path: Path, place: Path) -> None:
     with store_errors(place):
         os.replace(path, place)
         flush_path(place.parent)
-
-
-def take_over(staging: Path, places: Mapping[Path, Path]) -> None:
-    """Move scratch files of a run to places on the same disk, where they survive a power cut.
-
-    Raises StoreError if that fails; each file is at one of both places.
-    """
-    if not places:
-        return
-    flush_disk(staging)
-    for file, place in places.items():
-        with store_errors(place):
-            make_folders(place.parent, flush=False)
-            try:
-                os.replace(file, place)
-            except OSError as error:
-                if error.errno != errno.EXDEV:
-                    raise
-                put(place, read(file))
-                os.unlink(file)
-    flush_disk(place)
 
 
 def can_exchange(folder: Path) -> bool:

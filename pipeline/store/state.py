@@ -261,12 +261,10 @@ def _version_of(place: Path) -> int | None:
         with closing(sqlite3.connect(place, timeout=BUSY_S, isolation_level=None)) as connection:
             if connection.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
                 return None
-            return _version(State(place.parent, connection))
+            return int(connection.execute("PRAGMA user_version").fetchone()[0])
+    except sqlite3.OperationalError as error:  # which says nothing of its content
+        raise StoreError("store_write", f"{place.name} cannot be opened: {error}") from error
     except sqlite3.DatabaseError:
-        return None
-    except StoreError as error:
-        if error.code == "store_newer":
-            raise
         return None
 
 

@@ -6,7 +6,10 @@ import os
 from pathlib import Path
 
 from pipeline.run.fleet import RunResult
+from pipeline.run.mending import mend_output
 from pipeline.run.verification import verify_tables
+from pipeline.store.state import open_state
+from pipeline.store.verification import TableFault
 from tests.pipeline.simulated import NIGHT
 
 MONTH = f"{NIGHT:%Y-%m}"
@@ -58,3 +61,9 @@ def remove_aside(output: Path) -> int:
     for path in aside:
         path.unlink()
     return len(aside)
+
+
+def mended(output: Path) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
+    """Mend an output as the command does: faults that were found, and those that are left."""
+    with open_state(output) as state:
+        return mend_output(state, lambda _: False)

@@ -18,14 +18,13 @@ import pytest
 
 import pipeline.run.motor_task
 from pipeline.config import load_fleet
-from pipeline.logs.ledger import read_ledger
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.verification import verify_tables
 from pipeline.schema import LATEST, TABLES, TREND_TABLES, Table
 from pipeline.schema.fits import FAILED
 from pipeline.store.tables import night_named, read_table
-from pipeline.trends.nights.trend_record import read_record
+from tests.pipeline.remembered import LASTING, ledger_of, record_of
 from tests.pipeline.simulated import NIGHT, motor_toml, write_configs, write_log
 from tests.pipeline.workshop import MINI, QUICK, Workshop
 
@@ -193,8 +192,8 @@ def check_repaired(output: Path, fleet: TinyFleet) -> None:
     """All is as if nothing had been."""
     check_tables(output, fleet)
     for motor in MOTORS:
-        assert read_ledger(output, motor) == read_ledger(fleet.after, motor)
-        assert read_record(output, motor) == read_record(fleet.after, motor)
+        assert ledger_of(output, motor) == ledger_of(fleet.after, motor)
+        assert record_of(output, motor) == record_of(fleet.after, motor)
     assert list(verify_tables(output)) == []
     assert temporary(output) == []
 
@@ -205,9 +204,6 @@ def check_tables(output: Path, fleet: TinyFleet) -> None:
     for name in sorted(now.keys() | after.keys()):
         if name.split("/")[0] not in OF_RUNS:
             assert same(now.get(name), after.get(name)), name
-
-
-LASTING = {"tables", "ledger", "manifest", "history", "lock", "heartbeat.json", "views.sql"}
 
 
 def temporary(output: Path) -> list[Path]:

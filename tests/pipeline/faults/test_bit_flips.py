@@ -15,7 +15,6 @@ from pipeline.schema import QUALITY, frame
 from pipeline.store.manifest import manifest_file, read_manifest
 from pipeline.store.night_files import NewRows, prepare_night
 from pipeline.store.tables import night_file
-from pipeline.trends.nights.decisions import journal_file, read_decisions
 from tests.pipeline.faults.conftest import say
 from tests.pipeline.faults.disk import Disk, Killed, on
 from tests.pipeline.faults.fleet import TinyFleet, check_tables, remembered_fits
@@ -160,15 +159,3 @@ def test_rows_of_a_damaged_file_are_made_anew_though_the_run_is_killed(
             check_tables(output, tiny_fleet)
             assert list(verify_tables(output)) == []
             point += step
-
-
-def test_bits_of_what_people_said(output: Path) -> None:
-    """It cannot be made anew: a damaged line is told, and costs no other."""
-    path = journal_file(output)
-    whole, said = path.read_bytes(), read_decisions(output)
-    for bit in np.random.default_rng(5).choice(8 * len(whole), 200, replace=False):
-        flip(path, whole, int(bit))
-        found = read_decisions(output)
-        assert set(found) <= set(said)
-        assert len(found) >= len(said) - 2  # a line break that is none costs two
-        assert is_told(output, path), bit

@@ -16,8 +16,7 @@ import polars as pl
 import pytest
 
 from pipeline.errors import StoreError
-from pipeline.logs.ledger import read_ledger
-from pipeline.run.mending import mend_output, share_due
+from pipeline.run.mending import share_due
 from pipeline.schema import (
     BLOCK_STATISTICS,
     FITS,
@@ -39,12 +38,14 @@ from tests.pipeline.faults.damage import (
     cut_off,
     found,
     left,
+    mended,
     name_of,
     remove_aside,
     rot,
     rot_of_footer,
 )
 from tests.pipeline.faults.fleet import LATER, MOTORS, TinyFleet, check_repaired
+from tests.pipeline.remembered import change, ledger_of
 from tests.pipeline.simulated import NIGHT
 
 pytestmark = pytest.mark.usefixtures("_quick")
@@ -167,8 +168,8 @@ def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     """
     path = night_file(output, FITS, NIGHT)
     rot_of_footer(path)
-    shutil.rmtree(output / "history")
-    (output / "ledger" / "M1" / "trends").unlink()
+    change(output, "UPDATE trends SET kept = NULL")
+    change(output, "DELETE FROM trends WHERE motor_id = 'M1'")
     result = tiny_fleet.run(output)
     assert {outcome.error_code for outcome in result.failed} == {"store_read"}
     assert found(result) == [(name_of(path, output), "table_altered")]
@@ -239,7 +240,7 @@ def test_without_logs_it_is_named_until_they_come_back_or_people_give_it_up(
     other = shutil.copytree(output, tmp_path / "other")
     assert tiny_fleet.run(other).damage_left == ()
     check_repaired(other, tiny_fleet)
-    before, after = mend_output(output, lambda _: False)
+    before, after = mended(output)
     assert [fault.code for fault in before] == ["table_missing"]
     assert after == ()
     assert fleet.run(output).damage == ()
@@ -269,7 +270,7 @@ def test_rows_of_a_motor_whose_logs_are_gone_are_named(
     assert result.damage_left[0].message.startswith("rows of M2 are not made anew: ")
     assert pl.read_parquet(path)["motor_id"].unique().to_list() == ["M1"]
     # What is known of its night still is: the night after is not judged anew.
-    assert NIGHT in read_ledger(output, "M2").nights
+    assert NIGHT in ledger_of(output, "M2").nights
     assert fleet.run(output).damage == ()
 
 

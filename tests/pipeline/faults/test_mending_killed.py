@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.run.mending import mend_output
 from pipeline.schema import FITS, PREDICTIONS, TRENDS
 from pipeline.store.manifest import manifest_file
 from pipeline.store.tables import night_file
-from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions
+from pipeline.trends.nights.decisions import Decision, read_decisions
 from tests.pipeline.calling import Call
 from tests.pipeline.faults.damage import (
     EVERY_RUN,
     cut_off,
+    mended,
     name_of,
     remove_aside,
     rot,
@@ -71,14 +71,11 @@ def test_the_command_may_be_killed_anywhere(
         shutil.copytree(output, copy)
         night_file(copy, PREDICTIONS, NIGHT).unlink()
         rot(night_file(copy, FITS, LATER))
-        rot(copy / "ledger" / "M1" / "settings")
-        journal = journal_file(copy)
-        journal.write_bytes(journal.read_bytes().replace(b"nothing, 1", b"nothing, 7"))
         disk = Disk("killed", point)
         with on(disk), suppress(Killed):
-            mend_output(copy, lambda _: False)
+            mended(copy)
         for _ in range(2):
-            after = mend_output(copy, lambda _: False)[1]
+            after = mended(copy)[1]
         assert after == ()
         assert read_decisions(copy) == said
         tiny_fleet.run(copy)

@@ -1,26 +1,21 @@
-"""Manifests, a run's own files and the journal of decisions are mended like tables."""
+"""Manifests are mended like tables."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.run.fleet import run_fleet
-from pipeline.run.mending import mend_output, rebuild_manifests
-from pipeline.run.verification import verify_tables
+from pipeline.run.mending import rebuild_manifests
 from pipeline.schema import FITS, PARAMETERS, PREDICTIONS, QUALITY
 from pipeline.store.encoding import write_table
 from pipeline.store.manifest import manifest_file
-from pipeline.store.tables import night_file, read_rows
-from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
+from pipeline.store.tables import night_file
 from tests.pipeline.faults.damage import MONTH, codes, found, remove_aside, rot
-from tests.pipeline.faults.fleet import LATER, MOTORS, TinyFleet, check_repaired
+from tests.pipeline.faults.fleet import LATER, TinyFleet, check_repaired
 from tests.pipeline.simulated import NIGHT
 
 pytestmark = pytest.mark.usefixtures("_quick")
@@ -85,90 +80,3 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
     remove_aside(output)
     tiny_fleet.run(output)
     check_repaired(output, tiny_fleet)
-
-
-LEDGER = (f"ledger/M1/{MONTH}.json", "ledger/M1/settings", "ledger/M1/trends")
-
-
-@pytest.mark.parametrize("name", [*LEDGER, "history/M1/watch"])
-def test_own_files_are_named_and_mended_by_the_next_run(
-    tiny_fleet: TinyFleet, output: Path, name: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    rot(output / name)
-    code = "history_damaged" if "history" in name else "ledger_damaged"
-    assert [(fault.path, fault.code) for fault in verify_tables(output)] == [(name, code)]
-    # Trends are read where a night is made.
-    run_fleet(replace(tiny_fleet.request(output), force="history" in name))
-    assert f"{name} is damaged" in caplog.text
-    check_repaired(output, tiny_fleet)
-
-
-@pytest.mark.parametrize(
-    "name", [f"ledger/M9/{MONTH}.json", "ledger/M9/settings", "history/M9/watch"]
-)
-def test_own_files_of_a_motor_that_there_is_no_more_are_mended_by_the_command(
-    tiny_fleet: TinyFleet, output: Path, name: str
-) -> None:
-    """No run reads or writes them: `check` was red for good."""
-    for folder in ("ledger", "history"):
-        shutil.copytree(output / folder / "M1", output / folder / "M9")
-    rot(output / name)
-    tiny_fleet.run(output)
-    assert len(codes(output)) == 1
-    before, after = mend_output(output, lambda _: False)
-    assert [fault.path for fault in before] == [name]
-    assert after == ()
-    assert not (output / name).exists()
-
-
-def test_a_damaged_ledger_of_nights_without_logs_is_mended_by_the_command(
-    output: Path, without_logs: Callable[..., TinyFleet]
-) -> None:
-    fleet = without_logs()
-    rot(output / "ledger" / "M1" / f"{MONTH}.json")
-    fleet.run(output)
-    assert codes(output) == ["ledger_damaged"]
-    assert mend_output(output, lambda _: False)[1] == ()
-    kept = read_rows(output, FITS, MOTORS)
-    assert fleet.run(output).damage == ()
-    assert read_rows(output, FITS, MOTORS).equals(kept, null_equal=True)
-
-
-def test_a_damaged_line_of_the_journal_is_put_back_from_the_table(
-    tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
-) -> None:
-    path = journal_file(output)
-    damaged = path.read_bytes().replace(b"nothing, 1", b"nothing, 7")
-    path.write_bytes(damaged)
-    assert len(read_decisions(output)) == 2
-    tiny_fleet.run(output)
-    assert read_decisions(output) == said
-    assert codes(output) == ["journal_damaged"]
-    assert mend_output(output, lambda _: False)[1] == ()
-    assert read_decisions(output) == said
-    (line,) = path.with_suffix(".damaged").read_bytes().splitlines()
-    assert line in damaged.splitlines()
-    record_decision(output, replace(said[0], note="and one more"))
-    assert len(read_decisions(output)) == 4
-
-
-def test_a_journal_that_is_gone_is_put_back_and_a_line_that_people_took_out_stays_out(
-    tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
-) -> None:
-    path = journal_file(output)
-    path.unlink()
-    tiny_fleet.run(output)
-    assert read_decisions(output) == said
-    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[1:]))
-    tiny_fleet.run(output)
-    assert read_decisions(output) == said[1:]
-
-
-def test_a_damaged_table_puts_nothing_back(
-    tiny_fleet: TinyFleet, output: Path, said: tuple[Decision, ...]
-) -> None:
-    path = journal_file(output)
-    path.write_bytes(path.read_bytes().replace(b"nothing, 1", b"nothing, 7"))
-    rot(output / "tables" / "decisions" / "decisions.parquet")
-    tiny_fleet.run(output)
-    assert read_decisions(output) == (said[0], said[2])

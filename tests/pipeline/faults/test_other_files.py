@@ -19,11 +19,9 @@ from pipeline.report.build import ReportRequest, build_report
 from pipeline.run.fleet import run_fleet
 from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import FITS, PARAMETERS
-from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
 from tests.pipeline.calling import contents
 from tests.pipeline.faults.disk import KINDS, Disk, Killed, Kind, on
 from tests.pipeline.faults.fleet import ENVIRONMENT, TinyFleet, check_tables
-from tests.pipeline.simulated import NIGHT
 
 DEAD = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 MOMENT = dt.datetime(2026, 3, 4, 5, tzinfo=dt.UTC)
@@ -46,39 +44,6 @@ def fails(kind: Kind, point: int, act: Callable[[], object]) -> bool:
         finally:
             assert disk.struck
     return False
-
-
-def said(number: int) -> Decision:
-    return Decision("M1", "", MOMENT, "finding", NIGHT, "confirmed", f"worn rings, {number}")
-
-
-@pytest.fixture(params=[0, 2], ids=["new", "more"])
-def journal(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    for number in range(request.param):
-        record_decision(tmp_path, said(number))
-    return tmp_path
-
-
-@DEAD
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_people_said_is_kept_or_they_are_told(journal: Path, kind: Kind) -> None:
-    """At every point; the lines before stay to the byte, and the next line is one of its own."""
-    path = journal_file(journal)
-    before = path.read_bytes() if path.exists() else b""
-    decided = read_decisions(journal)
-    n = points(kind, lambda: record_decision(journal, said(7)))
-    assert n >= 1
-    for point in range(1, n + 1):
-        path.write_bytes(before) if before else path.unlink(missing_ok=True)
-        failed = fails(kind, point, lambda: record_decision(journal, said(7)))
-        content = path.read_bytes() if path.exists() else b""
-        assert content.startswith(before)
-        assert failed or content != before
-        if failed and kind != "killed":
-            assert content == before
-        record_decision(journal, said(8))
-        found = read_decisions(journal)
-        assert {*decided, said(8)} <= set(found) <= {*decided, said(7), said(8)}
 
 
 @DEAD

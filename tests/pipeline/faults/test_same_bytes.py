@@ -24,7 +24,7 @@ def hashes(output: Path) -> dict[str, str]:
     """SHA-256 of every file of tables, ledgers and manifests but those that tell of the run."""
     return {
         path.relative_to(output).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for name in ("tables", "ledger", "manifest")
+        for name in ("tables", "manifest")
         for path in sorted((output / name).rglob("*"))
         if path.is_file() and path.parent.parent.name not in OF_RUNS and "T" not in path.stem
     }

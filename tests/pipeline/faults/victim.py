@@ -31,7 +31,7 @@ STAGES = {
     "announcing": "pipeline.store.publishing.announce",
     "landing": "pipeline.store.atomic_files.Prepared.land",
     "recording": "pipeline.store.publishing.update_manifest",
-    "remembering": "pipeline.run.publishing.take_over",
+    "remembering": "pipeline.run.publishing.write_change",
     "trends": "pipeline.trends.stage.read_nights",
     "staging trends": "pipeline.trends.stage.stage",
     "publishing the run": "pipeline.store.publishing.Publisher.of_run",
@@ -41,7 +41,7 @@ OF_TELLING = {
     "opening the outbox": "pipeline.run.fleet.open_outbox",
     "taking up": "pipeline.run.telling.take_up",
     "telling": "pipeline.run.telling.deliver",
-    "told": "pipeline.telling.delivering.write_outbox",
+    "told": "pipeline.telling.delivering.was_taken",
 }
 # Those that a worker goes through.
 OF_MOTORS = ("planning", "reading", "fitting", "staging")

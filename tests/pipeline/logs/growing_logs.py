@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.writer import Writer
 
-from pipeline.logs.ledger import read_ledger
+from tests.pipeline.remembered import ledger_of
 from tests.pipeline.simulated import CANONICAL
 from tests.pipeline.workshop import Workshop
 
@@ -130,4 +130,4 @@ class Site:
 
     def known_files(self) -> set[str]:
         output = self.workshop.folder / "out"
-        return set(read_ledger(output, "M1").files)
+        return set(ledger_of(output).files)

@@ -11,7 +11,6 @@ import pytest
 
 from pipeline.errors import LockedError, StoreError
 from pipeline.look import look as module
-from pipeline.look.state import read_state
 from pipeline.store.locks import locked
 from tests.pipeline.faults.disk import Disk, Killed, Kind, on
 from tests.pipeline.look.fleet import (
@@ -24,6 +23,7 @@ from tests.pipeline.look.fleet import (
     made_watch,
     night_rows,
 )
+from tests.pipeline.remembered import look_of
 
 RISE = 30.0
 SECONDS = 60
@@ -74,7 +74,7 @@ def test_looks_each_minute_tell_what_one_look_at_the_end_tells(
 
 
 def check_same(*fleets: Growing) -> None:
-    ours, theirs = (read_state(one.output, "M1").blocks for one in fleets)
+    ours, theirs = (look_of(one.output, "M1").blocks for one in fleets)
     np.testing.assert_allclose(ours, theirs, rtol=1e-9)
 
 
@@ -136,7 +136,7 @@ def test_a_log_written_anew_under_the_reader_is_told_once(fleet: Growing, tmp_pa
     assert len(fleet.told()) == 1
     other.append(rows)
     other.look()
-    ours, theirs = (read_state(one.output, "M1").blocks for one in (fleet, other))
+    ours, theirs = (look_of(one.output, "M1").blocks for one in (fleet, other))
     np.testing.assert_allclose(ours, theirs, rtol=1e-9)
 
 
@@ -202,4 +202,4 @@ def test_a_look_that_is_broken_off_anywhere_is_made_up_for(
         other.look()
         assert other.rows() == whole.rows()
         assert {one["id"] for one in other.told()} == {told["id"]}
-        assert read_state(other.output, "M1").scores == read_state(whole.output, "M1").scores
+        assert look_of(other.output, "M1").scores == look_of(whole.output, "M1").scores

@@ -22,7 +22,7 @@ import pipeline.run.motors
 import pipeline.store.publishing
 from pipeline.config import load_fleet
 from pipeline.errors import LockedError, StoreError
-from pipeline.logs.ledger import Ledger, read_ledger
+from pipeline.logs.ledger import Ledger
 from pipeline.run.fleet import RunRequest, run_fleet, staging_folder
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
@@ -31,6 +31,7 @@ from pipeline.store.night_files import NightFile, prepare_night
 from pipeline.store.tables import night_file, read_table
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import MISBEHAVIOUR, Carried
+from tests.pipeline.remembered import ledger_of
 from tests.pipeline.run.demo_runs import (
     CSV,
     FIRST,
@@ -68,7 +69,7 @@ def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
     assert status_of(result) == {CSV: "failed", PARQUET: "ok", MCAP: "ok"}
     (lost,) = result.failed
     assert lost.error_code == "worker_died"
-    assert read_ledger(output_of(fleet), CSV) == Ledger()
+    assert ledger_of(output_of(fleet), CSV) == Ledger()
     check_same_tables(output_of(fleet), fitted_output, PARQUET, MCAP)
     assert rows(output_of(fleet), "fits", CSV).is_empty()
     last = rows(output_of(fleet), "motor_outcomes", CSV).sort("started_at").row(-1, named=True)
@@ -115,12 +116,12 @@ def test_two_runs_never_write_at_once(own_fleet: OwnFleet) -> None:
     assert rows(output_of(fleet), "fits").height == 3
 
 
-@pytest.mark.parametrize("place", ["out", "out/tables", "out/staging", "out/lock", "out/ledger"])
+@pytest.mark.parametrize("place", ["out", "out/tables", "out/staging", "out/lock", "out/state.db"])
 def test_an_output_that_cannot_be_written(own_fleet: OwnFleet, place: str) -> None:
     fleet = own_fleet(PARQUET)
     blocked = fleet.parent.parent / place
     blocked.parent.mkdir(exist_ok=True)
-    if place == "out/lock":
+    if place in ("out/lock", "out/state.db"):
         blocked.mkdir()
     else:
         blocked.write_text("in the way")

@@ -23,7 +23,6 @@ from pipeline.config import load_fleet
 from pipeline.errors import LockedError
 from pipeline.ingest import read_log
 from pipeline.logs.files import NEW_LOG, find_logs
-from pipeline.logs.ledger import read_ledger
 from pipeline.logs.motor_logs import LogShelf
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.motor_task import run_motor
@@ -31,6 +30,7 @@ from pipeline.run.tasks import MotorOutcome, MotorTask, without_lost_part
 from pipeline.workers import process
 from pipeline.workers.process import Loss
 from tests.pipeline.mini_fleet import FIRST, mini_fleet
+from tests.pipeline.remembered import ledger_of
 from tests.pipeline.workshop import DAY, Workshop
 
 BLOCKS = FIRST + 2 * DAY
@@ -191,14 +191,14 @@ def workshop(tmp_path: Path) -> Workshop:
 
 
 def shelf(workshop: Workshop, *silent: str) -> LogShelf:
-    spec, known = workshop.task().spec, read_ledger(workshop.output, "M1").files
+    spec, known = workshop.task().spec, ledger_of(workshop.output).files
     return LogShelf(spec, known, latest_us(), dict.fromkeys(silent, SILENCE))
 
 
 def test_one_that_was_read_before_is_as_it_was(workshop: Workshop) -> None:
     name = f"M1/{FIRST}.parquet"
     found = shelf(workshop, name)
-    assert found.files[name] == read_ledger(workshop.output, "M1").files[name]
+    assert found.files[name] == ledger_of(workshop.output).files[name]
     assert found.news_of(name) is None
     # Its night cannot be made anew, and the next run tries again.
     assert found.content(name) is None

@@ -82,7 +82,7 @@ def test_figures() -> None:
     newest = f'motor_leakage_data_timestamp_seconds{{{fleet},motor="M1"}}'
     assert found[newest] == WHEN.timestamp()
     assert found[f"motor_leakage_last_good_run_timestamp_seconds{{{fleet}}}"] == WHEN.timestamp()
-    assert found[f'motor_leakage_failed_nights{{{fleet},motor="M1"}}'] == 2.0
+    assert found[f'motor_leakage_standing_failures{{{fleet},motor="M1"}}'] == 2.0
     assert found[f'motor_leakage_undelivered_changes{{{fleet},receiver="hook"}}'] == 3.0
     assert found[f'motor_leakage_stage_duration_seconds{{{fleet},stage="trends"}}'] == 0.25
 

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.schema import NIGHT_TABLES, TABLES
+from tests.pipeline.remembered import LASTING
 from tests.pipeline.run.demo_runs import FIRST, MOTORS, NIGHTS, rows
 
 EXCITED = [motor for motor in MOTORS if motor != "CB1120-02"]
@@ -103,7 +104,7 @@ def test_the_partition_of_a_month_is_that_of_its_nights(fitted_output: Path) -> 
 
 
 def test_nothing_but_tables_and_what_saves_work_is_left(fitted_output: Path) -> None:
-    left = {"tables", "ledger", "manifest", "history", "lock", "heartbeat.json", "views.sql"}
+    left = LASTING
     assert {path.name for path in fitted_output.iterdir()} == left
     assert not (fitted_output / "staging").exists()
     assert not list(fitted_output.rglob(".writing-*"))

@@ -23,6 +23,7 @@ from pipeline.store.months import join_months, last_month_over, part_month, sett
 from pipeline.store.night_files import stage
 from pipeline.store.publishing import Publisher
 from pipeline.store.retention import old_files, prune
+from pipeline.store.state import open_state
 from pipeline.store.tables import (
     files_of,
     month_file,
@@ -277,11 +278,12 @@ def test_a_damaged_month_is_put_aside_and_its_nights_are_forgotten(output: Path)
     assert path.with_suffix(".damaged").exists()
     assert read_table(night_file(output, QUALITY, NIGHTS[0]), QUALITY).height == 1
     # The check at the begin of a run does the same.
-    damage = Damage(output)
     month_file(output, INPUT_FILES, MONTH).unlink()
-    damage.look_around(lambda _: True)
-    assert {fault.code for fault in damage.found.values()} == {"table_missing"}
-    assert list(damage.left({})) == []
+    with open_state(output) as state:
+        damage = Damage(state)
+        damage.look_around(lambda _: True)
+        assert {fault.code for fault in damage.found.values()} == {"table_missing"}
+        assert list(damage.left({})) == []
     assert {fault.code for fault in verify_tables(output)} == {"table_unlisted"}
 
 

@@ -25,8 +25,9 @@ from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.run.fleet import RunRequest, RunResult, refresh, run_fleet
 from pipeline.store.object_store import ObjectStore
+from pipeline.store.state import STATE_FILE, open_state
 from pipeline.store.working_copy import ROOT, Snapshot, pull, push, read_snapshot
-from pipeline.telling.outbox import OUTBOX_FILES, is_waiting
+from pipeline.telling.outbox import waiting
 from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
 from tests.conftest import OwnFleet
 from tests.pipeline.run.demo_runs import CSV, PARQUET, output_of, status_of, table_files
@@ -359,8 +360,9 @@ def test_what_was_told_is_known_on_every_machine(server: Server, tmp_path: Path)
     for machine in ("second", "third", "out"):
         run(fleet, tmp_path / machine)
         assert len((tmp_path / "told").read_text().splitlines()) == 1
-        assert not is_waiting(tmp_path / machine)
-    assert set(OUTBOX_FILES) < read_snapshot(ObjectStore.at(URL)).files.keys()
+        with open_state(tmp_path / machine) as state:
+            assert waiting(state, "command") == []
+    assert STATE_FILE in read_snapshot(ObjectStore.at(URL)).files
 
 
 def test_nothing_is_told_that_is_not_published(

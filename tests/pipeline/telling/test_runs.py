@@ -13,6 +13,7 @@ from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.store.atomic_files import remove_all
 from pipeline.telling import delivering
 from tests.pipeline.calling import Call
+from tests.pipeline.remembered import change
 from tests.pipeline.telling.fleet import keep, run, told, told_fleet, write_config
 from tests.pipeline.telling.servers import Hook, hook
 
@@ -60,7 +61,7 @@ def test_what_is_made_anew_with_the_same_content_is_not_told_again(tmp_path: Pat
     run(config)
     run_fleet(RunRequest(load_fleet(config), force=True))
     output = tmp_path / "out"
-    (output / "ledger" / "M1" / "trends").unlink()
+    change(output, "DELETE FROM trends")
     remove_all(output / "tables" / "alarms")
     assert len(run(config).alarms) == 1  # new in the tables, and yet known
     assert (output / "tables" / "alarms").exists()

@@ -12,9 +12,11 @@ from polars.testing import assert_frame_equal
 
 import pipeline.trends.nights.from_tables
 from pipeline.schema import ALARMS, BASELINES, TRENDS, WATCH, Table
+from pipeline.store.state import open_state
 from pipeline.store.tables import read_rows
 from pipeline.trends.nights.kept import decoded
-from pipeline.trends.nights.trend_record import kept_file, note_touched, read_record
+from pipeline.trends.nights.trend_record import note_touched, read_kept
+from tests.pipeline.remembered import change, record_of
 from tests.pipeline.trends.nights import (
     OIL,
     Frames,
@@ -118,22 +120,28 @@ def test_a_tank_night_by_night_gives_what_one_run_gives(
     assert states.select("state", "cause").rows() == [("common_cause", "tank")]
 
 
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-9])
+def kept_of(output: Path) -> bytes:
+    with open_state(output) as state:
+        found = read_kept(state, "M1")
+    assert found is not None
+    return found
 
 
-def flip(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
+def keep(output: Path, content: bytes | None) -> None:
+    change(output, "UPDATE trends SET kept = ? WHERE motor_id = 'M1'", content)
 
 
-@pytest.mark.parametrize("harm", [Path.unlink, cut, flip, lambda path: path.write_bytes(b"")])
+def flip(content: bytes) -> bytes:
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+@pytest.mark.parametrize("harm", [lambda _: None, lambda kept: kept[:-9], flip, lambda _: b""])
 def test_without_what_was_kept_it_is_the_same_at_the_cost_of_time(
-    tmp_path: Path, whole: dict[Table, pl.DataFrame], harm: Callable[[Path], object]
+    tmp_path: Path, whole: dict[Table, pl.DataFrame], harm: Callable[[bytes], bytes | None]
 ) -> None:
     config, output = fleet_until(tmp_path, (WORN,), AT + 3)
-    harm(kept_file(output, "M1"))
+    keep(output, harm(kept_of(output)))
     publish(output, part_of(WORN.frames(), AT + 3, N))
     run(config)
     check_same(rows(output), whole)
@@ -144,9 +152,9 @@ def test_what_is_kept_of_another_run_is_not_believed(
 ) -> None:
     """A copy from an earlier night, as a backup of one folder leaves it."""
     config, output = fleet_until(tmp_path, (WORN,), AT)
-    before = kept_file(output, "M1").read_bytes()
+    before = kept_of(output)
     new_night(config, output, WORN.frames(), place=AT)
-    kept_file(output, "M1").write_bytes(before)
+    keep(output, before)
     publish(output, part_of(WORN.frames(), AT + 1, N))
     run(config)
     check_same(rows(output), whole)
@@ -180,7 +188,8 @@ def test_a_late_log_gives_what_it_would_have_given_in_time(
     """Of a night of the baseline, of one before the change, and of the last one."""
     config, output = fleet_of(tmp_path, Nights(WORN.spec, N, WORN.wear, absent=frozenset({place})))
     run(config)
-    note_touched(output, "M1", night_of(place))
+    with open_state(output) as state:
+        note_touched(state, [("M1", night_of(place))])
     new_night(config, output, WORN.frames(), place=place)
     found = rows(output)
     for table in (WATCH, TRENDS, BASELINES):
@@ -195,24 +204,17 @@ def test_a_late_log_of_one_motor_redoes_the_others_of_its_tank(
     gap = Nights(first.spec, N, first.wear, seed=first.seed, absent=frozenset({late}))
     config, output = fleet_of(tmp_path, gap, *others)
     run(config)
-    note_touched(output, "M1", night_of(late))
+    with open_state(output) as state:
+        note_touched(state, [("M1", night_of(late))])
     publish(output, *(part_of(one.frames(), late, late + 1) for one in TANK_NIGHTS))
     run(config)
     for name, expected in whole_tank.items():
         assert_frame_equal(rows(output, name)[WATCH], expected[WATCH], check_exact=True)
 
 
-def test_kept_files_of_older_versions_go(tmp_path: Path) -> None:
-    config, output = fleet_until(tmp_path, (WORN,), 10)
-    older = kept_file(output, "M1").with_name("2026-01.lz4")
-    older.write_bytes(b"of an older version")
-    new_night(config, output, WORN.frames(), place=10)
-    assert [path.name for path in older.parent.iterdir()] == ["watch"]
-
-
 def test_what_is_kept_says_up_to_which_night(tmp_path: Path) -> None:
     _, output = fleet_until(tmp_path, (WORN,), 12)
-    kept, record = decoded(kept_file(output, "M1").read_bytes()), read_record(output, "M1")
+    kept, record = decoded(kept_of(output)), record_of(output)
     assert kept is not None
     assert record is not None
     assert kept.last_night == record.last_night == night_of(11)

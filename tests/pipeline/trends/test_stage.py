@@ -15,6 +15,7 @@ from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TREND_TABLES, TRENDS, WATCH
 from pipeline.store.night_files import stage
 from pipeline.store.publishing import Publisher
+from pipeline.store.state import open_state
 from pipeline.trends.circuits import Circuit, circuits_of
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.nights.tonight import Tonight
@@ -22,15 +23,16 @@ from pipeline.trends.nights.trend_record import (
     TRENDS_VERSION,
     Record,
     note_touched,
-    read_record,
+    read_records,
     trend_hash,
     write_record,
 )
 from pipeline.trends.rows.alarm_rows import rules_now
 from pipeline.trends.stage import run_trends
 from pipeline.trends.states.course import Course
-from pipeline.trends.tasks import TrendTask, trend_tasks
+from pipeline.trends.tasks import TrendTask, kept_file, trend_tasks
 from pipeline.workers.process import Loss
+from tests.pipeline.remembered import change, record_of
 from tests.pipeline.trends.nights import (
     HOURS,
     Nights,
@@ -93,7 +95,7 @@ def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path]) -> None:
     assert (last["baseline_start"], last["baseline_end"]) == (night_of(0), night_of(7))
     # The made-up nights were not published by a run; what the stage wrote is proven.
     assert [one for one in verify_tables(output) if one.code != "table_unlisted"] == []
-    found = read_record(output, "M1")
+    found = record_of(output, "M1")
     assert found is not None
     assert found.last_night == night_of(N - 1)
 
@@ -264,11 +266,13 @@ def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
     }
     stage(tmp_path / "trends" / "M1.arrow", {ALARMS: by_old_rules})
     Publisher(output, tmp_path, "old").nights("trends", (ALARMS,), ["M1"], lambda *_: None)
-    record = read_record(output, "M1")
+    record = record_of(output, "M1")
     assert record is not None
     rules = rules_now(motor())
     assert record.rules == rules
-    write_record(output, "M1", replace(record, trend_hash="", rules={**rules, "trends": 0}))
+    with open_state(output) as state:
+        older = replace(record, trend_hash="", rules={**rules, "trends": 0})
+        write_record(state, "M1", older)
     told = run(config).alarms
     closed = [one for one in told if one["indicator"] == "K_balance_sleeve"]
     assert [(one["from_state"], one["to_state"]) for one in closed] == [("alarm", "insufficient")]
@@ -316,7 +320,8 @@ OTHER_A = named(motor(), "A", "t", [event(20, "oil_change", oil="vg46")])
 
 
 def task(changed: dict[str, dt.date | None], output: Path, *said: Decision) -> TrendTask:
-    circuit = Circuit.of(output, SPECS[:2], said)
+    with open_state(output) as state:
+        circuit = Circuit.of(SPECS[:2], said, read_records(state), {})
     return TrendTask((circuit,), output, output, changed, Tonight(night_of(39)))
 
 
@@ -332,7 +337,8 @@ def to_do(one: TrendTask) -> dict[str, tuple[dt.date, dt.date]]:
 
 def remember(output: Path, last: int) -> None:
     for spec in SPECS[:2]:
-        write_record(output, spec.motor_id, Record(trend_hash(spec, ()), night_of(last)))
+        with open_state(output) as state:
+            write_record(state, spec.motor_id, Record(trend_hash(spec, ()), night_of(last)))
 
 
 def test_all_nights_are_to_be_made_at_first(tmp_path: Path) -> None:
@@ -357,8 +363,8 @@ def test_a_late_log_of_one_motor_redoes_its_circuit_from_there(tmp_path: Path) -
 
 def test_what_a_broken_run_left_is_done_by_the_next(tmp_path: Path) -> None:
     remember(tmp_path, 39)
-    note_touched(tmp_path, "B", night_of(25))
-    note_touched(tmp_path, "B", night_of(31))
+    with open_state(tmp_path) as state:
+        note_touched(state, [("B", night_of(25)), ("B", night_of(31)), ("C", night_of(0))])
     span = (night_of(25), night_of(39))
     assert to_do(task({"A": None, "B": None}, tmp_path)) == {"A": span, "B": span}
 
@@ -376,11 +382,12 @@ def test_what_was_said_of_one_motor_redoes_that_motor(tmp_path: Path) -> None:
 def test_what_its_own_settings_made_anew_redoes_no_other_motor(tmp_path: Path) -> None:
     """Another oil from a night on, say: its rows are others from there on."""
     remember(tmp_path, 39)
-    circuits = (Circuit.of(tmp_path, (OTHER_A, SPECS[1]), ()),)
-    changed = replace(task({"A": night_of(20), "B": None}, tmp_path), circuits=circuits)
+    asked = task({"A": night_of(20), "B": None}, tmp_path)
+    other = Circuit.of((OTHER_A, SPECS[1]), (), asked.circuits[0].records, {})
+    changed = replace(asked, circuits=(other,))
     assert to_do(changed) == {"A": (dt.date.min, night_of(39))}
     # Nor a motor that joins with nights of its own.
-    (tmp_path / "ledger" / "A" / "trends").unlink()
+    change(tmp_path, "DELETE FROM trends WHERE motor_id = 'A'")
     assert to_do(task({"A": night_of(0), "B": None}, tmp_path)) == {
         "A": (dt.date.min, night_of(39))
     }
@@ -392,27 +399,13 @@ def test_a_motor_that_was_not_asked_for_gets_no_new_nights(tmp_path: Path) -> No
     assert found == {"A": (night_of(30), night_of(39)), "B": (night_of(30), night_of(35))}
 
 
-def test_a_damaged_record_is_none(tmp_path: Path) -> None:
-    remember(tmp_path, 39)
-    (tmp_path / "ledger" / "A" / "trends").write_text('{"trend_hash": 1', encoding="utf-8")
-    assert read_record(tmp_path, "A") is None
-    found = to_do(task({"A": None, "B": None}, tmp_path))
-    assert found == {"A": (dt.date.min, night_of(39))}
-
-
 def test_tasks_hold_whole_circuits(tmp_path: Path) -> None:
     assert [[one.motor_id for one in group] for group in circuits_of(SPECS)] == [["C"], ["A", "B"]]
 
     def motors(*changed: str) -> list[list[str]]:
-        made = trend_tasks(
-            SPECS,
-            tmp_path,
-            tmp_path,
-            dict.fromkeys(changed),
-            Tonight(night_of(0)),
-            (),
-            motors_a_task=1,
-        )
+        asked, tonight = dict.fromkeys(changed), Tonight(night_of(0))
+        with open_state(tmp_path) as state:
+            made = trend_tasks(SPECS, state, tmp_path, asked, tonight, (), motors_a_task=1)
         return [[spec.motor_id for spec in one.specs] for one in made]
 
     assert motors("A") == [["A", "B"]]
@@ -434,10 +427,11 @@ def test_a_broken_motor_takes_no_other_down(
     monkeypatch.setattr(Course, "step", broken)
     (tmp_path / "staging").mkdir()
     asked = {"A": night_of(0), "B": night_of(0)}
-    circuit = Circuit.of(tmp_path, SPECS[:2], ())
+    circuit = Circuit.of(SPECS[:2], (), {}, {})
     found = run_trends(
         TrendTask((circuit,), tmp_path, tmp_path / "staging", asked, Tonight(night_of(4)))
     )
     assert found.failures == {"A": Loss("internal", "ZeroDivisionError: in one motor")}
     assert found.nights == {"B": 5}
-    assert read_record(tmp_path / "staging", "B") is not None
+    assert found.records["B"].last_night == night_of(4)
+    assert kept_file(tmp_path / "staging", "B").exists()

@@ -23,6 +23,7 @@ from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, FITS, NIGHT_TABLES, OPERATION, TREND_TABLES, WATCH, Table
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.nights.tonight import Tonight, tonight_of
+from tests.pipeline.remembered import change, forget
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.trends.nights import DAY, Nights, night_of, part_of, publish
 from tests.pipeline.workshop import QUICK, Workshop, check_same_figures
@@ -127,9 +128,9 @@ def poisoned(watched: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     "gone",
     [
         (),
-        ("logs/M1", "out/ledger"),
+        ("logs/M1", "ledger"),
         pytest.param(("logs/M1",), marks=pytest.mark.full),
-        pytest.param(("out/history",), marks=pytest.mark.full),
+        pytest.param(("kept",), marks=pytest.mark.full),
     ],
 )
 def test_a_poisoned_fleet_heals_in_the_next_run(
@@ -140,7 +141,12 @@ def test_a_poisoned_fleet_heals_in_the_next_run(
     fleet = tmp_path / "fleet"
     shutil.copytree(poisoned, fleet)
     for name in gone:
-        shutil.rmtree(fleet / name)
+        if name == "ledger":
+            forget(fleet / "out")
+        elif name == "kept":
+            change(fleet / "out", "UPDATE trends SET kept = NULL")
+        else:
+            shutil.rmtree(fleet / name)
     result = run(fleet, clock=at(LAST))
     (m1, _) = result.outcomes
     assert (m1.message or "").endswith(f"withdrawn, as no log has samples of them: {WRONG}")

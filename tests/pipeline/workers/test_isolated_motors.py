@@ -26,6 +26,7 @@ from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.trends.tasks import TrendOutcome, TrendTask
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import MISBEHAVIOUR, Carried
+from tests.pipeline.remembered import change
 from tests.pipeline.workers.limits import execution, wait_until
 
 GOOD, BAD, OTHER = "CB400-01", "CB400-02", "CB560-01"
@@ -173,8 +174,7 @@ def test_a_signal_while_trends_are_made_keeps_the_fits(
     own_fleet: OwnFleet, tmp_path: Path, number: signal.Signals, code: int
 ) -> None:
     fleet, marker = own_fleet(GOOD, fitted=True), tmp_path / "waits"
-    for record in output_of(fleet).glob("ledger/*/trends"):
-        record.unlink()  # so that trends are to be made
+    change(output_of(fleet), "DELETE FROM trends")  # so that trends are to be made
     process = subprocess.Popen(
         [sys.executable, "-c", TRENDS_THAT_WAIT, "fit-fleet", str(fleet), str(marker)],
         stdout=subprocess.PIPE,

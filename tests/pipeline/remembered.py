@@ -1,0 +1,48 @@
+"""What the state file of an output remembers, for tests to see and to change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pipeline.logs.ledger import Ledger, read_ledger
+from pipeline.look.state import LookState, read_states
+from pipeline.store.state import BACKUP_FILE, STATE_FILE, open_state
+from pipeline.trends.nights.trend_record import Record, read_records
+
+# Files and folders of an output that outlive a run.
+LASTING = {
+    *("tables", "manifest", "lock", "heartbeat.json", "views.sql"),
+    *(STATE_FILE, BACKUP_FILE),
+}
+
+
+def ledger_of(output: Path, motor_id: str = "M1") -> Ledger:
+    """Ledger of a motor."""
+    with open_state(output) as state:
+        return read_ledger(state, motor_id)
+
+
+def record_of(output: Path, motor_id: str = "M1") -> Record | None:
+    """Record of a motor's trends."""
+    with open_state(output) as state:
+        return read_records(state).get(motor_id)
+
+
+def look_of(output: Path, motor_id: str = "M1") -> LookState:
+    """State of a motor's looks."""
+    with open_state(output) as state:
+        return read_states(state).get(motor_id, LookState())
+
+
+def change(output: Path, statement: str, *values: Any) -> None:
+    """Change something of what is remembered."""
+    with open_state(output) as state:
+        state.write(statement, *values)
+
+
+def forget(output: Path, motor_id: str | None = None) -> None:
+    """Forget a motor's ledger, or those of all."""
+    for table in ("logs", "nights", "motors"):
+        where, values = ("", ()) if motor_id is None else (" WHERE motor_id = ?", (motor_id,))
+        change(output, f"DELETE FROM {table}{where}", *values)
