@@ -20,7 +20,7 @@ PANELS = (
     ("Lack of fit of the model", f"{OF}lack_of_fit_ratio", "{{motor}}", "percentunit"),
     ("Age of the newest data", f"time() - {OF}data_timestamp_seconds", "{{motor}}", "s"),
     ("Last good run", f"time() - {OF}last_good_run_timestamp_seconds", "{{fleet}}", "s"),
-    ("Failed nights", f"{OF}failed_nights > 0", "{{motor}}", "short"),
+    ("Standing failures", f"{OF}standing_failures > 0", "{{motor}}", "short"),
     ("Undelivered changes", f"{OF}undelivered_changes", "{{receiver}}", "short"),
     ("Seconds of the run", f"{OF}stage_duration_seconds", "{{stage}}", "s"),
 )

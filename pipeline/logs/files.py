@@ -82,6 +82,9 @@ def _is_same(before: FileRecord, now: FileRecord) -> bool:
 
 def _now(before: FileRecord, now: FileRecord) -> FileRecord:
     """The record of a file with the same content, as the file is now."""
+    stamps = (now.modified_ns, now.inode, now.changed_ns)
+    if stamps == (before.modified_ns, before.inode, before.changed_ns):
+        return before
     return replace(before, modified_ns=now.modified_ns, inode=now.inode, changed_ns=now.changed_ns)
 
 

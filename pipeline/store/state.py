@@ -150,7 +150,10 @@ def open_state(output: Path) -> Iterator[State]:
         make_folders(output)
     with _errors("store_write"):
         connection = sqlite3.connect(
-            output / STATE_FILE, timeout=BUSY_S, isolation_level=None, cached_statements=256
+            output / STATE_FILE,
+            timeout=BUSY_S,
+            isolation_level=None,
+            check_same_thread=False,  # tasks are drawn by other threads, too
         )
     with closing(connection):
         state = State(output, connection)
