@@ -120,7 +120,8 @@ def name_of(
 ) -> Name:
     """The cause of a change, where every coordinate of its shape may err by the lack of fit.
 
-    `start` is the number of its first day, `flow` the relative change of the flow, and `tank` is the change of the other motors' flows on the same tank since then, where they moved.
+    `start` is the number of its first day, `flow` the relative change of the flow; `tank` is the
+    change of the other motors' flows on the same tank since then, where they moved.
     """
     causes, log_prior = _with_tank(evidence.causes, baseline, tank)
     error = choices.SHAPE_BY_LACK * baseline.lack_of_fit * abs(flow)

@@ -55,7 +55,8 @@ def compare(
     """What changed between some nights and those after them, by the watch's own statistic.
 
     The date is given, so one start is asked in place of all, and no rate of false alarms is needed:
-    the likelihood ratio of a step or a ramp of any cause, and both as likely before. One odd night is no change.
+    the likelihood ratio of a step or a ramp of any cause, with even odds before. One odd night is
+    no change.
 
     Parameters
     ----------
