@@ -74,7 +74,7 @@ def compare(
     """
     if len(before) < settings.baseline_nights or not after:
         raise EstimationError(
-            "watch_nights",
+            "watch_baseline",
             f"{len(before)} nights before and {len(after)} after; a comparison needs "
             f"{settings.baseline_nights} before and one after",
         )
