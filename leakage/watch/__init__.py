@@ -4,19 +4,23 @@ Arrays in, frozen results out; imports nothing but `leakage.physics` and `leakag
 bottom up: `nights` (what goes in), `choices` (constants, with their reasons), `columns` (a block in
 numbers), `within_night` (errors within a night), `baseline` (what the first nights fix), `wander`
 (errors from night to night), `causes`, `evidence` (of every start, shape and cause), `attribution`
-(since, how much, which cause), `verdict` (what comes out), `watch` (night by night), `keeping`.
+(since, how much, which cause), `verdict` (what comes out), `watch` (night by night), `keeping`,
+`comparison` (before and after a date).
 """
 
+from leakage.watch.comparison import Comparison, compare
 from leakage.watch.nights import Estimate, Machine, NightBlocks, WatchSettings
 from leakage.watch.verdict import Change, Verdict
 from leakage.watch.watch import Watch
 
 __all__ = [
     "Change",
+    "Comparison",
     "Estimate",
     "Machine",
     "NightBlocks",
     "Verdict",
     "Watch",
     "WatchSettings",
+    "compare",
 ]

@@ -114,16 +114,18 @@ def name_of(
     evidence: Evidence,
     machine: Machine,
     baseline: Baseline,
-    found: Attribution,
+    start: int,
+    flow: float,
     tank: Estimate | None = None,
 ) -> Name:
     """The cause of a change, where every coordinate of its shape may err by the lack of fit.
 
-    `tank` is the change of the other motors' flows on the same tank since then, where they moved.
+    `start` is the number of its first day, `flow` the relative change of the flow; `tank` is the
+    change of the other motors' flows on the same tank since then, where they moved.
     """
     causes, log_prior = _with_tank(evidence.causes, baseline, tank)
-    error = choices.SHAPE_BY_LACK * baseline.lack_of_fit * abs(found.flow.value)
-    log_ratio = _log_ratios(evidence, causes, baseline, found.start, error) + log_prior
+    error = choices.SHAPE_BY_LACK * baseline.lack_of_fit * abs(flow)
+    log_ratio = _log_ratios(evidence, causes, baseline, start, error) + log_prior
     weights = np.exp(log_ratio - log_ratio.max())
     weights /= weights.sum()
     likeliest = causes.every[int(weights.argmax())]

@@ -29,11 +29,20 @@ Days = NDArray[np.int64]
 
 def judged(state: State) -> State:
     """With the evidence of the newest night; a change is told where it is enough."""
-    first, last = state.place(state.first_start), len(state.window) - 1
-    if first > last:
+    first = state.place(state.first_start)
+    if first == len(state.window):
         return replace(state, evidence=NOTHING)
     evidence = state.evidence_now()
-    starts, weights = starts_of(first, last)
+    weighed = with_evidence(state, evidence, first)
+    frequent = weighed.often - math.log(2 * len(evidence.causes))
+    if frequent >= max(state.settings.limit, weighed.evidence) and len(odd_nights(weighed)):
+        return _with_odd_nights(weighed)
+    return _told(weighed) if weighed.evidence >= state.settings.limit else weighed
+
+
+def with_evidence(state: State, evidence: Evidence, first: int) -> State:
+    """With what the newest night and those before it say of starts from a place on."""
+    starts, weights = starts_of(first, len(state.window) - 1)
     log_ratio = evidence.of_starts(starts).log_ratio
     tonight = float(np.logaddexp.reduce(log_ratio[STEP, -1]))
     odd = float(np.logaddexp(math.log(1 - choices.ODD), math.log(choices.ODD) + tonight))
@@ -41,16 +50,12 @@ def judged(state: State) -> State:
     often += np.logaddexp(math.log(1 - choices.OFTEN), math.log(choices.OFTEN) + tonight)
     window = state.window.with_odd(odd)
     told = np.logaddexp.reduce(log_ratio, axis=(0, 2))
-    certain = told - _of_odd_night(evidence, window, starts, told)
+    certain = told - of_odd_night(evidence, window, starts, told)
     found = float(np.logaddexp.reduce(certain + weights))
-    judged = replace(state, window=window, evidence=found, often=float(often))
-    frequent = judged.often - math.log(2 * len(evidence.causes))
-    if frequent >= max(state.settings.limit, found) and len(odd_nights(judged)):
-        return _with_odd_nights(judged)
-    return _told(judged) if found >= state.settings.limit else judged
+    return replace(state, window=window, evidence=found, often=float(often))
 
 
-def _of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array) -> Array:
+def of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array) -> Array:
     """What the oddest night since each start says alone, shape (k,): one odd night is no change.
 
     At another duty the nights share an error, so that one says nearly as much as all: there it is
@@ -99,7 +104,7 @@ def standing_of(
     tank: Estimate | None = None,
 ) -> Standing:
     """The change that is told from a day on, with its name."""
-    name = name_of(evidence, state.machine, state.baseline, found, tank)
+    name = name_of(evidence, state.machine, state.baseline, found.start, found.flow.value, tank)
     prior = _before(state, told_on)
     is_rise = found.flow.value > 0.0
     goes_on = prior is not None and _is_the_same(prior.change, name, is_rise=is_rise)

@@ -71,7 +71,7 @@ class Watch:
         earlier
             The nights from a day on up to this one, which are asked for where an era begins.
         """
-        state = adopted(_with_night(self.state, night))
+        state = adopted(with_night(self.state, night))
         if state.is_settling:
             return Watch(shortened(settled(state)))
         state = judged(with_new_wander(state))
@@ -143,7 +143,8 @@ class Watch:
         return cls(keeping.state_of(machine, settings, arrays))
 
 
-def _with_night(state: State, night: NightBlocks) -> State:
+def with_night(state: State, night: NightBlocks) -> State:
+    """The state with one more night, of which nothing is told yet."""
     information, score = state.baseline.information(night)
     distance = state.baseline.distance(night)
     window = state.window.with_night(night.day, information, score, distance)

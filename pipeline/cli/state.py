@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
@@ -52,6 +53,34 @@ def status(
     too_old = limit is not None and (ended is None or dt.datetime.now(dt.UTC) - ended > limit)
     print_status(fleet.name, found, too_old=too_old, as_json=as_json)
     raise typer.Exit(EXIT_MOTORS_FAILED if too_old else EXIT_OK)
+
+
+def compare(
+    config: ConfigFile,
+    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    at: Annotated[str, typer.Option(help="First night after what was done, YYYY-MM-DD.")],
+    nights: Annotated[int, typer.Option(min=8, help="Nights on each side at most.")] = 60,
+    output: Output = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare a motor's nights before and after a date: a repair, a cleaning, a new filter.
+
+    Example: motor-leakage compare configs/fleet.toml CB400-02 --at 2026-03-02
+
+    What has changed in the case drain flow at the same conditions, with its 95 % interval, and how
+    sure that is. A season or another load is none of it, as far as the nights before tell them.
+    """
+    from pipeline.trends.comparing import compare_nights
+
+    label = night_label(at, "--at")
+    assert label is not None
+    fleet = load(config, output, None, logs=False)
+    found = compare_nights(fleet.output, fleet.motor(motor), label, nights)
+    if as_json:
+        typer.echo(json.dumps(found.record))
+        return
+    for line in found.lines:
+        typer.echo(line)
 
 
 def ack(

@@ -23,22 +23,24 @@ from pipeline.config.section import Id, NonNegative, Section, left_out
 
 
 class Event(Section):
-    """Something that starts a new baseline."""
+    """Something that starts a new baseline, or a note on the time axis."""
 
     date: dt.date
     """First night's label from which it holds."""
-    kind: Literal["overhaul", "oil_change", "flushing_change", "motor_exchanged"]
-    """Kind of event."""
+    kind: Literal["overhaul", "oil_change", "flushing_change", "motor_exchanged", "note"]
+    """Kind of event; a `note` (a filter change, a cleaning) starts no baseline."""
     oil: str | None = None
     """The new oil, where it changed; needed for `oil_change`."""
     note: str = ""
     """In words."""
 
     def misfits(self) -> Iterator[Misfit]:
-        """A change of oil without its name."""
+        """A change of oil without its name, and an oil that a note names."""
         if self.kind == "oil_change" and self.oil is None:
             message = 'expected the oil\'s name, as kind = "oil_change" needs it'
             yield ("oil",), f"{message}: the old one if it is of the same kind", None
+        if self.kind == "note" and self.oil is not None:
+            yield ("oil",), 'a note changes nothing: expected kind = "oil_change"', self.oil
 
 
 class Periods(Section):
@@ -134,7 +136,7 @@ class MotorFile(Section):
     periods: Periods = left_out()
     """Training and validation set by hand."""
     events: tuple[Event, ...] = ()
-    """Dated events; they start a new baseline."""
+    """Dated events; all but notes start a new baseline."""
     oil_samples: tuple[OilSample, ...] = ()
     """Analyses of the oil, by date; those of a shared oil are in its circuit's file."""
     override: dict[str, Any] = Field({})
@@ -152,6 +154,11 @@ class MotorFile(Section):
             except ValueError as error:
                 yield ("channels", name, "quality_source"), str(error), channel.quality_source
         yield from order_faults(self.oil_samples)
+
+    @property
+    def baseline_events(self) -> tuple[Event, ...]:
+        """Events whose nights before are no measure for those after."""
+        return tuple(event for event in self.events if event.kind != "note")
 
     def oil_on(self, night: dt.date) -> str:
         """Name of the oil that the motor runs on in a night."""

@@ -113,7 +113,7 @@ def nights_before(
     if kept.watch is None:
         return "too few nights for a baseline"
     tonight, end = (kept.last_night + dt.timedelta(days=n) for n in (1, 2))
-    if any(tonight <= one.date <= end for one in spec.file.events):
+    if any(tonight <= one.date <= end for one in spec.file.baseline_events):
         return "a new baseline begins"
     layout = Layout.of(spec, tonight)
     machine = layout.machine(spec, kept.watch.era)

@@ -81,6 +81,7 @@ EVENTS: Final[Mapping[str, str]] = {
     "oil_change": "oil change",
     "flushing_change": "change of flushing",
     "motor_exchanged": "motor exchanged",
+    "note": "note",
 }
 
 

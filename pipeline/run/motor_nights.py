@@ -242,7 +242,7 @@ class MotorNights:
         if self.task.since is not None or self.task.until is not None:
             return self.form.roller_is_free
         told = {label: one.tells_roller for label, one in self.records.items()} | self.first_told
-        begins = [event.date for event in self.spec.file.events]
+        begins = [event.date for event in self.spec.file.baseline_events]
         return is_roller_free(told, begins, FIRST_NIGHTS)
 
     def _no_longer_told(self) -> set[dt.date]:

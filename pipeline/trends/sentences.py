@@ -256,33 +256,33 @@ def _changed(night: JudgedNight, change: Change) -> str:
 def _gap(night: JudgedNight) -> str:
     """How far a gap that is named has grown."""
     gap = night.gap_growth
-    return "" if gap is None else f"its gap {_change(gap)}"
+    return "" if gap is None else f"its gap {relative_change(gap)}"
 
 
 def _others(change: Change) -> str:
     """What it could be, with probabilities."""
     several = sorted(change.candidates.items(), key=lambda one: -one[1])
     if change.cause == "cannot_be_told":
-        left = [f"{_cause(name)} {_percent(p)}" for name, p in several[:MOST_CANDIDATES]]
+        left = [f"{cause_words(name)} {percent(p)}" for name, p in several[:MOST_CANDIDATES]]
         return f"it could be {', '.join(left)}" if left else ""
-    sure = "over 99 %" if change.probability > 0.99 else _percent(change.probability)
     left = [
-        f"{_cause(name)} {_percent(p)}"
+        f"{cause_words(name)} {percent(p)}"
         for name, p in several
         if name != change.cause and p >= LEAST_TOLD
     ]
     else_ = f", else {', '.join(left[:MOST_CANDIDATES])}" if left else ""
-    return f"{sure} probable{else_}"
+    return f"{percent(change.probability)} probable{else_}"
 
 
 def _tonight(night: JudgedNight) -> str:
     verdict = night.watched.verdict
     assert verdict is not None
     when = "tonight" if night.watched.n_blocks else "in its last night with blocks"
-    return f"case drain flow {_change(verdict.tonight)} {when}"
+    return f"case drain flow {relative_change(verdict.tonight)} {when}"
 
 
-def _change(size: Estimate) -> str:
+def relative_change(size: Estimate) -> str:
+    """A relative change with its interval, in per cent."""
     digits = 0 if abs(size.value) >= 0.1 else 1
     ends = f"{100 * size.lower:.{digits}f}, {100 * size.upper:.{digits}f}"
     return f"{100 * size.value:+.{digits}f} % [{ends}]"
@@ -296,7 +296,8 @@ def _since(change: Change) -> str:
     return f"since {day(first)}{between}"
 
 
-def _cause(name: str) -> str:
+def cause_words(name: str) -> str:
+    """A cause for people."""
     return CAUSES.get(name, _spoken(name))
 
 
@@ -308,5 +309,6 @@ def _spoken(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _percent(probability: float) -> str:
-    return f"{100 * probability:.0f} %"
+def percent(probability: float) -> str:
+    """A probability for people."""
+    return "over 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"

@@ -37,7 +37,7 @@ def eras_of(history: History, of_what: str = LEAKAGE) -> tuple[Era, ...]:
     """The eras of the leakage, or of a sensor's zero."""
     starts: dict[int, list[str]] = {0: []}
     found = [] if of_what in SENSORS else _changed_settings(history)
-    for event in sorted(history.spec.file.events, key=lambda one: one.date):
+    for event in sorted(history.spec.file.baseline_events, key=lambda one: one.date):
         note = f": {event.note}" if event.note else ""
         # What happened before the first night is nothing that its nights show.
         if event.date >= history.nights[0]:

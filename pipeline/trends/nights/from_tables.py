@@ -147,15 +147,16 @@ def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str,
     return found
 
 
-def read_blocks(output: Path, history: History, nights: Collection[dt.date]) -> list[NightBlocks]:
+def read_blocks(
+    output: Path, spec: MotorSpec, layout: Layout, nights: Collection[dt.date]
+) -> list[NightBlocks]:
     """Blocks of some of a motor's nights, in order of time; those that do not count are left out.
 
     Raises StoreError if a table file is damaged.
     """
-    spec = history.spec
     rows = read_rows(output, BLOCK_STATISTICS, [spec.motor_id], BLOCK_COLUMNS, nights=nights)
     parts = rows.sort("night").partition_by("night", maintain_order=True)
-    found = (_night_blocks(spec, history.layout, part) for part in parts)
+    found = (_night_blocks(spec, layout, part) for part in parts)
     return [one for one in found if not isinstance(one, str)]
 
 

@@ -204,7 +204,7 @@ class Course:
             for night, n in zip(history.nights, history.records["blocks"].tolist(), strict=True)
             if n and day <= night.toordinal() < begin
         ]
-        found = read_blocks(self.output, history, earlier) if earlier else []
+        found = read_blocks(self.output, self.spec, history.layout, earlier) if earlier else []
         return found + [known[one] for one in sorted(known) if max(day, begin) <= one <= until]
 
     def know_tank(self, others: Sequence[Watch]) -> None:

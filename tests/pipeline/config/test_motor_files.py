@@ -224,6 +224,11 @@ def test_an_oil_change_is_dated(configs: Path) -> None:
         ('date = 2026-03-01\nkind = "oil_change"', "events.0.oil", "expected the oil's name"),
         ('date = 2026-03-01\nkind = "repair"', "events.0.kind", 'got "repair"'),
         ('date = 2026-03-01\nkind = "oil_change"\noil = "vg47"', "events.0.oil", 'got "vg47"'),
+        (
+            'date = 2026-03-01\nkind = "note"\noil = "vg46"',
+            "events.0.oil",
+            "a note changes nothing",
+        ),
     ],
 )
 def test_events(configs: Path, event: str, key: str, words: str) -> None:

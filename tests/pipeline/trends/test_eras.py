@@ -47,6 +47,11 @@ def test_an_event_before_the_first_night_or_after_the_last_begins_none() -> None
     assert begins(history(early)) == [(0, "first nights")]
 
 
+def test_a_note_begins_none() -> None:
+    noted = named(motor(), "M1", events=[event(5, "note", note="filter changed")])
+    assert begins(history(noted)) == [(0, "first nights")]
+
+
 def test_another_oil_begins_one_and_its_other_hash_no_further_one() -> None:
     spec = named(motor(), "M1", events=[event(9, "oil_change", oil="vg46")])
     assert begins(history(spec)) == [(0, "first nights"), (9, f"oil change on {night_of(9)}")]

@@ -1,0 +1,110 @@
+"""Before and after a date that somebody names: what changed, by how much, and how sure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit
+
+from leakage.errors import EstimationError
+from leakage.watch.adoption import begin
+from leakage.watch.attribution import name_of
+from leakage.watch.levels import levels_along, surroundings
+from leakage.watch.nights import Estimate, Machine, NightBlocks, WatchSettings
+from leakage.watch.state import State
+from leakage.watch.telling import of_odd_night, with_evidence
+from leakage.watch.watch import with_night
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Nights from a day on against those before.
+
+    Attributes
+    ----------
+    change
+        Relative change of the flow at the same conditions, all causes.
+    probability
+        That something has changed, where before the nights were seen both were as likely.
+    cause, cause_probability, candidates
+        As of `Change`: what it would be, if something has changed.
+    lack_of_fit
+        Root mean square share of the flow before that the model misses.
+    is_other_duty
+        True if the nights after have another duty: the interval is wider by the model's error.
+    """
+
+    change: Estimate
+    probability: float
+    cause: str
+    cause_probability: float
+    candidates: Mapping[str, float]
+    lack_of_fit: float
+    is_other_duty: bool
+
+
+def compare(
+    machine: Machine,
+    before: Sequence[NightBlocks],
+    after: Sequence[NightBlocks],
+    settings: WatchSettings,
+) -> Comparison:
+    """What changed between some nights and those after them, by the watch's own statistic.
+
+    The date is given, so one start is asked in place of all, and no rate of false alarms is needed:
+    the likelihood ratio of a step or a ramp of any cause, with even odds before. One odd night is
+    no change.
+
+    Parameters
+    ----------
+    machine
+        Paths and oil.
+    before, after
+        Nights in order.
+    settings
+        The least number of nights before.
+
+    Raises
+    ------
+    EstimationError
+        If there are too few nights before, or none after.
+    """
+    if len(before) < settings.baseline_nights or not after:
+        raise EstimationError(
+            "watch_baseline",
+            f"{len(before)} nights before and {len(after)} after; a comparison needs "
+            f"{settings.baseline_nights} before and one after",
+        )
+    state = begin(machine, before, settings)
+    start = len(before)
+    for night in after:
+        state = with_night(state, night)
+        state = with_evidence(state, state.evidence_now(), start)
+    evidence, starts = state.evidence_now(), np.array([start])
+    log_ratio = np.logaddexp.reduce(evidence.of_starts(starts).log_ratio, axis=(0, 2))
+    log_ratio = log_ratio - of_odd_night(evidence, state.window, starts, log_ratio)
+    change = _change(state, start)
+    name = name_of(evidence, machine, state.baseline, int(state.window.days[start]), change.value)
+    return Comparison(
+        change,
+        float(expit(log_ratio[0])),
+        name.cause,
+        name.probability,
+        name.candidates,
+        state.baseline.lack_of_fit,
+        evidence.is_other_duty(starts),
+    )
+
+
+def _change(state: State, start: int) -> Estimate:
+    """Relative change of all flows from a place of the window on."""
+    baseline, along = state.baseline, state.baseline.all_flows
+    # The nights after say nothing of the surroundings: their change would pass for an effect.
+    around = surroundings(state.window, state.sums, baseline.own_row, along, start)
+    level = levels_along(state.window, along, state.wander, baseline, around)
+    before, after = level.mean(slice(None, start)), level.mean(slice(start, None))
+    sd = math.hypot(after.sd, before.sd) / (1.0 + before.value)
+    return Estimate((1.0 + after.value) / (1.0 + before.value) - 1.0, sd)

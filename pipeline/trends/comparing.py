@@ -1,0 +1,107 @@
+"""A motor before and after a date that somebody names: from its stored blocks, no log is read."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from leakage import EstimationError
+from leakage.watch import Comparison, NightBlocks, compare
+from pipeline.config import MotorSpec
+from pipeline.errors import UsageError
+from pipeline.logs.ledger import as_published
+from pipeline.schema import BLOCK_STATISTICS
+from pipeline.store.tables import nights_back
+from pipeline.trends.nights.from_tables import read_blocks
+from pipeline.trends.nights.layout import Layout
+from pipeline.trends.sentences import cause_words, day, percent, relative_change
+from pipeline.trends.states.course import watch_settings
+
+# Below this probability nothing is said of a cause.
+EVEN = 0.5
+MOST_CANDIDATES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class NightsCompared:
+    """A comparison, and the nights that it is of."""
+
+    motor_id: str
+    before: tuple[dt.date, ...]
+    after: tuple[dt.date, ...]
+    found: Comparison
+
+    @property
+    def record(self) -> dict[str, object]:
+        """It as plain data, for programs."""
+        found = self.found
+        return {
+            "motor_id": self.motor_id,
+            "before": [str(one) for one in self.before],
+            "after": [str(one) for one in self.after],
+            "change": found.change.value,
+            "change_lower": found.change.lower,
+            "change_upper": found.change.upper,
+            "probability": found.probability,
+            "cause": found.cause,
+            "cause_probability": found.cause_probability,
+            "candidates": dict(found.candidates),
+            "lack_of_fit": found.lack_of_fit,
+            "is_other_duty": found.is_other_duty,
+        }
+
+    @property
+    def lines(self) -> list[str]:
+        """What is told of it."""
+        found = self.found
+        lines = [
+            f"{self.motor_id}: {_nights(self.after)} against {_nights(self.before)}",
+            f"case drain flow at the same conditions {relative_change(found.change)}; "
+            f"that something has changed is {percent(found.probability)} probable",
+        ]
+        if found.probability > EVEN:
+            likeliest = sorted(found.candidates.items(), key=lambda one: -one[1])
+            told = [f"{cause_words(name)} {percent(p)}" for name, p in likeliest[:MOST_CANDIDATES]]
+            lines.append(f"cause: {', '.join(told)}")
+        if found.is_other_duty:
+            lines.append("load or speed are others than before: the interval is wider by that")
+        return [*lines, f"the model misses {100 * found.lack_of_fit:.1f} % of the flow before"]
+
+
+def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> NightsCompared:
+    """Compare a motor's nights from a date on with those before, so many on each side at most.
+
+    None beyond another event that begins a baseline.
+
+    Raises
+    ------
+    UsageError
+        If there are too few nights on a side.
+    StoreError
+        If a table file is damaged.
+    """
+    spec = as_published(output, spec)
+    borders = [one.date for one in spec.file.baseline_events if one.date != at]
+    first = max((one for one in borders if one < at), default=dt.date.min)
+    end = min((one for one in borders if one > at), default=dt.date.max)
+    nights = [one for one in nights_back(output, BLOCK_STATISTICS) if first <= one < end]
+    earlier = [one for one in nights if one < at][:most]
+    later = [one for one in nights if one >= at][-most:]
+    layout = Layout.of(spec, at)
+    before, after = (read_blocks(output, spec, layout, some) for some in (earlier, later))
+    try:
+        machine = layout.machine(spec, min(earlier, default=at))
+        found = compare(machine, before, after, watch_settings(spec))
+    except EstimationError as error:
+        raise UsageError("compare_nights", f"{spec.motor_id}, {at}: {error.message}") from None
+    return NightsCompared(spec.motor_id, _labels(before), _labels(after), found)
+
+
+def _labels(nights: Sequence[NightBlocks]) -> tuple[dt.date, ...]:
+    return tuple(dt.date.fromordinal(one.day) for one in nights)
+
+
+def _nights(nights: tuple[dt.date, ...]) -> str:
+    return f"{len(nights)} nights ({day(nights[0])} to {day(nights[-1])})"
