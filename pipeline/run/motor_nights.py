@@ -110,7 +110,6 @@ class MotorNights:
         self.task = task
         self.spec = task.spec
         self.seconds: defaultdict[str, float] = defaultdict(float)
-        self.memory_of_chunks_mib = 0.0
         self.remembered = read_ledger(task.output, task.spec.motor_id)
         self.settings_before = read_settings(task.output, task.spec.motor_id)
         if published is None:
@@ -330,5 +329,5 @@ class MotorNights:
             files=self.logs.counts(self.done),
             growing=tuple(self.logs.growing()),
             seconds=dict(self.seconds),
-            peak_memory_mib=max(peak_memory_mib(), self.memory_of_chunks_mib),
+            peak_memory_mib=peak_memory_mib(),
         )

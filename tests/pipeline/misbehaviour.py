@@ -14,7 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pipeline.workers.process import ITEMS_A_SIGN, asking, reading, sign_of_life, told_alive
+from pipeline.workers.process import asking, reading, sign_of_life, told_alive
+ITEMS_A_SIGN=256
 
 GIB = 1 << 30
 
