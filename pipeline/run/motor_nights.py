@@ -239,11 +239,9 @@ class MotorNights:
         return sorted(label for label in between - told if self.task.wants(label))
 
     def is_roller_free(self) -> bool:
-        """The decision of the motor's nights; as it is where only some of them were asked for."""
+        """The decision of all nights that the motor has by now, whichever were asked for."""
         if self.spec.settings.model.roller_scale == "fixed":
             return False
-        if self.task.since is not None or self.task.until is not None:
-            return self.form.roller_is_free
         told = {label: one.tells_roller for label, one in self.records.items()} | self.first_told
         begins = [event.date for event in self.spec.file.baseline_events]
         return is_roller_free(told, begins, FIRST_NIGHTS)

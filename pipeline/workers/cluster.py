@@ -256,8 +256,9 @@ class Cluster:
                 if not under_way:
                     return
                 future = self._next(ended)
-                task, times = under_way.pop(future)
+                task, times = under_way[future]
                 outcome = self._outcome(future, task)
+                del under_way[future]
                 if outcome is None and times < MOST_SENT and self._workers():
                     send(task, times + 1)
                     continue
@@ -280,14 +281,17 @@ class Cluster:
         while True:
             with suppress(Empty):
                 return ended.get(timeout=min(LOOK_S, wait_s))
-            if self.client.status != "running":
-                raise EngineError("scheduler_lost", "the connection to the scheduler is lost")
+            self._require_connection()
             if self._workers():
                 seen = time.monotonic()
             elif time.monotonic() - seen >= wait_s:
                 raise EngineError(
                     "scheduler_lost", f"the scheduler has had no worker for {wait_s:g} s"
                 )
+
+    def _require_connection(self) -> None:
+        if self.client.status != "running":
+            raise EngineError("scheduler_lost", "the connection to the scheduler is lost")
 
     def _workers(self) -> set[str]:
         """Workers that a task may go to; none while the scheduler does not answer."""
@@ -314,6 +318,7 @@ class Cluster:
         except Exception as error:
             if future.status == "error":
                 return loss_of(error)
+            self._require_connection()
             log.warning("a result was lost: %s: %s", type(error).__name__, error)
             return None
         for name, content in staged.items():

@@ -130,6 +130,8 @@ class Pool:
         n_workers: int,
     ) -> Iterator[tuple[int, Done[Result] | Loss]]:
         """Results by number of the task; `under_way` has the tasks that joblib has taken."""
+        if (first := next(numbered, None)) is None:
+            return
         from joblib import Parallel, delayed
 
         self._look_after()
@@ -148,14 +150,15 @@ class Pool:
         )
 
         def calls() -> Iterator[Any]:
-            for number, task in numbered:
+            for number, task in chain([first], numbered):
                 under_way[number] = task
                 yield delayed(do)(function, task, limits, number)
 
         with _interrupts_kept_from_workers():
             results: Generator[tuple[int, Any]] = parallel(calls())
         try:
-            yield from results
+            for result in results:  # noqa: UP028 - it would close it where it warns
+                yield result
         finally:
             with warnings.catch_warnings():  # that it is not at its end
                 warnings.simplefilter("ignore")

@@ -38,7 +38,7 @@ def test_a_run_with_nothing_new_starts_no_worker(
     def forbidden(_: object) -> None:
         raise AssertionError("a worker is started")
 
-    monkeypatch.setattr(pipeline.workers.local.Worker, "_start", forbidden)
+    monkeypatch.setattr(pipeline.workers.local.Pool, "_look_after", forbidden)
     monkeypatch.setattr("pipeline.run.motors.run_motor", forbidden)
     fleet = replace(load_fleet(workshop.fleet), execution=BESIDE)
     (outcome,) = run_fleet(RunRequest(fleet)).outcomes

@@ -25,8 +25,7 @@ from pipeline.run.publishing import run_trends
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.trends.tasks import TrendOutcome, TrendTask
 from tests.conftest import OwnFleet
-from tests.pipeline.misbehaviour import MISBEHAVIOUR, Carried
-from tests.pipeline.workers.limits import execution, wait_until
+from tests.pipeline.misbehaviour import MISBEHAVIOUR, Carried, wait_until
 
 GOOD, BAD, OTHER = "CB400-01", "CB400-02", "CB560-01"
 
@@ -40,7 +39,7 @@ def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str
         return run_motor(task)
 
     fleet = load_fleet(fleet_file)
-    limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500})
+    limits = Execution(workers=2, timeout_s=20.0, memory_limit_mib=1500)
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.run.motors, "run_motor", Carried(run_or_misbehave))
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
@@ -130,7 +129,7 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
         return run_trends(task)
 
     monkeypatch.setattr(pipeline.run.publishing, "run_trends", Carried(run_or_die))
-    limits = execution().model_copy(update={"timeout_s": 60.0, "memory_limit_mib": 1500})
+    limits = Execution(workers=2, timeout_s=60.0, memory_limit_mib=1500)
     result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
     assert [one.motor_id for one in result.failed] == [BAD]
     row = outcome_rows(output_of(fleet))[BAD]
