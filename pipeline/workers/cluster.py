@@ -98,7 +98,12 @@ def open_cluster(
             "the scheduler runs",
         ) from error
     with client:
-        _require_scheduler(client, where, expected)
+        on_the_way = {name: expected.versions[name] for name in ON_THE_WAY}
+        try:
+            found = client.run_on_scheduler(differences, Surroundings(on_the_way))
+        except Exception as error:
+            found = error
+        _require(f"the scheduler at {where}", found)
         try:
             client.wait_for_workers(1, timeout=wait_s)
         except TimeoutError as error:
@@ -107,7 +112,15 @@ def open_cluster(
                 f"the scheduler at {where} had no worker for {wait_s:g} s; start one with: "
                 "dask worker ADDRESS --nthreads 1",
             ) from error
-        _require_workers(client, expected)
+        found = client.run(differences, expected, on_error="return")
+        for worker, n_threads in sorted(client.nthreads().items()):
+            if n_threads != 1:
+                raise EngineError(
+                    "scheduler_threads",
+                    f"the worker {worker} has {n_threads} threads, expected 1; start it with "
+                    "--nthreads 1, and several of them with --nworkers",
+                )
+            _require(f"the worker {worker}", found.get(worker, ()))
         if where.startswith("tcp://"):
             log.warning(
                 "nothing is encrypted or authenticated on the way to %s: whoever reaches it runs "
@@ -117,32 +130,10 @@ def open_cluster(
         yield Cluster(client, execution, expected)
 
 
-def _require_scheduler(client: Client, where: str, expected: Surroundings) -> None:
-    """Refuse a scheduler that cannot read tasks: it unpickles them on their way."""
-    versions = {name: expected.versions[name] for name in ON_THE_WAY}
-    try:
-        found = client.run_on_scheduler(differences, Surroundings(versions))
-    except Exception as error:
-        found = [("scheduler_versions", f"{type(error).__name__}: {error}")]
-    _refuse(f"the scheduler at {where}", found)
-
-
-def _require_workers(client: Client, expected: Surroundings) -> None:
-    """Refuse workers that would make other bytes, or would take absent logs for no logs."""
-    for worker, threads in sorted(client.nthreads().items()):
-        if threads != 1:
-            raise EngineError(
-                "scheduler_threads",
-                f"the worker {worker} has {threads} threads, expected 1; start it with --nthreads "
-                "1, and several of them with --nworkers",
-            )
-    for worker, found in sorted(client.run(differences, expected, on_error="return").items()):
-        if isinstance(found, BaseException):
-            found = [("scheduler_versions", f"{type(found).__name__}: {found}")]
-        _refuse(f"the worker {worker}", found)
-
-
-def _refuse(who: str, found: Sequence[tuple[str, str]]) -> None:
+def _require(who: str, found: Sequence[tuple[str, str]] | BaseException) -> None:
+    """Refuse who cannot read tasks, would make other bytes, or would take absent logs for none."""
+    if isinstance(found, BaseException):
+        found = [("scheduler_versions", f"{type(found).__name__}: {found}")]
     if found:
         code = found[0][0]
         words = "; ".join(words for _, words in found)
@@ -233,7 +224,7 @@ class Cluster:
         Raises EngineError (``scheduler_lost``) if the scheduler or all workers are gone before any
         task was done; StoreError if what a task staged cannot be written.
         """
-        waiting = ((task, 1) for task in tasks)
+        waiting = ((task, 1) for task in tasks)  # and how often each was sent then
         under_way: dict[Future[Any], tuple[Any, int]] = {}
         ended: SimpleQueue[Future[Any]] = SimpleQueue()
         limits = Limits(self.execution.timeout_s, self.execution.answer_s)

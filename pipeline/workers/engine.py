@@ -19,8 +19,6 @@ Result = TypeVar("Result")
 
 # Gives each task with what came of it, as they finish, with at most so many under way.
 Tried = Callable[[Callable[[Any], Any], Iterable[Any], int], Iterator[tuple[Any, Done[Any] | Loss]]]
-# No task can be done any more.
-GONE = "scheduler_lost"
 
 
 @contextmanager
@@ -29,22 +27,12 @@ def open_workers(
 ) -> Iterator[Workers]:
     """The configured workers, for all tasks of a run.
 
-    Parameters
-    ----------
-    execution
-        Which, and how many.
-    folders
-        What workers elsewhere must see: logs and output.
-    stores
-        URLs of object stores that they must have a way to.
-
-    Raises
-    ------
-    EngineError
-        If there are none: see `cluster.open_cluster`.
+    `folders` and `stores` are what those of a cluster must see: logs and output, and URLs of object
+    stores. Raises EngineError if there are none: see `cluster.open_cluster`.
     """
     if execution.backend == "sequential":
-        yield Workers(_tried_here, 1)
+        # In the run's own process: a task that hangs or dies takes the run with it.
+        yield Workers(lambda do, tasks, _: ((one, attempt(do, one)) for one in tasks), 1)
     elif execution.backend == "dask":
         from pipeline.workers.cluster import open_cluster
 
@@ -55,13 +43,6 @@ def open_workers(
 
         with open_pool(execution) as pool:
             yield Workers(pool.tried, execution.workers)
-
-
-def _tried_here(
-    function: Callable[[Task], Result], tasks: Iterable[Task], _: int
-) -> Iterator[tuple[Task, Done[Result] | Loss]]:
-    """In the run's own process: a task that hangs or dies takes the run with it."""
-    return ((task, attempt(function, task)) for task in tasks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,26 +88,15 @@ class Workers:
             else:
                 losses.append((task, outcome))
         for task, loss in losses:
-            yield self._alone(function, task, loss, lost, without)
-
-    def _alone(
-        self,
-        function: Callable[[Task], Result],
-        task: Task,
-        loss: Loss,
-        lost: Callable[[Task, Loss], Result],
-        without: Callable[[Task, Loss], Task | None],
-    ) -> Result:
-        """The result of a task that was lost."""
-        # A log that does not answer is not asked twice.
-        again = without(task, loss) if loss.log else task
-        while again is not None and loss.code != GONE:
-            log.warning("a task is tried again, alone: %s", loss.how)
-            task = again
-            ((_, outcome),) = self.tried(function, [task], 1)
-            if isinstance(outcome, Done):
-                result: Result = outcome.result
-                return result
-            loss = outcome
-            again = without(task, loss)
-        return lost(task, loss)
+            # A log that does not answer is not asked twice.
+            again = without(task, loss) if loss.log else task
+            while again is not None and loss.code != "scheduler_lost":
+                log.warning("a task is tried again, alone: %s", loss.how)
+                task = again
+                ((_, outcome),) = self.tried(function, [task], 1)
+                if isinstance(outcome, Done):
+                    yield outcome.result
+                    break
+                loss, again = outcome, without(task, outcome)
+            else:
+                yield lost(task, loss)

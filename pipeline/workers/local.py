@@ -25,7 +25,7 @@ from threading import Event, Thread
 from typing import Any, TypeVar
 
 from pipeline.config import Execution
-from pipeline.workers.process import MIB, Done, Limits, Loss, Mark, begin_worker, do
+from pipeline.workers.process import Done, Limits, Loss, Mark, begin_worker, do
 
 log = logging.getLogger(__name__)
 
@@ -67,28 +67,21 @@ END = re.compile(r"(SIG\w+)\(-\d+\)|EXIT\((\d+)\)")
 @contextmanager
 def open_pool(execution: Execution) -> Iterator[Pool]:
     """Worker processes for all tasks of a run, started when there are tasks for them."""
-    with (
-        tempfile.TemporaryDirectory(prefix="motor-leakage-") as folder,
-        _environment(),
-    ):
+    # Tunables of the C library are added to those that are set.
+    tunables = ":".join(filter(None, (os.environ.get("GLIBC_TUNABLES"), HUGE_PAGES)))
+    before = {name: os.environ.get(name) for name in (*ENVIRONMENT, "GLIBC_TUNABLES")}
+    os.environ.update(ENVIRONMENT, GLIBC_TUNABLES=tunables)
+    with tempfile.TemporaryDirectory(prefix="motor-leakage-") as folder:
         pool = Pool(execution, Path(folder))
         try:
             yield pool
         finally:
             pool.end()
-
-
-@contextmanager
-def _environment() -> Iterator[None]:
-    """Variables of workers; tunables of the C library are added to those that are set."""
-    before = dict(os.environ)
-    tunables = filter(None, (before.get("GLIBC_TUNABLES"), HUGE_PAGES))
-    os.environ.update(ENVIRONMENT, GLIBC_TUNABLES=":".join(tunables))
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
 
 
 @dataclass(slots=True)
@@ -129,12 +122,14 @@ class Pool:
         under_way: dict[int, Task],
         n_workers: int,
     ) -> Iterator[tuple[int, Done[Result] | Loss]]:
-        """Results by number of the task; `under_way` has the tasks that joblib has taken."""
+        """Results by number; into `under_way` go the tasks that joblib takes."""
         if (first := next(numbered, None)) is None:
             return
         from joblib import Parallel, delayed
 
-        self._look_after()
+        if self.watch is None:
+            self.watch = Thread(target=self._watch, daemon=True, name="watch over workers")
+            self.watch.start()
         execution = self.execution
         limits = Limits(execution.timeout_s, execution.answer_s)
         parallel = Parallel(
@@ -146,7 +141,7 @@ class Pool:
             # Otherwise arrays go through shared memory, which may be small.
             max_nbytes=None,
             initializer=begin_worker,
-            initargs=(os.getpid(), str(self.folder), execution.memory_limit_mib * MIB),
+            initargs=(os.getpid(), str(self.folder), execution.memory_limit_mib << 20),
         )
 
         def calls() -> Iterator[Any]:
@@ -183,7 +178,8 @@ class Pool:
 
     def _loss(self, place: Path, mark: Mark, error: str) -> Loss:
         """The loss of the task of a worker that is dead."""
-        words = _last_words(place.with_suffix(".words"), mark.said)
+        said = place.with_suffix(".words").read_bytes()[mark.said :]
+        words = said[-LAST_WORDS:].decode("utf-8", "replace")
         no_memory = NO_MEMORY.search(words)
         is_late = int(place.stem) in self.killed or TIME_UP.search(words) is not None
         if is_late and mark.log:
@@ -206,12 +202,6 @@ class Pool:
         for place in self.folder.glob("*.mark"):
             with suppress(ValueError, OSError):
                 yield place, Mark(**json.loads(place.read_bytes().partition(b"\n")[0]))
-
-    def _look_after(self) -> None:
-        """Begin to look after workers, if nobody does."""
-        if self.watch is None:
-            self.watch = Thread(target=self._watch, daemon=True, name="watch over workers")
-            self.watch.start()
 
     def _watch(self) -> None:
         """Kill workers that cannot end by themselves, and pass on what they say."""
@@ -264,12 +254,6 @@ def _interrupts_kept_from_workers() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _last_words(place: Path, begin: int) -> str:
-    with suppress(OSError):
-        return place.read_bytes()[begin:][-LAST_WORDS:].decode("utf-8", "replace")
-    return ""
 
 
 def _end(error: str) -> str:

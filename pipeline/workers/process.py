@@ -30,7 +30,6 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 Item = TypeVar("Item")
 
-MIB = 1 << 20
 PR_SET_PDEATHSIG = 1
 # A task that goes on as before has its time limit anew at most so often [s].
 AGAIN_S = 0.2
@@ -81,19 +80,16 @@ _limits: Limits | None = None
 
 
 def begin_worker(run_pid: int, folder: str, memory_limit: int) -> None:
-    """Prepare a process for tasks.
+    """Prepare a process for tasks of a run whose death it does not outlive.
 
-    Parameters
-    ----------
-    run_pid
-        The run, whose death it does not outlive.
-    folder
-        Folder of marks and last words: a file each, called after the process.
-    memory_limit
-        Largest size of its data [bytes].
+    Marks and last words go into files of a folder that are called after the process. The limit is
+    that of its data [bytes], within what the system lets it have.
     """
     global _file
-    _end_with_the_run(run_pid)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != run_pid:  # it has died already
+            os._exit(0)
     place = Path(folder) / str(os.getpid())
     words = os.open(place.with_suffix(".words"), os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     os.dup2(words, 2)
@@ -101,22 +97,8 @@ def begin_worker(run_pid: int, folder: str, memory_limit: int) -> None:
     # Told from C, without the interpreter, which may hang.
     faulthandler.enable(file=2)
     _file = os.open(place.with_suffix(".mark"), os.O_WRONLY | os.O_CREAT, 0o600)
-    _limit_memory(memory_limit)
-
-
-def _end_with_the_run(run_pid: int) -> None:
-    """Have the kernel kill this process when the run dies."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != run_pid:  # it has died already
-            os._exit(0)
-
-
-def _limit_memory(limit: int) -> None:
-    """Limit the data of this process, within what the system lets it have."""
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
-    if most != resource.RLIM_INFINITY:
-        limit = min(limit, most)
+    limit = memory_limit if most == resource.RLIM_INFINITY else min(memory_limit, most)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
 
 
@@ -159,7 +141,7 @@ def sign_of_life(part: str) -> None:
 
 def still_alive() -> None:
     """Have the time of what was marked last begin anew."""
-    if _mark.until_s - _mark.limit_s + AGAIN_S < time.monotonic():
+    if _limits and _mark.until_s - _mark.limit_s + AGAIN_S < time.monotonic():
         _say(_mark)
 
 
@@ -192,12 +174,10 @@ def _at(log: str, *, is_asked: bool) -> Iterator[None]:
 
 def _say(mark: Mark) -> None:
     """Mark what is under way, and have the process end where that takes too long."""
-    if _limits is None:
-        return
-    limit_s = _limits.answer_s if mark.is_asked else _limits.timeout_s
-    faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
-    until_s = time.monotonic() + limit_s
-    _write(replace(mark, limit_s=limit_s, until_s=until_s))
+    if _limits is not None:
+        limit_s = _limits.answer_s if mark.is_asked else _limits.timeout_s
+        faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
+        _write(replace(mark, limit_s=limit_s, until_s=time.monotonic() + limit_s))
 
 
 def _write(mark: Mark) -> None:
@@ -208,16 +188,13 @@ def _write(mark: Mark) -> None:
         os.pwrite(_file, json.dumps(asdict(mark)).encode() + b"\n", 0)
 
 
-def one_thread() -> AbstractContextManager[object]:
-    """Linear algebra on one thread: workers are as many as there are cores.
-
-    It limits the libraries that the process has loaded at the first call.
-    """
-    limited: AbstractContextManager[object] = _thread_pools().limit(limits=1)
-    return limited
-
-
 @cache
 def _thread_pools() -> ThreadpoolController:
-    """Libraries with threads of their own; to look for them takes longer than to limit them."""
+    """Those that the process has loaded at the first call: to look takes longer than to limit."""
     return ThreadpoolController()
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Linear algebra on one thread: workers are as many as there are cores."""
+    limited: AbstractContextManager[object] = _thread_pools().limit(limits=1)
+    return limited

@@ -7,7 +7,6 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,8 +16,7 @@ from pipeline.errors import EngineError
 from pipeline.workers.cluster import (
     CODE,
     Surroundings,
-    _require_scheduler,
-    _require_workers,
+    _require,
     differences,
     own_versions,
 )
@@ -163,20 +161,25 @@ def test_workers_of_other_versions_are_refused(
     assert " there and 0.0 here" in error.message
 
 
-def absent(*_: object, **__: object) -> None:
-    raise ModuleNotFoundError("No module named 'pipeline'")
+@pytest.mark.parametrize(
+    ("found", "code"),
+    [
+        (ModuleNotFoundError("No module named 'pipeline'"), "scheduler_versions"),
+        ([("scheduler_folders", "there is no folder /logs there")], "scheduler_folders"),
+    ],
+)
+def test_who_has_not_the_program_or_the_logs_is_refused(found: Any, code: str) -> None:
+    with pytest.raises(EngineError, match=r"the worker tcp://a:1 is unfit: .*no") as caught:
+        _require("the worker tcp://a:1", found)
+    assert caught.value.code == code
 
 
-def test_who_has_not_the_program_or_several_threads_is_refused() -> None:
-    mine = Surroundings(own_versions())
-    client: Any = SimpleNamespace(run_on_scheduler=absent)
-    with pytest.raises(EngineError, match="No module named 'pipeline'") as caught:
-        _require_scheduler(client, "tcp://there:1", mine)
-    assert caught.value.code == "scheduler_versions"
-    client = SimpleNamespace(nthreads=lambda: {"tcp://a:1": 1, "tcp://b:1": 2})
-    with pytest.raises(EngineError, match=r"tcp://b:1 has 2 threads") as caught:
-        _require_workers(client, mine)
-    assert caught.value.code == "scheduler_threads"
+def test_a_worker_with_two_threads_is_refused() -> None:
+    with scheduler_with(0) as processes:
+        processes.add_worker("--nthreads", "2")
+        error = code_of(processes.execution())
+    assert error.code == "scheduler_threads"
+    assert "has 2 threads" in error.message
 
 
 def test_workers_that_do_not_see_the_logs_are_refused(
