@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path, PurePath
-from threading import Event, Thread
+from threading import Event, Lock, Thread
 from typing import Any, TypeVar
 
 from pipeline.config import Execution
@@ -94,6 +94,7 @@ class Pool:
     told: dict[Path, int] = field(default_factory=dict)
     left: Event = field(default_factory=Event)
     watch: Thread | None = None
+    lock: Lock = field(default_factory=Lock)
 
     def tried(
         self, function: Callable[[Task], Result], tasks: Iterable[Task], n_workers: int
@@ -169,9 +170,11 @@ class Pool:
             for place, mark in self._marks()
             if mark.number in under_way
         }
-        for place in self.folder.iterdir():
-            place.unlink()
-        self.told.clear()
+        with self.lock:
+            for place in self.folder.iterdir():
+                place.unlink()
+            self.told.clear()
+            self.killed.clear()
         # Without a mark: none of them could be begun.
         ended = Loss("worker_died", f"its worker process ended with {_end(error)}")
         return lost or dict.fromkeys(islice(under_way, n_workers), ended)
@@ -215,14 +218,13 @@ class Pool:
                         os.kill(pid, signal.SIGKILL)
 
     def _pass_on_words(self) -> None:
-        for place in self.folder.glob("*.words"):
-            with suppress(OSError), place.open("rb") as words:
-                words.seek(self.told.get(place, 0))
-                text = words.read()
-                self.told[place] = words.tell()
-                if text:
-                    sys.stderr.write(text.decode("utf-8", "replace"))
-                    sys.stderr.flush()
+        with self.lock:
+            for place in self.folder.glob("*.words"):
+                begin = self.told.get(place, 0)
+                text = place.read_bytes()[begin:]
+                self.told[place] = begin + len(text)
+                sys.stderr.write(text.decode("utf-8", "replace"))
+        sys.stderr.flush()
 
     def end(self) -> None:
         """End all workers; a task under way is dropped, and has published nothing."""

@@ -12,26 +12,10 @@ import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from pipeline.workers.process import asking, reading, sign_of_life, told_alive
 
 GIB = 1 << 30
-
-
-class Carried:
-    """A function of a test that goes to a worker by value, as no module has it."""
-
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self.function = function
-
-    def __call__(self, task: Any) -> Any:
-        return self.function(task)
-
-    def __reduce__(self) -> tuple[Callable[[bytes], Any], tuple[bytes]]:
-        import cloudpickle
-
-        return cloudpickle.loads, (cloudpickle.dumps(self.function),)
 
 
 def do(task: str) -> str:

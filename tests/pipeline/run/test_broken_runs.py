@@ -31,7 +31,7 @@ from pipeline.store.night_files import NightFile, prepare_night
 from pipeline.store.tables import night_file, read_table
 from tests.conftest import OwnFleet
 from tests.pipeline.mini_fleet import mini_fleet
-from tests.pipeline.misbehaviour import MISBEHAVIOUR, Carried
+from tests.pipeline.misbehaviour import MISBEHAVIOUR
 from tests.pipeline.run.demo_runs import (
     CSV,
     FIRST,
@@ -65,7 +65,7 @@ def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
             MISBEHAVIOUR["kill"]()
         return run_motor(task)
 
-    monkeypatch.setattr(pipeline.run.motors, "run_motor", Carried(run_or_die))
+    monkeypatch.setattr(pipeline.run.motors, "run_motor", run_or_die)
     result = run(fleet, backend="loky")
     assert died.exists()
     assert status_of(result) == {CSV: "failed", PARQUET: "ok", MCAP: "ok"}
@@ -101,7 +101,7 @@ def test_a_back_fill_whose_worker_dies_ends_as_one_in_which_none_does(
         # The night that came before: a motor with no more nights than that is `stale`.
         run(fleet, until=FIRST)
         if name == "died":
-            monkeypatch.setattr(pipeline.run.motors, "run_motor", Carried(run_or_die))
+            monkeypatch.setattr(pipeline.run.motors, "run_motor", run_or_die)
         result = run_fleet(RunRequest(load_fleet(fleet)))
         monkeypatch.undo()
         assert (result.n_nights, result.failed) == (22, ())
@@ -180,7 +180,6 @@ import pipeline.run.fleet
 import pipeline.run.motors
 from pipeline.cli import main
 from pipeline.run.motor_task import run_motor
-from tests.pipeline.misbehaviour import Carried
 
 waits = sys.argv.pop()
 
@@ -189,7 +188,7 @@ def run_or_wait(task):
         signal.pause()
     return run_motor(task)
 
-pipeline.run.motors.run_motor = Carried(run_or_wait)
+pipeline.run.motors.run_motor = run_or_wait
 main()
 """
 

@@ -25,7 +25,7 @@ from pipeline.run.publishing import run_trends
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.trends.tasks import TrendOutcome, TrendTask
 from tests.conftest import OwnFleet
-from tests.pipeline.misbehaviour import MISBEHAVIOUR, Carried, wait_until
+from tests.pipeline.misbehaviour import MISBEHAVIOUR, wait_until
 
 GOOD, BAD, OTHER = "CB400-01", "CB400-02", "CB560-01"
 
@@ -41,7 +41,7 @@ def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str
     fleet = load_fleet(fleet_file)
     limits = Execution(workers=2, timeout_s=20.0, memory_limit_mib=1500)
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.run.motors, "run_motor", Carried(run_or_misbehave))
+        patched.setattr(pipeline.run.motors, "run_motor", run_or_misbehave)
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
 
 
@@ -128,7 +128,7 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
         Course.step = die  # type: ignore[method-assign]
         return run_trends(task)
 
-    monkeypatch.setattr(pipeline.run.publishing, "run_trends", Carried(run_or_die))
+    monkeypatch.setattr(pipeline.run.publishing, "run_trends", run_or_die)
     limits = Execution(workers=2, timeout_s=60.0, memory_limit_mib=1500)
     result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
     assert [one.motor_id for one in result.failed] == [BAD]
@@ -147,7 +147,6 @@ from pathlib import Path
 import pipeline.run.fleet
 import pipeline.run.motors
 from pipeline.cli import main
-from tests.pipeline.misbehaviour import Carried
 
 marker = sys.argv.pop()
 
@@ -156,7 +155,7 @@ def wait(task):
     while True:
         signal.pause()
 
-pipeline.run.publishing.run_trends = Carried(wait)
+pipeline.run.publishing.run_trends = wait
 main()
 """
 
