@@ -4,11 +4,10 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
-JOBS   ?= 2
 DEMO   := demo
 
 # Only variables that are set are passed on; the config decides the rest.
-OPTIONS := --jobs $(JOBS) $(if $(MOTORS),--motors "$(MOTORS)") $(if $(SINCE),--since $(SINCE)) $(if $(UNTIL),--until $(UNTIL))
+OPTIONS := $(if $(JOBS),--jobs $(JOBS)) $(if $(MOTORS),--motors "$(MOTORS)") $(if $(SINCE),--since $(SINCE)) $(if $(UNTIL),--until $(UNTIL))
 
 .PHONY: help install fit-fleet look report check demo-logs lint format test test-full bench bench-guard validate docs \
         docs-site pictures wheelhouse clean
@@ -34,14 +33,14 @@ fit-fleet report check look: demo-logs
 report: fit-fleet
 endif
 
-fit-fleet: $(READY) ## fit a fleet: CONFIG=configs/fleet.toml JOBS=2 MOTORS="A B" SINCE=2026-01-01 UNTIL=...
+fit-fleet: $(READY) ## fit a fleet: CONFIG=configs/fleet.toml JOBS=4 MOTORS="A B" SINCE=2026-01-01 UNTIL=...
 	$(BIN)/motor-leakage fit-fleet $(FLEET) $(OPTIONS)
 
 look: $(READY)   ## new minutes of growing logs, told at once: CONFIG=... EVERY=10min
 	$(BIN)/motor-leakage look $(FLEET) $(if $(EVERY),--every $(EVERY)) $(if $(MOTORS),--motors "$(MOTORS)")
 
 report: $(READY) ## pages of the fleet and its motors: CONFIG=configs/fleet.toml
-	$(BIN)/motor-leakage report $(FLEET) --jobs $(JOBS)
+	$(BIN)/motor-leakage report $(FLEET) $(if $(JOBS),--jobs $(JOBS))
 
 check: $(READY)  ## check a fleet's config and the head of its logs: CONFIG=...
 	$(BIN)/motor-leakage check $(FLEET)

@@ -27,7 +27,7 @@ from benchmarks.results_file import Part, in_folder, write_stored
 from pipeline.config import Execution, Fleet, load_fleet
 from pipeline.demo import write_demo
 from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.workers.engine import open_engine
+from pipeline.workers.engine import open_workers
 from pipeline.workers.process import Loss
 
 ROOT = Path(__file__).parent.parent
@@ -144,7 +144,7 @@ def _throughput(folder: Path) -> Part:
         "Throughput",
         f"The demo fleet, {len(fleet.motors)} motors with 6 nights of 60 minutes each: a whole "
         "run, tables, trends and the start of the workers of loky included; over Dask workers are "
-        "there, and start the process for their tasks.",
+        "there.",
         "Engine | Workers | Run | Nights/s",
         rows,
     )
@@ -160,11 +160,11 @@ def _lost(task: Night, loss: Loss) -> int:
 
 def _run_tasks(execution: Execution, tasks: Sequence[Night]) -> float:
     """Seconds for tasks over an engine that is there already."""
-    with open_engine(execution) as run_tasks:
+    with open_workers(execution) as workers:
         # The first tasks find the workers and load the code.
         warm = [replace(task, seconds=0.0) for task in tasks[: 4 * execution.workers]]
-        list(run_tasks(sleep_and_stage, warm, _lost))
-        return _timed(lambda: list(run_tasks(sleep_and_stage, tasks, _lost)))
+        list(workers.run(sleep_and_stage, warm, _lost))
+        return _timed(lambda: list(workers.run(sleep_and_stage, tasks, _lost)))
 
 
 def _overhead(folder: Path) -> Part:
@@ -261,54 +261,19 @@ def _worker_memory(folder: Path) -> Part:
     return Part(
         "Memory of a Dask worker",
         "Largest resident memory of each of its processes in a run over the demo, one worker. "
-        "That of the process for tasks grows with a night's readings.",
+        "That of the worker grows with a night's readings.",
         "Process | Largest",
         rows,
     )
 
 
-KINDS = ("nanny", "worker", "process for tasks", "trackers of resources")
+KINDS = ("nanny", "worker", "trackers of resources")
 
 
 def _kind(process: psutil.Process) -> str:
     """What a child of a nanny is for."""
     words = " ".join(process.cmdline())
-    if "resource_tracker" in words:
-        return KINDS[3]
-    return KINDS[2] if "import serve" in words else KINDS[1]
-
-
-def _year(folder: Path) -> Part:
-    fleet = _demo(folder, YEAR, 20.0)
-    motor = fleet.motors[0].motor_id
-    rows = []
-    whole: float | None = None
-    for backend, workers, nights_a_part in (
-        ("loky", 2, 0),
-        ("loky", 2, 14),
-        ("dask", 2, 14),
-        ("dask", 2, 4),
-    ):
-        with _engine(backend, workers) as execution:
-            how = execution.model_copy(update={"nights_a_part": nights_a_part})
-            output = folder / f"year-{backend}-{nights_a_part}"
-            seconds = _fit(fleet, output, how, (motor,))
-        whole = whole or seconds
-        rows.append(
-            [
-                backend,
-                str(workers),
-                str(nights_a_part) if nights_a_part else "not split",
-                f"{seconds:.0f} s",
-                f"{whole / seconds:.2f}",
-            ]
-        )
-    return Part(
-        "The first back-fill of a motor",
-        f"One motor of the demo, {YEAR} nights of 20 minutes, logs and all.",
-        "Engine | Workers | Nights a part | Run | Faster by",
-        rows,
-    )
+    return KINDS[2] if "resource_tracker" in words else KINDS[1]
 
 
 def _sizes(folder: Path) -> Part:
@@ -341,6 +306,5 @@ PARTS: dict[str, Callable[[Path], Part]] = {
     "overhead": _overhead,
     "fleet": _large_fleet,
     "memory": _worker_memory,
-    "year": _year,
     "sizes": _sizes,
 }

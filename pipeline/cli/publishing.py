@@ -22,7 +22,7 @@ from pipeline.errors import UsageError
 from pipeline.messages import counted
 
 if TYPE_CHECKING:
-    from pipeline.config import Fleet
+    from pipeline.config import Execution, Fleet
     from pipeline.report.build import ReportRequest
 
 
@@ -64,7 +64,9 @@ def report(
     nights: Annotated[
         int | None, typer.Option(min=1, help="Newest nights with their own file; default: all.")
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Nights processed in parallel.")] = 2,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Nights processed in parallel; default: the config's.")
+    ] = None,
     pdf: Annotated[
         str,
         typer.Option(
@@ -82,7 +84,7 @@ def report(
     1: a table file could not be read; the rest is there.
     """
     from pipeline.clock import now
-    from pipeline.config import Execution, load_fleet
+    from pipeline.config import load_fleet
     from pipeline.report.build import ReportRequest, build_report
 
     fleet = None if config is None else load_fleet(config)
@@ -96,7 +98,7 @@ def report(
         folder=to or tables / "report",
         motors=tuple(motors.split()),
         nights=nights,
-        execution=(fleet.execution if fleet else Execution()).model_copy(update={"workers": jobs}),
+        execution=_execution(fleet, jobs),
         made=now(),
     )
     request = _of_a_fleet(request, fleet) if fleet else request
@@ -175,6 +177,13 @@ def export(
     for one in written:
         version = "" if one.version is None else f"version {one.version}, "
         typer.echo(f"{one.place}: {version}{counted(one.n_rows, 'row')}")
+
+
+def _execution(fleet: Fleet | None, jobs: int | None) -> Execution:
+    from pipeline.config import Execution
+
+    execution = fleet.execution if fleet else Execution()
+    return execution.model_copy(update={} if jobs is None else {"workers": jobs})
 
 
 def _of_a_fleet(request: ReportRequest, fleet: Fleet) -> ReportRequest:

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 # Reasons of a plan that are listed.
 PLAN_REASONS = 8
-# Lines of progress of a motor that is done in chunks.
-CHUNK_LINES = 10
 
 
 def print_plan(request: RunRequest, as_json: bool) -> None:
@@ -83,11 +81,9 @@ class Reporter:
             self.bar.stop()
 
     def motor(self, outcome: MotorOutcome) -> None:
-        """A motor has finished, or a chunk of one."""
-        if outcome.chunk:
-            self._chunk(outcome.motor_id, *outcome.chunks_done)
-            return
-        self._advance(outcome.motor_id, motors=1)
+        """A motor has finished."""
+        if self.bar:
+            self.bar.update(self.bar.task_ids[0], advance=1, description=outcome.motor_id)
         counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.counts.items()))
         if self.as_json:
             line = {
@@ -108,21 +104,6 @@ class Reporter:
             say(f"{outcome.motor_id}: {outcome.error_code}: {outcome.message}", err=True)
         for message in outcome.growing:
             say(f"{outcome.motor_id}: log_growing: {message}", err=True)
-
-    def _chunk(self, motor_id: str, n_done: int, n: int) -> None:
-        """A chunk of a motor has finished: on the bar, or in at most ten lines a motor."""
-        words = f"{motor_id}: {n_done} of {n} chunks"
-        self._advance(words, motors=0)
-        if self.bar:
-            return
-        if CHUNK_LINES * n_done // n == CHUNK_LINES * (n_done - 1) // n:
-            return
-        line = {"event": "chunks", "motor_id": motor_id, "done": n_done, "of": n}
-        say(json.dumps(line) if self.as_json else words)
-
-    def _advance(self, words: str, *, motors: int) -> None:
-        if self.bar:
-            self.bar.update(self.bar.task_ids[0], advance=motors, description=words)
 
     def summary(self, result: RunResult, output: Path) -> None:
         """The run has finished."""

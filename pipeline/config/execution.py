@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field
 
+from pipeline.config.faults import Misfit
 from pipeline.config.section import NonNegative, Positive, Section
 
 RelativeFolder = Annotated[str, Field(min_length=1)]
@@ -38,28 +40,23 @@ class Execution(Section):
     workers: int = Field(2, ge=1, le=256)
     """Motors fitted at the same time."""
     backend: Literal["loky", "sequential", "dask"] = "loky"
-    """`loky`: worker processes, also with `workers` = 1 (named after the library that once started
-    them); `sequential`: one after the other in the run's own process, without limits: a motor that
-    hangs or crashes stops the run; `dask`: a Dask cluster (`scale.md`)."""
-    nights_a_part: int = Field(14, ge=0)
-    """A motor with more new nights than this is done in chunks of so many, which workers do side by
-    side, over a Dask scheduler or where a run has fewer motors than workers; 0: never."""
+    """`loky`: worker processes of this machine, also with `workers` = 1 (joblib starts them);
+    `sequential`: one after the other in the run's own process, without limits: a motor that hangs
+    or crashes stops the run; `dask`: a Dask cluster (`scale.md`)."""
     scheduler: str = Field("", pattern=r"^$|^(tcp|tls)://[^/\s]+:[0-9]+$")
-    """`dask`: address of the scheduler, such as tcp://10.0.0.5:8786; without it `workers` Dask
-    workers of this machine."""
+    """`dask`: address of the scheduler, such as tcp://10.0.0.5:8786."""
     tasks_in_flight: int = Field(256, ge=1)
     """`dask`: most tasks at the scheduler at a time."""
     scheduler_wait_s: Positive = 30.0
     """`dask`: time to wait for the scheduler, and for its first worker."""
-    timeout_s: Positive = Field(1800.0, le=604_800.0)
+    timeout_s: Positive = Field(600.0, le=604_800.0)
     """Longest time for one night of a motor, or for the trends of a group of motors; then the
     worker is ended [s]."""
     answer_s: Positive = Field(60.0, le=604_800.0)
-    """A log that does not answer for this long when it is opened fails (`log_no_answer`), and a
-    motor without an answer for this long is done after the others are published [s]."""
+    """A log that does not answer for this long when it is opened fails (`log_no_answer`) [s]."""
     memory_limit_mib: int = Field(4096, ge=512, le=1_048_576)
-    """Most memory that a worker may ask for, 400 of it for the program itself (RLIMIT_DATA;
-    enforced on Linux) [MiB]."""
+    """Most memory that a worker of this machine may ask for, 400 of it for the program itself
+    (RLIMIT_DATA; enforced on Linux) [MiB]."""
     minimum_free_mib: NonNegative = 100.0
     """Free disk space that a run requires beyond its own tables [MiB]; 0: not checked."""
     prove_within_days: int = Field(30, ge=1, le=365)
@@ -70,10 +67,10 @@ class Execution(Section):
     `block_statistics`); a night that comes later parts them until the next run without one; 0:
     never."""
 
-    @property
-    def hasty(self) -> Execution:
-        """The same, for tasks of which others wait for the end."""
-        return self.model_copy(update={"timeout_s": min(self.timeout_s, self.answer_s)})
+    def misfits(self) -> Iterator[Misfit]:
+        """A cluster without an address."""
+        if self.backend == "dask" and not self.scheduler:
+            yield ("scheduler",), "is missing: the address of the Dask scheduler", None
 
 
 class Retention(Section):

@@ -14,7 +14,7 @@ from pipeline.demo.fleet import DEMO_FLEET, DemoNight, Plan, truth_document
 from pipeline.demo.log_writers import replacing, write_log
 from pipeline.demo.recording import record_night
 from pipeline.errors import EngineError, UsageError
-from pipeline.workers.local import run_tasks
+from pipeline.workers.engine import open_workers
 from pipeline.workers.process import Loss
 
 # Says that a folder is ours to clear.
@@ -152,8 +152,9 @@ def _write_logs(logs: Path, nights: Sequence[DemoNight], workers: int) -> None:
         (logs, nights[first : first + NIGHTS_A_TASK])
         for first in range(0, len(nights), NIGHTS_A_TASK)
     ]
-    for _ in run_tasks(_write_nights, tasks, _lost, limits):
-        pass
+    with open_workers(limits) as processes:
+        for _ in processes.run(_write_nights, tasks, _lost):
+            pass
 
 
 def _lost(_: object, loss: Loss) -> NoReturn:

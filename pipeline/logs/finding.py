@@ -1,14 +1,17 @@
-"""Log files of motors: found by the patterns of a config, and asked for size and time.
-
-It imports no library, so that a process which does no more starts at once.
-"""
+"""Log files of motors: found by the patterns of a config, and asked for size and time."""
 
 from __future__ import annotations
 
+import os
+import re
 import stat
+import time
+from bisect import bisect_left
 from collections.abc import Collection, Iterable
 from contextlib import suppress
-from multiprocessing.connection import Connection
+from fnmatch import fnmatchcase
+from functools import lru_cache
+from itertools import islice, takewhile
 from pathlib import Path
 
 from pipeline.errors import one_line
@@ -19,6 +22,8 @@ FileState = tuple[int, int, int, int]
 
 LONGEST_PATH = 4096
 GLOB_CHARACTERS = frozenset("*?[")
+# A folder that was changed so lately may be changed again at the same time of its clock [ns].
+JUST_NOW_NS = 2_000_000_000
 
 
 def find(
@@ -37,7 +42,7 @@ def find(
             if named.exists():
                 found.add(named)
             elif is_glob:
-                paths = told_alive(root.glob(pattern))
+                paths = told_alive(_matching(root, pattern))
                 found |= {path for path in paths if not _is_folder(path, root, silent)}
             else:
                 absent.append(pattern)
@@ -48,6 +53,35 @@ def find(
             name += "'"
         names[name] = path
     return names, absent
+
+
+def _matching(root: Path, pattern: str) -> Iterable[Path]:
+    """Paths that a glob names, as `Path.glob`; a folder of many motors is listed once."""
+    place, _, last = pattern.rpartition("/")
+    if GLOB_CHARACTERS & set(place) or "**" in last:
+        return root.glob(pattern)
+    folder = root / place
+    names = _names_in(folder)
+    beginning = re.split(r"[*?\[]", last)[0]
+    begun = islice(names, bisect_left(names, beginning), None)
+    alike = takewhile(lambda name: name.startswith(beginning), begun)
+    return (folder / name for name in alike if fnmatchcase(name, last))
+
+
+def _names_in(folder: Path) -> tuple[str, ...]:
+    """Names in a folder, sorted; none where it cannot be listed."""
+    try:
+        changed_ns = folder.stat().st_mtime_ns
+        if time.time_ns() - changed_ns < JUST_NOW_NS:
+            return tuple(sorted(one.name for one in os.scandir(folder)))
+        return _names_as_of(folder, changed_ns)
+    except OSError:
+        return ()
+
+
+@lru_cache(maxsize=64)
+def _names_as_of(folder: Path, _: int) -> tuple[str, ...]:
+    return tuple(sorted(one.name for one in os.scandir(folder)))
 
 
 def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
@@ -75,7 +109,7 @@ def without_match(root: Path, patterns: Iterable[str]) -> tuple[str, ...]:
         for pattern in patterns
         if GLOB_CHARACTERS & set(pattern)
         and not (root / pattern).exists()
-        and not any(not path.is_dir() for path in root.glob(pattern))
+        and not any(not path.is_dir() for path in _matching(root, pattern))
     )
 
 
@@ -97,11 +131,3 @@ def states_of(root: Path, patterns: Iterable[str]) -> dict[str, FileState] | Non
     except OSError:
         return None
     return None if absent else found
-
-
-def answer(run: Connection) -> None:
-    """Answer each (root, patterns) that comes from a run with the states of these logs."""
-    with suppress(EOFError, OSError):
-        while True:
-            root, patterns = run.recv()
-            run.send(states_of(root, patterns))

@@ -78,7 +78,6 @@ class LogShelf:
         self._read_with = reading_hash(spec)
         self._latest_us = latest_us
         self._silent = silent
-        self._is_first = looked_at is None
         self._read_ahead: dict[Path, RawLog] = {}
         seen = looked_at or SeenLogs(self._look(reads_new), self._source.absent)
         found, self.absent = seen.files, seen.absent
@@ -95,7 +94,7 @@ class LogShelf:
     @cached_property
     def _source(self) -> LogSource:
         """The logs themselves: not asked for anything while nothing of them is needed."""
-        return logs_of(self._spec, self._latest_us, self._silent, ask=self._is_first)
+        return logs_of(self._spec, self._latest_us, self._silent)
 
     def unmatched(self) -> tuple[str, ...]:
         """Messages about globs that match no log."""
@@ -302,33 +301,6 @@ class LogShelf:
         for name in list(self._open):
             if max(self.touched(name) | self.reached(name), default=label) <= label:
                 del self._open[name]
-
-    def used_by(self, here: Night) -> tuple[str, ...]:
-        """Files that a night is made from, in order."""
-        return (*self.before_night(here), *self.of_night(here.date))
-
-    def take_over(
-        self,
-        here: Night,
-        before: Mapping[str, FileRecord],
-        after: Mapping[str, FileRecord],
-        read: Collection[str],
-    ) -> bool:
-        """Take over a night's files as another task knew them before and after it made the night.
-
-        Returns
-        -------
-        bool
-            False, and nothing is taken over, where this task would use other files, or knows
-            something else of one.
-        """
-        if self.used_by(here) != tuple(before):
-            return False
-        if any(self.files[name] not in (before[name], after[name]) for name in before):
-            return False
-        self.files.update(after)
-        self.read = (self.read - before.keys()) | set(read)
-        return True
 
     def finished(self, done: Collection[dt.date]) -> dict[str, FileRecord]:
         """Files of which every night is done: the others stay new, for a run that wants them."""

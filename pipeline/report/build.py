@@ -40,7 +40,7 @@ from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import backlogs
-from pipeline.workers.local import run_tasks
+from pipeline.workers.engine import open_workers
 from pipeline.workers.process import Loss
 
 INDEX = "index.html"
@@ -199,14 +199,16 @@ def _make_nights(
         else:
             tasks.append(NightTask(request.output, request.folder, night, names, kept))
     faults = []
-    execution = (
-        request.execution if len(tasks) >= WORTH_WORKERS else Execution(backend="sequential")
-    )
-    for night, entries, found in run_tasks(make_night, tasks, _lost_night, execution):
-        now.files |= entries
-        faults += found
-        if not found:
-            now.nights[night.isoformat()] = states[night]
+    is_small = len(tasks) < WORTH_WORKERS or request.execution.backend == "sequential"
+    # Not over a cluster: pages are written where they belong.
+    backend = "sequential" if is_small else "loky"
+    execution = request.execution.model_copy(update={"backend": backend})
+    with open_workers(execution) as workers:
+        for night, entries, found in workers.run(make_night, tasks, _lost_night):
+            now.files |= entries
+            faults += found
+            if not found:
+                now.nights[night.isoformat()] = states[night]
     return len(tasks), sorted(faults)
 
 

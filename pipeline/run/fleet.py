@@ -1,7 +1,7 @@
 """The nightly run: one motor a task over worker processes, then the tables, night by night.
 
-Tasks share nothing and return small outcomes as they finish. A motor whose worker dies costs that
-motor its run and no other: what was finished is kept, and each lost task is tried once more alone.
+Tasks share nothing and return small outcomes as they finish. What was finished is kept where a
+worker dies; the tasks that were under way are tried once more, each alone.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import datetime as dt
 import logging
 import secrets
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -18,7 +17,7 @@ from pathlib import Path
 
 from pipeline.config import Fleet
 from pipeline.config.fleet import LANDED_FOLDER
-from pipeline.errors import EngineError, LockedError, StoreError
+from pipeline.errors import StoreError
 from pipeline.logs.finding import legible
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
@@ -43,7 +42,7 @@ from pipeline.store.verification import TableFault
 from pipeline.store.working_copy import pull, working_copy
 from pipeline.telling.outbox import open_outbox
 from pipeline.telling.receivers import receivers_of
-from pipeline.workers.engine import RunTasks, open_engine
+from pipeline.workers.engine import Workers, open_workers
 from pipeline.workers.process import Loss
 
 __all__ = ["RunRequest", "RunResult", "refresh", "run_fleet"]
@@ -60,15 +59,12 @@ PUT_ASIDE_LATE = "it is not what was published, and was put aside when its night
 def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunResult:
     """Fit every new night of a fleet's motors and publish the tables.
 
-    A motor whose task hangs or dies is done by a second run, when the first has published what the
-    others have made and told of their alarms.
-
     Parameters
     ----------
     request
         Fleet, and which part of it.
     progress
-        Called with the outcome of each motor, and of each chunk of one, as it finishes.
+        Called with the outcome of each motor as it finishes.
 
     Returns
     -------
@@ -84,42 +80,6 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     EngineError
         If there is nothing that tasks could run on.
     """
-    # One motor holds up no other.
-    result = _run_once(request, progress, first=len(request.specs) > 1)
-    late = [outcome for outcome in result.outcomes if outcome.is_set_aside]
-    if not late or result.interrupted:
-        return result
-    again = replace(request, motors=tuple(outcome.motor_id for outcome in late))
-    try:
-        return _joined(result, _run_once(again, progress, first=False))
-    except (LockedError, EngineError) as error:
-        log.warning("%s; the next run does what is left", error)
-    for outcome in late:
-        progress(outcome)
-    return result
-
-
-def _joined(first: RunResult, second: RunResult) -> RunResult:
-    """The result of a run, together with that of the one which did what it had set aside."""
-    outcomes = {outcome.motor_id: outcome for outcome in (*first.outcomes, *second.outcomes)}
-    seconds = Counter(first.seconds_by_stage)
-    seconds.update(second.seconds_by_stage)
-    return replace(
-        first,
-        outcomes=tuple(outcomes[motor_id] for motor_id in sorted(outcomes)),
-        n_nights=first.n_nights + second.n_nights,
-        interrupted=second.interrupted,
-        seconds=first.seconds + second.seconds,
-        alarms=(*first.alarms, *second.alarms),
-        seconds_by_stage=dict(seconds),
-        damage=(*first.damage, *second.damage),
-        # What the first left may be of a motor that the second did.
-        damage_left=second.damage_left,
-    )
-
-
-def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunResult:
-    """Do a run; the first of two sets motors aside that hang or die."""
     fleet, output = request.fleet, request.fleet.output
     receivers = receivers_of(fleet.settings.alarms)
     if fleet.log_url:
@@ -141,11 +101,9 @@ def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunRes
                 if is_lost:
                     restore_decisions(state)
                 open_outbox(state, [one.name for one in receivers], fleet.name)
-                with open_engine(fleet.execution, folders, stores) as run_tasks:
+                with open_workers(fleet.execution, folders, stores) as workers:
                     damage = Damage(state, restore)
-                    result = _run(
-                        request, staging, progress, heartbeat, run_tasks, damage, first=first
-                    )
+                    result = _run(request, staging, progress, heartbeat, workers, damage)
                 queue_alarms(fleet, state)
         if not result.files:
             place = fleet.log_place
@@ -194,10 +152,8 @@ def _run(
     staging: Path,
     progress: Progress,
     heartbeat: Heartbeat,
-    run_tasks: RunTasks,
+    workers: Workers,
     damage: Damage,
-    *,
-    first: bool,
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet, state = request.fleet, damage.state
@@ -206,14 +162,10 @@ def _run(
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in motor_outcomes(run_tasks, tasks, fleet.execution, state, first=first):
-            if outcome.chunk:
-                progress(outcome)
-                continue
+        for outcome in motor_outcomes(workers, tasks, fleet.execution, state):
             outcomes[outcome.motor_id] = outcome
-            if not outcome.is_set_aside:
-                heartbeat.motor_done(is_news=bool(outcome.nights))
-                progress(outcome)
+            heartbeat.motor_done(is_news=bool(outcome.nights))
+            progress(outcome)
     except KeyboardInterrupt:
         interrupted = True
     ends = [time.perf_counter()]
@@ -231,7 +183,7 @@ def _run(
     trends = PublishedTrends()
     if not interrupted:
         try:
-            trends = publish_trends(fleet, request.clock, publisher, state, finished, run_tasks)
+            trends = publish_trends(fleet, request.clock, publisher, state, finished, workers)
             interrupted = trends.interrupted
         except KeyboardInterrupt:
             interrupted = True
@@ -293,7 +245,7 @@ def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
 def staging_folder(output: Path) -> Iterator[Path]:
     """A folder for this run's staged rows; those of killed runs are removed.
 
-    Nobody else may enter it: what tasks leave there for each other is unpickled.
+    Nobody else may enter it: what tasks leave there is published.
     """
     root = output / "staging"
     remove_all(root)

@@ -100,7 +100,6 @@ class MotorNights:
         self.task = task
         self.spec = task.spec
         self.seconds: defaultdict[str, float] = defaultdict(float)
-        self.memory_of_chunks_mib = 0.0
         self.remembered = task.ledger
         self.settings_before = task.ledger.settings or {}
         if published is None:
@@ -236,11 +235,9 @@ class MotorNights:
         return sorted(label for label in between - told if self.task.wants(label))
 
     def is_roller_free(self) -> bool:
-        """The decision of the motor's nights; as it is where only some of them were asked for."""
+        """The decision of all nights that the motor has by now, whichever were asked for."""
         if self.spec.settings.model.roller_scale == "fixed":
             return False
-        if self.task.since is not None or self.task.until is not None:
-            return self.form.roller_is_free
         told = {label: one.tells_roller for label, one in self.records.items()} | self.first_told
         begins = [event.date for event in self.spec.file.baseline_events]
         return is_roller_free(told, begins, FIRST_NIGHTS)
@@ -341,5 +338,5 @@ class MotorNights:
             growing=tuple(self.logs.growing()),
             n_standing=self._n_standing(),
             seconds=dict(self.seconds),
-            peak_memory_mib=max(peak_memory_mib(), self.memory_of_chunks_mib),
+            peak_memory_mib=peak_memory_mib(),
         )

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import datetime as dt
 import logging
-import pickle
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 import polars as pl
 from polars.exceptions import PanicException
@@ -21,17 +20,16 @@ from pipeline.config.nights import night
 from pipeline.errors import StoreError
 from pipeline.logs.files import labels_of, reaches_us, slice_night
 from pipeline.logs.finding import legible
-from pipeline.logs.ledger import FileRecord, Ledger, NightRecord, SeenLogs
+from pipeline.logs.ledger import FileRecord, Ledger, NightRecord
 from pipeline.messages import speak_as_told
 from pipeline.night.fit_night import NightOutcome, PreviousModel, fit_night, unfitted
-from pipeline.night.refit import is_refit, judged
+from pipeline.night.refit import is_refit
 from pipeline.night.rows import Row
-from pipeline.run.motor_nights import MotorNights, hash_of_model, peak_memory_mib
+from pipeline.run.motor_nights import MotorNights, hash_of_model
 from pipeline.run.stored_nights import StoredNights
-from pipeline.run.tasks import MOST_GIVEN_UP, MotorOutcome, MotorTask, Work, lost
+from pipeline.run.tasks import MotorOutcome, MotorTask, Work, lost
 from pipeline.schema import INPUT_FILES, NIGHT_TABLES
 from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK
-from pipeline.store.atomic_files import scratch
 from pipeline.store.night_files import stage
 from pipeline.store.tables import read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
@@ -40,14 +38,14 @@ log = logging.getLogger(__name__)
 
 
 def run_motor(task: MotorTask) -> MotorOutcome:
-    """Do everything that is new for a motor, or a chunk of its nights, and stage its rows.
+    """Do everything that is new for a motor, and stage its rows.
 
     Raises MemoryError if there is not enough memory for what all its nights need.
     """
     speak_as_told()
     with one_thread():
         try:
-            return _done(task)
+            return _Making(task).run()
         except StoreError as error:
             return lost(task, Loss(error.code, error.message))
         except MemoryError:  # a fresh worker may have what it takes
@@ -55,57 +53,6 @@ def run_motor(task: MotorTask) -> MotorOutcome:
         except (Exception, PanicException) as error:
             log.exception("motor %s failed", task.spec.motor_id)
             return lost(task, loss_of(error))
-
-
-def _done(task: MotorTask) -> MotorOutcome:
-    """The outcome of a chunk, of a plan of chunks, or of a motor."""
-    if task.nights is not None:
-        return _make_chunk(task, task.nights)
-    # Written by this run, below a folder of its own.
-    chunks = [pickle.loads((task.staging / name).read_bytes()) for name in task.chunks]  # noqa: S301
-    given_up = dict.fromkeys((*task.given_up, *(one for part in chunks for one in part.given_up)))
-    task = replace(task, given_up=tuple(given_up))
-    if len(task.lost_nights) > MOST_GIVEN_UP:
-        # The loss at which a motor that is not done in chunks would have been given up.
-        return lost(task, task.lost_nights[sorted(task.lost_nights)[MOST_GIVEN_UP]])
-    nights = _Making(task, chunks)
-    return nights.plan_of_chunks() or nights.run()
-
-
-def _make_chunk(task: MotorTask, labels: Sequence[dt.date]) -> MotorOutcome:
-    """Read and fit a chunk of nights, and leave them for the task that joins them."""
-    nights = _Making(task)
-    made = nights.make(labels)
-    seconds, memory = dict(nights.seconds), peak_memory_mib()
-    try:
-        with scratch(task.staging / task.chunk) as stream:
-            pickle.dump(_Chunk(made, task.given_up, seconds, memory), stream)
-    except OSError as error:
-        why = error.strerror or error
-        raise StoreError("store_write", f"{task.chunk} cannot be written: {why}") from error
-    return MotorOutcome(
-        task.spec.motor_id, OK, seconds=seconds, peak_memory_mib=memory, chunk=task.chunk
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _ChunkNight:
-    """A night of a chunk, with its files, in order, as they were known before and after it."""
-
-    outcome: NightOutcome
-    before: Mapping[str, FileRecord]
-    after: Mapping[str, FileRecord]
-    read: frozenset[str]
-
-
-@dataclass(frozen=True, slots=True)
-class _Chunk:
-    """A chunk on its way to the task that joins it."""
-
-    nights: Mapping[dt.date, _ChunkNight]
-    given_up: tuple[Loss, ...]
-    seconds: Mapping[str, float]
-    peak_memory_mib: float
 
 
 def _tells_roller(outcome: NightOutcome) -> bool | None:
@@ -122,46 +69,10 @@ def _place_of(record: FileRecord, nights: Collection[dt.date]) -> dt.date | None
 class _Making(MotorNights):
     """A motor's nights while its task makes them."""
 
-    def __init__(self, task: MotorTask, chunks: Sequence[_Chunk] = ()) -> None:
+    def __init__(self, task: MotorTask) -> None:
         super().__init__(task)
-        self.made = {label: one for chunk in chunks for label, one in chunk.nights.items()}
-        for chunk in chunks:
-            self.memory_of_chunks_mib = max(self.memory_of_chunks_mib, chunk.peak_memory_mib)
-            self._add(chunk.seconds)
         self.lost_nights = task.lost_nights
         self.stored = StoredNights(task.output, self.spec.motor_id)
-
-    def plan_of_chunks(self) -> MotorOutcome | None:
-        """The chunks in which the motor's nights are to be made; None: here, in one."""
-        size = self.task.nights_a_chunk
-        if not size or self.task.looked_at is not None:
-            return None
-        labels = [label for label, step in self.plan().items() if step.work is Work.READ]
-        if len(labels) <= size:
-            return None
-        planned = replace(self.task, looked_at=SeenLogs(self.logs.files, self.logs.absent))
-        parts = [tuple(labels[at : at + size]) for at in range(0, len(labels), size)]
-        chunks = tuple(replace(planned, nights=nights) for nights in parts)
-        return MotorOutcome(self.spec.motor_id, OK, to_do=chunks)
-
-    def make(self, labels: Sequence[dt.date]) -> dict[dt.date, _ChunkNight]:
-        """Read and fit some nights, each on its own."""
-        made = {}
-        for label in labels:
-            if label in self.lost_nights:
-                continue
-            known = dict(self.logs.files)
-            used = self.logs.used_by(night(label, self.spec.settings.nights))
-            outcome = self._night(label, Work.READ, {})
-            assert outcome is not None
-            made[label] = _ChunkNight(
-                outcome,
-                {name: known[name] for name in used},
-                {name: self.logs.files[name] for name in used},
-                frozenset(used) & self.logs.read,
-            )
-        sign_of_life("")
-        return made
 
     def run(self) -> MotorOutcome:
         # Reading may show that a log covers other nights than its ends had told, so look again.
@@ -261,9 +172,6 @@ class _Making(MotorNights):
 
     def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
         here = night(label, self.spec.settings.nights)
-        made = self.made.get(label)
-        if made is not None and self.logs.take_over(here, made.before, made.after, made.read):
-            return judged(self.spec, made.outcome, before)
         with self.timed("read_s"):
             names = self.logs.of_night(label)
             read = [self.logs.content(name) for name in (*self.logs.before_night(here), *names)]

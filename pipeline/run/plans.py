@@ -18,7 +18,6 @@ from pipeline.store.state import read_state_file
 from pipeline.trends.circuits import decisions_of
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.nights.trend_record import read_records, trend_hash
-from pipeline.workers.engine import nights_a_chunk
 
 
 def task_of(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
@@ -31,7 +30,6 @@ def task_of(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
         until=request.until,
         force=request.force,
         retry=request.retry,
-        nights_a_chunk=nights_a_chunk(request.fleet.execution, len(request.specs)),
         latest_us=latest_us(request.clock),
     )
 

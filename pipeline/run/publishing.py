@@ -45,7 +45,7 @@ from pipeline.trends.tasks import (
     trend_tasks,
     without_lost_motor,
 )
-from pipeline.workers.engine import RunTasks, results_of
+from pipeline.workers.engine import Workers
 from pipeline.workers.process import Loss
 
 log = logging.getLogger(__name__)
@@ -97,7 +97,7 @@ def publish_trends(
     publisher: Publisher,
     state: State,
     outcomes: Sequence[MotorOutcome],
-    run_tasks: RunTasks,
+    workers: Workers,
 ) -> PublishedTrends:
     """Make and publish the trends of the run's motors."""
     decisions = read_decisions(fleet.output)
@@ -111,8 +111,8 @@ def publish_trends(
     if tonight is None:
         return PublishedTrends()
     # As many tasks for each worker, as far as circuits allow.
-    workers = fleet.execution.workers
-    n_tasks = workers * ceil(len(changed) / (workers * MOTORS_A_TREND_TASK))
+    n_workers = fleet.execution.workers
+    n_tasks = n_workers * ceil(len(changed) / (n_workers * MOTORS_A_TREND_TASK))
     tasks = trend_tasks(
         fleet.motors,
         state,
@@ -124,7 +124,7 @@ def publish_trends(
     )
     made: list[TrendOutcome] = []
     try:
-        made += results_of(run_tasks, run_trends, tasks, lost_trends, without_lost_motor)
+        made += workers.run(run_trends, tasks, lost_trends, without_lost_motor)
     except EngineError as error:  # the nights are published: the next run makes the trends
         log.warning("%s; the next run makes the trends", error)
         made = [lost_trends(task, Loss(error.code, error.message)) for task in tasks]

@@ -39,11 +39,11 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class MotorTask:
-    """A motor for a worker, or a chunk of its nights: plain data, small enough to send."""
+    """A motor for a worker: plain data, small enough to send."""
 
     spec: MotorSpec  # the motor with its resolved config
     output: Path  # output folder, for the tables (read only)
-    staging: Path  # folder for this run's staged rows and chunks
+    staging: Path  # folder for this run's staged rows
     ledger: Ledger = field(default_factory=Ledger)  # the motor's, as the run before left it
     # since, until: labels of the first and last night to do; None: no limit.
     since: dt.date | None = None
@@ -54,20 +54,10 @@ class MotorTask:
     looks_first: bool = False
     # Losses of this run, each in a night that is not made, or at a log that is not opened.
     given_up: tuple[Loss, ...] = ()
-    # A motor with more nights to read than this is done in chunks of so many; 0: never.
-    nights_a_chunk: int = 0
-    # The chunk: nights to be read and fitted apart from the others; None: the whole motor.
-    nights: tuple[dt.date, ...] | None = None
     # The motor's logs as they were looked at before in this run; None: not yet.
     looked_at: SeenLogs | None = None
-    chunks: tuple[str, ...] = ()  # files below the staging folder with the chunks to be joined
     # Samples after this time are refused [µs since 1970]: a day after the run's clock.
     latest_us: int = field(default_factory=latest_us)
-
-    @property
-    def chunk(self) -> str:
-        """File of its chunk below the staging folder; empty for a whole motor."""
-        return f"chunks/{self.spec.motor_id}@{min(self.nights)}" if self.nights else ""
 
     @property
     def lost_nights(self) -> dict[dt.date, Loss]:
@@ -88,7 +78,7 @@ class MotorTask:
 
 @dataclass(frozen=True, slots=True)
 class MotorOutcome:
-    """The outcome of a motor's task, or of one of its chunks."""
+    """The outcome of a motor's task."""
 
     motor_id: str
     # failed if a night failed; else ok if a night was fitted; else what came of its nights.
@@ -112,12 +102,6 @@ class MotorOutcome:
     reasons: Mapping[str, int] = field(default_factory=dict)  # nights by why they were made anew
     seconds: Mapping[str, float] = field(default_factory=dict)  # time by stage
     peak_memory_mib: float | None = None  # largest memory of the worker so far
-    # Whether its task was lost once, and is tried again when the others are published.
-    is_set_aside: bool = False
-    chunk: str = ""  # file of the chunk that was made or failed; empty for a whole motor
-    # Chunks of the motor that are done by now, and all of them; (0, 0) for a whole motor.
-    chunks_done: tuple[int, int] = (0, 0)
-    to_do: tuple[MotorTask, ...] = ()  # chunks that are to be made first; empty: the motor is done
 
     @property
     def finished(self) -> bool:
@@ -127,13 +111,7 @@ class MotorOutcome:
 
 def lost(task: MotorTask, loss: Loss) -> MotorOutcome:
     """The outcome of a task that was lost as a whole."""
-    return MotorOutcome(task.spec.motor_id, FAILED, loss.code, legible(loss.how), chunk=task.chunk)
-
-
-def set_aside(task: MotorTask, loss: Loss) -> MotorOutcome:
-    """The outcome of a task that was lost, and is to be tried again later."""
-    how = f"{loss.how}; tried again when the other motors are published"
-    return replace(lost(task, replace(loss, how=how)), is_set_aside=True)
+    return MotorOutcome(task.spec.motor_id, FAILED, loss.code, legible(loss.how))
 
 
 def without_lost_part(task: MotorTask, loss: Loss) -> MotorTask | None:

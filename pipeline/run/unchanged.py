@@ -1,17 +1,17 @@
 """Motors of which nothing is new: told before any worker is there, and without the science.
 
-A process that imports no library asks the log files for size and time, as their folders may be on a
-mount that hangs; what it does not tell is left to the motors' tasks.
+A thread asks the log files for size and time, as their folders may be on a mount that hangs; what
+it does not tell is left to the motors' tasks.
 """
 
 from __future__ import annotations
 
 import datetime as dt
-import subprocess
 from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
-from typing import cast
+from queue import Empty, SimpleQueue
+from threading import Thread
 
 from polars.exceptions import PanicException
 
@@ -25,10 +25,6 @@ from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import FITS
 from pipeline.store.state import State
 from pipeline.store.tables import nights_back
-from pipeline.workers.process import SignOfLife, start
-
-# So long its end is waited for [s]: in a call to a disk that hangs no process ends.
-GRACE_S = 1.0
 
 
 def unchanged_motors(
@@ -43,7 +39,7 @@ def unchanged_motors(
     except StoreError:  # which the tasks tell
         return
     # Without an answer, this and all further ones are left.
-    for task, states in zip(asked, _states(asked, execution), strict=False):
+    for task, states in zip(asked, _states(asked, execution.answer_s), strict=False):
         known = replace(task, ledger=read_ledger(state, task.spec.motor_id))
         outcome = None if states is None else _outcome(known, states, published)
         if outcome is not None:
@@ -92,27 +88,16 @@ def _are_known(
 
 
 def _states(
-    tasks: Sequence[MotorTask], execution: Execution
+    tasks: Sequence[MotorTask], answer_s: float
 ) -> Iterator[Mapping[str, FileState] | None]:
     """States of each motor's logs, None where one cannot be told; ends early where one hangs."""
-    asked = [(one.spec.log_root, one.spec.file.logs.files) for one in tasks]
-    if execution.backend == "sequential":
-        yield from (states_of(root, patterns) for root, patterns in asked)
-        return
-    looker, connection = start("pipeline.logs.finding.answer")
-    try:
-        for one in asked:
-            connection.send(one)
-            answer: object = SignOfLife()
-            while isinstance(answer, SignOfLife):
-                if not connection.poll(execution.answer_s):
-                    return
-                answer = connection.recv()
-            yield cast("Mapping[str, FileState] | None", answer)
-    except (EOFError, OSError):
-        return
-    finally:
-        connection.close()
-        looker.kill()
-        with suppress(subprocess.TimeoutExpired):
-            looker.wait(GRACE_S)
+    told: SimpleQueue[Mapping[str, FileState] | None] = SimpleQueue()
+
+    def look() -> None:
+        for task in tasks:
+            told.put(states_of(task.spec.log_root, task.spec.file.logs.files))
+
+    Thread(target=look, daemon=True, name="look at logs").start()
+    with suppress(Empty):
+        for _ in tasks:
+            yield told.get(timeout=answer_s)

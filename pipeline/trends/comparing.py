@@ -11,8 +11,9 @@ from leakage import EstimationError
 from leakage.watch import Comparison, NightBlocks, compare
 from pipeline.config import MotorSpec
 from pipeline.errors import UsageError
-from pipeline.logs.ledger import as_published
+from pipeline.logs.ledger import as_published, read_settings
 from pipeline.schema import BLOCK_STATISTICS
+from pipeline.store.state import read_state_file
 from pipeline.store.tables import nights_back
 from pipeline.trends.nights.from_tables import read_blocks
 from pipeline.trends.nights.layout import Layout
@@ -82,7 +83,8 @@ def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> Nig
     StoreError
         If a table file is damaged.
     """
-    spec = as_published(output, spec)
+    with read_state_file(output) as state:
+        spec = as_published(spec, read_settings(state).get(spec.motor_id))
     borders = [one.date for one in spec.file.baseline_events if one.date != at]
     first = max((one for one in borders if one < at), default=dt.date.min)
     end = min((one for one in borders if one > at), default=dt.date.max)

@@ -1,124 +1,102 @@
-"""Engines that do the tasks of a run: worker processes of this machine, or a Dask cluster."""
+"""Tasks of a run over worker processes of this machine, a Dask cluster, or none of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import logging
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 from pipeline.config import Execution
-from pipeline.errors import EngineError
-from pipeline.workers.local import Crew
-from pipeline.workers.process import Loss
+from pipeline.workers.process import Done, Loss, attempt
+
+log = logging.getLogger(__name__)
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-
-class RunTasks(Protocol):
-    """Runs tasks: their results as they finish, in any order.
-
-    Parameters
-    ----------
-    function
-        Does a task; what it is made of must be importable, as workers are fresh processes.
-    tasks
-        Plain data, small enough to send.
-    lost
-        The result of a task that was lost.
-    first
-        Whether each is tried only once, and one of which nothing is heard is not waited for.
-    """
-
-    def __call__(
-        self,
-        function: Callable[[Task], Result],
-        tasks: Sequence[Task],
-        lost: Callable[[Task, Loss], Result],
-        *,
-        first: bool = False,
-    ) -> Iterator[Result]: ...
+# Gives each task with what came of it, as they finish, with at most so many under way.
+Tried = Callable[[Callable[[Any], Any], Iterable[Any], int], Iterator[tuple[Any, Done[Any] | Loss]]]
 
 
 @contextmanager
-def open_engine(
-    execution: Execution,
-    folders: Sequence[Path] = (),
-    stores: Sequence[str] = (),
-) -> Iterator[RunTasks]:
-    """The configured engine, for all tasks of a run.
+def open_workers(
+    execution: Execution, folders: Sequence[Path] = (), stores: Sequence[str] = ()
+) -> Iterator[Workers]:
+    """The configured workers, for all tasks of a run.
 
-    Parameters
-    ----------
-    execution
-        Which one, and how much of it.
-    folders
-        What workers elsewhere must see: logs and output.
-    stores
-        URLs of object stores that they must have a way to.
-
-    Raises
-    ------
-    EngineError
-        If there is none: see `dask_cluster.connected`.
+    `folders` and `stores` are what those of a cluster must see: logs and output, and URLs of object
+    stores. Raises EngineError if there are none: see `cluster.open_cluster`.
     """
-    if execution.backend == "dask":
-        from pipeline.workers.dask_cluster import connected
-        from pipeline.workers.dask_engine import DaskEngine
-        from pipeline.workers.dask_worker import Surroundings, own_versions
+    if execution.backend == "sequential":
+        # In the run's own process: a task that hangs or dies takes the run with it.
+        yield Workers(lambda do, tasks, _: ((one, attempt(do, one)) for one in tasks), 1)
+    elif execution.backend == "dask":
+        from pipeline.workers.cluster import open_cluster
 
-        expected = Surroundings(own_versions(), tuple(folders), tuple(stores))
-        with connected(execution, expected) as client:
-            yield DaskEngine(client, execution, expected).run_tasks
-        return
+        with open_cluster(execution, folders, stores) as cluster:
+            yield Workers(cluster.tried, execution.tasks_in_flight)
+    else:
+        from pipeline.workers.local import open_pool
 
-    with Crew(execution) as crew:
-        yield crew.run_tasks
-
-
-def results_of(
-    run_tasks: RunTasks,
-    function: Callable[[Task], Result],
-    tasks: Sequence[Task],
-    lost: Callable[[Task, Loss], Result],
-    without: Callable[[Task, Loss], Task | None],
-    *,
-    first: bool = False,
-) -> Iterator[Result]:
-    """Results of tasks; one that was lost in a known part of its work is done without that part.
-
-    `without` gives the task without the part that it was lost in; None where that is not known, or
-    too much. The first time, a task that was lost is left as it is.
-
-    Raises EngineError if nothing of it could be done.
-    """
-    if first:
-        yield from run_tasks(function, tasks, lost, first=True)
-        return
-    rest: list[Task] = []
-
-    def lose(task: Task, loss: Loss) -> Result | None:
-        smaller = without(task, loss)
-        if smaller is None:
-            return lost(task, loss)
-        rest.append(smaller)
-        return None
-
-    for result in run_tasks(function, tasks, lose):
-        if result is not None:
-            yield result
-    if not rest:
-        return
-    try:
-        yield from results_of(run_tasks, function, rest, lost, without)
-    except EngineError as error:  # of them nothing is done, of the others all
-        yield from (lost(task, Loss(error.code, error.message)) for task in rest)
+        with open_pool(execution) as pool:
+            yield Workers(pool.tried, execution.workers)
 
 
-def nights_a_chunk(execution: Execution, n_motors: int) -> int:
-    """Nights of a chunk of a motor; 0 where its workers have enough motors to do."""
-    if execution.backend == "dask" and execution.scheduler:
-        return execution.nights_a_part
-    alone = execution.backend == "sequential" or execution.workers <= n_motors
-    return 0 if alone else execution.nights_a_part
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """The way in which tasks are tried, and how many of them at a time."""
+
+    tried: Tried
+    at_a_time: int
+
+    def run(
+        self,
+        function: Callable[[Task], Result],
+        tasks: Iterable[Task],
+        lost: Callable[[Task, Loss], Result],
+        without: Callable[[Task, Loss], Task | None] = lambda *_: None,
+    ) -> Iterator[Result]:
+        """Results of tasks as they finish, in any order.
+
+        One that was lost may have been so by its neighbour: it is tried again when all others are
+        done, with nothing beside it. If it is lost again, what it was lost in is left out.
+
+        Parameters
+        ----------
+        function
+            Does a task; what it is made of must be importable, as workers are fresh processes.
+        tasks
+            Plain data, small enough to send; drawn one by one, and not always by this thread.
+        lost
+            The result of a task that was lost.
+        without
+            The task without the part that it was lost in; None where that is not known, or too
+            much.
+
+        Raises
+        ------
+        EngineError
+            If there is nothing that tasks could run on, before any was done.
+        """
+        losses: list[tuple[Task, Loss]] = []
+        for task, outcome in self.tried(function, tasks, self.at_a_time):
+            if isinstance(outcome, Done):
+                yield outcome.result
+            else:
+                losses.append((task, outcome))
+        for task, loss in losses:
+            # A log that does not answer is not asked twice.
+            again = without(task, loss) if loss.log else task
+            while again is not None and loss.code != "scheduler_lost":
+                log.warning("a task is tried again, alone: %s", loss.how)
+                task = again
+                ((_, outcome),) = self.tried(function, [task], 1)
+                if isinstance(outcome, Done):
+                    yield outcome.result
+                    break
+                loss, again = outcome, without(task, outcome)
+            else:
+                yield lost(task, loss)

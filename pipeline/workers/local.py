@@ -1,31 +1,31 @@
-"""Independent tasks over worker processes: what a task does to its worker costs itself alone.
+"""Independent tasks over worker processes of this machine, which joblib starts and feeds.
 
-A worker has one task at a time and a connection of its own, so it is known which task it was that a
-worker died of, hung in, or wanted too much memory for. A lost task is tried once more when all
-others are done, with nothing beside it.
+A worker that dies takes joblib's whole pool with it. Marks tell which tasks were under way; the
+others go on in a new call.
 """
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import re
 import signal
-import subprocess
 import sys
+import tempfile
 import time
-from collections import deque
-from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
-from contextlib import suppress
-from multiprocessing import Pipe
-from multiprocessing.connection import wait
-from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from itertools import chain, islice
+from pathlib import Path, PurePath
+from threading import Event, Lock, Thread
+from typing import Any, TypeVar
 
-from pipeline.workers.process import Assignment, Done, Loss, SignOfLife, attempt, start
-
-if TYPE_CHECKING:
-    from pipeline.config import Execution
+from pipeline.config import Execution
+from pipeline.workers.process import Done, Limits, Loss, Mark, begin_worker, do
 
 log = logging.getLogger(__name__)
 
@@ -46,264 +46,224 @@ ENVIRONMENT: Mapping[str, str] = {
     "MALLOC_TRIM_THRESHOLD_": str(1 << 27),
 }
 HUGE_PAGES = "glibc.malloc.hugetlb=1"
-# A worker takes a task up within this time, [s], loading of the program included.
-START_S = 120.0
-# A worker that is told to die is killed if it has not done so by then, [s].
-GRACE_S = 5.0
-# Of what a worker writes to stderr, the end may tell what it died of, [bytes].
+# So often the run looks at the marks [s].
+LOOK_S = 0.25
+# A worker that has not ended by itself so long after its time is killed [s].
+GRACE_S = 2.0
+# Of what a worker writes to stderr, the end may tell what it died of [bytes].
 LAST_WORDS = 1 << 16
 # What allocators in C, C++ and Rust say before they abort.
 NO_MEMORY = re.compile(
     r"^.*(memory allocation|bad_alloc|out of memory|cannot allocate|MemoryError).*$",
     re.IGNORECASE | re.MULTILINE,
 )
-# A line of `faulthandler`; the first is the innermost.
+# Of `faulthandler`: the first line where the time was up, and one of the stack, innermost first.
+TIME_UP = re.compile(r"^Timeout \(.+\)!$", re.MULTILINE)
 FRAME = re.compile(r'^  File "(.+)", line (\d+) in (.+)$', re.MULTILINE)
+# Of joblib: the end of a process.
+END = re.compile(r"(SIG\w+)\(-\d+\)|EXIT\((\d+)\)")
 
 
-def run_tasks(
-    function: Callable[[Task], Result],
-    tasks: Sequence[Task],
-    lost: Callable[[Task, Loss], Result],
-    execution: Execution,
-) -> Iterator[Result]:
-    """As `Crew.run_tasks`, over workers that are there for these tasks alone."""
-    with Crew(execution) as crew:
-        yield from crew.run_tasks(function, tasks, lost)
-
-
-class Crew:
-    """Worker processes for all the tasks of a run, started when there are tasks for them.
-
-    Parameters
-    ----------
-    execution
-        Their number and limits. With backend ``sequential`` tasks are done here and once; one that
-        hangs or dies takes the run with it.
-    """
-
-    def __init__(self, execution: Execution) -> None:
-        self._execution = execution
-        self._workers: list[Worker] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.end()
-
-    def end(self) -> None:
-        """End all workers; a task under way is dropped, and has published nothing."""
-        for worker in self._workers:  # their memory is given back side by side
-            worker.process.kill()
-        while self._workers:
-            self._workers.pop().kill()
-
-    def run_tasks(
-        self,
-        function: Callable[[Task], Result],
-        tasks: Sequence[Task],
-        lost: Callable[[Task, Loss], Result],
-        *,
-        first: bool = False,
-    ) -> Iterator[Result]:
-        """Results as `RunTasks` says."""
-        tried: Iterator[tuple[Task, Done[Result] | Loss]]
-        if self._execution.backend == "sequential":
-            tried = ((task, attempt(function, task)) for task in tasks)
-        elif first:
-            tried = self._side_by_side(
-                function, tasks, self._execution.workers, self._execution.hasty
-            )
-        else:
-            tried = self._tried_twice(function, tasks)
-        for task, outcome in tried:
-            yield outcome.result if isinstance(outcome, Done) else lost(task, outcome)
-
-    def _tried_twice(
-        self, function: Callable[[Task], Result], tasks: Sequence[Task]
-    ) -> Iterator[tuple[Task, Done[Result] | Loss]]:
-        again: list[Task] = []
-        workers, limits = self._execution.workers, self._execution
-        for task, outcome in self._side_by_side(function, tasks, workers, limits):
-            # A log that does not answer is not asked twice.
-            if isinstance(outcome, Done) or outcome.log:
-                yield task, outcome
-            else:
-                log.warning("a task is lost and will be tried again, alone: %s", outcome.how)
-                again.append(task)
-        if again:
-            # In a fresh process, with all the memory that there is.
-            self.end()
-            yield from self._side_by_side(function, again, 1, limits)
-
-    def _side_by_side(
-        self,
-        function: Callable[[Task], Result],
-        tasks: Sequence[Task],
-        n_workers: int,
-        execution: Execution,
-    ) -> Iterator[tuple[Task, Done[Result] | Loss]]:
-        """Each task with what came of it, as they finish."""
-        waiting = deque(tasks)
-        at_work: dict[Worker, Task] = {}
-        finished: list[tuple[Task, Done[Result] | Loss]] = []
+@contextmanager
+def open_pool(execution: Execution) -> Iterator[Pool]:
+    """Worker processes for all tasks of a run, started when there are tasks for them."""
+    # Tunables of the C library are added to those that are set.
+    tunables = ":".join(filter(None, (os.environ.get("GLIBC_TUNABLES"), HUGE_PAGES)))
+    before = {name: os.environ.get(name) for name in (*ENVIRONMENT, "GLIBC_TUNABLES")}
+    os.environ.update(ENVIRONMENT, GLIBC_TUNABLES=tunables)
+    with tempfile.TemporaryDirectory(prefix="motor-leakage-") as folder:
+        pool = Pool(execution, Path(folder))
         try:
-            while waiting or at_work:
-                while waiting and len(at_work) < n_workers:
-                    task = waiting.popleft()
-                    worker = self._idle(at_work)
-                    worker.begin(function, task, execution)
-                    at_work[worker] = task
-                # Workers go on while somebody looks at what is finished.
-                yield from finished
-                news = _news_of(at_work)
-                found = [(worker, worker.outcome(news)) for worker in at_work]
-                finished = [
-                    (at_work.pop(worker), outcome)
-                    for worker, outcome in found
-                    if outcome is not None
-                ]
-            yield from finished
+            yield pool
         finally:
-            # Nobody waits any more for what these do.
-            for worker in at_work:
-                worker.kill()
-
-    def _idle(self, at_work: Container[Worker]) -> Worker:
-        for worker in self._workers:
-            if worker not in at_work:
-                return worker
-        self._workers.append(Worker())
-        return self._workers[-1]
+            pool.end()
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
 
 
-def run_task(
-    worker: Worker, function: Callable[[Task], Result], task: Task, execution: Execution
-) -> Done[Result] | Loss:
-    """Outcome of a task in a worker that has nothing else to do."""
-    worker.begin(function, task, execution)
-    while (outcome := worker.outcome(_news_of([worker]))) is None:
-        pass
-    return outcome
-
-
-def _news_of(at_work: Collection[Worker]) -> Collection[object]:
-    """Wait until a worker says something, dies, or has used up its time; ends with something."""
-    due = min(worker.due for worker in at_work)
-    ends = [end for worker in at_work for end in (worker.connection, worker.stderr)]
-    return wait(ends, max(0.0, due - time.monotonic()))
-
-
-def environment() -> dict[str, str]:
-    """Variables of a worker; tunables of the C library are added to those that are set."""
-    tunables = (os.environ.get("GLIBC_TUNABLES"), HUGE_PAGES)
-    return {**ENVIRONMENT, "GLIBC_TUNABLES": ":".join(filter(None, tunables))}
-
-
-class Worker:
-    """A process that does one task at a time; if it dies of one, another does the next."""
+@dataclass(slots=True)
+class Pool:
+    """Workers, and the folder of their marks and last words."""
 
     execution: Execution
+    folder: Path
+    killed: set[int] = field(default_factory=set)
+    told: dict[Path, int] = field(default_factory=dict)
+    left: Event = field(default_factory=Event)
+    watch: Thread | None = None
+    lock: Lock = field(default_factory=Lock)
 
-    def __init__(self) -> None:
-        self._start()
+    def tried(
+        self, function: Callable[[Task], Result], tasks: Iterable[Task], n_workers: int
+    ) -> Iterator[tuple[Task, Done[Result] | Loss]]:
+        """Each task with what came of it, as they finish; never more than so many under way.
 
-    def _start(self) -> None:
-        self.stderr, theirs = Pipe(duplex=False)
-        os.set_blocking(self.stderr.fileno(), False)
-        self.process, self.connection = start(
-            "pipeline.workers.process.serve", environment(), theirs.fileno()
+        Of several that were under way when a worker died it is not known whose fault it was.
+        """
+        numbered: Iterator[tuple[int, Task]] = enumerate(tasks)
+        under_way: dict[int, Task] = {}
+        while True:
+            try:
+                for number, outcome in self._results(function, numbered, under_way, n_workers):
+                    yield under_way.pop(number), outcome
+            except BrokenProcessPool as error:
+                lost = self._losses(under_way, n_workers, str(error))
+                yield from ((under_way.pop(number), loss) for number, loss in lost.items())
+                numbered, under_way = chain(under_way.items(), numbered), {}
+            else:
+                return
+
+    def _results(
+        self,
+        function: Callable[[Task], Result],
+        numbered: Iterator[tuple[int, Task]],
+        under_way: dict[int, Task],
+        n_workers: int,
+    ) -> Iterator[tuple[int, Done[Result] | Loss]]:
+        """Results by number; into `under_way` go the tasks that joblib takes."""
+        if (first := next(numbered, None)) is None:
+            return
+        from joblib import Parallel, delayed
+
+        if self.watch is None:
+            self.watch = Thread(target=self._watch, daemon=True, name="watch over workers")
+            self.watch.start()
+        execution = self.execution
+        limits = Limits(execution.timeout_s, execution.answer_s)
+        parallel = Parallel(
+            # One would be the run's own process.
+            n_jobs=max(2, execution.workers),
+            pre_dispatch=n_workers,
+            batch_size=1,
+            return_as="generator_unordered",
+            # Otherwise arrays go through shared memory, which may be small.
+            max_nbytes=None,
+            initializer=begin_worker,
+            initargs=(os.getpid(), str(self.folder), execution.memory_limit_mib << 20),
         )
-        theirs.close()
-        self.is_killed = False
 
-    def begin(self, function: Callable[[Any], Any], task: object, execution: Execution) -> None:
-        """Give it a task, and its limits."""
-        if self.is_killed or self.process.poll() is not None:
-            self._start()
-        self.execution = execution
-        self.sign, self.last_words, self.is_late = SignOfLife(), b"", False
-        self.due = time.monotonic() + START_S
-        with suppress(ConnectionError):  # dead already: heard of in a moment
-            self.connection.send(Assignment(function, task, execution.memory_limit_mib))
+        def calls() -> Iterator[Any]:
+            for number, task in chain([first], numbered):
+                under_way[number] = task
+                yield delayed(do)(function, task, limits, number)
 
-    def outcome(self, news: Collection[object]) -> Done[Any] | Loss | None:
-        """Outcome of its task, given the ends that have something; None while it is at work."""
-        if self.stderr in news:
-            self._pass_on_stderr()
-        if self.connection not in news:
-            # Others may have been waited for since: it may have spoken meanwhile.
-            if time.monotonic() < self.due or self.connection.poll():
-                return None
-            self.is_late = True
-            self.process.send_signal(signal.SIGALRM)
-            return self._loss()
+        with _interrupts_kept_from_workers():
+            results: Generator[tuple[int, Any]] = parallel(calls())
         try:
-            message: SignOfLife | Done[Any] | Loss = self.connection.recv()
-        except (EOFError, OSError):
-            return self._loss()
-        if isinstance(message, SignOfLife):
-            self.sign = message
-            self.due = time.monotonic() + self._limit_s
-            return None
-        return message
+            for result in results:  # noqa: UP028 - it would close it where it warns
+                yield result
+        finally:
+            with warnings.catch_warnings():  # that it is not at its end
+                warnings.simplefilter("ignore")
+                results.close()
 
-    @property
-    def _limit_s(self) -> float:
-        """Longest silence after the last sign of life."""
-        return self.execution.answer_s if self.sign.is_asked else self.execution.timeout_s
+    def _losses(
+        self, under_way: Mapping[int, object], n_workers: int, error: str
+    ) -> dict[int, Loss]:
+        """Losses by task; the pool and what its workers left are gone."""
+        self._pass_on_words()
+        lost = {
+            mark.number: self._loss(place, mark, error)
+            for place, mark in self._marks()
+            if mark.number in under_way
+        }
+        with self.lock:
+            for place in self.folder.iterdir():
+                place.unlink()
+            self.told.clear()
+            self.killed.clear()
+        # Without a mark: none of them could be begun.
+        ended = Loss("worker_died", f"its worker process ended with {_end(error)}")
+        return lost or dict.fromkeys(islice(under_way, n_workers), ended)
 
-    def _loss(self) -> Loss:
-        """The loss that the worker died of."""
-        self._wait_for_end()
-        self.kill()
-        self._pass_on_stderr()
-        words = self.last_words.decode("utf-8", "replace")
+    def _loss(self, place: Path, mark: Mark, error: str) -> Loss:
+        """The loss of the task of a worker that is dead."""
+        said = place.with_suffix(".words").read_bytes()[mark.said :]
+        words = said[-LAST_WORDS:].decode("utf-8", "replace")
         no_memory = NO_MEMORY.search(words)
-        if self.is_late and self.sign.log:
-            verb = "answer" if self.sign.is_asked else "come to its end"
-            how = f"{self.sign.log} did not {verb} within {self._limit_s:g} s"
-            return Loss("log_no_answer", how, self.sign.part, self.sign.log)
-        if self.is_late:
-            how = f"not done within {self._limit_s:g} s"
+        is_late = int(place.stem) in self.killed or TIME_UP.search(words) is not None
+        if is_late and mark.log:
+            verb = "answer" if mark.is_asked else "come to its end"
+            how = f"{mark.log} did not {verb} within {mark.limit_s:g} s"
+            return Loss("log_no_answer", how, mark.part, mark.log)
+        if is_late:
+            how = f"not done within {mark.limit_s:g} s"
         else:
-            how = f"its worker process ended with {_died(self.process.returncode)}"
+            how = f"its worker process ended with {_end(error)}"
             how += f": {no_memory.group().strip()}" if no_memory else ""
-        how += f", at {self.sign.part}" if self.sign.part else ""
+        how += f", at {mark.part}" if mark.part else ""
         if frame := FRAME.search(words):
             file, line, function = frame.groups()
             how += f", in {function} ({PurePath(file).name}, line {line})"
-        code = "task_timeout" if self.is_late else "task_memory" if no_memory else "worker_died"
-        return Loss(code, how, self.sign.part)
+        code = "task_timeout" if is_late else "task_memory" if no_memory else "worker_died"
+        return Loss(code, how, mark.part)
 
-    def _pass_on_stderr(self) -> None:
-        with suppress(BlockingIOError):
-            while text := os.read(self.stderr.fileno(), LAST_WORDS):
-                self.last_words = (self.last_words + text)[-LAST_WORDS:]
+    def _marks(self) -> Iterator[tuple[Path, Mark]]:
+        for place in self.folder.glob("*.mark"):
+            with suppress(ValueError, OSError):
+                yield place, Mark(**json.loads(place.read_bytes().partition(b"\n")[0]))
+
+    def _watch(self) -> None:
+        """Kill workers that cannot end by themselves, and pass on what they say."""
+        while not self.left.wait(LOOK_S):
+            self._pass_on_words()
+            for place, mark in self._marks():
+                if mark.number >= 0 and time.monotonic() > mark.until_s + GRACE_S:
+                    pid = int(place.stem)
+                    self.killed.add(pid)
+                    with suppress(ProcessLookupError):
+                        os.kill(pid, signal.SIGKILL)
+
+    def _pass_on_words(self) -> None:
+        with self.lock:
+            for place in self.folder.glob("*.words"):
+                begin = self.told.get(place, 0)
+                text = place.read_bytes()[begin:]
+                self.told[place] = begin + len(text)
                 sys.stderr.write(text.decode("utf-8", "replace"))
         sys.stderr.flush()
 
-    def kill(self) -> None:
-        """End the process, whatever it does, and wait for its end.
+    def end(self) -> None:
+        """End all workers; a task under way is dropped, and has published nothing."""
+        if self.watch is None:
+            return
+        from joblib.externals.loky import get_reusable_executor
 
-        Not for ever: in a call to a disk that hangs not even SIGKILL ends one.
-        """
-        self.process.kill()
-        self._wait_for_end()
-        self.is_killed = True
-
-    def _wait_for_end(self) -> None:
-        with suppress(subprocess.TimeoutExpired):
-            self.process.wait(GRACE_S)
+        get_reusable_executor(reuse=True).shutdown(kill_workers=True)
+        self.left.set()
+        self.watch.join()
+        self._pass_on_words()
 
 
-def _died(exit_code: int | None) -> str:
-    """The end of a process, in words."""
-    if exit_code is None:
+@contextmanager
+def _interrupts_kept_from_workers() -> Iterator[None]:
+    """What a terminal sends to all processes is for the run, which decides what ends.
+
+    Workers inherit what is blocked while they are started.
+    """
+    from multiprocessing import resource_tracker
+
+    from joblib.externals.loky.backend import resource_tracker as tracker_of_joblib
+
+    # These let the signals through again when they are started.
+    resource_tracker.ensure_running()
+    tracker_of_joblib.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end(error: str) -> str:
+    """The end of a process that joblib tells of, in words."""
+    if (found := END.search(error)) is None:
         return "nothing that could be heard"
-    if exit_code >= 0:
+    name, exit_code = found.groups()
+    if exit_code is not None:
         return f"exit code {exit_code}"
-    name = signal.Signals(-exit_code).name
     hint = ", as the system does for want of memory" if name == "SIGKILL" else ""
     return f"{name}{hint}"

@@ -1,4 +1,4 @@
-"""Inside a worker: a process that does one task after the other and shares nothing with others.
+"""Inside a worker: the marks by which a run knows how far a task is, and its limits.
 
 Whatever a task does to its process, the run goes on: the process ends when the run's does, when its
 time is up, and when it asks for more memory than it may have.
@@ -8,21 +8,19 @@ from __future__ import annotations
 
 import ctypes
 import faulthandler
+import json
 import logging
 import os
 import resource
 import signal
-import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
-from multiprocessing import Pipe
-from multiprocessing import process as multiprocessing_process
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -32,13 +30,9 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 Item = TypeVar("Item")
 
-MIB = 1 << 20
-# So many files are looked at between two signs of life.
-ITEMS_A_SIGN = 256
 PR_SET_PDEATHSIG = 1
-
-# The other end is the run; None where tasks are not done in a worker.
-_run: Connection | None = None
+# A task that goes on as before has its time limit anew at most so often [s].
+AGAIN_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,82 +53,68 @@ class Loss:
     log: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class SignOfLife:
-    """A task goes on, and with which part of its work."""
+class Limits(NamedTuple):
+    """Limits of a task [s]."""
 
+    timeout_s: float  # longest time for a part of its work
+    answer_s: float  # longest time that a log may take to open
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """How far a task is."""
+
+    number: int = -1  # of the task; -1: none is under way
     part: str = ""  # of its work
     log: str = ""  # the log that it waits for or reads; empty without one
     is_asked: bool = False  # whether that is to answer at once: it is being opened
+    limit_s: float = 0.0  # the time that it has for it
+    until_s: float = 0.0  # the end of that time, by the machine's monotonic clock
+    said: int = 0  # of what its process has said, what was said before the task [bytes]
 
 
-# What was said last.
-_said = SignOfLife()
+# What was marked last; the file that it goes to, and the limits, where there are any.
+_mark = Mark()
+_file: int | None = None
+_limits: Limits | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Assignment:
-    """A task for a worker."""
+def begin_worker(run_pid: int, folder: str, memory_limit: int) -> None:
+    """Prepare a process for tasks of a run whose death it does not outlive.
 
-    # function, task: what to do, and with what.
-    function: Callable[[Any], Any]
-    task: Any
-    memory_limit_mib: int  # largest size of the data of its process, [MiB]
-
-
-def tell(run: Connection) -> None:
-    """Say signs of life to a run from now on."""
-    global _run
-    _run = run
-
-
-def sign_of_life(part: str) -> None:
-    """Say that a task begins with a part of its work, which has the whole time limit again."""
-    _say(SignOfLife(part))
-
-
-def still_alive() -> None:
-    """Say once more what was said last."""
-    _say(_said)
+    Marks and last words go into files of a folder that are called after the process. The limit is
+    that of its data [bytes], within what the system lets it have.
+    """
+    global _file
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != run_pid:  # it has died already
+            os._exit(0)
+    place = Path(folder) / str(os.getpid())
+    words = os.open(place.with_suffix(".words"), os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    os.dup2(words, 2)
+    os.close(words)
+    # Told from C, without the interpreter, which may hang.
+    faulthandler.enable(file=2)
+    _file = os.open(place.with_suffix(".mark"), os.O_WRONLY | os.O_CREAT, 0o600)
+    _, most = resource.getrlimit(resource.RLIMIT_DATA)
+    limit = memory_limit if most == resource.RLIM_INFINITY else min(memory_limit, most)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
 
 
-def told_alive(items: Iterable[Item]) -> Iterator[Item]:
-    """Items of which each takes little time, and all of them may take long."""
-    for number, item in enumerate(items):
-        if number % ITEMS_A_SIGN == 0:
-            still_alive()
-        yield item
-
-
-@contextmanager
-def asking(log: str) -> Iterator[None]:
-    """Say that a log is being opened, which may be on a mount that hangs."""
-    with _at(log, is_asked=True):
-        yield
-
-
-@contextmanager
-def reading(log: str) -> Iterator[None]:
-    """Say that a log which has answered is being read."""
-    with _at(log, is_asked=False):
-        yield
-
-
-@contextmanager
-def _at(log: str, *, is_asked: bool) -> Iterator[None]:
-    before = _said
-    _say(SignOfLife(before.part, log, is_asked))
+def do(
+    function: Callable[[Task], Result], task: Task, limits: Limits, number: int = 0
+) -> tuple[int, Done[Result] | Loss]:
+    """Do a task within its limits; its number, and what came of it."""
+    global _limits
+    _limits = limits
     try:
-        yield
+        _say(Mark(number, said=os.fstat(2).st_size))
+        return number, attempt(function, task)
     finally:
-        _say(before)
-
-
-def _say(sign: SignOfLife) -> None:
-    global _said
-    _said = sign
-    if _run is not None:
-        _run.send(sign)
+        faulthandler.cancel_dump_traceback_later()
+        _limits = None
+        _write(Mark())
 
 
 def attempt(function: Callable[[Task], Result], task: Task) -> Done[Result] | Loss:
@@ -148,103 +128,73 @@ def attempt(function: Callable[[Task], Result], task: Task) -> Done[Result] | Lo
         return loss_of(error)
 
 
-def one_thread() -> AbstractContextManager[object]:
-    """Linear algebra on one thread: workers are as many as there are cores.
-
-    It limits the libraries that the process has loaded at the first call.
-    """
-    limited: AbstractContextManager[object] = _thread_pools().limit(limits=1)
-    return limited
-
-
-@cache
-def _thread_pools() -> ThreadpoolController:
-    """Libraries with threads of their own; to look for them takes longer than to limit them."""
-    return ThreadpoolController()
-
-
 def loss_of(error: BaseException) -> Loss:
     """The loss by an error that nobody foresaw."""
     how = f"{type(error).__name__}: {error}"
     return Loss("task_memory" if isinstance(error, MemoryError) else "internal", how)
 
 
-def start(
-    program: str, environment: Mapping[str, str] | None = None, stderr: int | None = None
-) -> tuple[subprocess.Popen[bytes], Connection]:
-    """Start a process beside this one, and open a connection to it.
-
-    It is a fresh one: a fork of a process with threads may hang.
-
-    Parameters
-    ----------
-    program
-        A function, such as ``pipeline.workers.process.serve``; it is given the connection.
-    environment
-        Variables that it has beside those of this process.
-    stderr
-        File that takes what it writes to stderr; None: that of this process.
-    """
-    ours, theirs = Pipe()
-    module, _, function = program.rpartition(".")
-    # Relative entries are of the folder in which this process began.
-    began_in = Path(getattr(multiprocessing_process, "ORIGINAL_DIR", None) or "")
-    path = [str(began_in / one) for one in sys.path if isinstance(one, str)]
-    code = (
-        f"import sys; sys.path[:] = {path}; from {module} import {function}; "
-        "from pipeline.workers.process import connected; "
-        f"{function}(connected({theirs.fileno()}, {os.getpid()}, {stderr}))"
-    )
-    process = subprocess.Popen(  # noqa: S603 - it is this program
-        [sys.executable, "-c", code],
-        env={**os.environ, **(environment or {})},
-        pass_fds=[theirs.fileno()] if stderr is None else [theirs.fileno(), stderr],
-        # Out of reach of what a terminal sends to all processes: the run decides what ends.
-        start_new_session=True,
-    )
-    # Once the process is the only one to hold it, the end closes with it.
-    theirs.close()
-    return process, ours
+def sign_of_life(part: str) -> None:
+    """Mark that a task begins with a part of its work, which has the whole time limit again."""
+    _say(replace(_mark, part=part, log="", is_asked=False))
 
 
-def connected(end: int, run_pid: int, stderr: int | None) -> Connection:
-    """In a started process: its connection to the run, whose death it does not outlive."""
-    _end_with_the_run(run_pid)
-    if stderr is not None:  # nobody reads it before the process is loaded
-        os.dup2(stderr, 2)
-        os.close(stderr)
-    connection = Connection(end)
-    tell(connection)
-    return connection
+def still_alive() -> None:
+    """Have the time of what was marked last begin anew."""
+    if _limits and _mark.until_s - _mark.limit_s + AGAIN_S < time.monotonic():
+        _say(_mark)
 
 
-def serve(run: Connection) -> None:
-    """Do the tasks that a run sends, until there is nobody left who sends any."""
-    # The run sends SIGALRM when the time is up. Told from C, without the interpreter, which may
-    # hang; then the process dies of it.
-    faulthandler.enable()
-    faulthandler.register(signal.SIGALRM, chain=True)
-    while True:
-        try:
-            given: Assignment = run.recv()
-        except EOFError:
-            return
-        _limit_memory(given.memory_limit_mib * MIB)
-        sign_of_life("")
-        run.send(attempt(given.function, given.task))
+def told_alive(items: Iterable[Item]) -> Iterator[Item]:
+    """Items of which each takes little time, and all of them may take long."""
+    for item in items:
+        still_alive()
+        yield item
 
 
-def _limit_memory(limit: int) -> None:
-    """Limit the data of this process [bytes], within what the system lets it have."""
-    _, most = resource.getrlimit(resource.RLIMIT_DATA)
-    if most != resource.RLIM_INFINITY:
-        limit = min(limit, most)
-    resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
+def asking(log: str) -> AbstractContextManager[None]:
+    """Mark that a log is being opened, which may be on a mount that hangs."""
+    return _at(log, is_asked=True)
 
 
-def _end_with_the_run(run_pid: int) -> None:
-    """Have the kernel kill this process when the run dies; elsewhere it ends after its task."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != run_pid:  # it has died already
-            os._exit(0)
+def reading(log: str) -> AbstractContextManager[None]:
+    """Mark that a log which has answered is being read."""
+    return _at(log, is_asked=False)
+
+
+@contextmanager
+def _at(log: str, *, is_asked: bool) -> Iterator[None]:
+    before = _mark
+    _say(replace(before, log=log, is_asked=is_asked))
+    try:
+        yield
+    finally:
+        _say(before)
+
+
+def _say(mark: Mark) -> None:
+    """Mark what is under way, and have the process end where that takes too long."""
+    if _limits is not None:
+        limit_s = _limits.answer_s if mark.is_asked else _limits.timeout_s
+        faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
+        _write(replace(mark, limit_s=limit_s, until_s=time.monotonic() + limit_s))
+
+
+def _write(mark: Mark) -> None:
+    global _mark
+    _mark = mark
+    if _file is not None:
+        # One line: what is left of a longer one comes after it.
+        os.pwrite(_file, json.dumps(asdict(mark)).encode() + b"\n", 0)
+
+
+@cache
+def _thread_pools() -> ThreadpoolController:
+    """Those that the process has loaded at the first call: to look takes longer than to limit."""
+    return ThreadpoolController()
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Linear algebra on one thread: workers are as many as there are cores."""
+    limited: AbstractContextManager[object] = _thread_pools().limit(limits=1)
+    return limited

@@ -1,10 +1,9 @@
-"""Tasks for the tests of the Dask engine, which workers import by name."""
+"""Tasks for the tests of Dask clusters, which workers import by name."""
 
 from __future__ import annotations
 
 import os
 import signal
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,14 +28,8 @@ def square(task: Number) -> int:
 def kill_workers_at_three(number: int) -> int:
     """A task that takes every Dask worker with it that tries it."""
     if number == 3:
-        os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(60.0)
+        os.kill(os.getpid(), signal.SIGKILL)
     return number**2
-
-
-def process_and_worker(_: int) -> tuple[int, int]:
-    """The process that a task is done in, and that of its Dask worker."""
-    return os.getpid(), os.getppid()
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,25 +52,5 @@ def kill_worker_of_parquet(task: Any) -> Any:
     from pipeline.run.motor_task import run_motor
 
     if task.spec.motor_id == "CB400-02":
-        os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(60.0)
+        os.kill(os.getpid(), signal.SIGKILL)
     return run_motor(task)
-
-
-def die_in_a_night(task: Any) -> Any:
-    """The process that has a chunk of a motor dies in one night of it."""
-    import pipeline.run.motor_task as module
-
-    fit_night = module.fit_night
-
-    def fit_or_die(spec: Any, here: Any, *arguments: Any) -> Any:
-        if str(here.date) == "2026-01-03":
-            os.kill(os.getpid(), signal.SIGKILL)
-        return fit_night(spec, here, *arguments)
-
-    if task.nights:
-        module.fit_night = fit_or_die
-    try:
-        return module.run_motor(task)
-    finally:
-        module.fit_night = fit_night

@@ -12,26 +12,10 @@ import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from pipeline.workers.process import ITEMS_A_SIGN, asking, reading, sign_of_life, told_alive
+from pipeline.workers.process import asking, reading, sign_of_life, told_alive
 
 GIB = 1 << 30
-
-
-class Carried:
-    """A function of a test that goes to a worker by value, as no module has it."""
-
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self.function = function
-
-    def __call__(self, task: Any) -> Any:
-        return self.function(task)
-
-    def __reduce__(self) -> tuple[Callable[[bytes], Any], tuple[bytes]]:
-        import cloudpickle
-
-        return cloudpickle.loads, (cloudpickle.dumps(self.function),)
 
 
 def do(task: str) -> str:
@@ -45,9 +29,8 @@ def own_pid(_: object) -> int:
     return os.getpid()
 
 
-def own_pid_slowly(seconds: float) -> int:
-    time.sleep(seconds)
-    return os.getpid()
+def environment(_: object) -> dict[str, str]:
+    return dict(os.environ)
 
 
 def raise_error() -> None:
@@ -86,6 +69,7 @@ def hang_in_a_pattern() -> None:
 
 def stop() -> None:
     """As a debugger does: nothing but SIGKILL ends a stopped process."""
+    sign_of_life("a night")
     os.kill(os.getpid(), signal.SIGSTOP)
 
 
@@ -151,17 +135,17 @@ MISBEHAVIOUR: dict[str, Callable[[], None]] = {
 
 
 def slow_by_items(items: int) -> int:
-    """Takes a second for as many items as there are between two signs of life."""
+    """Takes a second for each item."""
     for _ in told_alive(range(items)):
-        time.sleep(1.0 / ITEMS_A_SIGN)
+        time.sleep(1.0)
     return items
 
 
 def slow_by_parts(parts: int) -> int:
-    """Takes 1.8 s for each part."""
+    """Takes a second for each part."""
     for part in range(parts):
         sign_of_life(f"part {part}")
-        time.sleep(1.8)
+        time.sleep(1.0)
     return parts
 
 
@@ -174,12 +158,12 @@ def die_once(marker: str) -> str:
 
 
 def workers_of(parent: int) -> int:
-    """Number of workers of a process, at work or idle."""
+    """Number of workers of a process that are at work: those that have something loaded."""
     mine = f"PPid:\t{parent}\n"
     found = 0
     for status in Path("/proc").glob("[0-9]*/status"):
         try:
-            found += mine in status.read_text() and "import serve" in (
+            found += mine in status.read_text() and "popen_loky_posix" in (
                 status.with_name("cmdline").read_text()
             )
         except OSError:  # ended meanwhile
@@ -188,12 +172,24 @@ def workers_of(parent: int) -> int:
 
 
 def count_beside_or_die(marker: str) -> int:
-    """Dies; the second time it counts the workers beside it."""
+    """Dies; the second time it counts the tasks beside it."""
     die_once(marker)
-    return workers_of(os.getppid()) - 1
+    at_work = Path(f"{marker}-at-work")
+    at_work.touch()
+    time.sleep(0.3)
+    found = len(list(at_work.parent.glob("*-at-work"))) - 1
+    at_work.unlink()
+    return found
 
 
-def pid_and_hang(folder: str) -> None:
+def pid_and_wait(folder: str) -> None:
     """Says which process it is, and hangs."""
     (Path(folder) / str(os.getpid())).touch()
     hang_in_c()
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it has not come to that"
+        time.sleep(0.02)

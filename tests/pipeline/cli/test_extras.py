@@ -24,13 +24,13 @@ for module in pkgutil.walk_packages(pipeline.__path__, "pipeline."):
         importlib.import_module(module.name)
 from pipeline.config import Execution
 from pipeline.export.delta import export_delta
-from pipeline.workers.engine import open_engine
+from pipeline.workers.engine import open_workers
 from pipeline.errors import MotorLeakageError
 from pipeline.store.object_store import ObjectStore
 
 
 def dask():
-    with open_engine(Execution(backend="dask")):
+    with open_workers(Execution(backend="dask", scheduler="tcp://127.0.0.1:1")):
         pass
 
 

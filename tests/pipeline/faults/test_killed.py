@@ -33,7 +33,6 @@ from tests.pipeline.faults.fleet import (
 )
 from tests.pipeline.faults.sweep import count_points
 from tests.pipeline.faults.victim import OF_MOTORS, OF_TRENDS, STAGES, at_entry, die
-from tests.pipeline.misbehaviour import Carried
 
 Kill = Callable[[Path, str, int], None]
 Run = Callable[[Any], Any]
@@ -138,7 +137,7 @@ def killing(run: Run, stage: str, motor: str, marker: Path | None) -> Run:
         finally:
             patched.undo()
 
-    return Carried(run_or_die)
+    return run_or_die
 
 
 def check_worker(

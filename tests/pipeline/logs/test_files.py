@@ -72,6 +72,26 @@ class TestFind:
         found, absent = find_logs(with_files(spec, "a[1].csv"))
         assert (list(found.values()), absent) == ([path], [])
 
+    @pytest.mark.parametrize("pattern", ["M1_*.csv", "*1_?.csv", "M[12]_a.csv", "*", "M1_a.csv*"])
+    def test_a_folder_of_many_motors_is_listed_once(
+        self, spec: MotorSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pattern: str
+    ) -> None:
+        for name in ("M1_a.csv", "M1_b.csv", "M2_a.csv", ".M1_c.csv", "m1_a.csv"):
+            write(tmp_path / name, every_minute(n=1))
+        os.utime(tmp_path, (1, 1))
+        listed, scandir = [], os.scandir
+        monkeypatch.setattr(os, "scandir", lambda path: listed.append(path) or scandir(path))
+        for _ in range(3):
+            found, _ = find_logs(with_files(spec, pattern))
+        assert listed == [tmp_path]
+        monkeypatch.undo()
+        assert set(found.values()) == set(tmp_path.glob(pattern))
+        # One more is seen at once, and so it is soon after another.
+        for name in ("M1_x.csv", "M1_y.csv"):
+            write(tmp_path / name, every_minute(n=1))
+            found, _ = find_logs(with_files(spec, pattern))
+            assert set(found.values()) == set(tmp_path.glob(pattern))
+
     def test_a_glob_takes_no_folders(self, spec: MotorSpec, tmp_path: Path) -> None:
         (tmp_path / "folder.csv").mkdir()
         assert find_logs(spec) == ({}, [])

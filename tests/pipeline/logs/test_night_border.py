@@ -165,7 +165,6 @@ def gaps(workshop: Workshop) -> list[int]:
     return found.sort("night")["n_refused"].to_list()
 
 
-SPLIT = QUICK.replace('backend = "sequential"', "nights_a_part = 1")
 BORDER = 30 * 60  # seconds of the log before the night's end
 KNOTS = np.arange(-70, 3600, 230)  # the border lies 140 s behind one and 90 s before the next
 
@@ -219,16 +218,6 @@ class TestFiles:
         in_one.run()
         assert dict(in_parts.run().counts) == {"ok": 2}
         check_same_figures(in_one, in_parts, "input_files")
-
-    def test_in_tasks_of_a_night_each(self, make: Make, log: Log) -> None:
-        """The task of the second night knows the value that holds over the border, too."""
-        together, apart = make(), make()
-        for workshop, fleet in ((together, QUICK), (apart, SPLIT)):
-            write(workshop, "a", slice(0, BORDER), log)
-            write(workshop, "b", slice(BORDER, None), log)
-            (workshop.folder / "configs" / "fleet.toml").write_text(fleet, "utf-8")
-            assert dict(workshop.run().counts) == {"ok": 2}
-        check_same_figures(together, apart)
 
     def test_in_whatever_order_they_come(self, make: Make, log: Log) -> None:
         at_once, early_first, late_first = make(), make(), make()

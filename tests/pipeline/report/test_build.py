@@ -26,7 +26,6 @@ from pipeline.store.encoding import VERSION_KEY, write_table
 from pipeline.store.sealed import put_sealed, read_sealed, seal, unseal
 from pipeline.store.tables import night_file, read_table
 from tests.pipeline.calling import contents, refused
-from tests.pipeline.misbehaviour import Carried
 from tests.pipeline.report.conftest import change_table, rows_with, rows_without
 from tests.pipeline.report.packed import night_file as read_night_file
 from tests.pipeline.report.packed import page_payload, unpacked
@@ -124,7 +123,7 @@ def test_a_night_that_takes_its_worker_along_keeps_its_files_and_is_made_next_ti
     with monkeypatch.context() as patched:
         patched.setattr(build_module, "WORTH_WORKERS", 1)
         patched.setattr(build_module, "_program_hash", lambda: "another program")
-        patched.setattr(build_module, "make_night", Carried(make_or_die))
+        patched.setattr(build_module, "make_night", make_or_die)
         (fault,) = build(output, execution=Execution(workers=2)).faults
     assert fault.startswith("night 2026-01-03: worker_died: its worker process ended with SIGKILL")
     data = {path.relative_to(report) for path in (report / "data").rglob("*.js")}

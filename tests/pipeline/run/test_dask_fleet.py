@@ -6,7 +6,7 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,9 +20,11 @@ from pipeline.errors import EngineError
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.publishing import run_trends
 from pipeline.store.object_store import ObjectStore
+from pipeline.workers.engine import Workers
+from pipeline.workers.process import Done
 from tests.conftest import OwnFleet
-from tests.pipeline.dask_processes import ROOT, Processes, scheduler_with
-from tests.pipeline.dask_tasks import die_in_a_night, kill_worker_of_parquet
+from tests.pipeline.dask_processes import Processes, scheduler_with
+from tests.pipeline.dask_tasks import kill_worker_of_parquet
 from tests.pipeline.mini_fleet import mini_fleet
 from tests.pipeline.run.demo_runs import (
     MOTORS,
@@ -54,34 +56,16 @@ def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
                 killed.append(min(client.run(os.getpid).values()))
             os.kill(killed[0], signal.SIGKILL)
 
-    # Each motor in chunks, too: they travel to the task that joins them.
-    execution = two_workers.execution(nights_a_part=2)
-    result = run(demo_folder / "configs" / "fleet.toml", tmp_path, execution, kill_one)
+    fleet = demo_folder / "configs" / "fleet.toml"
+    result = run(fleet, tmp_path, two_workers.execution(), kill_one)
     assert killed
     assert status_of(result) == dict.fromkeys(MOTORS, "ok")
     assert table_files(tmp_path) == table_files(fitted_output)
     assert not (tmp_path / "staging").exists()
     # And nothing is new for the next run, wherever that is done.
-    again = run(demo_folder / "configs" / "fleet.toml", tmp_path, two_workers.execution())
+    again = run(fleet, tmp_path, two_workers.execution())
     assert again.n_nights == 0
     assert table_files(tmp_path) == table_files(fitted_output)
-
-
-@pytest.mark.full
-def test_a_night_that_its_process_dies_of_costs_no_other(
-    two_workers: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fleet = mini_fleet(tmp_path, 1, 3)
-    how = two_workers.execution(nights_a_part=2)
-    with monkeypatch.context() as patched:
-        patched.setattr("pipeline.run.motors.run_motor", die_in_a_night)
-        (outcome,) = run(fleet, output_of(fleet), how).outcomes
-    assert (dict(outcome.counts), outcome.error_code) == ({"ok": 2, "failed": 1}, "worker_died")
-    # Done once more, it has the figures of a run in which nothing died.
-    again = replace(load_fleet(fleet), execution=how)
-    assert run_fleet(RunRequest(again, retry=True)).failed == ()
-    run(fleet, tmp_path / "whole", load_fleet(fleet).execution)
-    check_same_tables(output_of(fleet), tmp_path / "whole", "M1")
 
 
 @pytest.mark.full
@@ -99,21 +83,6 @@ def test_a_motor_that_kills_every_worker_fails_alone(
     assert failed.error_code == "worker_died"
     assert "2 workers died of it" in (failed.message or "")
     check_same_tables(output_of(fleet), fitted_output, "CB400-01")
-
-
-@pytest.mark.full
-def test_workers_of_this_machine_write_the_same_bytes(
-    own_fleet: OwnFleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    fleet = own_fleet("CB400-01", "CB400-02")
-    execution, environment = load_fleet(fleet).execution, dict(os.environ)
-    for backend in ("dask", "sequential"):
-        how = execution.model_copy(update={"backend": backend})
-        run(fleet, tmp_path / backend, how)
-    # What is meant for its workers stays with them.
-    assert dict(os.environ) == environment
-    assert table_files(tmp_path / "dask") == table_files(tmp_path / "sequential")
 
 
 def test_the_command_ends_with_4_without_a_scheduler(
@@ -162,7 +131,7 @@ def test_workers_read_logs_from_a_bucket_and_the_tables_go_into_one(
         fleet.write_text(
             text.replace("[folders]", '[folders]\nobject_store = "s3://test-dask/fleet"'), "utf-8"
         )
-        result = run(fleet, tmp_path / "work", processes.execution(nights_a_part=1))
+        result = run(fleet, tmp_path / "work", processes.execution())
         assert status_of(result) == {"CB400-01": "ok", "CB400-02": "ok"}
         elsewhere = run(fleet, tmp_path / "elsewhere", processes.execution())
         assert elsewhere.n_nights == 0
@@ -176,16 +145,16 @@ def test_trends_without_an_engine_are_made_by_the_next_run(
     fleet = mini_fleet(tmp_path, 2, 2)
 
     @contextmanager
-    def lost_before_trends(*_: object) -> Iterator[Any]:
-        def run_tasks(function: Any, tasks: Sequence[Any], *_: Any, **__: Any) -> Iterator[Any]:
+    def lost_before_trends(*_: object) -> Iterator[Workers]:
+        def tried(function: Any, tasks: Iterable[Any], _: int) -> Iterator[Any]:
             if function is run_trends:
                 raise EngineError("scheduler_lost", "the connection to the scheduler is lost")
-            yield from map(function, tasks)
+            return ((task, Done(function(task))) for task in tasks)
 
-        yield run_tasks
+        yield Workers(tried, 1)
 
     with monkeypatch.context() as patched:
-        patched.setattr("pipeline.run.fleet.open_engine", lost_before_trends)
+        patched.setattr("pipeline.run.fleet.open_workers", lost_before_trends)
         result = run_fleet(RunRequest(load_fleet(fleet)))
     # The nights are published, and it is told why the motors have no trends.
     assert (result.n_nights, result.interrupted) == (4, False)

@@ -1,11 +1,9 @@
-"""A log that blocks is named and costs its night; who hangs holds up nobody else."""
+"""A log that blocks is named and costs its night, and no other."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,20 +18,20 @@ import pipeline.run.motors
 from pipeline.cli import main
 from pipeline.clock import latest_us
 from pipeline.config import load_fleet
-from pipeline.errors import LockedError
 from pipeline.ingest import read_log
 from pipeline.logs.files import NEW_LOG, find_logs
 from pipeline.logs.motor_logs import LogShelf
-from pipeline.run.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask, without_lost_part
 from pipeline.workers import process
-from pipeline.workers.process import Loss
+from pipeline.workers.process import Limits, Loss, do
 from tests.pipeline.mini_fleet import FIRST, mini_fleet
 from tests.pipeline.remembered import ledger_of
 from tests.pipeline.workshop import DAY, Workshop
 
 BLOCKS = FIRST + 2 * DAY
+LIMITS = Limits(600.0, 60.0)
 SILENCE = Loss("log_no_answer", "it did not answer within 3 s")
 
 
@@ -81,15 +79,7 @@ def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
     config = mini_fleet(tmp_path, 2, 2, 'backend = "loky"\nanswer_s = 3.0\n')
     os.mkfifo(tmp_path / "logs" / "M1" / f"{BLOCKS}.parquet")
     monkeypatch.setattr(pipeline.run.motors, "run_motor", opened_all_the_same)
-    published: dict[str, list[str]] = {}
-
-    def look(outcome: MotorOutcome) -> None:
-        if outcome.motor_id == "M1":
-            published["M2"] = statuses(tmp_path, "M2")
-
-    result = run_fleet(RunRequest(load_fleet(config)), look)
-    # When it was done with, the other motor had long been published.
-    assert published == {"M2": ["ok", "ok"]}
+    result = run_fleet(RunRequest(load_fleet(config)))
     m1, m2 = result.outcomes
     assert (m1.status, m1.error_code, m2.status) == ("failed", "log_no_answer", "ok")
     assert statuses(tmp_path, "M1") == ["ok", "ok", "failed"]
@@ -98,85 +88,6 @@ def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
     assert row["message"] == (
         f"{BLOCKS}.parquet: did not answer within 3 s (night told by its name)"
     )
-
-
-# What is done of a motor of which nothing is heard
-
-
-@contextmanager
-def losing_the_first(*_: object) -> Iterator[Callable[..., Iterator[Any]]]:
-    """An engine that loses the task of M1 the first time."""
-
-    def run_tasks(
-        function: Callable[[Any], Any],
-        tasks: Sequence[Any],
-        lost: Callable[[Any, Loss], Any],
-        *,
-        first: bool = False,
-    ) -> Iterator[Any]:
-        for task in tasks:
-            if first and isinstance(task, MotorTask) and task.spec.motor_id == "M1":
-                yield lost(task, Loss("task_timeout", "not done within 60 s"))
-            else:
-                yield function(task)
-
-    yield run_tasks
-
-
-@pytest.fixture
-def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(pipeline.run.fleet, "open_engine", losing_the_first)
-    return mini_fleet(tmp_path, 2, 2)
-
-
-def outcomes(folder: Path) -> list[list[tuple[str, str, str | None]]]:
-    """Motors, what came of each and its code, run by run."""
-    runs = table(folder, "motor_outcomes").sort("started_at", "motor_id")
-    return [
-        list(part.select("motor_id", "status", "error_code").iter_rows())
-        for part in runs.partition_by("started_at", maintain_order=True)
-    ]
-
-
-def test_a_motor_that_hangs_is_done_by_a_run_of_its_own(config: Path, tmp_path: Path) -> None:
-    told: list[str] = []
-    result = run_fleet(RunRequest(load_fleet(config)), lambda one: told.append(one.motor_id))
-    assert told == ["M2", "M1"]
-    assert [(one.motor_id, one.status) for one in result.outcomes] == [("M1", "ok"), ("M2", "ok")]
-    assert result.n_nights == 4
-    assert statuses(tmp_path, "M1") == statuses(tmp_path, "M2") == ["ok", "ok"]
-    assert outcomes(tmp_path) == [
-        [("M1", "failed", "task_timeout"), ("M2", "ok", None)],
-        [("M1", "ok", None)],
-    ]
-    first = table(tmp_path, "motor_outcomes").filter(status="failed")["message"][0]
-    assert first == "not done within 60 s; tried again when the other motors are published"
-    assert table(tmp_path, "trends")["motor_id"].unique().sort().to_list() == ["M1", "M2"]
-
-
-def test_a_motor_alone_is_waited_for(config: Path, tmp_path: Path) -> None:
-    """There is nobody whom it holds up."""
-    result = run_fleet(RunRequest(load_fleet(config), ("M1",)))
-    assert [one.status for one in result.outcomes] == ["ok"]
-    assert len(outcomes(tmp_path)) == 1
-
-
-def test_it_is_left_to_the_next_run_where_another_has_begun(
-    config: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    run_once = pipeline.run.fleet._run_once
-
-    def locked(*given: Any, first: bool) -> RunResult:
-        if not first:
-            raise LockedError("locked", "another run writes to this output: process 1")
-        return run_once(*given, first=first)
-
-    monkeypatch.setattr(pipeline.run.fleet, "_run_once", locked)
-    told: list[str] = []
-    result = run_fleet(RunRequest(load_fleet(config)), lambda one: told.append(one.motor_id))
-    assert told == ["M2", "M1"]
-    assert [one.motor_id for one in result.failed] == ["M1"]
-    assert "process 1; the next run does what is left" in caplog.text
 
 
 # What is known of a log that does not answer
@@ -245,7 +156,7 @@ def test_one_new_log_is_read_at_once_unless_its_worker_died_of_it(
     parts, looked, real = [], [], pipeline.logs.files.time_span
 
     def read(log: Path, *source: Any) -> Any:
-        parts.append((log, process._said.part))
+        parts.append((log, process._mark.part))
         return read_log(log, *source)
 
     def look(log: Path, *source: Any) -> tuple[int, int]:
@@ -255,9 +166,9 @@ def test_one_new_log_is_read_at_once_unless_its_worker_died_of_it(
     monkeypatch.setattr(pipeline.logs.motor_logs, "read_log", read)
     monkeypatch.setattr(pipeline.logs.files, "time_span", look)
     task = workshop.task()
-    assert run_motor(task).nights == (FIRST + DAY,)
+    assert do(run_motor, task, LIMITS)[1].result.nights == (FIRST + DAY,)  # type: ignore[union-attr]
     assert (parts, looked) == ([(path, NEW_LOG)], [])
     again = without_lost_part(task, Loss("worker_died", "it ended with SIGSEGV", NEW_LOG))
     assert again is not None
-    assert run_motor(again).nights == (FIRST + DAY,)
+    assert do(run_motor, again, LIMITS)[1].result.nights == (FIRST + DAY,)  # type: ignore[union-attr]
     assert (parts[1:], looked) == ([(path, str(FIRST + DAY))], [path])

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.run.motor_nights
+from pipeline.config import load_fleet
 from pipeline.night.roller import is_roller_free
+from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.simulated import NIGHT, motor_toml, write_configs
 from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop, check_same_figures
 
@@ -66,3 +69,18 @@ def test_all_nights_change_with_the_decision(tmp_path: Path) -> None:
     assert one.run().n_refitted == 3
     assert forms(one) == [False] * 3
     assert one.rows("fits")["coefficients"][0].to_list() == pytest.approx(stated, rel=1e-9)
+
+
+def test_a_back_fill_in_parts_decides_with_the_first_that_can(tmp_path: Path) -> None:
+    parts, whole = workshop(tmp_path / "parts"), workshop(tmp_path / "whole")
+    for number in range(4):
+        for one in (parts, whole):
+            one.log(NIGHT + number * DAY, seed=number)
+    request = RunRequest(load_fleet(parts.fleet))
+    run_fleet(replace(request, until=NIGHT + DAY))
+    assert forms(parts) == [True] * 2
+    run_fleet(replace(request, since=NIGHT + 2 * DAY))
+    # Nothing is left to be fitted again.
+    assert parts.run().nights == ()
+    whole.run()
+    check_same_figures(parts, whole, "input_files")

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-import pipeline.workers.local
 from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.tasks import MotorTask
@@ -41,10 +40,10 @@ def unchanged(execution: Execution, *tasks: MotorTask) -> int:
 def test_a_run_with_nothing_new_starts_no_worker(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def forbidden(_: object) -> None:
+    def forbidden(*_: object, **__: object) -> None:
         raise AssertionError("a worker is started")
 
-    monkeypatch.setattr(pipeline.workers.local.Worker, "_start", forbidden)
+    monkeypatch.setattr("joblib.Parallel", forbidden)
     monkeypatch.setattr("pipeline.run.motors.run_motor", forbidden)
     fleet = replace(load_fleet(workshop.fleet), execution=BESIDE)
     (outcome,) = run_fleet(RunRequest(fleet)).outcomes

@@ -25,9 +25,8 @@ from pipeline.run.publishing import run_trends
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.trends.tasks import TrendOutcome, TrendTask
 from tests.conftest import OwnFleet
-from tests.pipeline.misbehaviour import MISBEHAVIOUR, Carried
+from tests.pipeline.misbehaviour import MISBEHAVIOUR, wait_until
 from tests.pipeline.remembered import change
-from tests.pipeline.workers.limits import execution, wait_until
 
 GOOD, BAD, OTHER = "CB400-01", "CB400-02", "CB560-01"
 
@@ -41,9 +40,9 @@ def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str
         return run_motor(task)
 
     fleet = load_fleet(fleet_file)
-    limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500})
+    limits = Execution(workers=2, timeout_s=20.0, memory_limit_mib=1500)
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.run.motors, "run_motor", Carried(run_or_misbehave))
+        patched.setattr(pipeline.run.motors, "run_motor", run_or_misbehave)
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
 
 
@@ -130,8 +129,8 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
         Course.step = die  # type: ignore[method-assign]
         return run_trends(task)
 
-    monkeypatch.setattr(pipeline.run.publishing, "run_trends", Carried(run_or_die))
-    limits = execution().model_copy(update={"timeout_s": 60.0, "memory_limit_mib": 1500})
+    monkeypatch.setattr(pipeline.run.publishing, "run_trends", run_or_die)
+    limits = Execution(workers=2, timeout_s=60.0, memory_limit_mib=1500)
     result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
     assert [one.motor_id for one in result.failed] == [BAD]
     row = outcome_rows(output_of(fleet))[BAD]
@@ -149,7 +148,6 @@ from pathlib import Path
 import pipeline.run.fleet
 import pipeline.run.motors
 from pipeline.cli import main
-from tests.pipeline.misbehaviour import Carried
 
 marker = sys.argv.pop()
 
@@ -158,7 +156,7 @@ def wait(task):
     while True:
         signal.pause()
 
-pipeline.run.publishing.run_trends = Carried(wait)
+pipeline.run.publishing.run_trends = wait
 main()
 """
 
