@@ -58,16 +58,15 @@ def prune(
                 "table": one.table,
                 "n_files": len(one.names),
                 "size_bytes": one.size_bytes,
-                "first_night": one.nights[0].isoformat(),
-                "last_night": one.nights[-1].isoformat(),
+                "first_night": one.first.isoformat(),
+                "last_night": one.last.isoformat(),
                 "removed": yes,
                 "loss": one.loss,
             }
             say(json.dumps(line))
             continue
         say(
-            f"{one.table}: {counted(len(one.nights), 'night')}, "
-            f"{one.nights[0]} to {one.nights[-1]}, "
+            f"{one.table}: {counted(len(one.names), 'file')}, {one.first} to {one.last}, "
             f"{one.size_bytes / 1024**2:.1f} MiB {word}; with them goes: {one.loss}"
         )
     if not as_json:

@@ -29,7 +29,6 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
     from collections import Counter
 
     from pipeline.run.plans import plan_fleet, plan_trends
-    from pipeline.store.manifest import manifest_keys
     from pipeline.store.verification import compare_published
 
     total = 0
@@ -56,7 +55,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
         else:
             say(f"{motor_id}: all trends redone: {reason}")
     output = request.fleet.output
-    for fault in compare_published(output, manifest_keys(output), lambda _: False).faults:
+    for fault in compare_published(output, is_due=lambda _: False).faults:
         line = {"event": "table_fault", **asdict(fault)}
         words = f"motor-leakage: {fault}"
         say(json.dumps(line) if as_json else words, err=True)

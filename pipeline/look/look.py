@@ -15,8 +15,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-
 from pipeline.clock import latest_us, microseconds, now, utc
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash, hash_of, own_version
@@ -25,11 +23,9 @@ from pipeline.look.before import nights_before
 from pipeline.look.motor import Change, looked_at, without_watch
 from pipeline.look.state import LookState, Rise, read_state, write_state
 from pipeline.look.verdicts import verdicts
-from pipeline.schema import LOOKS, frame
+from pipeline.schema import LOOKS
 from pipeline.store.locks import locked
-from pipeline.store.manifest import MONTH_PREFIX
 from pipeline.store.publishing import Publisher
-from pipeline.store.tables import ENDING, read_table, table_folder
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import TOLD_LOOKS, open_outbox, read_outbox, take_up
@@ -178,20 +174,15 @@ def _circuit_words(rise: Rise, others: Sequence[LookState]) -> str:
 
 
 def publish_looks(output: Path, rows: Sequence[Row], run_id: str) -> None:
-    """Publish rows of `looks`: a file a day, with a manifest that no nightly run writes.
+    """Publish rows of `looks`, whose manifests no nightly run writes.
 
     Raises StoreError if they cannot be published.
     """
-    by_day: defaultdict[dt.date, list[Row]] = defaultdict(list)
+    by_month: defaultdict[str, list[Row]] = defaultdict(list)
     for row in rows:
-        by_day[row["time"].date()].append(row | {"run_id": run_id})
-    for day, some in by_day.items():
-        folder = table_folder(output, LOOKS) / f"{MONTH_PREFIX}{day:%Y-%m}"
-        path, new = folder / f"looks-{day}{ENDING}", frame(LOOKS, some)
-        if path.exists():
-            present = read_table(path, LOOKS)
-            new = pl.concat([present.join(new, on=list(LOOKS.key), how="anti"), new])
-        Publisher(output, output, run_id).put({path: new.sort(LOOKS.key)})
+        by_month[f"{row['time']:%Y-%m}"].append(row | {"run_id": run_id})
+    for month, some in by_month.items():
+        Publisher(output, output, run_id).add(month, {LOOKS: some})
 
 
 def _tell(output: Path, receivers: Sequence[Receiver], fleet: str) -> None:

@@ -9,7 +9,6 @@ import polars as pl
 
 from pipeline.errors import StoreError, UsageError
 from pipeline.schema import ALARMS, FITS, LATEST, TABLES, TRENDS, WATCH
-from pipeline.store.manifest import manifest_keys
 from pipeline.store.tables import existing_tables, files_of
 from pipeline.store.verification import compare_published
 
@@ -71,7 +70,7 @@ class Tables:
         StoreError
             ``store_read``: a file is not what was published.
         """
-        faults = compare_published(self.output, manifest_keys(self.output)).faults
+        faults = compare_published(self.output).faults
         if faults:
             told = "; ".join(f"{fault.path}: {fault.message}" for fault in faults)
             raise StoreError("store_read", told)

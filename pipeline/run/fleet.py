@@ -34,9 +34,8 @@ from pipeline.store.atomic_files import make_private_folder, remove_all, remove_
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.locks import locked
-from pipeline.store.manifest import Key, manifest_keys
-from pipeline.store.months import join_months, last_month_over
 from pipeline.store.object_store import ObjectStore
+from pipeline.store.old_layout import take_over
 from pipeline.store.publishing import Publisher
 from pipeline.store.verification import TableFault
 from pipeline.store.working_copy import pull, working_copy
@@ -140,7 +139,8 @@ def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunRes
                 damage = Damage(output, restore)
                 result = _run(request, staging, progress, heartbeat, run_tasks, damage, first=first)
             queue_alarms(fleet)
-        if not result.files:
+        # A motor without an outcome of its own has its own words.
+        if not any(one.files or not one.finished for one in result.outcomes):
             place = fleet.log_place
             log.warning("no log of any motor is below %s: is the folder mounted?", place)
         # What was said before may not be published: now it is.
@@ -194,6 +194,7 @@ def _run(
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
+    take_over(fleet.output, damage.forget)
     damage.look_around(share_due(fleet.output, fleet.execution.prove_within_days, started))
     restore_decisions(fleet.output)
     tasks = [task_of(request, spec, staging) for spec in request.specs]
@@ -217,7 +218,7 @@ def _run(
     heartbeat.say(stage="publishing", run_id=run_id)
     publisher = Publisher(fleet.output, staging, run_id, fleet.execution.workers)
     with interrupts_held() as came:
-        damage.look_into(_keys_of(finished))
+        damage.look_into(_months_of(finished))
         n_nights = publish_motors(publisher, finished)
     interrupted = interrupted or bool(came)
     ends.append(time.perf_counter())
@@ -236,7 +237,7 @@ def _run(
     codes = {one.error_code for one in finished} | {one.code for one in trends.failures.values()}
     if "store_read" in codes:
         # What a task could not read is found and named; the next run makes it anew.
-        damage.look_into(manifest_keys(fleet.output))
+        damage.look_into()
     for name in publisher.damaged:  # the publisher has said so
         damage.found.setdefault(name, TableFault(name, "table_altered", PUT_ASIDE_LATE))
     ends.append(time.perf_counter())
@@ -255,32 +256,12 @@ def _run(
     heartbeat.say(stage="recording")
     with interrupts_held() as came:
         publish_run(publisher, request, result, started, config_hash)
-    interrupted = interrupted or bool(came) or not _join_months(fleet, trends, publisher)
-    return replace(result, interrupted=interrupted)
+    return replace(result, interrupted=interrupted or bool(came))
 
 
-def _join_months(fleet: Fleet, trends: PublishedTrends, publisher: Publisher) -> bool:
-    """Join the files of months that are long over, but for those with a night of this run.
-
-    Where that fails, the next run does it. False if it was interrupted.
-    """
-    nights = fleet.execution.join_months_after
-    if trends.tonight is None or not nights:
-        return True
-    try:
-        last = last_month_over(trends.tonight.night, nights)
-        join_months(fleet.output, publisher.staging, last, publisher.months)
-    except StoreError as error:
-        log.warning("%s; the next run joins its month", error)
-    except KeyboardInterrupt:
-        return False
-    return True
-
-
-def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
-    """The manifests of the nights that some motors have made."""
-    nights = {night for outcome in outcomes for night in outcome.nights}
-    return [(f"{night:%Y-%m}", night.isoformat()) for night in sorted(nights)]
+def _months_of(outcomes: Sequence[MotorOutcome]) -> list[str]:
+    """Months of the nights that some motors have made."""
+    return sorted({f"{night:%Y-%m}" for outcome in outcomes for night in outcome.nights})
 
 
 @contextmanager

@@ -12,8 +12,9 @@ import logging
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from pipeline.errors import StoreError
 from pipeline.logs.ledger import forget_nights
@@ -23,7 +24,6 @@ from pipeline.schema import DECISIONS, RUNS
 from pipeline.store.atomic_files import move, remove
 from pipeline.store.manifest import (
     WHOLE,
-    Key,
     manifest_file,
     manifest_key,
     manifest_keys,
@@ -34,10 +34,10 @@ from pipeline.store.manifest import (
 from pipeline.store.tables import (
     ENDING,
     PUT_ASIDE,
-    day_of_run,
     days_of,
+    files_of,
+    name_of,
     read_table,
-    table_folder,
     whole_file,
 )
 from pipeline.store.verification import (
@@ -72,28 +72,33 @@ NO_LOGS = "the logs of that night are gone, or were not asked for"
 FAULTS_TOLD = 20
 
 
-def share_due(output: Path, days: int, now: dt.datetime) -> Callable[[Key], bool]:
-    """Choice of the manifests whose files a run proves, so that all are proven within some days.
+def share_due(output: Path, days: int, now: dt.datetime) -> Callable[[str], bool]:
+    """Choice of the files that a run proves, by name, so that all are proven within some days.
 
     Each day has its share, and a run takes those of all days since the run before. Of several runs
     on a day each takes the next share.
     """
-    files = table_folder(output, RUNS).glob(f"month=*/*{ENDING}")
-    before = [day.toordinal() for path in files if (day := day_of_run(path)) is not None]
+    before = [day.toordinal() for day in _days_of_runs(output)]
     today = now.toordinal()
     last = max(before, default=today - days)
     if last < today:
         shares = {day % days for day in range(last + 1, today + 1)}
     else:
         shares = {(today + sum(day >= today for day in before)) % days}
-    return lambda key: _turn(key) % days in shares
+    return lambda name: _turn(name) % days in shares
 
 
-def _turn(key: Key) -> int:
-    """Number of a manifest, by its day: shares are taken modulo the days."""
-    _, name = key
+def _days_of_runs(output: Path) -> Iterator[dt.date]:
+    """Days on which runs began, as far as the table tells."""
+    for path in files_of(output, RUNS):
+        with suppress(StoreError):  # which is told where it is mended
+            yield from read_table(path, RUNS, columns=("started_at",))["started_at"].dt.date()
+
+
+def _turn(name: str) -> int:
+    """Number of a file, by its night if it has one: shares are taken modulo the days."""
     try:
-        return dt.date.fromisoformat(name.partition("T")[0]).toordinal()
+        return dt.date.fromisoformat(PurePosixPath(name).stem).toordinal()
     except ValueError:
         return zlib.crc32(name.encode())
 
@@ -123,24 +128,24 @@ class Damage:
     _fitted: defaultdict[str, set[dt.date]] = field(default_factory=lambda: defaultdict(set))
     _late: set[str] = field(default_factory=set)
 
-    def look_around(self, due: Callable[[Key], bool]) -> None:
+    def look_around(self, due: Callable[[str], bool]) -> None:
         """Before the motors: check all published files, and prove those due.
 
         Raises StoreError if something cannot be read or written; what was done before then holds.
         """
         self.mend(self.named(rebuild_manifests(self.output, self.restore)))
-        self._look(manifest_keys(self.output), due)
+        self._look(None, due)
 
-    def look_into(self, keys: Iterable[Key]) -> None:
-        """After the motors: prove the files of some manifests; raises as `look_around`."""
+    def look_into(self, months: Iterable[str] | None = None) -> None:
+        """After the motors: prove the files of some months, or all; raises as `look_around`."""
         before = set(self.found)
-        self._look(keys, lambda _: True)
+        self._look(months, lambda _: True)
         self._late |= self.found.keys() - before
 
-    def _look(self, keys: Iterable[Key], due: Callable[[Key], bool]) -> None:
-        seen = compare_published(self.output, keys, due)
+    def _look(self, months: Iterable[str] | None, due: Callable[[str], bool]) -> None:
+        seen = compare_published(self.output, months, due)
         for key in seen.proven:
-            renew_manifest(self.output, *key)
+            renew_manifest(self.output, key)
         self.mend(self.named(seen.faults))
 
     def named(self, faults: Iterable[TableFault]) -> list[TableFault]:
@@ -158,24 +163,22 @@ class Damage:
 
         Raises StoreError if something cannot be written.
         """
-        lost = [one for one in faults if one.code in LOST and manifest_key(one.path)[0] != WHOLE]
+        lost = [one for one in faults if one.code in LOST and manifest_key(one.path) != WHOLE]
         lost = [one for one in lost if not self.restore(f"tables/{one.path}")]
-        self._forget([one.path for one in lost])
+        self.forget([one.path for one in lost])
         for one in lost:
             path = self.output / "tables" / one.path
             if one.code == "table_altered":
                 move(path, path.with_suffix(PUT_ASIDE))
-            month, label = manifest_key(one.path)
-            if one.path.split("/")[0] not in OF_MOTORS | OF_TRENDS or label == month:
-                # Tables of a run cannot be made anew, and a month is, night by night.
-                update_manifest(self.output, month, label, {one.path: None})
+            if one.path.split("/")[0] not in OF_MOTORS | OF_TRENDS:
+                update_manifest(self.output, {one.path: None})  # nothing makes it anew
 
-    def _forget(self, names: Iterable[str]) -> None:
+    def forget(self, names: Iterable[str]) -> None:
         """Let the nights of some files be made anew."""
         nights: defaultdict[dt.date, set[str]] = defaultdict(set)
         touched: list[dt.date] = []
         for name in names:
-            table, label = name.split("/")[0], manifest_key(name)[1]
+            table, label = name.split("/")[0], PurePosixPath(name).stem
             if table in OF_MOTORS:
                 for night in days_of(label):
                     nights[night].add(table)
@@ -193,15 +196,16 @@ class Damage:
         """Faults that were found and are not mended, given the nights made by motor."""
         mended: dict[dt.date, str] = {}
         for path, fault in self.found.items():
-            table, (month, label) = path.split("/")[0], manifest_key(path)
-            if table not in TABLE_OF or (month != WHOLE and table not in OF_MOTORS | OF_TRENDS):
+            table = path.split("/")[0]
+            if table not in TABLE_OF or not (
+                table in OF_MOTORS | OF_TRENDS or manifest_key(path) == WHOLE
+            ):
                 continue
             now = fault_of(self.output, path)
-            gone = label != month and not (self.output / "tables" / path).exists()
-            if now is not None or gone:
+            if now is not None or not (self.output / "tables" / path).exists():
                 yield self._not_made(now or fault)
             elif table in OF_MOTORS:
-                for night in days_of(label):
+                for night in days_of(PurePosixPath(path).stem):
                     mended.setdefault(night, path)
         for night, path in mended.items():
             lost = [
@@ -228,18 +232,19 @@ def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
     """
     unlisted = unlisted_files(output)
     for key in sorted(unlisted.keys() | set(manifest_keys(output))):
-        if read_manifest(output, *key) is not None:
+        if read_manifest(output, key) is not None:
             continue
-        path = manifest_file(output, *key)
+        path = manifest_file(output, key)
         place, was_there = path.relative_to(output).as_posix(), path.exists()
         kind = "manifest_damaged" if was_there else "manifest_missing"
-        if restore(place) and read_manifest(output, *key) is not None:
+        if restore(place) and read_manifest(output, key) is not None:
             yield TableFault(place, kind, "brought back from the object store")
             continue
         names = [name for name in unlisted.get(key, ()) if _is_called_as_ours(name)]
         proofs = proofs_of(output, names)
         if was_there or proofs:
-            update_manifest(output, *key, {name: digest for name, (digest, _) in proofs.items()})
+            remove(path)
+            update_manifest(output, {name: digest for name, (digest, _) in proofs.items()})
             counts = Counter(proof for _, proof in proofs.values())
             yield TableFault(place, kind, _how_rebuilt(counts))
         for name in names:
@@ -250,7 +255,7 @@ def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
 
 def _is_called_as_ours(name: str) -> bool:
     """True if a run writes files of this name."""
-    table, label = name.split("/")[0], manifest_key(name)[1]
+    table, label = name.split("/")[0], PurePosixPath(name).stem
     if table not in TABLE_OF or not name.endswith(ENDING):
         return False
     try:
@@ -273,7 +278,7 @@ def restore_decisions(output: Path) -> None:
     Raises StoreError if the journal cannot be read or written.
     """
     path = whole_file(output, DECISIONS)
-    if not path.exists() or fault_of(output, path.relative_to(output / "tables").as_posix()):
+    if not path.exists() or fault_of(output, name_of(output, path)):
         return
     try:
         rows = read_table(path, DECISIONS).drop("run_id").to_dicts()
@@ -305,7 +310,7 @@ def mend_output(
     for one in found:
         if one.code in LOST and not (output / "tables" / one.path).exists():
             # It cannot be made anew, and is reported no more.
-            update_manifest(output, *manifest_key(one.path), {one.path: None})
+            update_manifest(output, {one.path: None})
         elif one.code in ("ledger_damaged", "history_damaged"):
             remove(output / one.path)
         elif one.path.endswith(PUT_ASIDE):

@@ -33,7 +33,7 @@ from pipeline.schema import (
 from pipeline.store.atomic_files import remove, take_over
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
-from pipeline.store.tables import month_stamps, published_rows, whole_file
+from pipeline.store.tables import month_stamps, read_table, whole_file
 from pipeline.trends.nights.decisions import journal_file, read_decisions
 from pipeline.trends.nights.tonight import Tonight, tonight_of
 from pipeline.trends.nights.trend_record import (
@@ -177,7 +177,7 @@ def _nothing_since(path: Path) -> bool:
 def _published_latest(output: Path) -> pl.DataFrame:
     """The table `latest` of the run before; empty where there is none that is whole."""
     try:
-        return published_rows(output, whole_file(output, LATEST), LATEST)
+        return read_table(whole_file(output, LATEST), LATEST)
     except StoreError as error:
         if error.code != "store_read":
             raise

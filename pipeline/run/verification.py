@@ -7,7 +7,6 @@ from pathlib import Path
 
 from pipeline.errors import StoreError
 from pipeline.store.atomic_files import TEMPORARY_PREFIX
-from pipeline.store.manifest import manifest_keys
 from pipeline.store.sealed import read_sealed, unseal
 from pipeline.store.verification import TableFault, compare_published, verify_unlisted
 from pipeline.telling.outbox import OUTBOX_FILES, read_outbox_file
@@ -27,7 +26,7 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
     TableFault
         For each file that differs, is missing, is in no manifest, or is damaged.
     """
-    yield from compare_published(output, manifest_keys(output)).faults
+    yield from compare_published(output).faults
     yield from verify_unlisted(output)
     yield from _verify_sealed(output)
     yield from _verify_journal(output)

@@ -29,8 +29,6 @@ TEMPORARY_PREFIX = ".writing-"
 MODE = 0o644
 PRIVATE = 0o700
 BUFFER = 1 << 20
-# Of Linux: <fcntl.h> and <linux/fs.h>.
-AT_FDCWD, RENAME_EXCHANGE = -100, 2
 
 Write = Callable[[BinaryIO], object]
 
@@ -282,41 +280,6 @@ def take_over(staging: Path, places: Mapping[Path, Path]) -> None:
                 put(place, read(file))
                 os.unlink(file)
     flush_disk(place)
-
-
-def can_exchange(folder: Path) -> bool:
-    """True if folders below a folder of scratch files can be exchanged."""
-    one, other = folder / "one", folder / "other"
-    try:
-        make_folders(one)
-        make_folders(other)
-        exchange(one, other)
-    except (StoreError, OSError):
-        return False
-    return True
-
-
-def exchange(folder: Path, place: Path) -> None:
-    """Put a folder into the place of another, and that one into its, in one step.
-
-    Who lists the place sees the files of the one or of the other. (`renameat2`, Linux 3.15; not
-    on network shares.)
-
-    Raises StoreError if the file system cannot do so; both then stay.
-    """
-    with store_errors(place):
-        os.chmod(folder, stat.S_IMODE(os.stat(place).st_mode))
-        flush_path(folder)
-        library = ctypes.CDLL(None, use_errno=True)
-        names = os.fsencode(folder), os.fsencode(place)
-        try:
-            failed = library.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], RENAME_EXCHANGE)
-        except AttributeError:
-            raise OSError(errno.ENOSYS, "this system cannot exchange folders") from None
-        if failed:
-            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-        flush_path(place.parent)
-        flush_path(folder.parent)
 
 
 def remove(path: Path) -> None:

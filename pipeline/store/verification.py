@@ -14,24 +14,23 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
+import polars as pl
 
 from pipeline.errors import StoreError
 from pipeline.messages import counted
 from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES, Table
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, read
-from pipeline.store.encoding import DAMAGE, as_parquet, parts_told
+from pipeline.store.encoding import DAMAGE, as_parquet, opened, row_groups
 from pipeline.store.manifest import (
     MONTH_PREFIX,
     WHOLE,
-    Key,
     Manifest,
     manifest_file,
     manifest_key,
+    manifest_keys,
     read_manifest,
 )
-from pipeline.store.tables import ENDING, PUT_ASIDE, damaged, rows_and_version
+from pipeline.store.tables import ENDING, PUT_ASIDE, damaged, days_of, require_known
 
 AGAIN = "a run makes it anew"
 TABLE_OF = {table.name: table for table in TABLES}
@@ -58,15 +57,14 @@ def prove(path: Path, table: Table) -> tuple[str, Proof]:
     """
     try:
         content = read(path)
-        rows, version = rows_and_version(path, table, content)
-        parts = parts_told(pq.read_metadata(pa.BufferReader(content)))
-        of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in rows.columns
-        nights = (
-            {str(night) for night in rows["night"].unique().drop_nulls()} if of_night else set()
-        )
-        if nights - (parts.keys() or {path.stem}):
+        with opened(content) as file:
+            version = require_known(path, table, file)
+            rows = pl.concat(row_groups(file), rechunk=True)
+        is_of_nights = path.parent.name.startswith(MONTH_PREFIX) and "night" in rows.columns
+        nights = set(rows["night"].drop_nulls()) if is_of_nights else set()
+        if nights and nights - set(days_of(path.stem)):
             raise ValueError("it has rows of other nights")
-        same = as_parquet(rows, version, parts) == content
+        same = as_parquet(rows, version) == content
     except DAMAGE as error:
         raise damaged(path, table, error) from error
     return hashlib.sha256(content).hexdigest(), Proof.WHOLE if same else Proof.PAGES
@@ -93,26 +91,31 @@ class Comparison:
 
     # Files that differ, are absent or cannot be read, and manifests that are damaged.
     faults: tuple[TableFault, ...]
-    proven: tuple[Key, ...]  # manifests whose files are whole though one was written to since
+    proven: tuple[str, ...]  # manifests whose files are whole though one was written to since
 
 
 def compare_published(
-    output: Path, keys: Iterable[Key], is_due: Callable[[Key], bool] = lambda _: True
+    output: Path,
+    keys: Iterable[str] | None = None,
+    is_due: Callable[[str], bool] = lambda _: True,
 ) -> Comparison:
-    """Compare files of manifests that are due, and all that are missing or written to since."""
+    """Compare the files of some manifests, all by default: those due, missing or written to since.
+
+    `is_due` tells by the name of a file.
+    """
     faults: list[TableFault] = []
-    proven: list[Key] = []
-    for key in keys:
-        manifest = read_manifest(output, *key)
+    proven: list[str] = []
+    for key in manifest_keys(output) if keys is None else keys:
+        manifest = read_manifest(output, key)
         if manifest is None:
-            path = manifest_file(output, *key)
+            path = manifest_file(output, key)
             if path.exists():
                 message = "the manifest is damaged; a run makes it anew from the files"
                 name = path.relative_to(output).as_posix()
                 faults.append(TableFault(name, "manifest_damaged", message))
             continue
         later = _written_since(output, key, manifest)
-        names = manifest.names if is_due(key) else later
+        names = later | {name for name in manifest.names if is_due(name)}
         found = [fault for name in sorted(names) if (fault := fault_of(output, name)) is not None]
         faults += found
         if later and not found:
@@ -120,9 +123,9 @@ def compare_published(
     return Comparison(tuple(faults), tuple(proven))
 
 
-def _written_since(output: Path, key: Key, manifest: Manifest) -> set[str]:
+def _written_since(output: Path, key: str, manifest: Manifest) -> set[str]:
     """Files that were written to after their manifest, or are missing."""
-    published_ns = _written_ns(manifest_file(output, *key))
+    published_ns = _written_ns(manifest_file(output, key))
     tables = os.fspath(output / "tables")
     return {
         name
@@ -147,7 +150,7 @@ def fault_of(output: Path, name: str) -> TableFault | None:
     """
     fault = None
     for _ in range(2):
-        manifest = read_manifest(output, *manifest_key(name)) or Manifest()
+        manifest = read_manifest(output, manifest_key(name)) or Manifest()
         fault = _compare(output, name, manifest.accepted(name))
         if fault is None:
             break
@@ -175,15 +178,15 @@ def _again(name: str) -> str:
     """The words for a file that is damaged or gone: who makes it anew."""
     if name.split("/")[0] in OF_MOTORS:
         return f"{AGAIN} where the logs of that night are there"
-    if name.split("/")[0] in OF_TRENDS or manifest_key(name)[0] == WHOLE:
+    if name.split("/")[0] in OF_TRENDS or manifest_key(name) == WHOLE:
         return AGAIN
     return "it told of a run, and nothing makes it anew"
 
 
-def unlisted_files(output: Path) -> dict[Key, list[str]]:
+def unlisted_files(output: Path) -> dict[str, list[str]]:
     """Table files that no manifest lists, or a damaged one, by the manifest that should."""
     # Files first, then manifests: a run announces a file before it puts it there.
-    found: defaultdict[Key, set[str]] = defaultdict(set)
+    found: defaultdict[str, set[str]] = defaultdict(set)
     tables = os.fspath(output / "tables")
     for folder, _, files in os.walk(tables):
         below = folder[len(tables) + 1 :]
@@ -193,7 +196,7 @@ def unlisted_files(output: Path) -> dict[Key, list[str]]:
                 found[manifest_key(name)].add(name)
     unlisted = {}
     for key, names in sorted(found.items()):
-        manifest = read_manifest(output, *key) or Manifest()
+        manifest = read_manifest(output, key) or Manifest()
         if left := names - manifest.names:
             unlisted[key] = sorted(left)
     return unlisted
@@ -221,10 +224,10 @@ def verify_unlisted(output: Path) -> Iterator[TableFault]:
     """Table files that no manifest lists, and manifests that are missing."""
     for key, names in unlisted_files(output).items():
         strangers = set(names)
-        if read_manifest(output, *key) is None:
+        if read_manifest(output, key) is None:
             proofs = proofs_of(output, names)
             strangers -= proofs.keys()
-            path = manifest_file(output, *key)
+            path = manifest_file(output, key)
             if proofs and not path.exists():
                 message = (
                     f"there is no manifest of {counted(len(proofs), 'file')}; a run makes it anew"
