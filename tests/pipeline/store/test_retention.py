@@ -64,9 +64,7 @@ def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Worksho
     before = contents(workshop)
     pruned(workshop)
     after = contents(workshop)
-    gone = {
-        f"tables/predictions/month={night:%Y-%m}/{night}.parquet" for night in NIGHTS[:-2]
-    }
+    gone = {f"tables/predictions/month={night:%Y-%m}/{night}.parquet" for night in NIGHTS[:-2]}
     # A month is as old as its last night.
     gone.add("tables/sensitivities/month=2026-02/2026-02.parquet")
     assert before.keys() - after.keys() == gone

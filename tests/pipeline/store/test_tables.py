@@ -298,7 +298,12 @@ class TestPublish:
         """Also two in a microsecond; one that is added again replaces itself."""
         start = dt.datetime(2026, 1, 31, 23, 59, 59, 5, tzinfo=dt.UTC)
         publisher = Publisher(tmp_path, tmp_path, "r")
-        for run_id, started in (("b", start), ("a", start), ("b", start), ("c", start - dt.timedelta(1))):
+        for run_id, started in (
+            ("b", start),
+            ("a", start),
+            ("b", start),
+            ("c", start - dt.timedelta(1)),
+        ):
             publisher.add("2026-01", {RUNS: [{"run_id": run_id, "started_at": started}]})
         found = read_table(table_folder(tmp_path, RUNS) / "month=2026-01" / "2026-01.parquet", RUNS)
         assert found["run_id"].to_list() == ["c", "a", "b"]
