@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import zlib
+from bisect import bisect_left
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
@@ -19,6 +22,10 @@ from pipeline.schema import SCHEMA_VERSION
 from pipeline.store.atomic_files import Prepared, prepare
 
 VERSION_KEY = "motor_leakage_schema_version"
+# What the footer says of types and row groups, once more and with a checksum: of the footer's own
+# words a flipped bit gives other rows, or ends the process.
+INDEX_KEY = "motor_leakage_row_groups"
+INDEXED = ("motor_id", "night")
 # Rows of a row group: the writer needs memory for one of them, and a reader of some motors or
 # nights leaves the others out.
 ROWS_A_GROUP = 4_096
@@ -85,6 +92,7 @@ def _write(
     schema = _arrow(first).schema
     texts = [column.name for column in schema if pa.types.is_large_string(column.type)]
     digests: list[bytes] = []
+    index: list[tuple[int, dict[str, tuple[str, str]]]] = []
     with pq.ParquetWriter(
         stream,
         schema,
@@ -95,10 +103,26 @@ def _write(
     ) as file:
         for rows in chain([first], groups):
             digests.append(_digest(rows))
+            index.append((rows.height, _extremes(rows)))
             file.write_table(_arrow(rows), row_group_size=max(rows.height, 1))
+        told = json.dumps([_types(first), index], separators=(",", ":"))
         # Metadata of the schema would be left out with it.
-        file.add_key_value_metadata({VERSION_KEY: str(version)})
+        file.add_key_value_metadata({VERSION_KEY: str(version), INDEX_KEY: _checksum(told) + told})
     return digests
+
+
+def _types(rows: pl.DataFrame) -> dict[str, str]:
+    return {name: str(kind) for name, kind in rows.schema.items()}
+
+
+def _extremes(rows: pl.DataFrame) -> dict[str, tuple[str, str]]:
+    """Smallest and largest value of the columns by which row groups are found."""
+    found = {name: rows[name].drop_nulls().cast(pl.String) for name in INDEXED if name in rows}
+    return {name: (str(some.min()), str(some.max())) for name, some in found.items() if len(some)}
+
+
+def _checksum(text: str) -> str:
+    return f"{zlib.crc32(text.encode()):08x}"
 
 
 def _arrow(rows: pl.DataFrame) -> pa.Table:
@@ -132,20 +156,30 @@ def row_groups(
     columns: Sequence[str] | None = None,
     wanted: Mapping[str, Collection[Any]] | None = None,
 ) -> Iterator[pl.DataFrame]:
-    """Row groups of a file in turn; only those that may hold some wanted values of columns."""
-    footer = file.metadata
-    names = [footer.schema.column(place).path for place in range(footer.num_columns)]
-    asked = [(names.index(name), some) for name, some in (wanted or {}).items() if name in names]
-    for place in range(footer.num_row_groups):
-        group = footer.row_group(place)
-        if all(_may_hold(group.column(column).statistics, some) for column, some in asked):
-            table = file.read_row_group(place, columns=columns, use_threads=False)
-            rows = pl.from_arrow(table)
-            assert isinstance(rows, pl.DataFrame)
-            yield rows
+    """Row groups of a file in turn; only those that may hold some wanted values of columns.
+
+    Raises ValueError where the footer is damaged.
+    """
+    told = (file.metadata.metadata or {}).get(INDEX_KEY.encode(), b"").decode()
+    if told and _checksum(told[8:]) != told[:8]:
+        raise ValueError("the index of its row groups is damaged")
+    types, index = json.loads(told[8:]) if told else ({}, [])
+    if told and len(index) != file.num_row_groups:
+        raise ValueError(f"it has {file.num_row_groups} row groups; expected {len(index)}")
+    asked = {name: sorted(map(str, some)) for name, some in (wanted or {}).items()}
+    for place in range(file.num_row_groups):
+        height, extremes = index[place] if told else (None, {})
+        if not all(_may_hold(extremes[name], asked[name]) for name in asked.keys() & extremes):
+            continue
+        table = file.read_row_group(place, columns=columns, use_threads=False)
+        rows = pl.from_arrow(table)
+        assert isinstance(rows, pl.DataFrame)
+        if told and (height != rows.height or not _types(rows).items() <= types.items()):
+            raise ValueError("its footer is damaged: it tells other types or numbers of rows")
+        yield rows
 
 
-def _may_hold(told: pq.Statistics | None, values: Collection[Any]) -> bool:
-    if told is None or not told.has_min_max:
-        return True
-    return any(told.min <= value <= told.max for value in values)
+def _may_hold(extremes: Sequence[str], values: Sequence[str]) -> bool:
+    """True if one of some values, in order, lies between two."""
+    place = bisect_left(values, extremes[0])
+    return place < len(values) and values[place] <= extremes[1]
