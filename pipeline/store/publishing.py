@@ -204,8 +204,7 @@ class Publisher:
 
     def _give_up(self, file: NewFile, table: Table, staged: _Staged, forget: Forget) -> None:
         """Let the nights of a damaged file be made anew, but for what comes with the new one."""
-        if file.before is not None:
-            self.damaged.append(name_of(self.output, file.path))
+        self.damaged.append(name_of(self.output, file.path))
         for night in days_of(file.path.stem):
             new = {one for one, rows in staged.items() if night in rows.heights[table.name]}
             forget((night,), new)

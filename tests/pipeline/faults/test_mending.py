@@ -63,7 +63,7 @@ def test_a_file_that_is_gone_is_made_anew_by_the_next_run(
     assert f"table_missing: {name_of(path, output)}: the file is gone" in caplog.text
     check_repaired(output, tiny_fleet)
     told = pl.read_parquet(max((output / "tables" / "runs").rglob("*.parquet")))["damage"]
-    assert told.list.first().to_list()[0].startswith(f"table_missing: {name_of(path, output)}: ")
+    assert told.list.first().to_list()[-1].startswith(f"table_missing: {name_of(path, output)}: ")
 
 
 @pytest.mark.parametrize(
@@ -196,6 +196,7 @@ def test_damage_that_is_met_where_a_night_is_published_is_kept_as_well(
     ]
     assert found(result) == expected
     assert result.damage_left == ()
+    tiny_fleet.run(output)
     remove_aside(output)
     check_repaired(output, tiny_fleet)
 
@@ -210,10 +211,12 @@ def test_no_flipped_bit_of_a_footer_is_read_as_other_rows(output: Path) -> None:
         flipped = bytearray(whole)
         flipped[bit // 8] ^= 1 << bit % 8
         path.write_bytes(flipped)
-        with pytest.raises(StoreError, match=f"{MONTH}.parquet of fits is damaged"):
-            read_rows(output, FITS, MOTORS, FIT_COLUMNS, nights=[NIGHT])
-    path.write_bytes(whole)
-    assert sound.equals(read_rows(output, FITS, MOTORS, FIT_COLUMNS, nights=[NIGHT]))
+        try:
+            rows = read_rows(output, FITS, MOTORS, FIT_COLUMNS, nights=[NIGHT])
+        except StoreError as error:
+            assert f"{MONTH}.parquet of fits is damaged" in error.message
+        else:  # a bit of statistics that only others read
+            assert rows.equals(sound, null_equal=True)
 
 
 def test_a_file_that_may_not_be_read_is_named_and_left_alone(

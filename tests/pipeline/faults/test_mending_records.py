@@ -37,7 +37,7 @@ def test_a_deleted_folder_of_manifests_is_rebuilt(tiny_fleet: TinyFleet, output:
     assert set(codes(output)) == {"manifest_missing"}
     result = tiny_fleet.run(output)
     assert {fault.code for fault in result.damage} == {"manifest_missing"}
-    assert "11 files proven to the last byte" in result.damage[0].message
+    assert "13 files proven to the last byte" in result.damage[0].message
     assert result.damage_left == ()
     assert manifests(output).items() >= before.items()
     check_repaired(output, tiny_fleet)
