@@ -22,11 +22,12 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file, table_folder, whole_file
+from pipeline.store.tables import table_folder, whole_file
 from pipeline.store.views import write_views
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.rows.motor_states import MotorState, latest_rows
 from pipeline.trends.rows.watch_rows import WatchRow
+from tests.pipeline.written import write_nights
 
 EARLIER = dt.timedelta(days=40)
 NEWEST = dt.date(2026, 1, 4)
@@ -90,8 +91,7 @@ def write_trends(output: Path) -> None:
     }
     for table, own in rows.items():
         whole = frame(table, [{"run_id": "made", **row} for row in own])
-        for (night,), part in whole.partition_by("night", as_dict=True).items():
-            write_table(night_file(output, table, night), part.sort(table.key))
+        write_nights(output, table, whole)
     states = [
         MotorState(one.motor_id, one.state, one.sentence, one.advice, one)
         for one in watch

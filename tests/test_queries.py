@@ -22,8 +22,8 @@ from pipeline.schema import (
     SENSITIVITIES,
     TREND_TABLES,
 )
-from pipeline.store.encoding import write_table
 from pipeline.store.tables import night_file, read_table, table_folder
+from tests.pipeline.written import write_nights
 from tests.queried_tables import (
     EARLIER,
     FAILED,
@@ -71,20 +71,22 @@ def history(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     for table in (FITS, PARAMETERS, SENSITIVITIES, QUALITY, BLOCK_STATISTICS):
         for path in table_folder(fitted_output, table).rglob("*.parquet"):
             rows = known(read_table(path, table), table)
-            night = dt.date.fromisoformat(path.stem)
             before = rows.with_columns(pl.col("night") - EARLIER, **less_worn(table))
             added = [name for name in list(table.schema)[-2:] if name not in table.key]
-            write_table(night_file(folder / "out", table, night - EARLIER), before.drop(added))
-            now = with_faults(rows) if table is FITS and night == NEWEST else rows
-            write_table(night_file(folder / "out", table, night), now)
+            write_nights(folder / "out", table, before.drop(added))
+            is_newest = pl.col("night") == NEWEST
+            if table is FITS:
+                rows = pl.concat([rows.filter(~is_newest), with_faults(rows.filter(is_newest))])
+            write_nights(folder / "out", table, rows)
     write_trends(folder / "out")
     return folder
 
 
 def fits(history: Path, **values: object) -> Rows:
     """Primary rows of `fits` with the given values, of the newer nights."""
-    files = [night_file(history / "out", FITS, NEWEST - dt.timedelta(days=day)) for day in range(3)]
-    rows = pl.concat([read_table(path, FITS) for path in files]).filter("is_primary").to_dicts()
+    nights = [NEWEST - dt.timedelta(days=day) for day in range(3)]
+    newer = read_table(night_file(history / "out", FITS, NEWEST), FITS, nights)
+    rows = newer.filter("is_primary").to_dicts()
     return [row for row in rows if all(row[name] == value for name, value in values.items())]
 
 
@@ -191,10 +193,9 @@ def test_5_fit_on_new_data(ask: Any, history: Path) -> None:
 
 def test_6_refused_data(ask: Any, history: Path) -> None:
     rows = ask(6)
-    files = [
-        night_file(history / "out", QUALITY, NEWEST - dt.timedelta(days=day)) for day in range(3)
-    ]
-    nights = [row for path in files for row in read_table(path, QUALITY).to_dicts()]
+    newer = [NEWEST - dt.timedelta(days=day) for day in range(3)]
+    path = night_file(history / "out", QUALITY, NEWEST)
+    nights = read_table(path, QUALITY, newer).to_dicts()
     found = {(row["motor_id"], row["channel"], row["reason"]): row for row in rows}
     assert len(found) == len(rows)
     for key, row in found.items():
@@ -221,7 +222,7 @@ def test_8_error_budget(ask: Any, history: Path) -> None:
     assert len(rows) == 3
     (fit,) = fits(history, motor_id=STEADY, night=NEWEST)
     leakage = fit["reference_leakage_l_per_min"]
-    known = read_table(night_file(history / "out", SENSITIVITIES, NEWEST), SENSITIVITIES)
+    known = read_table(night_file(history / "out", SENSITIVITIES, NEWEST), SENSITIVITIES, [NEWEST])
     own = known.filter(motor_id=STEADY, indicator="reference_leakage")
     effects = dict(own.select("source", "effect").rows())
     largest = sorted(effects, key=lambda source: -abs(effects[source]))[:3]

@@ -31,7 +31,7 @@ CHANNEL_COLUMNS = (
 if TYPE_CHECKING:
     from pipeline.setup.channel_check import ChannelCheck
     from pipeline.setup.check import MotorCheck
-    from pipeline.store.verification import TableFault
+    from pipeline.store.published import TableFault
 
 
 def check(
@@ -44,11 +44,11 @@ def check(
         typer.Option(metavar="LOG", help="Print the TOML that reads this log, to paste."),
     ] = None,
     tables: Annotated[
-        bool, typer.Option("--tables", help="Compare every table file with its manifest instead.")
+        bool, typer.Option("--tables", help="Compare every table file with its SHA-256 instead.")
     ] = False,
-    mend: Annotated[
+    repair: Annotated[
         bool,
-        typer.Option("--mend", help="With --tables: repair damage, and give up what is lost."),
+        typer.Option("--repair", help="Put aside what is not its SHA-256, for the next run."),
     ] = False,
     output: Output = None,
 ) -> None:
@@ -58,15 +58,15 @@ def check(
 
     Example: motor-leakage check --suggest demo/logs/CB400-01/CB400-01_2026-01-03.csv
 
-    Example: motor-leakage check --tables --mend configs/fleet.toml
+    Example: motor-leakage check --repair configs/fleet.toml
 
     Exit code 0: no fault; 1: a log cannot be read, there is no log, or a file of the output is
     damaged; 2: a fault in the config.
     """
     from pipeline.setup.check import check_fleet
 
-    if tables or mend:
-        raise typer.Exit(_check_tables(config, output, as_json=as_json, mend=mend))
+    if tables or repair:
+        raise typer.Exit(_check_tables(config, output, as_json=as_json, is_mended=repair))
     if suggest is not None:
         from pipeline.setup.suggest import suggest as suggested
 
@@ -93,35 +93,37 @@ def check(
     raise typer.Exit(EXIT_MOTORS_FAILED if faulty else EXIT_OK)
 
 
-def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, mend: bool) -> int:
-    """Compare the files of an output with their manifests; returns the exit code."""
-    from pipeline.run.mending import mend_output
-    from pipeline.run.verification import verify_tables
+def _check_tables(
+    config: Path | None, output: Path | None, *, as_json: bool, is_mended: bool
+) -> int:
+    """Compare the files of an output with what was published; returns the exit code."""
+    from pipeline.run.mending import repair
     from pipeline.store.locks import locked
+    from pipeline.store.published import verify_tables
     from pipeline.store.state import make_ready, open_state
     from pipeline.store.tables import existing_tables
     from pipeline.store.working_copy import working_copy
 
     if config is None:
-        raise UsageError("config", "name the fleet file; expected CONFIG with --tables")
+        raise UsageError("config", "name the fleet file; expected CONFIG with --tables or --repair")
     fleet = load(config, output, None, logs=False)
     folder = fleet.output
-    if mend:
+    if is_mended:
         with locked(folder), working_copy(fleet.object_store, folder) as restore:
             make_ready(folder)
             with open_state(folder) as state:
-                found, left = mend_output(state, restore)
+                found, left = repair(state, restore)
     else:
         found = left = tuple(verify_tables(folder))
     _say_faults(found, "table_fault", "", as_json=as_json)
-    if mend:
+    if is_mended:
         _say_faults(left, "table_fault_left", "left: ", as_json=as_json)
-    # Tables that are missing by their manifests are reported already.
+    # Tables that are missing are reported already.
     tables = folder / "tables" if found else existing_tables(folder)
     n_files = sum(1 for _ in tables.glob("**/*.parquet"))
     total = {"event": "tables", "n_files": n_files, "n_faults": len(found), "n_left": len(left)}
     words = f"{counted(n_files, 'table file')}, {counted(len(found), 'fault')}"
-    words += f", {len(left)} left" * mend
+    words += f", {len(left)} left" * is_mended
     say(json.dumps(total) if as_json else words)
     return EXIT_MOTORS_FAILED if left else EXIT_OK
 

@@ -39,6 +39,7 @@ def prune(
     from pipeline.store.locks import locked
     from pipeline.store.retention import nights_kept, old_files
     from pipeline.store.retention import prune as remove
+    from pipeline.store.state import make_ready, open_state
     from pipeline.store.tables import existing_tables
     from pipeline.store.working_copy import working_copy
 
@@ -49,7 +50,9 @@ def prune(
     old = old_files(fleet.output, kept, None if tonight is None else tonight.night)
     if yes and old:
         with locked(fleet.output), working_copy(fleet.object_store, fleet.output):
-            remove(fleet.output, old)
+            make_ready(fleet.output)
+            with open_state(fleet.output) as state:
+                remove(state, old)
     word = "removed" if yes else "can be removed"
     for one in old:
         if as_json:
@@ -58,16 +61,15 @@ def prune(
                 "table": one.table,
                 "n_files": len(one.names),
                 "size_bytes": one.size_bytes,
-                "first_night": one.nights[0].isoformat(),
-                "last_night": one.nights[-1].isoformat(),
+                "first_night": one.first.isoformat(),
+                "last_night": one.last.isoformat(),
                 "removed": yes,
                 "loss": one.loss,
             }
             say(json.dumps(line))
             continue
         say(
-            f"{one.table}: {counted(len(one.nights), 'night')}, "
-            f"{one.nights[0]} to {one.nights[-1]}, "
+            f"{one.table}: {counted(len(one.names), 'file')}, {one.first} to {one.last}, "
             f"{one.size_bytes / 1024**2:.1f} MiB {word}; with them goes: {one.loss}"
         )
     if not as_json:

@@ -127,13 +127,12 @@ def export(
         str | None,
         typer.Option(metavar="PLACE", help="Write Delta Lake tables below a folder or URL."),
     ] = None,
-    duckdb: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write all tables into one DuckDB file.")
-    ] = None,
     tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
     motors: Motors = "",
     since: Annotated[str | None, typer.Option(help="First night, YYYY-MM-DD.")] = None,
     until: Annotated[str | None, typer.Option(help="Last night, YYYY-MM-DD.")] = None,
+    separator: Annotated[str, typer.Option(help="Character between the cells of CSV.")] = ",",
+    decimal: Annotated[str, typer.Option(help="Decimal sign of CSV: a point or a comma.")] = ".",
     bom: Annotated[
         bool, typer.Option("--bom", help="Begin each file with a byte order mark, for Excel.")
     ] = False,
@@ -143,29 +142,25 @@ def export(
 
     Example: motor-leakage export configs/fleet.toml --csv csv --tables fits,parameters --bom
 
+    Excel with a decimal comma reads --separator ';' --decimal , as it is.
+
     Text that a spreadsheet would evaluate as a formula gets an apostrophe in front.
 
     Example: motor-leakage export configs/fleet.toml --delta lake
 
-    Delta Lake tables are written whole, each in one transaction; a DuckDB file has all tables.
+    Delta Lake tables are written whole, each in one transaction.
     """
     from pipeline.config import load_fleet
-    from pipeline.export.csv import Selection, export_csv, tables_named
+    from pipeline.export.csv import Dialect, Selection, export_csv, tables_named
     from pipeline.export.delta import export_delta
-    from pipeline.export.duckdb import export_duckdb
 
-    if sum(place is not None for place in (csv, delta, duckdb)) != 1:
-        raise UsageError(
-            "export_format", "expected one of --csv FOLDER, --delta PLACE and --duckdb FILE"
-        )
+    if (csv is None) == (delta is None):
+        raise UsageError("export_format", "expected one of --csv FOLDER and --delta PLACE")
     fleet = load_fleet(config)
     root, named = output or fleet.output, tables_named(tables.replace(",", " ").split())
-    if duckdb is not None:
-        if tables or motors or since or until or bom:
-            raise UsageError("export_format", "--duckdb writes all tables, whole")
-        written = export_duckdb(root, duckdb)
-    elif delta is not None:
-        if motors or since or until or bom:
+    dialect = Dialect(separator, decimal, bom)
+    if delta is not None:
+        if motors or since or until or dialect != Dialect():
             raise UsageError("export_format", "--delta writes whole tables: expected only --tables")
         written = export_delta(root, delta, named)
     else:
@@ -173,7 +168,7 @@ def export(
         first, last = night_label(since, "--since"), night_label(until, "--until")
         in_order(first, last)
         selection = Selection(named, fleet.known_motors(motors.split()), first, last)
-        written = export_csv(root, csv, selection, byte_order_mark=bom)
+        written = export_csv(root, csv, selection, dialect)
     for one in written:
         version = "" if one.version is None else f"version {one.version}, "
         typer.echo(f"{one.place}: {version}{counted(one.n_rows, 'row')}")

@@ -27,8 +27,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
     from collections import Counter
 
     from pipeline.run.plans import plan_fleet, plan_trends
-    from pipeline.store.manifest import manifest_keys
-    from pipeline.store.verification import compare_published
+    from pipeline.store.published import faults_of
 
     total = 0
     for motor_id, plan in plan_fleet(request):
@@ -54,7 +53,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
         else:
             say(f"{motor_id}: all trends redone: {reason}")
     output = request.fleet.output
-    for fault in compare_published(output, manifest_keys(output), lambda _: False).faults:
+    for fault in faults_of(output):
         line = {"event": "table_fault", **asdict(fault)}
         words = f"motor-leakage: {fault}"
         say(json.dumps(line) if as_json else words, err=True)

@@ -62,10 +62,6 @@ class Execution(Section):
     prove_within_days: int = Field(30, ge=1, le=365)
     """Days within which every published file is read and compared with its manifest, a share in
     each run [days]."""
-    join_months_after: int = Field(14, ge=0)
-    """Nights after the end of a month until its files become one a table (all but
-    `block_statistics`); a night that comes later parts them until the next run without one; 0:
-    never."""
 
     def misfits(self) -> Iterator[Misfit]:
         """A cluster without an address."""

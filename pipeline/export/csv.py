@@ -20,17 +20,17 @@ from pipeline.errors import UsageError
 from pipeline.export import Exported
 from pipeline.schema import TABLES, TIMESTAMP, Table
 from pipeline.store.atomic_files import put, remove_leftovers
-from pipeline.store.tables import existing_tables, files_of, read_table, while_listed
+from pipeline.store.tables import existing_tables, files_of, read_table
 
 BYTE_ORDER_MARK = "\ufeff"
+SEPARATORS = (",", ";", "\t", "|")
+DECIMALS = (".", ",")
 TIME_FORMAT = "%Y-%m-%dT%H:%M:%S%.6fZ"
 
 # Characters that begin a formula for Excel, LibreOffice or Google Sheets, full-width forms
 # included: OWASP, "CSV Injection"; ASVS 5, requirement 1.2.10.
 _FORMULA_START = "=+\\-@＝＋－＠"
 _UNSAFE_START = rf"^([{_FORMULA_START}\t\r\n\x00])"
-# The same within a text, where a spreadsheet with another separator would begin a cell.
-_UNSAFE_WITHIN = rf"([;\t\r\n\x00])([{_FORMULA_START}])"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,25 @@ class Selection:
     # affected.
     since: dt.date | None = None
     until: dt.date | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """Form of the files; raises UsageError (``csv_dialect``) for one that no reader can take."""
+
+    separator: str = ","
+    decimal: str = "."
+    byte_order_mark: bool = False
+
+    def __post_init__(self) -> None:
+        if self.separator not in SEPARATORS or self.decimal not in DECIMALS:
+            raise UsageError(
+                "csv_dialect",
+                f"--separator is {self.separator!r} and --decimal {self.decimal!r}; expected one "
+                f"of {', '.join(map(repr, SEPARATORS))}, and of {', '.join(map(repr, DECIMALS))}",
+            )
+        if self.separator == self.decimal:
+            raise UsageError("csv_dialect", "--decimal , needs another --separator, such as ';'")
 
 
 def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
@@ -62,14 +81,14 @@ def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
 
 
 def export_csv(
-    output: Path, folder: Path, selection: Selection, *, byte_order_mark: bool = False
+    output: Path, folder: Path, selection: Selection, dialect: Dialect | None = None
 ) -> Iterator[Exported]:
     """Write tables as one CSV file each, each whole or not at all.
 
-    UTF-8, separated by commas, a header line, cells quoted where they must be. Null is an empty
-    cell, an empty text a quoted one; times are ISO 8601 in UTC, numbers as short as they can be
-    read back unchanged, lists JSON. Rows come night by night, within a night in the table's order.
-    With a byte order mark Excel takes a file for UTF-8.
+    UTF-8, a header line, cells quoted where they must be. Null is an empty cell, an empty text a
+    quoted one; times are ISO 8601 in UTC, numbers as short as they can be read back unchanged,
+    lists JSON. Rows come night by night, within a night in the table's order. With a byte order
+    mark Excel takes a file for UTF-8.
 
     Raises UsageError (``no_tables``, ``csv_folder``) if there are none yet, or the folder is the
     tables' own; StoreError if a table cannot be read or a file not be written.
@@ -79,31 +98,29 @@ def export_csv(
         raise UsageError("csv_folder", f"{folder} lies within the tables; name another folder")
     remove_leftovers([folder], below=False)
     for table in selection.tables:
-        yield _export_table(output, folder, table, selection, byte_order_mark)
+        yield _export_table(output, folder, table, selection, dialect or Dialect())
 
 
 def _export_table(
-    output: Path, folder: Path, table: Table, selection: Selection, byte_order_mark: bool
+    output: Path, folder: Path, table: Table, selection: Selection, dialect: Dialect
 ) -> Exported:
     path, count = folder / f"{table.name}.csv", 0
+    chosen, separator = _chosen(table, selection), dialect.separator
 
     def write(file: BinaryIO) -> None:
         nonlocal count
-        count = 0
-        file.write((BYTE_ORDER_MARK if byte_order_mark else "").encode())
-        file.write((",".join(table.schema) + "\n").encode())
-        for rows in _parts(output, table, selection):
+        file.write((BYTE_ORDER_MARK if dialect.byte_order_mark else "").encode())
+        file.write((separator.join(table.schema) + "\n").encode())
+        for one in files_of(output, table):  # one by one: memory does not grow with the history
+            rows = as_text(read_table(one, table).filter(chosen), separator)
             count += rows.height
-            file.write(as_text(rows).write_csv(include_header=False).encode())
+            text = rows.write_csv(
+                include_header=False, separator=separator, decimal_comma=dialect.decimal == ","
+            )
+            file.write(text.encode())
 
-    while_listed(lambda: put(path, write))
+    put(path, write)
     return Exported(table.name, str(path), count)
-
-
-def _parts(output: Path, table: Table, selection: Selection) -> Iterator[pl.DataFrame]:
-    """The chosen rows of a table, file after file: memory does not grow with the history."""
-    for path in files_of(output, table):
-        yield read_table(path, table).filter(_chosen(table, selection))
 
 
 def _chosen(table: Table, selection: Selection) -> pl.Expr:
@@ -126,7 +143,7 @@ def _day(table: Table) -> pl.Expr | None:
     return pl.col(times[0]).dt.date() if times else None
 
 
-def as_text(rows: pl.DataFrame) -> pl.DataFrame:
+def as_text(rows: pl.DataFrame, separator: str = ",") -> pl.DataFrame:
     """Rows as they go into CSV: times in ISO 8601, lists in JSON, text that stays text.
 
     Examples
@@ -146,7 +163,7 @@ def as_text(rows: pl.DataFrame) -> pl.DataFrame:
     columns = []
     for name, kind in rows.schema.items():
         if kind == pl.String:
-            columns.append(_harmless(pl.col(name)))
+            columns.append(_harmless(pl.col(name), separator))
         elif kind == TIMESTAMP:
             columns.append(pl.col(name).dt.strftime(TIME_FORMAT))
         elif isinstance(kind, pl.List):
@@ -155,9 +172,11 @@ def as_text(rows: pl.DataFrame) -> pl.DataFrame:
     return rows.with_columns(columns)
 
 
-def _harmless(text: pl.Expr) -> pl.Expr:
-    within = text.str.replace_all(_UNSAFE_WITHIN, "${1}'${2}")
-    return within.str.replace(_UNSAFE_START, "'${1}")
+def _harmless(text: pl.Expr, separator: str) -> pl.Expr:
+    # Also within a text, where a spreadsheet with another separator would begin a cell.
+    others = ",;".replace(separator, "")
+    within = rf"([{others}\t\r\n\x00])([{_FORMULA_START}])"
+    return text.str.replace_all(within, "${1}'${2}").str.replace(_UNSAFE_START, "'${1}")
 
 
 def _json(values: Sequence[object]) -> str:

@@ -13,7 +13,7 @@ from pipeline.errors import StoreError, UsageError
 from pipeline.export import Exported
 from pipeline.schema import TABLES, Table
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.tables import existing_tables, read_table, table_folder
+from pipeline.store.tables import existing_tables, files_of, read_table
 
 
 def export_delta(
@@ -27,7 +27,7 @@ def export_delta(
     tables, or if the place lies within them; StoreError if a table cannot be read or written.
     """
     try:
-        from deltalake import write_deltalake
+        from deltalake import DeltaTable, write_deltalake
         from deltalake.exceptions import DeltaError
     except ImportError as error:
         raise UsageError(
@@ -40,7 +40,7 @@ def export_delta(
         raise UsageError("delta_folder", f"{place} lies within the tables; name another folder")
     for table in tables:
         target = f"{place.rstrip('/')}/{table.name}"
-        paths = sorted(table_folder(output, table).rglob("*.parquet"))
+        paths = files_of(output, table)
         if not paths:
             continue
         count = [0]
@@ -52,7 +52,7 @@ def export_delta(
                 schema_mode="overwrite",
                 description=f"One row is {table.row}",
             )
-            version = _version(target)
+            version = DeltaTable(target).version()
         except (DeltaError, OSError) as error:
             raise StoreError("store_write", f"{target} cannot be written: {error}") from error
         yield Exported(table.name, target, count[0], version)
@@ -73,9 +73,3 @@ def _reader(paths: list[Path], table: Table, count: list[int]) -> pa.RecordBatch
             yield from rows.to_arrow(compat_level=pl.CompatLevel.oldest()).to_batches()
 
     return pa.RecordBatchReader.from_batches(schema, batches())
-
-
-def _version(target: str) -> int:
-    from deltalake import DeltaTable
-
-    return DeltaTable(target).version()

@@ -12,10 +12,7 @@ import logging
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
-
-import polars as pl
 
 from pipeline.clock import latest_us, microseconds, now, utc
 from pipeline.config import Fleet, MotorSpec
@@ -25,12 +22,10 @@ from pipeline.look.before import nights_before
 from pipeline.look.motor import Change, looked_at, without_watch
 from pipeline.look.state import LookState, Rise, read_states, write_state
 from pipeline.look.verdicts import verdicts
-from pipeline.schema import LOOKS, frame
+from pipeline.schema import LOOKS
 from pipeline.store.locks import locked
-from pipeline.store.manifest import MONTH_PREFIX
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import State, open_state
-from pipeline.store.tables import ENDING, read_table, table_folder
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import TOLD_LOOKS, open_outbox, take_up
@@ -101,7 +96,7 @@ def _look_at_circuit(
             if rows[-1]["to_state"] == after.state:
                 after = replace(after, reason=rows[-1]["reason"])
             run_id = hash_of({"version": own_version(), "config": config_hash(spec)})
-            publish_looks(kept.output, rows, run_id)
+            publish_looks(kept, rows, run_id)
         if after is not before[motor_id]:
             write_state(kept, motor_id, after)
         found.append(MotorLook(motor_id, after, tuple(rows), fault))
@@ -181,21 +176,16 @@ def _circuit_words(rise: Rise, others: Sequence[LookState]) -> str:
     return f"{alike} of {len(latest)} other motors of its oil circuit have risen alike; "
 
 
-def publish_looks(output: Path, rows: Sequence[Row], run_id: str) -> None:
-    """Publish rows of `looks`: a file a day, with a manifest that no nightly run writes.
+def publish_looks(state: State, rows: Sequence[Row], run_id: str) -> None:
+    """Publish rows of `looks`, which no nightly run writes.
 
     Raises StoreError if they cannot be published.
     """
-    by_day: defaultdict[dt.date, list[Row]] = defaultdict(list)
+    by_month: defaultdict[str, list[Row]] = defaultdict(list)
     for row in rows:
-        by_day[row["time"].date()].append(row | {"run_id": run_id})
-    for day, some in by_day.items():
-        folder = table_folder(output, LOOKS) / f"{MONTH_PREFIX}{day:%Y-%m}"
-        path, new = folder / f"looks-{day}{ENDING}", frame(LOOKS, some)
-        if path.exists():
-            present = read_table(path, LOOKS)
-            new = pl.concat([present.join(new, on=list(LOOKS.key), how="anti"), new])
-        Publisher(output, output, run_id).put({path: new.sort(LOOKS.key)})
+        by_month[f"{row['time']:%Y-%m}"].append(row | {"run_id": run_id})
+    for month, some in by_month.items():
+        Publisher(state, state.output, run_id).add(month, {LOOKS: some})
 
 
 def _tell(state: State, receivers: Sequence[Receiver], fleet: str) -> None:

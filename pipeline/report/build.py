@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -35,9 +34,9 @@ from pipeline.report.night import night_payloads
 from pipeline.report.pages import ASSETS, UTC, FleetFacts, fleet_html, motor_html
 from pipeline.report.status import changed_by_rules, standing_states
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
-from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, WATCH
+from pipeline.schema import ALARMS, FITS, NIGHTLY_TABLES, SCHEMA_VERSION, WATCH, Table
 from pipeline.store.atomic_files import remove_leftovers
-from pipeline.store.tables import night_paths, table_folder
+from pipeline.store.tables import days_of, files_of, read_table, table_folder
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import backlogs
 from pipeline.workers.engine import open_workers
@@ -213,16 +212,28 @@ def _make_nights(
 
 
 def _table_states(output: Path, nights: Mapping[dt.date, object]) -> dict[dt.date, str]:
-    """Hash of size and time of each night's table files, taken before they are read."""
+    """Hash of what each night is made from, taken before it is read."""
     states = {night: hashlib.sha256() for night in nights}
     for table in SHOWN_TABLES:
-        for night, path in night_paths(output, table).items():
-            if night in states:
-                with suppress(FileNotFoundError):  # a run joins its month: it is made anew
-                    status = path.stat()
-                    state = f"{table.name} {status.st_size} {status.st_mtime_ns};"
-                    states[night].update(state.encode())
+        for path in files_of(output, table, nights):
+            for night, state in _states_in(path, table).items():
+                if night in states:
+                    states[night].update(f"{table.name} {state};".encode())
     return {night: state.hexdigest()[:16] for night, state in states.items()}
+
+
+def _states_in(path: Path, table: Table) -> dict[dt.date, str]:
+    """What tells whether a night's rows have changed: its file, or its rows in that of a month."""
+    status = path.stat()
+    stamp = f"{status.st_size} {status.st_mtime_ns}"
+    if table in NIGHTLY_TABLES:
+        return dict.fromkeys(days_of(path.stem), stamp)
+    try:
+        rows = read_table(path, table)
+    except StoreError:
+        return dict.fromkeys(days_of(path.stem), stamp)
+    sums = rows.select("night", state=rows.hash_rows()).group_by("night").agg(pl.sum("state"))
+    return {night: str(state) for night, state in sums.iter_rows()}
 
 
 def _lost_night(task: NightTask, loss: Loss) -> tuple[dt.date, Entries, list[str]]:

@@ -15,9 +15,8 @@ from pipeline.report.findings import COLUMNS as SCORED
 from pipeline.report.findings import Score, scores
 from pipeline.schema import ALARMS, FITS, WATCH
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
-from pipeline.store.manifest import manifest_keys
+from pipeline.store.published import TableFault, faults_of
 from pipeline.store.tables import read_rows
-from pipeline.store.verification import TableFault, compare_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
 from pipeline.trends.nights.decisions import Decision, read_decisions
@@ -66,7 +65,7 @@ def fleet_status(
         backlogs(output, receivers),
         _scores(output, motor_ids, decisions),
         changed_by_rules(alarms).height,
-        compare_published(output, manifest_keys(output), lambda _: False).faults,
+        faults_of(output),
     )
 
 

@@ -7,10 +7,9 @@ the report.
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import polars as pl
@@ -32,7 +31,7 @@ from pipeline.schema import (
     Table,
     frame,
 )
-from pipeline.store.tables import by_file, files_of, night_paths, read_table, while_listed
+from pipeline.store.tables import files_of, read_table
 from pipeline.trends.nights.decisions import Decision, read_decisions
 
 # Tables of a night that its page shows.
@@ -81,7 +80,7 @@ def read_night(output: Path, night: dt.date) -> dict[str, Read]:
     """
     found: dict[str, Read] = {}
     for table in SHOWN_TABLES:
-        found[table.name] = _read(partial(by_file, output, table, [night]), table, nights=[night])
+        found[table.name] = _read(output, table, nights=[night])
     fits = found["fits"].rows
     if fits["is_primary"].all():
         return found
@@ -104,9 +103,9 @@ def read_tables(output: Path) -> ReportTables:
 
     Raises StoreError if a file is of a newer version of the program.
     """
-    fits = _read(partial(_files, output, FITS), FITS)
-    runs = _read(partial(files_of, output, RUNS), RUNS, ["started_at", "fleet"])
-    trends = {table.name: _read(partial(_files, output, table), table) for table in TREND_TABLES}
+    fits = _read(output, FITS)
+    runs = _read(output, RUNS, ["started_at", "fleet"])
+    trends = {table.name: _read(output, table) for table in TREND_TABLES}
     newest = runs.rows.sort("started_at").get_column("fleet").drop_nulls()
     return ReportTables(
         fits=fits.rows.filter("is_primary").sort("motor_id", "night"),
@@ -122,37 +121,23 @@ def by_motor(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
     return {part["motor_id"][0]: part for part in rows.partition_by("motor_id")}
 
 
-def _files(output: Path, table: Table) -> dict[Path, None]:
-    """Files of a table's nights, each once."""
-    return dict.fromkeys(night_paths(output, table).values())
-
-
 def _read(
-    listed: Callable[[], Iterable[Path]],
+    output: Path,
     table: Table,
     columns: Sequence[str] | None = None,
     nights: Sequence[dt.date] | None = None,
 ) -> Read:
-    """Rows of some files of a table one below the other; damaged files are left out and named."""
-    return while_listed(lambda: _read_files(list(listed()), table, columns, nights))
-
-
-def _read_files(
-    paths: Sequence[Path],
-    table: Table,
-    columns: Sequence[str] | None,
-    nights: Sequence[dt.date] | None,
-) -> Read:
+    """Rows of a table one below the other; damaged files are left out and named."""
+    paths = files_of(output, table, nights)
     columns = list(table.schema) if columns is None else columns
 
     def part(path: Path) -> pl.DataFrame | str:
         try:
-            rows = read_table(path, table, nights)
+            return read_table(path, table, nights, columns)
         except StoreError as error:
-            if error.code != "store_read" or isinstance(error.__cause__, FileNotFoundError):
+            if error.code != "store_read":
                 raise
             return error.message
-        return rows.select(columns)
 
     if len(paths) < READING_THREADS:
         parts = list(map(part, paths))

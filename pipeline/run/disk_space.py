@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import shutil
-from collections import Counter
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.schema import FITS
-from pipeline.store.tables import night_paths
+from pipeline.schema import NIGHT_TABLES, NIGHTLY_TABLES, TREND_TABLES
+from pipeline.store.tables import files_of
 
 MIB = 1024**2
 # Staged rows are not compressed, and each table file is written beside the one that it replaces.
 STAGING_FACTOR = 6
-# Published nights whose size tells that of the next.
+# Published files whose size tells that of the next.
 NIGHTS_LOOKED_AT = 14
 
 
@@ -38,15 +37,15 @@ def require_space(output: Path, minimum_free_mib: float) -> None:
 
 
 def bytes_a_night(output: Path) -> int:
-    """Bytes that a night of the fleet takes while it is made, from the newest nights' tables."""
-    files = list(night_paths(output, FITS).values())
-    nights_in = Counter(files)
-    sizes = [
-        sum(
-            one.stat().st_size
-            for one in (output / "tables").glob(f"*/{path.parent.name}/{path.name}")
-        )
-        // nights_in[path]
-        for path in dict.fromkeys(files[-NIGHTS_LOOKED_AT:])
-    ]
-    return STAGING_FACTOR * max(sizes, default=0)
+    """Bytes that a night of the fleet takes while it is made, from the newest files of the tables.
+
+    The file of a month is written whole beside the one before it.
+    """
+    needed = 0
+    for table in (*NIGHT_TABLES, *TREND_TABLES):
+        sizes = [path.stat().st_size for path in files_of(output, table)[-NIGHTS_LOOKED_AT:]]
+        if table in NIGHTLY_TABLES:
+            needed += STAGING_FACTOR * max(sizes, default=0)
+        else:
+            needed += 2 * max(sizes, default=0)
+    return needed

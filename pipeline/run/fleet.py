@@ -10,7 +10,7 @@ import datetime as dt
 import logging
 import secrets
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from pipeline.config.fleet import LANDED_FOLDER
 from pipeline.errors import StoreError
 from pipeline.logs.finding import legible
 from pipeline.run.disk_space import require_space
-from pipeline.run.mending import Damage, restore_decisions, share_due
+from pipeline.run.mending import Damage, restore_decisions
 from pipeline.run.motors import motor_outcomes
 from pipeline.run.plans import task_of
 from pipeline.run.publishing import PublishedTrends, publish_latest, publish_motors, publish_trends
@@ -33,12 +33,11 @@ from pipeline.store.atomic_files import make_private_folder, remove_all, remove_
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.locks import locked
-from pipeline.store.manifest import Key, manifest_keys
-from pipeline.store.months import join_months, last_month_over
 from pipeline.store.object_store import ObjectStore
+from pipeline.store.old_layout import take_over
+from pipeline.store.published import TableFault, share_due, write_manifest
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import make_ready, open_state
-from pipeline.store.verification import TableFault
 from pipeline.store.working_copy import pull, working_copy
 from pipeline.telling.outbox import open_outbox
 from pipeline.telling.receivers import receivers_of
@@ -52,7 +51,7 @@ log = logging.getLogger(__name__)
 Progress = Callable[[MotorOutcome], None]
 
 # Folders of the output in which a killed run leaves temporary files.
-WRITTEN_FOLDERS = ("tables", "manifest", LANDED_FOLDER)
+WRITTEN_FOLDERS = ("tables", LANDED_FOLDER)
 PUT_ASIDE_LATE = "it is not what was published, and was put aside when its night was published"
 
 
@@ -96,16 +95,20 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (fleet.log_root, staging) if fleet.has_log_folder else (staging,)
             stores = (fleet.log_url,) if fleet.log_url else ()
-            is_lost = make_ready(output)
+            is_new = make_ready(output)
             with open_state(output) as state:
-                if is_lost:
+                damage = Damage(state, restore)
+                take_over(state, damage.forget)
+                if is_new:
                     restore_decisions(state)
+                    damage.take_stock()
                 open_outbox(state, [one.name for one in receivers], fleet.name)
                 with open_workers(fleet.execution, folders, stores) as workers:
-                    damage = Damage(state, restore)
                     result = _run(request, staging, progress, heartbeat, workers, damage)
                 queue_alarms(fleet, state)
-        if not result.files:
+                write_manifest(state)
+        # A motor without an outcome of its own has its own words.
+        if not any(one.files or not one.finished for one in result.outcomes):
             place = fleet.log_place
             log.warning("no log of any motor is below %s: is the folder mounted?", place)
         heartbeat.say(stage="telling")
@@ -157,7 +160,8 @@ def _run(
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet, state = request.fleet, damage.state
-    damage.look_around(share_due(fleet.output, fleet.execution.prove_within_days, started))
+    damage.look_around(share_due(state, fleet.execution.prove_within_days))
+    state.set_meta("share proven", f"{started:%Y-%m-%d}")
     tasks = [task_of(request, spec, staging) for spec in request.specs]
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
@@ -173,9 +177,8 @@ def _run(
     config_hash = config_hash_of(tasks)
     run_id = run_id_of(finished, config_hash)
     heartbeat.say(stage="publishing", run_id=run_id)
-    publisher = Publisher(fleet.output, staging, run_id, fleet.execution.workers)
+    publisher = Publisher(state, staging, run_id, fleet.execution.workers)
     with interrupts_held() as came:
-        damage.look_into(_keys_of(finished))
         n_nights = publish_motors(publisher, state, finished)
     interrupted = interrupted or bool(came)
     ends.append(time.perf_counter())
@@ -194,7 +197,7 @@ def _run(
     codes = {one.error_code for one in finished} | {one.code for one in trends.failures.values()}
     if "store_read" in codes:
         # What a task could not read is found and named; the next run makes it anew.
-        damage.look_into(manifest_keys(fleet.output))
+        damage.look_again()
     for name in publisher.damaged:  # the publisher has said so
         damage.found.setdefault(name, TableFault(name, "table_altered", PUT_ASIDE_LATE))
     ends.append(time.perf_counter())
@@ -213,32 +216,7 @@ def _run(
     heartbeat.say(stage="recording")
     with interrupts_held() as came:
         publish_run(publisher, request, result, started, config_hash)
-    interrupted = interrupted or bool(came) or not _join_months(fleet, trends, publisher)
-    return replace(result, interrupted=interrupted)
-
-
-def _join_months(fleet: Fleet, trends: PublishedTrends, publisher: Publisher) -> bool:
-    """Join the files of months that are long over, but for those with a night of this run.
-
-    Where that fails, the next run does it. False if it was interrupted.
-    """
-    nights = fleet.execution.join_months_after
-    if trends.tonight is None or not nights:
-        return True
-    try:
-        last = last_month_over(trends.tonight.night, nights)
-        join_months(fleet.output, publisher.staging, last, publisher.months)
-    except StoreError as error:
-        log.warning("%s; the next run joins its month", error)
-    except KeyboardInterrupt:
-        return False
-    return True
-
-
-def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
-    """The manifests of the nights that some motors have made."""
-    nights = {night for outcome in outcomes for night in outcome.nights}
-    return [(f"{night:%Y-%m}", night.isoformat()) for night in sorted(nights)]
+    return replace(result, interrupted=interrupted or bool(came))
 
 
 @contextmanager

@@ -1,57 +1,40 @@
-"""Mending of damaged output, by a run or by `check --tables --mend`.
+"""Mending of damaged output, by a run or by `check --repair`.
 
 Nothing is mended in its place. A damaged file is put aside, and its nights are forgotten, so that a
-run makes them anew from logs or stored blocks. A manifest lists a missing file until it is there
-again: if a run is broken off, the next one sees it. Each step can be repeated.
+run makes them anew from logs or stored blocks. A missing file stays listed until it is there again:
+if a run is broken off, the next one sees it. Each step can be repeated.
 """
 
 from __future__ import annotations
 
 import datetime as dt
 import logging
-import zlib
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from pipeline.errors import StoreError
 from pipeline.logs.ledger import forget_nights
 from pipeline.messages import counted
-from pipeline.run.verification import verify_tables
-from pipeline.schema import DECISIONS, RUNS
+from pipeline.schema import DECISIONS
 from pipeline.store.atomic_files import move, remove
-from pipeline.store.manifest import (
-    WHOLE,
-    Key,
-    manifest_file,
-    manifest_key,
-    manifest_keys,
-    read_manifest,
-    renew_manifest,
-    update_manifest,
-)
-from pipeline.store.state import State
-from pipeline.store.tables import (
-    ENDING,
-    PUT_ASIDE,
-    day_of_run,
-    days_of,
-    read_table,
-    table_folder,
-    whole_file,
-)
-from pipeline.store.verification import (
+from pipeline.store.published import (
     OF_MOTORS,
     OF_TRENDS,
     TABLE_OF,
-    Proof,
+    Looked,
     TableFault,
-    compare_published,
-    fault_of,
-    proofs_of,
-    unlisted_files,
+    files_there,
+    is_called_as_ours,
+    look_at,
+    look_at_files,
+    note,
+    proof_of,
+    verify_tables,
 )
+from pipeline.store.state import State
+from pipeline.store.tables import MONTH_PREFIX, PUT_ASIDE, days_of, read_table, whole_file
 from pipeline.trends.nights.decisions import Decision, put_back
 from pipeline.trends.nights.trend_record import note_touched
 
@@ -66,32 +49,6 @@ NEXT_RUN = "the next run makes it anew where the logs of that night are there"
 NO_LOGS = "the logs of that night are gone, or were not asked for"
 # Faults that are logged one by one.
 FAULTS_TOLD = 20
-
-
-def share_due(output: Path, days: int, now: dt.datetime) -> Callable[[Key], bool]:
-    """Choice of the manifests whose files a run proves, so that all are proven within some days.
-
-    Each day has its share, and a run takes those of all days since the run before. Of several runs
-    on a day each takes the next share.
-    """
-    files = table_folder(output, RUNS).glob(f"month=*/*{ENDING}")
-    before = [day.toordinal() for path in files if (day := day_of_run(path)) is not None]
-    today = now.toordinal()
-    last = max(before, default=today - days)
-    if last < today:
-        shares = {day % days for day in range(last + 1, today + 1)}
-    else:
-        shares = {(today + sum(day >= today for day in before)) % days}
-    return lambda key: _turn(key) % days in shares
-
-
-def _turn(key: Key) -> int:
-    """Number of a manifest, by its day: shares are taken modulo the days."""
-    _, name = key
-    try:
-        return dt.date.fromisoformat(name.partition("T")[0]).toordinal()
-    except ValueError:
-        return zlib.crc32(name.encode())
 
 
 @dataclass(slots=True)
@@ -124,25 +81,44 @@ class Damage:
         """The output folder."""
         return self.state.output
 
-    def look_around(self, due: Callable[[Key], bool]) -> None:
-        """Before the motors: check all published files, and prove those due.
+    def look_around(self, due: Collection[str] | None) -> None:
+        """Before the motors: prove the files that are due (None: all), or were written to since.
 
         Raises StoreError if something cannot be read or written; what was done before then holds.
         """
-        self.mend(self.named(rebuild_manifests(self.output, self.restore)))
-        self._look(manifest_keys(self.output), due)
+        self._settle(look_at_files(self.state, due))
 
-    def look_into(self, keys: Iterable[Key]) -> None:
-        """After the motors: prove the files of some manifests; raises as `look_around`."""
+    def look_again(self) -> None:
+        """After the motors: prove all files; raises as `look_around`."""
         before = set(self.found)
-        self._look(keys, lambda _: True)
+        self._settle(look_at_files(self.state, None))
         self._late |= self.found.keys() - before
 
-    def _look(self, keys: Iterable[Key], due: Callable[[Key], bool]) -> None:
-        seen = compare_published(self.output, keys, due)
-        for key in seen.proven:
-            renew_manifest(self.output, *key)
-        self.mend(self.named(seen.faults))
+    def _settle(self, files: Iterable[Looked]) -> None:
+        looked = list(files)
+        note(self.state, {one.name: one.sha256 for one in looked if one.fault is None})
+        self.mend(self.named(one.fault for one in looked if one.fault is not None))
+
+    def take_stock(self) -> None:
+        """List what is there and proves itself, where the state file was lost or is new.
+
+        Raises StoreError if the state cannot be written, or a file is of a newer version.
+        """
+        proven, faults = {}, []
+        for name in files_there(self.output):
+            listed = self.state.rows("SELECT 1 FROM files WHERE name = ?", name)
+            if not is_called_as_ours(self.output, name):
+                continue
+            if listed and look_at(self.state, name).fault is None:
+                continue
+            digest = proof_of(self.output, name)
+            if digest is not None:
+                proven[name] = digest
+            else:
+                message = "it is not listed, and is damaged or not what a run publishes"
+                faults.append(TableFault(name, "table_altered", message))
+        note(self.state, proven)
+        self.mend(self.named(faults))
 
     def named(self, faults: Iterable[TableFault]) -> list[TableFault]:
         """Log faults that are new, and return them."""
@@ -159,24 +135,22 @@ class Damage:
 
         Raises StoreError if something cannot be written.
         """
-        lost = [one for one in faults if one.code in LOST and manifest_key(one.path)[0] != WHOLE]
+        lost = [one for one in faults if one.code in LOST and MONTH_PREFIX in one.path]
         lost = [one for one in lost if not self.restore(f"tables/{one.path}")]
-        self._forget([one.path for one in lost])
+        self.forget([one.path for one in lost])
         for one in lost:
             path = self.output / "tables" / one.path
             if one.code == "table_altered":
                 move(path, path.with_suffix(PUT_ASIDE))
-            month, label = manifest_key(one.path)
-            if one.path.split("/")[0] not in OF_MOTORS | OF_TRENDS or label == month:
-                # Tables of a run cannot be made anew, and a month is, night by night.
-                update_manifest(self.output, month, label, {one.path: None})
+            if one.path.split("/")[0] not in OF_MOTORS | OF_TRENDS:
+                note(self.state, {one.path: None})  # nothing makes it anew
 
-    def _forget(self, names: Iterable[str]) -> None:
+    def forget(self, names: Iterable[str]) -> None:
         """Let the nights of some files be made anew."""
         nights: defaultdict[dt.date, set[str]] = defaultdict(set)
         touched: list[dt.date] = []
         for name in names:
-            table, label = name.split("/")[0], manifest_key(name)[1]
+            table, label = name.split("/")[0], PurePosixPath(name).stem
             if table in OF_MOTORS:
                 for night in days_of(label):
                     nights[night].add(table)
@@ -194,15 +168,15 @@ class Damage:
         """Faults that were found and are not mended, given the nights made by motor."""
         mended: dict[dt.date, str] = {}
         for path, fault in self.found.items():
-            table, (month, label) = path.split("/")[0], manifest_key(path)
-            if table not in TABLE_OF or (month != WHOLE and table not in OF_MOTORS | OF_TRENDS):
+            table = path.split("/")[0]
+            is_made_anew = table in OF_MOTORS | OF_TRENDS or MONTH_PREFIX not in path
+            if table not in TABLE_OF or not is_made_anew:
                 continue
-            now = fault_of(self.output, path)
-            gone = label != month and not (self.output / "tables" / path).exists()
-            if now is not None or gone:
+            now = look_at(self.state, path).fault
+            if now is not None or not (self.output / "tables" / path).exists():
                 yield self._not_made(now or fault)
             elif table in OF_MOTORS:
-                for night in days_of(label):
+                for night in days_of(PurePosixPath(path).stem):
                     mended.setdefault(night, path)
         for night, path in mended.items():
             lost = [
@@ -218,54 +192,8 @@ class Damage:
     def _not_made(self, fault: TableFault) -> TableFault:
         if fault.code == "table_unreadable":
             return fault
-        gives_up = f"not made anew: {NO_LOGS}; `check --tables --mend` gives it up"
+        gives_up = f"not made anew: {NO_LOGS}; `check --repair` gives it up"
         return replace(fault, message=NEXT_RUN if fault.path in self._late else gives_up)
-
-
-def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
-    """Restore missing or damaged manifests, or make them anew from files that prove themselves.
-
-    Raises StoreError if one cannot be written, or a file is of a newer version of the program.
-    """
-    unlisted = unlisted_files(output)
-    for key in sorted(unlisted.keys() | set(manifest_keys(output))):
-        if read_manifest(output, *key) is not None:
-            continue
-        path = manifest_file(output, *key)
-        place, was_there = path.relative_to(output).as_posix(), path.exists()
-        kind = "manifest_damaged" if was_there else "manifest_missing"
-        if restore(place) and read_manifest(output, *key) is not None:
-            yield TableFault(place, kind, "brought back from the object store")
-            continue
-        names = [name for name in unlisted.get(key, ()) if _is_called_as_ours(name)]
-        proofs = proofs_of(output, names)
-        if was_there or proofs:
-            update_manifest(output, *key, {name: digest for name, (digest, _) in proofs.items()})
-            counts = Counter(proof for _, proof in proofs.values())
-            yield TableFault(place, kind, _how_rebuilt(counts))
-        for name in names:
-            if name not in proofs:
-                message = "it is in no manifest, and is damaged or not what a run publishes"
-                yield TableFault(name, "table_altered", message)
-
-
-def _is_called_as_ours(name: str) -> bool:
-    """True if a run writes files of this name."""
-    table, label = name.split("/")[0], manifest_key(name)[1]
-    if table not in TABLE_OF or not name.endswith(ENDING):
-        return False
-    try:
-        return table not in OF_MOTORS | OF_TRENDS or bool(days_of(label))
-    except ValueError:
-        return False
-
-
-def _how_rebuilt(counts: Mapping[Proof, int]) -> str:
-    told = f"made anew: {counted(counts.get(Proof.WHOLE, 0), 'file')} proven to the last byte"
-    if pages := counts.get(Proof.PAGES, 0):
-        told += f", {pages} of other libraries by the checksums of their pages, which leave out "
-        told += "their footers"
-    return f"{told}; what may have been gone before is not known"
 
 
 def restore_decisions(state: State) -> None:
@@ -274,41 +202,30 @@ def restore_decisions(state: State) -> None:
     Raises StoreError if the state cannot be read or written.
     """
     path = whole_file(state.output, DECISIONS)
-    if not path.exists() or fault_of(
-        state.output, path.relative_to(state.output / "tables").as_posix()
-    ):
-        return
     try:
-        rows = read_table(path, DECISIONS).drop("run_id").to_dicts()
-    except StoreError:
+        rows = read_table(path, DECISIONS).drop("run_id").to_dicts() if path.exists() else []
+    except StoreError as error:
+        log.warning("%s; what people said is not put back from it", error)
         return
     if count := put_back(state, (Decision(**row) for row in rows)):
         log.warning("put back from the table `decisions`: %s", counted(count, "decision"))
 
 
-def mend_output(
-    state: State, restore: Restore
+def repair(
+    state: State, restore: Restore = lambda _: False
 ) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
-    """Mend damage without a run; the caller holds the lock.
+    """Put aside what is not as published, and let the next run make it anew.
 
-    Returns
-    -------
-    tuple of TableFault, tuple of TableFault
-        Faults that were found, and those that are left.
+    The caller holds the lock. What was put aside before goes, and what no run can make anew is
+    missed no more. Returns the faults that were found, and those that are left.
 
-    Raises
-    ------
-    StoreError
-        If something cannot be read or written.
+    Raises StoreError if something cannot be read or written.
     """
-    output = state.output
-    found = tuple(verify_tables(output))
+    for name in files_there(state.output):
+        if name.endswith(PUT_ASIDE):
+            remove(state.output / "tables" / name)
     damage = Damage(state, restore)
-    damage.mend([*rebuild_manifests(output, restore), *found])
-    for one in found:
-        if one.code in LOST and not (output / "tables" / one.path).exists():
-            # It cannot be made anew, and is reported no more.
-            update_manifest(output, *manifest_key(one.path), {one.path: None})
-        elif one.path.endswith(PUT_ASIDE):
-            remove(output / "tables" / one.path)
-    return found, tuple(verify_tables(output))
+    damage.look_around(None)
+    lost = [one.path for one in damage.found.values() if one.code in LOST]
+    note(state, {name: None for name in lost if not (state.output / "tables" / name).exists()})
+    return tuple(damage.found.values()), tuple(verify_tables(state.output))

@@ -31,7 +31,8 @@ from pipeline.schema import (
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import State
-from pipeline.store.tables import published_rows, whole_file
+from pipeline.store.tables import read_table, whole_file
+from pipeline.telling.outbox import take_up
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.nights.tonight import Tonight, tonight_of
 from pipeline.trends.nights.trend_record import forget_records, note_touched, write_record
@@ -65,9 +66,8 @@ def publish_motors(publisher: Publisher, state: State, outcomes: Sequence[MotorO
     note_touched(state, ((one.motor_id, min(one.nights)) for one in outcomes if one.nights))
     # Of a motor without a new night there may be the row of a log that is of none.
     staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
-    publisher.nights("nights", NIGHT_TABLES, staged, forget)
-    publisher.whole(DATA_DICTIONARY, data_dictionary())
-    with state.transaction():
+
+    def published() -> None:
         for motor_id in staged:
             change = staged_change(publisher.staging, motor_id)
             if change is not None:
@@ -75,6 +75,9 @@ def publish_motors(publisher: Publisher, state: State, outcomes: Sequence[MotorO
         _note_published(state, any(outcome.nights for outcome in outcomes))
         for nights, keep in forgotten:  # what a task has found unchanged is to be read again
             forget_nights(state, nights, keep)
+
+    publisher.nights("nights", NIGHT_TABLES, staged, forget, published)
+    publisher.whole(DATA_DICTIONARY, data_dictionary())
     return sum(len(outcome.nights) for outcome in outcomes)
 
 
@@ -130,7 +133,7 @@ def publish_trends(
         made = [lost_trends(task, Loss(error.code, error.message)) for task in tasks]
     failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
     with interrupts_held() as came:
-        alarms = _publish_trend_rows(publisher, state, made)
+        alarms = _publish_trend_rows(publisher, fleet, made)
     return PublishedTrends(tonight, failures, alarms, bool(came))
 
 
@@ -170,7 +173,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
 def _published_latest(output: Path) -> pl.DataFrame:
     """The table `latest` of the run before; empty where there is none that is whole."""
     try:
-        return published_rows(output, whole_file(output, LATEST), LATEST)
+        return read_table(whole_file(output, LATEST), LATEST)
     except StoreError as error:
         if error.code != "store_read":
             raise
@@ -184,9 +187,10 @@ def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:
 
 
 def _publish_trend_rows(
-    publisher: Publisher, state: State, made: Sequence[TrendOutcome]
+    publisher: Publisher, fleet: Fleet, made: Sequence[TrendOutcome]
 ) -> list[Mapping[str, Any]]:
-    """Publish what the tasks have staged; returns the new rows of `alarms`."""
+    """Publish what the tasks have staged, and queue it; returns the new rows of `alarms`."""
+    state = publisher.state
     if not made:
         return []
     records = {motor_id: one for some in made for motor_id, one in sorted(some.records.items())}
@@ -196,12 +200,14 @@ def _publish_trend_rows(
         lost.append(keep)
         forget_records(state, keep)
 
-    publisher.nights("trends", TREND_TABLES, sorted(records), forget)
-    with state.transaction():
+    def published() -> None:
         for motor_id, record in records.items():
             if all(motor_id in keep for keep in lost):
                 kept = kept_file(publisher.staging, motor_id).read_bytes()
                 write_record(state, motor_id, record, kept)
         _note_published(state, bool(records))
+        take_up(state, fleet.name)
+
+    publisher.nights("trends", TREND_TABLES, sorted(records), forget, published)
     new = [row for one in made for row in one.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))

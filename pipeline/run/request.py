@@ -12,7 +12,7 @@ from pipeline.clock import now
 from pipeline.config import Fleet, MotorSpec
 from pipeline.run.tasks import MotorOutcome
 from pipeline.schema.fits import FAILED
-from pipeline.store.verification import TableFault
+from pipeline.store.published import TableFault
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,7 +79,7 @@ def publish_run(
         "damage": [str(one) for one in result.damage],
     }
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
-    publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})
+    publisher.add(f"{started:%Y-%m}", {RUNS: [run], MOTOR_OUTCOMES: rows})
     write_views(fleet.output)
 
 

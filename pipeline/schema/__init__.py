@@ -64,7 +64,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table: its key sorts the rows, and no two rows share it."""
+    """A table: no two of its rows share the key."""
 
     name: str
     row: str
@@ -75,6 +75,12 @@ class Table:
     def schema(self) -> dict[str, Type]:
         """Polars types by column name."""
         return {column.name: column.type for column in self.columns}
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Columns that sort the rows of a file: those of a night, or of a run, lie together."""
+        first = [name for name in ("night", "started_at") if name in self.schema][:1]
+        return (*first, *(name for name in self.key if name not in first))
 
 
 def _lines(name: str) -> Iterator[list[str]]:
@@ -133,7 +139,7 @@ FIT_KEY_NAMES = FITS.key
 # Columns of what a row of `alarms` says; the others are its key, or follow from it.
 ALARM_CONTENT = ("from_state", "to_state", "way", "path", "reason")
 
-# One file a night; a redone night of a motor replaces that motor's rows in each of them.
+# A redone night of a motor replaces that motor's rows in each of them.
 NIGHT_TABLES = (
     FITS,
     PARAMETERS,
@@ -149,6 +155,8 @@ NIGHT_TABLES = (
 )
 # The same, made from the tables above after all motors are done.
 TREND_TABLES = (WATCH, TRENDS, ALARMS, BASELINES, CHANGE_POINTS)
+# One file a night, as many rows are rewritten; of all others but those below one file a month.
+NIGHTLY_TABLES = (PREDICTIONS, BLOCK_STATISTICS, RESIDUAL_TESTS)
 # One file each.
 WHOLE_TABLES = (LATEST, DECISIONS, DATA_DICTIONARY)
 TABLES = (

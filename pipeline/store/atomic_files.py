@@ -13,7 +13,7 @@ import io
 import os
 import secrets
 import stat
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,8 +29,6 @@ TEMPORARY_PREFIX = ".writing-"
 MODE = 0o644
 PRIVATE = 0o700
 BUFFER = 1 << 20
-# Of Linux: <fcntl.h> and <linux/fs.h>.
-AT_FDCWD, RENAME_EXCHANGE = -100, 2
 
 Write = Callable[[BinaryIO], object]
 
@@ -263,39 +261,25 @@ def move(path: Path, place: Path) -> None:
         flush_path(place.parent)
 
 
-def can_exchange(folder: Path) -> bool:
-    """True if folders below a folder of scratch files can be exchanged."""
-    one, other = folder / "one", folder / "other"
-    try:
-        make_folders(one)
-        make_folders(other)
-        exchange(one, other)
-    except (StoreError, OSError):
-        return False
-    return True
+def take_over(staging: Path, places: Mapping[Path, Path]) -> None:
+    """Move scratch files of a run to places on the same disk, where they survive a power cut.
 
-
-def exchange(folder: Path, place: Path) -> None:
-    """Put a folder into the place of another, and that one into its, in one step.
-
-    Who lists the place sees the files of the one or of the other. (`renameat2`, Linux 3.15; not
-    on network shares.)
-
-    Raises StoreError if the file system cannot do so; both then stay.
+    Raises StoreError if that fails; each file is at one of both places.
     """
-    with store_errors(place):
-        os.chmod(folder, stat.S_IMODE(os.stat(place).st_mode))
-        flush_path(folder)
-        library = ctypes.CDLL(None, use_errno=True)
-        names = os.fsencode(folder), os.fsencode(place)
-        try:
-            failed = library.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], RENAME_EXCHANGE)
-        except AttributeError:
-            raise OSError(errno.ENOSYS, "this system cannot exchange folders") from None
-        if failed:
-            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-        flush_path(place.parent)
-        flush_path(folder.parent)
+    if not places:
+        return
+    flush_disk(staging)
+    for file, place in places.items():
+        with store_errors(place):
+            make_folders(place.parent, flush=False)
+            try:
+                os.replace(file, place)
+            except OSError as error:
+                if error.errno != errno.EXDEV:
+                    raise
+                put(place, read(file))
+                os.unlink(file)
+    flush_disk(place)
 
 
 def remove(path: Path) -> None:

@@ -1,17 +1,14 @@
-"""Rows as Parquet files: encoded, and decoded with the checksums of their pages.
-
-A joined file holds several nights (or runs), one after the other; its footer says which, with their
-numbers of rows.
-"""
+"""Rows as Parquet files: encoded, and decoded with the checksums of their pages."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from bisect import bisect_right
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+import zlib
+from bisect import bisect_left
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import accumulate, chain
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +19,16 @@ from polars.exceptions import PanicException, PolarsError
 
 from pipeline.errors import StoreError
 from pipeline.schema import SCHEMA_VERSION
-from pipeline.store.atomic_files import Prepared, prepare, put
+from pipeline.store.atomic_files import Prepared, prepare
 
 VERSION_KEY = "motor_leakage_schema_version"
-# Nights (or runs) of a joined file and their numbers of rows, in the order of its rows.
-PARTS_KEY = "motor_leakage_parts"
-# Joined nights share a row group up to about so many rows.
-ROWS_A_GROUP = 122_880
-# Rows of a row group of a night: the writer needs memory for one of them, not for all motors.
-ROWS_A_SLICE = 4_096
+# What the footer says of types and row groups, once more and with a checksum: of the footer's own
+# words a flipped bit gives other rows, or ends the process.
+INDEX_KEY = "motor_leakage_row_groups"
+INDEXED = ("motor_id", "night")
+# Rows of a row group: the writer needs memory for one of them, and a reader of some motors or
+# nights leaves the others out.
+ROWS_A_GROUP = 4_096
 # Sizes of packed columns tell one state of a file from another: an engine that opens a file before
 # and after it is replaced finds no pages where the old footer has them. With Snappy, which is three
 # times as quick, columns of as many numbers are often of one size.
@@ -40,53 +38,34 @@ DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
 
 
 def write_table(path: Path, rows: pl.DataFrame) -> str:
-    """Write a table file whole or not at all, and return its SHA-256.
-
-    Raises StoreError if it cannot be written; the old file then stays.
-    """
-    return put(path, encode_table(path.name, rows))
-
-
-def encode_table(name: str, rows: pl.DataFrame) -> bytes:
-    """Rows as the bytes of a Parquet file; raises as `prepare_table`."""
-    stream = pa.BufferOutputStream()
-    with _told_of(name):
-        digests = _write_slices(stream, [rows])
-        encoded = stream.getvalue()
-        _require_same(_opened(encoded), digests)
-    return bytes(encoded)
+    """Write a table file whole or not at all, and return its SHA-256; raises as `prepare_table`."""
+    prepared = prepare_table(path, [rows])
+    prepared.land()
+    return prepared.sha256
 
 
 def prepare_table(path: Path, pieces: Iterable[pl.DataFrame]) -> Prepared:
-    """Prepare the file of a night, whose rows come in pieces; a row group at a time is in memory.
+    """Prepare a file whose rows come in pieces; a row group at a time is in memory.
 
     Raises StoreError if they cannot be written, or are decoded otherwise; nothing is left then.
     """
     digests: list[bytes] = []
-    with _told_of(path.name):
-        prepared = prepare(path, lambda stream: digests.extend(_write_slices(stream, pieces)))
+    try:
+        prepared = prepare(path, lambda stream: digests.extend(_write(stream, pieces)))
         try:
-            _require_same(_opened(prepared.temporary), digests)
+            _require_same(prepared.temporary, digests)
         except BaseException:
             prepared.drop()
             raise
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
     return prepared
 
 
-@contextmanager
-def _told_of(name: str) -> Iterator[None]:
-    try:
-        yield
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise StoreError("store_write", f"{name} cannot be written: {error}") from error
-
-
-def _require_same(file: pq.ParquetFile, digests: Sequence[bytes]) -> None:
+def _require_same(path: Path, digests: Sequence[bytes]) -> None:
     """Raise ValueError where row groups are not decoded as they were encoded."""
-    places = range(file.num_row_groups)
-    decoded = (_frame(file.read_row_group(place, use_threads=False)) for place in places)
-    with file:
-        if [_digest(rows) for rows in decoded] != digests:
+    with opened(path) as file:
+        if [_digest(rows) for rows in row_groups(file)] != digests:
             raise ValueError("what is read back is not what was written")
 
 
@@ -96,141 +75,111 @@ def _digest(rows: pl.DataFrame) -> bytes:
     return hashlib.sha256(repr(rows.schema).encode() + cells).digest()
 
 
-def as_parquet(rows: pl.DataFrame, version: int, parts: Mapping[str, int] | None = None) -> bytes:
-    """Rows as the bytes of a Parquet file of a schema version; of a joined one, given its parts."""
+def as_parquet(rows: pl.DataFrame, version: int) -> bytes:
+    """Rows as the bytes of a Parquet file of a schema version."""
     stream = pa.BufferOutputStream()
-    if parts:
-        begins = accumulate(parts.values(), initial=0)
-        named = zip(parts.items(), begins, strict=False)
-        nights = ((name, rows.slice(begin, count)) for (name, count), begin in named)
-        write_parts(stream, nights, version)
-    else:
-        _write_slices(stream, [rows], version)
+    _write(stream, [rows], version)
     encoded: bytes = stream.getvalue().to_pybytes()
     return encoded
 
 
-def write_parts(
-    stream: Any, parts: Iterable[tuple[str, pl.DataFrame]], version: int = SCHEMA_VERSION
-) -> None:
-    """Write a joined file of the rows of named nights to a stream."""
-    counts: list[tuple[str, int]] = []
-
-    def counted() -> Iterator[pl.DataFrame]:
-        for name, rows in parts:
-            counts.append((name, rows.height))
-            yield rows
-
-    def told() -> dict[str, str]:
-        return {VERSION_KEY: str(version), PARTS_KEY: json.dumps(counts, separators=(",", ":"))}
-
-    _write(stream, row_groups(counted()), told)
-
-
-def _write_slices(
+def _write(
     stream: Any, pieces: Iterable[pl.DataFrame], version: int = SCHEMA_VERSION
 ) -> list[bytes]:
-    """Write a night's rows to a stream; returns a digest of each row group."""
+    """Write rows to a stream; returns a digest of each row group."""
+    groups = _slices(pieces)
+    first = next(groups)
+    schema = _arrow(first).schema
+    texts = [column.name for column in schema if pa.types.is_large_string(column.type)]
     digests: list[bytes] = []
-
-    def groups() -> Iterator[pl.DataFrame]:
-        for rows in slices(pieces):
-            digests.append(_digest(rows))
-            yield rows
-
-    _write(stream, groups(), lambda: {VERSION_KEY: str(version)})
-    return digests
-
-
-def _write(stream: Any, groups: Iterator[pl.DataFrame], told: Callable[[], dict[str, str]]) -> None:
-    """Write row groups, then the metadata of the file."""
-    tables = (one.to_arrow(compat_level=pl.CompatLevel.oldest()) for one in groups)
-    first = next(tables)
-    texts = [column.name for column in first.schema if pa.types.is_large_string(column.type)]
+    index: list[tuple[int, dict[str, tuple[str, str]]]] = []
     with pq.ParquetWriter(
         stream,
-        first.schema,
+        schema,
         compression=COMPRESSION,
         use_dictionary=texts,
         write_page_checksum=True,
         store_schema=False,
     ) as file:
-        for table in chain([first], tables):
-            file.write_table(table, row_group_size=max(table.num_rows, 1))
+        for rows in chain([first], groups):
+            digests.append(_digest(rows))
+            index.append((rows.height, _extremes(rows)))
+            file.write_table(_arrow(rows), row_group_size=max(rows.height, 1))
+        told = json.dumps([_types(first), index], separators=(",", ":"))
         # Metadata of the schema would be left out with it.
-        file.add_key_value_metadata(told())
+        file.add_key_value_metadata({VERSION_KEY: str(version), INDEX_KEY: _checksum(told) + told})
+    return digests
 
 
-def slices(pieces: Iterable[pl.DataFrame]) -> Iterator[pl.DataFrame]:
-    """Row groups of a night, the same however its rows come in pieces."""
-    rest: list[pl.DataFrame] = []
-    for rows in pieces:
-        rest.append(rows)
-        while sum(one.height for one in rest) > ROWS_A_SLICE:
-            every = pl.concat(rest)
-            yield every.head(ROWS_A_SLICE).rechunk()
-            rest = [every.slice(ROWS_A_SLICE)]
-    yield pl.concat(rest, rechunk=True)
+def _types(rows: pl.DataFrame) -> dict[str, str]:
+    return {name: str(kind) for name, kind in rows.schema.items()}
 
 
-def _frame(table: pa.Table) -> pl.DataFrame:
-    rows = pl.from_arrow(table)
-    assert isinstance(rows, pl.DataFrame)
-    return rows
+def _extremes(rows: pl.DataFrame) -> dict[str, tuple[str, str]]:
+    """Smallest and largest value of the columns by which row groups are found."""
+    found = {name: rows[name].drop_nulls().cast(pl.String) for name in INDEXED if name in rows}
+    return {name: (str(some.min()), str(some.max())) for name, some in found.items() if len(some)}
 
 
-def _opened(place: bytes | pa.Buffer | Path) -> pq.ParquetFile:
-    source = place if isinstance(place, Path) else pa.BufferReader(place)
-    return pq.ParquetFile(source, page_checksum_verification=True)
+def _checksum(text: str) -> str:
+    return f"{zlib.crc32(text.encode()):08x}"
 
 
-def row_groups(parts: Iterable[pl.DataFrame]) -> Iterator[pl.DataFrame]:
-    """Nights put together up to the rows of a row group; each lies whole in one."""
+def _arrow(rows: pl.DataFrame) -> pa.Table:
+    return rows.to_arrow(compat_level=pl.CompatLevel.oldest())
+
+
+def _slices(pieces: Iterable[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+    """Row groups, the same however the rows come in pieces."""
     waiting: list[pl.DataFrame] = []
-    for rows in parts:
+    for rows in pieces:
         waiting.append(rows)
-        if sum(one.height for one in waiting) >= ROWS_A_GROUP:
-            yield pl.concat(waiting, rechunk=True)
-            waiting = []
-    if waiting:
-        yield pl.concat(waiting, rechunk=True)
+        if sum(one.height for one in waiting) > ROWS_A_GROUP:
+            every = pl.concat(waiting)
+            whole = (every.height - 1) // ROWS_A_GROUP * ROWS_A_GROUP
+            for begin in range(0, whole, ROWS_A_GROUP):
+                yield every.slice(begin, ROWS_A_GROUP).rechunk()
+            waiting = [every.slice(whole)]
+    yield pl.concat(waiting, rechunk=True)
 
 
-def from_parquet(
-    encoded: bytes, names: Collection[str] | None = None, columns: Sequence[str] | None = None
-) -> pa.Table:
-    """Rows of a file's content; of a joined file those of some nights alone, if they are named."""
-    file = _opened(encoded)
-    parts = parts_told(file.metadata)
-    if names is None or not parts:
-        return file.read(columns=columns, use_threads=False)
-    sizes = (file.metadata.row_group(place).num_rows for place in range(file.num_row_groups))
-    begins = list(accumulate(sizes, initial=0))
-    groups: dict[int, pa.Table] = {}
-    found, begin = [], 0
-    for name, count in parts.items():
-        if name in names:
-            # A night lies in one row group; one without rows may lie behind the last.
-            place = min(bisect_right(begins, begin), file.num_row_groups) - 1
-            if place not in groups:
-                groups[place] = file.read_row_group(place, columns=columns, use_threads=False)
-            found.append(groups[place].slice(begin - begins[place], count))
-        begin += count
-    return pa.concat_tables(found or [file.read_row_group(0, columns=columns).slice(0, 0)])
+@contextmanager
+def opened(place: bytes | Path) -> Iterator[pq.ParquetFile]:
+    """A Parquet file, by its content or its path."""
+    source = place if isinstance(place, Path) else pa.BufferReader(place)
+    with pq.ParquetFile(source, page_checksum_verification=True) as file:
+        yield file
 
 
-def parts_of(path: Path) -> dict[str, int]:
-    """Numbers of rows of a file by night (or start of a run), in the order of its rows.
+def row_groups(
+    file: pq.ParquetFile,
+    columns: Sequence[str] | None = None,
+    wanted: Mapping[str, Collection[Any]] | None = None,
+) -> Iterator[pl.DataFrame]:
+    """Row groups of a file in turn; only those that may hold some wanted values of columns.
 
-    Raises StoreError if its footer is damaged.
+    Raises ValueError where the footer is damaged.
     """
-    try:
-        return parts_told(pq.read_metadata(path)) or {path.stem: 0}
-    except DAMAGE as error:
-        raise StoreError("store_read", f"{path.name} is damaged: {error}") from error
+    told = (file.metadata.metadata or {}).get(INDEX_KEY.encode(), b"").decode()
+    if told and _checksum(told[8:]) != told[:8]:
+        raise ValueError("the index of its row groups is damaged")
+    types, index = json.loads(told[8:]) if told else ({}, [])
+    if told and len(index) != file.num_row_groups:
+        raise ValueError(f"it has {file.num_row_groups} row groups; expected {len(index)}")
+    asked = {name: sorted(map(str, some)) for name, some in (wanted or {}).items()}
+    for place in range(file.num_row_groups):
+        height, extremes = index[place] if told else (None, {})
+        if not all(_may_hold(extremes[name], asked[name]) for name in asked.keys() & extremes):
+            continue
+        table = file.read_row_group(place, columns=columns, use_threads=False)
+        rows = pl.from_arrow(table)
+        assert isinstance(rows, pl.DataFrame)
+        if told and (height != rows.height or not _types(rows).items() <= types.items()):
+            raise ValueError("its footer is damaged: it tells other types or numbers of rows")
+        yield rows
 
 
-def parts_told(footer: pq.FileMetaData) -> dict[str, int]:
-    """The same of a joined file; empty for another."""
-    told = (footer.metadata or {}).get(PARTS_KEY.encode())
-    return {} if told is None else {str(name): int(rows) for name, rows in json.loads(told)}
+def _may_hold(extremes: Sequence[str], values: Sequence[str]) -> bool:
+    """True if one of some values, in order, lies between two."""
+    place = bisect_left(values, extremes[0])
+    return place < len(values) and values[place] <= extremes[1]

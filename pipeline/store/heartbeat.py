@@ -21,7 +21,7 @@ import polars as pl
 from pipeline.errors import MotorLeakageError, StoreError
 from pipeline.schema import RUNS
 from pipeline.store.atomic_files import put
-from pipeline.store.tables import read_table, table_folder
+from pipeline.store.tables import files_of, read_table
 
 log = logging.getLogger(__name__)
 
@@ -161,11 +161,10 @@ def _as_text(values: Mapping[str, object]) -> dict[str, object]:
 
 def last_good_run(output: Path) -> dt.datetime | None:
     """End of the last run after which no failure stands; None without one."""
-    for month in sorted(table_folder(output, RUNS).glob("month=*"), reverse=True):
-        for path in sorted(month.glob("*.parquet"), reverse=True):
-            rows = read_table(path, RUNS).filter(pl.col("status") == GOOD_RUN)
-            if not rows.is_empty():
-                ended = rows["finished_at"].max()
-                assert isinstance(ended, dt.datetime)
-                return ended
+    for path in reversed(files_of(output, RUNS)):
+        rows = read_table(path, RUNS).filter(pl.col("status") == GOOD_RUN)
+        if not rows.is_empty():
+            ended = rows["finished_at"].max()
+            assert isinstance(ended, dt.datetime)
+            return ended
     return None

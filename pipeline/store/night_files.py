@@ -1,7 +1,7 @@
-"""Staged rows of motors, and the night files made of them.
+"""Staged rows of motors, and the files of tables made of them.
 
-A motor's task stages its rows in a file of its own; the run then publishes night by night, so that
-its memory does not grow with the fleet's history.
+A motor's task stages its rows in a file of its own; the run merges them night by night into the
+files that are there, so that its memory does not grow with the fleet's history.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import errno
 import hashlib
 import json
 import logging
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, chain
 from math import ceil
@@ -23,17 +23,21 @@ import polars as pl
 import pyarrow as pa
 
 from pipeline.errors import StoreError
-from pipeline.schema import Table, staged_table
-from pipeline.store.atomic_files import Prepared, move, prepare, read, scratch
+from pipeline.schema import Table, frame, staged_table
+from pipeline.store.atomic_files import Prepared, move, read, scratch
 from pipeline.store.encoding import prepare_table
-from pipeline.store.tables import PUT_ASIDE, UNREADABLE, damaged, decode, night_file
+from pipeline.store.tables import PUT_ASIDE, damaged, groups_of
 
 log = logging.getLogger(__name__)
 
 # Rows of one table, by night.
 StagedNights = Mapping[dt.date, Sequence[Mapping[str, object]]]
-# Motors whose staged rows are read together; those of all would fill the memory.
+# Motors of a night whose staged rows are read together, and cells of a table's nights; all would
+# fill the memory.
 MOTORS_AT_ONCE = 64
+CELLS_AT_ONCE = 2_000_000
+# What stands for the hash of a file that cannot be read.
+UNREADABLE = "unreadable"
 # Column for the night under which a row is staged; its own may be absent.
 STAGED_NIGHT = "staged night"
 # Arrow maps arrays without a copy at multiples of so many bytes; its streams are as long.
@@ -86,29 +90,43 @@ class NewRows:
 
 def new_rows(
     table: Table, staged: Mapping[str, StagedRows], nights: Sequence[dt.date], run_id: str
-) -> dict[dt.date, NewRows]:
-    """Staged rows of some nights of a table; nights that no motor has done are left out.
+) -> Iterator[tuple[dt.date, NewRows]]:
+    """Staged rows of some nights of a table in turn; nights that no motor has done are left out.
 
-    The rows of one night are read motors by motors when they are asked for, those of several at
-    once.
+    Nights with few rows are read together; of one with many the rows are read motors by motors.
     """
     motors = {
         night: [one for one in sorted(staged) if night in staged[one].heights[table.name]]
-        for night in nights
+        for night in sorted(nights)
     }
-    pieces: dict[dt.date, Iterable[pl.DataFrame]] = {}
-    if len(nights) == 1:
-        pieces = {one: _pieces(table, staged, some, one, run_id) for one, some in motors.items()}
-    elif staged:
-        every = _rows_of_some(table, staged, nights[0], nights[-1], run_id)
-        pieces = {night: [rows] for night, rows in every.items()}
-    return {
-        night: NewRows(
-            tuple(some), sum(staged[one].heights[table.name][night] for one in some), pieces[night]
-        )
+    heights = {
+        night: sum(staged[one].heights[table.name][night] for one in some)
         for night, some in motors.items()
         if some
     }
+    for together in _batches(heights, CELLS_AT_ONCE // len(table.schema)):
+        first, last = together[0], together[-1]
+        rows = {}
+        if len(together) > 1:
+            rows = _rows_of_some(table, staged, first, last, run_id)
+        for night in together:
+            ids = motors[night]
+            pieces = [rows[night]] if rows else _pieces(table, staged, ids, night, run_id)
+            yield night, NewRows(tuple(ids), heights[night], pieces)
+
+
+def _batches(heights: Mapping[dt.date, int], rows: int) -> Iterator[list[dt.date]]:
+    """Nights, as many together as have at most so many rows."""
+    batch: list[dt.date] = []
+    total = 0
+    for night, height in heights.items():
+        if batch and total + height > rows:
+            yield batch
+            batch, total = [], 0
+        batch.append(night)
+        total += height
+    if batch:
+        yield batch
 
 
 def _pieces(
@@ -173,14 +191,14 @@ def stage(path: Path, tables: Mapping[Table, StagedNights]) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class NightFile:
+class NewFile:
     """A table file that is prepared, and not in its place yet."""
 
     path: Path  # its place
     before: str | None  # SHA-256 of the present file; None without one
     after: str | None  # SHA-256 of the new file; None if there is neither a file nor a row
-    # True if the present file is damaged or gone: rows of motors that are not published with it
-    # have to be made anew.
+    # True if the present file is damaged: rows of motors that are not published with it have to be
+    # made anew.
     lost_rows: bool = False
     prepared: Prepared | None = None  # the new file; None if the present one stays
 
@@ -189,7 +207,7 @@ class NightFile:
 
         That survives a power cut once its folder is flushed.
         """
-        if self.lost_rows and self.before is not None:
+        if self.lost_rows:
             move(self.path, self.path.with_suffix(PUT_ASIDE))
         if self.prepared is not None:
             self.prepared.land(flush=False)
@@ -200,32 +218,87 @@ class NightFile:
             self.prepared.drop()
 
 
-def prepare_night(
-    output: Path,
-    table: Table,
-    night: dt.date,
-    new: NewRows,
-    accepted: Collection[str | None] = (),
-) -> NightFile:
-    """Prepare a night's file with the new rows of some motors; those of the others stay.
+# The rows of a file, given those of the present one row group by row group.
+Change = Callable[[Iterator[pl.DataFrame]], Iterable[pl.DataFrame]]
+
+
+def prepare_file(
+    path: Path, table: Table, change: Change, accepted: Collection[str | None] = ()
+) -> NewFile:
+    """Prepare a file with changed rows; where none is there, and none is to come, none is made.
 
     Raises StoreError if the new file cannot be written, or the present one not be read.
     """
-    path = night_file(output, table, night)
-    before, rows_before = _present(path, table, accepted)
-    gone = before is None and bool(accepted) and None not in accepted
-    lost_rows = gone or (before is not None and rows_before is None)
-    if before is None and not new.height:
-        return NightFile(path, None, None, lost_rows)
-    pieces = new.pieces
-    if rows_before is not None:
-        kept = rows_before.filter(~pl.col("motor_id").is_in(new.motor_ids))
-        pieces = _merged(kept, pieces, table)
+    before, content = _present(path, table, accepted)
+    lost_rows = before is not None and content is None
+    present = iter(()) if content is None else groups_of(path, table, content)
+    pieces = chain([frame(table, [])], change(present))
+    if before is None:
+        rows = next((one for one in pieces if one.height), None)
+        if rows is None:
+            return NewFile(path, None, None)
+        pieces = chain([rows], pieces)
     prepared = prepare_table(path, pieces)
     if prepared.sha256 == before:
         prepared.drop()
-        return NightFile(path, before, before)
-    return NightFile(path, before, prepared.sha256, lost_rows, prepared)
+        return NewFile(path, before, before)
+    return NewFile(path, before, prepared.sha256, lost_rows, prepared)
+
+
+def prepare_whole(path: Path, rows: pl.DataFrame) -> NewFile:
+    """Prepare a file that replaces the present one, whatever that is; raises as `prepare_table`."""
+    try:
+        before: str | None = hashlib.sha256(read(path)).hexdigest()
+    except (FileNotFoundError, NotADirectoryError):
+        before = None
+    except OSError:
+        before = UNREADABLE
+    prepared = prepare_table(path, [rows])
+    if prepared.sha256 == before:
+        prepared.drop()
+        return NewFile(path, before, before)
+    return NewFile(path, before, prepared.sha256, prepared=prepared)
+
+
+def with_nights(table: Table, new: Iterable[tuple[dt.date, NewRows]]) -> Change:
+    """The change that replaces the rows of some motors and nights; the nights come in order."""
+
+    def change(present: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+        stored = _Stored(present)
+        for night, rows in new:
+            yield from stored.until(pl.col("night") < night)
+            here = pl.concat(
+                [pl.DataFrame(schema=table.schema), *stored.until(pl.col("night") == night)]
+            )
+            kept = here.filter(~pl.col("motor_id").is_in(rows.motor_ids))
+            yield from _merged(kept, rows.pieces, table)
+        yield from stored.rest()
+
+    return change
+
+
+class _Stored:
+    """Rows of a file, taken from the front."""
+
+    def __init__(self, groups: Iterator[pl.DataFrame]) -> None:
+        self._groups = groups
+        self._front: pl.DataFrame | None = next(groups, None)
+
+    def until(self, is_taken: pl.Expr) -> Iterator[pl.DataFrame]:
+        """The rows at the front of which something is true."""
+        while self._front is not None:
+            count = self._front.select(is_taken.sum()).item()
+            yield self._front.head(count)
+            if count < self._front.height:
+                self._front = self._front.slice(count)
+                return
+            self._front = next(self._groups, None)
+
+    def rest(self) -> Iterator[pl.DataFrame]:
+        """All rows that are left."""
+        if self._front is not None:
+            yield self._front
+            yield from self._groups
 
 
 def _merged(
@@ -235,40 +308,37 @@ def _merged(
     for rows in pieces:
         if rows.height:
             is_before = pl.col("motor_id") <= rows["motor_id"][-1]
-            yield pl.concat([kept.filter(is_before), rows]).sort(table.key)
+            yield pl.concat([kept.filter(is_before), rows]).sort(table.order)
             kept = kept.filter(~is_before)
     yield kept
 
 
-def prepare_file(path: Path, content: bytes) -> NightFile:
-    """Prepare a file that replaces the present one as a whole; raises as `prepare`."""
-    try:
-        before = hashlib.sha256(read(path)).hexdigest()
-    except (FileNotFoundError, NotADirectoryError):
-        before = None
-    except OSError:
-        before = UNREADABLE
-    after = hashlib.sha256(content).hexdigest()
-    return NightFile(
-        path, before, after, prepared=None if after == before else prepare(path, content)
-    )
+def with_keys(table: Table, rows: pl.DataFrame, replaced: pl.DataFrame | None = None) -> Change:
+    """The change that adds rows, in place of those of the same key or of some others."""
+
+    def change(present: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+        kept = [one.join(rows, on=list(table.key), how="anti") for one in present]
+        if replaced is not None:
+            kept = [one.join(replaced, on=replaced.columns, how="anti") for one in kept]
+        yield pl.concat([*kept, rows]).sort(table.order)
+
+    return change
 
 
 def _present(
     path: Path, table: Table, accepted: Collection[str | None]
-) -> tuple[str | None, pl.DataFrame | None]:
-    """Hash and rows of a night's file; no hash if there is no file, no rows if it is damaged.
+) -> tuple[str | None, bytes | None]:
+    """Hash and content of a file; no hash if there is no file, no content if it is damaged.
 
     A file is damaged if it reads as such twice: an error on the way from the disk is none.
     """
+    digest: str | None = None
     for attempt in range(2):
         digest = UNREADABLE
         try:
             content = read(path)
             digest = hashlib.sha256(content).hexdigest()
-            if accepted and digest not in accepted:
-                raise damaged(path, table, ValueError("it is not what its manifest says"))
-            return digest, decode(path, table, content)
+            _require_sound(path, table, content, digest, accepted)
         except (FileNotFoundError, NotADirectoryError):
             return None, None
         except OSError as error:
@@ -281,6 +351,18 @@ def _present(
             if error.code != "store_read":
                 raise
             fault = error
+        else:
+            return digest, content
         if attempt:
-            log.warning("%s; it is put aside, and the next run makes that night anew", fault)
+            log.warning("%s; it is put aside, and the next run makes its nights anew", fault)
     return digest, None
+
+
+def _require_sound(
+    path: Path, table: Table, content: bytes, digest: str, accepted: Collection[str | None]
+) -> None:
+    """Compare a file with its digests; of one that is not listed the pages prove themselves."""
+    if not accepted:
+        deque(groups_of(path, table, content), maxlen=0)
+    elif digest not in accepted:
+        raise damaged(path, table, ValueError("it is not what was published"))

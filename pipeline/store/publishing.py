@@ -1,63 +1,47 @@
-"""Publishing of staged rows: night by night, each file whole, its manifest before and after it."""
+"""Publishing of staged rows, month by month.
+
+New files are written beside their places, flushed and read back; noted as coming; renamed; and
+noted as published, in one transaction with what the caller has to say of them.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
 import os
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from threading import Event
 from typing import Any, TypeVar
 
 import polars as pl
 
-from pipeline.errors import StoreError
-from pipeline.schema import Table, frame
-from pipeline.store.atomic_files import flush_folders, move, remove_all
-from pipeline.store.encoding import encode_table
-from pipeline.store.manifest import (
-    Key,
-    Manifest,
-    announce,
-    manifest_key,
-    read_manifest,
-    update_manifest,
-)
-from pipeline.store.months import part_month
+from pipeline.schema import NIGHTLY_TABLES, Table, frame
+from pipeline.store.atomic_files import flush_folders, remove_all
 from pipeline.store.night_files import (
-    MOTORS_AT_ONCE,
-    NewRows,
-    NightFile,
+    Change,
+    NewFile,
     StagedRows,
     new_rows,
     prepare_file,
-    prepare_night,
+    prepare_whole,
+    with_keys,
+    with_nights,
 )
-from pipeline.store.tables import (
-    PUT_ASIDE,
-    days_of,
-    month_file,
-    night_file,
-    read_rows,
-    run_file,
-    whole_file,
-)
+from pipeline.store.published import accepted, announce, note
+from pipeline.store.state import State
+from pipeline.store.tables import days_of, month_file, name_of, night_file, whole_file
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 # Lets the next run make nights anew for all motors but some.
 Forget = Callable[[Collection[dt.date], Collection[str]], object]
-# Nights of motors that are prepared together, where few motors have few rows a night.
-NIGHTS_AT_ONCE = 400
 
-
-_Prepared = tuple[NightFile, dt.date, tuple[str, ...]]
+# Staged rows of a table by motor.
+_Staged = Mapping[str, StagedRows]
 
 
 @dataclass(slots=True)
@@ -66,8 +50,8 @@ class Publisher:
 
     Parameters
     ----------
-    output, staging
-        Output folder, and the run's folder of staged rows.
+    state, staging
+        State of the output, and the run's folder of staged rows.
     run_id
         Goes into every row.
     threads
@@ -77,16 +61,13 @@ class Publisher:
     ----------
     damaged
         Files that were damaged and put aside, by path relative to the folder of the tables.
-    months
-        Months in which it has published nights, YYYY-MM.
     """
 
-    output: Path
+    state: State
     staging: Path
     run_id: str
     threads: int = 1
     damaged: list[str] = field(default_factory=list)
-    months: set[str] = field(default_factory=set)
 
     def nights(
         self,
@@ -94,8 +75,9 @@ class Publisher:
         tables: Iterable[Table],
         motor_ids: Sequence[str],
         forget: Forget,
+        published: Callable[[], object] = lambda: None,
     ) -> None:
-        """Publish the staged rows of some motors, the oldest night first.
+        """Publish the staged rows of some motors, the oldest month first.
 
         Parameters
         ----------
@@ -106,6 +88,8 @@ class Publisher:
         forget
             Called before a damaged file is replaced: its rows are then made anew, even if this run
             is broken off.
+        published
+            Called in the transaction that notes the last files.
 
         Raises
         ------
@@ -114,176 +98,159 @@ class Publisher:
         """
         paths = {one: self.staging / folder / f"{one}.arrow" for one in motor_ids}
         files = {one: StagedRows(path) for one, path in paths.items() if path.exists()}
+        months: defaultdict[str, set[dt.date]] = defaultdict(set)
+        for file in files.values():
+            for night in {night for heights in file.heights.values() for night in heights}:
+                months[f"{night:%Y-%m}"].add(night)
         staged = {
             table: {one: file for one, file in files.items() if table.name in file.heights}
             for table in tables
         }
-        nights = {
-            night for file in files.values() for some in file.heights.values() for night in some
-        }
-        months = {f"{night:%Y-%m}" for night in nights}
-        self.months |= months
-        for month in sorted(months):
-            for table in part_month(self.output, self.staging, staged, month):
-                self._give_up(table, month, staged[table], forget)
         for table, motors in staged.items():
-            if "night" not in table.key:
-                self._vacate(table, motors, forget)
-        size = NIGHTS_AT_ONCE // len(files) if 0 < len(files) <= MOTORS_AT_ONCE else 1
-        ordered = sorted(nights)
-        for some in (ordered[at : at + size] for at in range(0, len(ordered), size)):
-            # A table's rows are read when its files are prepared.
-            new = {
-                table: partial(new_rows, table, motors, some, self.run_id)
-                for table, motors in staged.items()
-            }
-            self._publish(some, new, forget)
+            if "night" not in table.key and len(months) > 1:
+                self._vacate(table, motors, months)
+        for month, nights in sorted(months.items()):
+            also = published if month == max(months) else lambda: None
+            self._publish_month(staged, sorted(nights), forget, also)
+        if not months:
+            with self.state.transaction():
+                published()
         # Of no further use: what is not on the disk yet need not be written to it.
         remove_all(self.staging / folder)
 
-    def _give_up(
-        self, table: Table, month: str, staged: Mapping[str, StagedRows], forget: Forget
-    ) -> None:
-        """Put a damaged file of a month aside, and let its nights be made anew."""
-        path = month_file(self.output, table, month)
-        name = self._name_of(path)
-        self.damaged.append(name)
-        for night in days_of(month):
-            new = {
-                motor_id for motor_id, rows in staged.items() if night in rows.heights[table.name]
-            }
-            forget((night,), new)
-        move(path, path.with_suffix(PUT_ASIDE))
-        update_manifest(self.output, month, month, {name: None})
+    def whole(self, table: Table, rows: pl.DataFrame) -> None:
+        """Publish a table that is one file; raises as `nights`."""
+        with ExitStack() as undone:
+            file = prepare_whole(whole_file(self.output, table), rows)
+            undone.callback(file.drop)
+            self._land([file])
+            undone.pop_all()
 
-    def _vacate(self, table: Table, staged: Mapping[str, StagedRows], forget: Forget) -> None:
-        """Remove rows that move to an earlier night from the later one, before they are there.
+    def add(self, month: str, rows: Mapping[Table, Sequence[Mapping[str, Any]]]) -> None:
+        """Add rows to a month (YYYY-MM) of tables; those of the same key go; raises as `nights`."""
+        with ExitStack() as undone:
+            files = []
+            for table, some in rows.items():
+                path = month_file(self.output, table, month)
+                change = with_keys(table, frame(table, some))
+                files.append(prepare_file(path, table, change, self._accepted(path)))
+                undone.callback(files[-1].drop)
+            self._land(files)
+            undone.pop_all()
+
+    def _publish_month(
+        self,
+        staged: Mapping[Table, _Staged],
+        nights: Sequence[dt.date],
+        forget: Forget,
+        published: Callable[[], object],
+    ) -> None:
+        """Prepare all files with some nights of a month, and put them into their places."""
+        with ExitStack() as undone:
+
+            def prepare(table: Table) -> list[NewFile]:
+                files = []
+                for path, change in self._changes(table, staged[table], nights):
+                    files.append(prepare_file(path, table, change, self._accepted(path)))
+                    undone.callback(files[-1].drop)
+                return files
+
+            made = dict(zip(staged, side_by_side(prepare, staged, self.threads), strict=True))
+            for table, files in made.items():
+                for file in files:
+                    if file.lost_rows:
+                        self._give_up(file, table, staged[table], forget)
+            self._land([file for files in made.values() for file in files], published)
+            undone.pop_all()
+
+    def _changes(
+        self, table: Table, staged: _Staged, nights: Sequence[dt.date]
+    ) -> Iterator[tuple[Path, Change]]:
+        """What is new in the files of a table with some nights of a month."""
+        new = new_rows(table, staged, nights, self.run_id)
+        path = night_file(self.output, table, nights[0])
+        if table in NIGHTLY_TABLES:
+            for night, rows in new:
+                yield night_file(self.output, table, night), with_nights(table, [(night, rows)])
+        elif "night" in table.key:
+            yield path, with_nights(table, new)
+        else:
+            found = list(new)
+            every = [frame(table, []), *(piece for _, rows in found for piece in rows.pieces)]
+            done = [(one, night) for night, rows in found for one in rows.motor_ids]
+            replaced = pl.DataFrame(
+                done, schema={"motor_id": pl.String, "night": pl.Date}, orient="row"
+            )
+            yield path, with_keys(table, pl.concat(every), replaced)
+
+    def _vacate(
+        self, table: Table, staged: _Staged, months: Mapping[str, Collection[dt.date]]
+    ) -> None:
+        """Remove rows that move to another month before they are there.
 
         A key without the night would otherwise be in two files for a moment.
         """
-        key = list(table.key)
-        places: defaultdict[dt.date, list[pl.DataFrame]] = defaultdict(list)
-        nights = sorted({night for rows in staged.values() for night in rows.heights[table.name]})
-        if len(nights) < 2:
-            return
-        for night, new in new_rows(table, staged, nights, self.run_id).items():
-            if new.height:
-                places[night] += [rows.select(key) for rows in new.pieces]
-        for night in nights:
-            earlier = [keys for other, some in places.items() if other < night for keys in some]
-            if not earlier:
+        keys = {
+            month: [
+                piece.select(table.key)
+                for _, rows in new_rows(table, staged, sorted(nights), self.run_id)
+                for piece in rows.pieces
+            ]
+            for month, nights in months.items()
+        }
+        for month in sorted(months):
+            path = month_file(self.output, table, month)
+            others = [one for other, some in keys.items() if other != month for one in some]
+            if not (path.exists() and others):
                 continue
-            try:
-                present = read_rows(self.output, table, list(staged), nights=[night])
-            except StoreError:
-                continue  # nobody can read it, and it is replaced
-            kept = present.join(pl.concat(earlier), on=key, how="anti", maintain_order="left")
-            if kept.height < present.height:
-                left = present.join(kept, on=key, how="anti")["motor_id"].unique()
-                rows = kept.filter(pl.col("motor_id").is_in(left.implode()))
-                rows = rows.with_columns(run_id=pl.lit(self.run_id)).sort(table.key)
-                without = {night: NewRows(tuple(left), rows.height, [rows])}
-                self._publish([night], {table: partial(dict, without)}, forget)
+            change = with_keys(table, frame(table, []), pl.concat(others))
+            file = prepare_file(path, table, change, self._accepted(path))
+            if file.lost_rows:  # nobody can read it, and it is replaced
+                file.drop()
+            else:
+                self._land([file])
 
-    def _publish(
-        self,
-        nights: Sequence[dt.date],
-        new: Mapping[Table, Callable[[], Mapping[dt.date, NewRows]]],
-        forget: Forget,
+    def _give_up(self, file: NewFile, table: Table, staged: _Staged, forget: Forget) -> None:
+        """Let the nights of a damaged file be made anew, but for what comes with the new one."""
+        self.damaged.append(name_of(self.output, file.path))
+        for night in days_of(file.path.stem):
+            new = {one for one, rows in staged.items() if night in rows.heights[table.name]}
+            forget((night,), new)
+
+    @property
+    def output(self) -> Path:
+        """The output folder."""
+        return self.state.output
+
+    def _accepted(self, path: Path) -> tuple[str, ...]:
+        return accepted(self.state, name_of(self.output, path))
+
+    def _land(
+        self, files: Sequence[NewFile], published: Callable[[], object] = lambda: None
     ) -> None:
-        """Prepare all files of some nights, announce them, and put them into their places."""
-        manifests = {
-            night: read_manifest(self.output, f"{night:%Y-%m}", str(night)) or Manifest()
-            for night in nights
-        }
-        with ExitStack() as undone:
-
-            def prepared(table: Table, stopped: Event) -> list[_Prepared]:
-                """Files of a table, each with its night and the motors with new rows."""
-                files: list[_Prepared] = []
-                for night, rows in new[table]().items():
-                    if stopped.is_set():
-                        break
-                    name = self._name_of(night_file(self.output, table, night))
-                    accepted = manifests[night].accepted(name)
-                    file = prepare_night(self.output, table, night, rows, accepted)
-                    undone.callback(file.drop)
-                    files.append((file, night, rows.motor_ids))
-                return files
-
-            # Writing, packing and flushing let other threads go on.
-            found = [one for some in _side_by_side(prepared, new, self.threads) for one in some]
-            for file, night, motor_ids in found:
-                if file.lost_rows:
-                    if file.before is not None:
-                        self.damaged.append(self._name_of(file.path))
-                    forget((night,), set(motor_ids))
-            self._land([file for file, _, _ in found])
-            undone.pop_all()
-
-    def whole(self, table: Table, rows: pl.DataFrame) -> None:
-        """Publish a table that is one file; raises as `nights`."""
-        self.put({whole_file(self.output, table): rows})
-
-    def of_run(
-        self, started: dt.datetime, rows: Mapping[Table, Sequence[Mapping[str, Any]]]
-    ) -> None:
-        """Publish the tables that have a file for each run; raises as `nights`."""
-        files = {
-            run_file(self.output, table, started): frame(table, some)
-            for table, some in rows.items()
-        }
-        self.put(files)
-
-    def put(self, files: Mapping[Path, pl.DataFrame]) -> None:
-        """Publish files of one manifest that replace the present ones; raises as `nights`."""
-        with ExitStack() as undone:
-            prepared = []
-            for path, rows in files.items():
-                prepared.append(prepare_file(path, encode_table(path.name, rows)))
-                undone.callback(prepared[-1].drop)
-            self._land(prepared)
-            undone.pop_all()
-
-    def _land(self, files: Sequence[NightFile]) -> None:
-        """Put files into their places; their manifests list old and new ones meanwhile."""
-        by_manifest: defaultdict[Key, dict[str, NightFile]] = defaultdict(dict)
-        for file in files:
-            name = self._name_of(file.path)
-            by_manifest[manifest_key(name)][name] = file
-        for key, some in sorted(by_manifest.items()):
-            # The digest of a damaged file is not accepted.
-            changes = {
-                name: (None if file.lost_rows else file.before, file.after)
-                for name, file in some.items()
-            }
-            announce(self.output, *key, changes)
+        """Put files into their places, and note them before and afterwards."""
+        named = {name_of(self.output, file.path): file for file in files}
+        coming = {name: one.after for name, one in named.items() if one.prepared is not None}
+        announce(self.state, coming)
         for file in files:
             file.land()
         flush_folders({file.path.parent for file in files if file.prepared is not None})
-        for key, some in sorted(by_manifest.items()):
-            update_manifest(self.output, *key, {name: file.after for name, file in some.items()})
-
-    def _name_of(self, path: Path) -> str:
-        """Path relative to the folder of the tables, as manifests name it."""
-        return path.relative_to(self.output / "tables").as_posix()
+        with self.state.transaction():
+            note(self.state, {name: one.after for name, one in named.items()})
+            published()
 
 
-def _side_by_side(
-    work: Callable[[Item, Event], Result], items: Collection[Item], threads: int
+def side_by_side(
+    work: Callable[[Item], Result], items: Collection[Item], threads: int
 ) -> list[Result]:
-    """Results by item in their order; a failure or a signal stops the work on the others.
-
-    `work` stops where its event is set, and looks at it between pieces that take little time.
-    """
-    stopped = Event()
+    """Results by item in their order; after a failure those that wait are not begun."""
     threads = min(threads, len(items), os.cpu_count() or 1)
     if threads < 2:
-        return [work(item, stopped) for item in items]
+        return list(map(work, items))
     with ThreadPoolExecutor(threads) as pool:
-        under_way = [pool.submit(work, item, stopped) for item in items]
+        under_way = [pool.submit(work, item) for item in items]
         try:
             wait(under_way, return_when=FIRST_EXCEPTION)
+            return [one.result() for one in under_way if one.done()]
         finally:
-            stopped.set()
-    return [one.result() for one in under_way]
+            pool.shutdown(wait=False, cancel_futures=True)

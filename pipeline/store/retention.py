@@ -1,14 +1,13 @@
 """Retention: removal of table files of old nights.
 
 The config may prune only tables from which nothing is made; `block_statistics` has to be named, as
-refits and trends are made from it. The manifest announces a removal before the file goes: after a
-crash in between, the next pruning removes it.
+refits and trends are made from it. A removal is announced before the file goes: after a crash in
+between, the next pruning removes it.
 """
 
 from __future__ import annotations
 
 import datetime as dt
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,15 +17,9 @@ from pipeline.config import Retention
 from pipeline.errors import UsageError
 from pipeline.schema import TABLES
 from pipeline.store.atomic_files import remove
-from pipeline.store.manifest import (
-    Key,
-    Manifest,
-    announce,
-    manifest_key,
-    read_manifest,
-    update_manifest,
-)
-from pipeline.store.tables import night_paths
+from pipeline.store.published import announce, note
+from pipeline.store.state import State
+from pipeline.store.tables import days_of, files_of, name_of
 
 # Tables that may be pruned, and what is lost with each.
 LOSSES: Mapping[str, str] = {
@@ -41,10 +34,12 @@ LOSSES: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class OldFiles:
-    """Files of a table that are to be removed: nights and names, and what is lost with them."""
+    """Files of a table that are to be removed, and what is lost with them."""
 
     table: str
-    nights: tuple[dt.date, ...]
+    # First and last night that they may have.
+    first: dt.date
+    last: dt.date
     names: tuple[str, ...]
     size_bytes: int
     loss: str
@@ -93,7 +88,7 @@ def old_files(
 ) -> tuple[OldFiles, ...]:
     """Files older than the days kept of each table, counted back from tonight; None: none are.
 
-    A joined month is as old as its last night.
+    A file of a month is as old as the last night of it.
     """
     if tonight is None:
         return ()
@@ -102,33 +97,28 @@ def old_files(
         if table.name not in kept:
             continue
         first_kept = tonight - dt.timedelta(days=kept[table.name] - 1)
-        nights = night_paths(output, table)
-        last = {path: night for night, path in nights.items()}
-        old = [path for path, night in last.items() if night < first_kept]
+        days = {path: days_of(path.stem) for path in files_of(output, table)}
+        old = [path for path in days if days[path][-1] < first_kept]
         if old:
-            gone = tuple(night for night, path in nights.items() if path in old)
-            names = tuple(path.relative_to(output / "tables").as_posix() for path in old)
+            names = tuple(name_of(output, path) for path in old)
             size = sum(path.stat().st_size for path in old)
-            found.append(OldFiles(table.name, gone, names, size, LOSSES[table.name]))
+            last = days[old[-1]][-1]
+            first, loss = days[old[0]][0], LOSSES[table.name]
+            found.append(OldFiles(table.name, first, last, names, size, loss))
     return tuple(found)
 
 
-def prune(output: Path, old: Sequence[OldFiles]) -> None:
+def prune(state: State, old: Sequence[OldFiles]) -> None:
     """Remove such files; the caller holds the output's lock.
 
-    Raises StoreError if a manifest cannot be written or a file not be removed; pruning again does
+    Raises StoreError if the state cannot be written or a file not be removed; pruning again does
     the rest.
     """
-    going: defaultdict[Key, list[str]] = defaultdict(list)
-    for one in old:
-        for name in one.names:
-            going[manifest_key(name)].append(name)
-    for key, names in sorted(going.items()):
-        manifest = read_manifest(output, *key) or Manifest()
-        announce(output, *key, {name: (manifest.files.get(name), None) for name in names})
-        for name in names:
-            path = output / "tables" / name
-            remove(path)
-            with suppress(OSError):  # not empty
-                path.parent.rmdir()
-        update_manifest(output, *key, dict.fromkeys(names))
+    names = [name for one in old for name in one.names]
+    announce(state, dict.fromkeys(names))
+    for name in names:
+        path = state.output / "tables" / name
+        remove(path)
+        with suppress(OSError):  # not empty
+            path.parent.rmdir()
+    note(state, dict.fromkeys(names))

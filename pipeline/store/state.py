@@ -52,6 +52,11 @@ CREATE TABLE nights (
     figures_hash TEXT NOT NULL, tells_roller INTEGER,
     PRIMARY KEY (motor_id, night)
 ) WITHOUT ROWID;
+CREATE TABLE files (
+    name TEXT PRIMARY KEY, sha256 TEXT NOT NULL, coming TEXT,
+    size INTEGER NOT NULL DEFAULT 0, modified_ns INTEGER NOT NULL DEFAULT 0,
+    proven TEXT NOT NULL DEFAULT ''
+) WITHOUT ROWID;
 CREATE TABLE trends (
     motor_id TEXT PRIMARY KEY, trend_hash TEXT NOT NULL, last_night TEXT NOT NULL,
     redo_from TEXT, rules TEXT, kept BLOB
@@ -72,7 +77,7 @@ CREATE TABLE queued (
     PRIMARY KEY (topic, key)
 ) WITHOUT ROWID;
 CREATE TABLE taken_up (
-    topic TEXT NOT NULL, name TEXT NOT NULL, stamp TEXT NOT NULL, PRIMARY KEY (topic, name)
+    topic TEXT NOT NULL, name TEXT NOT NULL, sha256 TEXT NOT NULL, PRIMARY KEY (topic, name)
 ) WITHOUT ROWID;
 CREATE TABLE decisions (
     motor_id TEXT NOT NULL, indicator TEXT NOT NULL, time TEXT NOT NULL, kind TEXT NOT NULL,
@@ -223,8 +228,8 @@ def make_ready(output: Path) -> bool:
     Returns
     -------
     bool
-        True where it was lost: what the run before left is then known from the backup alone, or
-        not at all.
+        True where it was lost, or is new: what a run before left is then known from the backup
+        alone, or not at all.
 
     Raises
     ------
@@ -245,7 +250,7 @@ def make_ready(output: Path) -> bool:
         )
     with open_state(output) as state:
         _back_up(state, backup)
-    return is_lost
+    return is_lost or version == 0
 
 
 def is_sound(output: Path) -> bool:
@@ -269,6 +274,12 @@ def _version_of(place: Path) -> int | None:
         raise StoreError("store_write", f"{place.name} cannot be opened: {error}") from error
     except sqlite3.DatabaseError:
         return None
+
+
+def settle(output: Path) -> None:
+    """Put all that is in SQLite's log into the file itself; raises StoreError."""
+    with open_state(output) as state:
+        state.rows("PRAGMA wal_checkpoint(TRUNCATE)")
 
 
 def replace_state(output: Path, content: bytes) -> None:

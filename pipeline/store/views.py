@@ -55,7 +55,7 @@ def write_views(output: Path) -> None:
     """
     head = f"-- Views of all tables; made by each run. In this folder: duckdb -init {NAME}\n"
     tables = (_view(output, table) for table in TABLES)
-    text = "\n".join([head, *tables, *statements_of(TABLES)]) + "\n"
+    text = "\n".join([head, *tables, *_words(TABLES)]) + "\n"
     if not (output / NAME).exists() or (output / NAME).read_text("utf-8") != text:
         put(output / NAME, text.encode())
 
@@ -66,12 +66,12 @@ def _view(output: Path, table: Table) -> str:
     how = "union_by_name = true, hive_partitioning = false"
     rows = f"SELECT * FROM read_parquet('{files}', {how})"
     if not files_of(output, table):
-        rows = f"SELECT {', '.join(f'NULL::{kind} AS {name}' for name, kind in columns_of(table))}"
-        rows += " WHERE false"
+        columns = ", ".join(f"NULL::{kind} AS {name}" for name, kind in _columns(table))
+        rows = f"SELECT {columns} WHERE false"
     return f"CREATE OR REPLACE VIEW {table.name} AS {rows};"
 
 
-def columns_of(table: Table) -> Iterator[tuple[str, str]]:
+def _columns(table: Table) -> Iterator[tuple[str, str]]:
     """Columns of a table with DuckDB's names of their types."""
     for name, kind in table.schema.items():
         inner = kind.inner if isinstance(kind, pl.List) else kind
@@ -83,12 +83,12 @@ def columns_of(table: Table) -> Iterator[tuple[str, str]]:
         yield f'"{name}"', f"{known}[]" if isinstance(kind, pl.List) else known
 
 
-def statements_of(tables: Iterable[Table], kind: str = "VIEW") -> Iterator[str]:
-    """Statements for tables that are there: the common joins, and the words of the dictionary."""
+def _words(tables: Iterable[Table]) -> Iterator[str]:
+    """Statements for views that are there: the common joins, and the words of the dictionary."""
     for name, (_, query) in JOINS.items():
         yield f"CREATE OR REPLACE VIEW {name} AS {query};"
     for table in tables:
-        yield f"COMMENT ON {kind} {table.name} IS {_text(f'One row is {table.row}')};"
+        yield f"COMMENT ON VIEW {table.name} IS {_text(f'One row is {table.row}')};"
         for column in table.columns:
             unit = f" [{column.unit}]" if column.unit else ""
             words = _text(f"{column.description}{unit}")

@@ -1,10 +1,9 @@
-"""An output folder as the working copy of one in an object store.
+"""An output folder that is published in an object store: pulled before a run, pushed after it.
 
 An object store has no rename, so objects are never changed: the key of each holds the hash of its
-content, and one object, `current.json`, lists those that are the output. A run works in its folder.
-At its end it puts the new objects and then replaces `current.json`, on condition that nobody has
-replaced it since the run began: a run is published as a whole or not at all. No listing is needed,
-and only new objects are read.
+content, and one object, `current.json`, lists those that are the output. A run puts what is new and
+then replaces `current.json`, on condition that nobody has replaced it since the run began: it is
+published as a whole or not at all. No listing is needed, and only new objects are read.
 """
 
 from __future__ import annotations
@@ -13,14 +12,11 @@ import datetime as dt
 import hashlib
 import json
 import logging
-import re
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,7 +24,8 @@ from pipeline.errors import StoreError
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, read, remove
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.state import STATE_FILE, replace_state
+from pipeline.store.published import MANIFEST_FILE
+from pipeline.store.state import STATE_FILE, replace_state, settle
 
 log = logging.getLogger(__name__)
 
@@ -37,17 +34,14 @@ Made = TypeVar("Made")
 
 ROOT = "current.json"
 # Published parts of an output folder: not the lock, the staging folder, or a report.
-FOLDERS = ("tables", "manifest")
-FILES = (STATE_FILE,)
-# File in a working copy that says of which store.
+FOLDERS = ("tables",)
+FILES = (STATE_FILE, MANIFEST_FILE)
+# File of the folder that says of which store it is, and what it held.
 RECORD = ".object-store.json"
 # Replaced objects stay this long, for readers of an older `current.json`.
 KEEP = dt.timedelta(days=7)
 # Requests under way at a time.
 REQUESTS = 16
-# Tolerance for the time stamps of a file system.
-STAMP_NS = 1_000_000_000
-MONTH = re.compile(r"(?<!\d)(\d{4}-\d{2})(?!\d)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +58,6 @@ class Snapshot:
 
     tag: str | None = None  # of `current.json`; None where there is none
     files: Mapping[str, Entry] = field(default_factory=dict)  # by path below the output folder
-    # Objects that list those files, by month: only lists of changed months are written anew.
-    parts: Mapping[str, Entry] = field(default_factory=dict)
     superseded: tuple[tuple[str, str], ...] = ()  # replaced objects, with the day since when
 
 
@@ -88,41 +80,24 @@ def working_copy(url: str, output: Path) -> Iterator[Callable[[str], bool]]:
     Raises
     ------
     StoreError
-        If it cannot be brought up to date, or not be published as a whole. ``store_copy``: without
-        a URL, the folder is a working copy.
+        If it cannot be brought up to date, or not be published as a whole.
     """
     if not url:
-        _require_no_copy(output)
         yield lambda _: False
         return
     store = ObjectStore.at(url)
     snapshot = pull(store, output)
-    # From here on the folder is no exact copy, even if the run is broken off.
-    _record(store, output, None)
-    started_ns = time.time_ns() - STAMP_NS
-    yield partial(_restore, store, output, snapshot)
+
+    def restore(path: str) -> bool:
+        entry = snapshot.files.get(path)
+        if entry is not None:
+            put(output / path, _content(store, entry))
+        return entry is not None
+
+    yield restore
     with interrupts_held():
-        push(store, output, snapshot, started_ns)
-
-
-def _restore(store: ObjectStore, output: Path, snapshot: Snapshot, path: str) -> bool:
-    """Restore a file as published; False if it is not published."""
-    entry = snapshot.files.get(path)
-    if entry is not None:
-        put(output / path, _content(store, entry))
-    return entry is not None
-
-
-def _require_no_copy(output: Path) -> None:
-    """Refuse a working copy: unpublished changes in it would be taken for published ones."""
-    record = output / RECORD
-    if record.exists():
-        raise StoreError(
-            "store_copy",
-            f"{output} is the working copy of an object store, to which this would publish "
-            f"nothing: run with its folders.object_store and folders.output, choose another "
-            f"output, or remove {record} to part from the store",
-        )
+        settle(output)
+        push(store, output, snapshot)
 
 
 def read_snapshot(store: ObjectStore) -> Snapshot:
@@ -136,13 +111,85 @@ def read_snapshot(store: ObjectStore) -> Snapshot:
     content, tag = found
     try:
         document = json.loads(content)
-        parts = {name: Entry(*pair) for name, pair in document["parts"].items()}
-        superseded = tuple((str(key), str(day)) for key, day in document["superseded"])
-        lists = in_turn(lambda part: json.loads(_content(store, part)), parts.values())
-        files = {path: Entry(*pair) for part in lists for path, pair in part.items()}
+        superseded = [(str(key), str(day)) for key, day in document["superseded"]]
+        files = dict(document.get("files", {}))
+        for key, digest in document.get("parts", {}).values():  # of a version before 1.0
+            files |= json.loads(_content(store, Entry(key, digest)))
+            superseded.append((key, _today()))
+        entries = {path: Entry(*pair) for path, pair in files.items()}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise StoreError("store_read", f"{store.url}/{ROOT} is damaged: {error}") from error
-    return Snapshot(tag, files, parts, superseded)
+    return Snapshot(tag, entries, tuple(superseded))
+
+
+def pull(store: ObjectStore, output: Path) -> Snapshot:
+    """Make a folder the copy of the published output; only missing files are read.
+
+    Raises StoreError: ``store_copy``: the folder holds an output of its own, or is a copy of
+    another.
+    """
+    snapshot = read_snapshot(store)
+    known = _recorded(store, output)
+    if snapshot.tag is None:
+        return snapshot
+    here = _digests(output, known or {})
+    published = {path: entry.sha256 for path, entry in snapshot.files.items()}
+    strange = sorted(path for path in here if here[path] != published.get(path))
+    if strange and known is None:
+        raise StoreError(
+            "store_copy",
+            f"{output} holds files that are not those at {store.url}, such as {strange[0]}: "
+            "choose an empty output",
+        )
+    _record(store, output, {})  # from here on it is a copy, also if this is broken off
+    for path in strange:
+        if path not in published and path != STATE_FILE:
+            remove(output / path)
+
+    def bring(path: str) -> None:
+        content = _content(store, snapshot.files[path])
+        if path == STATE_FILE:
+            replace_state(output, content)
+        else:
+            put(output / path, content, durable=False)
+
+    in_turn(bring, [path for path in published if here.get(path) != published[path]])
+    _record(store, output, published)
+    return snapshot
+
+
+def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:
+    """Publish a folder: what is new in it, then `current.json`.
+
+    Raises StoreError if it cannot be published; what was published before then stays.
+    """
+    digests = _digests(output, _recorded(store, output) or {})
+    files = {path: Entry(_key(path, digest), digest) for path, digest in digests.items()}
+    new = [path for path, entry in files.items() if before.files.get(path) != entry]
+    in_turn(lambda path: store.create(files[path].key, read(output / path)), new)
+    present = {entry.key for entry in files.values()}
+    gone = {entry.key for entry in before.files.values()} - present
+    superseded = (
+        *(one for one in before.superseded if one[0] not in present),
+        *((key, _today()) for key in sorted(gone)),
+    )
+    tables: defaultdict[str, list[str]] = defaultdict(list)  # for query engines
+    for path, entry in sorted(files.items()):
+        if path.startswith("tables/") and path.endswith(".parquet"):
+            tables[path.split("/")[1]].append(entry.key)
+    listed = {path: (entry.key, entry.sha256) for path, entry in sorted(files.items())}
+    document = {"tables": tables, "files": listed, "superseded": superseded}
+    tag = store.replace(ROOT, json.dumps(document, indent=0).encode(), before.tag)
+    _record(store, output, digests)
+    after = Snapshot(tag, files, superseded)
+    _clear(store, after)
+    return after
+
+
+def in_turn(function: Callable[[Item], Made], items: Iterable[Item]) -> list[Made]:
+    """Apply a function to items, several requests at a time."""
+    with ThreadPoolExecutor(REQUESTS) as pool:
+        return list(pool.map(function, items))
 
 
 def _content(store: ObjectStore, entry: Entry) -> bytes:
@@ -157,75 +204,53 @@ def _content(store: ObjectStore, entry: Entry) -> bytes:
     return found[0]
 
 
-def in_turn(function: Callable[[Item], Made], items: Iterable[Item]) -> list[Made]:
-    """Apply a function to items, several requests at a time."""
-    with ThreadPoolExecutor(REQUESTS) as pool:
-        return list(pool.map(function, items))
+def _key(path: str, digest: str) -> str:
+    """A file's key: the hash of its content stands before the ending."""
+    stem, dot, ending = path.rpartition(".") if "." in path.rpartition("/")[2] else (path, "", "")
+    return f"files/{stem}.{digest[:16]}{dot}{ending}"
 
 
-def pull(store: ObjectStore, output: Path) -> Snapshot:
-    """Make a folder the copy of the published output; only missing files are read.
-
-    Raises StoreError: ``store_copy``: the folder holds an output of its own, or is a copy of
-    another.
-    """
-    snapshot = read_snapshot(store)
-    here = _here(store, output, snapshot)
-    if snapshot.tag is None:
-        return snapshot
-    _record(store, output, None)
-    for path in sorted(here.keys() - snapshot.files.keys() - {STATE_FILE}):
-        remove(output / path)
-    news = [path for path, entry in snapshot.files.items() if here.get(path) != entry.sha256]
-
-    def bring(path: str) -> None:
-        content = _content(store, snapshot.files[path])
-        if path == STATE_FILE:
-            replace_state(output, content)
-        else:
-            put(output / path, content, durable=False)
-
-    in_turn(bring, news)
-    _record(store, output, snapshot)
-    return snapshot
-
-
-def _here(store: ObjectStore, output: Path, snapshot: Snapshot) -> dict[str, str]:
-    """SHA-256 of the folder's files; from its record if the last run ended well."""
+def _recorded(store: ObjectStore, output: Path) -> dict[str, list[Any]] | None:
+    """Files of the folder as it was recorded, with digest and stamp; None if it is no copy."""
     try:
         document = json.loads(read(output / RECORD))
+        url, files = document["url"], document["files"]
     except FileNotFoundError:
-        document = None
-    except (OSError, ValueError) as error:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise StoreError("store_read", f"{output / RECORD} cannot be read: {error}") from error
-    if document is not None and document["url"] != store.url:
+    if url != store.url:
         raise StoreError(
             "store_copy",
-            f"{output} is the working copy of {document['url']}, expected one of {store.url}: "
-            "choose another output",
+            f"{output} is the working copy of {url}, expected one of {store.url}: choose another "
+            "output",
         )
-    if document is not None and document["files"] is not None:
-        return {str(path): str(digest) for path, digest in document["files"].items()}
-    here = {path: _digest(output / path) for path in _paths(output)}
-    if document is None and snapshot.tag is not None:
-        strange = [path for path, digest in here.items() if not _same(snapshot, path, digest)]
-        if strange:
-            raise StoreError(
-                "store_copy",
-                f"{output} holds files that are not those at {store.url}, such as "
-                f"{strange[0]}: choose an empty output",
-            )
-    return here
+    return files if isinstance(files, dict) else {}
 
 
-def _same(snapshot: Snapshot, path: str, digest: str) -> bool:
-    return path in snapshot.files and snapshot.files[path].sha256 == digest
-
-
-def _record(store: ObjectStore, output: Path, snapshot: Snapshot | None) -> None:
-    """Record the snapshot of which the folder is a copy; None while it is being changed."""
-    files = snapshot and {path: entry.sha256 for path, entry in snapshot.files.items()}
+def _record(store: ObjectStore, output: Path, digests: Mapping[str, str]) -> None:
+    """Record of which store the folder is a copy, and what its files hold."""
+    files = {path: (digest, *_stamp(output / path)) for path, digest in digests.items()}
     put(output / RECORD, json.dumps({"url": store.url, "files": files}, indent=0).encode())
+
+
+def _digests(output: Path, known: Mapping[str, Any]) -> dict[str, str]:
+    """SHA-256 of the folder's files that are published; those as recorded are not read."""
+    found = {}
+    for path in _paths(output):
+        before = known.get(path)
+        is_kept = isinstance(before, list) and before[1:] == _stamp(output / path)
+        if before and is_kept and path != STATE_FILE:  # people add to it between runs
+            found[path] = str(before[0])
+        else:
+            found[path] = hashlib.sha256(read(output / path)).hexdigest()
+    return found
+
+
+def _stamp(path: Path) -> list[int]:
+    """Size, time and inode of a file: one that is replaced has others."""
+    status = path.stat()
+    return [status.st_size, status.st_mtime_ns, status.st_ino]
 
 
 def _paths(output: Path) -> Iterator[str]:
@@ -237,81 +262,8 @@ def _paths(output: Path) -> Iterator[str]:
     yield from (name for name in FILES if (output / name).exists())
 
 
-def _digest(path: Path) -> str:
-    return hashlib.sha256(read(path)).hexdigest()
-
-
-def push(store: ObjectStore, output: Path, before: Snapshot, started_ns: int = 0) -> Snapshot:
-    """Publish a folder: its new files, then the lists of files, then `current.json`.
-
-    Raises StoreError if it cannot be published; what was published before then stays.
-    """
-    _record(store, output, None)
-
-    def land(path: str) -> tuple[str, Entry]:
-        known = before.files.get(path)
-        is_old = (output / path).stat().st_mtime_ns < started_ns
-        if known is not None and is_old and path != STATE_FILE:  # people add to it between runs
-            return path, known
-        content = read(output / path)
-        entry = _entry(f"files/{path}", content)
-        if known != entry:
-            store.create(entry.key, content)
-        return path, entry
-
-    files = dict(in_turn(land, _paths(output)))
-    after = _replace_root(store, before, files)
-    _record(store, output, after)
-    _clear(store, after)
-    return after
-
-
-def _entry(path: str, content: bytes) -> Entry:
-    """A file's key: the hash of its content stands before the ending."""
-    digest = hashlib.sha256(content).hexdigest()
-    stem, dot, ending = path.rpartition(".") if "." in path.rpartition("/")[2] else (path, "", "")
-    return Entry(f"{stem}.{digest[:16]}{dot}{ending}", digest)
-
-
-def _replace_root(store: ObjectStore, before: Snapshot, files: Mapping[str, Entry]) -> Snapshot:
-    """Put the lists of files, and `current.json` last."""
-    months: defaultdict[str, dict[str, Any]] = defaultdict(dict)
-    for path, entry in sorted(files.items()):
-        found = MONTH.search(path)
-        months[found[1] if found else "whole"][path] = (entry.key, entry.sha256)
-    parts = {}
-    for month, listed in months.items():
-        content = json.dumps(listed, indent=0).encode()
-        parts[month] = _entry(f"lists/{month}.json", content)
-        if before.parts.get(month) != parts[month]:
-            store.create(parts[month].key, content)
-    present = _keys(Snapshot(None, files, parts))
-    today = dt.datetime.now(dt.UTC).date().isoformat()
-    gone = ((key, today) for key in sorted(_keys(before) - present))
-    superseded = (*(one for one in before.superseded if one[0] not in present), *gone)
-    content = json.dumps(
-        {
-            "tables": _tables(files),
-            "parts": {month: (one.key, one.sha256) for month, one in sorted(parts.items())},
-            "superseded": superseded,
-        },
-        indent=0,
-    ).encode()
-    tag = store.replace(ROOT, content, before.tag)
-    return Snapshot(tag, files, parts, superseded)
-
-
-def _keys(snapshot: Snapshot) -> set[str]:
-    return {one.key for one in (*snapshot.files.values(), *snapshot.parts.values())}
-
-
-def _tables(files: Mapping[str, Entry]) -> dict[str, list[str]]:
-    """Keys of each table's files, for query engines."""
-    tables: defaultdict[str, list[str]] = defaultdict(list)
-    for path, entry in sorted(files.items()):
-        if path.startswith("tables/") and path.endswith(".parquet"):
-            tables[path.split("/")[1]].append(entry.key)
-    return dict(tables)
+def _today() -> str:
+    return dt.datetime.now(dt.UTC).date().isoformat()
 
 
 def _clear(store: ObjectStore, snapshot: Snapshot) -> None:

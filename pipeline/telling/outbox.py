@@ -22,7 +22,7 @@ from pipeline.errors import StoreError
 from pipeline.messages import counted
 from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
 from pipeline.store.state import State, read_state_file
-from pipeline.store.tables import month_stamps, read_table, table_folder
+from pipeline.store.tables import read_table
 from pipeline.telling.delivery import Receiver
 
 log = logging.getLogger(__name__)
@@ -202,17 +202,22 @@ def add_summary(
 
 
 def _take_up(state: State, receivers: Sequence[str], fleet: str, told: Told) -> None:
-    """Queue the new rows of the months that were written to since, in a transaction."""
-    taken = dict(state.rows("SELECT name, stamp FROM taken_up WHERE topic = ?", told.topic))
+    """Queue the new rows of the files that were published since, in a transaction."""
+    taken = dict(state.rows("SELECT name, sha256 FROM taken_up WHERE topic = ?", told.topic))
     changes: list[Change] = []
-    for month, stamp in sorted(month_stamps(state.output, told.table).items()):
-        if taken.get(month) == str(stamp):
+    for name, sha256 in state.rows(
+        "SELECT name, sha256 FROM files WHERE name LIKE ? AND sha256 != '' ORDER BY name",
+        f"{told.table.name}/%",
+    ):
+        if taken.get(name) == sha256:
             continue
-        rows, whole = _rows_of(state.output, month, told)
-        if whole:
-            values = told.topic, month, str(stamp)
-            state.write("INSERT OR REPLACE INTO taken_up VALUES (?, ?, ?)", *values)
-        changes += _new_among(state, rows, told)
+        try:
+            rows = read_table(state.output / "tables" / name, told.table).to_dicts()
+        except StoreError as error:
+            log.warning("alarms: %s; its rows wait until it is whole", error)
+            continue
+        changes += _new_among(state, filter(told.tells, rows), told)
+        state.write("INSERT OR REPLACE INTO taken_up VALUES (?, ?, ?)", told.topic, name, sha256)
     now = dt.datetime.now(dt.UTC)
     for name in receivers:
         for one in _deliveries(fleet, name, now, changes):
@@ -236,18 +241,6 @@ def _new_among(state: State, rows: Iterable[Mapping[str, Any]], told: Told) -> I
         if not row.get("is_silent"):
             what = "rules" if row.get("rules") else "changed" if known else "new"
             yield {"id": f"{key}-{said}-{times}", "change": what, **_plain(row)}
-
-
-def _rows_of(output: Path, month: str, told: Told) -> tuple[list[dict[str, Any]], bool]:
-    """Rows of a month's files that are whole, and True if all are."""
-    rows, whole = list[dict[str, Any]](), True
-    for path in sorted((table_folder(output, told.table) / f"month={month}").glob("*.parquet")):
-        try:
-            rows += filter(told.tells, read_table(path, told.table).to_dicts())
-        except StoreError as error:
-            log.warning("alarms: %s; its rows wait until it is whole", error)
-            whole = False
-    return rows, whole
 
 
 def _digest(parts: object) -> str:

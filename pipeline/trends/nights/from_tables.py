@@ -18,7 +18,7 @@ from pipeline.config import MotorSpec
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
 from pipeline.schema.fits import NO_NEW_DATA, OK
-from pipeline.store.tables import FILES_AT_ONCE, nights_back, read_rows
+from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.eras import era_at, eras_of
 from pipeline.trends.nights.history import (
@@ -34,6 +34,8 @@ from pipeline.trends.nights.layout import Layout
 
 Row = dict[str, Any]
 
+# Nights whose blocks are in memory together.
+NIGHTS_AT_ONCE = 32
 NO_LOG = f"{NO_NEW_DATA.replace('_', ' ')}: no log covers this night"
 OTHER_KIND = "its statistics are of another model"
 FIT_COLUMNS = (
@@ -252,8 +254,8 @@ def _add_blocks(output: Path, motors: Mapping[str, MotorNights]) -> None:
     for begin, some in _by_night(needed).items():
         nights = {night for name in some for night in motors[name].history.nights if night >= begin}
         labels = sorted(nights)
-        for at in range(0, len(labels), FILES_AT_ONCE):
-            chosen = labels[at : at + FILES_AT_ONCE]
+        for at in range(0, len(labels), NIGHTS_AT_ONCE):
+            chosen = labels[at : at + NIGHTS_AT_ONCE]
             rows = read_rows(output, BLOCK_STATISTICS, some, BLOCK_COLUMNS, nights=chosen)
             for (name, night), part in rows.partition_by("motor_id", "night", as_dict=True).items():
                 _take(motors[name], night, part)

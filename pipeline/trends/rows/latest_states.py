@@ -14,7 +14,7 @@ from leakage.estimation.validation import is_poor
 from pipeline.errors import StoreError
 from pipeline.schema import ALARMS, FITS, LATEST, TRENDS, WATCH
 from pipeline.schema.fits import FAILED, OK
-from pipeline.store.tables import published_rows, read_rows, whole_file
+from pipeline.store.tables import read_rows, read_table, whole_file
 from pipeline.trends.nights.decisions import LEAKAGE, Decision, read_decisions
 from pipeline.trends.nights.tonight import WITH_SAMPLES
 from pipeline.trends.rows.motor_states import (
@@ -87,7 +87,7 @@ def published_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]
     Raises StoreError if one of these is damaged.
     """
     try:
-        rows = published_rows(output, whole_file(output, LATEST), LATEST)
+        rows = read_table(whole_file(output, LATEST), LATEST)
     except StoreError as error:
         if error.code != "store_read":
             raise

@@ -19,7 +19,7 @@ import pipeline.run.fleet
 import pipeline.store.publishing
 from pipeline.config.fleet import OWN_FOLDERS
 from pipeline.errors import StoreError
-from pipeline.store.night_files import NightFile, prepare_night
+from pipeline.store.night_files import NewFile, prepare_file
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change, without_workers
 
@@ -153,7 +153,7 @@ def test_4_where_the_disk_is_full(
     def full(*_: Any) -> None:
         raise StoreError("store_write", "x.parquet cannot be written: No space left on device")
 
-    monkeypatch.setattr(pipeline.store.publishing, "prepare_night", full)
+    monkeypatch.setattr(pipeline.store.publishing, "prepare_file", full)
     code, _, err = call("fit-fleet", without_workers(own_fleet(PARQUET)))
     assert code == 4
     assert "No space left on device" in err
@@ -170,15 +170,15 @@ def test_130_and_143_while_publishing(
 ) -> None:
     came: list[int] = []
 
-    def interrupted(*arguments: Any) -> NightFile:
+    def interrupted(*arguments: Any) -> NewFile:
         if not came:
             came.append(number)
             os.kill(os.getpid(), number)
-        return prepare_night(*arguments)
+        return prepare_file(*arguments)
 
     fleet = without_workers(own_fleet(PARQUET))
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.store.publishing, "prepare_night", interrupted)
+        patched.setattr(pipeline.store.publishing, "prepare_file", interrupted)
         ended, out, err = call("fit-fleet", fleet)
     # What was begun is published whole, and nothing after it is begun.
     assert ended == code

@@ -18,7 +18,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
-import pipeline.export.csv
 from pipeline.export.csv import Selection, as_text, export_csv, tables_named
 from pipeline.schema import (
     DATA_DICTIONARY,
@@ -229,29 +228,12 @@ def test_damaged_table_leaves_the_file_before(fitted_output: Path, tmp_path: Pat
     shutil.copytree(table_folder(fitted_output, FITS), table_folder(output, FITS))
     export(output, folder, FITS)
     before = (folder / "fits.csv").read_bytes()
-    path = night_file(output, FITS, dt.date(2026, 1, 4))
+    path = night_file(output, FITS, NIGHT)
     path.write_bytes(path.read_bytes()[:-100])
-    with refused("store_read", "2026-01-04.parquet of fits"):
+    with refused("store_read", "2026-01.parquet of fits"):
         export(output, folder, FITS)
     assert (folder / "fits.csv").read_bytes() == before
     assert names(folder) == ["fits.csv"]
-
-
-def test_night_that_a_run_takes_away_meanwhile(
-    fitted_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    output = tmp_path / "out"
-    shutil.copytree(table_folder(fitted_output, FITS), table_folder(output, FITS))
-    gone = night_file(output, FITS, NIGHT)
-
-    def read(path: Path, table: Table) -> pl.DataFrame:
-        gone.unlink(missing_ok=True)
-        return read_table(path, table)
-
-    monkeypatch.setattr(pipeline.export.csv, "read_table", read)
-    export(output, tmp_path / "csv", FITS)
-    nights = set(pl.read_csv(tmp_path / "csv" / "fits.csv")["night"])
-    assert nights == {"2026-01-02", "2026-01-04"}
 
 
 def test_refuses_the_folder_of_the_tables(fitted_output: Path, tmp_path: Path) -> None:
@@ -283,7 +265,9 @@ def test_command_says_what_it_wrote(
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        ([], 2, "export_format: expected one of --csv FOLDER, --delta PLACE and --duckdb FILE"),
+        ([], 2, "export_format: expected one of --csv FOLDER and --delta PLACE"),
+        (["--csv", "csv", "--decimal", ","], 2, "csv_dialect: --decimal , needs another"),
+        (["--csv", "csv", "--separator", "."], 2, "csv_dialect: --separator is '.'"),
         (["--csv", "csv", "--tables", "fit"], 2, "unknown_table: --tables: no table fit"),
         (["--csv", "csv", "--motors", "CB9"], 2, "unknown_motor: no motor CB9"),
         (["--csv", "csv", "--since", "x"], 2, "date: --since: got 'x'"),

@@ -23,8 +23,8 @@ from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.verification import verify_tables
 from pipeline.schema import LATEST, TABLES, TREND_TABLES, Table
 from pipeline.schema.fits import FAILED
-from pipeline.store.tables import night_named, read_table
-from tests.pipeline.remembered import LASTING, ledger_of, record_of
+from pipeline.store.tables import files_of, name_of, read_table
+from pipeline.trends.nights.trend_record import read_record
 from tests.pipeline.simulated import NIGHT, motor_toml, write_configs, write_log
 from tests.pipeline.workshop import MINI, QUICK, Workshop
 
@@ -120,12 +120,16 @@ def remembered_fits() -> Iterator[None]:
 
 
 def tables_in(output: Path) -> Tables:
-    """Rows of every table file by its path, without the run that wrote them."""
+    """Rows of every table file by its path, and by night, without the run that wrote them."""
     found = {}
-    root = output / "tables"
     for table in TABLES:
-        for path in sorted((root / table.name).rglob("*.parquet")):
-            found[path.relative_to(root).as_posix()] = _rows(path, path.read_bytes(), table)
+        for path in files_of(output, table):
+            rows = _rows(path, path.read_bytes(), table)
+            if "night" not in table.key:
+                found[name_of(output, path)] = rows
+                continue
+            for (night,), part in rows.partition_by("night", as_dict=True).items():
+                found[f"{name_of(output, path)} {night}"] = part
     return found
 
 
@@ -165,7 +169,7 @@ def check_old_or_new(output: Path, fleet: TinyFleet, failed: Collection[str] = (
         for motor in MOTORS if failed else (None,):
             if motor in failed and (
                 table in {one.name for one in (*TREND_TABLES, LATEST)}
-                or (motor, night_named(Path(name).name)) in nights
+                or (motor, _night_in(name)) in nights
             ):
                 continue
             states = [_of_motor(state.get(name), motor) for state in (now, before, after)]
@@ -173,6 +177,11 @@ def check_old_or_new(output: Path, fleet: TinyFleet, failed: Collection[str] = (
     assert list(verify_tables(output)) == []
     for table in TABLES:
         check_keys(now, table)
+
+
+def _night_in(name: str) -> dt.date | None:
+    _, _, night = name.partition(" ")
+    return dt.date.fromisoformat(night) if night else None
 
 
 def _of_motor(rows: pl.DataFrame | None, motor: str | None) -> pl.DataFrame | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from contextlib import suppress
 from pathlib import Path
@@ -12,8 +11,8 @@ import pytest
 
 from pipeline.run.verification import verify_tables
 from pipeline.schema import QUALITY, frame
-from pipeline.store.manifest import manifest_file, read_manifest
-from pipeline.store.night_files import NewRows, prepare_night
+from pipeline.store.manifest import manifest_file, manifest_key, read_manifest
+from pipeline.store.night_files import NewRows, prepare_file, with_nights
 from pipeline.store.tables import night_file
 from tests.pipeline.faults.conftest import say
 from tests.pipeline.faults.disk import Disk, Killed, on
@@ -66,14 +65,9 @@ def alone(path: Path, output: Path, folder: Path) -> Path:
     place = folder / "tables" / name
     place.parent.mkdir(parents=True)
     shutil.copy(path, place)
-    for manifest in (output / "manifest").rglob("*.json"):
-        month = manifest.parent.name.removeprefix("month=")
-        found = read_manifest(output, month, manifest.stem)
-        if name in found.names:
-            target = manifest_file(folder, month, manifest.stem)
-            target.parent.mkdir(parents=True)
-            document = json.loads(manifest.read_bytes())
-            target.write_text(json.dumps(document), "utf-8")
+    key = manifest_key(name)
+    manifest_file(folder, key).parent.mkdir()
+    shutil.copy(manifest_file(output, key), manifest_file(folder, key))
     return place
 
 
@@ -119,17 +113,17 @@ def test_no_flipped_bit_gets_into_a_new_file(output: Path, size: int) -> None:
     """A run adds rows to the file of a night: those that are there are proven first."""
     path = night_file(output, QUALITY, NIGHT)
     whole = path.read_bytes()
-    manifest = read_manifest(output, f"{NIGHT:%Y-%m}", NIGHT.isoformat())
+    manifest = read_manifest(output, f"{NIGHT:%Y-%m}")
     accepted = manifest.accepted(path.relative_to(output / "tables").as_posix())
-    new = NewRows(("M3",), 0, [frame(QUALITY, [])])
-    sound = prepare_night(output, QUALITY, NIGHT, new, accepted)
+    change = with_nights(QUALITY, [(NIGHT, NewRows(("M3",), 0, [frame(QUALITY, [])]))])
+    sound = prepare_file(path, QUALITY, change, accepted)
     assert not sound.lost_rows
     bits = np.arange(8 * len(whole))
     if size:
         bits = np.random.default_rng(4).choice(bits, size, replace=False)
     for bit in bits:
         flip(path, whole, int(bit))
-        file = prepare_night(output, QUALITY, NIGHT, new, accepted)
+        file = prepare_file(path, QUALITY, change, accepted)
         file.drop()
         assert file.lost_rows, bit
 

@@ -46,7 +46,7 @@ def test_a_run_that_mends_may_be_killed_anywhere(
         night_file(output, PREDICTIONS, NIGHT).unlink()
         rot_of_footer(night_file(output, FITS, LATER))
         rot(night_file(output, TRENDS, NIGHT))
-        manifest_file(output, "whole", "data_dictionary").unlink()
+        manifest_file(output, "whole").unlink()
         disk = Disk("killed", point)
         with on(disk), suppress(Killed):
             tiny_fleet.run(output, **EVERY_RUN)

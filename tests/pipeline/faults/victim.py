@@ -27,14 +27,14 @@ STAGES = {
     "reading": "pipeline.logs.motor_logs.read_log",
     "fitting": "pipeline.run.motor_task.fit_night",
     "staging": "pipeline.run.motor_task.stage",
-    "publishing": "pipeline.store.publishing.prepare_night",
+    "publishing": "pipeline.store.publishing.prepare_file",
     "announcing": "pipeline.store.publishing.announce",
     "landing": "pipeline.store.atomic_files.Prepared.land",
     "recording": "pipeline.store.publishing.update_manifest",
     "remembering": "pipeline.run.publishing.write_change",
     "trends": "pipeline.trends.stage.read_nights",
     "staging trends": "pipeline.trends.stage.stage",
-    "publishing the run": "pipeline.store.publishing.Publisher.of_run",
+    "publishing the run": "pipeline.store.publishing.Publisher.add",
 }
 # Those of a run whose fleet tells somebody of its alarms.
 OF_TELLING = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+from hashlib import sha256
 from pathlib import Path
 
 import matplotlib as mpl
@@ -15,8 +16,8 @@ from pipeline.notebook.results import Tables
 from pipeline.schema import ALARMS, FITS, LATEST, TRENDS, WATCH, frame
 from pipeline.store.encoding import write_table
 from pipeline.store.manifest import update_manifest
-from pipeline.store.months import join_months
-from pipeline.store.tables import files_of, night_file, table_folder
+from pipeline.store.tables import files_of, name_of, night_file, table_folder
+from tests.pipeline.written import write_nights
 
 FIRST = dt.date(2026, 1, 30)
 DAY = dt.timedelta(days=1)
@@ -31,19 +32,16 @@ def trend(night: dt.date, indicator: str, value: float) -> dict[str, object]:
 @pytest.fixture
 def tables(tmp_path: Path) -> Tables:
     for at, night in enumerate(NIGHTS):
-        digests: dict[str, str | None] = {}
         fits = [
             {"motor_id": "M1", "night": night, "flushing_mode": mode, "is_primary": mode == "none"}
             for mode in ("none", "fixed")
         ]
         courses = [trend(night, "gap_change_ring", 2.0 * at), trend(night, "drain_flow", 1.0)]
         for table, rows in ((FITS, fits), (TRENDS, courses)):
-            path = night_file(tmp_path, table, night)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            digests[path.relative_to(tmp_path / "tables").as_posix()] = write_table(
-                path, frame(table, rows)
-            )
-        update_manifest(tmp_path, f"{night:%Y-%m}", str(night), digests)
+            write_nights(tmp_path, table, frame(table, rows))
+    paths = [path for table in (FITS, TRENDS) for path in files_of(tmp_path, table)]
+    digests = {name_of(tmp_path, one): sha256(one.read_bytes()).hexdigest() for one in paths}
+    update_manifest(tmp_path, digests)
     return open_tables(tmp_path)
 
 
@@ -60,11 +58,7 @@ def test_fits_are_the_primary_ones_of_all_nights_and_a_trend_is_one_indicator(
     assert tables.alarms().collect().schema == pl.Schema(ALARMS.schema)
 
 
-def test_a_joined_month_and_a_table_without_nights_are_read_once_and_whole(tables: Tables) -> None:
-    before = tables.fits().collect()
-    join_months(tables.output, tables.output / "staging", f"{FIRST:%Y-%m}")
-    assert len(files_of(tables.output, FITS)) == 3
-    assert tables.fits().collect().equals(before)
+def test_a_table_without_nights_is_read_whole(tables: Tables) -> None:
     path = table_folder(tables.output, LATEST) / "latest.parquet"
     path.parent.mkdir(parents=True)
     write_table(path, frame(LATEST, [{"motor_id": "M1", "state": "ok"}]))
@@ -106,7 +100,7 @@ def test_the_course_of_the_leakage_is_plotted_with_its_baseline_and_what_was_tol
         for n in range(3)
     ]
     for row in rows:
-        write_table(night_file(tables.output, WATCH, row["night"]), frame(WATCH, [row]))
+        write_nights(tables.output, WATCH, frame(WATCH, [row]))
     axes = plot_course(tables, "M1")
     leakage, told = axes.get_lines()
     assert list(leakage.get_ydata()) == [2.0, 3.0, 4.0]

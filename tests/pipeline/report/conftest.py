@@ -62,10 +62,14 @@ def rows_without(motor: str) -> Change:
 
 
 def change_table(output: Path, name: str, change: Change, night: str = "*") -> None:
-    """Write the files of a table anew with other rows; one without rows goes."""
+    """Write the files of a table anew with other rows, or those of a night; an empty file goes."""
     table = BY_NAME[name]
-    for path in (output / "tables" / name).rglob(f"{night}.parquet"):
-        rows = change(read_table(path, table))
+    for path in (output / "tables" / name).rglob("*.parquet"):
+        rows = read_table(path, table)
+        is_chosen = (
+            pl.lit(value=True) if night == "*" else pl.col("night") == pl.lit(night).str.to_date()
+        )
+        rows = pl.concat([rows.filter(~is_chosen), change(rows.filter(is_chosen))])
         if rows.height:
             write_table(path, rows.select(table.schema.keys()))
         else:

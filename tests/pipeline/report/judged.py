@@ -9,11 +9,10 @@ from zoneinfo import ZoneInfo
 
 from pipeline.report.build import KnownMotor, ReportRequest, build_report
 from pipeline.schema import ALARMS, BASELINES, TRENDS, WATCH, frame
-from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.rows.motor_states import MotorState
 from tests.pipeline.report.states import SENTENCES, publish_latest, state_of, watched
+from tests.pipeline.written import write_nights
 
 NIGHTS = ["2026-01-02", "2026-01-03", "2026-01-04"]
 WORN, HEALTHY = "CB560-01", "CB400-01"
@@ -37,7 +36,7 @@ def judged_report(fitted_output: Path, output: Path) -> Path:
     gaps = ((WORN, "balance_sleeve", 6.5), (HEALTHY, "piston_ring", 0.4))
     for place, night in enumerate(nights):
         watch = [watched(WORN, place, "alarm"), watched(HEALTHY, place)]
-        write_table(night_file(output, WATCH, night), frame(WATCH, [one.row for one in watch]))
+        write_nights(output, WATCH, frame(WATCH, [one.row for one in watch]))
         rows = [
             {"motor_id": motor, "indicator": f"{kind}{path}", "night": night, "unit": unit}
             | {"value": value, "lower": value - 1.0, "upper": value + 1.0}
@@ -51,14 +50,14 @@ def judged_report(fitted_output: Path, output: Path) -> Path:
             for one in (WORN, HEALTHY)
         ]
         rows[1] |= {"slope_per_year_upper": 5.0, "days_to_limit_status": "already_crossed"}
-        write_table(night_file(output, TRENDS, night), frame(TRENDS, rows).sort(TRENDS.key))
+        write_nights(output, TRENDS, frame(TRENDS, rows))
     baseline = {"night": nights[1], "start": nights[0], "end": nights[1], "mean": 2.0}
     rows = [baseline | {"motor_id": one, "indicator": "leakage"} for one in (HEALTHY, WORN)]
-    write_table(night_file(output, BASELINES, nights[1]), frame(BASELINES, rows))
+    write_nights(output, BASELINES, frame(BASELINES, rows))
     alarm = {"motor_id": WORN, "indicator": "leakage", "night": nights[2], "reason": REASON}
     alarm |= {"time": dt.datetime(2026, 1, 4, 6, tzinfo=dt.UTC)}
     alarm |= {"from_state": "ok", "to_state": "alarm"}
-    write_table(night_file(output, ALARMS, nights[2]), frame(ALARMS, [alarm]))
+    write_nights(output, ALARMS, frame(ALARMS, [alarm]))
     publish_latest(output, states())
     said = dt.datetime(2026, 1, 5, 9, tzinfo=dt.UTC)
     record_decision(output, Decision(WORN, "leakage", said, "acknowledged", nights[2], note=NOTE))

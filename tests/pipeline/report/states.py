@@ -12,11 +12,12 @@ import pytest
 
 from pipeline.schema import ALARMS, FITS, LATEST, WATCH, Table, frame
 from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file, whole_file
+from pipeline.store.tables import whole_file
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.rows.motor_states import MotorState, latest_rows
 from pipeline.trends.rows.watch_rows import WatchRow
 from tests.pipeline.simulated import motor_toml, write_configs
+from tests.pipeline.written import write_nights
 
 LAST = 5
 
@@ -84,8 +85,7 @@ def publish_latest(output: Path, states: Iterable[MotorState]) -> None:
 
 def publish(output: Path, table: Table, rows: Iterable[dict[str, Any]]) -> None:
     """Write rows to the files of their nights."""
-    for one in frame(table, [{"run_id": "r"} | row for row in rows]).partition_by("night"):
-        write_table(night_file(output, table, one["night"][0]), one)
+    write_nights(output, table, frame(table, [{"run_id": "r"} | row for row in rows]))
 
 
 def said(night: int, kind: str = "acknowledged", **more: Any) -> Decision:

@@ -34,7 +34,7 @@ def fitted(fitted_output: Path) -> dict[str, dict[str, Any]]:
 
 
 def rows_of(output: Path, table: Any, motor: str = MOTOR) -> pl.DataFrame:
-    return read_table(night_file(output, table, NIGHT), table).filter(motor_id=motor)
+    return read_table(night_file(output, table, NIGHT), table, [NIGHT]).filter(motor_id=motor)
 
 
 def test_samples_are_those_of_the_table(fitted: dict[str, Any], fitted_output: Path) -> None:

@@ -14,13 +14,13 @@ from pipeline.cli.arguments import duration
 from pipeline.errors import UsageError
 from pipeline.report.status import fleet_status, last_alarm
 from pipeline.schema import ALARMS, LATEST, RUNS, frame
-from pipeline.store.encoding import write_table
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.rows.motor_states import CHANGED, TOLD
 from tests.pipeline.calling import Call, refused
 from tests.pipeline.report.states import ADVICE, SENTENCES, night_of, output
+from tests.pipeline.written import write_nights
 
 __all__ = ["output"]
 
@@ -32,7 +32,7 @@ OPENED = "ack {} M1 --note x --opened"
 def ran(output: Path, hours_ago: float, status: str = "ok") -> None:
     ended = dt.datetime.now(dt.UTC) - dt.timedelta(hours=hours_ago)
     row = {"run_id": f"r{hours_ago}", "started_at": ended, "finished_at": ended, "status": status}
-    Publisher(output, output / "staging", "r").of_run(ended, {RUNS: [row]})
+    Publisher(output, output / "staging", "r").add(f"{ended:%Y-%m}", {RUNS: [row]})
 
 
 @pytest.fixture
@@ -164,9 +164,13 @@ def test_a_baseline_is_reset_with_a_night_and_a_reason(
 
 
 def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
-    row = pl.read_parquet(night_file(output, ALARMS, night_of(4))).to_dicts()[0]
+    row = (
+        pl.read_parquet(night_file(output, ALARMS, night_of(4)))
+        .filter(night=night_of(4))
+        .to_dicts()[0]
+    )
     stale = row | {"night": night_of(5), "to_state": "stale"}
-    write_table(night_file(output, ALARMS, night_of(5)), frame(ALARMS, [stale]))
+    write_nights(output, ALARMS, frame(ALARMS, [stale]))
     assert last_alarm(output, "M1", "leakage", TOLD) == night_of(5)
     assert last_alarm(output, "M1", "leakage", CHANGED) == night_of(4)
     with pytest.raises(UsageError, match="alarms so far: none"):

@@ -10,7 +10,8 @@ from typing import Any
 import polars as pl
 
 from pipeline.schema import QUALITY, Table, frame
-from pipeline.store.night_files import NewRows, NightFile, prepare_night
+from pipeline.store.night_files import NewFile, NewRows, prepare_file, with_nights
+from pipeline.store.tables import night_file
 
 NIGHT = dt.date(2026, 1, 2)
 LATER = dt.date(2026, 2, 1)
@@ -44,14 +45,15 @@ def publish_night(
     some: Mapping[str, pl.DataFrame],
     run_id: str,
     *more: Any,
-) -> NightFile:
-    """Prepare a night's file, and put it there."""
+) -> NewFile:
+    """Prepare the file with a night, and put it there."""
     pieces = [
-        rows.with_columns(run_id=pl.lit(run_id)).select(table.schema.keys()).sort(table.key)
+        rows.with_columns(run_id=pl.lit(run_id)).select(table.schema.keys()).sort(table.order)
         for _, rows in sorted(some.items())
     ]
     new = NewRows(tuple(some), sum(rows.height for rows in pieces), pieces)
-    file = prepare_night(output, table, night, new, *more)
+    change = with_nights(table, [(night, new)])
+    file = prepare_file(night_file(output, table, night), table, change, *more)
     file.land()
     return file
 

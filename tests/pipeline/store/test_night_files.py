@@ -5,8 +5,6 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Mapping
 from pathlib import Path
-from threading import Event
-from typing import Any
 
 import polars as pl
 import pytest
@@ -16,16 +14,14 @@ from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, NIGHT_TABLES, QUALITY, TREND_TABLES, Table, frame
-from pipeline.store import publishing
 from pipeline.store.night_files import StagedRows, new_rows, stage
-from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file, read_table
 from tests.pipeline.store.made_rows import LATER, NIGHT, Row, example, publish_night, row, rows
 
 
 def rows_of(staged: StagedRows, night: dt.date, table: Table = QUALITY) -> pl.DataFrame | None:
     """Staged rows of a motor's night; None where it was not staged."""
-    found = new_rows(table, {"A": staged}, [night], "run").get(night)
+    found = dict(new_rows(table, {"A": staged}, [night], "run")).get(night)
     return None if found is None else pl.concat(found.pieces)
 
 
@@ -75,11 +71,12 @@ class TestStaged:
             by_night = {n: [one for one in some if one["night"] == n] for n in (LATER, NIGHT)}
             stage(path, {QUALITY: by_night})
             staged[motor_id] = StagedRows(path)
-        found = new_rows(QUALITY, staged, nights, "run")
+        found = {n: (one, list(one.pieces)) for n, one in new_rows(QUALITY, staged, nights, "run")}
         for night in nights:
-            assert sorted(found[night].motor_ids) == list("ABCDE")
-            keys = pl.concat(found[night].pieces).select(QUALITY.key).rows()
-            assert found[night].height == len(keys)
+            one, pieces = found[night]
+            assert sorted(one.motor_ids) == list("ABCDE")
+            keys = pl.concat(pieces).select(QUALITY.key).rows()
+            assert one.height == len(keys)
             assert [(one[0], one[3]) for one in keys] == [
                 ("B", "a"), ("B", "b"), ("C", "a"), ("D", "b"), ("E", "a")
             ]  # fmt: skip
@@ -158,42 +155,3 @@ class TestStaged:
         )
         assert found is not None
         assert found["statistics"].to_list() == [block["statistics"] for block in blocks]
-
-
-def test_a_table_that_cannot_be_written_leaves_its_night_as_it_was(tmp_path: Path) -> None:
-    publisher = Publisher(tmp_path, tmp_path / "staging", "run", threads=2)
-    staged = publisher.staging / "nights" / "A.arrow"
-    staged.parent.parent.mkdir()
-    block = {"motor_id": "A", "night": NIGHT}
-    stage(staged, {QUALITY: {NIGHT: [row("A")]}, BLOCK_STATISTICS: {NIGHT: [block]}})
-    in_the_way = night_file(tmp_path, QUALITY, NIGHT).parent
-    in_the_way.parent.mkdir(parents=True)
-    in_the_way.touch()
-    tables = (QUALITY, BLOCK_STATISTICS)
-    with pytest.raises(StoreError):
-        publisher.nights("nights", tables, ["A"], lambda *_: None)
-    assert [path for path in (tmp_path / "tables").rglob("*") if path.is_file()] == [in_the_way]
-    in_the_way.unlink()
-    publisher.nights("nights", tables, ["A"], lambda *_: None)
-    assert read_table(night_file(tmp_path, QUALITY, NIGHT), QUALITY).height == 1
-    assert not staged.exists()
-
-
-@pytest.mark.parametrize("how", ["a failure", "a signal"])
-def test_the_others_stop_after(how: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also files of hundreds of nights are not written to be thrown away."""
-
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    def work(item: str, stopped: Event) -> None:
-        if item == how == "a failure":
-            raise StoreError("store_write", "no space left")
-        assert stopped.wait(30.0)
-
-    monkeypatch.setattr("os.cpu_count", lambda: 2)
-    if how == "a signal":
-        monkeypatch.setattr(publishing, "wait", interrupted)
-    expected: Any = StoreError if how == "a failure" else KeyboardInterrupt
-    with pytest.raises(expected):
-        publishing._side_by_side(work, ["another", how], 2)

@@ -64,16 +64,15 @@ def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Worksho
     before = contents(workshop)
     pruned(workshop)
     after = contents(workshop)
-    gone = {
-        f"tables/{table}/month={night:%Y-%m}/{night}.parquet"
-        for table in HEAVY
-        for night in NIGHTS[:-2]
-    }
-    manifests = {f"manifest/month={night:%Y-%m}/{night}.json" for night in NIGHTS[:-2]}
+    gone = {f"tables/predictions/month={night:%Y-%m}/{night}.parquet" for night in NIGHTS[:-2]}
+    # A month is as old as its last night.
+    gone.add("tables/sensitivities/month=2026-02/2026-02.parquet")
     assert before.keys() - after.keys() == gone
-    assert {name for name in after if after[name] != before[name]} == manifests
+    changed = {name for name in after if after[name] != before[name]}
+    assert changed == {"manifest/2026-02.json", "manifest/2026-03.json"}
+    assert nights_of(workshop, "predictions") == list(NIGHTS[-2:])
+    assert nights_of(workshop, "sensitivities") == list(NIGHTS[3:])
     for table in HEAVY:
-        assert nights_of(workshop, table) == list(NIGHTS[-2:])
         assert not (workshop.output / "tables" / table / "month=2026-02").exists()
     assert list(verify_tables(workshop.output)) == []
 
@@ -125,12 +124,12 @@ def test_a_crash_between_manifest_and_file_is_mended_by_pruning_again(
     assert list(verify_tables(workshop.output)) == []
     pruned(workshop)
     assert list(verify_tables(workshop.output)) == []
-    assert nights_of(workshop, "sensitivities") == list(NIGHTS[-2:])
+    assert nights_of(workshop, "sensitivities") == list(NIGHTS[3:])
 
 
 def test_what_is_told_is_what_goes(workshop: Workshop) -> None:
     (old,) = old_files(workshop.output, {"predictions": 4}, NIGHTS[-1])
-    assert old.nights == NIGHTS[:2]
+    assert (old.first, old.last) == NIGHTS[:2]
     folder = workshop.output / "tables" / "predictions" / "month=2026-02"
     assert old.size_bytes == sum(
         (folder / f"{night}.parquet").stat().st_size for night in NIGHTS[:2]
@@ -184,7 +183,7 @@ def test_nothing_is_removed_without_yes(workshop: Workshop, command: Command) ->
     before = contents(workshop)
     code, out, err = command("prune", str(workshop.fleet))
     assert (code, err) == (0, "")
-    assert out.startswith("predictions: 4 nights, 2026-02-26 to 2026-03-01, 0.")
+    assert out.startswith("predictions: 4 files, 2026-02-26 to 2026-03-01, 0.")
     assert LOSSES["predictions"] in out
     assert "say --yes" in out
     assert contents(workshop) == before

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import errno
 import os
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,18 +18,29 @@ from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
-from pipeline.schema import QUALITY, RUNS, SCHEMA_VERSION, frame
+from pipeline.run.verification import verify_tables
+from pipeline.schema import (
+    BLOCK_STATISTICS,
+    INPUT_FILES,
+    NIGHTLY_TABLES,
+    PREDICTIONS,
+    QUALITY,
+    RESIDUAL_TESTS,
+    RUNS,
+    SCHEMA_VERSION,
+    Table,
+)
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
-from pipeline.store.encoding import ROWS_A_SLICE, prepare_table, write_table
+from pipeline.store.encoding import ROWS_A_GROUP, prepare_table, write_table
+from pipeline.store.night_files import stage
+from pipeline.store.publishing import Publisher
 from pipeline.store.tables import (
+    files_of,
     month_stamps,
     night_file,
-    night_paths,
-    night_stamps,
     nights_back,
     read_rows,
     read_table,
-    run_file,
     table_folder,
 )
 from tests.pipeline.store.made_rows import (
@@ -49,9 +61,12 @@ def published(output: Path, night: dt.date = NIGHT) -> list[tuple[str, str, int,
 
 
 class TestLayout:
-    def test_one_file_a_night_and_table(self, tmp_path: Path) -> None:
-        path = night_file(tmp_path, QUALITY, NIGHT)
-        assert path == tmp_path / "tables" / "quality" / "month=2026-01" / "2026-01-02.parquet"
+    def test_a_file_a_month_or_a_night_where_rows_are_many(self, tmp_path: Path) -> None:
+        month = Path("month=2026-01")
+        for table, name in ((QUALITY, "2026-01"), (BLOCK_STATISTICS, "2026-01-02")):
+            path = table_folder(tmp_path, table) / month / f"{name}.parquet"
+            assert night_file(tmp_path, table, NIGHT) == path
+        assert NIGHTLY_TABLES == (PREDICTIONS, BLOCK_STATISTICS, RESIDUAL_TESTS)
 
     def test_written_so_that_every_reader_can(self, file: Path) -> None:
         """Texts alone have a dictionary; modes are for all users."""
@@ -71,7 +86,7 @@ class TestLayout:
         digest = write_table(path, many)
         footer = pq.read_metadata(path)
         sizes = [footer.row_group(place).num_rows for place in range(footer.num_row_groups)]
-        assert set(sizes[:-1]) == {ROWS_A_SLICE}
+        assert set(sizes[:-1]) == {ROWS_A_GROUP}
         pieces = [many.head(5), many.head(0), many.slice(5, 9000), many.slice(9005)]
         prepared = prepare_table(path, pieces)
         prepared.drop()
@@ -92,7 +107,7 @@ class TestLayout:
         write_table(later, rows(row("M000", night=LATER)))
         for stranger in (
             "stray.parquet",
-            "month=2026-01/2026-01-02 (1).parquet",
+            "month=2026-01/2026-01 (1).parquet",
             "month=2026-01/20260103.parquet",
             "month=2026-01/2026-13-01.parquet",
             "month=2026-01/2026-03-01.parquet",
@@ -102,11 +117,11 @@ class TestLayout:
             path = table_folder(tmp_path, QUALITY) / stranger
             path.parent.mkdir(exist_ok=True)
             path.write_bytes(file.read_bytes())
-        assert night_paths(tmp_path, QUALITY) == {NIGHT: file, LATER: later}
+        assert files_of(tmp_path, QUALITY) == [file, later]
+        assert files_of(tmp_path, QUALITY, [LATER]) == [later]
         assert list(nights_back(tmp_path, QUALITY)) == [LATER, NIGHT]
         assert read_rows(tmp_path, QUALITY, ["M000"])["night"].to_list() == [NIGHT, LATER]
         assert month_stamps(tmp_path, QUALITY).keys() == {"2026-01", "2026-02"}
-        assert night_stamps(tmp_path, QUALITY, "2026-01").keys() == {str(NIGHT)}
 
 
 class TestWhole:
@@ -214,7 +229,7 @@ class TestPublish:
         assert all_files(tmp_path) == []
         publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "two")
         publish_night(tmp_path, QUALITY, NIGHT, {"A": new()}, "three")
-        assert all_files(tmp_path) == [f"{NIGHT}.parquet"]
+        assert all_files(tmp_path) == ["2026-01.parquet"]
         assert published(tmp_path) == []
         pattern = (table_folder(tmp_path, QUALITY) / "**" / "*.parquet").as_posix()
         with duckdb.connect() as analyst:
@@ -279,11 +294,119 @@ class TestPublish:
         publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "run")
         assert night_file(tmp_path, QUALITY, NIGHT).read_bytes() == before
 
-    def test_tables_of_a_run(self, tmp_path: Path) -> None:
-        """Each run has a file of its own, however fast they follow each other."""
+    def test_runs_of_a_month_follow_each_other(self, tmp_path: Path) -> None:
+        """Also two in a microsecond; one that is added again replaces itself."""
         start = dt.datetime(2026, 1, 31, 23, 59, 59, 5, tzinfo=dt.UTC)
-        for started in (start, start + dt.timedelta(microseconds=1)):
-            one = frame(RUNS, [{"run_id": "r", "started_at": started}])
-            write_table(run_file(tmp_path, RUNS, started), one)
-        files = sorted((table_folder(tmp_path, RUNS) / "month=2026-01").iterdir())
-        assert [read_table(path, RUNS)["run_id"].to_list() for path in files] == [["r"], ["r"]]
+        publisher = Publisher(tmp_path, tmp_path, "r")
+        for run_id, started in (
+            ("b", start),
+            ("a", start),
+            ("b", start),
+            ("c", start - dt.timedelta(1)),
+        ):
+            publisher.add("2026-01", {RUNS: [{"run_id": run_id, "started_at": started}]})
+        found = read_table(table_folder(tmp_path, RUNS) / "month=2026-01" / "2026-01.parquet", RUNS)
+        assert found["run_id"].to_list() == ["c", "a", "b"]
+
+
+NIGHTS = tuple(dt.date(2026, 1, day) for day in (3, 4, 9, 31))
+
+
+def publish(output: Path, motors: Mapping[str, Iterable[dt.date]], run_id: str = "r") -> Publisher:
+    """Publish nights of motors, as a run does."""
+    publisher = Publisher(output, output / "staging" / "run", run_id, threads=2)
+    publisher.staging.mkdir(parents=True, exist_ok=True)
+    for motor, nights in motors.items():
+        tables: dict[Table, dict[dt.date, list[Row]]] = {
+            QUALITY: {n: [row(motor, one, night=n) for one in ("b", "a")] for n in nights},
+            BLOCK_STATISTICS: {n: [{"motor_id": motor, "night": n}] for n in nights},
+        }
+        stage(publisher.staging / "nights" / f"{motor}.arrow", tables)
+    publisher.nights("nights", (QUALITY, BLOCK_STATISTICS), list(motors), lambda *_: None)
+    return publisher
+
+
+def contents(output: Path) -> dict[str, bytes]:
+    tables = output / "tables"
+    return {path.relative_to(tables).as_posix(): path.read_bytes() for path in tables.rglob("*.*")}
+
+
+class TestMonths:
+    @settings(max_examples=15)
+    @given(st.permutations([(motor, night) for motor in "ABC" for night in NIGHTS]), st.data())
+    def test_bytes_do_not_tell_how_many_runs_made_them(
+        self,
+        tmp_path_factory: pytest.TempPathFactory,
+        order: list[tuple[str, dt.date]],
+        data: st.DataObject,
+    ) -> None:
+        """Row groups of two rows, and few cells at once: also their borders are the same."""
+        folder = tmp_path_factory.mktemp("runs")
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr("pipeline.store.encoding.ROWS_A_GROUP", 2)
+            publish(folder / "at once", dict.fromkeys("ABC", NIGHTS))
+            patched.setattr("pipeline.store.night_files.CELLS_AT_ONCE", 40)
+            patched.setattr("pipeline.store.night_files.MOTORS_AT_ONCE", 2)
+            while order:
+                count = data.draw(st.integers(1, len(order)))
+                now, order = order[:count], order[count:]
+                done = {motor: [n for one, n in now if one == motor] for motor, _ in now}
+                publish(folder / "one by one", done)
+        assert contents(folder / "at once") == contents(folder / "one by one")
+
+    def test_a_night_that_is_made_anew_leaves_the_others(self, tmp_path: Path) -> None:
+        publish(tmp_path, {"A": NIGHTS, "B": NIGHTS}, "one")
+        publish(tmp_path, {"A": NIGHTS[1:2]}, "two")
+        found = read_rows(tmp_path, QUALITY, ["A", "B"])
+        assert found.select("night", "motor_id", "reason").rows() == [
+            (night, motor, reason) for night in NIGHTS for motor in "AB" for reason in "ab"
+        ]
+        again = found.filter(run_id="two").select("motor_id", "night").unique().rows()
+        assert again == [("A", NIGHTS[1])]
+        assert list(nights_back(tmp_path, QUALITY)) == list(NIGHTS[::-1])
+        assert read_rows(tmp_path, QUALITY, ["A"], nights=NIGHTS[:1]).height == 2
+        assert list(verify_tables(tmp_path)) == []
+
+    def test_a_damaged_month_is_put_aside_and_its_nights_are_forgotten(
+        self, tmp_path: Path
+    ) -> None:
+        publish(tmp_path, {"A": NIGHTS, "B": NIGHTS})
+        path = night_file(tmp_path, QUALITY, NIGHT)
+        path.write_bytes(path.read_bytes()[:-9])
+        forgotten: dict[dt.date, Collection[str]] = {}
+        publisher = Publisher(tmp_path, tmp_path / "staging" / "run", "r")
+        stage(publisher.staging / "nights" / "A.arrow", {QUALITY: {NIGHTS[0]: [row("A")]}})
+        publisher.nights(
+            "nights", [QUALITY], ["A"], lambda n, keep: forgotten.update(dict.fromkeys(n, keep))
+        )
+        assert len(forgotten) == 31
+        assert {night: keep for night, keep in forgotten.items() if keep} == {NIGHTS[0]: {"A"}}
+        assert publisher.damaged == ["quality/month=2026-01/2026-01.parquet"]
+        assert path.with_suffix(".damaged").exists()
+        assert read_table(path, QUALITY).height == 1
+
+    def test_a_key_without_the_night_is_never_there_twice(self, tmp_path: Path) -> None:
+        """A log that moves to another month, either way, or to another night of its own."""
+        paths = []
+        for moved_to in (NIGHTS[0], LATER, NIGHTS[1], None, NIGHTS[0]):
+            publisher = Publisher(tmp_path, tmp_path / "staging" / "run", "r")
+            publisher.staging.mkdir(parents=True, exist_ok=True)
+            logs = {n: [{"motor_id": "A", "path": str(n), "night": n}] for n in (*NIGHTS, LATER)}
+            moving = {"motor_id": "A", "path": "moving", "night": moved_to}
+            logs[moved_to or NIGHTS[0]].append(moving)
+            stage(publisher.staging / "nights" / "A.arrow", {INPUT_FILES: logs})
+            publisher.nights("nights", [INPUT_FILES], ["A"], lambda *_: None)
+            paths = read_rows(tmp_path, INPUT_FILES, ["A"])["path"].to_list()
+            assert sorted(paths) == sorted([*map(str, (*NIGHTS, LATER)), "moving"])
+
+    def test_a_failure_leaves_what_was_there(self, tmp_path: Path) -> None:
+        publish(tmp_path, {"A": NIGHTS[:1]})
+        before = contents(tmp_path)
+        in_the_way = table_folder(tmp_path, BLOCK_STATISTICS) / "month=2026-02"
+        in_the_way.touch()
+        with pytest.raises(StoreError):
+            publish(tmp_path, {"A": [LATER]})
+        assert contents(tmp_path) == before
+        in_the_way.unlink()
+        publish(tmp_path, {"A": [LATER]})
+        assert list(verify_tables(tmp_path)) == []

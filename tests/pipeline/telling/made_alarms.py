@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.schema import ALARMS, frame
-from pipeline.store.encoding import write_table
-from pipeline.store.state import open_state
 from pipeline.store.tables import night_file
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Delivery, UndeliveredError
 from pipeline.telling.outbox import backlogs, open_outbox, take_up
+from tests.pipeline.written import write_nights
 
 FLEET = "Mill"
 FIRST = dt.date(2026, 2, 17)
@@ -62,7 +61,7 @@ def publish(output: Path, *rows: dict[str, Any]) -> None:
         here = [one for one in rows if one["night"] == night]
         path = night_file(output, ALARMS, night)
         before = path.parent.stat().st_mtime_ns if path.parent.exists() else 0
-        write_table(path, frame(ALARMS, here).sort(ALARMS.key))
+        write_nights(output, ALARMS, frame(ALARMS, here))
         # Runs follow each other less closely than the clock of a file system ticks.
         after = max(before + 1, path.parent.stat().st_mtime_ns)
         os.utime(path.parent, ns=(after, after))

@@ -27,10 +27,10 @@ from pipeline.demo import shipped_configs
 from pipeline.night.rows import upper_triangle
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.schema import BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table, frame
-from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file, read_rows
+from pipeline.store.tables import read_rows
 from pipeline.trends.nights.decisions import Decision
 from tests.pipeline.simulated import motor_toml, write_configs
+from tests.pipeline.written import write_nights
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -312,11 +312,7 @@ def fleet_of(
 def publish(output: Path, *motors: Mapping[str, pl.DataFrame]) -> None:
     """Write rows of motors as the tables of an output folder, in place of those of its nights."""
     for table in TABLES:
-        rows = pl.concat([one[table.name] for one in motors])
-        for (night,), part in rows.partition_by("night", as_dict=True).items():
-            write_table(night_file(output, table, night), part.sort(table.key))
-            # What a run has published there before proves another file.
-            (output / "manifest" / f"month={night:%Y-%m}" / f"{night}.json").unlink(missing_ok=True)
+        write_nights(output, table, pl.concat([one[table.name] for one in motors]))
 
 
 def part_of(frames: Frames, first: int, end: int) -> Frames:

@@ -1,0 +1,232 @@
+"""Outputs of versions up to 0.9: taken over once.
+
+Each month of a small table becomes one file, and what stood in manifests, ledgers, the journal and
+the outbox goes into the state file. May go in 2028, with its test.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pipeline.errors import LockedError, StoreError
+from pipeline.schema import LOOKS, NIGHTLY_TABLES, TABLES, WHOLE_TABLES, Table
+from pipeline.store.atomic_files import move, read, remove, remove_all
+from pipeline.store.encoding import prepare_table
+from pipeline.store.locks import locked
+from pipeline.store.published import note
+from pipeline.store.state import State
+from pipeline.store.tables import (
+    ENDING,
+    MONTH_PREFIX,
+    PUT_ASIDE,
+    damaged,
+    groups_of,
+    month_file,
+    month_stamps,
+    name_of,
+)
+
+log = logging.getLogger(__name__)
+
+# Lets the nights of table files be made anew, by the files' names.
+Forget = Callable[[list[str]], object]
+OLD_FOLDERS = ("manifest", "ledger", "history")
+OUTBOX = ("outbox.json", "outbox.copy.json")
+OLD_FILES = ("decisions.jsonl", "decisions.damaged", *OUTBOX, *(f"look/{one}" for one in OUTBOX))
+DECISION = ("motor_id", "indicator", "time", "kind", "night", "finding", "note", "worn", "sound")
+LISTED = "SELECT 1 FROM files WHERE name = ?"
+# SHA-256 that a file may have, by its name.
+Listed = Mapping[str, tuple[str | None, ...]]
+MONTHLY = tuple(one for one in TABLES if one not in (*NIGHTLY_TABLES, *WHOLE_TABLES))
+
+
+def take_over(state: State, forget: Forget) -> None:
+    """Take an output of an older version over; the caller holds the lock.
+
+    Where that is broken off, the next run goes on; until then a query may see rows twice.
+
+    Raises StoreError if a file cannot be written, or is of a newer version of the program.
+    """
+    output = state.output
+    if any((output / name).exists() for name in (*OLD_FOLDERS, *OLD_FILES)):
+        log.warning("the output is of an older version, and is taken over")
+        if not state.meta("taken over"):
+            _take_records(state)
+    manifests = sorted((output / "manifest").glob("*/*.json"))
+    listed = {name: some for path in manifests for name, some in _listed(path)}
+    old = {(table, month) for table in MONTHLY for month in _old_months(output, table)}
+    for month in sorted({month for _, month in old}):
+        tables = [table for table in MONTHLY if (table, month) in old]
+        with suppress(LockedError), _looks_held(output, tables):
+            _take_month(state, month, tables, listed, forget)
+    remaining = {name for name in listed if not state.rows(LISTED, name)}
+    there = {name: _digest(output / "tables" / name, listed[name]) for name in remaining}
+    note(state, {name: digest for name, digest in there.items() if digest is not None})
+    for name in OLD_FOLDERS:
+        remove_all(output / name)
+    for name in OLD_FILES:
+        remove(output / name)
+    for path in output.glob("look/*/"):
+        remove_all(path)
+
+
+@contextmanager
+def _looks_held(output: Path, tables: Sequence[Table]) -> Iterator[None]:
+    """Hold the lock of looks, if their tables are taken over."""
+    with locked(output / "look") if LOOKS in tables else nullcontext():
+        yield
+
+
+def _listed(path: Path) -> Iterator[tuple[str, tuple[str | None, ...]]]:
+    """Files of an old manifest, and what each may be."""
+    document = _document(path)
+    yield from ((name, (digest,)) for name, digest in document.get("files", {}).items())
+    yield from ((name, tuple(some)) for name, some in document.get("coming", {}).items())
+
+
+def _document(path: Path) -> dict[str, Any]:
+    """What stands in an old file with a seal of its own; empty where that does not hold."""
+    try:
+        document: dict[str, Any] = json.loads(read(path))
+        seal = document.pop("sha256")
+        digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return {}
+    return document if seal in (digest, digest[:16]) else {}
+
+
+def _take_records(state: State) -> None:
+    """Take over ledgers, records of trends, what people said, and what was told."""
+    output = state.output
+    with state.transaction():
+        for folder in sorted((output / "ledger").glob("*/")):
+            _take_ledger(state, folder)
+        for line in _lines(output / "decisions.jsonl"):
+            _insert(state, "decisions", {name: line[name] for name in DECISION if name in line})
+        for topic, place in (("alarms", output), ("looks", output / "look")):
+            found = next(filter(None, map(_document, (place / name for name in OUTBOX))), {})
+            _take_outbox(state, topic, found)
+        for path in sorted(output.glob("look/*/state.json")):
+            if look := _document(path):
+                row = {"motor_id": path.parent.name, "state": json.dumps(look)}
+                _insert(state, "looks", row)
+        state.set_meta("taken over", "yes")
+
+
+def _take_ledger(state: State, folder: Path) -> None:
+    """Take over the ledger of a motor; the months without damage, as of it was before."""
+    motor_id, settings = folder.name, _document(folder / "settings")
+    _insert(state, "motors", {"motor_id": motor_id, "settings": json.dumps(settings)})
+    for path in sorted(folder.glob("*.json")):
+        month = _document(path)
+        for record in month.get("files", {}).values():
+            nights = {"nights": " ".join(record["nights"]), "changed_ns": 0}
+            _insert(state, "logs", {"motor_id": motor_id, **record, **nights})
+        for night, record in month.get("nights", {}).items():
+            model = {"model": json.dumps(record["model"])}
+            _insert(state, "nights", {"motor_id": motor_id, "night": night, **record, **model})
+    if trends := _document(folder / "trends"):
+        rules = {"rules": json.dumps(trends["rules"])} if trends.get("rules") else {}
+        _insert(state, "trends", {"motor_id": motor_id, **trends, **rules})
+
+
+def _take_outbox(state: State, topic: str, document: Mapping[str, Any]) -> None:
+    """Take over what waits for receivers, and the keys of what was queued."""
+    for key, said, times in (one.split("-") for one in document.get("known", ())):
+        _insert(state, "queued", {"topic": topic, "key": key, "said": said, "times": int(times)})
+    for receiver, queue in document.get("queues", {}).items():
+        mine = {"topic": topic, "receiver": receiver}
+        kept = {name: queue.get(name, "") for name in ("told_since", "fault", "summarised")}
+        _insert(state, "queues", mine | kept)
+        for one in queue["waiting"]:
+            what = {"kind": one.get("kind", ""), "changes": json.dumps(one["changes"])}
+            _insert(state, "outbox", mine | what | {name: one[name] for name in ("id", "since")})
+
+
+def _lines(path: Path) -> Iterator[dict[str, Any]]:
+    """Lines of an old journal."""
+    content = read(path) if path.exists() else b""
+    for line in content.splitlines():
+        with suppress(ValueError):
+            yield json.loads(line)
+
+
+def _insert(state: State, table: str, row: Mapping[str, Any]) -> None:
+    names, places = ", ".join(row), ", ".join("?" * len(row))
+    state.write(f"INSERT OR REPLACE INTO {table} ({names}) VALUES ({places})", *row.values())
+
+
+def _old_months(output: Path, table: Table) -> list[str]:
+    """Months of a table with files that are not the month's."""
+    return [month for month in month_stamps(output, table) if _sources(output, table, month)]
+
+
+def _sources(output: Path, table: Table, month: str) -> list[Path]:
+    place = month_file(output, table, month)
+    return [path for path in sorted(place.parent.glob(f"*{ENDING}")) if path != place]
+
+
+def _take_month(
+    state: State, month: str, tables: Sequence[Table], listed: Listed, forget: Forget
+) -> None:
+    """Take the tables of a month over."""
+    output, folder = state.output, f"{MONTH_PREFIX}{month}"
+    files: dict[str, str | None] = {}
+    old: list[Path] = []
+    for table in tables:
+        place, sources = month_file(output, table, month), _sources(output, table, month)
+        name, there = name_of(output, place), {name_of(output, path) for path in sources}
+        known = {one for one in listed if one.startswith(f"{table.name}/{folder}/")} - {name}
+        gone = known - there
+        parts = []
+        for path in (place, *sources):
+            try:
+                parts.append(_rows(output, path, table, listed))
+            except StoreError as error:
+                if error.code != "store_read":
+                    raise
+                log.warning("%s; its nights are made anew", error)
+                gone.add(name_of(output, path))
+                forget([name_of(output, path)])
+                move(path, path.with_suffix(PUT_ASIDE))
+        forget(sorted(gone - there))
+        rows = pl.concat(parts).unique(table.key, keep="last", maintain_order=True)
+        prepared = prepare_table(place, [rows.sort(table.order)])
+        prepared.land()
+        files[name] = prepared.sha256
+        old += sources
+    note(state, files)
+    for path in old:
+        remove(path)
+
+
+def _rows(output: Path, path: Path, table: Table, listed: Listed) -> pl.DataFrame:
+    """Rows of a file that is what its manifest says; none if there is no file."""
+    empty = pl.DataFrame(schema=table.schema)
+    try:
+        content = read(path)
+    except FileNotFoundError:
+        return empty
+    except OSError as error:
+        raise damaged(path, table, error) from error
+    accepted = listed.get(name_of(output, path))
+    if accepted and hashlib.sha256(content).hexdigest() not in accepted:
+        raise damaged(path, table, ValueError("it is not what its manifest says"))
+    return pl.concat([empty, *groups_of(path, table, content)])
+
+
+def _digest(path: Path, accepted: Sequence[str | None]) -> str | None:
+    """Which of the digests a file has; None for another."""
+    try:
+        found = hashlib.sha256(read(path)).hexdigest()
+    except OSError:
+        return None
+    return found if found in accepted else None

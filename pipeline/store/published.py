@@ -1,0 +1,262 @@
+"""Published table files: the SHA-256 of each proves it, its footer included.
+
+The state file lists them. Before a file is put into its place the digest that comes is noted
+beside its own, afterwards alone: wherever a run was broken off, a file is as it was or as it comes,
+and both are right. Page checksums do not cover a footer, and a query engine compares neither.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+import os
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+
+import polars as pl
+
+from pipeline.errors import StoreError
+from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, read
+from pipeline.store.encoding import DAMAGE, opened, row_groups
+from pipeline.store.state import STATE_FILE, State, is_sound, read_state_file
+from pipeline.store.tables import (
+    ENDING,
+    MONTH_PREFIX,
+    PUT_ASIDE,
+    damaged,
+    days_of,
+    name_of,
+    require_known,
+    whole_file,
+)
+
+# List of all files and their SHA-256 for others to compare, written at a run's end.
+MANIFEST_FILE = "manifest.json"
+TABLE_OF = {table.name: table for table in TABLES}
+OF_MOTORS = {table.name for table in NIGHT_TABLES}
+OF_TRENDS = {table.name for table in TREND_TABLES}
+AGAIN = "a run makes it anew"
+# Stands for no file where a digest is expected.
+NO_FILE = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TableFault:
+    """A damaged, missing or unknown file."""
+
+    path: str  # relative to the folder of the tables; of another file, to the output folder
+    # ``table_altered``, ``table_missing``, ``table_unreadable``, ``table_unlisted``, ``rows_lost``
+    # or ``state_damaged``.
+    code: str
+    message: str  # the fault, and a remedy
+
+    def __str__(self) -> str:
+        return f"{self.code}: {self.path}: {self.message}"
+
+
+def announce(state: State, coming: Mapping[str, str | None]) -> None:
+    """Note what comes into the places of files: SHA-256 by name; None: the file goes.
+
+    Raises StoreError if it cannot be written.
+    """
+    state.write_all(
+        "INSERT INTO files (name, sha256, coming) VALUES (?, '', ?)"
+        " ON CONFLICT (name) DO UPDATE SET coming = excluded.coming",
+        [(name, digest or NO_FILE) for name, digest in coming.items()],
+    )
+
+
+def note(state: State, files: Mapping[str, str | None]) -> None:
+    """Note files that are in their places: SHA-256 by name; None: there is none.
+
+    Raises StoreError if it cannot be written.
+    """
+    today = dt.datetime.now(dt.UTC).date().isoformat()
+    rows = [
+        (name, digest, *_stamp(state.output, name), today)
+        for name, digest in files.items()
+        if digest is not None
+    ]
+    with state.transaction():
+        state.write_all("DELETE FROM files WHERE name = ?", ((name,) for name in files))
+        state.write_all(
+            "INSERT INTO files (name, sha256, size, modified_ns, proven) VALUES (?, ?, ?, ?, ?)",
+            rows,
+        )
+
+
+def accepted(state: State, name: str) -> tuple[str, ...]:
+    """Digests that a file may have, `NO_FILE` among them for none; empty where it is not listed."""
+    rows = state.rows("SELECT sha256, coming FROM files WHERE name = ?", name)
+    return tuple(one for row in rows for one in row if one is not None)
+
+
+def _stamp(output: Path, name: str) -> tuple[int, int]:
+    """Size and time of a file, which differ once it was written to; zeros where it is gone."""
+    try:
+        found = os.stat(f"{output}/tables/{name}")  # noqa: PTH116 - thousands in every run
+    except OSError:
+        return 0, 0
+    return found.st_size, found.st_mtime_ns
+
+
+def share_due(state: State, days: int) -> set[str]:
+    """Files that a run proves, the longest unproven first, so that all are within some days."""
+    rows = state.rows("SELECT name, proven FROM files ORDER BY proven, name")
+    today = dt.datetime.now(dt.UTC).date()
+    before = state.meta("share proven")
+    passed = (today - dt.date.fromisoformat(before)).days if before else days
+    n = ceil(len(rows) * min(max(passed, 1) / days, 1.0))
+    overdue = str(today - dt.timedelta(days))
+    return {name for place, (name, proven) in enumerate(rows) if place < n or proven <= overdue}
+
+
+@dataclass(frozen=True, slots=True)
+class Looked:
+    """A file that was looked at: its digest, None for no file, or its fault."""
+
+    name: str
+    sha256: str | None
+    fault: TableFault | None = None
+
+
+def look_at_files(state: State, due: Collection[str] | None = ()) -> Iterator[Looked]:
+    """Read the published files that are gone, were written to since, or are due; None: all are."""
+    rows = state.rows("SELECT name, sha256, coming, size, modified_ns FROM files ORDER BY name")
+    for name, _, coming, *stamp in rows:
+        is_due = due is None or name in due or coming is not None
+        if is_due or tuple(stamp) != _stamp(state.output, name):
+            yield look_at(state, name)
+
+
+def look_at(state: State, name: str) -> Looked:
+    """Read a file and compare it.
+
+    A fault is looked at twice: a run may have published the file in between, or a read have failed.
+    """
+    looked = _look_at(state, name)
+    return looked if looked.fault is None else _look_at(state, name)
+
+
+def _look_at(state: State, name: str) -> Looked:
+    known = accepted(state, name)
+    try:
+        found = hashlib.sha256(read(state.output / "tables" / name)).hexdigest()
+    except (FileNotFoundError, NotADirectoryError):
+        if not known or NO_FILE in known:
+            return Looked(name, None)
+        fault = TableFault(name, "table_missing", f"the file is gone; {_again(name)}")
+    except OSError as error:
+        message = f"it cannot be read: {error.strerror}; correct its permissions, or the disk"
+        fault = TableFault(name, "table_unreadable", message)
+    else:
+        if not known or found in known:
+            return Looked(name, found)
+        fault = TableFault(name, "table_altered", f"it is not what was published; {_again(name)}")
+    return Looked(name, None, fault)
+
+
+def _again(name: str) -> str:
+    """The words for a file that is damaged or gone: who makes it anew."""
+    table = name.split("/")[0]
+    if table in OF_MOTORS:
+        return f"{AGAIN} where the logs of that night are there"
+    if table in OF_TRENDS or MONTH_PREFIX not in name:
+        return AGAIN
+    return "it told of a run, and nothing makes it anew"
+
+
+def faults_of(output: Path, due: Collection[str] | None = ()) -> tuple[TableFault, ...]:
+    """Faults of the published files that are due (None: all), gone, or written to since.
+
+    Raises StoreError if the state file cannot be read.
+    """
+    with read_state_file(output) as state:
+        return tuple(one.fault for one in look_at_files(state, due) if one.fault is not None)
+
+
+def verify_tables(output: Path) -> Iterator[TableFault]:
+    """Faults of all files of an output: each is read; a run may be publishing meanwhile.
+
+    Raises StoreError if the state file cannot be read.
+    """
+    if not is_sound(output):
+        message = "the next run takes its backup, or makes it anew"
+        yield TableFault(STATE_FILE, "state_damaged", message)
+        return
+    with read_state_file(output) as state:
+        there = files_there(output)  # before the list: a run announces a file first
+        yield from (one.fault for one in look_at_files(state, None) if one.fault is not None)
+        for name in there:
+            if not (accepted(state, name) or name.endswith(PUT_ASIDE)):
+                message = "it was not published by a run; delete it"
+                yield TableFault(name, "table_unlisted", message)
+
+
+def files_there(output: Path) -> list[str]:
+    """Names of all files below the folder of the tables."""
+    tables = output / "tables"
+    return [
+        name_of(output, Path(folder, file))
+        for folder, _, files in os.walk(tables)
+        for file in sorted(files)
+        if not file.startswith(TEMPORARY_PREFIX)
+    ]
+
+
+def proof_of(output: Path, name: str) -> str | None:
+    """SHA-256 of a file that is listed nowhere, if its own checksums prove it; else None.
+
+    Raises StoreError if it is of a newer version of the program.
+    """
+    table = TABLE_OF.get(name.split("/")[0])
+    if table is None:
+        return None
+    path = output / "tables" / name
+    try:
+        content = read(path)
+        with opened(content) as file:
+            require_known(path, table, file)
+            rows = pl.concat(row_groups(file), rechunk=True)
+        if MONTH_PREFIX in name and "night" in rows.columns:
+            strangers = set(rows["night"].drop_nulls()) - set(days_of(path.stem))
+            if strangers:
+                raise damaged(path, table, ValueError("it has rows of other nights"))
+    except StoreError as error:
+        if error.code == "store_newer":
+            raise
+        return None
+    except DAMAGE:
+        return None
+    return hashlib.sha256(content).hexdigest()
+
+
+def is_called_as_ours(output: Path, name: str) -> bool:
+    """True for a name under which a run publishes a file."""
+    table, path = TABLE_OF.get(name.split("/")[0]), output / "tables" / name
+    if table is None:
+        return False
+    if path == whole_file(output, table):
+        return True
+    with suppress(ValueError):
+        label = path.stem
+        return name == f"{table.name}/{MONTH_PREFIX}{label[:7]}/{label}{ENDING}" and bool(
+            days_of(label)
+        )
+    return False
+
+
+def write_manifest(state: State) -> None:
+    """Write the list of published files for others; raises StoreError."""
+    files = dict(state.rows("SELECT name, sha256 FROM files ORDER BY name"))
+    content = json.dumps({"sha256": files}, indent=0).encode()
+    path = state.output / MANIFEST_FILE
+    with suppress(OSError):
+        if read(path) == content:
+            return
+    put(path, content)
