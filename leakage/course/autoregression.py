@@ -23,13 +23,7 @@ LEAST_PAIRS = 10
 
 
 def correlation_to_previous(phi: float, nights: Nights) -> Array:
-    """φ^Δt of each night to the one before, shape (n,); 0 for the first, which has none before it.
-
-    Examples
-    --------
-    >>> correlation_to_previous(0.5, np.array([1, 2, 4])).tolist()
-    [0.0, 0.5, 0.25]
-    """
+    """φ^Δt of each night to the one before, shape (n,); 0 for the first."""
     rho = np.zeros(len(nights))
     rho[1:] = phi ** np.diff(nights)
     return rho
@@ -82,17 +76,7 @@ def estimated_phi(residuals: Array, nights: Nights) -> float:
     .. math:: \hat\varphi = \Big(r_d + \frac{2 + 4 r_d}{n}\Big)^{1/d}, \qquad
        0 \le \hat\varphi \le 0.95 .
 
-    Parameters
-    ----------
-    residuals
-        Residuals of a straight line, shape (n,).
-    nights
-        Numbers of the nights, increasing, shape (n,).
-
-    Returns
-    -------
-    float
-        0 where fewer than ten pairs lie at the commonest distance, or nothing scatters.
+    0 where fewer than ten pairs lie at the commonest distance, or nothing scatters.
 
     References
     ----------
@@ -114,13 +98,7 @@ def estimated_phi(residuals: Array, nights: Nights) -> float:
 
 
 def variance_of_mean(phi: float, nights: Nights) -> float:
-    """Variance of the plain mean of nights, shape (n,), in units of the variance of one.
-
-    Examples
-    --------
-    >>> variance_of_mean(0.0, np.arange(4)), variance_of_mean(0.5, np.array([0, 1]))
-    (0.25, 0.75)
-    """
+    """Variance of the plain mean of nights, shape (n,), in units of the variance of one."""
     if phi <= 0.0:
         return 1.0 / len(nights)
     return float(np.mean(phi ** np.abs(nights[:, None] - nights)))

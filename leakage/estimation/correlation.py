@@ -20,28 +20,7 @@ MEMORY_CELL_S = 30.0
 
 
 def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -> Array:
-    """Autocorrelation of a series with gaps, each lag over the pairs that exist.
-
-    Parameters
-    ----------
-    values
-        Series in time order, shape (n,); its mean is removed.
-    index
-        Place of each value on an even time base, increasing, shape (n,).
-    longest_lag
-        Largest lag [samples].
-
-    Returns
-    -------
-    ndarray
-        ρ(0) = 1 to ρ(longest_lag), shape (longest_lag + 1,); nan where no pair has that lag, or
-        the series has no spread.
-
-    Examples
-    --------
-    >>> autocorrelation(np.array([1.0, -1, 1, -1]), np.arange(4), 2).round(6)
-    array([ 1., -1.,  1.])
-    """
+    """ρ at lags from 0, over the pairs that exist; nan where none has a lag, or nothing varies."""
     place, mean = index - index[0], float(values.mean())
     pairs = _pair_counts(place, longest_lag)
     products = _products(values, mean, place, longest_lag)

@@ -183,7 +183,26 @@ def _judge(
     if certificate.at_lower[place] or certificate.at_upper[place]:
         side = "lower" if certificate.at_lower[place] else "upper"
         return Judgement("at_bound", f"the minimum lies on the {side} bound", None, interval)
+    taken = _taken_from_bounds(place, fit, interval)
+    if taken:
+        return Judgement("only_in_combination", taken, None, interval)
     return Judgement("identified", "", interval, interval)
+
+
+def _taken_from_bounds(place: int, fit: Fit, interval: Interval | None) -> str:
+    """Reason why a coefficient is another one's as well; empty if it is its own.
+
+    What a bound takes from one coefficient goes into the others. By less than a standard error
+    that is noise, which a bound mends; by more, the samples ask for what no gap can do.
+    """
+    certificate = fit.certificate
+    moved = abs(float(fit.coefficients[place] - fit.unbounded[place]))
+    on_bound = np.flatnonzero(certificate.at_lower | certificate.at_upper)
+    if not len(on_bound) or interval is None or moved <= interval.standard_error:
+        return ""
+    paths = Parametrisation.of(fit.motor).paths
+    names = " and ".join(path.coefficient_name for at in on_bound if (path := paths[at]))
+    return f"{names} on a bound moves it by {100 * moved / abs(fit.coefficients[place]):.0f} %"
 
 
 def _unseen(

@@ -251,22 +251,7 @@ def _start(number: int, point: Array, cost_of: Callable[[Array], float], **probl
 
 
 def at_minimum(starts: Sequence[Start], minimum: float, rounding: float = 0.0) -> NDArray[np.bool_]:
-    """Starts that ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's.
-
-    Parameters
-    ----------
-    starts
-        W of them.
-    minimum
-        V* [(l/min)²].
-    rounding
-        Criterion below which nothing but rounding is left [(l/min)²].
-
-    Returns
-    -------
-    ndarray of bool
-        Shape (W,).
-    """
+    """Starts that ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's."""
     costs = np.array([start.cost for start in starts])
     reached: NDArray[np.bool_] = costs <= max(minimum * (1 + AT_MINIMUM), rounding)
     return reached

@@ -66,17 +66,7 @@ class ResidualMoments:
         segments: Segments,
         correlation_time: float,
     ) -> ResidualMoments:
-        """Moments of errors that vary, and of inputs.
-
-        Parameters
-        ----------
-        series, means
-            Errors and inputs in time order, shape (n,) each, and their means.
-        segments
-            Where the samples have no gap.
-        correlation_time
-            How long the errors remember [samples], may be infinite.
-        """
+        """Moments of errors that vary, and of inputs."""
         n = segments.n
         longest_sum = int(
             min(max(SHORTEST_SUM, CORRELATION_TIMES * correlation_time), n * LONGEST_SUM_SHARE)

@@ -28,27 +28,7 @@ SETTLED = 1e-8
 
 
 def huber_weights(z: Array, lower: Array, upper: Array, tuning: float = TUNING) -> Array:
-    """Weights of samples under Huber's loss.
-
-    Parameters
-    ----------
-    z
-        Columns of the training samples, shape (n, c): paths, one, known, measured.
-    lower, upper
-        Bounds of θ, shape (c − 2,).
-    tuning
-        k, in robust standard deviations; 1.345 is 95 % efficient under normal errors.
-
-    Returns
-    -------
-    ndarray
-        w, shape (n,), in (0, 1]; all 1 where the errors have no spread.
-
-    Raises
-    ------
-    EstimationError
-        As :func:`leakage.estimation.certificate.certify`.
-    """
+    """Weights of samples under Huber's loss."""
     weights = np.ones(len(z))
     before = np.inf
     for _ in range(MOST_ROUNDS):

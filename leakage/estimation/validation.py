@@ -173,20 +173,8 @@ def summed_effective_sample_count(n: int, autocorrelation: Array) -> float | Non
 
     White noise on top of a slow error lowers the correlation of neighbours and hides the slow error
     from :func:`effective_sample_count`, which then counts too many. For a first-order
-    autoregression both are the same.
-
-    Parameters
-    ----------
-    n
-        Number of samples.
-    autocorrelation
-        ρ(0) = 1 to the longest lag that can be told, shape (k,).
-
-    Returns
-    -------
-    float or None
-        None where the correlations do not come to an end within the lags given: the errors
-        remember longer than can be told.
+    autoregression both are the same. None where the correlations do not come to an end within the
+    lags given, from ρ(0): the errors remember longer than can be told.
 
     Notes
     -----
@@ -197,12 +185,6 @@ def summed_effective_sample_count(n: int, autocorrelation: Array) -> float | Non
     ----------
     .. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", *Statistical Science*, 7(4), 1992:
        initial positive sequence.
-
-    Examples
-    --------
-    >>> rho = np.append(0.5 ** np.arange(60), [0.0, 0.0])
-    >>> round(summed_effective_sample_count(1000, rho), 6), effective_sample_count(1000, 0.5)
-    (333.333333, 333.3333333333333)
     """
     whole = len(autocorrelation) // 2 * 2
     sums = autocorrelation[:whole].reshape(-1, 2).sum(axis=1)

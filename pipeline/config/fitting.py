@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
@@ -68,6 +69,26 @@ class Estimation(Section):
     """Seed of the starts; a night's seed is derived from it."""
 
 
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Conditions at which a leakage is told."""
+
+    pressure_bar: float
+    temperature_c: float
+    speed_rpm: float
+    # Charge above case pressure of a two-sided motor.
+    charge_over_case_bar: float | None = None
+
+    @property
+    def operating(self) -> OperatingConditions:
+        """The same as the model takes them."""
+        from leakage.physics.conditions import OperatingConditions
+
+        return OperatingConditions.from_bar(
+            self.pressure_bar, self.temperature_c, self.speed_rpm, self.charge_over_case_bar
+        )
+
+
 class ReferenceConditions(Section):
     """Conditions at which the reference leakage is evaluated."""
 
@@ -78,14 +99,12 @@ class ReferenceConditions(Section):
     speed_rpm: NonNegative = 30.0
     """Motor speed."""
 
-    def conditions(self, charge_over_case_bar: float | None = None) -> OperatingConditions:
+    def conditions(self, charge_over_case_bar: float | None = None) -> Conditions:
         """These conditions; of a two-sided motor with a charge above case pressure, else None.
 
         A night by itself takes its own mean charge, a watch that of its baseline: where the charge
         is stated and not logged, they are the same.
         """
-        from leakage.physics.conditions import OperatingConditions
-
-        return OperatingConditions.from_bar(
+        return Conditions(
             self.pressure_bar, self.temperature_c, self.speed_rpm, charge_over_case_bar
         )
