@@ -34,25 +34,8 @@ def whitened(columns: Array, rho: Array) -> Array:
 
     .. math:: x^*_1 = x_1, \qquad x^*_t = \frac{x_t - \rho_t x_{t-1}}{\sqrt{1 - \rho_t^2}}
 
-    The errors keep their variance, which on uneven nights the usual form without the root would
-    not do.
-
-    Parameters
-    ----------
-    columns
-        Shape (n,) or (n, k).
-    rho
-        Correlation of each night to the one before, shape (n,), in [0, 1).
-
-    Returns
-    -------
-    ndarray
-        Shape of `columns`.
-
-    Examples
-    --------
-    >>> whitened(np.array([1.0, 1.0, 2.0]), np.array([0.0, 0.6, 0.0])).tolist()
-    [1.0, 0.5, 2.0]
+    The errors keep their variance, which on uneven nights the usual form without the root would not
+    do. `columns` have shape (n,) or (n, k); ρ is the correlation of each night to the one before.
 
     References
     ----------

@@ -64,22 +64,16 @@ def compress(
 
     Parameters
     ----------
-    columns
-        Columns of the samples as ``motor.columns``, shape (n, c).
-    index, period_us
-        Place of each sample on the time base, shape (n,), and its period [µs].
-    short
-        Short blocks.
+    columns, index, period_us
+        Columns as ``motor.columns``, shape (n, c), places on the time base, shape (n,), its period.
+    short, maximum_blocks
+        Short blocks; neighbours are merged until no more are left.
     bounds
         Bounds of θ; the weights need them.
-    maximum_blocks
-        Neighbours are merged until no more are left.
     smoothing_s, smoothing_of
         As of :func:`leakage.estimation.smoothing.smooth`.
-    loss
-        ``squared``, or Huber's by weights on the samples.
-    weighted_parts
-        Parts whose samples find the weights; None: all.
+    loss, weighted_parts
+        ``squared``, or Huber's by weights on the samples, found by those of some parts, or of all.
 
     Raises
     ------

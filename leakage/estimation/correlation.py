@@ -131,19 +131,8 @@ def slowest_correlation_time(
 def memory_s(error: Array, index: NDArray[np.int64], period_s: float, rounding: float) -> float:
     """Time over which prediction errors forget [s].
 
-    Parameters
-    ----------
-    error, index
-        Errors in time order and their places on an even time base, shape (n,).
-    period_s
-        Period of the time base [s].
-    rounding
-        Errors of this size are rounding, and what rounding remembers is nothing.
-
-    Returns
-    -------
-    float
-        0 without memory; infinite where it is longer than the samples can tell.
+    0 without memory, infinite where it is longer than the samples can tell. Errors of the size of
+    `rounding` remember nothing.
     """
     longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
     if longest <= 1 or not (error.max() > rounding or error.min() < -rounding):

@@ -108,10 +108,9 @@ def identify(
 
     Parameters
     ----------
-    fit
-        The fit.
-    factors
-        Factors of its blocks in time order, shape (b, c, c); whitened where errors are slow.
+    fit, factors
+        The fit, and the factors of its blocks in time order, shape (b, c, c); whitened where errors
+        are slow.
     excitation
         Range of their samples.
     inflation
@@ -135,18 +134,8 @@ def judge_by_total(
 ) -> Identification:
     """The verdicts on coefficients with what sensors and the model can do to them.
 
-    Parameters
-    ----------
-    fit, identification
-        The fit, and its verdicts by the samples alone.
-    total
-        Whole half-widths by place in θ; None where there is none.
-
-    Returns
-    -------
-    Identification
-        ``uncertain`` where a coefficient is identified by its samples, and its whole half-width is
-        more than half of the configured value or not less than the estimate.
+    `total` has whole half-widths by place in θ. A coefficient that is identified by its samples is
+    ``uncertain`` where its is more than half of the configured value or not less than the estimate.
     """
     paths = Parametrisation.of(fit.motor).paths
     judged = list(identification.coefficients)
@@ -324,20 +313,9 @@ def judge_leakage(
 ) -> LeakageJudgement:
     """Leakage at one condition, with its interval from the joint distribution, and a verdict.
 
-    Parameters
-    ----------
-    fit, identification, excitation
-        The fit, its verdicts, and the range of its samples.
-    conditions
-        One condition.
-    systematic_l_per_min
-        ± of sensors and of the model at that condition [l/min].
-
-    Returns
-    -------
-    LeakageJudgement
-        Within the samples' range ``identified`` where the whole half-width is at most 10 %,
-        ``uncertain`` up to 25 %; ``extrapolated`` at most 20 bar or 10 K beyond it, up to 12 %.
+    `systematic_l_per_min` is the ± of sensors and of the model there. Within the samples' range
+    ``identified`` where the whole half-width is at most 10 %, ``uncertain`` up to 25 %;
+    ``extrapolated`` at most 20 bar or 10 K beyond it, up to 12 %.
     """
     row = regressors(fit.motor, conditions)[0]
     contrast = np.append(row[:-2], 0.0)

@@ -155,12 +155,14 @@ def analyse_residuals(
 ) -> ResidualAnalysis:
     """Test the errors of a model for whiteness and for independence of its inputs.
 
+    `benchmarks/results/residual_tests.md` says how often errors that are independent are judged
+    not to be. Residuals of samples that a model was fitted to are orthogonal to its regressors, so
+    on training samples failures by chance are rarer.
+
     Parameters
     ----------
-    error
-        Prediction errors y − ŷ in time order, shape (n,) [l/min].
-    inputs
-        Inputs at the same samples, by name, shape (n,) each.
+    error, inputs
+        Prediction errors y − ŷ in time order [l/min], and inputs by name, shape (n,) each.
     index
         Place of each sample on an even time base, increasing, shape (n,); where it jumps is a gap.
     correlation_time
@@ -171,16 +173,8 @@ def analyse_residuals(
 
     Raises
     ------
-    ShapeError
-        If the arrays differ in shape (``shape``).
-    StatisticsError
-        If a value is not finite (``not_finite``).
-
-    Notes
-    -----
-    `benchmarks/results/residual_tests.md` says how often errors that are independent are judged not
-    to be. Residuals of samples that a model was fitted to are orthogonal to its regressors, so on
-    training samples failures by chance are rarer.
+    ShapeError, StatisticsError
+        ``shape``: the arrays differ in length; ``not_finite``.
 
     Examples
     --------
@@ -190,8 +184,6 @@ def analyse_residuals(
     >>> found = analyse_residuals(error, {"speed": speed}, np.arange(5000))
     >>> found.whiteness.verdict, found.independence["speed"].verdict
     ('passed', 'failed')
-    >>> found.independence["speed"].largest[0]
-    3
     """
     shapes = {np.shape(one) for one in (error, index, *inputs.values())}
     if len(shapes) > 1 or np.ndim(error) != 1:

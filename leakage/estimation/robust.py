@@ -47,21 +47,11 @@ def huber_weights(z: Array, lower: Array, upper: Array, tuning: float = TUNING) 
 
 
 def weight_inflation(weights: Array) -> float:
-    r"""Factor by which standard errors that take the weights as known are too small.
+    r"""Factor, at least 1, by which standard errors that take the weights as known are too small.
 
     With ψ the slope of the loss, the estimate moves with :math:`(\sum \psi' x x^T)^{-1}`, and
     ψ' is 1 where a sample has its full weight and 0 elsewhere; weighted least squares uses the
     larger :math:`\sum w x x^T` in its place.
-
-    Parameters
-    ----------
-    weights
-        From :func:`huber_weights`, shape (n,).
-
-    Returns
-    -------
-    float
-        At least 1; 1 without a sample.
     """
     full = float(np.mean(weights >= 1.0)) if len(weights) else 1.0
     return max(float(np.mean(weights)) / full, 1.0) if full > 0 else float("inf")

@@ -146,21 +146,6 @@ class Law(ABC):
         """
 
     @abstractmethod
-    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
-        """Derivative of the coefficient by each parameter.
-
-        Parameters
-        ----------
-        values
-            Parameter values as for `coefficient`.
-
-        Returns
-        -------
-        ndarray
-            Shape of `values`, [coefficient_unit per the parameter's unit].
-        """
-
-    @abstractmethod
     def regressor(
         self,
         drive_per_s: NDArray[np.float64],

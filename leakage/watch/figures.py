@@ -88,12 +88,8 @@ def change_since(state: State, day: int) -> Estimate | None:
 def leakage_at(state: State, drives: Array, conditions: Array) -> Estimate:
     """Flow at some conditions, by the level of the newest night, [l/min].
 
-    Parameters
-    ----------
-    drives
-        Flow a unit of each path's coefficient there, shape (p,); 0 for what is left out.
-    conditions
-        Temperature [°C], pressure [bar] and speed [rpm], shape (3,).
+    `drives` are the flows a unit of each path's coefficient there, shape (p,), 0 for what is left
+    out; `conditions` are temperature [°C], pressure [bar] and speed [rpm], shape (3,).
     """
     row, flow = _row_at(state, drives, conditions)
     along, _ = direction(state)

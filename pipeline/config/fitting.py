@@ -51,9 +51,7 @@ class Estimation(Section):
 
     starting_points: int = Field(10, ge=0, le=1000)
     """Starting points of the audit that `fit` makes, the configured one first; 0: none. No figure
-    depends on it or on the four settings after it."""
-    gradient_type: Literal["analytic", "2-point", "3-point"] = "analytic"
-    """Method for the Jacobian of a start."""
+    depends on it or on the three settings after it."""
     step_tolerance: Positive = 1e-10
     """A start stops at a relative step below this."""
     function_tolerance: Positive = 1e-10
