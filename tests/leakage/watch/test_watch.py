@@ -11,7 +11,16 @@ import pytest
 from numpy.typing import NDArray
 
 from leakage.errors import EstimationError
-from leakage.watch import Change, Estimate, Machine, NightBlocks, Watch, WatchSettings, wander
+from leakage.watch import (
+    Change,
+    Estimate,
+    Machine,
+    NightBlocks,
+    Watch,
+    WatchSettings,
+    choices,
+    wander,
+)
 from tests.leakage.watch.made_machine import (
     CB560,
     COEFFICIENTS,
@@ -109,15 +118,19 @@ def test_kept_arrays_resume_to_the_same_bits_across_adoption_and_era() -> None:
     assert watches[-1].state.carried.value > 0.0
 
 
-def test_kept_arrays_stay_of_one_size_and_resume_in_a_long_history() -> None:
-    nights = small_nights(375, 1, lambda night: 1.0 + 0.1 * (night >= 358))
+def test_kept_arrays_stay_of_one_size_and_resume_in_a_long_history(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(choices, "WINDOW", 60)
+    monkeypatch.setattr(choices, "WINDOW_SLACK", 10)
+    nights = small_nights(95, 1, lambda night: 1.0 + 0.1 * (night >= 78))
     watches = assert_resumes(nights, SMALL, 8)
     sizes = [sum(array.nbytes for array in watch.arrays().values()) for watch in watches]
-    assert max(sizes[350:]) < 1.02 * max(sizes[:350])
+    assert max(sizes[70:]) < 1.1 * max(sizes[:70])
     # Summed up or not, the same change is told.
     change = watches[-1].verdict().change
     assert change is not None
-    assert change.since == nights[358].day
+    assert change.since == nights[78].day
     assert change.size.value == pytest.approx(0.1, abs=0.02)
 
 
