@@ -7,16 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.estimation.choices import BAND, LONGEST_MEMORY_S, MEMORY_CELL_S
 from leakage.estimation.lagged_products import Segments, lagged_products
 
 Array = NDArray[np.float64]
 
 # Lags that are looked at first: most errors forget sooner, and more lags take longer.
 FIRST_LAGS = 500
-# Longest memory of the errors that is looked for in the samples.
-LONGEST_MEMORY_S = 600.0
-# Means over this time show a slow error under a larger fast one.
-MEMORY_CELL_S = 30.0
 
 
 def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -> Array:
@@ -90,7 +87,7 @@ def correlation_time(values: Array, index: NDArray[np.int64], longest_lag: int) 
     # Of every second sample there is no pair at lag one: the first lag there is stands in.
     lags = np.flatnonzero(np.isfinite(rho[1:])) + 1
     # Below the band of white noise there is no memory to measure.
-    if not len(lags) or not rho[lags[0]] > 2.576 / math.sqrt(n):
+    if not len(lags) or not rho[lags[0]] > BAND / math.sqrt(n):
         return 0.0
     start = float(rho[lags[0]])
     below = np.flatnonzero(rho[lags] <= start / math.e)

@@ -59,24 +59,22 @@ import numpy as np
 from scipy.special import chdtrc
 
 from leakage.errors import ShapeError, StatisticsError
+from leakage.estimation.choices import (
+    BAND,
+    FEWEST_SAMPLES,
+    LEAST_EIGENVALUE,
+    LEAST_INNER_SHARE,
+    LEAST_VARIANCE,
+    LEVEL,
+    LONGEST_LAG,
+)
 from leakage.estimation.lagged_products import Array, Mask, Places, Segments
-from leakage.estimation.residual_moments import LONGEST_LAG, ResidualMoments
+from leakage.estimation.residual_moments import ResidualMoments
 from leakage.estimation.validation import (
     ROUNDING,
     lag_one_autocorrelation,
     summed_effective_sample_count,
 )
-
-# Half-width of a normal 99 % band, and the probability beyond it.
-BAND, LEVEL = 2.576, 0.01
-# P is not below this share of its first term.
-LEAST_VARIANCE = 0.1
-# The independence statistic needs this share of samples with 25 others on either side.
-LEAST_INNER_SHARE = 0.5
-# Eigenvalues below this share of the largest are not known well enough to divide by.
-LEAST_EIGENVALUE = 1e-3
-# With fewer samples the statistics are not distributed as they should be.
-FEWEST_SAMPLES = 40 * LONGEST_LAG
 
 TOO_MANY_GAPS = "too few samples follow one another without a gap"
 PASSED, FAILED, NOT_TESTED = "passed", "failed", "not_tested"

@@ -76,7 +76,15 @@ def smallest_change(state: State) -> float:
 
 
 def change_since(state: State, day: int) -> Estimate | None:
-    """Change of all flows from a day on against before; None without nights on both sides."""
+    """Change of all flows from a day on against before; None without nights on both sides.
+
+    An adopted change is in no window any more: where it may have begun since, it is the change.
+    """
+    standing = state.standing
+    if standing is not None and standing.found is None and standing.change.cause != ODD_NIGHTS:
+        told = change_in_force(state)
+        if told is not None and told.since_upper >= day:
+            return told.size
     place = int(np.searchsorted(state.window.days, day))
     if not 0 < place < len(state.window):
         return None

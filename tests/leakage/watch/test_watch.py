@@ -370,6 +370,16 @@ def test_change_since_is_what_others_on_the_tank_are_asked() -> None:
     assert told.lower < 0.10 < told.upper
     assert watch.change_since(0) is None
     assert watch.change_since(36) is None
+    # Adopted ten nights after it was told, it is what has changed for others that are told later.
+    adopted = story(METER, 45, 2)[-1]
+    assert adopted.state.standing is not None
+    assert adopted.state.standing.found is None
+    later = adopted.change_since(BEGIN)
+    assert later is not None
+    assert later.lower < 0.10 < later.upper
+    before = adopted.change_since(40)
+    assert before is not None
+    assert before.lower < 0.0 < before.upper
 
 
 def test_limit_is_of_the_rate_and_a_baseline_needs_its_nights() -> None:
