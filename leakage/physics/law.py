@@ -131,18 +131,9 @@ class Law(ABC):
 
     @abstractmethod
     def coefficient(self, values: Values) -> NDArray[np.float64]:
-        """Lumped coefficient of all interfaces of the path.
+        """Lumped coefficient of all interfaces of the path, shape (…), [coefficient_unit].
 
-        Parameters
-        ----------
-        values
-            Parameter values in the order of `parameters`, in their units, along the last axis:
-            shape (…, number of parameters).
-
-        Returns
-        -------
-        ndarray
-            The coefficient, shape (…), [coefficient_unit].
+        `values` are those of `parameters` in their order and units, along the last axis.
         """
 
     @abstractmethod
