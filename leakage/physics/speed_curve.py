@@ -150,11 +150,9 @@ class SpeedCurve(Law):
         pressure_difference_pa: NDArray[np.float64],  # noqa: ARG002
         speed_rpm: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        r"""Flow per unit of the scale.
+        r"""Flow per unit of the scale, [l/min]; the pressure is in the drive.
 
         .. math:: \varphi = n f(|\omega|)\,\frac{\eta_0}{\Delta P_0}\,\frac{|\Delta P|}{\eta}
-
-        In [l/min]; the pressure is in the drive.
         """
         flow = self.curve_l_per_min(speed_rpm)
         flow *= drive_per_s
