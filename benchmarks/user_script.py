@@ -56,12 +56,12 @@ def user_motor_night(log: Path, starts: int, timed: int) -> tuple[float, float]:
     prepared = time.perf_counter() - begin
 
     def clever(free: np.ndarray) -> np.ndarray:
-        error: np.ndarray = columns[:, :-1] @ parametrisation.coefficients(free)[0] - target
+        error: np.ndarray = columns[:, :-1] @ parametrisation.coefficients(free) - target
         return error
 
     def plain(free: np.ndarray) -> np.ndarray:
         evaluated = regressors(model, conditions)
-        error: np.ndarray = evaluated[:, :-1] @ parametrisation.coefficients(free)[0] - target
+        error: np.ndarray = evaluated[:, :-1] @ parametrisation.coefficients(free) - target
         return error
 
     points = starting_points(parametrisation.free, starts, np.random.default_rng(1))

@@ -19,6 +19,9 @@ from hypothesis import settings
 settings.register_profile("patient", deadline=None)
 settings.register_profile("quick", deadline=None, max_examples=40)
 
+# Sums as a run makes them: in threads, many small products wait for one another.
+os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
 # No test cuts the power, so nothing waits for a disk: folders of tests lie in memory where there is
 # enough of it.
 os.fsync = lambda _: None  # type: ignore[assignment]

@@ -23,13 +23,7 @@ LEAST_PAIRS = 10
 
 
 def correlation_to_previous(phi: float, nights: Nights) -> Array:
-    """φ^Δt of each night to the one before, shape (n,); 0 for the first, which has none before it.
-
-    Examples
-    --------
-    >>> correlation_to_previous(0.5, np.array([1, 2, 4])).tolist()
-    [0.0, 0.5, 0.25]
-    """
+    """φ^Δt of each night to the one before, shape (n,); 0 for the first."""
     rho = np.zeros(len(nights))
     rho[1:] = phi ** np.diff(nights)
     return rho
@@ -40,25 +34,8 @@ def whitened(columns: Array, rho: Array) -> Array:
 
     .. math:: x^*_1 = x_1, \qquad x^*_t = \frac{x_t - \rho_t x_{t-1}}{\sqrt{1 - \rho_t^2}}
 
-    The errors keep their variance, which on uneven nights the usual form without the root would
-    not do.
-
-    Parameters
-    ----------
-    columns
-        Shape (n,) or (n, k).
-    rho
-        Correlation of each night to the one before, shape (n,), in [0, 1).
-
-    Returns
-    -------
-    ndarray
-        Shape of `columns`.
-
-    Examples
-    --------
-    >>> whitened(np.array([1.0, 1.0, 2.0]), np.array([0.0, 0.6, 0.0])).tolist()
-    [1.0, 0.5, 2.0]
+    The errors keep their variance, which on uneven nights the usual form without the root would not
+    do. `columns` have shape (n,) or (n, k); ρ is the correlation of each night to the one before.
 
     References
     ----------
@@ -82,17 +59,7 @@ def estimated_phi(residuals: Array, nights: Nights) -> float:
     .. math:: \hat\varphi = \Big(r_d + \frac{2 + 4 r_d}{n}\Big)^{1/d}, \qquad
        0 \le \hat\varphi \le 0.95 .
 
-    Parameters
-    ----------
-    residuals
-        Residuals of a straight line, shape (n,).
-    nights
-        Numbers of the nights, increasing, shape (n,).
-
-    Returns
-    -------
-    float
-        0 where fewer than ten pairs lie at the commonest distance, or nothing scatters.
+    0 where fewer than ten pairs lie at the commonest distance, or nothing scatters.
 
     References
     ----------
@@ -114,13 +81,7 @@ def estimated_phi(residuals: Array, nights: Nights) -> float:
 
 
 def variance_of_mean(phi: float, nights: Nights) -> float:
-    """Variance of the plain mean of nights, shape (n,), in units of the variance of one.
-
-    Examples
-    --------
-    >>> variance_of_mean(0.0, np.arange(4)), variance_of_mean(0.5, np.array([0, 1]))
-    (0.25, 0.75)
-    """
+    """Variance of the plain mean of nights, shape (n,), in units of the variance of one."""
     if phi <= 0.0:
         return 1.0 / len(nights)
     return float(np.mean(phi ** np.abs(nights[:, None] - nights)))

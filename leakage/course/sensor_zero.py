@@ -48,6 +48,10 @@ def zero_course(
 ) -> ZeroCourse:
     """Drift of a sensor's zero since its first halts, halt by halt.
 
+    From the means of the first and of the last halts, up to thirty each and without overlap, by
+    Welch's t; the scatter between halts counts, and is at least that of the errors. The result
+    after a halt depends only on that halt and those before it.
+
     Parameters
     ----------
     nights
@@ -58,27 +62,10 @@ def zero_course(
     tolerance
         Stated tolerance of the sensor's zero [unit]: a smaller move is no drift, however certain.
 
-    Returns
-    -------
-    ZeroCourse
-        From the means of the first and of the last halts, up to thirty each and without overlap,
-        by Welch's t; the scatter between halts counts, and is at least that of the errors. The
-        result after a halt depends only on that halt and those before it.
-
     Raises
     ------
-    ShapeError
-        ``shape`` or ``night_order``.
-    ParameterError
-        ``zero_tolerance``.
-
-    Examples
-    --------
-    >>> nights = np.arange(40)
-    >>> zeros = 0.001 * (-1.0) ** nights + 0.05 * (nights >= 20)
-    >>> found = zero_course(nights, zeros, np.full(40, 0.001), tolerance=0.02)
-    >>> int(found.drifts.argmax()), round(float(found.change[-1]), 3)
-    (24, 0.05)
+    ShapeError, ParameterError
+        ``shape`` or ``night_order``; ``zero_tolerance``.
     """
     _require_halts(nights, zeros, errors, tolerance)
     kept = np.isfinite(zeros) & np.isfinite(errors)

@@ -90,41 +90,25 @@ def fit_slope(
 ) -> Slope:
     """Slope of an indicator over time or running hours, with an interval that holds.
 
+    Simulated coverage of 95 % intervals: 92 to 96 % for 60 nights or more and φ up to 0.6; 86 % for
+    20 nights and φ = 0.6, which is why those are provisional.
+
     Parameters
     ----------
-    nights
-        Numbers of the nights, increasing, shape (n,); they say how far errors remember.
-    values
-        Indicator, shape (n,); nights that are not finite do not count.
+    nights, values
+        Numbers of the nights, increasing, which say how far errors remember, and the indicator,
+        shape (n,); nights that are not finite do not count.
     position
-        What the slope is per unit of, such as running hours, shape (n,); the nights themselves
-        where it is left out.
+        What the slope is per unit of, such as running hours, shape (n,); None: the nights.
     coverage
         Of the interval.
     median
         Whether the Theil–Sen slope is wanted, too; it takes longer than all the rest.
 
-    Returns
-    -------
-    Slope
-        Below 20 nights only its status.
-
     Raises
     ------
     ShapeError
         ``shape`` or ``night_order``.
-
-    Notes
-    -----
-    Simulated coverage of 95 % intervals: 92 to 96 % for 60 nights or more and φ up to 0.6; 86 %
-    for 20 nights and φ = 0.6, which is why those are provisional.
-
-    Examples
-    --------
-    >>> nights = np.arange(60)
-    >>> found = fit_slope(nights, 2.0 + 0.01 * nights + 0.1 * (-1.0) ** nights)
-    >>> found.status, round(found.theil_sen, 3), found.lower < 0.01 < found.upper
-    ('ok', 0.01, True)
     """
     x = nights.astype(np.float64) if position is None else position
     check_series(nights, values, x)
@@ -163,16 +147,10 @@ def fit_slope(
 class CourseFits:
     """Least squares of a level and of each of some courses in turn.
 
-    Attributes
-    ----------
-    length
-        Squared length of the column of the level.
-    level, middles
-        Mean of the values, and of each course, weighted by it.
-    slopes, spans
-        Of each course: its coefficient, and its squared length about its middle.
-    centred
-        Values and courses less the part of the level, shape (n, 1 + s).
+    `length` is the squared length of the column of the level, `level` and `middles` the means of
+    the values and of each course, weighted by it; `slopes` and `spans` each course's coefficient
+    and squared length about its middle; `centred`, shape (n, 1 + s), values and courses less the
+    part of the level.
     """
 
     length: float
@@ -205,11 +183,6 @@ def theil_sen(position: Array, values: Array) -> float:
     All pairs up to 200 points. Beyond, about 20 000 of them, at distances spread evenly from the
     nearest points to the farthest, so that its cost does not grow; its standard error is then
     within a tenth of that of all pairs. Pairs at one position do not count.
-
-    Examples
-    --------
-    >>> theil_sen(np.arange(5.0), np.array([0.0, 1.0, 2.0, 3.0, 90.0]))
-    1.0
     """
     first, second = _pairs(len(values))
     run = position[second] - position[first]

@@ -101,34 +101,25 @@ def time_to_limit(
 ) -> TimeToLimit:
     """Time until an indicator reaches a limit, if it goes on in a way that fits what it did.
 
+    ``finite`` only where the set ends within the horizon and as far ahead as the nights reach
+    back, and the wear does not come in jumps. ``benchmarks/results/dates.md`` says how often the
+    sets hold.
+
     Parameters
     ----------
-    nights
-        Numbers of the nights up to tonight, increasing, shape (n,); they say how far errors
-        remember.
-    position
-        What wear goes by, such as running hours, increasing, shape (n,).
-    values
-        Indicator, shape (n,); nights that are not finite do not count.
+    nights, position, values
+        Numbers of the nights up to tonight, which say how far errors remember, what wear goes by,
+        such as running hours, both increasing, and the indicator, shape (n,); nights that are not
+        finite do not count.
     limit
         In the unit of the indicator, positive.
     horizon
         Time ahead beyond which nothing is said [unit of position].
 
-    Returns
-    -------
-    TimeToLimit
-        ``finite`` only where the set ends within the horizon and as far ahead as the nights reach
-        back, and the wear does not come in jumps.
-
     Raises
     ------
     ShapeError
         ``shape`` or ``night_order``.
-
-    Notes
-    -----
-    ``benchmarks/results/dates.md`` says how often the sets hold, and how wide they are.
 
     Examples
     --------

@@ -56,14 +56,7 @@ class BlockEstimate:
 
 
 def fit_blocks(blocks: SampleBlocks, motor: Motor) -> BlockEstimate:
-    """Fit a motor to blocks of samples.
-
-    Parameters
-    ----------
-    blocks
-        Blocks, columns as ``motor.columns``.
-    motor
-        Paths with their parameters and bounds.
+    """Fit a motor to blocks of samples, columns as ``motor.columns``.
 
     Raises
     ------

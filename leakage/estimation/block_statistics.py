@@ -39,18 +39,9 @@ class FlowSummary:
 
 
 def factor(z: Array) -> Array:
-    """Triangular factor of a block of samples.
+    """Triangular factor of a block of samples, shape (c, c), its diagonal not negative.
 
-    Parameters
-    ----------
-    z
-        Columns of the samples, shape (n, c): paths, one, known, measured [l/min per unit of
-        coefficient]. n may be 0.
-
-    Returns
-    -------
-    ndarray
-        Upper triangular, shape (c, c), diagonal not negative.
+    `z` has the columns of n samples, shape (n, c): paths, one, known, measured. n may be 0.
 
     Raises
     ------
@@ -68,24 +59,9 @@ def factor(z: Array) -> Array:
 
 
 def factors(z: Array, borders: NDArray[np.int64]) -> Array:
-    """Triangular factors of consecutive blocks of samples.
+    """Triangular factors of consecutive blocks of samples, shape (b, c, c), each as of `factor`.
 
-    Parameters
-    ----------
-    z
-        Columns of the samples, shape (n, c).
-    borders
-        First row of each block and, last, the end; shape (b + 1,), not decreasing.
-
-    Returns
-    -------
-    ndarray
-        Shape (b, c, c), each as from :func:`factor`.
-
-    Raises
-    ------
-    StatisticsError
-        If `z` is no matrix or holds a value that is not finite.
+    `borders` are the first row of each block and, last, the end; shape (b + 1,), not decreasing.
     """
     # Loaded with the first samples: commands that read tables alone do without it.
     from scipy.linalg.lapack import dgeqrf
@@ -104,29 +80,14 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
 
 
 def merge(factors_in_time_order: Array) -> Array:
-    """Factor of the union of blocks.
+    """Factor of the union of blocks, from theirs of shape (b, c, c).
 
-    Parameters
-    ----------
-    factors_in_time_order
-        Shape (b, c, c). The order changes rounding only; keep it, so that runs agree to the bit.
-
-    Returns
-    -------
-    ndarray
-        Shape (c, c).
+    Their order changes rounding only; keep it, so that runs agree to the bit.
 
     Raises
     ------
     StatisticsError
         If a factor holds a value that is not finite.
-
-    Examples
-    --------
-    >>> z = np.array([[3.0, 1.0], [4.0, 1.0], [5.0, 2.0]])
-    >>> parts = np.stack([factor(z[:2]), factor(z[2:])])
-    >>> bool(np.allclose(merge(parts), factor(z)))
-    True
     """
     blocks, _, columns = factors_in_time_order.shape
     if blocks == 0:
@@ -142,24 +103,9 @@ def with_free_known(factors: Array, place: int, coefficient: float) -> Array:
     Parameters
     ----------
     factors
-        Shape (b, c, c).
-    place
-        Of the new column among the paths.
-    coefficient
-        With which the path is in the known flow.
-
-    Returns
-    -------
-    ndarray
-        Shape (b, c + 1, c + 1); nothing is known any more.
-
-    Examples
-    --------
-    >>> one = factor(np.array([[3.0, 1.0, 4.0, 9.0], [2.0, 1.0, 6.0, 8.0]]))[None]
-    >>> with_free_known(one, 1, 2.0)[0, :2].round(6).tolist() == factor(
-    ...     np.array([[3.0, 2.0, 1.0, 0.0, 9.0], [2.0, 3.0, 1.0, 0.0, 8.0]])
-    ... )[:2].round(6).tolist()
-    True
+        Shape (b, c, c); those that are returned, in which nothing is known, (b, c + 1, c + 1).
+    place, coefficient
+        Of the new column among the paths, and with which the path is in the known flow.
     """
     moved = np.insert(factors, place, factors[:, :, -2] / coefficient, axis=2)
     moved[:, :, -2] = 0.0
@@ -167,14 +113,7 @@ def with_free_known(factors: Array, place: int, coefficient: float) -> Array:
 
 
 def with_path_known(factors: Array, place: int, coefficient: float) -> Array:
-    """Factors with a path in the known flow: the inverse of :func:`with_free_known`.
-
-    Examples
-    --------
-    >>> one = factor(np.array([[3.0, 1.0, 4.0, 9.0], [2.0, 1.0, 6.0, 8.0]]))[None]
-    >>> bool(np.allclose(with_path_known(with_free_known(one, 1, 2.0), 1, 2.0), one))
-    True
-    """
+    """Factors with a path in the known flow: the inverse of :func:`with_free_known`."""
     known = factors.copy()
     known[:, :, -2] += coefficient * factors[:, :, place]
     return _triangular(np.delete(known, place, axis=2))[:, : known.shape[2] - 1]
@@ -201,20 +140,7 @@ def _positive(decomposed: Array) -> Array:
 
 
 def criterion(r: Array, coefficients: Array) -> float:
-    """Mean squared prediction error V(θ), equation (20), from a factor.
-
-    Parameters
-    ----------
-    r
-        Factor, shape (c, c).
-    coefficients
-        θ: one for each path's column, then the constant flow; shape (c − 2,).
-
-    Returns
-    -------
-    float
-        V [(l/min)²]; nan without samples.
-    """
+    """Mean squared prediction error V(θ), (20), from a factor [(l/min)²]; nan without samples."""
     n = sample_count(r)
     return float(squared_error(r, coefficients) / n) if n else float("nan")
 
@@ -250,10 +176,3 @@ def column_means(r: Array) -> Array:
         return np.full(r.shape[1], np.nan)
     means: Array = r[:, -3] @ r / n
     return means
-
-
-def gradient(r: Array, coefficients: Array) -> Array:
-    """Gradient of V by θ, shape (c − 2,) [(l/min)² per unit of the coefficient]."""
-    residual = r @ np.concatenate([coefficients, (1.0, -1.0)])
-    slope: Array = 2.0 * (r[:, :-2].T @ residual) / max(sample_count(r), 1)
-    return slope

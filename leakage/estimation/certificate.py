@@ -78,36 +78,13 @@ class Certificate:
 
 
 def certify(r: Array, lower: Array, upper: Array) -> Certificate:
-    """Global minimum of the criterion over a box of coefficients.
+    """Global minimum of the criterion over a box of coefficients; equal bounds fix one.
 
-    Parameters
-    ----------
-    r
-        Factor of the training samples, shape (c, c), columns: paths, one, known, measured.
-    lower, upper
-        Bounds of θ, shape (c − 2,) [m³, l/min or 1 as the column]; equal bounds fix a coefficient.
+    Where the minimum is a set (dependent columns), its element of least norm in scaled columns if
+    that lies in the box, else the one that the bounded solver ends at: both deterministic.
 
-    Returns
-    -------
-    Certificate
-        Where the minimum is a set (dependent columns), its element of least norm in scaled
-        columns if that lies in the box, else the one that the bounded solver ends at: both
-        deterministic.
-
-    Raises
-    ------
-    EstimationError
-        If bounds are out of order, not finite or not one for each coefficient, if the factor is
-        not finite, or holds fewer samples than there are free coefficients.
-
-    Examples
-    --------
-    A flow of exactly 2 per unit of the one regressor, with no constant flow:
-
-    >>> z = np.array([[1.0, 1, 0, 2], [2, 1, 0, 4], [4, 1, 0, 8]])
-    >>> from leakage.estimation.block_statistics import factor
-    >>> certify(factor(z), np.array([0.0, 0.0]), np.array([9.0, 0.0])).coefficients.round(9)
-    array([2., 0.])
+    Raises EstimationError if bounds are out of order, not finite or not one for each coefficient,
+    if the factor is not finite, or holds fewer samples than there are free coefficients.
     """
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     _require_well_posed(r, lower, upper)

@@ -11,13 +11,7 @@ from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.robust import huber_weights, weight_inflation
-from leakage.estimation.sample_blocks import (
-    Block,
-    ShortMeans,
-    merge_neighbours,
-    numbers_of,
-    short_means,
-)
+from leakage.estimation.sample_blocks import Block, merge_neighbours, numbers_of
 from leakage.estimation.smoothing import smooth
 
 Array = NDArray[np.float64]
@@ -35,8 +29,6 @@ class CompressedSamples:
     # Triangular factor of each, shape (b, c, c); of weighted samples under a robust loss.
     factors: Array
     plain_factors: Array  # the same without weights: what a fit is judged on
-    # What each stored block keeps of the short blocks that were merged into it.
-    short_means: ShortMeans
     inflation: float  # factor on standard errors that robust weights ask for; 1 without them
 
     def judged_on(self, part: str | None = None) -> Array:
@@ -72,22 +64,16 @@ def compress(
 
     Parameters
     ----------
-    columns
-        Columns of the samples as ``motor.columns``, shape (n, c).
-    index, period_us
-        Place of each sample on the time base, shape (n,), and its period [µs].
-    short
-        Short blocks.
+    columns, index, period_us
+        Columns as ``motor.columns``, shape (n, c), places on the time base, shape (n,), its period.
+    short, maximum_blocks
+        Short blocks; neighbours are merged until no more are left.
     bounds
         Bounds of θ; the weights need them.
-    maximum_blocks
-        Neighbours are merged until no more are left.
     smoothing_s, smoothing_of
         As of :func:`leakage.estimation.smoothing.smooth`.
-    loss
-        ``squared``, or Huber's by weights on the samples.
-    weighted_parts
-        Parts whose samples find the weights; None: all.
+    loss, weighted_parts
+        ``squared``, or Huber's by weights on the samples, found by those of some parts, or of all.
 
     Raises
     ------
@@ -100,14 +86,14 @@ def compress(
     stored = merge_neighbours(short, maximum_blocks)
     borders = np.array([*(block.first_row for block in stored), len(z)])
     plain = factors(z, borders)
-    made, inflation, weighted = plain, 1.0, z
+    made, inflation = plain, 1.0
     if loss == "huber":
         chosen = [weighted_parts is None or block.part in weighted_parts for block in short]
         rows = np.array(chosen, dtype=np.bool_)[numbers_of(short)]
         weights = np.ones(len(z))
         weights[rows] = huber_weights(z[rows], *bounds)
-        weighted = z * np.sqrt(weights)[:, None]
-        made, inflation = factors(weighted, borders), weight_inflation(weights[rows])
+        made = factors(z * np.sqrt(weights)[:, None], borders)
+        inflation = weight_inflation(weights[rows])
     return CompressedSamples(
         z=z,
         unsmoothed=columns,
@@ -115,6 +101,5 @@ def compress(
         blocks=stored,
         factors=made,
         plain_factors=plain,
-        short_means=short_means(weighted, short, stored),
         inflation=inflation,
     )

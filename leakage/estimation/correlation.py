@@ -7,41 +7,17 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.estimation.choices import BAND, LONGEST_MEMORY_S, MEMORY_CELL_S
 from leakage.estimation.lagged_products import Segments, lagged_products
 
 Array = NDArray[np.float64]
 
 # Lags that are looked at first: most errors forget sooner, and more lags take longer.
 FIRST_LAGS = 500
-# Longest memory of the errors that is looked for in the samples.
-LONGEST_MEMORY_S = 600.0
-# Means over this time show a slow error under a larger fast one.
-MEMORY_CELL_S = 30.0
 
 
 def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -> Array:
-    """Autocorrelation of a series with gaps, each lag over the pairs that exist.
-
-    Parameters
-    ----------
-    values
-        Series in time order, shape (n,); its mean is removed.
-    index
-        Place of each value on an even time base, increasing, shape (n,).
-    longest_lag
-        Largest lag [samples].
-
-    Returns
-    -------
-    ndarray
-        ρ(0) = 1 to ρ(longest_lag), shape (longest_lag + 1,); nan where no pair has that lag, or
-        the series has no spread.
-
-    Examples
-    --------
-    >>> autocorrelation(np.array([1.0, -1, 1, -1]), np.arange(4), 2).round(6)
-    array([ 1., -1.,  1.])
-    """
+    """ρ at lags from 0, over the pairs that exist; nan where none has a lag, or nothing varies."""
     place, mean = index - index[0], float(values.mean())
     pairs = _pair_counts(place, longest_lag)
     products = _products(values, mean, place, longest_lag)
@@ -111,7 +87,7 @@ def correlation_time(values: Array, index: NDArray[np.int64], longest_lag: int) 
     # Of every second sample there is no pair at lag one: the first lag there is stands in.
     lags = np.flatnonzero(np.isfinite(rho[1:])) + 1
     # Below the band of white noise there is no memory to measure.
-    if not len(lags) or not rho[lags[0]] > 2.576 / math.sqrt(n):
+    if not len(lags) or not rho[lags[0]] > BAND / math.sqrt(n):
         return 0.0
     start = float(rho[lags[0]])
     below = np.flatnonzero(rho[lags] <= start / math.e)
@@ -152,19 +128,8 @@ def slowest_correlation_time(
 def memory_s(error: Array, index: NDArray[np.int64], period_s: float, rounding: float) -> float:
     """Time over which prediction errors forget [s].
 
-    Parameters
-    ----------
-    error, index
-        Errors in time order and their places on an even time base, shape (n,).
-    period_s
-        Period of the time base [s].
-    rounding
-        Errors of this size are rounding, and what rounding remembers is nothing.
-
-    Returns
-    -------
-    float
-        0 without memory; infinite where it is longer than the samples can tell.
+    0 without memory, infinite where it is longer than the samples can tell. Errors of the size of
+    `rounding` remember nothing.
     """
     longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
     if longest <= 1 or not (error.max() > rounding or error.min() < -rounding):

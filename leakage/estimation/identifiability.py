@@ -108,10 +108,9 @@ def identify(
 
     Parameters
     ----------
-    fit
-        The fit.
-    factors
-        Factors of its blocks in time order, shape (b, c, c); whitened where errors are slow.
+    fit, factors
+        The fit, and the factors of its blocks in time order, shape (b, c, c); whitened where errors
+        are slow.
     excitation
         Range of their samples.
     inflation
@@ -135,18 +134,8 @@ def judge_by_total(
 ) -> Identification:
     """The verdicts on coefficients with what sensors and the model can do to them.
 
-    Parameters
-    ----------
-    fit, identification
-        The fit, and its verdicts by the samples alone.
-    total
-        Whole half-widths by place in θ; None where there is none.
-
-    Returns
-    -------
-    Identification
-        ``uncertain`` where a coefficient is identified by its samples, and its whole half-width is
-        more than half of the configured value or not less than the estimate.
+    `total` has whole half-widths by place in θ. A coefficient that is identified by its samples is
+    ``uncertain`` where its is more than half of the configured value or not less than the estimate.
     """
     paths = Parametrisation.of(fit.motor).paths
     judged = list(identification.coefficients)
@@ -183,7 +172,26 @@ def _judge(
     if certificate.at_lower[place] or certificate.at_upper[place]:
         side = "lower" if certificate.at_lower[place] else "upper"
         return Judgement("at_bound", f"the minimum lies on the {side} bound", None, interval)
+    taken = _taken_from_bounds(place, fit, interval)
+    if taken:
+        return Judgement("only_in_combination", taken, None, interval)
     return Judgement("identified", "", interval, interval)
+
+
+def _taken_from_bounds(place: int, fit: Fit, interval: Interval | None) -> str:
+    """Reason why a coefficient is another one's as well; empty if it is its own.
+
+    What a bound takes from one coefficient goes into the others. By less than a standard error
+    that is noise, which a bound mends; by more, the samples ask for what no gap can do.
+    """
+    certificate = fit.certificate
+    moved = abs(float(fit.coefficients[place] - fit.unbounded[place]))
+    on_bound = np.flatnonzero(certificate.at_lower | certificate.at_upper)
+    if not len(on_bound) or interval is None or moved <= interval.standard_error:
+        return ""
+    paths = Parametrisation.of(fit.motor).paths
+    names = " and ".join(path.coefficient_name for at in on_bound if (path := paths[at]))
+    return f"{names} on a bound moves it by {100 * moved / abs(fit.coefficients[place]):.0f} %"
 
 
 def _unseen(
@@ -305,20 +313,9 @@ def judge_leakage(
 ) -> LeakageJudgement:
     """Leakage at one condition, with its interval from the joint distribution, and a verdict.
 
-    Parameters
-    ----------
-    fit, identification, excitation
-        The fit, its verdicts, and the range of its samples.
-    conditions
-        One condition.
-    systematic_l_per_min
-        ± of sensors and of the model at that condition [l/min].
-
-    Returns
-    -------
-    LeakageJudgement
-        Within the samples' range ``identified`` where the whole half-width is at most 10 %,
-        ``uncertain`` up to 25 %; ``extrapolated`` at most 20 bar or 10 K beyond it, up to 12 %.
+    `systematic_l_per_min` is the ± of sensors and of the model there. Within the samples' range
+    ``identified`` where the whole half-width is at most 10 %, ``uncertain`` up to 25 %;
+    ``extrapolated`` at most 20 bar or 10 K beyond it, up to 12 %.
     """
     row = regressors(fit.motor, conditions)[0]
     contrast = np.append(row[:-2], 0.0)

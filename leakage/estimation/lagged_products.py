@@ -46,13 +46,7 @@ class Segments:
 
     @classmethod
     def of(cls, index: Places) -> Segments:
-        """Segments of samples by their places on an even time base, increasing, shape (n,).
-
-        Examples
-        --------
-        >>> Segments.of(np.array([3, 4, 5, 9, 10])).lengths
-        array([3, 2])
-        """
+        """Segments of samples by their places on an even time base, increasing, shape (n,)."""
         begins = np.concatenate([[0], np.flatnonzero(index[1:] - index[:-1] != 1) + 1])
         begins = begins[: len(index)]
         return cls(begins, np.diff(begins, append=len(index)))
@@ -71,13 +65,7 @@ class Segments:
         return int(self.lengths.sum())
 
     def pair_counts(self, longest_lag: int) -> Array:
-        """Number of pairs within one segment at each lag from 0 to `longest_lag` samples.
-
-        Examples
-        --------
-        >>> Segments.of(np.array([3, 4, 5, 9, 10])).pair_counts(3)
-        array([5., 3., 1., 0.])
-        """
+        """Number of pairs within one segment at each lag from 0 to `longest_lag` samples."""
         lengths = np.sort(self.lengths)
         sums = np.concatenate([[0], np.cumsum(lengths)])
         lags = np.arange(longest_lag + 1)
@@ -91,13 +79,7 @@ class Segments:
         return Segments(self.begins[kept] + margin, self.lengths[kept] - 2 * margin)
 
     def samples(self, ranks: Places) -> Places:
-        """Samples by their ranks among those of all segments, shape of `ranks`.
-
-        Examples
-        --------
-        >>> Segments(np.array([3, 20]), np.array([2, 5])).samples(np.array([0, 1, 2, 6]))
-        array([ 3,  4, 20, 24])
-        """
+        """Samples by their ranks among those of all segments, shape of `ranks`."""
         ends = np.cumsum(self.lengths)
         segment = np.searchsorted(ends, ranks, side="right")
         return ranks + (self.begins + self.lengths - ends)[segment]
@@ -112,37 +94,8 @@ def lagged_products(
 ) -> tuple[Array, Array]:
     """Sums of products a(t) b(t + k) of series less their means, over pairs within one segment.
 
-    Parameters
-    ----------
-    series, means
-        Finite values, shape (n,) each, and what is taken off each: centred series keep more digits.
-    segments
-        Where the samples have no gap.
-    longest_lag
-        Largest lag k of each series with itself [samples].
-    crossed_lag
-        Largest lag of either sign of the first series with each other one [samples], not above
-        `longest_lag`.
-
-    Returns
-    -------
-    own
-        For each series the sums with itself at lags 0 to `longest_lag`, shape (s, longest_lag + 1);
-        0 where no pair of samples has that lag.
-    crossed
-        For each b but the first series, which is a, the sums at lags −crossed_lag to crossed_lag,
-        shape (s − 1, 2 crossed_lag + 1).
-
-    Examples
-    --------
-    >>> values = np.array([[1.0, 2, 3, 4, 5], [0, 1, 0, 1, 0]])
-    >>> segments = Segments.of(np.array([0, 1, 2, 7, 8]))
-    >>> own, crossed = lagged_products(values, [0.0, 0.0], segments, 2, 1)
-    >>> own.round(9) + 0.0
-    array([[55., 28.,  3.],
-           [ 2.,  0.,  0.]])
-    >>> crossed.round(9) + 0.0
-    array([[8., 6., 1.]])
+    Of each series with itself at lags 0 to `longest_lag`, shape (s, longest_lag + 1); of the first,
+    a, with each other one at lags −crossed_lag to crossed_lag, shape (s − 1, 2 crossed_lag + 1).
     """
     own = np.zeros((len(series), longest_lag + 1))
     crossed = np.zeros((len(series) - 1, 2 * crossed_lag + 1))
@@ -160,28 +113,7 @@ def lagged_products(
 def products_near_ends(
     series: Sequence[Array], means: Sequence[float], segments: Segments, margin: int
 ) -> Array:
-    """Sums of products a(t) b(t + k) with t among the first or last samples of its segment.
-
-    Parameters
-    ----------
-    series, means
-        As of :func:`lagged_products`; a is the first series, b each other one.
-    segments
-        Where the samples have no gap.
-    margin
-        How many samples are first or last ones; also the largest lag of either sign.
-
-    Returns
-    -------
-    ndarray
-        For each b the sums at lags −margin to margin, shape (s − 1, 2 margin + 1).
-
-    Examples
-    --------
-    >>> values = np.array([[1.0, 2, 3, 4, 5], [1, 1, 1, 1, 10]])
-    >>> products_near_ends(values, [0.0, 0.0], Segments.of(np.arange(5)), 1)
-    array([[ 5., 51.,  1.]])
-    """
+    """Those crossed sums of which t is among the `margin` first or last samples of its segment."""
     lags, own = np.arange(2 * margin + 1), np.arange(margin)[:, None]
     sums = np.zeros((len(series) - 1, len(lags)))
     step = max(1, BATCH_POINTS // (len(series) * 2 * margin))

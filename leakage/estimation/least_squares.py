@@ -67,16 +67,9 @@ def fit(
     settings: SearchSettings | None = None,
     generator: np.random.Generator | None = None,
 ) -> Fit:
-    """Fit a motor's loss factors to the statistics of its training samples.
+    """Fit a motor's loss factors to the factor of its training samples, shape (c, c).
 
-    Parameters
-    ----------
-    r
-        Factor of the training samples, shape (c, c), columns as ``motor.columns``.
-    motor
-        Paths with their parameters and bounds.
-    settings, generator
-        Settings of the search, and the source of its starting points; None: no search.
+    Without settings of the search, and a source of its starting points, there is none.
 
     Raises
     ------

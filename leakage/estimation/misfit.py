@@ -69,28 +69,20 @@ def misfit(
     means: Array,
     scales: bool | None = None,
 ) -> Misfit | None:
-    """Structured misfit of a fit, from its blocks.
+    """Structured misfit of a fit; None where blocks are too few for a covariance, or without
+    leakage.
 
     Parameters
     ----------
-    factors
-        Factors of its stored blocks in time order, not whitened, shape (b, c, c); columns: paths,
-        one, known, measured.
-    number
-        Place of each on the clock, in blocks, shape (b,).
-    coefficients
-        θ of the fit, shape (c − 2,).
-    fixed
-        Coefficients that are not estimated, shape (c − 2,).
+    factors, number
+        Factors of its stored blocks in time order, not whitened, shape (b, c, c), and their places
+        on the clock, in blocks, shape (b,).
+    coefficients, fixed
+        θ of the fit, and which of it are not estimated, shape (c − 2,).
     means
         Mean temperature [°C], pressure [bar] and speed [rpm] of each block, shape (b, 3).
     scales
         Whether slow errors scale the leakage, as of the fit; None: not known.
-
-    Returns
-    -------
-    Misfit or None
-        None where there are too few blocks for a covariance, or no leakage.
     """
     n = np.einsum("bi,bi->b", factors[:, :, -3], factors[:, :, -3])
     theta = np.concatenate([coefficients[:-1], (0.0, 1.0)])
@@ -164,23 +156,9 @@ def _beside(whole: Array, places: NDArray[np.int64], needed: Mask) -> Array:
 def model_errors(
     whole: Array, fixed: NDArray[np.bool_], contrasts: Array, misfit_l_per_min: float
 ) -> Array:
-    """R(c): what a structured misfit can do to combinations of coefficients.
+    """R(c): what a misfit τ [l/min] can do to contrasts of coefficients, shape (m,).
 
-    Parameters
-    ----------
-    whole
-        Merged factor of the fit's blocks, not whitened, shape (c, c).
-    fixed
-        Coefficients that are not estimated, shape (c − 2,).
-    contrasts
-        Weights of all coefficients, shape (m, c − 2).
-    misfit_l_per_min
-        τ [l/min].
-
-    Returns
-    -------
-    ndarray
-        In the units of the combinations, shape (m,).
+    Contrasts have shape (m, c − 2); `whole` is the merged factor of the fit's blocks, not whitened.
     """
     free = np.flatnonzero(~fixed & (np.abs(whole).max(axis=0)[:-2] > 0.0))
     scale = np.linalg.norm(whole[:, free], axis=0)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +53,6 @@ class SearchSettings:
     ----------
     starting_points
         W, the configured point first; 0 for no search.
-    gradient_type
-        ``analytic``, ``2-point`` or ``3-point``.
     step_tolerance, function_tolerance
         Relative; 1e-10 (MATLAB's own 1e-6 and 1e-5 leave half of the starts short).
     maximum_iterations
@@ -62,7 +60,6 @@ class SearchSettings:
     """
 
     starting_points: int = 10
-    gradient_type: Literal["analytic", "2-point", "3-point"] = "analytic"
     step_tolerance: float = 1e-10
     function_tolerance: float = 1e-10
     maximum_iterations: int = 200
@@ -118,55 +115,27 @@ class Parametrisation:
         lower, upper = zip(*limits, strict=True)
         return np.array(lower), np.array(upper)
 
-    def coefficients(self, free: Array) -> tuple[Array, Array]:
-        """θ and its Jacobian by the free parameters.
-
-        Parameters
-        ----------
-        free
-            Values of the free parameters, shape (…, k).
-
-        Returns
-        -------
-        tuple of ndarray
-            θ, shape (…, p + 1), and dθ/dx, shape (…, p + 1, k).
-        """
-        points, k = free.shape[:-1], free.shape[-1]
-        theta = np.zeros((*points, len(self.paths)))
-        jacobian = np.zeros((*points, len(self.paths), k))
+    def coefficients(self, free: Array) -> Array:
+        """θ, shape (…, p + 1), at free parameters of shape (…, k)."""
+        theta = np.zeros((*free.shape[:-1], len(self.paths)))
         taken = 0
         for row, path in enumerate(self.paths):
             if path is None:
                 continue
             unknown = [parameter.is_free for parameter in path.parameters]
             own = slice(taken, taken + sum(unknown))
-            values = np.empty((*points, len(unknown)))
+            values = np.empty((*free.shape[:-1], len(unknown)))
             values[...] = [parameter.value for parameter in path.parameters]
             values[..., unknown] = free[..., own]
             theta[..., row] = path.coefficient(values)
-            jacobian[..., row, own] = path.coefficient_gradient(values)[..., unknown]
             taken = own.stop
-        return theta, jacobian
+        return theta
 
 
 def starting_points(
     parameters: Sequence[Parameter], count: int, generator: np.random.Generator
 ) -> Array:
-    """The configured point, then a Latin hypercube within the bounds.
-
-    Parameters
-    ----------
-    parameters
-        The free parameters.
-    count
-        W ≥ 1.
-    generator
-        Source of the draw; seed it from run, motor and night.
-
-    Returns
-    -------
-    ndarray
-        Shape (W, number of parameters), in the parameters' units.
+    """The configured point, then a Latin hypercube within the bounds, shape (W, parameters).
 
     Examples
     --------
@@ -191,23 +160,9 @@ def starting_points(
 def search(
     r: Array, motor: Motor, settings: SearchSettings, generator: np.random.Generator
 ) -> tuple[Start, ...]:
-    """Minimise the criterion from each starting point.
+    """Minimise the criterion from each starting point; empty where nothing is free.
 
-    Parameters
-    ----------
-    r
-        Factor of the training samples, shape (c, c), columns as ``motor.columns``.
-    motor
-        Paths with their parameters and bounds.
-    settings
-        Tolerances, limits and the number of starting points.
-    generator
-        Source of the starting points.
-
-    Returns
-    -------
-    tuple of Start
-        One a starting point; empty where nothing is free.
+    `r` is the factor of the training samples, shape (c, c), columns as ``motor.columns``.
     """
     parametrisation = Parametrisation.of(motor)
     if not parametrisation.free or not settings.starting_points:
@@ -217,20 +172,16 @@ def search(
     matrix, target = r[:, :-2] / scale, (r[:, -1] - r[:, -2]) / scale
 
     def residual(free: Array) -> Array:
-        error: Array = matrix @ parametrisation.coefficients(free)[0] - target
+        error: Array = matrix @ parametrisation.coefficients(free) - target
         return error
-
-    def slope(free: Array) -> Array:
-        by_parameters: Array = matrix @ parametrisation.coefficients(free)[1]
-        return by_parameters
 
     return tuple(
         _start(
             number,
             point,
-            lambda x: criterion(r, parametrisation.coefficients(x)[0]),
+            lambda x: criterion(r, parametrisation.coefficients(x)),
             fun=residual,
-            jac=slope if settings.gradient_type == "analytic" else settings.gradient_type,
+            jac="3-point",
             bounds=parametrisation.bounds(),
             xtol=settings.step_tolerance,
             ftol=settings.function_tolerance,
@@ -251,22 +202,7 @@ def _start(number: int, point: Array, cost_of: Callable[[Array], float], **probl
 
 
 def at_minimum(starts: Sequence[Start], minimum: float, rounding: float = 0.0) -> NDArray[np.bool_]:
-    """Starts that ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's.
-
-    Parameters
-    ----------
-    starts
-        W of them.
-    minimum
-        V* [(l/min)²].
-    rounding
-        Criterion below which nothing but rounding is left [(l/min)²].
-
-    Returns
-    -------
-    ndarray of bool
-        Shape (W,).
-    """
+    """Starts that ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's."""
     costs = np.array([start.cost for start in starts])
     reached: NDArray[np.bool_] = costs <= max(minimum * (1 + AT_MINIMUM), rounding)
     return reached

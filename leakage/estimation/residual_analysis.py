@@ -59,24 +59,22 @@ import numpy as np
 from scipy.special import chdtrc
 
 from leakage.errors import ShapeError, StatisticsError
+from leakage.estimation.choices import (
+    BAND,
+    FEWEST_SAMPLES,
+    LEAST_EIGENVALUE,
+    LEAST_INNER_SHARE,
+    LEAST_VARIANCE,
+    LEVEL,
+    LONGEST_LAG,
+)
 from leakage.estimation.lagged_products import Array, Mask, Places, Segments
-from leakage.estimation.residual_moments import LONGEST_LAG, ResidualMoments
+from leakage.estimation.residual_moments import ResidualMoments
 from leakage.estimation.validation import (
     ROUNDING,
     lag_one_autocorrelation,
     summed_effective_sample_count,
 )
-
-# Half-width of a normal 99 % band, and the probability beyond it.
-BAND, LEVEL = 2.576, 0.01
-# P is not below this share of its first term.
-LEAST_VARIANCE = 0.1
-# The independence statistic needs this share of samples with 25 others on either side.
-LEAST_INNER_SHARE = 0.5
-# Eigenvalues below this share of the largest are not known well enough to divide by.
-LEAST_EIGENVALUE = 1e-3
-# With fewer samples the statistics are not distributed as they should be.
-FEWEST_SAMPLES = 40 * LONGEST_LAG
 
 TOO_MANY_GAPS = "too few samples follow one another without a gap"
 PASSED, FAILED, NOT_TESTED = "passed", "failed", "not_tested"
@@ -155,12 +153,14 @@ def analyse_residuals(
 ) -> ResidualAnalysis:
     """Test the errors of a model for whiteness and for independence of its inputs.
 
+    `benchmarks/results/residual_tests.md` says how often errors that are independent are judged
+    not to be. Residuals of samples that a model was fitted to are orthogonal to its regressors, so
+    on training samples failures by chance are rarer.
+
     Parameters
     ----------
-    error
-        Prediction errors y − ŷ in time order, shape (n,) [l/min].
-    inputs
-        Inputs at the same samples, by name, shape (n,) each.
+    error, inputs
+        Prediction errors y − ŷ in time order [l/min], and inputs by name, shape (n,) each.
     index
         Place of each sample on an even time base, increasing, shape (n,); where it jumps is a gap.
     correlation_time
@@ -171,16 +171,8 @@ def analyse_residuals(
 
     Raises
     ------
-    ShapeError
-        If the arrays differ in shape (``shape``).
-    StatisticsError
-        If a value is not finite (``not_finite``).
-
-    Notes
-    -----
-    `benchmarks/results/residual_tests.md` says how often errors that are independent are judged not
-    to be. Residuals of samples that a model was fitted to are orthogonal to its regressors, so on
-    training samples failures by chance are rarer.
+    ShapeError, StatisticsError
+        ``shape``: the arrays differ in length; ``not_finite``.
 
     Examples
     --------
@@ -190,8 +182,6 @@ def analyse_residuals(
     >>> found = analyse_residuals(error, {"speed": speed}, np.arange(5000))
     >>> found.whiteness.verdict, found.independence["speed"].verdict
     ('passed', 'failed')
-    >>> found.independence["speed"].largest[0]
-    3
     """
     shapes = {np.shape(one) for one in (error, index, *inputs.values())}
     if len(shapes) > 1 or np.ndim(error) != 1:

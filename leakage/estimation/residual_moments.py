@@ -12,6 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from leakage.estimation.choices import (
+    CORRELATION_TIMES,
+    LEAST_PAIR_SHARE,
+    LONGEST_LAG,
+    LONGEST_SUM_SHARE,
+    SHORTEST_SUM,
+    THINNED_SAMPLES,
+)
 from leakage.estimation.lagged_products import (
     Array,
     Mask,
@@ -20,18 +28,8 @@ from leakage.estimation.lagged_products import (
     products_near_ends,
 )
 
-# Lags that are looked at: −25 to 25 of cross-correlations, 1 to 25 of the autocorrelation.
-LONGEST_LAG = 25
-# Variances are summed over this many lags, or this many correlation times of the errors.
-SHORTEST_SUM, CORRELATION_TIMES = 300, 10.0
-# Longer sums than this share of the samples are noise.
-LONGEST_SUM_SHARE = 0.25
-# A lag with fewer pairs than this share of the samples goes into no sum and no statistic.
-LEAST_PAIR_SHARE = 0.2
 # Inputs whose deviation is below this share of their mean do not vary.
 CONSTANT = 1e-12
-# Samples that tell whether errors are larger where an input moves; evenly thinned.
-THINNED_SAMPLES = 2_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,17 +64,7 @@ class ResidualMoments:
         segments: Segments,
         correlation_time: float,
     ) -> ResidualMoments:
-        """Moments of errors that vary, and of inputs.
-
-        Parameters
-        ----------
-        series, means
-            Errors and inputs in time order, shape (n,) each, and their means.
-        segments
-            Where the samples have no gap.
-        correlation_time
-            How long the errors remember [samples], may be infinite.
-        """
+        """Moments of errors that vary, and of inputs."""
         n = segments.n
         longest_sum = int(
             min(max(SHORTEST_SUM, CORRELATION_TIMES * correlation_time), n * LONGEST_SUM_SHARE)

@@ -28,27 +28,7 @@ SETTLED = 1e-8
 
 
 def huber_weights(z: Array, lower: Array, upper: Array, tuning: float = TUNING) -> Array:
-    """Weights of samples under Huber's loss.
-
-    Parameters
-    ----------
-    z
-        Columns of the training samples, shape (n, c): paths, one, known, measured.
-    lower, upper
-        Bounds of θ, shape (c − 2,).
-    tuning
-        k, in robust standard deviations; 1.345 is 95 % efficient under normal errors.
-
-    Returns
-    -------
-    ndarray
-        w, shape (n,), in (0, 1]; all 1 where the errors have no spread.
-
-    Raises
-    ------
-    EstimationError
-        As :func:`leakage.estimation.certificate.certify`.
-    """
+    """Weights of samples under Huber's loss."""
     weights = np.ones(len(z))
     before = np.inf
     for _ in range(MOST_ROUNDS):
@@ -67,21 +47,11 @@ def huber_weights(z: Array, lower: Array, upper: Array, tuning: float = TUNING) 
 
 
 def weight_inflation(weights: Array) -> float:
-    r"""Factor by which standard errors that take the weights as known are too small.
+    r"""Factor, at least 1, by which standard errors that take the weights as known are too small.
 
     With ψ the slope of the loss, the estimate moves with :math:`(\sum \psi' x x^T)^{-1}`, and
     ψ' is 1 where a sample has its full weight and 0 elsewhere; weighted least squares uses the
     larger :math:`\sum w x x^T` in its place.
-
-    Parameters
-    ----------
-    weights
-        From :func:`huber_weights`, shape (n,).
-
-    Returns
-    -------
-    float
-        At least 1; 1 without a sample.
     """
     full = float(np.mean(weights >= 1.0)) if len(weights) else 1.0
     return max(float(np.mean(weights)) / full, 1.0) if full > 0 else float("inf")

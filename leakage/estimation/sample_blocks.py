@@ -193,28 +193,3 @@ def places_on_clock(begins_us: Times, ends_us: Times) -> tuple[NDArray[np.int64]
 def numbers_of(blocks: Sequence[Block]) -> NDArray[np.int64]:
     """Number of each sample's block, shape (n,)."""
     return np.repeat(np.arange(len(blocks)), [block.n for block in blocks])
-
-
-ShortMeans: TypeAlias = tuple[list[float] | None, ...]
-
-
-def short_means(z: Array, short: Sequence[Block], stored: Sequence[Block]) -> ShortMeans:
-    """Place, samples and means of the short blocks within each stored one, in a row each.
-
-    In single precision, as the tables hold them. The mean of the ones is left out; None for a
-    stored block that is a short one.
-    """
-    if len(short) == len(stored):
-        return (None,) * len(stored)
-    first = np.array([block.first_row for block in short])
-    rows = (slice(block.first_row, block.end_row) for block in short)
-    sums = np.stack([z[part, -3] @ z[part] for part in rows])
-    n = sums[:, -3]
-    means = sums / n[:, None]
-    owner = np.searchsorted([block.first_row for block in stored], first, side="right") - 1
-    start_us = np.array([block.start_us for block in short])
-    length_us = short[0].end_us - short[0].start_us
-    place = (start_us - np.array([block.start_us for block in stored])[owner]) // length_us
-    table = np.column_stack([place, n, np.delete(means, -3, axis=1)]).astype(np.float32)
-    parts = (table[owner == place] for place in range(len(stored)))
-    return tuple(part.ravel().tolist() if len(part) > 1 else None for part in parts)

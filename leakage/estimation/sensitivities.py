@@ -70,31 +70,23 @@ def error_budget(
     at: Sequence[OperatingConditions] = (),
     as_read: Sequence[OperatingConditions] = (),
 ) -> ErrorBudget:
-    """Carry each stated tolerance through a fit of a thinned sample.
+    """Carry each stated tolerance through a fit of a thinned sample; empty where none is stated.
 
     Parameters
     ----------
-    motor
-        The motor as fitted.
-    conditions, flow_l_per_min
-        Thinned training samples, n of them; a few thousand are enough.
+    motor, conditions, flow_l_per_min
+        The motor as fitted, and n thinned training samples; a few thousand are enough.
     tolerances
         What is stated.
     at, as_read
         Conditions at which the leakage is asked for, one sample each: stated ones, and ones that
         the same sensors have read, so that a sensor that is off moves them, too.
 
-    Returns
-    -------
-    ErrorBudget
-        Empty where no tolerance is stated.
-
     Raises
     ------
-    EstimationError
-        If there are fewer samples than free coefficients.
-    ValidityError
-        If a disturbed temperature leaves the range of Walther's equation.
+    EstimationError, ValidityError
+        If there are fewer samples than free coefficients; if a disturbed temperature leaves the
+        range of Walther's equation.
     """
     n, told = len(flow_l_per_min), [*sources(motor, tolerances)]
     read = Window(motor, OperatingConditions.joined([conditions, *as_read]), flow_l_per_min)
@@ -149,24 +141,9 @@ def effects_elsewhere(
 ) -> dict[str, float]:
     """Effects on the leakage at one stated condition from those at another, without samples.
 
-    A constant acts on what the thinned sample's own fit says; that is taken as the nearest to θ
-    which explains the known effects.
-
-    Parameters
-    ----------
-    motor, tolerances
-        The motor as fitted, and what is stated.
-    coefficients
-        θ, shape (p + 1,).
-    effects
-        By source, its effect on θ, shape (p + 1,), and on the leakage at `before` [l/min].
-    before, after
-        One condition each.
-
-    Returns
-    -------
-    dict
-        By source, its effect on the leakage at `after` [l/min].
+    A constant acts on what the thinned sample's own fit says; that is taken as the nearest to θ,
+    shape (p + 1,), which explains the known effects: by source, on θ and on the leakage at `before`
+    [l/min]. By source, the effect on the leakage at `after` [l/min] is returned.
     """
     told = [source for source in sources(motor, tolerances) if source.name in effects]
     nothing, theta = np.zeros(1), coefficients[:-1]

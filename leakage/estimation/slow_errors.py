@@ -130,25 +130,19 @@ def slow_errors(
     whole: Array | None = None,
     scales: bool | None = None,
 ) -> SlowErrors:
-    """Memory, size and direction of slow errors.
+    """Memory, size and direction of slow errors; without memory where nothing can be told of it.
 
     Parameters
     ----------
-    factors
-        Triangular factors of the blocks in time order, shape (b, c, c).
-    number
-        Place of each on the clock, in blocks, shape (b,).
+    factors, number
+        Triangular factors of the blocks in time order, shape (b, c, c), and the place of each on
+        the clock, in blocks, shape (b,).
     fixed, values
         Coefficients that are held, and the values they are held at; shape (p + 1,).
     whole
         The merged factor of the blocks, where it is known.
     scales
         Look at errors that scale, or that add, alone; None: at both.
-
-    Returns
-    -------
-    SlowErrors
-        Without memory where nothing can be told of it.
     """
     whole = merge(factors) if whole is None else whole
     design = _design(whole, fixed, values)
@@ -210,18 +204,8 @@ def _most_likely(free: Array, means: Means, variance: float) -> tuple[float, flo
 def whitened(factors: Array, number: Places, errors: SlowErrors) -> Array:
     """Factors of samples whose slow errors are whitened; as they are where there are none.
 
-    Parameters
-    ----------
-    factors, number
-        As for :func:`slow_errors`.
-    errors
-        What was found.
-
-    Returns
-    -------
-    ndarray
-        Shape (b, c, c), not triangular: each block's rest, with the whitened means in place of its
-        own; scaled so that the column of ones keeps its norm, and with it the number of samples.
+    Shape (b, c, c), not triangular: each block's rest, with the whitened means in place of its own;
+    scaled so that the column of ones keeps its norm, and with it the number of samples.
     """
     if not errors.are_slow:
         return factors

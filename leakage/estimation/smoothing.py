@@ -29,23 +29,12 @@ def smooth(
 
     Parameters
     ----------
-    z
-        Columns, shape (n, c).
-    index
-        Place of each sample on the time base, shape (n,).
-    block
-        Number of its block, shape (n,).
-    period_us
-        Period of the time base [µs].
-    window_s
-        Length of the average [s]; 0: none.
+    z, index, block
+        Columns, shape (n, c), place on the time base and number of the block of each sample, (n,).
+    period_us, window_s
+        Period of the time base [µs]; length of the average [s], 0: none.
     apply_to
         ``all`` columns, or the flow alone (``leakage``).
-
-    Returns
-    -------
-    ndarray
-        Shape (n, c); `z` itself where nothing is averaged.
     """
     half = round(window_s * SECOND_US) // (2 * period_us)
     if half == 0:

@@ -82,20 +82,7 @@ class ClusterRobust:
     _scores: Array
 
     def interval(self, contrast: Array, level: float = 0.95) -> Interval | None:
-        """Interval of a linear combination of the coefficients.
-
-        Parameters
-        ----------
-        contrast
-            Weights of all coefficients, shape (p + 1,); those of inactive ones do not count.
-        level
-            Coverage.
-
-        Returns
-        -------
-        Interval or None
-            None where the combination does not lie in what the samples span.
-        """
+        """Interval of a combination of all coefficients; None where the samples do not span it."""
         weights = self._weights(contrast)
         if weights is None:
             return None
@@ -171,27 +158,7 @@ def cluster_robust(
     inflation: float = 1.0,
     whole: Array | None = None,
 ) -> ClusterRobust | None:
-    """Distribution of the estimates from the blocks of the training samples.
-
-    Parameters
-    ----------
-    factors
-        Factors of the blocks, shape (b, c, c), columns: paths, one, known, measured.
-    coefficients
-        θ of the fit, shape (p + 1,).
-    active
-        Coefficients that have a distribution, such as those that are not fixed; shape (p + 1,).
-    inflation
-        Factor on all standard errors; that of robust weights, which are estimates themselves
-        (:func:`leakage.estimation.robust.weight_inflation`).
-    whole
-        The merged factor of the blocks, where it is known.
-
-    Returns
-    -------
-    ClusterRobust or None
-        None without an active coefficient, or with fewer than two blocks.
-    """
+    """Distribution of the active estimates; None without one, or with fewer than two blocks."""
     filled = factors[factors.any(axis=(1, 2))]
     if not active.any() or len(filled) < 2:
         return None

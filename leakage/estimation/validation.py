@@ -43,23 +43,11 @@ class Agreement:
 
 
 def agreement(r: Array, coefficients: Array, resolution_l_per_min: float = 0.0) -> Agreement:
-    """Fit percent (23), root mean squared and mean error of a model on some samples.
+    """Fit percent (23), root mean squared and mean error of a model on the samples of a factor.
 
-    Parameters
-    ----------
-    r
-        Factor of the judged samples, shape (c, c).
-    coefficients
-        θ of the model, shape (c − 2,).
-    resolution_l_per_min
-        Smallest step of the flow sensor [l/min].
-
-    Returns
-    -------
-    Agreement
-        The fit is at most 100 and negative where the model is worse than the mean of the data
-        (the thesis reads that as 0; the sign is kept, it tells how bad). It is None where
-        ‖y − ȳ‖ is not above the sensor's resolution times √N.
+    The fit is at most 100 and negative where the model is worse than the mean of the data (the
+    thesis reads that as 0; the sign is kept, it tells how bad). It is None where ‖y − ȳ‖ is not
+    above the sensor's resolution times √N.
     """
     summary = flow_summary(r)
     if not summary.n:
@@ -74,13 +62,7 @@ def agreement(r: Array, coefficients: Array, resolution_l_per_min: float = 0.0) 
 
 
 def is_poor(fit_percent: float | None) -> bool:
-    """True if a fit is worse than that of a constant flow; False if there is no fit.
-
-    Examples
-    --------
-    >>> is_poor(-1295.0), is_poor(0.0), is_poor(None)
-    (True, False, False)
-    """
+    """True if a fit is worse than that of a constant flow; False if there is no fit."""
     return fit_percent is not None and fit_percent < POOR_FIT_PERCENT
 
 
@@ -95,33 +77,16 @@ class Criteria:
 
 
 def criteria(cost: float, d: int, n: float) -> Criteria:
-    r"""FPE (25), AIC, AICc and BIC [2]_ of a least squares fit.
+    r"""FPE (25) [(l/min)²], AIC, AICc and BIC [2]_ of a least squares fit.
 
     .. math::
         FPE = V\frac{1 + d/N}{1 - d/N},\quad AIC = N\ln V + 2d + N(\ln 2\pi + 1),
 
         AICc = AIC + \frac{2d(d+1)}{N-d-1},\quad BIC = N\ln V + N(\ln 2\pi + 1) + d\ln N .
 
-    Parameters
-    ----------
-    cost
-        V of the training samples [(l/min)²].
-    d
-        Rank of the regressors of the coefficients off their bounds: what was fitted, whether or
-        not the samples tell the coefficients apart (`Certificate.n_estimated`).
-    n
-        Number of training samples, or their effective number where residuals are correlated.
-
-    Returns
-    -------
-    Criteria
-        FPE in (l/min)², the others without unit.
-
-    Examples
-    --------
-    >>> found = criteria(0.5, 3, 100)
-    >>> round(found.fpe, 6), round(found.aic, 4), round(found.aicc, 4), round(found.bic, 4)
-    (0.530928, 220.473, 220.723, 228.2885)
+    `cost` is V of the training samples, `d` the rank of the regressors of the coefficients off
+    their bounds: what was fitted, whether or not the samples tell the coefficients apart; `n` the
+    number of training samples, or their effective number where residuals are correlated.
     """
     if not (cost > 0.0 and n > d):
         return Criteria(None, None, None, None)
@@ -133,19 +98,10 @@ def criteria(cost: float, d: int, n: float) -> Criteria:
 
 
 def lag_one_autocorrelation(residual: Array, begins: NDArray[np.int64]) -> float | None:
-    """Correlation of each residual with the one before it in the same stretch of samples.
+    """Correlation of each residual with the one before it in its stretch; None without pair or
+    spread.
 
-    Parameters
-    ----------
-    residual
-        Prediction errors in time order, shape (n,) [l/min].
-    begins
-        First sample of each stretch without a gap, shape (s,).
-
-    Returns
-    -------
-    float or None
-        φ̂; None where there is no pair or no spread.
+    `begins` are the first samples of the stretches without a gap, shape (s,).
     """
     pairs = len(residual) - len(begins)
     if not pairs:
@@ -173,20 +129,8 @@ def summed_effective_sample_count(n: int, autocorrelation: Array) -> float | Non
 
     White noise on top of a slow error lowers the correlation of neighbours and hides the slow error
     from :func:`effective_sample_count`, which then counts too many. For a first-order
-    autoregression both are the same.
-
-    Parameters
-    ----------
-    n
-        Number of samples.
-    autocorrelation
-        ρ(0) = 1 to the longest lag that can be told, shape (k,).
-
-    Returns
-    -------
-    float or None
-        None where the correlations do not come to an end within the lags given: the errors
-        remember longer than can be told.
+    autoregression both are the same. None where the correlations do not come to an end within the
+    lags given, from ρ(0): the errors remember longer than can be told.
 
     Notes
     -----
@@ -197,12 +141,6 @@ def summed_effective_sample_count(n: int, autocorrelation: Array) -> float | Non
     ----------
     .. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", *Statistical Science*, 7(4), 1992:
        initial positive sequence.
-
-    Examples
-    --------
-    >>> rho = np.append(0.5 ** np.arange(60), [0.0, 0.0])
-    >>> round(summed_effective_sample_count(1000, rho), 6), effective_sample_count(1000, 0.5)
-    (333.333333, 333.3333333333333)
     """
     whole = len(autocorrelation) // 2 * 2
     sums = autocorrelation[:whole].reshape(-1, 2).sum(axis=1)

@@ -101,13 +101,7 @@ class FrameFit:
         return {path.coefficient_name: found[at] for at, path in self.paths.items()}
 
     def conf_int(self, level: float = 0.95) -> dict[str, tuple[float, float] | None]:
-        """Intervals from the samples by name; None for a coefficient that has none.
-
-        Parameters
-        ----------
-        level
-            Coverage.
-        """
+        """Intervals from the samples by name; None for a coefficient that has none."""
         return {path.coefficient_name: self._interval(at, level) for at, path in self.paths.items()}
 
     def _interval(self, at: int, level: float) -> tuple[float, float] | None:
@@ -121,29 +115,16 @@ class FrameFit:
         return float(theta[at] - interval.half_width), float(theta[at] + interval.half_width)
 
     def predict(self, frame: Any = None, columns: Mapping[str, str] | None = None) -> Array:
-        """Predicted drain flow of the rows of a frame, nan where a row is incomplete.
+        """Predicted drain flow of the rows of a frame [l/min], nan where a row is incomplete.
 
-        Parameters
-        ----------
-        frame, columns
-            As of :func:`fit_frame`, without the measured flow; None: the samples of the fit.
-
-        Returns
-        -------
-        ndarray
-            Shape (rows,), [l/min].
+        Frame and columns as of :func:`fit_frame`, without the measured flow; None: the fit's
+        samples.
         """
         samples = self.samples if frame is None else read_samples(frame, columns, with_flow=False)
         return _on_rows(self._predicted(samples), samples, frame)
 
     def residuals(self, frame: Any = None, columns: Mapping[str, str] | None = None) -> Array:
-        """Measured less predicted drain flow of the rows of a frame, nan where one is incomplete.
-
-        Returns
-        -------
-        ndarray
-            Shape (rows,), [l/min].
-        """
+        """Measured less predicted drain flow of a frame's rows [l/min]; nan: incomplete."""
         samples = self.samples if frame is None else read_samples(frame, columns)
         return _on_rows(samples.measured_l_per_min - self._predicted(samples), samples, frame)
 
@@ -161,15 +142,7 @@ class FrameFit:
     ) -> LeakageJudgement:
         """Leakage at one condition, flushing excluded, with verdict and interval.
 
-        Parameters
-        ----------
-        pressure_bar, temperature_c, speed_rpm, charge_over_case_bar
-            The condition.
-
-        Returns
-        -------
-        LeakageJudgement
-            Its interval is from the samples; the verdict counts model and sensors, too.
+        The interval is from the samples; the verdict counts model and sensors, too.
         """
         if self.samples.charge_over_case_bar is not None and charge_over_case_bar is None:
             charge_over_case_bar = float(np.mean(self.samples.charge_over_case_bar))
@@ -238,15 +211,7 @@ class FrameFit:
     def compare(
         self, other: FrameFit, frame: Any, columns: Mapping[str, str] | None = None
     ) -> tuple[Agreement, Agreement]:
-        """Agreement of this fit and of another with the samples of a frame.
-
-        Parameters
-        ----------
-        other
-            Another fit, of this motor or of another model of it.
-        frame, columns
-            As of :func:`fit_frame`.
-        """
+        """Agreement of this fit and of another with the samples of a frame."""
         samples = read_samples(frame, columns)
         first, second = (
             agreement(factor(columns_of(one.motor, samples)), one.estimate.fit.coefficients)

@@ -139,23 +139,6 @@ class AnnularGap(Law):
         volume: NDArray[np.float64] = gap_um * gap_um * gap_um * self._widening(given)
         return self._concentric_m3_per_um3 * volume
 
-    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
-        r"""Derivative of K by gap height and eccentricity.
-
-        .. math:: \frac{\partial K}{\partial h} = \frac{3 K}{h}, \qquad
-            \frac{\partial K}{\partial e} = n \frac{\pi r (c h)^3}{6 l}\, 3 e
-
-        Along the last axis, [m³/µm] and [m³].
-        """
-        given = np.asarray(values, dtype=np.float64)
-        gap_um = given[..., 0]
-        square = self._concentric_m3_per_um3 * gap_um * gap_um
-        gradient = np.empty(given.shape)
-        gradient[..., 0] = 3.0 * square * self._widening(given)
-        if self.eccentricity is not None:
-            gradient[..., 1] = 3.0 * square * gap_um * given[..., 1]
-        return gradient
-
     def regressor(
         self,
         drive_per_s: NDArray[np.float64],
@@ -179,26 +162,11 @@ class AnnularGap(Law):
     def gap_um_from_coefficient(
         self, coefficient_m3: ArrayLike, eccentricity: float = 0.0
     ) -> NDArray[np.float64]:
-        r"""Gap height that gives a loss factor at an eccentricity: the inverse of `coefficient`.
+        r"""Gap height of a loss factor at an eccentricity, [µm]: the inverse of `coefficient`.
 
         .. math:: h = \frac{1}{c} \left(\frac{6 l K}{n \pi r (1 + 1.5 e^2)}\right)^{1/3}
 
-        Parameters
-        ----------
-        coefficient_m3
-            K, shape (n,) or scalar, [m³]; not negative.
-        eccentricity
-            Eccentricity e, [-].
-
-        Returns
-        -------
-        ndarray
-            h, shape of `coefficient_m3`, [µm].
-
-        Raises
-        ------
-        ParameterError
-            If a coefficient is negative, or the eccentricity outside 0 to 1.
+        Raises ParameterError if a coefficient is negative, or the eccentricity outside 0 to 1.
         """
         coefficient = np.asarray(coefficient_m3, dtype=np.float64)
         if np.any(coefficient < 0.0) or not 0.0 <= eccentricity <= 1.0:
@@ -214,19 +182,10 @@ class AnnularGap(Law):
         return gap_um
 
     def feasible_gap_um(self, coefficient_m3: float) -> tuple[float, float]:
-        """Smallest and largest gap height that a loss factor leaves possible.
+        """Smallest and largest gap height that a loss factor [m³] leaves possible, [µm].
 
-        Parameters
-        ----------
-        coefficient_m3
-            K, [m³]; not negative.
-
-        Returns
-        -------
-        tuple of float
-            h at the largest and at the smallest eccentricity of the bounds, [µm]; a factor
-            2.5^(1/3) = 1.357 apart where e is free between 0 and 1, equal where there is no
-            eccentricity or a fixed one.
+        At the largest and at the smallest eccentricity of the bounds: a factor 2.5^(1/3) = 1.357
+        apart where e is free between 0 and 1.
         """
         if self.eccentricity is None:
             gap_um = float(self.gap_um_from_coefficient(coefficient_m3))

@@ -62,22 +62,6 @@ class OperatingConditions:
     ) -> OperatingConditions:
         """Conditions in the units of logs and tables; scalars are one sample, or every sample's.
 
-        Parameters
-        ----------
-        pressure_difference_bar
-            ΔP, shape (n,) or scalar, [bar].
-        oil_temperature_c
-            T, shape (n,) or scalar, [°C].
-        speed_rpm
-            ω, shape (n,) or scalar, [rpm].
-        charge_over_case_bar
-            Charge above case pressure, shape (n,) or scalar, [bar]; None: one-sided leakage.
-
-        Returns
-        -------
-        OperatingConditions
-            The conditions, ΔP in [Pa].
-
         Examples
         --------
         >>> OperatingConditions.from_bar([100.0, 200.0], 50.0, 30.0).oil_temperature_c.tolist()
@@ -122,11 +106,8 @@ class OperatingConditions:
     def sides(self) -> tuple[OperatingConditions, ...]:
         """The pressures that drive leakage to the case, each as conditions of its own.
 
-        Returns
-        -------
-        tuple of OperatingConditions
-            The conditions themselves where one side leaks; with a charge pressure the high side,
-            at |ΔP| + (p_charge − p_case), and the low side, at p_charge − p_case.
+        The conditions themselves where one side leaks; with a charge pressure the high side, at
+        |ΔP| + (p_charge − p_case), and the low side, at p_charge − p_case.
         """
         charge = self.charge_over_case_pa
         if charge is None:

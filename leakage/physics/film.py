@@ -33,24 +33,12 @@ REGIMES: Mapping[LubricationRegime, tuple[float, float]] = {
 def film_thickness_ratio(
     gap_m: ArrayLike, eccentricity: ArrayLike, roughness_1_m: float, roughness_2_m: float
 ) -> NDArray[np.float64]:
-    r"""Film thickness ratio at the narrowest place of a gap.
+    r"""Film thickness ratio at the narrowest place of a gap, shape of the arguments, [-].
 
     .. math:: \Lambda = \frac{h (1 - e)}{\sqrt{R_{a1}^2 + R_{a2}^2}}
 
-    Parameters
-    ----------
-    gap_m
-        Mean gap height h, shape (n,) or scalar, [m].
-    eccentricity
-        Eccentricity e, 0 for a concentric part to 1 for one that touches, shape (n,) or scalar,
-        [-].
-    roughness_1_m, roughness_2_m
-        Mean roughness of the two surfaces, [m].
-
-    Returns
-    -------
-    ndarray
-        Λ, common shape of the arguments, [-].
+    with the mean gap height h, [m], the eccentricity e from 0 to 1, and the mean roughness of the
+    two surfaces, [m]; section 2.2.4 of [1]_.
 
     Raises
     ------
@@ -61,11 +49,6 @@ def film_thickness_ratio(
     --------
     >>> round(float(film_thickness_ratio(10e-6, 0.4, 0.2e-6, 0.2e-6)), 2)
     21.21
-
-    References
-    ----------
-    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
-       section 2.2.4.
     """
     gap = np.asarray(gap_m, dtype=np.float64)
     closeness = 1.0 - np.asarray(eccentricity, dtype=np.float64)

@@ -131,33 +131,9 @@ class Law(ABC):
 
     @abstractmethod
     def coefficient(self, values: Values) -> NDArray[np.float64]:
-        """Lumped coefficient of all interfaces of the path.
+        """Lumped coefficient of all interfaces of the path, shape (…), [coefficient_unit].
 
-        Parameters
-        ----------
-        values
-            Parameter values in the order of `parameters`, in their units, along the last axis:
-            shape (…, number of parameters).
-
-        Returns
-        -------
-        ndarray
-            The coefficient, shape (…), [coefficient_unit].
-        """
-
-    @abstractmethod
-    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
-        """Derivative of the coefficient by each parameter.
-
-        Parameters
-        ----------
-        values
-            Parameter values as for `coefficient`.
-
-        Returns
-        -------
-        ndarray
-            Shape of `values`, [coefficient_unit per the parameter's unit].
+        `values` are those of `parameters` in their order and units, along the last axis.
         """
 
     @abstractmethod
@@ -167,21 +143,9 @@ class Law(ABC):
         pressure_difference_pa: NDArray[np.float64],
         speed_rpm: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Flow per unit of the coefficient; a new array, the arguments stay as they are.
+        """Flow φ per unit of the coefficient, shape (n,), [l/min per its unit]; a new array.
 
-        Parameters
-        ----------
-        drive_per_s
-            ΔP/η, shape (n,), [1/s].
-        pressure_difference_pa
-            Pressure difference, shape (n,), [Pa]; its sign has no effect.
-        speed_rpm
-            Speed, shape (n,), [rpm]; its sign has no effect.
-
-        Returns
-        -------
-        ndarray
-            φ, shape (n,), [l/min per coefficient_unit].
+        `drive_per_s` is ΔP/η, [1/s]; pressure difference [Pa] and speed [rpm] count by their size.
         """
 
     def tolerances(self) -> tuple[PathTolerance, ...]:
@@ -194,16 +158,9 @@ class Law(ABC):
         limits: tuple[float, float] | None,  # noqa: ARG002
         roughness_m: tuple[float, float],  # noqa: ARG002
     ) -> tuple[DerivedFigure, ...]:
-        """Figures that a coefficient implies; none by default.
+        """Figures that a coefficient and its interval, if there is one, imply; none by default.
 
-        Parameters
-        ----------
-        coefficient
-            Estimate, [coefficient_unit].
-        limits
-            Its interval; None where there is none.
-        roughness_m
-            R_a of the two surfaces, [m].
+        `roughness_m` is R_a of the two surfaces, [m].
         """
         return ()
 

@@ -192,23 +192,16 @@ def path_flows_l_per_min(
     conditions: OperatingConditions,
     coefficients: Mapping[str, float] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Flow of each path, Q = K φ.
+    """Flow of each path, Q = K φ, by its name in declared order, shape (n,) each, [l/min].
+
+    All interfaces of a path together; the constant among them.
 
     Parameters
     ----------
-    motor
-        The motor.
-    conditions
-        Operating conditions of n samples.
+    motor, conditions
+        The motor, and operating conditions of n samples.
     coefficients
-        Coefficients by path name, [`coefficient_unit` of the path]; paths that are not named keep
-        their configured one.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Flow by path name in declared order, each of shape (n,), [l/min]; all interfaces of a
-        path together, the constant among them.
+        By path name, [`coefficient_unit` of the path]; others keep their configured one.
 
     Raises
     ------
@@ -238,35 +231,9 @@ def total_flow_l_per_min(
     conditions: OperatingConditions,
     coefficients: Mapping[str, float] | None = None,
 ) -> NDArray[np.float64]:
-    r"""Flow over the drain-line sensor, flushing included.
+    """Flow over the drain-line sensor, flushing included, shape (n,), [l/min]; (5) of the thesis.
 
-    .. math:: Q = Q_l + Q_f
-
-    Parameters
-    ----------
-    motor
-        The motor.
-    conditions
-        Operating conditions of n samples.
-    coefficients
-        Coefficients by path name; paths that are not named keep their configured one.
-
-    Returns
-    -------
-    ndarray
-        Q, shape (n,), [l/min].
-
-    Raises
-    ------
-    ParameterError
-        If a coefficient names no path of the motor.
-    ValidityError
-        If a temperature is outside the range of Walther's equation for this oil.
-
-    References
-    ----------
-    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
-       equations (4) and (5).
+    Arguments and errors as of :func:`path_flows_l_per_min`.
     """
     flows = path_flows_l_per_min(motor, conditions, coefficients)
     return _sum(flows.values(), len(conditions))
@@ -277,35 +244,9 @@ def leakage_l_per_min(
     conditions: OperatingConditions,
     coefficients: Mapping[str, float] | None = None,
 ) -> NDArray[np.float64]:
-    r"""Leakage of the motor, flushing excluded.
+    """Leakage of the motor, flushing excluded, shape (n,), [l/min]; (4) of the thesis.
 
-    .. math:: Q_l = n_p Q_p + n_s Q_s + n_r Q_r + n_o Q_o + n_d Q_d
-
-    Parameters
-    ----------
-    motor
-        The motor.
-    conditions
-        Operating conditions of n samples.
-    coefficients
-        Coefficients by path name; paths that are not named keep their configured one.
-
-    Returns
-    -------
-    ndarray
-        Q_l, shape (n,), [l/min].
-
-    Raises
-    ------
-    ParameterError
-        If a coefficient names no path of the motor.
-    ValidityError
-        If a temperature is outside the range of Walther's equation for this oil.
-
-    References
-    ----------
-    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
-       equation (4).
+    Arguments and errors as of :func:`path_flows_l_per_min`.
     """
     flows = path_flows_l_per_min(motor, conditions, coefficients)
     if motor.constant is not None:
@@ -314,20 +255,7 @@ def leakage_l_per_min(
 
 
 def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> NDArray[np.bool_]:
-    """Samples whose speed lies outside the range for which a path's law holds.
-
-    Parameters
-    ----------
-    motor
-        The motor.
-    speed_rpm
-        Speed, shape (n,), [rpm]; its sign has no effect.
-
-    Returns
-    -------
-    ndarray
-        Mask of shape (n,); there the curve's end value is held.
-    """
+    """Mask of speeds outside the range for which a path's law holds, shape (n,)."""
     speed = np.asarray(speed_rpm, dtype=np.float64)
     beyond = np.zeros(speed.shape, dtype=np.bool_)
     for path in motor.paths:

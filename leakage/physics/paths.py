@@ -108,10 +108,6 @@ class Laminar(Law):
         """Lumped loss factor n·C_d, [m³]."""
         return self.count * only_value(values)
 
-    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
-        """Derivative of the coefficient by the loss factor: n."""
-        return np.full(np.shape(values), float(self.count))
-
     def regressor(
         self,
         drive_per_s: NDArray[np.float64],
@@ -171,10 +167,6 @@ class Constant(Law):
     def coefficient(self, values: Values) -> NDArray[np.float64]:
         """The flow C_f, [l/min]."""
         return only_value(values)
-
-    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
-        """Derivative of the coefficient by the flow: 1."""
-        return np.ones(np.shape(values))
 
     def regressor(
         self,

@@ -24,26 +24,10 @@ _STEPS_OVER_RANGE = 1000
 
 @dataclass(frozen=True, slots=True)
 class FittedDeformation:
-    """Deformation constant of a gap, fitted to points of a simulation.
+    """Deformation constant of a gap, fitted to points of a simulation."""
 
-    Parameters
-    ----------
-    deformation_pressure_pa
-        X, [Pa].
-    amplitude
-        Q/(h³ ΔP) as ΔP tends to 0, [l/min / (m³·Pa)].
-    pressure_minimum_pa, pressure_maximum_pa
-        Range of the points, [Pa].
-    n_points
-        Number of points.
-    rms_residual_l_per_min, largest_residual_l_per_min
-        Root mean square and largest magnitude of the points' deviation, [l/min].
-    """
-
-    deformation_pressure_pa: float
-    amplitude: float
-    pressure_minimum_pa: float
-    pressure_maximum_pa: float
+    deformation_pressure_pa: float  # X
+    amplitude: float  # Q/(h³ ΔP) as ΔP tends to 0 [l/min / (m³·Pa)]
     n_points: int
     rms_residual_l_per_min: float
     largest_residual_l_per_min: float
@@ -51,19 +35,7 @@ class FittedDeformation:
 
 @dataclass(frozen=True, slots=True)
 class FittedSpeedCurve:
-    """Polynomial over speed, fitted to points of a simulated curve.
-
-    Parameters
-    ----------
-    coefficients
-        Highest power first, [l/min over rpm to that power].
-    speed_minimum_rpm, speed_maximum_rpm
-        Range of the points, outside which the polynomial does not hold, [rpm].
-    n_points
-        Number of points.
-    rms_residual_l_per_min, largest_residual_l_per_min
-        Root mean square and largest magnitude of the points' deviation, [l/min].
-    """
+    """Polynomial over speed, fitted to points of a simulated curve; it holds in their range."""
 
     coefficients: tuple[float, ...]
     speed_minimum_rpm: float
@@ -80,33 +52,15 @@ def fit_deformation_pressure(
 
     .. math:: Q = a\,h^3\,\Delta P\,e^{-3 \Delta P / X}
 
-    by least squares in Q over a and X, from the straight line of ln(Q/(h³ ΔP)) over ΔP.
-
-    Parameters
-    ----------
-    pressure_difference_pa
-        ΔP, shape (n,), [Pa]; above 0.
-    gap_m
-        Gap height h without deformation, shape (n,) or scalar, [m]; above 0.
-    flow_l_per_min
-        Leakage Q, shape (n,), [l/min]; above 0, in any unit for that matter: X does not depend
-        on it.
-
-    Returns
-    -------
-    FittedDeformation
-        X with its residual figures.
+    by least squares in Q over a and X, from the straight line of ln(Q/(h³ ΔP)) over ΔP; (28) to
+    (31) of [1]_. The simulation's viscosity is taken as constant and falls into a, as do count,
+    geometry, eccentricity and the factor on h. All points are above 0, shape (n,).
 
     Raises
     ------
     CurveError
         If there are fewer than 3 points or 2 pressures, a value is not above 0, or the gap does
         not close with pressure.
-
-    Notes
-    -----
-    The simulation's viscosity is taken as constant and falls into a, as do count, geometry,
-    eccentricity and the factor on h.
 
     Examples
     --------
@@ -115,11 +69,6 @@ def fit_deformation_pressure(
     >>> fit = fit_deformation_pressure(pressure, 8e-6, flow)
     >>> round(fit.deformation_pressure_pa / 1e5, 6)
     120.0
-
-    References
-    ----------
-    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
-       equations (28) to (31).
     """
     pressure, gap, flow = _points(
         pressure_difference_pa=pressure_difference_pa, gap_m=gap_m, flow_l_per_min=flow_l_per_min
@@ -157,8 +106,6 @@ def fit_deformation_pressure(
     return FittedDeformation(
         deformation_pressure_pa=float(3.0 * pressure.max() / decay),
         amplitude=float(math.exp(log_amplitude) * flow.max() / (gap.max() ** 3 * pressure.max())),
-        pressure_minimum_pa=float(pressure.min()),
-        pressure_maximum_pa=float(pressure.max()),
         n_points=flow.size,
         rms_residual_l_per_min=_root_mean_square(residual),
         largest_residual_l_per_min=float(np.abs(residual).max()),
@@ -168,23 +115,11 @@ def fit_deformation_pressure(
 def fit_speed_curve(
     speed_rpm: ArrayLike, flow_l_per_min: ArrayLike, degree: int = 5
 ) -> FittedSpeedCurve:
-    r"""Polynomial over speed from points of a simulated curve, by least squares.
+    r"""Polynomial over speed from points of a simulated curve, by least squares; (32) of [1]_.
 
     .. math:: f(\omega) = a \omega^5 + b \omega^4 + c \omega^3 + d \omega^2 + e \omega + f
 
-    Parameters
-    ----------
-    speed_rpm
-        ω, shape (n,), [rpm]; not negative.
-    flow_l_per_min
-        Leakage of one interface, shape (n,), [l/min]; not negative.
-    degree
-        Degree of the polynomial, [-]; 5, a quintic, is the thesis.
-
-    Returns
-    -------
-    FittedSpeedCurve
-        Coefficients, highest power first, with their range and residual figures.
+    in the thesis, of degree 5. Speeds and flows of one interface are not negative, shape (n,).
 
     Raises
     ------
@@ -192,20 +127,11 @@ def fit_speed_curve(
         If there are no more different speeds than the degree, a value is negative, or the
         polynomial turns negative between the points.
 
-    Notes
-    -----
-    Holds between the smallest and the largest speed of the points.
-
     Examples
     --------
     >>> fit = fit_speed_curve([0.0, 50.0, 100.0], [1.0, 2.0, 3.0], degree=1)
     >>> [round(coefficient, 9) for coefficient in fit.coefficients]
     [0.02, 1.0]
-
-    References
-    ----------
-    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
-       equation (32).
     """
     speed, flow = _points(speed_rpm=speed_rpm, flow_l_per_min=flow_l_per_min)
     if degree < 0 or np.any(speed < 0.0) or np.any(flow < 0.0):

@@ -117,24 +117,10 @@ class SpeedCurve(Law):
         """Scale s of the curve, [-]."""
         return only_value(values)
 
-    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
-        """Derivative of the coefficient by the scale: 1."""
-        return np.ones(np.shape(values))
-
     def curve_l_per_min(self, speed_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
-        r"""Leakage of one interface at ΔP₀ and η₀.
+        """Leakage f(|ω|) of one interface at ΔP₀ and η₀, shape (n,), [l/min].
 
-        .. math:: f(\omega) = a \omega^5 + b \omega^4 + c \omega^3 + d \omega^2 + e \omega + f
-
-        Parameters
-        ----------
-        speed_rpm
-            Speed, shape (n,), [rpm]; its sign has no effect.
-
-        Returns
-        -------
-        ndarray
-            f(|ω|), shape (n,), [l/min]; beyond the range of the points the value at its end.
+        Beyond the range of the points the value at its end.
         """
         speed = np.clip(np.abs(speed_rpm), self.speed_minimum_rpm, self.speed_maximum_rpm)
         flow: NDArray[np.float64] = np.full_like(speed, self.coefficients[0])
@@ -164,11 +150,9 @@ class SpeedCurve(Law):
         pressure_difference_pa: NDArray[np.float64],  # noqa: ARG002
         speed_rpm: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        r"""Flow per unit of the scale.
+        r"""Flow per unit of the scale, [l/min]; the pressure is in the drive.
 
         .. math:: \varphi = n f(|\omega|)\,\frac{\eta_0}{\Delta P_0}\,\frac{|\Delta P|}{\eta}
-
-        In [l/min]; the pressure is in the drive.
         """
         flow = self.curve_l_per_min(speed_rpm)
         flow *= drive_per_s

@@ -23,25 +23,14 @@ def walther_coefficients(
     temperature_2_c: float,
     viscosity_2_mm2_per_s: float,
 ) -> tuple[float, float]:
-    r"""Walther constants A and B from two reference viscosities.
+    r"""Walther constants A and B from two kinematic viscosities [mm²/s], (2) of the thesis.
 
     .. math:: B = \frac{\log_{10}\log_{10} Z_1 - \log_{10}\log_{10} Z_2}
         {\log_{10}(T_2 + 273.15) - \log_{10}(T_1 + 273.15)}, \quad
         A = \log_{10}\log_{10} Z_1 + B \log_{10}(T_1 + 273.15)
 
-    with :math:`Z = \nu + 0.7` from 2 mm²/s upwards and D341's full form below.
-
-    Parameters
-    ----------
-    temperature_1_c, viscosity_1_mm2_per_s
-        First reference temperature, [°C], and the kinematic viscosity there, [mm²/s].
-    temperature_2_c, viscosity_2_mm2_per_s
-        Second reference temperature, [°C], and the kinematic viscosity there, [mm²/s].
-
-    Returns
-    -------
-    tuple of float
-        A and B, decimal logarithms, [-].
+    with :math:`Z = \nu + 0.7` from 2 mm²/s upwards and D341's full form below. Valid from
+    0.21 mm²/s and from -70 to 370 °C. The order of the two points does not matter.
 
     Raises
     ------
@@ -50,21 +39,11 @@ def walther_coefficients(
     ValidityError
         If a temperature or a viscosity is outside the range of D341.
 
-    Notes
-    -----
-    Valid from 0.21 mm²/s and from -70 to 370 °C. The order of the two points does not matter.
-
     Examples
     --------
     >>> a, b = walther_coefficients(40.0, 46.0, 100.0, 6.8)
     >>> f"{a:.4f} {b:.4f}"
     '9.4180 3.6844'
-
-    References
-    ----------
-    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
-       equation (2).
-    .. [2] ASTM D341.
     """
     _require_temperature_range(np.array([temperature_1_c, temperature_2_c]))
     log_temperature_1, log_temperature_2 = (
@@ -101,7 +80,7 @@ def walther_through(temperature_c: float, viscosity_mm2_per_s: float, walther_b:
 def kinematic_viscosity_mm2_per_s(
     temperature_c: ArrayLike, walther_a: float, walther_b: float
 ) -> NDArray[np.float64]:
-    r"""Kinematic viscosity by Walther's equation (ASTM D341).
+    r"""Kinematic viscosity by Walther's equation (ASTM D341), shape of the temperature, [mm²/s].
 
     .. math:: \log_{10}\log_{10} Z = A - B \log_{10}(T + 273.15), \quad \nu = Z - 0.7
 
@@ -109,38 +88,18 @@ def kinematic_viscosity_mm2_per_s(
 
     .. math:: \nu = x - \exp(-0.7487 - 3.295 x + 0.6119 x^2 - 0.3193 x^3)
 
-    Parameters
-    ----------
-    temperature_c
-        Oil temperature, shape (n,) or scalar, [°C].
-    walther_a, walther_b
-        Constants of the oil, [-].
-
-    Returns
-    -------
-    ndarray
-        ν, shape of `temperature_c`, [mm²/s]; nan where the temperature is nan.
+    where ν steps down by 0.03 %. nan where the temperature is nan.
 
     Raises
     ------
     ValidityError
         If a temperature is outside -70 to 370 °C, or a viscosity below 0.21 mm²/s.
 
-    Notes
-    -----
-    At 2 mm²/s, where the full form takes over, ν steps down by 0.03 %.
-
     Examples
     --------
     >>> a, b = walther_coefficients(40.0, 46.0, 100.0, 6.8)
     >>> round(float(kinematic_viscosity_mm2_per_s(0.0, a, b)), 1)
     577.3
-
-    References
-    ----------
-    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
-       equation (2).
-    .. [2] ASTM D341, its simplified full form.
     """
     temperature = np.asarray(temperature_c, dtype=np.float64)
     _require_temperature_range(temperature)

@@ -220,11 +220,6 @@ def starts_of(first: int, last: int) -> tuple[Places, Array]:
     """Candidate starts from a place to the newest, and ln of how many each stands for.
 
     The last 40 nights one by one, older ones 2, 4, 8 … nights apart at multiples of that.
-
-    Examples
-    --------
-    >>> starts_of(0, 3)[0].tolist(), starts_of(5, 49)[0][:4].tolist()
-    ([0, 1, 2, 3], [6, 8, 10, 11])
     """
     starts, weights = [], []
     place, step = last, 1

@@ -76,7 +76,15 @@ def smallest_change(state: State) -> float:
 
 
 def change_since(state: State, day: int) -> Estimate | None:
-    """Change of all flows from a day on against before; None without nights on both sides."""
+    """Change of all flows from a day on against before; None without nights on both sides.
+
+    An adopted change is in no window any more: where it may have begun since, it is the change.
+    """
+    standing = state.standing
+    if standing is not None and standing.found is None and standing.change.cause != ODD_NIGHTS:
+        told = change_in_force(state)
+        if told is not None and told.since_upper >= day:
+            return told.size
     place = int(np.searchsorted(state.window.days, day))
     if not 0 < place < len(state.window):
         return None
@@ -88,12 +96,8 @@ def change_since(state: State, day: int) -> Estimate | None:
 def leakage_at(state: State, drives: Array, conditions: Array) -> Estimate:
     """Flow at some conditions, by the level of the newest night, [l/min].
 
-    Parameters
-    ----------
-    drives
-        Flow a unit of each path's coefficient there, shape (p,); 0 for what is left out.
-    conditions
-        Temperature [°C], pressure [bar] and speed [rpm], shape (3,).
+    `drives` are the flows a unit of each path's coefficient there, shape (p,), 0 for what is left
+    out; `conditions` are temperature [°C], pressure [bar] and speed [rpm], shape (3,).
     """
     row, flow = _row_at(state, drives, conditions)
     along, _ = direction(state)

@@ -24,7 +24,8 @@ Arrays = dict[str, Any]
 # Scalars of each part, in order; what has no value is nan.
 OF_COLUMNS = ("least_scale", "temperature_c", "has_zero")
 OF_BASELINE = ("lack_of_fit", "tells_gaps", "tells_speed")
-OF_STATE = ("first_start", "n_baseline", "n_nights", "due", "often", "evidence", "era_from")
+WHOLE_OF_STATE = ("first_start", "n_baseline", "n_nights", "due")
+OF_STATE = (*WHOLE_OF_STATE, "often", "evidence", "era_from")
 
 
 def arrays_of(state: State) -> dict[str, Array]:
@@ -68,29 +69,22 @@ def state_of(machine: Machine, settings: WatchSettings, kept: Mapping[str, Any])
     )
     window = Window(**{one.name: kept[f"window.{one.name}"] for one in fields(Window)})
     wander = Wander(kept["wander.spread"], kept["wander.memory"])
-    first_start, n_baseline, n_nights, due, often, evidence, era_from = kept["state"].tolist()
+    undone = zip(kept["undone"], kept["undone.size"].tolist(), strict=True)
+    numbers = dict(zip(OF_STATE, kept["state"].tolist(), strict=True))
+    era_from = numbers.pop("era_from")
+    numbers |= {name: int(numbers[name]) for name in WHOLE_OF_STATE}
     return State(
         machine,
         settings,
         baseline,
         window,
-        Sums.of(window, wander),
-        wander,
-        tuple(
-            Cause(BACK, direction, mean, spread)
-            for direction, (mean, spread) in zip(
-                kept["undone"], kept["undone.size"].tolist(), strict=True
-            )
-        ),
-        int(first_start),
-        int(n_baseline),
-        int(n_nights),
-        int(due),
-        often,
-        evidence,
-        None if np.isnan(era_from) else int(era_from),
-        Estimate(*kept["carried"].tolist()),
-        _standing_of("standing", kept),
+        sums=Sums.of(window, wander),
+        wander=wander,
+        undone=tuple(Cause(BACK, along, mean, spread) for along, (mean, spread) in undone),
+        era_from=None if np.isnan(era_from) else int(era_from),
+        carried=Estimate(*kept["carried"].tolist()),
+        standing=_standing_of("standing", kept),
+        **numbers,
     )
 
 

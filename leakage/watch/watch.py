@@ -116,15 +116,7 @@ class Watch:
         return figures.change_since(self.state, day)
 
     def leakage_at(self, drives: Array, conditions: Array) -> Estimate:
-        """Flow at some conditions, by the level of the newest night, [l/min].
-
-        Parameters
-        ----------
-        drives
-            Flow a unit of each path's coefficient there, shape (p,); 0 for what is left out.
-        conditions
-            Temperature [°C], pressure [bar] and speed [rpm], shape (3,).
-        """
+        """Flow at some conditions by the level of the newest night; as `figures.leakage_at`."""
         return figures.leakage_at(self.state, drives, conditions)
 
     def frozen_leakage_at(self, drives: Array, conditions: Array) -> float:

@@ -95,7 +95,7 @@ def faults_of_channels(file: str, document: Document) -> Iterator[Fault]:
 
 def impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
     """Faults that only show when type, oil, flushing and settings come together."""
-    conditions = spec.settings.reference.conditions()
+    conditions = spec.settings.reference.conditions().operating
     for night in (dt.date.min, *(event.date for event in spec.file.events)):
         if spec.file.oil_on(night) not in spec.oils:
             continue

@@ -39,6 +39,7 @@ GONE = {
     "alarms.on_nights": f"{ONE_WATCH}, at alarms.false_alarms_per_year; delete it",
     "alarms.off_nights": f"{ONE_WATCH}, until the flow is back where it was; delete it",
     "alarms.deadband_percent": f"{ONE_WATCH}, until the flow is back where it was; delete it",
+    "estimation.gradient_type": "is gone: the audit takes differences; delete it",
     "estimation.search_every_nights": "is gone: `fit` alone searches; delete it",
     "estimation.bootstrap_resamples": "is gone: intervals are those of the blocks; delete it",
 }

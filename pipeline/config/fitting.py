@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
@@ -50,9 +51,7 @@ class Estimation(Section):
 
     starting_points: int = Field(10, ge=0, le=1000)
     """Starting points of the audit that `fit` makes, the configured one first; 0: none. No figure
-    depends on it or on the four settings after it."""
-    gradient_type: Literal["analytic", "2-point", "3-point"] = "analytic"
-    """Method for the Jacobian of a start."""
+    depends on it or on the three settings after it."""
     step_tolerance: Positive = 1e-10
     """A start stops at a relative step below this."""
     function_tolerance: Positive = 1e-10
@@ -68,6 +67,26 @@ class Estimation(Section):
     """Seed of the starts; a night's seed is derived from it."""
 
 
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Conditions at which a leakage is told."""
+
+    pressure_bar: float
+    temperature_c: float
+    speed_rpm: float
+    # Charge above case pressure of a two-sided motor.
+    charge_over_case_bar: float | None = None
+
+    @property
+    def operating(self) -> OperatingConditions:
+        """The same as the model takes them."""
+        from leakage.physics.conditions import OperatingConditions
+
+        return OperatingConditions.from_bar(
+            self.pressure_bar, self.temperature_c, self.speed_rpm, self.charge_over_case_bar
+        )
+
+
 class ReferenceConditions(Section):
     """Conditions at which the reference leakage is evaluated."""
 
@@ -78,14 +97,12 @@ class ReferenceConditions(Section):
     speed_rpm: NonNegative = 30.0
     """Motor speed."""
 
-    def conditions(self, charge_over_case_bar: float | None = None) -> OperatingConditions:
+    def conditions(self, charge_over_case_bar: float | None = None) -> Conditions:
         """These conditions; of a two-sided motor with a charge above case pressure, else None.
 
         A night by itself takes its own mean charge, a watch that of its baseline: where the charge
         is stated and not logged, they are the same.
         """
-        from leakage.physics.conditions import OperatingConditions
-
-        return OperatingConditions.from_bar(
+        return Conditions(
             self.pressure_bar, self.temperature_c, self.speed_rpm, charge_over_case_bar
         )

@@ -52,7 +52,6 @@ OF_TRENDS = ("trend.", "alarms.")
 UNSHAPING: Mapping[str, Any] = {
     "estimation": {
         "starting_points",
-        "gradient_type",
         "step_tolerance",
         "function_tolerance",
         "maximum_iterations",

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
-from leakage.physics.oil_in_use import curve_between
 from leakage.physics.walther import walther_coefficients, walther_through
 from pipeline.config.faults import Misfit
 from pipeline.config.motor_types import OilFile
@@ -78,7 +78,8 @@ def measured_curve(
 ) -> Walther | None:
     """Walther constants in a night by the samples of a filling; None: by the data sheet.
 
-    Between two samples they are interpolated, after the last they hold. A filling with a date
+    Between two samples A and B are linear in time, and so is log log Z = A − B log T at each
+    temperature (ASTM D341); after the last they hold. A filling with a date
     begins as the data sheet has it; without one the data sheet holds until the first sample.
     """
     known = [(one.date, curve) for one in samples if (curve := one.curve(oil)) is not None]
@@ -87,6 +88,9 @@ def measured_curve(
         known.insert(0, (filled, (sheet.walther_a, sheet.walther_b)))
     if not known or night < known[0][0]:
         return None
-    return curve_between(
-        night.toordinal(), [date.toordinal() for date, _ in known], [one for _, one in known]
+    days = [date.toordinal() for date, _ in known]
+    a, b = (
+        float(np.interp(night.toordinal(), days, one))
+        for one in zip(*(curve for _, curve in known), strict=True)
     )
+    return a, b

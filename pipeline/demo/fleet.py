@@ -130,7 +130,7 @@ def truth_of(night: DemoNight) -> Truth:
     if motor.constant is not None:
         scatter = 1.0 + FLUSHING_SCATTER * rng.standard_normal()
         coefficients[motor.constant.name] = night.demo.flushing_l_per_min * scatter
-    conditions = night.spec.settings.reference.conditions()
+    conditions = night.spec.settings.reference.conditions().operating
     at_reference = leakage_l_per_min(motor, conditions, coefficients)
     return Truth(gaps, coefficients, float(at_reference[0]))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +12,6 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 
 from leakage import AnnularGap
-from leakage.physics.pressure_maximum import pressure_of_largest_leakage_pa
 from leakage.physics.simulated_curves import FittedDeformation, fit_deformation_pressure
 from pipeline.arrays import Array
 from pipeline.config.motor_types import BAR, MICROMETRE
@@ -59,7 +60,7 @@ def leakage_figure(subject: ModelSubject, path: AnnularGap) -> Figure:
         strict=True,
     ):
         colours = _map(axes, pressure, gaps, flow, levels)
-        if largest is not None and largest <= pressure[-1]:
+        if largest is not None:
             axes.axvline(largest, color="black", linewidth=3.0)
             axes.axvline(largest, color="white", linestyle="--", gid="maximum")
             name += f", maximum at {largest:.2f} bar"
@@ -171,7 +172,7 @@ def _curves(axes: Axes, subject: ModelSubject, path: AnnularGap, pressure: Array
             (flow,) = _flows(path, pressure, np.array([gap]), drive)
             name = f"h = {gap:.3g} µm" if dashes == "-" else None
             line(axes, pressure, flow, place, name, dashes)
-            if bar is not None and bar <= pressure[-1]:
+            if bar is not None:
                 axes.plot(
                     bar, flow[pressure == bar], marker=style.mark, color=style.colour,
                     markerfacecolor=fill, linestyle="", zorder=3,
@@ -205,19 +206,31 @@ def _map(axes: Axes, pressure: Array, gaps: Array, flow: Array, levels: Array) -
 
 def _largest_bar(subject: ModelSubject, path: AnnularGap) -> tuple[float | None, float | None]:
     """Pressures of largest leakage, at constant viscosity and at the film's pressure, [bar]."""
-    x = path.deformation_pressure_pa
-    if x is None:
-        return None, None
-    alpha = subject.motor.oil.pressure_viscosity_per_pa
-    film = pressure_of_largest_leakage_pa(x, alpha, subject.motor.film_pressure)
-    return pressure_of_largest_leakage_pa(x) / BAR, film / BAR
+    constant, film = (
+        _largest_of(path, drive, subject.highest_pressure_bar)
+        for drive in (subject.constant_drive_per_s, subject.film_drive_per_s)
+    )
+    return constant, film
+
+
+def _largest_of(path: AnnularGap, drive: Callable[[Array], Array], highest: float) -> float | None:
+    """Pressure of largest leakage under a drive, [bar]; None where it goes on rising."""
+    from scipy.optimize import minimize_scalar
+
+    def less(bar: float) -> float:
+        at = np.array([bar])
+        return -float(path.regressor(drive(at), at * BAR, np.zeros(1))[0])
+
+    found = float(
+        minimize_scalar(less, bounds=(0.0, highest), method="bounded", options={"xatol": 1e-6}).x
+    )
+    return found if found < highest - 1e-3 else None
 
 
 def _pressures(subject: ModelSubject, path: AnnularGap) -> Array:
     """The pressure axis, with the pressures of largest leakage on it, [bar]."""
-    highest = subject.highest_pressure_bar
-    largest = [bar for bar in _largest_bar(subject, path) if bar is not None and bar <= highest]
-    return np.union1d(np.linspace(0.0, highest, _STEPS), largest)
+    largest = [bar for bar in _largest_bar(subject, path) if bar is not None]
+    return np.union1d(np.linspace(0.0, subject.highest_pressure_bar, _STEPS), largest)
 
 
 def _flows(path: AnnularGap, pressure_bar: Array, gaps_um: Array, drive: Array) -> Array:

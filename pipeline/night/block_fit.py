@@ -91,25 +91,10 @@ def fit_stored_blocks(
     inflation: float,
     sensitivities: Sequence[Mapping[str, Any]],
 ) -> BlockFit:
-    """Fit a motor to blocks of samples, with verdicts and intervals.
+    """Fit a motor, in the form in which it is fitted, to blocks of samples.
 
-    Parameters
-    ----------
-    spec, night, mode
-        Motor, in the form in which it is fitted, night (it tells the oil) and mode of flushing.
-    blocks
-        Blocks of all kept samples.
-    at
-        The reference conditions, and the mean ones of the blocks: :func:`conditions`.
-    inflation
-        Factor on standard errors that robust weights ask for; 1 without them.
-    sensitivities
-        Rows of the table: effects of the stated tolerances under this mode.
-
-    Raises
-    ------
-    EstimationError
-        If there are fewer training samples than free coefficients.
+    `at` are the conditions of the leakages: :func:`conditions`. Raises EstimationError if there are
+    fewer training samples than free coefficients.
     """
     motor = spec.stated.motor(night, mode)
     samples = blocks.sample_blocks()
@@ -253,6 +238,6 @@ def conditions(
 ) -> tuple[OperatingConditions, OperatingConditions]:
     """The reference conditions, and the mean ones of some blocks."""
     return (
-        spec.settings.reference.conditions(charge_bar),
+        spec.settings.reference.conditions(charge_bar).operating,
         OperatingConditions.from_bar(*blocks.means(), charge_bar),
     )

@@ -115,13 +115,6 @@ def written_late(
     files whose names do not sort as their times do. A clock that was set back runs over times that
     are taken, and a row of samples of which one does so is no late one; a lone wrong stamp lies
     near nothing. Neither is restored. `in_order` are the stamps of all samples but the backward.
-
-    Examples
-    --------
-    >>> time = np.array([0, 10, 20, 40, 50, 30])
-    >>> backward = backward_time(time)
-    >>> written_late(time, backward, time[~backward])
-    (array([5]), array([], dtype=int64))
     """
     rows = np.flatnonzero(backward)
     period = typical_period_us(in_order) if len(rows) else None

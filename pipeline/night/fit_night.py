@@ -76,25 +76,18 @@ def fit_night(
     channels: MutableMapping[str, RawChannel],
     previous: PreviousModel,
 ) -> NightOutcome:
-    """Fit one motor's night.
+    """Fit one motor's night; whatever happens short of a fault in the code is its outcome.
 
     Parameters
     ----------
-    spec
-        The motor with its resolved config, in the form in which it is fitted.
-    night
-        The night.
+    spec, night
+        The motor with its resolved config, in the form in which it is fitted, and the night.
     channels
         Raw samples of the night by channel; of an on-change one also some from before it, of
         which the last carries over. Each is taken out when it is its turn: a day at 100 Hz is
         not to be in memory twice.
     previous
         The motor's model before, by flushing mode; empty where there is none.
-
-    Returns
-    -------
-    NightOutcome
-        Whatever happens short of a fault in the code.
     """
     seconds: dict[str, float] = {}
     rows: Rows = {}

@@ -56,16 +56,7 @@ def operation_row(
 
 
 def hours_counted(counter: RawChannel | None) -> float | None:
-    """Hours that a counter of running hours went on in a night; None where it cannot tell.
-
-    Examples
-    --------
-    >>> counter = RawChannel(
-    ...     np.array([0, 10, 20]), np.array([812.0, 815.5, 820.25]), np.zeros(3, bool), 0
-    ... )
-    >>> hours_counted(counter)
-    8.25
-    """
+    """Hours that a counter of running hours went on in a night; None where it cannot tell."""
     if counter is None:
         return None
     reading = counter.value[np.argsort(counter.time_us, kind="stable")]
@@ -92,13 +83,7 @@ def _conditions(samples: Samples) -> Row:
 
 
 def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
-    """Samples in each bin; the end bins hold all beyond.
-
-    Examples
-    --------
-    >>> coarse_histogram(np.array([-3.0, 1.0, 2.5, 99.0]), (0.0, 2.0, 4.0))
-    [2, 2]
-    """
+    """Samples in each bin; the end bins hold all beyond."""
     last = len(edges) - 1
     counts = [0] * last
     for begin in range(0, len(values), NEIGHBOURS):

@@ -65,21 +65,10 @@ class PublishedNight:
 
 
 def refit(spec: MotorSpec, night: PublishedNight, previous: PreviousModel) -> NightOutcome | None:
-    """Fit a night anew.
+    """Fit a night anew; None where the published rows do not suffice: the log has to be read.
 
-    Parameters
-    ----------
-    spec
-        The motor, with the settings that hold now, in the form in which it is to be fitted.
-    night
-        Its rows as published.
-    previous
-        The motor's model before, by flushing mode.
-
-    Returns
-    -------
-    NightOutcome or None
-        None where the published rows do not suffice: the log has to be read.
+    The motor has the settings that hold now, in the form in which it is to be fitted; `previous`
+    is its model before, by flushing mode.
     """
     primary = spec.file.flushing.mode
     motor = spec.stated.motor(night.label, primary)

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from leakage.estimation.residual_analysis import FAILED, LEVEL, NOT_TESTED, PASSED, LagTest
+from leakage.estimation.choices import LEVEL
+from leakage.estimation.residual_analysis import FAILED, NOT_TESTED, PASSED, LagTest
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from leakage.estimation.validation import effective_sample_count
 from pipeline.night.residuals import PartResiduals

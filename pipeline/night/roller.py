@@ -15,22 +15,8 @@ def is_roller_free(
 ) -> bool:
     """Decide by the first nights of the latest stretch that has enough: it is frozen with them.
 
-    Parameters
-    ----------
-    tells
-        By night, whether it tells the scale; None without a fit.
-    begins
-        Dates of the events that begin a baseline.
-    needed
-        Nights with a fit that decide.
-
-    Examples
-    --------
-    >>> days = [dt.date(2026, 1, day) for day in range(1, 8)]
-    >>> is_roller_free(dict.fromkeys(days, True), [], 5)
-    True
-    >>> is_roller_free(dict.fromkeys(days[:4], True), [], 5)
-    False
+    `tells` says by night whether it tells the scale, None without a fit; `begins` are the dates of
+    the events that begin a baseline, and so many nights with a fit as are `needed` decide.
     """
     borders = sorted({dt.date.min, *begins, dt.date.max})
     for begin, end in reversed(list(pairwise(borders))):

@@ -67,7 +67,6 @@ def statistics_rows(
             np.count_nonzero(samples.speed_rpm[one] < 0) / block.n
             for one, block in zip(rows, blocks, strict=True)
         ],
-        "short_means": statistics.short_means,
     }
     pressure, temperature = samples.pressure_difference_bar, samples.oil_temperature_c
     for name, unit, parts, edges in (

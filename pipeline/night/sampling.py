@@ -84,15 +84,7 @@ class CountedFlow:
 def flow_from_counts(
     time_us: Times, count: Values, longest_gap_us: float, sampling: Sampling
 ) -> CountedFlow:
-    """The flow that a counter of volume tells between each sample and the one before.
-
-    Examples
-    --------
-    >>> meter = Sampling(counts="cumulative", volume_per_count_cm3=1.0, rolls_over_at=100.0)
-    >>> time = np.array([0, 1, 2, 3]) * SECOND_US
-    >>> flow_from_counts(time, np.array([90.0, 95.0, 3.0, 8.0]), 5e6, meter).flow_l_per_min
-    array([ nan, 0.3 , 0.48, 0.3 ])
-    """
+    """The flow that a counter of volume tells between each sample and the one before."""
     steps = np.diff(time_us, prepend=time_us[:1])
     fresh, reset = count.astype(np.float64), np.zeros(len(count), dtype=np.bool_)
     unknown = steps > longest_gap_us
@@ -118,13 +110,6 @@ def step_of_readings(value: Values) -> float:
 
     Of a sensor whose resolution nobody stated: the commonest change between neighbours, if it is
     common enough to be a step of the sensor and not of what it measures.
-
-    Examples
-    --------
-    >>> step_of_readings(np.array([0.0, 0.6, 0.6, 0.0, 0.6, 0.0]))
-    0.6
-    >>> step_of_readings(np.array([5.0, 5.0, 5.0, 5.0, 9.0, 9.2]))
-    0.0
     """
     apart = max(1, len(value) // PAIRS_LOOKED_AT)
     pairs = np.abs(value[1::apart] - value[:-1:apart])

@@ -29,13 +29,6 @@ def drain_line_delay_s(
 
     Infinite without flow, nan where the flow is.
 
-    Examples
-    --------
-    2 m of 12 mm hold 0.226 l; at 1 l/min they take 13.6 s to pass.
-
-    >>> drain_line_delay_s(np.array([1.0, 0.0]), 2.0, 12.0).round(2)
-    array([13.57,   inf])
-
     References
     ----------
     .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, Luleå

@@ -65,7 +65,6 @@ def _searched(spec: MotorSpec, motor: Motor, row: Row) -> Fit:
     asked = spec.settings.estimation
     settings = SearchSettings(
         starting_points=asked.starting_points,
-        gradient_type=asked.gradient_type,
         step_tolerance=asked.step_tolerance,
         function_tolerance=asked.function_tolerance,
         maximum_iterations=asked.maximum_iterations,
@@ -80,7 +79,7 @@ def _spreads(found: Fit) -> Iterator[str]:
         return
     parametrisation = Parametrisation.of(found.motor)
     finals = np.array([start.final for start in found.starts_at_minimum])
-    thetas = parametrisation.coefficients(finals)[0]
+    thetas = parametrisation.coefficients(finals)
     named = [
         (one.name, one.unit, of) for one, of in zip(parametrisation.free, finals.T, strict=True)
     ]

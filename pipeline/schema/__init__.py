@@ -32,7 +32,6 @@ TYPES: Mapping[str, Type] = {
     "day": pl.Date,
     "moment": TIMESTAMP,
     "numbers": NUMBERS,
-    "short_numbers": pl.List(pl.Float32),
     "counts": COUNTS,
     "names": pl.List(pl.String),
 }

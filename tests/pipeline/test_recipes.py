@@ -72,9 +72,6 @@ class Orifice(Law):
     def coefficient(self, values: Values) -> Array:
         return np.asarray(values, dtype=np.float64)[..., 0]
 
-    def coefficient_gradient(self, values: Values) -> Array:
-        return np.ones(np.shape(values))
-
     def regressor(
         self,
         drive_per_s: Array,  # noqa: ARG002

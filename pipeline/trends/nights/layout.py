@@ -9,11 +9,12 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage import LeakageError, OperatingConditions, regressors
+from leakage import LeakageError, regressors
 from leakage.estimation.block_statistics import with_free_known
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from leakage.watch import Machine, NightBlocks
 from pipeline.config import MotorSpec
+from pipeline.config.fitting import Conditions
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import VISCOSITIES
 
@@ -23,21 +24,6 @@ FLUSHING, KNOWN = "flushing", "known"
 # Beginning of the coefficients' names of gaps.
 LOSS_FACTOR = "K_"
 MICROSECONDS = 1e6
-
-
-@dataclass(frozen=True, slots=True)
-class Conditions:
-    """Conditions at which a leakage is told."""
-
-    pressure_bar: float
-    temperature_c: float
-    speed_rpm: float
-    charge_over_case_bar: float | None = None
-
-    @property
-    def measured(self) -> Array:
-        """Temperature [°C], pressure [bar] and speed [rpm], as the watch takes them."""
-        return np.array([self.temperature_c, self.pressure_bar, self.speed_rpm])
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +115,7 @@ class Layout:
         A text where the model does not hold there, which says why.
         """
         try:
-            row = regressors(
-                spec.motor(night, spec.file.flushing.mode),
-                OperatingConditions.from_bar(
-                    at.pressure_bar, at.temperature_c, at.speed_rpm, at.charge_over_case_bar
-                ),
-            )
+            row = regressors(spec.motor(night, spec.file.flushing.mode), at.operating)
         except LeakageError as error:
             return str(error)
         row[:, -2] = 0.0

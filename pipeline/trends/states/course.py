@@ -13,11 +13,11 @@ import numpy as np
 
 from leakage.watch import Estimate, NightBlocks, Verdict, Watch, WatchSettings
 from pipeline.config import MotorSpec
+from pipeline.config.fitting import Conditions
 from pipeline.trends.nights.eras import Era, era_at, eras_of
 from pipeline.trends.nights.from_tables import Beginning, MotorNights, read_blocks
 from pipeline.trends.nights.history import WATCHED, Array, Records
 from pipeline.trends.nights.kept import Kept, KeptWatch
-from pipeline.trends.nights.layout import Conditions
 
 # A leakage is told at conditions as far beyond those of the era's blocks [°C, bar, rpm].
 REACH = np.array([10.0, 20.0, 10.0])
@@ -193,7 +193,7 @@ class Course:
     def _frozen(self, watch: Watch, at: Conditions) -> float | None:
         """Leakage by the baseline that begins a watch."""
         drives = self.drives_at(at, self.place)
-        return None if isinstance(drives, str) else watch.frozen_leakage_at(drives, at.measured)
+        return None if isinstance(drives, str) else watch.frozen_leakage_at(drives, _measured(at))
 
     def _since(self, until: int, day: int) -> list[NightBlocks]:
         """Blocks of the nights from a day to another one, as the watch asks for them."""
@@ -251,16 +251,15 @@ class Course:
     @property
     def reference(self) -> Conditions:
         """The fleet's reference conditions, with the charge pressure of the baseline."""
-        asked = self.spec.settings.reference
         charge = None if self.baseline is None else self.baseline.own.charge_over_case_bar
-        return Conditions(asked.pressure_bar, asked.temperature_c, asked.speed_rpm, charge)
+        return self.spec.settings.reference.conditions(charge)
 
     def _leakage(self, at: Conditions, place: int) -> Estimate | str:
         assert self.watch is not None
         drives = self.drives_at(at, place)
         if isinstance(drives, str):
             return drives
-        conditions = at.measured
+        conditions = _measured(at)
         if (conditions < self.seen[0] - REACH).any() or (conditions > self.seen[1] + REACH).any():
             return OUT_OF_REACH
         return self.watch.leakage_at(drives, conditions)
@@ -289,6 +288,11 @@ class Course:
             era, own, before = self.before
             watch = KeptWatch(history.nights[era.first], own, before.day, before.arrays())
         return Kept(key, history.nights[self.place - 1], self.records(), watch)
+
+
+def _measured(at: Conditions) -> Array:
+    """Temperature [°C], pressure [bar] and speed [rpm], as the watch takes them."""
+    return np.array([at.temperature_c, at.pressure_bar, at.speed_rpm])
 
 
 def watch_settings(spec: MotorSpec) -> WatchSettings:

@@ -43,15 +43,15 @@ def crossings_by_draws(y: Array, limit: float, generator: np.random.Generator) -
         tempered = 0.25 * (n - 3) / 2.0 * np.log(squares)
         log_weights.append(np.log(prior) - tempered - 0.5 * np.log(np.linalg.det(gram)))
         root = np.linalg.cholesky(squares / (n - 3) * np.linalg.inv(gram))
-        a, b = best[:, None] + root @ generator.standard_normal((2, 2000)) / np.sqrt(
-            generator.chisquare(n - 3, 2000) / (n - 3)
+        a, b = best[:, None] + root @ generator.standard_normal((2, 1000)) / np.sqrt(
+            generator.chisquare(n - 3, 1000) / (n - 3)
         )
         course = a[:, None] + b[:, None] * shape(ahead)
         reached = course[:, -1] >= limit
         crossings.append(np.where(reached, ahead[np.argmax(course >= limit, axis=1)], np.inf))
     weights = np.exp(np.array(log_weights) - max(log_weights))
     drawn = generator.choice(len(SHAPES), 40_000, p=weights / weights.sum())
-    return np.array([crossings[shape][generator.integers(2000)] for shape in drawn]) - 1.0
+    return np.array([crossings[shape][generator.integers(1000)] for shape in drawn]) - 1.0
 
 
 def test_the_set_and_the_middle_are_those_of_draws_from_the_mixture() -> None:

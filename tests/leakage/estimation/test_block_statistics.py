@@ -17,7 +17,6 @@ from leakage.estimation.block_statistics import (
     factor,
     factors,
     flow_summary,
-    gradient,
     merge,
     sample_count,
     squared_error,
@@ -292,14 +291,3 @@ def test_sample_count_survives_a_year_of_nights() -> None:
     one_night = factor(made_samples(MOTOR, 2000))
     one_night = one_night * math.sqrt(720_000 / 2000)
     assert sample_count(merge(np.repeat(one_night[None], 365, axis=0))) == 365 * 720_000
-
-
-def test_the_gradient_is_that_of_the_criterion() -> None:
-    z = made_samples(placeholder_motor("CB560"), 500)
-    r = factor(z)
-    theta = true_coefficients(placeholder_motor("CB560")) * 1.1
-    for place, slope in enumerate(gradient(r, theta)):
-        step = np.zeros(len(theta))
-        step[place] = 1e-4 * (theta[place] or 1.0)
-        rise = criterion(r, theta + step) - criterion(r, theta - step)
-        assert slope == pytest.approx(rise / (2 * step[place]), rel=1e-6)

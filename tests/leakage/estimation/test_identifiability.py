@@ -209,24 +209,51 @@ def test_a_speed_that_was_not_seen_is_not_extrapolated() -> None:
     assert leakage.verdict == "outside_fitted_range"
 
 
-def test_a_coefficient_on_its_bound_has_no_interval() -> None:
-    motor = placeholder_motor("CB560")
-    narrow = tuple(
+def with_narrow_ring(motor: Motor) -> Motor:
+    """Its ring may not have the gap that it has."""
+    paths = tuple(
         replace(path, gap=replace(path.gap, maximum=path.gap.value - 1, value=path.gap.value - 2))
         if isinstance(path, AnnularGap) and path.eccentricity is None
         else path
         for path in motor.paths
     )
-    conditions = duty(10.0, 300.0)
-    z = made_samples(motor, conditions=conditions)
-    blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
-    bounded = replace(motor, paths=narrow)
-    estimate = fit(merge(blocks), bounded, NO_SEARCH, np.random.default_rng(0))
+    return replace(motor, paths=paths)
+
+
+@pytest.mark.parametrize(
+    ("flushing", "meter", "narrow", "told"),
+    [(0.001, 0.0, False, (40, 60)), (0.0, -0.02, False, (0, 40)), (0.0, 0.0, True, (0, 0))],
+    ids=["by noise", "by a meter's zero", "by a gap that is wider"],
+)
+def test_what_a_bound_takes_from_others_leaves_them_unidentified(
+    flushing: float, meter: float, narrow: bool, told: tuple[int, int]
+) -> None:
+    """Where a bound moves a coefficient by more than its standard error, intervals do not hold.
+
+    Simulated without this rule, of loss factors beside a bound: by noise 96 % held, by the meter's
+    zero 42 %, by the narrow ring none.
+    """
+    motor = placeholder_motor("CB560", flushing="estimated", flushing_l_per_min=flushing)
+    fitted = with_narrow_ring(motor) if narrow else motor
+    truth = [path.configured_coefficient for path in motor.column_paths]
     seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
-    found = identify(estimate, blocks, seen)
-    assert found.coefficients[0].verdict == "at_bound"
-    assert found.coefficients[0].interval is None
-    assert found.coefficients[2].interval is not None
+    identified, held = 0, 0
+    for seed in range(20):
+        z = made_samples(motor, seed=seed, conditions=duty(10.0, 300.0, seed), noise_l_per_min=0.05)
+        z[:, -1] += meter
+        blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
+        estimate = fit(merge(blocks), fitted)
+        found = identify(estimate, blocks, seen).coefficients
+        if narrow:
+            assert (found[0].verdict, found[0].interval) == ("at_bound", None)
+            assert "K_o on a bound" in found[1].reason
+        for value, true, judgement in zip(estimate.coefficients, truth, found[:3], strict=False):
+            if judgement.verdict == "identified":
+                assert judgement.interval is not None
+                identified += 1
+                held += abs(value - true) <= judgement.interval.half_width
+    assert told[0] <= identified <= told[1]
+    assert held >= 0.85 * identified
 
 
 def test_conditions_outside_what_was_seen_are_named() -> None:

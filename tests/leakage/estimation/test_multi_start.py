@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,8 +35,6 @@ from tests.leakage.estimation.motors_to_search import (
 from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
 from tests.leakage.placeholders import balance_piston, eccentricity, gap, placeholder_oil
 
-GRADIENTS = pytest.mark.parametrize("gradient_type", ["analytic", "2-point", "3-point"])
-
 
 def generator() -> np.random.Generator:
     return np.random.default_rng(20)
@@ -49,7 +46,7 @@ def minimum_of(motor: Motor, r: Array) -> float:
 
 def coefficients_at_the_end(motor: Motor, starts: tuple[Start, ...]) -> Array:
     parametrisation = Parametrisation.of(motor)
-    return np.array([parametrisation.coefficients(start.final)[0] for start in starts])
+    return np.array([parametrisation.coefficients(start.final) for start in starts])
 
 
 # starting points
@@ -113,15 +110,12 @@ def test_a_zero_that_is_no_eccentricity_stays() -> None:
 # the search
 
 
-@GRADIENTS
 @MOTORS
-def test_all_starts_reach_the_certificate_and_none_goes_below(
-    motor: Motor, gradient_type: Any
-) -> None:
+def test_all_starts_reach_the_certificate_and_none_goes_below(motor: Motor) -> None:
     r = factor(made_samples(motor))
-    starts = search(r, motor, SearchSettings(8, gradient_type), generator())
+    starts = search(r, motor, SearchSettings(5), generator())
     minimum = minimum_of(motor, r)
-    assert [start.number for start in starts] == list(range(8))
+    assert [start.number for start in starts] == list(range(5))
     assert at_minimum(starts, minimum).all()
     for start in starts:
         assert start.status.endswith("tolerance")
@@ -129,7 +123,7 @@ def test_all_starts_reach_the_certificate_and_none_goes_below(
         assert start.cost == pytest.approx(minimum, rel=1e-7)
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=15)
 @given(seed=SEEDS)
 def test_no_start_ends_below_the_certificate_wherever_bounds_bind(seed: int) -> None:
     draw = np.random.default_rng(seed)
@@ -155,7 +149,7 @@ def test_known_loss_factors_are_recovered_without_noise() -> None:
 
 def test_starts_at_the_minimum_share_loss_factors_while_gap_and_eccentricity_spread() -> None:
     r = factor(made_samples(PLAIN))
-    starts = search(r, PLAIN, SearchSettings(30), generator())
+    starts = search(r, PLAIN, SearchSettings(12), generator())
     assert at_minimum(starts, minimum_of(PLAIN, r)).all()
     found = coefficients_at_the_end(PLAIN, starts)[:, :3]
     assert (np.ptp(found, axis=0) / found.mean(axis=0)).max() < 1e-6
@@ -174,27 +168,23 @@ def test_starts_at_the_minimum_share_loss_factors_while_gap_and_eccentricity_spr
     assert ((piston_gap > smallest * (1 - 1e-6)) & (piston_gap < largest * (1 + 1e-6))).all()
 
 
-@GRADIENTS
-def test_a_start_at_no_eccentricity_with_the_gap_at_its_maximum_moves(gradient_type: Any) -> None:
+def test_a_start_at_no_eccentricity_with_the_gap_at_its_maximum_moves() -> None:
     # K_p needs h 10 µm and e 0.4; h can be no more than 10 µm, and at e = 0 nothing pulls on e.
     motor = with_piston(PLAIN, Parameter("h_p", "um", 10.0, 1.0, 10.0), eccentricity("p", 0.0))
     r = factor(made_samples(PLAIN))
-    (start,) = search(r, motor, SearchSettings(1, gradient_type), generator())
+    (start,) = search(r, motor, SearchSettings(1), generator())
     assert start.initial.tolist() == [8.0, 10.0, ECCENTRICITY_NUDGE, 12.0, 0.3]
     assert start.final[2] > 0.39
     assert start.cost == pytest.approx(minimum_of(motor, r), rel=1e-9)
     assert minimum_of(motor, r) == pytest.approx(minimum_of(PLAIN, r), rel=1e-12)
 
 
-@GRADIENTS
-def test_a_gap_that_is_fixed_too_small_ends_at_the_bound_of_its_loss_factor(
-    gradient_type: Any,
-) -> None:
+def test_a_gap_that_is_fixed_too_small_ends_at_the_bound_of_its_loss_factor() -> None:
     motor = with_piston(PLAIN, gap("p", 7.0, fixed=True), eccentricity("p", 0.2))
     r = factor(made_samples(PLAIN))
     certificate = certify(r, *Parametrisation.of(motor).coefficient_bounds())
     assert certificate.at_upper.tolist() == [False, True, False, False]
-    starts = search(r, motor, SearchSettings(5, gradient_type), generator())
+    starts = search(r, motor, SearchSettings(5), generator())
     for start in starts:
         assert start.final[1] == pytest.approx(1.0, abs=1e-6)
         assert start.cost == pytest.approx(certificate.cost, rel=1e-6)
@@ -320,7 +310,7 @@ def test_dependent_columns_stop_no_start(motor: Motor, pressure_bar: tuple[float
     assert at_minimum(starts, minimum_of(motor, r)).all()
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=15)
 @given(flow=st.sampled_from([0.0, -1.0, 1e-6, 1e4]), seed=SEEDS)
 def test_flows_that_no_gap_explains_stop_no_start(flow: float, seed: int) -> None:
     z = made_samples(FLUSHED, 200, seed)

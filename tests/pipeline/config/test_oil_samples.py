@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,6 +37,18 @@ def test_a_curve_holds_from_its_first_analysis_on() -> None:
     assert at_40(spec, 10) == pytest.approx(60.0)
     assert 54.0 < (at_40(spec, 15) or 0.0) < 55.5
     assert at_40(spec, 20) == at_40(spec, 400) == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize("celsius", [0.0, 40.0, 100.0])
+def test_log_log_of_the_viscosity_is_linear_in_time(celsius: float) -> None:
+    """ASTM D341, a quarter of the way between two analyses."""
+    spec = with_samples(motor(), sample(10, 68.0), sample(30, 50.0))
+    first, between, last = (
+        math.log10(math.log10(float(kinematic_viscosity_mm2_per_s(celsius, *curve)) + 0.7))
+        for place in (10, 15, 30)
+        if (curve := spec.measured_curve(night_of(place))) is not None
+    )
+    assert between == pytest.approx(first + 0.25 * (last - first), abs=1e-12)
 
 
 def test_a_dated_filling_begins_as_its_data_sheet_has_it() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import polars as pl
 import pytest
@@ -21,6 +22,7 @@ from tests.pipeline.trends.nights import (
     OIL,
     Frames,
     Nights,
+    copy_of,
     fleet_of,
     motor,
     named,
@@ -57,11 +59,16 @@ def new_night(config: Path, output: Path, *frames: Frames, place: int) -> None:
     run(config)
 
 
+MADE = TemporaryDirectory()
+
+
 def fleet_until(folder: Path, nights: tuple[Nights, ...], end: int) -> tuple[Path, Path]:
-    """A fleet with the trends of its first nights."""
-    config, output = fleet_of(folder, *nights, until=end)
-    run(config)
-    return config, output
+    """A fleet with the trends of its first nights: a copy of one that is made once."""
+    made = Path(MADE.name, f"{len(nights)}_{end}")
+    if not made.exists():
+        config, _ = fleet_of(made, *nights, until=end)
+        run(config)
+    return copy_of(made, folder / "copy")
 
 
 @pytest.fixture(scope="module")

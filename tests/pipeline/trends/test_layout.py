@@ -9,9 +9,10 @@ import pytest
 
 from leakage import OperatingConditions, regressors
 from pipeline.config import Channel, MotorSpec
+from pipeline.config.fitting import Conditions
 from pipeline.config.oil_samples import OilSample
 from pipeline.schema import BLOCK_STATISTICS
-from pipeline.trends.nights.layout import Conditions, Layout
+from pipeline.trends.nights.layout import Layout
 from tests.pipeline.trends.nights import BLOCKS, FIRST, PATHS, SAMPLES, Nights, motor, night_of
 
 ESTIMATED = '[flushing]\nmode = "estimated"\nflow_l_per_min = 4.0\n'
