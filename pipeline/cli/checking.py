@@ -25,7 +25,6 @@ from pipeline.messages import counted, error_line
 
 # A rule that refused less than this is not worth its name in a table.
 WORTH_TELLING = 0.0005
-MOST_STRAYS = 8
 CHANNEL_COLUMNS = (
     "channel",
     "rate",
@@ -64,22 +63,20 @@ def check(
     Exit code 0: no fault; 1: a log cannot be read, there is no log, or a file of the output is
     damaged; 2: a fault in the config.
     """
-    from pipeline.setup.check import check_fleet, unclaimed
+    from pipeline.setup.check import check_fleet, strays_told, unclaimed
 
     if tables or mend:
         raise typer.Exit(_check_tables(config, output, as_json=as_json, mend=mend))
     fleet = load(config, None, None)
-    checks, strays = check_fleet(fleet), unclaimed(fleet)
+    checks = check_fleet(fleet)
     if as_json:
         for one in checks:
             typer.echo(json.dumps(asdict(one)))
-        typer.echo(json.dumps({"event": "unclaimed", "logs": strays}))
+        typer.echo(json.dumps({"event": "unclaimed", "logs": unclaimed(fleet)}))
     else:
         _print_checks(checks)
-        if strays:
-            more = ", …" * (len(strays) > MOST_STRAYS)
-            named = ", ".join(strays[:MOST_STRAYS]) + more
-            typer.echo(f"no motor claims {counted(len(strays), 'log')}: {named}")
+        if strays := strays_told(fleet):
+            typer.echo(strays)
     there_are_logs = any(one.n_files for one in checks)
     if not there_are_logs:
         message = (

@@ -23,12 +23,14 @@ from pipeline.logs.files import (
 from pipeline.logs.landing import land_newest
 from pipeline.logs.ledger import FileRecord
 from pipeline.logs.locations import LogSource, logs_of
+from pipeline.messages import counted
 from pipeline.setup.channel_check import ChannelCheck, check_channels
 from pipeline.setup.column_changes import column_changes
 from pipeline.setup.propose import logs_below
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
+MOST_STRAYS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,3 +165,10 @@ def unclaimed(fleet: Fleet) -> tuple[str, ...]:
             if real not in claimed and not real.is_relative_to(own)
         )
     )
+
+
+def strays_told(fleet: Fleet) -> str:
+    """The logs that no motor claims, in words; empty for none."""
+    strays = unclaimed(fleet)
+    named = ", ".join(strays[:MOST_STRAYS]) + ", …" * (len(strays) > MOST_STRAYS)
+    return f"no motor claims {counted(len(strays), 'log')}: {named}" if strays else ""

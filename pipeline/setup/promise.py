@@ -41,7 +41,7 @@ def promise(
     no path.
     """
     speed = channels["speed"]
-    is_running = (np.abs(speed.value) > spec.settings.cleaning.standstill_rpm) & _valid(
+    is_running = (np.abs(speed.value) > spec.settings.cleaning.standstill_rpm) & is_valid(
         spec, "speed", speed
     )
     steps = np.diff(np.unique(speed.time_us[~speed.missing]))
@@ -73,7 +73,7 @@ def promise(
     )
 
 
-def _valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:
+def is_valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:
     """Samples within the channel's range."""
     stated = next(one.valid_range for key, one in spec.file.channels.items() if key == name)
     low, high = stated or FALLBACK_VALID_RANGE[name]
@@ -89,7 +89,7 @@ def conditions_at(
         if name not in channels or not time_us.size:
             return None
         own = channels[name]
-        known = _valid(spec, name, own)
+        known = is_valid(spec, name, own)
         if not known.any():
             return None
         order = np.argsort(own.time_us[known], kind="stable")

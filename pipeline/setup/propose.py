@@ -511,7 +511,7 @@ class _Chooser:
         fitting: dict[str, list[tuple[int, str]]] = {}
         for name, signal in self.group.signals.items():
             meaning = meaning_of(signal, self.columns[name].unit)
-            if meaning.channel is not None and self.columns[name].kind == "number":
+            if meaning.channel is not None:
                 fitting.setdefault(meaning.channel, []).append((meaning.merit, name))
         rivals = {
             channel: [name for merit, name in own if merit == max(own)[0]]

@@ -11,7 +11,7 @@ from pipeline.arrays import SECOND_US, Array
 from pipeline.config import MotorSpec
 from pipeline.config.channels import COUNTED
 from pipeline.ingest import RawChannel
-from pipeline.setup.promise import conditions_at
+from pipeline.setup.promise import conditions_at, is_valid
 
 # Conditions that vary by less tell nothing: the 5th to 95th percentile beside the median, and [K].
 _VARIES, _VARIES_K = 0.3, 4.0
@@ -24,16 +24,16 @@ _JUMP_C, _JUMP_S, _JUMPS_SHARE = 2.0, 10.0, 0.02
 
 def swapped(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str]:
     """Notes on channels whose columns may be another's."""
-    temperature = channels["oil_temperature"]
-    steps_s = np.diff(temperature.time_us) / SECOND_US
-    jumps = np.abs(np.diff(temperature.value)) > _JUMP_C
+    known = is_valid(spec, "oil_temperature", channels["oil_temperature"])
+    steps_s = np.diff(channels["oil_temperature"].time_us[known]) / SECOND_US
+    jumps = np.abs(np.diff(channels["oil_temperature"].value[known])) > _JUMP_C
     close = (steps_s > 0.0) & (steps_s <= _JUMP_S)
     if close.sum() >= _FEWEST and float(jumps[close].mean()) > _JUMPS_SHARE:
         yield "oil_temperature jumps as no oil does: are columns swapped?"
     if spec.file.channels[COUNTED].counts is not None:
         return
     flow = channels[COUNTED]
-    known = np.flatnonzero(~flow.missing & np.isfinite(flow.value))
+    known = is_valid(spec, COUNTED, flow)
     at = flow.time_us[known]
     pressure, speed, degrees = conditions_at(spec, channels, at)
     if pressure is None or speed is None or degrees is None:

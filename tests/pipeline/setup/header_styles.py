@@ -274,3 +274,82 @@ STYLES = (
         hydraulics_motor1_shaft_speed_rpm = speed rpm
         hydraulics_motor1_case_drain_flow_lpm = flow l/min"""),
 )  # fmt: skip
+
+# Written when the vocabulary was done, and measured once: 50 of 57 channels right, 7 asked, none
+# wrong.
+BLIND = (
+    _style("CAN bus, mobile", "Time", ISO, """
+        HydMotLeakFlow_lpm = flow l/min
+        HydMotSpd_rpm = speed rpm
+        HydOilTemp_degC = temp degC
+        HydMotPressHigh_bar = high bar
+        HydMotPressLow_bar = low bar"""),
+    _style("German, winch", "Datum", DOTS, """
+        Hochdruckseite [bar] = high bar
+        Niederdruckseite [bar] = low bar
+        Temperatur Hydrauliköl [°C] = temp degC
+        Windendrehzahl [U/min] = speed rpm
+        Lecköl Motor [l/h] = flow l/h""", ";,"),
+    _style("Aveva historian", "DateTime", ISO, """
+        Mill1_HydMotor_DP.Value = dp -
+        Mill1_HydMotor_OilTemp.Value = temp -
+        Mill1_HydMotor_Speed.Value = speed -
+        Mill1_HydMotor_CaseDrainFlow.Value = flow -"""),
+    _style("Spanish, PLC", "Hora", SLASHES, """
+        Presion_Entrada_Motor_bar = high bar
+        Presion_Salida_Motor_bar = low bar
+        Temperatura_Aceite_C = temp degC
+        Velocidad_Motor_rpm = speed rpm
+        Caudal_Fugas_lpm = flow l/min""", ";."),
+    _style("Greek", "Ωρα", ISO, """
+        Διαφορά πίεσης [bar] = dp bar
+        Θερμοκρασία λαδιού [°C] = temp degC
+        Ταχύτητα [rpm] = speed rpm
+        Διαρροή [l/min] = flow l/min"""),
+    _style("Honeywell points", "Time", ISO, """
+        42PDI1001.PV = dp -
+        42TI1002.PV = temp -
+        42SI1003.PV = speed -
+        42FI1004.PV = flow -"""),
+    _style("French, mill", "Date", SLASHES, """
+        Pression différentielle moteur [bar] = dp bar
+        Température huile carter [°C] = temp degC
+        Vitesse arbre [tr/min] = speed rpm
+        Débit de fuite externe [l/min] = flow l/min
+        Température ambiante [°C] = x""", ";,"),
+    _style("Python script", "timestamp", ISO, """
+        delta_p = dp -
+        t_oil = temp -
+        n_rpm = speed rpm
+        q_leakage = flow -"""),
+    _style("OPC UA node ids", "Time", ISO, """
+        ns=2;s=HM1.PressureA = high -
+        ns=2;s=HM1.PressureB = low -
+        ns=2;s=HM1.OilTemperature = temp -
+        ns=2;s=HM1.ShaftSpeed = speed -
+        ns=2;s=HM1.LeakageFlow = flow -""", "\t."),
+    _style("Swedish, mine", "Tid", ISO, """
+        Högtryckssida (bar) = high bar
+        Lågtryckssida (bar) = low bar
+        Oljetemperatur motor (°C) = temp degC
+        Axelvarvtal (rpm) = speed rpm
+        Läckage hus (l/min) = flow l/min""", ";,"),
+    _style("Gauges by number", "Time", ISO, """
+        Gauge 1 (psi) = ? psi
+        Gauge 2 (psi) = ? psi
+        Tank return temperature (F) = x
+        Case drain temperature (F) = temp degF
+        RPM = speed rpm
+        Case drain GPM = flow us_gal/min"""),
+    _style("Italian, winch", "Ora", SLASHES, """
+        Press. ingresso (bar) = high bar
+        Press. uscita (bar) = low bar
+        Temp. olio (°C) = temp degC
+        Giri motore (rpm) = speed rpm
+        Perdite (l/min) = flow l/min""", ";,"),
+    _style("Romanian", "Ora", DOTS, """
+        Diferența de presiune [bar] = dp bar
+        Temperatura uleiului [°C] = temp degC
+        Turație [rot/min] = speed rpm
+        Debit scurgeri [l/min] = flow l/min""", ";,"),
+)  # fmt: skip
