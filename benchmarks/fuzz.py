@@ -18,7 +18,7 @@ TEXT = f"""\
 A log may end in a coded error, in what was written, in a part of it with a note that something is
 left out, or, where no checksum covers what was changed, in values that cannot be told from right
 ones. Each was read by a process with at most {MEMORY_BYTES // 2**20} MiB for it, and ended after
-{PATIENCE_S:g} s without an answer. `time_span`, `suggest` and `read_log` were called on each."""
+{PATIENCE_S:g} s without an answer. `time_span`, `sniff` and `read_log` were called on each."""
 HEADER = " | ".join(("", "files", "mutations", *Outcome, "slowest [s]", "memory [MiB]"))
 NAMES = {"csv": "CSV", "parquet": "Parquet", "mcap": "MCAP"}
 

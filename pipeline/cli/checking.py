@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, AsJson, Output, load, say
+from pipeline.cli.arguments import (
+    EXIT_MOTORS_FAILED,
+    EXIT_OK,
+    AsJson,
+    ConfigFile,
+    Output,
+    load,
+    say,
+)
 from pipeline.cli.tables import print_table
 from pipeline.errors import UsageError
 from pipeline.messages import counted, error_line
@@ -35,14 +43,8 @@ if TYPE_CHECKING:
 
 
 def check(
-    config: Annotated[
-        Path | None, typer.Argument(metavar="CONFIG", help="The fleet file; not with --suggest.")
-    ] = None,
+    config: ConfigFile,
     as_json: AsJson = False,
-    suggest: Annotated[
-        Path | None,
-        typer.Option(metavar="LOG", help="Print the TOML that reads this log, to paste."),
-    ] = None,
     tables: Annotated[
         bool, typer.Option("--tables", help="Compare every table file with its SHA-256 instead.")
     ] = False,
@@ -56,31 +58,25 @@ def check(
 
     Example: motor-leakage check configs/fleet.toml
 
-    Example: motor-leakage check --suggest demo/logs/CB400-01/CB400-01_2026-01-03.csv
-
     Example: motor-leakage check --repair configs/fleet.toml
 
     Exit code 0: no fault; 1: a log cannot be read, there is no log, or a file of the output is
     damaged; 2: a fault in the config.
     """
-    from pipeline.setup.check import check_fleet
+    from pipeline.setup.check import check_fleet, strays_told, unclaimed
 
     if tables or repair:
         raise typer.Exit(_check_tables(config, output, as_json=as_json, is_mended=repair))
-    if suggest is not None:
-        from pipeline.setup.suggest import suggest as suggested
-
-        typer.echo(suggested(suggest), nl=False)
-        return
-    if config is None:
-        raise UsageError("config", "name the fleet file, or a log with --suggest")
     fleet = load(config, None, None)
     checks = check_fleet(fleet)
     if as_json:
         for one in checks:
             typer.echo(json.dumps(asdict(one)))
+        typer.echo(json.dumps({"event": "unclaimed", "logs": unclaimed(fleet)}))
     else:
         _print_checks(checks)
+        if strays := strays_told(fleet):
+            typer.echo(strays)
     there_are_logs = any(one.n_files for one in checks)
     if not there_are_logs:
         message = (
@@ -93,9 +89,7 @@ def check(
     raise typer.Exit(EXIT_MOTORS_FAILED if faulty else EXIT_OK)
 
 
-def _check_tables(
-    config: Path | None, output: Path | None, *, as_json: bool, is_mended: bool
-) -> int:
+def _check_tables(config: Path, output: Path | None, *, as_json: bool, is_mended: bool) -> int:
     """Compare the files of an output with what was published; returns the exit code."""
     from pipeline.run.mending import repair
     from pipeline.store.locks import locked
@@ -104,8 +98,6 @@ def _check_tables(
     from pipeline.store.tables import existing_tables
     from pipeline.store.working_copy import working_copy
 
-    if config is None:
-        raise UsageError("config", "name the fleet file; expected CONFIG with --tables or --repair")
     fleet = load(config, output, None, logs=False)
     folder = fleet.output
     if is_mended:

@@ -84,7 +84,16 @@ def fit_fleet(
         if dry_run:
             print_plan(request, as_json)
         else:
+            _repeat_check(fleet, as_json=as_json)
             _run(request, as_json, fail_on_alarm=fail_on_alarm)
+
+
+def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
+    """Say what `check` says of the config's logs, as far as no log has to be opened for it."""
+    from pipeline.setup.check import strays_told
+
+    if not as_json and (strays := strays_told(fleet)):
+        say(strays, err=True)
 
 
 def _run(request: RunRequest, as_json: bool, *, fail_on_alarm: bool = False) -> NoReturn:

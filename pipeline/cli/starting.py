@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK
+from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, load
 from pipeline.cli.tables import print_table
 from pipeline.errors import UsageError
+from pipeline.messages import counted
 
 if TYPE_CHECKING:
-    from pipeline.setup.plant import Proposal, Question
+    from pipeline.setup.observe import Observed
+    from pipeline.setup.propose import Proposal, ProposedMotor, Question
 
 COLUMNS = ("motor", "channel", "in the log", "unit", "quality", "first values")
+_MOST_UNUSED = 40
 
 
 def init(
@@ -45,10 +48,15 @@ def init(
     write: Annotated[
         bool, typer.Option("--write", help="Write the files; else they are only shown.")
     ] = False,
+    add: Annotated[
+        bool, typer.Option("--add", help="Only motors that the fleet in FOLDER does not have.")
+    ] = False,
 ) -> None:
-    """Propose the config of a whole fleet from a plant's logs; asks what they do not say.
+    """Propose the config of a fleet from a plant's logs, or of one log; asks what they do not say.
 
     Example: motor-leakage init demo/logs --to my-fleet
+
+    Example: motor-leakage init demo/logs --to my-fleet --add --write
 
     Example: motor-leakage init sql:PLANT_DATABASE --to my-fleet
 
@@ -56,37 +64,61 @@ def init(
     written; 2: wrong usage, or a file is there already; 4: a database does not answer.
     """
     from pipeline.demo import shipped_configs
-    from pipeline.setup.fleet_files import fleet_files, write_fleet
+    from pipeline.setup.fleet_files import added_files, defaults_of, fleet_files, write_fleet
+    from pipeline.setup.observe import observed_of
 
-    answers = dict(map(_answer, answer or ()))
-    proposal = _proposed(source, query, answers)
-    shipped = shipped_configs()
-    while questions := [*proposal.questions, *_of_the_machine(shipped, answers)]:
+    fleet = load(to / "fleet.toml", None, None) if add else None
+    defaults = defaults_of(to / "fleet.toml") if add else {}
+    answers: dict[str, str] = {
+        key: defaults[key] for key in ("motor_type", "oil") if key in defaults
+    }
+    answers |= dict(map(_answer, answer or ()))
+    root = fleet.log_root if fleet else None
+    proposal = _proposed(source, query, answers, root)
+    configs = to if add else shipped_configs()
+    while questions := [*proposal.questions, *_of_the_machine(configs, answers)]:
         if not sys.stdin.isatty():
             break
         answers |= dict(map(_asked, questions))
-        proposal = _proposed(source, query, answers)
-    _print(proposal)
+        proposal = _proposed(source, query, answers, root)
+    observed = observed_of(proposal)
+    _print(proposal, observed)
+    faults = (*proposal.faults, *(one.fault for one in observed.values() if one.fault))
+    _print_questions(questions, faults)
+    if questions or not proposal.motors:
+        raise typer.Exit(EXIT_MOTORS_FAILED)
+    machine = (answers["motor_type"], answers["oil"])
+    if fleet is None:
+        files = fleet_files(proposal, to, *machine, tuple(observed.values()))
+    else:
+        files = added_files(proposal, fleet, defaults, *machine)
+    if write:
+        write_fleet(files, to, shipped_configs(), answers["motor_type"])
+    _say_files(files, to, is_written=write)
+    raise typer.Exit(EXIT_MOTORS_FAILED if faults else EXIT_OK)
+
+
+def _say_files(files: Mapping[str, str], to: Path, *, is_written: bool) -> None:
+    if not files:
+        typer.echo(f"{to / 'fleet.toml'} has all of these motors")
+    for name, text in files.items():
+        typer.echo(
+            f"written: {to / name}" if is_written else f"\n# {to / name}\n{text}", nl=is_written
+        )
+    then = f"next: motor-leakage check {to / 'fleet.toml'}"
+    typer.echo(then if is_written else "\nnothing is written without --write")
+
+
+def _print_questions(questions: Iterable[Question], faults: Iterable[str]) -> None:
     for one in questions:
         choices = f" ({', '.join(one.choices)})" if one.choices else ""
         typer.echo(f"--answer '{one.key}=…': {one.text}{choices}")
-    for fault in proposal.faults:
+    for fault in faults:
         typer.echo(fault, err=True)
-    if questions or not proposal.motors:
-        raise typer.Exit(EXIT_MOTORS_FAILED)
-    files = fleet_files(proposal, to, answers["motor_type"], answers["oil"])
-    if write:
-        write_fleet(files, to, shipped, answers["motor_type"])
-        typer.echo(f"written: {to / 'fleet.toml'}; next: motor-leakage check {to / 'fleet.toml'}")
-    else:
-        for name, text in files.items():
-            typer.echo(f"\n# {to / name}\n{text}", nl=False)
-        typer.echo("\nnothing is written without --write")
-    raise typer.Exit(EXIT_MOTORS_FAILED if proposal.faults else EXIT_OK)
 
 
-def _proposed(source: Path, query: str, answers: dict[str, str]) -> Proposal:
-    from pipeline.setup.plant import propose
+def _proposed(source: Path, query: str, answers: dict[str, str], root: Path | None) -> Proposal:
+    from pipeline.setup.propose import propose
 
     kind, _, variable = str(source).partition(":")
     if kind in ("postgresql", "postgres"):
@@ -97,15 +129,18 @@ def _proposed(source: Path, query: str, answers: dict[str, str]) -> Proposal:
         )
         raise UsageError("source", message)
     if kind == "sql":
-        from pipeline.setup.database_look import propose_from_database
+        from pipeline.setup.database import propose_from_database
 
         return propose_from_database(f"${{{variable}}}", query, answers)
     if query:
         raise UsageError("source", "--query is of a database: name it as sql:NAME")
-    return propose(source, answers)
+    if root is not None and not source.resolve().is_relative_to(root):
+        raise UsageError("source", f"--add takes logs below the fleet's folder of logs, {root}")
+    return propose(source, answers, root)
 
 
 def _answer(text: str) -> tuple[str, str]:
+    # A column may have the mark in its name, and a value rarely has: but a value comes last.
     key, mark, value = text.partition("=")
     if not mark or not value:
         raise UsageError("answer", f"--answer: got {text!r}; expected KEY=VALUE")
@@ -119,7 +154,7 @@ def _asked(question: Question) -> tuple[str, str]:
 
 def _of_the_machine(configs: Path, answers: dict[str, str]) -> Iterator[Question]:
     """Questions that no log answers."""
-    from pipeline.setup.plant import Question
+    from pipeline.setup.propose import Question
 
     for key, folder in (("motor_type", "motor_types"), ("oil", "oils")):
         known = tuple(path.stem for path in sorted((configs / folder).glob("*.toml")))
@@ -130,21 +165,34 @@ def _of_the_machine(configs: Path, answers: dict[str, str]) -> Iterator[Question
             yield Question(key, f"{key.replace('_', ' ')} of the motors: which is it?", known)
 
 
-def _print(proposal: Proposal) -> None:
+def _print(proposal: Proposal, observed: Mapping[str, Observed]) -> None:
     print_table(
         COLUMNS,
         [
             (
                 motor.motor_id,
                 channel,
-                f"{one.source} {one.named_field}".strip(),
-                one.unit or "to be asked",
-                motor.quality.get(channel, ""),
-                "; ".join(one.samples[:3]),
+                place.column.name,
+                place.unit or "to be asked",
+                place.quality,
+                "; ".join(place.column.filled[:3]),
             )
             for motor in proposal.motors
-            for channel, one in motor.sources.items()
+            for channel, place in motor.channels.items()
         ],
     )
+    for motor in proposal.motors:
+        typer.echo(f"{motor.motor_id}: {_logs_of(motor, observed.get(motor.motor_id))}")
     if proposal.unused:
-        typer.echo(f"not used: {', '.join(proposal.unused[:40])}")
+        typer.echo(f"not used: {', '.join(proposal.unused[:_MOST_UNUSED])}")
+
+
+def _logs_of(motor: ProposedMotor, seen: Observed | None) -> str:
+    """Files and days of a motor, the column of the time, and the order of its date."""
+    time = [motor.logs.get(key, "") for key in ("date_column", "time", "time_format")]
+    words = [counted(len(motor.files), "file") if motor.files else motor.logs["format"]]
+    if seen and seen.spans:
+        first, last = seen.spans[0][0].date(), max(end for _, end in seen.spans).date()
+        words.append(f"{first} to {last} ({counted((last - first).days + 1, 'day')})")
+    words.append(f"time {' '.join(filter(None, time))}")
+    return ", ".join((*words, f"zone {motor.logs.get('time_zone', 'in the stamps')}"))

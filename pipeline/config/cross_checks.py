@@ -8,12 +8,13 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from leakage import LeakageError, leakage_l_per_min
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s
-from pipeline.config.channels import channel_faults
+from pipeline.config.channels import COUNTED, channel_faults
 from pipeline.config.defaults import Document
 from pipeline.config.faults import Fault, Place, fault_at
 from pipeline.config.files import Folder
 from pipeline.config.fleet import MotorSpec
 from pipeline.config.oil_samples import FURTHEST, OilCircuitFile, OilSample
+from pipeline.units import QUANTITIES
 
 
 def misnamed(folder: str, key: str, documents: Mapping[str, Document]) -> Iterator[Fault]:
@@ -83,14 +84,32 @@ def _faults_of_sample(
         yield fault_at(file, (*place, "viscosity_40_c_mm2_per_s"), message, at_40)
 
 
+def claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
+    """Motors that take their drain flow from one place."""
+    first: dict[object, str] = {}
+    for spec in specs:
+        flow, logs = spec.file.channels[COUNTED], spec.file.logs
+        query = logs.database and (logs.database.connection, logs.database.query)
+        place = (query or logs.files, logs.motor_name, flow.source, flow.field, flow.value_column)
+        other = first.setdefault(place, spec.motor_id)
+        if other != spec.motor_id:
+            message = (
+                f"expected logs or a column of its own: this is the drain flow of {other}, too"
+            )
+            key = ("channels", COUNTED, "source")
+            yield fault_at(f"motors/{spec.motor_id}.toml", key, message, flow.source)
+
+
 def faults_of_channels(file: str, document: Document) -> Iterator[Fault]:
     """Faults of the channels as a whole; where the file has others, nothing else looks at them."""
     channels = document.get("channels")
     if isinstance(channels, dict):
         tables = {name: part for name, part in channels.items() if isinstance(part, dict)}
         units = {name: part.get("unit") for name, part in tables.items()}
+        is_spelled = units.keys() <= QUANTITIES.keys()
         for place, message, given in channel_faults(units):
-            yield fault_at(file, place, message, given)
+            if is_spelled or len(place) > 1:  # a misspelled channel is not missing besides
+                yield fault_at(file, place, message, given)
 
 
 def impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:

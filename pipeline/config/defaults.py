@@ -31,12 +31,16 @@ def _merged(own: Document, defaults: Document) -> dict[str, Any]:
     found = dict(defaults)
     for key, value in own.items():
         below = defaults.get(key)
-        is_whole = isinstance(value, Mapping) and {"source", "constant"} & value.keys()
-        if isinstance(value, Mapping) and isinstance(below, Mapping) and not is_whole:
+        if isinstance(value, Mapping) and isinstance(below, Mapping) and not _is_whole(value):
             found[key] = _merged(value, below)
         else:
             found[key] = value
     return found
+
+
+def _is_whole(value: Document) -> bool:
+    """True for a channel's table that takes nothing from the defaults."""
+    return bool({"source", "constant"} & value.keys())
 
 
 def _named(value: Any, name: str) -> Any:
@@ -68,4 +72,6 @@ def _depth(document: Any, parts: list[str]) -> int:
         if not isinstance(document, Mapping) or part not in document:
             return depth
         document = document[part]
+        if isinstance(document, Mapping) and _is_whole(document):
+            return len(parts)  # what it lacks is not the defaults'
     return len(parts)

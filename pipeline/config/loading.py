@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config.cross_checks import (
+    claimed_twice,
     faults_of_channels,
     impossible,
     misnamed,
@@ -58,6 +59,7 @@ def load_fleet(path: Path) -> Fleet:
         if spec is not None:
             circuit = circuits.parsed.get(spec.file.oil_circuit, OilCircuitFile())
             specs.append(replace(spec, circuit_samples=circuit.oil_samples))
+    faults += claimed_twice(specs)
     faults += oil_faults(specs, motors.documents.values(), circuits)
     if not motors.documents and not faults:
         faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
@@ -108,6 +110,8 @@ def _resolve(
     faults: list[Fault],
 ) -> MotorSpec | None:
     """One motor's file brought together with what it names."""
+    if not motors.own[name]:  # not read, or empty: told already
+        return None
     file, document = f"motors/{name}.toml", motors.documents[name]
     before = len(faults)
     faults += misnamed("motors", "motor_id", {name: document})

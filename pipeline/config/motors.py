@@ -145,7 +145,13 @@ class MotorFile(Section):
     def misfits(self) -> Iterator[Misfit]:
         """Channels that are missing or not measured, qualities that lead nowhere, oil samples."""
         yield from channel_faults({name: part.unit for name, part in self.channels.items()})
+        taken: dict[tuple[str, str, str], str] = {}
         for name, channel in self.channels.items():
+            place = (channel.source, channel.field, channel.value_column)
+            other = taken.setdefault(place, name) if channel.source else name
+            if other != name:
+                message = f"expected a column of its own: this is that of {other}, too"
+                yield ("channels", name, "source"), message, channel.source
             if channel.constant is not None and name in NEVER_CONSTANT:
                 yield ("channels", name, "constant"), "expected a source", channel.constant
             try:

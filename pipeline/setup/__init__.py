@@ -1,4 +1,4 @@
-"""A look at strangers' logs: `check`, and `check --suggest`, which proposes config.
+"""Strangers' logs: `init` sniffs them, names their columns and proposes config; `check` looks at a fleet's.
 
 Imports `night`, `logs`, `ingest`, `config` and what lies below; the run does without it.
 """

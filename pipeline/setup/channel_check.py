@@ -17,12 +17,11 @@ from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import FileRecord
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
-from pipeline.setup.night_worth import night_worth
-from pipeline.setup.sampling_look import configured, look_of, remark, words
-from pipeline.setup.unit_look import suspect_units, units_told
-
-# Larger logs are not read for a look: a check answers in seconds.
-LARGEST_LOG_BYTES = 200 << 20
+from pipeline.setup.check_units import suspect_units, units_told
+from pipeline.setup.observe import LARGEST_LOG_BYTES
+from pipeline.setup.promise import promise
+from pipeline.setup.sampling import configured, look_of, remark, words
+from pipeline.setup.swapped import swapped
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +69,9 @@ def check_channels(
         _looked_at(spec, name, channel, log.channels[name], (told.get(name), suspects.get(name)))
         for name, channel in spec.file.channels.items()
     )
-    worth = night_worth(spec, max(nights), log.channels, len(nights))
-    return found, tuple(fault for one in found for fault in one.unit_faults), (worth,)
+    faults = [fault for one in found for fault in one.unit_faults]
+    notes = (promise(spec, max(nights), log.channels, len(nights)), *swapped(spec, log.channels))
+    return found, tuple(faults), notes
 
 
 def _looked_at(
@@ -81,7 +81,7 @@ def _looked_at(
     raw: RawChannel,
     unit_faults: tuple[str | None, ...],
 ) -> ChannelCheck:
-    look = look_of(raw, is_flow=name == COUNTED, resolution=channel.resolution)
+    look = look_of(raw, is_flow=name == COUNTED)
     rules = ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
     clean = clean_channel(raw, rules)
     n = max(clean.n_samples, 1)

@@ -8,19 +8,29 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pipeline.config import Fleet, MotorSpec
-from pipeline.config.channels import COUNTED
 from pipeline.config.motor_types import OilFile
 from pipeline.errors import LogError
 from pipeline.logs.database import DatabaseError
-from pipeline.logs.files import change_of, failed, growing, labels_of, look_at, spanned
+from pipeline.logs.files import (
+    change_of,
+    failed,
+    find_logs,
+    growing,
+    labels_of,
+    look_at,
+    spanned,
+)
 from pipeline.logs.landing import land_newest
 from pipeline.logs.ledger import FileRecord
 from pipeline.logs.locations import LogSource, logs_of
+from pipeline.messages import counted
 from pipeline.setup.channel_check import ChannelCheck, check_channels
 from pipeline.setup.column_changes import column_changes
+from pipeline.setup.propose import logs_below
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
+MOST_STRAYS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,24 +148,27 @@ def _absent(name: str) -> str:
 
 def check_fleet(fleet: Fleet) -> tuple[MotorCheck, ...]:
     """Look at the logs of every motor."""
-    claimed = _claimed_twice(fleet.motors)
+    return tuple(map(check_motor, fleet.motors))
+
+
+def unclaimed(fleet: Fleet) -> tuple[str, ...]:
+    """Logs in the folder of the logs that no motor claims, by their path in it."""
+    if fleet.log_url or not fleet.has_log_folder:
+        return ()
+    there = {path: path.resolve() for path in logs_below(fleet.log_root)}
+    claimed = {path.resolve() for spec in fleet.motors for path in find_logs(spec)[0].values()}
+    own = fleet.output.resolve()
     return tuple(
-        replace(one, faults=(*one.faults, *claimed.get(one.motor_id, ())))
-        for one in map(check_motor, fleet.motors)
+        sorted(
+            path.relative_to(fleet.log_root).as_posix()
+            for path, real in there.items()
+            if real not in claimed and not real.is_relative_to(own)
+        )
     )
 
 
-def _claimed_twice(motors: Sequence[MotorSpec]) -> dict[str, list[str]]:
-    """Faults of motors that take their drain flow from one place."""
-    first: dict[object, str] = {}
-    found: dict[str, list[str]] = {}
-    for spec in motors:
-        flow, logs = spec.file.channels[COUNTED], spec.file.logs
-        query = logs.database and (logs.database.connection, logs.database.query)
-        place = (query or logs.files, logs.motor_name, flow.source, flow.field)
-        other = first.setdefault(place, spec.motor_id)
-        if other != spec.motor_id:
-            found[spec.motor_id] = [
-                f"column_claimed_twice: {flow.source} is the drain flow of {other}, too"
-            ]
-    return found
+def strays_told(fleet: Fleet) -> str:
+    """The logs that no motor claims, in words; empty for none."""
+    strays = unclaimed(fleet)
+    named = ", ".join(strays[:MOST_STRAYS]) + ", …" * (len(strays) > MOST_STRAYS)
+    return f"no motor claims {counted(len(strays), 'log')}: {named}" if strays else ""

@@ -9,7 +9,7 @@ from pipeline.config import MotorSpec
 from pipeline.errors import LogError
 from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import FileRecord
-from pipeline.setup.unit_look import columns_of
+from pipeline.setup.check_units import columns_of
 
 _SHOWN = 5
 _MOST = 8

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.config.defaults import NAME_MARK
+from pipeline.config import Fleet
+from pipeline.config.defaults import NAME_MARK, completed
 from pipeline.errors import UsageError
-from pipeline.setup.plant import Proposal, ProposedMotor
-from pipeline.setup.suggest import quoted
+from pipeline.logs.files import find_logs
+from pipeline.setup.observe import Observed, fleet_name, night_end, reference
+from pipeline.setup.propose import Proposal, ProposedMotor
 
 # Tables whose keys belong together, and stand as a whole or not at all.
 _WHOLE = "source"
@@ -19,43 +22,87 @@ _WHOLE = "source"
 Document = dict[str, Any]
 
 
-def fleet_files(proposal: Proposal, folder: Path, motor_type: str, oil: str) -> dict[str, str]:
+def fleet_files(
+    proposal: Proposal,
+    folder: Path,
+    motor_type: str,
+    oil: str,
+    observed: Sequence[Observed] = (),
+) -> dict[str, str]:
     """Texts of the fleet file and of each motor's, by path below the folder."""
     own = {one.motor_id: _document(one, motor_type, oil) for one in proposal.motors}
-    marked = {
-        one.motor_id: _marked(own[one.motor_id], one.name or one.motor_id)
-        for one in proposal.motors
-    }
-    shared = _common(list(marked.values()))
+    marked = [_marked(own[one.motor_id], one.name or one.motor_id) for one in proposal.motors]
+    shared = _common(marked)
     folders = {"output": "out"}
     if "files" in proposal.motors[0].logs:
         logs = Path(os.path.relpath(proposal.log_root, folder.resolve()))
         folders = {"logs": logs.as_posix()} | folders
-    zone = proposal.motors[0].logs.get("time_zone", "UTC")
+    nights: Document = {"time_zone": proposal.motors[0].logs.get("time_zone", "UTC")}
+    end_hour = night_end(observed)
     fleet: Document = {
-        "name": proposal.log_root.name,
+        "name": fleet_name(proposal.log_root),
         "folders": folders,
-        "nights": {"time_zone": zone},
+        "nights": nights | ({} if end_hour is None else {"end_hour": end_hour}),
+        "reference": reference(observed),
         "defaults": shared,
     }
     files = {"fleet.toml": _toml(fleet)}
-    for motor in proposal.motors:
-        head = {"motor_id": motor.motor_id}
-        if motor.name and motor.name != motor.motor_id:
-            head["name_in_log"] = motor.name
-        files[f"motors/{motor.motor_id}.toml"] = _toml(
-            head | _without(marked[motor.motor_id], own[motor.motor_id], shared)
+    for motor, its in zip(proposal.motors, marked, strict=True):
+        files[f"motors/{motor.motor_id}.toml"] = _motor_text(
+            motor, its, own[motor.motor_id], shared
         )
+    return files
+
+
+def _motor_text(motor: ProposedMotor, marked: Document, own: Document, shared: Document) -> str:
+    """A motor's file, without what the defaults have."""
+    head = {"motor_id": motor.motor_id}
+    if motor.name and motor.name != motor.motor_id:
+        head["name_in_log"] = motor.name
+    return _toml(head | _without(marked, own, shared))
+
+
+def added_files(
+    proposal: Proposal, fleet: Fleet, defaults: Document, motor_type: str, oil: str
+) -> dict[str, str]:
+    """Texts of the files of motors that a fleet does not have, by path below its folder.
+
+    Raises UsageError (``defaults``) where the fleet's defaults would change what was proposed.
+    """
+    claimed = {
+        (path.resolve(), flow.source, flow.field, spec.file.logs.motor_name)
+        for spec in fleet.motors
+        for path in find_logs(spec)[0].values()
+        for flow in (spec.file.channels["leakage_flow"],)
+    }
+    ids = {spec.motor_id for spec in fleet.motors}
+    files = {}
+    for motor in proposal.motors:
+        keys = motor.channels["leakage_flow"].column.keys
+        flow = (keys["source"], keys.get("field", "value"), motor.logs.get("motor_name", ""))
+        if any((path, *flow) in claimed for path in motor.files):
+            continue
+        own = _document(motor, motor_type, oil)
+        text = _motor_text(motor, _marked(own, motor.name or motor.motor_id), own, defaults)
+        whole = completed(tomllib.loads(text), defaults, motor.motor_id)
+        if motor.motor_id in ids or any(whole[key] != own[key] for key in own if key != "channels"):
+            message = (
+                f"{motor.motor_id} does not fit the fleet's [defaults] or ids: write it by hand"
+            )
+            raise UsageError("defaults", message)
+        files[f"motors/{motor.motor_id}.toml"] = text
     return files
 
 
 def write_fleet(files: Mapping[str, str], folder: Path, types: Path, motor_type: str) -> None:
     """Write a fleet's files, the motor type and the oils that ship beside them.
 
-    Raises UsageError (``file_exists``) if one of them is there; nothing is written then.
+    Of a fleet that is there, only the files of its new motors are. Raises UsageError
+    (``file_exists``) if one of them is there; nothing is written then.
     """
     copies = [f"motor_types/{motor_type}.toml"]
     copies += [f"oils/{path.name}" for path in sorted((types / "oils").glob("*.toml"))]
+    copies = copies if "fleet.toml" in files else []
     there = [name for name in (*files, *copies) if (folder / name).exists()]
     if there:
         message = f"{folder / there[0]} is there: nothing is overwritten; name another folder"
@@ -69,23 +116,14 @@ def write_fleet(files: Mapping[str, str], folder: Path, types: Path, motor_type:
         shutil.copyfile(types / name, folder / name)
 
 
+def defaults_of(fleet_file: Path) -> Document:
+    """`[defaults]` of a fleet file that can be read."""
+    return dict(tomllib.loads(fleet_file.read_bytes().decode("utf-8-sig")).get("defaults", {}))
+
+
 def _document(motor: ProposedMotor, motor_type: str, oil: str) -> Document:
-    channels = {}
-    for name, source in motor.sources.items():
-        keys = {"source": source.source, "unit": source.unit}
-        if source.named_field:
-            keys["field"] = source.named_field
-        if source.value_column:
-            keys["value_column"] = source.value_column
-        if motor.quality.get(name):
-            keys["quality_source"] = motor.quality[name]
-        channels[name] = keys
-    return {
-        "motor_type": motor_type,
-        "oil": oil,
-        "logs": dict(motor.logs),
-        "channels": channels,
-    }
+    channels = {name: place.keys() for name, place in motor.channels.items()}
+    return {"motor_type": motor_type, "oil": oil, "logs": dict(motor.logs), "channels": channels}
 
 
 def _marked(value: Any, name: str) -> Any:
@@ -144,3 +182,9 @@ def _value(value: object) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_value, value))}]"
     return quoted(value) if isinstance(value, str) else str(value)
+
+
+def quoted(text: str) -> str:
+    """Text as a TOML string."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'

@@ -31,7 +31,7 @@ from pipeline.config.logs import Logs
 from pipeline.errors import LONGEST_MESSAGE, LogError
 from pipeline.ingest import read_log, time_span
 from pipeline.ingest.conformance import T0_US
-from pipeline.setup.suggest import suggest
+from pipeline.setup.sniff import sniff
 
 from .mcap_files import JSON, TOPIC, mcap_of
 from .sources import Source, column
@@ -234,7 +234,7 @@ def measured(path: Path, source: Source) -> tuple[str, float, int]:
     """Code of the error that a log ends in, processor time, and memory taken to read it."""
     begin, before = time.process_time(), peak_bytes()
     with suppress(LogError):
-        suggest(path)
+        sniff(path)
     try:
         read_log(path, *source)
         code = ""
@@ -309,7 +309,7 @@ def with_room(room_bytes: int, path: Path, source: Source) -> list[str]:
     found = []
     for read in (
         lambda: time_span(path, *source),
-        lambda: suggest(path),
+        lambda: sniff(path),
         lambda: read_log(path, *source),
     ):
         try:

@@ -92,7 +92,7 @@ def test_check_of_any_log(
     log = write(workshop, odd, rows, times)
     text = said(call("check", workshop.fleet))
     assert all(f"\n{name}\t" in text for name in CANONICAL)
-    assert "[channels.speed]" in said(call("check", "--suggest", log))
+    assert "M1\tspeed\tspeed\t" in said(call("init", log)).replace("log\t", "M1\t")
 
 
 def check_unknown(workshop: Workshop, call: Call) -> None:
@@ -119,6 +119,6 @@ def test_every_command_over_a_log_without_a_row(tmp_path: Path, call: Call) -> N
     workshop = Workshop.at(tmp_path)
     log = write(workshop, {}, rows=0)
     assert "log_empty" in said(call("check", workshop.fleet))
-    assert "[channels.speed]" in said(call("check", "--suggest", log))
+    assert "M1\tspeed\tspeed\t" in said(call("init", log)).replace("log\t", "M1\t")
     assert "log_empty" in said(call("fit-fleet", workshop.fleet))
     check_unknown(workshop, call)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
-from pipeline.setup.plant import propose
+from pipeline.setup.propose import propose
 from tests.pipeline.setup.plants.plant import ASK, Mapped, Place, Plant
 
 Proposed = Mapping[str, Mapping[str, Place]]
@@ -17,8 +17,8 @@ def score_of(plant: Plant, folder: Path) -> Counter[str]:
     """Score of what `init` proposes for a plant's files, without an answer."""
     proposed = {
         motor.motor_id: {
-            channel: Place(one.source, one.unit, motor.quality.get(channel, ""))
-            for channel, one in motor.sources.items()
+            channel: Place(one.column.keys["source"], one.unit, one.quality)
+            for channel, one in motor.channels.items()
         }
         for motor in propose(plant.write(folder), {}).motors
     }

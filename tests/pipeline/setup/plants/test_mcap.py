@@ -12,7 +12,7 @@ from pipeline.config import load_fleet
 from pipeline.demo import shipped_configs
 from pipeline.ingest import read_log
 from pipeline.setup.fleet_files import fleet_files, write_fleet
-from pipeline.setup.plant import propose
+from pipeline.setup.propose import propose
 from tests.pipeline.ingest.writers import mcap_bytes
 from tests.pipeline.setup.plants.plant import CHANNELS, ROWS, START, value
 
@@ -49,7 +49,7 @@ def by_fields(row: int) -> Mapping[str, object]:
     ("messages", "names", "pressure"),
     [
         (messages_of(by_topics), ("/mill3/motor1", "/mill3/motor2"), "/mill3/{}/pressure"),
-        (messages_of(by_fields), ("motor1", "motor2"), "/mill3.{}.pressure"),
+        (messages_of(by_fields), ("motor1", "motor2"), "{}.pressure"),
     ],
     ids=["topics", "fields"],
 )
@@ -65,7 +65,7 @@ def test_each_motor_has_its_channels(
         f"{one.motor_id}.pressure_difference": pressure.format(f"motor{number}")
         for number, one in enumerate(first.motors, 1)
     }
-    answers["time log_time"] = "log_time"
+    answers["time"] = "log_time"
     asked = {one.key for one in propose(log, answers).questions}
     answers |= {key: UNITS[key.removeprefix("unit of ").rpartition(".")[2]] for key in asked}
     proposal = propose(log, answers)

@@ -17,7 +17,7 @@ from pipeline.config.nights import Night, night, night_of, nights_between
 from pipeline.errors import UsageError
 from pipeline.logs.database import Connection, DatabaseError
 from pipeline.logs.landing import between, identifier, nights_with_rows, stored_type, write_parquet
-from pipeline.setup.plant import Proposal, ProposedMotor, Question, propose
+from pipeline.setup.propose import Proposal, ProposedMotor, Question, propose
 from pipeline.store.atomic_files import put
 
 # No log is older.
@@ -118,4 +118,4 @@ def _write_sample(connection: Connection, query: str, here: Night, path: Path) -
 def _of_database(motor: ProposedMotor, database: Mapping[str, object]) -> ProposedMotor:
     """A motor proposed from the file of a night, with the database in its place."""
     logs = {key: value for key, value in motor.logs.items() if key not in ("format", "files")}
-    return replace(motor, logs={"format": "sql", **logs, "database": database})
+    return replace(motor, logs={"format": "sql", **logs, "database": database}, files=())

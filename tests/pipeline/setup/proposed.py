@@ -1,4 +1,4 @@
-"""Logs that `check --suggest` is asked about, read with what it says."""
+"""Logs that `init` is asked about, read with what it proposes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from pipeline.config import Channel
+from pipeline.config.logs import Logs
 from pipeline.ingest import RawLog, read_log
-from pipeline.setup.suggest import suggest
+from pipeline.setup.names import meaning_of
+from pipeline.setup.propose import Proposal, ProposedMotor, propose
+from pipeline.units import canonical_unit
 from tests.pipeline.setup.text_logs import EPOCH, Label, Samples, TextLog, in_unit
-from tests.pipeline.simulated import load_motor
 
-HEAD = 'motor_id = "M1"\nmotor_type = "CB560"\noil = "vg68"\n'
 LABELS = {
     "pressure_difference": Label("dp", "kPa", "kPa"),
     "oil_temperature": Label("Oil temp", "degC", "°C"),
@@ -39,17 +41,35 @@ def samples_of(count: int = 30) -> dict[str, list[float | None]]:
     }
 
 
-def read_as_suggested(folder: Path, path: Path, toml: str) -> dict[str, RawLog]:
-    """Logs by file, read with a motor's file that is the suggestion and the motor's name."""
-    spec = load_motor(folder, HEAD + toml)
-    found = {
-        file.name: file
-        for pattern in spec.file.logs.files
-        for file in path.parent.parent.glob(pattern)
+def proposed(source: Path, units: Mapping[str, str] | None = None, form: str = "") -> Proposal:
+    """A proposal, with the answers of a person who knows the units and the form of the time."""
+    answers: dict[str, str] = {}
+    for _ in range(4):
+        found = propose(source, answers)
+        for one in found.questions:
+            if one.key.startswith("unit of"):
+                channel = one.text.split("unit of ")[1].split(" (")[0].replace(" ", "_")
+                answers[one.key] = (units or {}).get(channel, canonical_unit(channel))
+            elif one.key.startswith("time_format"):
+                answers[one.key] = form or one.choices[0]
+            elif "pressure" in one.key:
+                high = [n for n in one.choices if meaning_of(n).channel == "high_port_pressure"]
+                answers[one.key] = (*high, *one.choices)[0]
+            else:
+                answers[one.key] = "UTC" if one.key == "time_zone" else one.choices[0]
+    assert not found.questions, found.questions
+    return found
+
+
+def read_as_proposed(motor: ProposedMotor, root: Path) -> list[RawLog]:
+    """The logs of a motor, found and read with what is proposed."""
+    logs = Logs.model_validate({**motor.logs, "files": tuple(motor.logs["files"])}, strict=False)
+    channels: Any = {
+        name: Channel.model_validate(one.keys()) for name, one in motor.channels.items()
     }
-    assert path.name in found, "the pattern of the files does not find the log"
-    logs, channels = spec.file.logs, spec.file.channels
-    return {name: read_log(file, logs, channels) for name, file in found.items()}
+    found = sorted({path for pattern in logs.files for path in root.glob(pattern)})
+    assert set(motor.files) <= set(found), "the patterns do not find the logs"
+    return [read_log(path, logs, channels) for path in found]
 
 
 def require_same(
@@ -73,13 +93,14 @@ def log_in(folder: Path, data: bytes, name: str = "log.csv") -> Path:
     return path
 
 
-def require_it_reads(folder: Path, path: Path, times: Any, samples: Any, **options: Any) -> str:
-    toml = suggest(path)
-    require_same(list(read_as_suggested(folder, path, toml).values()), times, samples, **options)
-    return toml
-
-
-DAY_OR_MONTH = r'day or month first\? The log begins on (.*) so, on (.*) with "(.*)"'
+def require_it_reads(
+    source: Path, times: Any, samples: Samples, form: str = "", units: Any = None, **options: Any
+) -> ProposedMotor:
+    """The one motor that is proposed, of which every sample is read back."""
+    found = proposed(source, units, form)
+    (motor,) = found.motors
+    require_same(read_as_proposed(motor, found.log_root), times, samples, **options)
+    return motor
 
 
 def columns_of(samples: Samples, dialect: TextLog = PLAIN) -> dict[str, pa.Array]:

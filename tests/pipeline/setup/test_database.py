@@ -13,7 +13,7 @@ from pipeline.cli import app
 from pipeline.config import load_fleet
 from pipeline.ingest import read_log
 from pipeline.logs.landing import land_nights
-from pipeline.setup.check import check_fleet, check_motor
+from pipeline.setup.check import check_motor
 from tests.pipeline.plant_database import FIRST, QUERY, VARIABLE, Plant, latest, table
 from tests.pipeline.postgres_server import SECRET, PostgresServer
 from tests.pipeline.workshop import Workshop
@@ -33,23 +33,6 @@ def test_check_looks_at_the_newest_nights_and_writes_nothing(
     database.run("ALTER TABLE log RENAME n TO speed", "TRUNCATE log")
     (fault,) = check_motor(plant.spec).faults
     assert fault == "database_empty: there are no rows from the night 2026-01-02 on"
-
-
-def test_two_motors_with_the_same_column_of_a_database_are_told(
-    database: PostgresServer, tmp_path: Path
-) -> None:
-    plant = Plant.at(tmp_path, database, nights=1)
-    one = tmp_path / "configs/motors/M1.toml"
-    text = one.read_text("utf-8")
-    one.with_name("M2.toml").write_text(text.replace('"M1"', '"M2"'), "utf-8")
-    first, second = check_fleet(load_fleet(plant.shop.fleet))
-    claimed = "column_claimed_twice: leakage_flow is the drain flow of M1, too"
-    assert claimed in second.faults
-    assert claimed not in first.faults
-    other = "SELECT * FROM log WHERE time >= {start} AND time < {end} AND speed > 0"
-    one.with_name("M2.toml").write_text(text.replace('"M1"', '"M2"').replace(QUERY, other), "utf-8")
-    _, second = check_fleet(load_fleet(plant.shop.fleet))
-    assert claimed not in second.faults
 
 
 def test_init_proposes_the_motors_of_a_table(database: PostgresServer, tmp_path: Path) -> None:

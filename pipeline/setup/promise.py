@@ -1,4 +1,4 @@
-"""Operation in a log, and the figures that a night of it gives."""
+"""Operation in a log, and the figures that a night of it gives if the model describes the motor."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _MOST_NIGHTS = 30
 _MOST_SAMPLES = 5000
 
 
-def night_worth(
+def promise(
     spec: MotorSpec, label: dt.date, channels: Mapping[str, RawChannel], nights: int
 ) -> str:
     """Running minutes a night, the conditions in them, and what they tell, in words.
@@ -41,69 +41,78 @@ def night_worth(
     no path.
     """
     speed = channels["speed"]
-    is_running = (np.abs(speed.value) > spec.settings.cleaning.standstill_rpm) & _valid(
+    is_running = (np.abs(speed.value) > spec.settings.cleaning.standstill_rpm) & is_valid(
         spec, "speed", speed
     )
     steps = np.diff(np.unique(speed.time_us[~speed.missing]))
     step_us = float(np.median(steps)) if steps.size else 0.0
     minutes = float(is_running.sum()) * step_us / SECOND_US / 60.0 / max(nights, 1)
-    windows = spec.settings.windows
-    needed = windows.minimum_training_minutes / windows.training_share
-    inputs = _inputs(spec, channels, is_running)
-    if not inputs:
-        return f"the motor ran {minutes:.3g} minutes a night, without a pressure and temperature"
-    reached, is_usual = [], np.ones_like(inputs[0], dtype=np.bool_)
+    chosen = np.flatnonzero(is_running)
+    chosen = chosen[:: max(1, len(chosen) // _MOST_SAMPLES)]
+    pressure, turning, temperature = conditions_at(spec, channels, speed.time_us[chosen])
+    ran = f"the motor ran {minutes:.3g} minutes a night"
+    if not chosen.size or pressure is None or turning is None or temperature is None:
+        return f"{ran}, without a pressure and temperature"
+    inputs = [pressure, turning, temperature]
+    reached, shares, is_usual = [], [], np.ones_like(pressure, dtype=np.bool_)
     for (name, (full, unit)), values in zip(_RANGES.items(), inputs, strict=True):
         low, high = np.percentile(values, (5, 95), method="nearest")
         is_usual &= (values >= low) & (values <= high)
-        share = min((high - low) / full, 1.0)
-        reached.append(f"{name} {low:.3g} to {high:.3g} {unit} ({100 * share:.0f} %)")
-    ran = (
-        f"the motor ran {minutes:.3g} minutes a night, at {', '.join(reached)} of the range that "
-        "tells every path within a night"
-    )
+        shares.append(min((high - low) / full, 1.0))
+        reached.append(f"{name} {low:.3g} to {high:.3g} {unit} ({100 * shares[-1]:.0f} %)")
+    ran += f", at {', '.join(reached)} of the range that tells every path within a night"
+    windows = spec.settings.windows
+    needed = windows.minimum_training_minutes / windows.training_share
     if minutes < needed:
         return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
-    usual = [values[is_usual] for values in inputs]
-    return f"{ran}: leakage every night, {_paths_told(spec, label, usual, minutes)}"
+    told = _paths_told(spec, label, [values[is_usual] for values in inputs], minutes, shares[1])
+    first = spec.settings.trend.baseline_nights
+    return (
+        f"{ran}: if the model describes the motor, leakage every night, {told}; first verdict on a "
+        f"change after {first} nights"
+    )
 
 
-def _valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:
+def is_valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:
     """Samples within the channel's range."""
     stated = next(one.valid_range for key, one in spec.file.channels.items() if key == name)
     low, high = stated or FALLBACK_VALID_RANGE[name]
     return (raw.value >= low) & (raw.value <= high)
 
 
-def _inputs(
-    spec: MotorSpec, channels: Mapping[str, RawChannel], is_running: NDArray[np.bool_]
-) -> list[Array]:
-    """Pressure difference, speed and temperature at some samples at which the motor ran."""
-    chosen = np.flatnonzero(is_running)
-    chosen = chosen[:: max(1, len(chosen) // _MOST_SAMPLES)]
-    time_us = channels["speed"].time_us[chosen]
+def conditions_at(
+    spec: MotorSpec, channels: Mapping[str, RawChannel], time_us: NDArray[np.int64]
+) -> tuple[Array | None, Array | None, Array | None]:
+    """Magnitudes of pressure difference and speed, and temperature, at some times."""
 
     def at(name: str) -> Array | None:
-        if name not in channels or not chosen.size:
+        if name not in channels or not time_us.size:
             return None
         own = channels[name]
-        known = _valid(spec, name, own)
+        known = is_valid(spec, name, own)
         if not known.any():
             return None
         order = np.argsort(own.time_us[known], kind="stable")
         return np.interp(time_us, own.time_us[known][order], own.value[known][order])
 
-    pressure, temperature = at("pressure_difference"), at("oil_temperature")
-    high, low = at("high_port_pressure"), at("low_port_pressure")
+    pressure, high, low = map(
+        at, ("pressure_difference", "high_port_pressure", "low_port_pressure")
+    )
     if pressure is None and high is not None and low is not None:
         pressure = high - low
-    if pressure is None or temperature is None:
-        return []
-    return [np.abs(pressure), np.abs(channels["speed"].value[chosen]), temperature]
+    speed = at("speed")
+    magnitudes = [None if one is None else np.abs(one) for one in (pressure, speed)]
+    return magnitudes[0], magnitudes[1], at("oil_temperature")
 
 
-def _paths_told(spec: MotorSpec, label: dt.date, inputs: list[Array], minutes: float) -> str:
-    """Nights after which the paths are told apart, in words."""
+def _paths_told(
+    spec: MotorSpec, label: dt.date, inputs: list[Array], minutes: float, speed_share: float
+) -> str:
+    """Nights after which the paths are identified, in words.
+
+    What tells the paths by their dependence on speed is as wide as the speed's own range: the
+    minutes that are enough grow with its square.
+    """
     motor = spec.motor(label, spec.file.flushing.mode)
     try:
         pressure, speed, temperature = inputs
@@ -111,9 +120,11 @@ def _paths_told(spec: MotorSpec, label: dt.date, inputs: list[Array], minutes: f
         widths = half_widths(motor, conditions, minutes)
     except LeakageError:
         return "paths cannot be judged: its conditions are outside the model's"
-    alone = math.ceil(_ENOUGH_MINUTES / minutes)
+    enough = _ENOUGH_MINUTES / max(speed_share, 1e-3) ** 2
     nights = {
-        name: max(alone, math.ceil((width / _WIDEST) ** 2)) if math.isfinite(width) else math.inf
+        name: max(math.ceil(enough / minutes), math.ceil((width / _WIDEST) ** 2))
+        if math.isfinite(width)
+        else math.inf
         for name, width in widths.items()
     }
     told = [name for name, number in nights.items() if number <= _MOST_NIGHTS]
@@ -123,7 +134,7 @@ def _paths_told(spec: MotorSpec, label: dt.date, inputs: list[Array], minutes: f
         number = max(nights[name] for name in told)
         after = "every night" if number == 1 else f"after {number} nights"
         words = f"{'other ' if untold else ''}paths {after}"
-    return f"{words}; not told apart at these conditions: {untold}" if untold else words
+    return f"{words}; not identified at these conditions: {untold}" if untold else words
 
 
 def half_widths(motor: Motor, conditions: OperatingConditions, minutes: float) -> dict[str, float]:

@@ -10,20 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
-from pipeline.config import MotorSpec
+from pipeline.config import Channel, MotorSpec
+from pipeline.config.channels import COUNTED
 from pipeline.config.logs import Logs
 from pipeline.config.motors import MotorFile
 from pipeline.ingest import RawChannel
-from pipeline.setup.guess_channels import LOW_SIDE, USUAL, unit_of
-from pipeline.setup.guess_csv import csv_head
-from pipeline.setup.guess_parquet import parquet_columns
+from pipeline.setup.names import LOW_SIDE, QUANTITY_OF, USUAL, meaning_of
+from pipeline.setup.sniff import header_of
 from pipeline.units import QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
 
 # A drain flow this many times off the configured model's is of another unit sooner than worn.
 UNUSUAL_FLOW = 8.0
-FLOW = "leakage_flow"
-
-Typical = Mapping[str, float]
 
 
 def suspect_units(
@@ -45,11 +42,11 @@ def suspect_units(
     found: dict[str, str] = {}
     for name, value in typical.items():
         low, high = USUAL.get(QUANTITIES[name], (0.0, float("inf")))
-        if name not in (*LOW_SIDE, FLOW) and not low <= value <= high:
+        if name not in (*LOW_SIDE, COUNTED) and not low <= value <= high:
             units = [unit for unit, _ in _usual_values(spec, name, value)]
             found[name] = f"{_unusual(name, value)}{_mended(units)}"
     flow = _unusual_flow(spec, night, typical, set(found))
-    found |= {FLOW: flow} if flow else {}
+    found |= {COUNTED: flow} if flow else {}
     return {name: f"unit_unusual: {name}: {words}" for name, words in found.items()}
 
 
@@ -58,28 +55,27 @@ def units_told(path: Path, file: MotorFile) -> dict[str, str]:
     beside = columns_of(path, file.logs) or {}
     found = {}
     for name, channel in file.channels.items():
-        if channel.counts is not None or channel.constant is not None:
+        said = meaning_of(channel.source, beside.get(channel.source, "")).unit
+        if said is None or said == channel.unit or not _is_judged(channel):
             continue
-        unit = unit_of(name, beside.get(channel.source, "")) or unit_of(name, channel.source)
-        if unit is not None and unit != channel.unit:
-            found[str(name)] = (
-                f"unit_differs: {name}: configured in {channel.unit}, and the log says {unit} of "
-                f"{channel.source}"
-            )
+        code, more = "unit_differs", ""
+        if QUANTITY_OF[said] != QUANTITIES[name]:
+            code, more = "unit_dimension", f", which is no {QUANTITIES[name]}: another column?"
+        found[str(name)] = (
+            f"{code}: {name}: configured in {channel.unit}, and the log says {said} of "
+            f"{channel.source}{more}"
+        )
     return found
+
+
+def _is_judged(channel: Channel) -> bool:
+    return channel.counts is None and channel.constant is None and channel.scale == 1.0
 
 
 def columns_of(path: Path, logs: Logs) -> dict[str, str] | None:
     """Columns of a table, each with what stands in its header as a unit; None: it is no table."""
-    if logs.layout != "wide":
-        return None
-    if logs.format == "csv":
-        head = csv_head(path)
-        return dict(zip(head.names, head.units or ("",) * len(head.names), strict=False))
-    if logs.format == "parquet":
-        columns = parquet_columns(path)
-        return {one.name: one.unit if one.kind != "timestamp" else "" for one in columns}
-    return None
+    is_table = logs.layout == "wide" and logs.format in ("csv", "parquet")
+    return header_of(path) if is_table else None
 
 
 def _typical(raw: RawChannel) -> float | None:
@@ -116,14 +112,14 @@ def _usual_values(spec: MotorSpec, name: str, value: float) -> Iterator[tuple[st
 
 
 def _unusual_flow(
-    spec: MotorSpec, night: dt.date, typical: Typical, unusual: set[str]
+    spec: MotorSpec, night: dt.date, typical: Mapping[str, float], unusual: set[str]
 ) -> str | None:
     """A flow that is unusual, in words; None: it is usual, or cannot be judged."""
     pressure = "pressure_difference" if "pressure_difference" in typical else "high_port_pressure"
     inputs = (pressure, "oil_temperature", "speed")
-    if FLOW not in typical or not set(inputs) <= typical.keys():
+    if not {COUNTED, *inputs} <= typical.keys():
         return None
-    flow = typical[FLOW]
+    flow = typical[COUNTED]
     # The usual values of what is unusual as it stands, the value itself of what is not.
     values = [
         [reading for _, reading in _usual_values(spec, name, typical[name])]
@@ -131,13 +127,23 @@ def _unusual_flow(
         else [typical[name]]
         for name in inputs
     ]
-    expected = [_model_flow(spec, night, *one) for one in product(*values)]
-    known = [one for one in expected if one is not None]
+    known = [found for one in product(*values) if (found := _model_flow(spec, night, *one))]
     if not known or _near(flow, known):
         return None
-    units = [unit for unit in UNITS["flow"] if _near(_in_unit(spec, FLOW, flow, unit), known)]
-    others = [] if unusual else list(_other_units(spec, night, inputs, typical))
-    return f"{_unusual(FLOW, flow)} where the model has {known[0]:.2g}{_mended(units, others)}"
+    units = [unit for unit in UNITS["flow"] if _near(_in_unit(spec, COUNTED, flow, unit), known)]
+    # Inputs of which another unit, usual as well, explains the flow.
+    others = [
+        f"{name} {unit}"
+        for at, name in enumerate(inputs if not unusual else ())
+        for unit, reading in _usual_values(spec, name, typical[name])
+        if (
+            found := _model_flow(
+                spec, night, *(reading if i == at else typical[one] for i, one in enumerate(inputs))
+            )
+        )
+        and _near(flow, [found])
+    ]
+    return f"{_unusual(COUNTED, flow)} where the model has {known[0]:.2g}{_mended(units, others)}"
 
 
 def _near(flow: float, expected: list[float]) -> bool:
@@ -153,16 +159,3 @@ def _model_flow(
         return float(total_flow_l_per_min(motor, conditions)[0])
     except LeakageError:
         return None
-
-
-def _other_units(
-    spec: MotorSpec, night: dt.date, inputs: tuple[str, ...], typical: Typical
-) -> Iterator[str]:
-    """Inputs of which another unit, usual as well, explains the flow."""
-    for at, name in enumerate(inputs):
-        for unit, reading in _usual_values(spec, name, typical[name]):
-            values = [typical[one] for one in inputs]
-            values[at] = reading
-            expected = _model_flow(spec, night, *values)
-            if expected is not None and _near(typical[FLOW], [expected]):
-                yield f"{name} {unit}"

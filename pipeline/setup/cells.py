@@ -1,0 +1,290 @@
+"""Cells of text: numbers and the marks in them, time stamps and their formats."""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+from pipeline.clock import latest_us
+from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
+from pipeline.logs.told_nights import date_in
+from pipeline.setup.names import is_in, words_of
+
+LOOKED_AT = 60  # cells of a column by which it is judged
+_MOST_TOKENS = 5  # kinds of cells that may say "no sample"
+
+_DATES = (
+    *("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%Y %m %d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"),
+    *("%d-%m-%Y", "%m-%d-%Y", "%d %m %Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y", "%d-%m-%y"),
+    *("%m-%d-%y", "%y-%m-%d", "%y/%m/%d", "%d-%b-%Y", "%d %b %Y", "%d-%b-%y", "%d %B %Y"),
+    *("%d-%B-%Y", "%d.%b.%Y", "%d/%b/%Y", "%Y%m%d"),
+)
+_CLOCKS = (
+    *("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%H.%M.%S", "%H.%M.%S,%f", "%H%M%S"),
+    *("%I:%M:%S %p", "%I:%M %p", "%I:%M:%S%p", "%I:%M:%S.%f %p"),
+)
+_ZONE = r"(?P<zone> ?(?:Z|[+-]\d\d:?\d\d|UTC|GMT))?"
+_MONTH = r"(?:\d{1,2}|[A-Za-z]{3,9})"
+_DATE = rf"\d{{4}}[-/. ]{_MONTH}[-/. ]\d{{1,2}}|\d{{1,2}}[-/. ]{_MONTH}[-/. ](?:\d{{4}}|\d\d)"
+_CLOCK = r"\d{1,2}[:.]\d\d(?:[:.]\d\d(?:[.,]\d+)?)?(?: ?[AaPp][Mm])?"
+_STAMP = re.compile(
+    rf"(?P<date>{_DATE}|\d{{8}})(?P<between>[ T_]|, |,| - )(?P<clock>{_CLOCK}|\d{{6}}){_ZONE}"
+)
+_ONLY_DATE, _ONLY_CLOCK = re.compile(_DATE), re.compile(rf"(?=.*:){_CLOCK}{_ZONE}")
+_ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?")
+_EPOCHS = {"epoch_s": 1.0, "epoch_ms": 1e3, "epoch_us": 1e6, "epoch_ns": 1e9}
+_EARLIEST_S = dt.datetime(2001, 1, 1, tzinfo=dt.UTC).timestamp()
+_EXCEL_ZERO_DAYS = 25569  # 1 January 1970
+_MONTH_S = 20 * 86400.0
+
+
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """Marks that numbers have; not certain where either could be between thousands."""
+
+    decimal: str = "."
+    thousands: str = ""
+    is_certain: bool = True
+
+
+def _number(decimal: str, thousands: str) -> re.Pattern[str]:
+    group = rf"[1-9]\d{{0,2}}(?:{re.escape(thousands)}\d{{3}})+|" if thousands else ""
+    mark = re.escape(decimal)
+    return re.compile(rf"[+-]?(?:(?:{group}\d+)(?:{mark}\d*)?|{mark}\d+)(?:[eE][+-]?\d+)?")
+
+
+_MARKS = tuple(
+    Marks(decimal, thousands)
+    for thousands in ("", *THOUSANDS)
+    for decimal in ".,"
+    if decimal != thousands
+)
+_NUMBERS = {marks: _number(marks.decimal, marks.thousands) for marks in _MARKS}
+_NOT_FINITE = re.compile(r"(?i)[+-]?(nan|inf|infinity)")
+
+
+def is_number(cell: str) -> bool:
+    """True if a cell is a number in some dialect.
+
+    Examples
+    --------
+    >>> [is_number(cell) for cell in ("-1.234,5", "1e-3", "bar", "12.03.2025")]
+    [True, True, False, False]
+    """
+    fits = any(number.fullmatch(cell) for number in _NUMBERS.values())
+    return bool(cell) and (fits or bool(_NOT_FINITE.fullmatch(cell)))
+
+
+def is_missing(cell: str) -> bool:
+    """True if a cell says that there is no sample."""
+    return cell in MISSING_TOKENS
+
+
+def marks_of(cells: Iterable[str]) -> Marks:
+    """Decimal mark and mark between thousands in which the most numbers can be read.
+
+    Examples
+    --------
+    >>> marks_of(["1.234,5", "7,25"])
+    Marks(decimal=',', thousands='.', is_certain=True)
+    >>> marks_of(["1.234", "5.678"])
+    Marks(decimal='.', thousands='', is_certain=False)
+    """
+    numbers = [cell for cell in cells if is_number(cell)]
+    if not any(re.search(r"\D", cell.lstrip("+-")) for cell in numbers):
+        return Marks()
+    counts = {
+        marks: sum(bool(one.fullmatch(cell)) for cell in numbers) for marks, one in _NUMBERS.items()
+    }
+    best = [marks for marks, count in counts.items() if count == max(counts.values())]
+    first = best[0]
+    return Marks(first.decimal, first.thousands, all(m.decimal == first.decimal for m in best))
+
+
+def as_number(cell: str, marks: Marks) -> float | None:
+    """A cell's number; None: it is none.
+
+    Examples
+    --------
+    >>> as_number("1.234,5", Marks(",", "."))
+    1234.5
+    """
+    plain = cell.replace(marks.thousands, "") if marks.thousands else cell
+    try:
+        return float(plain.replace(marks.decimal, "."))
+    except ValueError:
+        return None
+
+
+def strange_tokens(cells: Sequence[str]) -> tuple[str, ...]:
+    """Cells of a column of numbers that seem to say "no sample", and are not known to.
+
+    Examples
+    --------
+    >>> strange_tokens(["1.5", "ERR", "", "2.5"]), strange_tokens(["a", "b"])
+    (('ERR',), ())
+    """
+    words = [cell for cell in cells if not is_number(cell) and not is_missing(cell)]
+    if 2 * len(words) > len(cells) or len(set(words)) > _MOST_TOKENS:
+        return ()
+    return tuple(dict.fromkeys(words))
+
+
+def kind_of(cells: Sequence[str]) -> str:
+    """Kind of most cells: stamp, date, clock, number, text or nothing.
+
+    Examples
+    --------
+    >>> kind_of(["1.5", "---", "2"]), kind_of(["06:00:00"]), kind_of(["", "-"])
+    ('number', 'clock', 'nothing')
+    """
+    filled = [cell for cell in cells if not is_missing(cell)][:LOOKED_AT]
+    tests = {"stamp": is_stamp, "number": is_number, "date": _is_date, "clock": _is_clock}
+    for kind, test in tests.items():
+        if filled and 2 * sum(map(test, filled)) > len(filled):
+            return kind
+    return "text" if filled else "nothing"
+
+
+def is_time_name(name: str) -> bool:
+    """True if a column's name is that of a time.
+
+    Examples
+    --------
+    >>> [is_time_name(name) for name in ("Zeit", "t_ms", "Timestamp (UTC)", "T_oil", "total")]
+    [True, True, True, False, False]
+    """
+    words = words_of(name)
+    is_count = (
+        len(words) < 2 or words[0] not in ("t", "ts") or words[1] in ("ms", "us", "s", "stamp")
+    )
+    return is_in(words[:1], "column", "time") and is_count
+
+
+def is_stamp(cell: str) -> bool:
+    """True if a cell is a whole time stamp, not a count."""
+    return bool(_ISO.fullmatch(cell) or _STAMP.fullmatch(cell))
+
+
+def _is_date(cell: str) -> bool:
+    return bool(_ONLY_DATE.fullmatch(cell))
+
+
+def _is_clock(cell: str) -> bool:
+    return bool(_ONLY_CLOCK.fullmatch(cell))
+
+
+def _parsed(text: str, form: str) -> dt.datetime | None:
+    # No more digits than Python's %f takes; a logger may leave out a fraction that is none.
+    plain = re.sub(r"([:\d][.,]\d{6})\d+", r"\1", text)
+    for one in (form, re.sub(r"[.,]%f", "", form)):
+        with suppress(ValueError):
+            return dt.datetime.strptime(plain, one).replace(tzinfo=dt.UTC)
+    return None
+
+
+def _shapes(stamp: str) -> list[str]:
+    """Formats that a stamp may have."""
+    match = _STAMP.fullmatch(stamp)
+    if match is None:
+        return []
+    behind = re.sub(r"Z|[+-].*", "%z", match["zone"] or "")
+    dates = [form for form in _DATES if _parsed(match["date"], form)]
+    clocks = [form for form in _CLOCKS if _strictly(match["clock"], form)]
+    return [a + match["between"] + b + behind for a, b in product(dates, clocks)]
+
+
+def _strictly(text: str, form: str) -> bool:
+    has_fraction = bool(re.search(r"[:.]\d\d[:.]\d\d[.,]", text))
+    return has_fraction == ("%f" in form) and _parsed(text, form) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class TimeFormats:
+    """Formats in which all stamps can be read, as of `logs.time_format`, the likeliest first."""
+
+    readings: dict[str, str]  # the first stamp in words, by format
+    has_zone: bool = False
+
+
+def time_formats(stamps: Sequence[str], decimal: str = ".", file_name: str = "") -> TimeFormats:
+    """Formats of time stamps in text, in the order of the log, none of them blank.
+
+    The decimal mark is for stamps that are counts; a date in the file's name tells day from month.
+
+    Examples
+    --------
+    >>> list(time_formats(["13.02.2025 06:00:00,5"]).readings)
+    ['%d.%m.%Y %H:%M:%S,%f']
+    >>> list(time_formats(["03/04/2025 06:00:00"]).readings.values())
+    ['3 April 2025', '4 March 2025']
+    """
+    numbers = [as_number(stamp, Marks(decimal)) for stamp in stamps]
+    counts = [number for number in numbers if number is not None]
+    if stamps and len(counts) == len(stamps):
+        form = count_format(counts)
+        return TimeFormats({form: ""} if form else {}, form in _EPOCHS)
+    has_zone = bool(stamps) and all(re.search(rf"\d{_ZONE[:-1]}$", one) for one in stamps)
+    if stamps and all(map(_ISO.fullmatch, stamps)):
+        return TimeFormats({"iso8601": ""}, has_zone)
+    ends = (stamps[0], stamps[-1]) if stamps else ()
+    forms = list(dict.fromkeys(form for stamp in ends for form in _shapes(stamp)))
+    times = {form: [_parsed(stamp, form) for stamp in stamps] for form in forms}
+    read = {form: [one for one in own if one] for form, own in times.items()}
+    whole = {form: own for form, own in read.items() if stamps and len(own) == len(stamps)}
+    return TimeFormats({form: _day(own[0]) for form, own in _likeliest(whole, file_name)}, has_zone)
+
+
+def _day(moment: dt.datetime) -> str:
+    return f"{moment.day} {moment:%B %Y}"
+
+
+def count_format(numbers: Sequence[float]) -> str | None:
+    """Format of stamps that are counts, by their size; None: no count of a time after 2001.
+
+    Examples
+    --------
+    >>> count_format([1740808800250.0]), count_format([45717.25]), count_format([12.5])
+    ('epoch_ms', 'excel_days', None)
+    """
+    seconds = {form: [one / factor for one in numbers] for form, factor in _EPOCHS.items()}
+    seconds["excel_days"] = [86400.0 * (one - _EXCEL_ZERO_DAYS) for one in numbers]
+    within = (
+        form
+        for form, own in seconds.items()
+        if own and min(own) > _EARLIEST_S and max(own) < latest_us() / 1e6
+    )
+    return next(within, None)
+
+
+def _likeliest(
+    times: dict[str, list[dt.datetime]], file_name: str
+) -> Iterator[tuple[str, list[dt.datetime]]]:
+    """Formats in which the log is as logs are, each reading of the first stamp once.
+
+    It has no steps of months, nothing in the future, and is of the date that the file is named for.
+    """
+    named = date_in(file_name)
+
+    def misfit(item: tuple[str, list[dt.datetime]]) -> tuple[int, int, bool]:
+        seconds = [one.timestamp() for one in item[1]]
+        ahead = sum(one > latest_us() / 1e6 for one in seconds)
+        leaps = sum(abs(b - a) > _MONTH_S for a, b in pairwise(seconds))
+        far = named is not None and abs((item[1][0].date() - named).days) > 1
+        return ahead, leaps, far
+
+    least = min(map(misfit, times.items()), default=None)
+    fitting = [item for item in times.items() if misfit(item) == least]
+    if any("%y" in form for form, _ in fitting):  # a log is of these years sooner than old
+        fitting.sort(key=lambda item: item[1][0], reverse=True)
+    elif any("%p" in form for form, _ in fitting):  # where noon is 12 PM the month is mostly first
+        fitting.sort(key=lambda item: not item[0].startswith("%m"))
+    seen = set[dt.datetime]()
+    for form, own in fitting:
+        if own[0] not in seen:
+            seen.add(own[0])
+            yield form, own

@@ -1,0 +1,300 @@
+"""The channel and the unit that a name in a log means.
+
+Names of columns, tags, topics and files are taken apart into words. A whole word decides before a
+single letter does; a unit alone decides where no word is known, and has the last word.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+import unicodedata
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from itertools import pairwise
+from pathlib import Path
+
+from pipeline.units import UNITS, to_canonical
+
+Vocabulary = Mapping[str, Mapping[str, str]]
+VOCABULARY: Vocabulary = tomllib.loads(
+    Path(__file__).with_name("vocabulary.toml").read_text("utf-8")
+)
+CHANNEL_OF = {"temperature": "oil_temperature", "speed": "speed", "flow": "leakage_flow"}
+QUANTITY_OF = {unit: one for one in ("pressure", *CHANNEL_OF) for unit in UNITS[one]}
+PORT_PRESSURES = ("high_port_pressure", "low_port_pressure")
+LOW_SIDE = ("low_port_pressure", "charge_pressure", "case_pressure")
+FEWEST_CHANNELS = 3  # by which names are a motor's
+
+# Upper quartile of the magnitude that a motor at work shows, in the units of the tables.
+USUAL: Mapping[str, tuple[float, float]] = {
+    "pressure": (5.0, 450.0),
+    "temperature": (5.0, 95.0),
+    "speed": (0.5, 400.0),
+    "flow": (0.05, 100.0),
+}
+_USUAL_LOW_SIDE = (0.1, 100.0)
+
+_BRACKETED = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
+_WORD = re.compile(r"[^\W\d_]+|\d+")
+_HIGHER = re.compile(r"(?<=[^\W\dA-Z_])(?=[A-Z])")
+_MARK = re.compile(r"[._/:|\\\s-]+")
+_PORT_WORDS = {"a", "b"}
+_LONGEST_WITH_A_LETTER = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """What a name says; `channel` is None where it means none, or contradicts its unit."""
+
+    channel: str | None
+    unit: str | None  # as the config has it; None: not said
+    merit: int = 0  # how well the name fits its channel; below 0 for a pressure that may be any
+
+
+@cache
+def _known(table: str, key: str) -> re.Pattern[str]:
+    """Words of the vocabulary, with and without the marks on their letters."""
+    words = {one for word in VOCABULARY[table][key].split() for one in _spelled(word.lower())}
+    return re.compile("|".join(re.escape(word).replace(r"\*", ".*") for word in words))
+
+
+def _spelled(word: str) -> Iterator[str]:
+    two = {"ö": "oe", "ä": "ae", "ü": "ue", "ł": "l", "ø": "o", "æ": "ae", "ı": "i"}
+    yield word
+    yield "".join(two.get(letter, letter) for letter in word)
+    yield "".join(
+        one for one in unicodedata.normalize("NFD", word) if not unicodedata.combining(one)
+    )
+
+
+def is_in(words: Iterable[str], table: str, key: str) -> bool:
+    """True if any word is one of the vocabulary's."""
+    return any(map(_known(table, key).fullmatch, words))
+
+
+def words_of(name: str) -> tuple[str, ...]:
+    """Words and numbers of a name, in lower case, without what stands in brackets.
+
+    Examples
+    --------
+    >>> words_of("drainFlow_lpm"), words_of("P_A [bar]"), words_of("ΔP")
+    (('drain', 'flow', 'lpm'), ('p', 'a'), ('dp',))
+    """
+    plain = unicodedata.normalize("NFC", _BRACKETED.sub(" ", name))
+    # A unit of its own beside the quantity's letter is no word: "p_Pa".
+    plain = re.sub(r"(?<=[^\W_][\W_])Pa\b", " ", plain).replace("Δ", "d").replace("∆", "d")
+    found = _WORD.findall(_HIGHER.sub(" ", plain).lower())
+    return tuple(re.sub(r"\bd p\b", "dp", " ".join(found)).split())
+
+
+def unit_named(text: str) -> str | None:
+    """Unit of the config that a text is the name of.
+
+    Examples
+    --------
+    >>> unit_named("°C"), unit_named("L/min"), unit_named("tr/min"), unit_named("pA")
+    ('degC', 'l/min', 'rpm', None)
+    """
+    return _units().get(re.sub(r"[\s·\[\]]", "", text) if text.strip() == "Pa" else _low(text))
+
+
+def _low(text: str) -> str:
+    low = re.sub(r"[\s·\[\]]", "", text.lower())
+    return "" if low == "pa" else low
+
+
+@cache
+def _units() -> dict[str, str]:
+    own = {unit if unit == "Pa" else unit.lower(): unit for unit in QUANTITY_OF}
+    others = {low: unit for unit, names in VOCABULARY["unit"].items() for low in names.split()}
+    return others | own
+
+
+def unit_in(name: str) -> str | None:
+    """Unit that a name states: in brackets, behind a comma or stroke, or as a word of its own.
+
+    Examples
+    --------
+    >>> unit_in("dp [kPa]"), unit_in("drain_flow_m3_h"), unit_in("TEMP_OLEO_C"), unit_in("pA")
+    ('kPa', 'm3/h', 'degC', None)
+    """
+    text = _unit_text(name)
+    return unit_named(text) if text else None
+
+
+def _unit_text(name: str) -> str:
+    """The unit in a name, as its words have it; empty for none."""
+    bracketed = _BRACKETED.findall(name)
+    behind = re.findall(r"(?:\bin |, ?| / )(\S+)$", name)
+    words = [word for word in re.split(r"[\s_.]+", name) if word != "per"]
+    rates = ["/".join(words[-n:]) for n in (2, 3) if len(words) >= n]
+    # A lone letter is a unit only as a capital at the end of a name of several words.
+    last = [word for word in words[-1:] if len(words) > 1 and (len(word) > 1 or word.isupper())]
+    inner = [word for word in _HIGHER.sub("_", name).split("_") if len(word) > 2]
+    others = [word for word in (*rates, *reversed(words[1:]), *inner) if len(word) > 1]
+    texts = (*bracketed, *behind, *rates, *last, *others)
+    return next((text for text in texts if unit_named(text)), "")
+
+
+def _without_unit(name: str) -> str:
+    """A name without the words of its unit, which are no others: "min" is then no minimum."""
+    words = map(re.escape, _unit_text(name).split("/"))
+    return re.sub(r"[\s_/]+(?:per[\s_]+)?".join(words) + r"(?![^\W_])", " ", name)
+
+
+@lru_cache(2**16)
+def meaning_of(name: str, unit: str = "") -> Meaning:
+    """Meaning of a name, with what stands beside it as a unit.
+
+    Examples
+    --------
+    >>> [meaning_of(one).channel for one in ("drain_flow [l/min]", "T_oil", "p_low", "operator")]
+    ['leakage_flow', 'oil_temperature', 'low_port_pressure', None]
+    >>> meaning_of("AI_3", "°C"), meaning_of("speed [l/min]").channel
+    (Meaning(channel='oil_temperature', unit='degC', merit=0), None)
+    """
+    words = words_of(_without_unit(name))
+    told = list(_quantities(words, name))
+    said = unit_named(unit) or unit_in(name)
+    if said is None and "temperature" in told:
+        said = unit_named(words[-1]) if words[-1] in ("c", "f", "k") else None
+    stated = QUANTITY_OF.get(said or "")
+    if stated is not None and told and stated not in told:
+        return Meaning(None, said)
+    quantity = stated or next(iter(told), None)
+    if quantity is None or is_in(words, "other", quantity) or is_in(words, "other", "none"):
+        return Meaning(None, said)
+    if quantity == "pressure":
+        role = _role(words, name)
+        return Meaning(role or "pressure_difference", said, 0 if role else -1)
+    channel = CHANNEL_OF[quantity]
+    return Meaning(channel, said, int(is_in(words, "preferred", channel)))
+
+
+def _quantities(words: Sequence[str], name: str) -> Iterator[str]:
+    """Quantities that words name; by a tag's code or a lone letter where no word does."""
+    found = [one for one in VOCABULARY["quantity"] if is_in(words, "quantity", one)]
+    if not found:
+        found = ["pressure" if key == "difference" else key for key in _codes(name)]
+    if not found and len(words) <= _LONGEST_WITH_A_LETTER:
+        found = [
+            key for word in words for key in VOCABULARY["letter"] if is_in([word], "letter", key)
+        ]
+        found += ["pressure"] * bool({"pa", "pb"} & set(words))
+    return iter(found)
+
+
+def _codes(name: str) -> list[str]:
+    return [
+        key
+        for key, codes in VOCABULARY["code"].items()
+        if re.search(rf"(?<![a-z])(?:{'|'.join(codes.split())})[-_ ]?\d", name.lower())
+    ]
+
+
+def _role(words: Sequence[str], name: str) -> str | None:
+    """Channel of a pressure; None: its name does not say whose it is."""
+    if "difference" in _codes(name):
+        return "pressure_difference"
+    # A letter is that of a port only behind a word for port or pressure.
+    behind = {
+        second
+        for first, second in pairwise((*words, *words[:1]))
+        if first == "p" or is_in([first], "quantity", "pressure")
+    }
+    marks = [word for word in words if word not in _PORT_WORDS or word in behind]
+    marks += [word[1] for word in words if word in ("pa", "pb")]
+    return next((role for role in VOCABULARY["role"] if is_in(marks, "role", role)), None)
+
+
+def likely_units(channel: str, values: Iterable[float]) -> tuple[str, ...]:
+    """Units in which readings are such as a motor at work shows, the commonest first.
+
+    Examples
+    --------
+    >>> likely_units("oil_temperature", [320.0, 321.5])
+    ('K',)
+    """
+    found = sorted(map(abs, values))
+    quantity = next((one for one, key in CHANNEL_OF.items() if key == channel), "pressure")
+    low, high = _USUAL_LOW_SIDE if channel in LOW_SIDE else USUAL[quantity]
+    typical = found[(3 * len(found)) // 4] if found else float("nan")
+    common = ("bar", "MPa", "kPa", "psi", "degC", "rpm", "l/min", "ml/min", "m3/h")
+    units = sorted(UNITS[quantity], key=lambda unit: unit not in common)
+    return tuple(
+        unit for unit in units if low <= float(to_canonical(channel, typical, unit)) <= high
+    )
+
+
+def missing_channels(found: Collection[str]) -> list[str]:
+    """Channels that a motor has to have, besides those that were found.
+
+    Examples
+    --------
+    >>> missing_channels(["speed", "leakage_flow", "low_port_pressure"])
+    ['high_port_pressure', 'oil_temperature']
+    """
+    ports = [name for name in PORT_PRESSURES if name not in found]
+    if "pressure_difference" in found:
+        ports = []
+    elif len(ports) == len(PORT_PRESSURES):
+        ports = ["pressure_difference"]
+    return [*ports, *(name for name in CHANNEL_OF.values() if name not in found)]
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Names of one motor; `name` is what they share, and `signals` the rest of each."""
+
+    name: str
+    signals: dict[str, str]  # by whole name
+
+
+def groups_of(names: Sequence[str], units: Mapping[str, str]) -> tuple[list[Group], list[str]]:
+    """Names by motor, and those that are no motor's.
+
+    A group is the longest common part behind which the most channels stand, each once. Names that
+    share nothing are one motor's, called nothing.
+
+    Examples
+    --------
+    >>> names = [f"W{n}_{tag}" for n in (1, 2) for tag in ("dp", "T_oil", "speed", "leak")]
+    >>> [group.name for group in groups_of(names, {})[0]]
+    ['W1', 'W2']
+    """
+    left, found = list(names), list[Group]()
+    while True:
+        best = max(_candidates(left), key=lambda one: _fit(one, units), default=None)
+        if best is None or _fit(best, units)[0] < FEWEST_CHANNELS:
+            return found, left
+        found.append(best)
+        left = [name for name in left if name not in best.signals]
+
+
+def _candidates(names: Sequence[str]) -> Iterator[Group]:
+    yield Group("", {name: name for name in names})
+    parts: dict[tuple[str, bool], dict[str, str]] = {}
+    for name in names:
+        hidden = _BRACKETED.sub(lambda one: "x" * len(one[0]), name)
+        for begin, end in (one.span() for one in _MARK.finditer(hidden)):
+            parts.setdefault((name[:begin], True), {})[name] = name[end:]
+            # What stands behind is the motor's as far as no unit follows.
+            tail = _BRACKETED.sub("", name[end:]).strip()
+            unit = name[end:].removeprefix(tail)
+            parts.setdefault((tail, False), {})[name] = name[:begin] + unit
+    for (name, is_head), signals in parts.items():
+        ends_path = not is_head and all(
+            is_in([one], "column", "part") or one.isdigit() for one in words_of(name)
+        )
+        if name and not ends_path and len(signals) >= FEWEST_CHANNELS:
+            yield Group(name, signals)
+
+
+def _fit(group: Group, units: Mapping[str, str]) -> tuple[int, int]:
+    """Channels told once less those told again, then the length of what is common."""
+    told = (meaning_of(one, units.get(name, "")).channel for name, one in group.signals.items())
+    counts = Counter(channel for channel in told if channel)
+    return 2 * len(counts) - counts.total(), len(group.name)

@@ -1,0 +1,316 @@
+"""What is in a log of any format: its dialect, its columns with their first cells, its time.
+
+Delimited text and Parquet here, messages in `sniff_mcap`: all end up as a `Table`.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pyarrow as pa
+from charset_normalizer import from_bytes
+
+from pipeline.config.logs import MISSING_TOKENS
+from pipeline.errors import LogError
+from pipeline.ingest.contract import readable
+from pipeline.ingest.csv.text import unpacked
+from pipeline.ingest.parquet.file import decoded, opened, text_paths
+from pipeline.setup.cells import (
+    is_missing,
+    is_number,
+    is_time_name,
+    kind_of,
+    marks_of,
+    strange_tokens,
+)
+from pipeline.setup.names import VOCABULARY, is_in, unit_named, words_of
+from pipeline.setup.sniff_mcap import sniff_mcap
+from pipeline.setup.tables import HEAD_ROWS, SAMPLES, TIMES, Cells, Column, Open, Rows, Table, timed
+
+_HEAD_BYTES = 2**16
+_SCANNED_BYTES = 2**23
+_SEPARATORS = (";", "\t", "|", ",")
+_ENCODINGS = ["cp1252", "cp1250", "cp1251", "cp1254", "gb18030", "shift_jis"]
+
+
+def sniff(path: Path) -> Table:
+    """Tell the dialect and the columns of a log.
+
+    Raises LogError if the file cannot be read, or its lines are no table.
+    """
+    with readable(path):
+        with path.open("rb") as file:
+            magic = file.read(8)
+        if magic.startswith(b"PAR1"):
+            return _parquet(path)
+        if magic.startswith(b"\x89MCAP"):
+            return sniff_mcap(path)
+        return _csv(path)
+
+
+def header_of(path: Path) -> dict[str, str]:
+    """Columns of a table, each with what stands beside its name as a unit; raises as `sniff`."""
+    with readable(path), path.open("rb") as file:
+        is_parquet = file.read(4) == b"PAR1"
+    if is_parquet:
+        columns = _parquet_columns(path)
+        return {one.name: one.unit if one.kind != "typed" else "" for one in columns}
+    _, table, header, units = _csv_head(path)
+    names = table.rows[header]
+    return dict(zip(names, units or ("",) * len(names), strict=False))
+
+
+# Delimited text
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """Lines taken apart by one separator."""
+
+    separator: str
+    rows: tuple[Cells, ...] = ()
+    width: int = 1
+    first: int = 0  # the first row of samples
+    fit: tuple[bool, float, int] = (False, 0.0, 0)
+
+
+def _csv_head(path: Path) -> tuple[str, _Lines, int, Cells]:
+    """Encoding, first lines taken apart, the line of the names, and the cells of one of units."""
+    encoding = _encoding(next(unpacked(path, _HEAD_BYTES), b""))
+    lines = list(islice(_text_lines(path, encoding, _HEAD_BYTES), HEAD_ROWS))
+    table = max((_taken_apart(lines, mark) for mark in _SEPARATORS), key=lambda one: one.fit)
+    if table.width < 2:
+        if any(len(_cells(line, mark)) > 2 for line in lines for mark in _SEPARATORS):
+            raise LogError("log_empty", path, "there are names of columns and no row of samples")
+        raise LogError("log_not_csv", path, "the first lines are no table of two columns or more")
+    header, units = _header(table)
+    if header is None:
+        raise LogError("log_not_csv", path, "no line above the first rows has names of the columns")
+    return encoding, table, header, units
+
+
+def _csv(path: Path) -> Table:
+    encoding, table, header, units = _csv_head(path)
+    names = table.rows[header]
+    unit_rows = sum(any(row) for row in table.rows[header + 1 : table.first])
+    found = [row for row in table.rows[table.first :] if len(row) == table.width and row != names]
+    cells = list(zip(*found, strict=True)) or [()] * len(names)
+    columns = [
+        Column(name, own, kind_of(own), unit, {"source": name})
+        for name, unit, own in zip(names, units or ("",) * len(names), cells, strict=True)
+        if name and names.count(name) == 1
+    ]
+    at = {name: i for i, name in enumerate(names)}
+
+    def rows(wanted: Sequence[str]) -> Rows:
+        below = islice(_text_lines(path, encoding, _SCANNED_BYTES), header + 1 + unit_rows, None)
+        for row in (_cells(line, table.separator) for line in below):
+            if len(row) == len(names) and row != names and not row[0].startswith("#"):
+                yield tuple(row[at[name]] for name in wanted)
+
+    numbers = [one for one in columns if one.kind == "number"]
+    marks = marks_of(cell for one in numbers for cell in one.cells)
+    if marks.decimal == table.separator:
+        message = (
+            "a comma is the decimal mark and separates the cells, too: such a log is not read, "
+            "have it written with another separator"
+        )
+        raise LogError("log_not_csv", path, message)
+    tokens = dict.fromkeys(token for one in numbers for token in strange_tokens(one.cells))
+    dialect: dict[str, Any] = {
+        "separator": table.separator if table.separator != "," else "",
+        "decimal": marks.decimal if marks.decimal != "." else "",
+        "thousands": marks.thousands,
+        "encoding": encoding if encoding != "utf-8" else "",
+        "skip_rows": header,
+        "unit_rows": unit_rows,
+        "missing_tokens": [*MISSING_TOKENS, *tokens] if tokens else [],
+    }
+    questions = []
+    if not marks.is_certain:
+        other = {",": ".", ".": ","}[marks.decimal]
+        answers = {marks.decimal: {"decimal": marks.decimal}}
+        answers[other] = {"decimal": other, "thousands": marks.decimal}
+        questions = [Open("decimal", "a decimal mark, or between thousands?", answers)]
+    logs = {"format": "csv"} | {key: value for key, value in dialect.items() if value}
+    return timed(path, Table(logs, tuple(questions), tuple(columns), (), marks, rows))
+
+
+def _encoding(head: bytes) -> str:
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    # Text has no NUL: in UTF-16 every other byte of plain letters is one.
+    if 5 * head.count(0) > 2 * len(head):
+        return "utf-16-be" if head[:1] == b"\0" else "utf-16-le"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        # Of a few lines several encodings make sense; the right one makes the most known words.
+        found = from_bytes(head, cp_isolation=_ENCODINGS)
+        likely = [name for one in found for name in one.could_be_from_charset]
+        ranked = sorted(set(likely) & {*_ENCODINGS}, key=_ENCODINGS.index)
+        return max(ranked, key=lambda name: _words_known(head, name), default="latin-1")
+    return "utf-8"
+
+
+def _words_known(head: bytes, encoding: str) -> int:
+    words = {
+        one for line in head.decode(encoding, "replace").splitlines() for one in words_of(line)
+    }
+    return sum(is_in([word], "quantity", one) for one in VOCABULARY["quantity"] for word in words)
+
+
+def _text_lines(path: Path, encoding: str, most_bytes: int) -> Iterator[str]:
+    """Whole lines of the first bytes of a text."""
+    decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
+    rest, done = "", 0
+    for data in unpacked(path, min(most_bytes, 2**20)):
+        lines = (rest + decoder.decode(data)).splitlines(keepends=True)
+        rest = lines.pop() if lines and not lines[-1].endswith(("\n", "\r")) else ""
+        yield from (line.strip("\r\n").removeprefix("\ufeff") for line in lines)
+        done += len(data)
+        if done >= most_bytes:
+            return
+
+
+def _cells(line: str, separator: str) -> Cells:
+    try:
+        return tuple(cell.strip() for cell in next(csv.reader([line], delimiter=separator), []))
+    except csv.Error:
+        return ()
+
+
+def _taken_apart(lines: Sequence[str], separator: str) -> _Lines:
+    rows = tuple(_cells(line, separator) for line in lines)
+    # The rows of samples are the last ones, whatever stands before them.
+    tail = Counter(len(row) for row in rows[len(rows) // 2 :] if len(row) > 1)
+    width = max(tail, key=lambda one: (tail[one], one), default=1)
+    wide = [row for row in rows if len(row) == width and any(map(_holds_sample, row))]
+    # A column is one of samples where most of its cells are, those in the header left aside.
+    shares = [
+        sum(map(_holds_sample, cells)) / max(sum(not is_missing(one) for one in cells), 1)
+        for cells in zip(*wide[len(wide) // 3 :], strict=True)
+    ]
+    sampled = [i for i, share in enumerate(shares) if share > 0.5]
+    if width < 2 or not sampled:
+        return _Lines(separator, rows)
+    starts = (len(row) == width and _holds_sample(row[sampled[0]]) for row in rows)
+    first = next((i for i, starts_here in enumerate(starts) if starts_here), 0)
+    below = [row for row in rows[first:] if row]
+    regular = sum(len(row) == width for row in below) / max(len(below), 1)
+    named = first > 0 and len(rows[first - 1]) == width
+    return _Lines(separator, rows, width, first, (named, sum(shares) / width * regular, width))
+
+
+def _holds_sample(cell: str) -> bool:
+    return is_number(cell) or kind_of([cell]) in TIMES
+
+
+def _header(table: _Lines) -> tuple[int | None, Cells]:
+    """The line that has the names, and the cells of a line of units below it."""
+    block: list[int] = []
+    for at in range(table.first - 1, -1, -1):
+        line = table.rows[at]
+        # Marks of a dataset, such as "#ROWS", may stand between.
+        if len(line) != table.width and any(line) and not line[0].startswith("#"):
+            break
+        if len(line) == table.width:
+            block.insert(0, at)
+    # Annotations, such as "#datatype", are no names where others are there.
+    block = [at for at in block if not table.rows[at][0].startswith("#")] or block
+    if not block:
+        return None, ()
+    with_time = [at for at in block if any(map(is_time_name, table.rows[at]))]
+    distinct = {at: len(set(table.rows[at]) - {""}) for at in block}
+    header = with_time[0] if with_time else max(block, key=lambda at: (distinct[at], -at))
+    below = [table.rows[at] for at in block if at > header]
+    # The same in all cells are types of numbers, such as "F".
+    units = [cells for cells in below if len(set(cells[1:]) - {""}) > 1 or len(cells) == 2]
+    return header, max(units, key=lambda cells: sum(map(bool, map(unit_named, cells))), default=())
+
+
+# Parquet
+
+
+def _parquet_columns(path: Path) -> list[Column]:
+    with opened(path, _texts(path)) as file:
+        schema = file.schema_arrow
+        head = next(file.iter_batches(batch_size=HEAD_ROWS), None)
+        head = pa.RecordBatch.from_pylist([], schema=schema) if head is None else head
+        head.validate(full=True)
+        return [
+            column
+            for one, values in zip(schema, head.columns, strict=True)
+            if schema.names.count(one.name) == 1
+            for column in _leaves(path, one.name, one, values)
+        ]
+
+
+def _texts(path: Path) -> list[str]:
+    with opened(path) as file:
+        return text_paths(file.schema_arrow)
+
+
+def _parquet(path: Path) -> Table:
+    columns = _parquet_columns(path)
+    if not columns:
+        raise LogError("log_empty", path, "the file has no columns that can be read")
+
+    def rows(wanted: Sequence[str]) -> Rows:
+        """The first rows of each text in the first of the columns, piece by piece."""
+        with opened(path, _texts(path)) as file:
+            for batch in file.iter_batches(batch_size=2**17, columns=list(wanted)):
+                batch.validate(full=True)
+                leaves = [
+                    leaf
+                    for one, values in zip(batch.schema, batch.columns, strict=True)
+                    for leaf in _flat(path, one.name, one, values)
+                ]
+                frame = pl.DataFrame({name: pl.Series(values) for name, _, values in leaves})
+                first = frame.select(wanted).group_by(wanted[0], maintain_order=True).head(SAMPLES)
+                yield from (tuple(map(_text, row)) for row in first.select(wanted).iter_rows())
+
+    return timed(path, Table({"format": "parquet"}, (), tuple(columns), (), rows=rows))
+
+
+def _text(cell: object) -> str:
+    return "" if cell is None else str(cell)
+
+
+def _flat(
+    path: Path, name: str, one: pa.Field, values: pa.Array
+) -> Iterator[tuple[str, pa.Field, pa.Array]]:
+    """Columns within a column, by their paths."""
+    if pa.types.is_struct(one.type):
+        for inner, below in zip(one.type, values.flatten(), strict=True):
+            yield from _flat(path, f"{name}.{inner.name}", inner, below)
+    else:
+        yield name, one, decoded(path, name, values)
+
+
+def _leaves(path: Path, name: str, one: pa.Field, values: pa.Array) -> Iterator[Column]:
+    for leaf, within, found in _flat(path, name, one, values):
+        unit = (within.metadata or {}).get(b"unit", b"").decode(errors="replace")
+        if pa.types.is_timestamp(found.type):
+            # In the place of a unit: what the type says of the zone.
+            yield Column(leaf, (), "typed", found.type.tz or "", {"source": leaf})
+            continue
+        is_number_type = pa.types.is_floating(found.type) or pa.types.is_integer(found.type)
+        is_number_type |= pa.types.is_decimal(found.type)
+        if is_number_type or pa.types.is_null(found.type) or _is_text(found.type):
+            cells = tuple(map(_text, found.to_pylist()))
+            filled = "number" if found.null_count < len(found) else "nothing"
+            kind = filled if is_number_type else kind_of(cells)
+            yield Column(leaf, cells, kind, unit, {"source": leaf})
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))

@@ -1,0 +1,132 @@
+"""What every log is to the setup: columns with their first cells, and what the log does not say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from pipeline.setup.cells import (
+    Marks,
+    TimeFormats,
+    as_number,
+    count_format,
+    is_missing,
+    is_stamp,
+    is_time_name,
+    time_formats,
+)
+
+SAMPLES = 50  # cells of a column that are kept
+HEAD_ROWS = 400
+TIMES = ("stamp", "date", "clock", "typed")
+
+Cells = tuple[str, ...]
+Rows = Iterator[Cells]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column, tag or field: its name, how a config finds it, and some of its cells."""
+
+    name: str
+    cells: Cells
+    kind: str  # as `cells.kind_of` has it; "typed" for times by the file's own type
+    unit: str = ""  # what is written beside the name as a unit
+    keys: Mapping[str, str] = field(default_factory=dict)  # of ``[channels.…]``, but for the unit
+
+    @property
+    def filled(self) -> Cells:
+        """The first cells that hold something."""
+        return tuple(cell for cell in self.cells if not is_missing(cell))[:SAMPLES]
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """A key of ``[logs]`` that a log does not tell: answers, and the keys that each stands for.
+
+    Without answers any text is one.
+    """
+
+    key: str
+    text: str
+    answers: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A log as its first lines, rows or messages tell it."""
+
+    logs: Mapping[str, Any]  # keys of ``[logs]``, but for the files
+    open: tuple[Open, ...]
+    columns: tuple[Column, ...]  # but for those of the time
+    times: tuple[str, ...]
+    marks: Marks = field(default_factory=Marks)
+    rows: Callable[[Sequence[str]], Rows] = lambda _: iter(())  # cells of some columns, further on
+
+
+def timed(path: Path, table: Table) -> Table:
+    """The table with its time found, and without the columns of the time."""
+    named = sorted(table.columns, key=lambda one: not is_time_name(one.name))
+    of_kind = {kind: [one for one in named if one.kind == kind] for kind in TIMES}
+    time, date = named[0], None
+    formats, is_typed = TimeFormats({}), bool(of_kind["typed"])
+    if is_typed:
+        time = of_kind["typed"][0]
+        formats = TimeFormats({"iso8601": ""}, bool(time.unit))
+    elif of_kind["stamp"]:
+        time = of_kind["stamp"][0]
+        formats = _formats(table, [time], path.name)
+    elif of_kind["date"] and of_kind["clock"]:
+        date, time = of_kind["date"][0], of_kind["clock"][0]
+        formats = _formats(table, [date, time], path.name)
+    else:
+        for one in named:
+            counts = [as_number(cell, table.marks) for cell in one.filled]
+            is_time = is_time_name(one.name) or one is table.columns[0]
+            known = [number for number in counts if number is not None]
+            if one.kind == "number" and is_time and count_format(known):
+                time, formats = one, time_formats(one.filled, table.marks.decimal)
+                break
+    logs, questions = dict(table.logs), list(table.open)
+    logs["time"] = time.name
+    if date is not None:
+        logs["date_column"] = date.name
+    set_formats(logs, questions, formats, is_typed=is_typed)
+    times = (time.name, *([date.name] if date else []))
+    # The other columns of times, such as that of arrival, are no readings either.
+    rest = tuple(one for one in table.columns if one.name not in times and one.kind not in TIMES)
+    return replace(table, logs=logs, open=tuple(questions), columns=rest, times=times)
+
+
+def _formats(table: Table, columns: Sequence[Column], file_name: str) -> TimeFormats:
+    """Formats of stamps in a column, or in those of date and time."""
+    cells = zip(*(one.cells for one in columns), strict=True)
+    stamps = [stamp for row in cells if is_stamp(stamp := " ".join(row))][:SAMPLES]
+    found = time_formats(stamps, file_name=file_name)
+    if len(found.readings) < 2:
+        return found
+    # Some stamps from further on tell day from month.
+    later = islice(table.rows([one.name for one in columns]), HEAD_ROWS, 200_000, 1000)
+    more = [stamp for row in later if is_stamp(stamp := " ".join(row))]
+    return time_formats([*stamps, *more], file_name=file_name)
+
+
+def set_formats(
+    logs: dict[str, Any], questions: list[Open], formats: TimeFormats, *, is_typed: bool = False
+) -> None:
+    """Keys and questions of the time's format and zone."""
+    readings = formats.readings
+    if not readings:
+        questions.append(Open("time_format", "how are its time stamps written?"))
+    elif not is_typed:
+        logs["time_format"] = next(iter(readings))
+    if len(readings) > 1:
+        said = ", or ".join(f"{reading} by {form}" for form, reading in readings.items())
+        answers = {form: {"time_format": form} for form in readings}
+        questions.append(Open("time_format", f"does it begin on {said}?", answers))
+    if not formats.has_zone:
+        logs["time_zone"] = "UTC"
+        questions.append(Open("time_zone", "the stamps name no zone, such as Europe/Oslo"))
