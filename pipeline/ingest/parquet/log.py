@@ -68,7 +68,6 @@ def _gather(path: Path, columns: Columns, table: RawTable) -> None:
         wanted = [".".join(place) for place in places.values()]
         texts = [name for name in text_paths(file.schema_arrow) if name in wanted]
     with opened(path, texts) as file:
-        table.expect(file.metadata.num_rows)
         for batch in _batches(path, file, places):
             found: Mapping[str, pa.ChunkedArray] = {
                 name: pa.chunked_array([within(path, batch, place)])
