@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.config.field_paths import FieldPath, path_text
-from pipeline.ingest.mcap.payloads import NANOSECONDS, SECONDS
+from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.messages import counted
 from pipeline.setup.guess_channels import best_by_channel, channel_of, preference, unit_of, words_of

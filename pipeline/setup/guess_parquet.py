@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import is_number, is_text
-from pipeline.ingest.parquet.file import decoded, opened, place_of, text_paths, within
+from pipeline.ingest.parquet import decoded, opened, place_of, text_paths, within
 from pipeline.setup.guess_layout import SAMPLES, GuessedColumn, Kind, kind_of
 
 _HEAD_ROWS = 400
