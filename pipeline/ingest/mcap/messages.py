@@ -288,12 +288,12 @@ def _messages_of_block(
             return
         where = f"chunk at byte {place + offsets[chunk]}"
         records = _unpacked_chunk(path, content(chunk), where)
-        size = _record_size_of_all(records)
+        size = record_size_of_all(records)
         if size > _MESSAGE_HEAD and records[0] == MESSAGE:
             yield _messages_of_one_size(records, size, declared, place + stops[chunk])
             continue
         indexes = takewhile(lambda i: opcodes[i] == MESSAGE_INDEX, range(chunk + 1, len(offsets)))
-        inside, end = _offsets_in_chunk(records, _indexed_positions(list(map(content, indexes))))
+        inside, end = offsets_in_chunk(records, _indexed_positions(list(map(content, indexes))))
         if end != len(records):
             raise LogError("log_damaged", path, "its records do not fill it", where)
         yield _messages(path, records, inside, end, declared, place + stops[chunk])
@@ -388,7 +388,7 @@ def _unfolded(packed: memoryview, codec: str, size: int) -> memoryview:
         return memoryview(stream.read_buffer(size + 1))
 
 
-def _record_size_of_all(records: memoryview) -> int:
+def record_size_of_all(records: memoryview) -> int:
     """Size of each record of a chunk; 0 unless all are of one kind and one size."""
     if len(records) < PREFIX.size:
         return 0
@@ -410,7 +410,7 @@ def _indexed_positions(indexes: Sequence[memoryview]) -> NDArray[np.int64]:
     return np.sort(np.concatenate(parts).astype(np.int64), kind="stable")
 
 
-def _offsets_in_chunk(
+def offsets_in_chunk(
     records: memoryview, positions: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], int]:
     """Begins of the records of a chunk, and the end of the last of them.
