@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.config.channels import COUNTED, Channel, Channels
 from pipeline.config.logs import Logs
 from pipeline.ingest.assembly import Samples, log_of_samples, span
-from pipeline.ingest.contract import LogFile, Place, RawChannel, RawLog, Reader, readable
+from pipeline.ingest.contract import LogFile, Place, RawChannel, RawLog, Reader, readable, validate
 from pipeline.ingest.readers import (
     called,
     checked,
@@ -38,6 +38,7 @@ __all__ = [
     "read_log",
     "read_piece",
     "time_span",
+    "validate",
 ]
 
 

@@ -37,9 +37,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
+from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.channels import Channels
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
+from pipeline.ingest.wall_clock import EARLIEST_US
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,3 +248,56 @@ def _require_file(path: Path) -> None:
             raise LogError("log_empty", path, "the file has no bytes")
     except ValueError as error:  # no file can have such a name
         raise LogError("log_not_readable", path, f"the file cannot be read: {error}") from error
+
+
+_DTYPES = {"time_us": "int64", "value": "float64", "missing": "bool", "bad_quality": "bool"}
+
+
+def validate(log: object, channels: Iterable[str], latest_us: int | None = None) -> RawLog:
+    """The log that a reader gave for some channels, if it keeps this contract.
+
+    Stamps after `latest_us` [µs since 1970] lie in the future; None: after a day from now.
+
+    Raises
+    ------
+    ValueError
+        It does not; the message says in what.
+    """
+    if not isinstance(log, RawLog):
+        raise ValueError(f"gave no RawLog but a {type(log).__name__}")  # noqa: TRY004
+    if log.channels.keys() != set(channels):
+        asked, given = ", ".join(channels), ", ".join(log.channels)
+        raise ValueError(f"gave the channels {given or 'none'} where {asked} were asked for")
+    for name, channel in log.channels.items():
+        _require_arrays(name, channel)
+    counts = {f"unparsed of {name}": one.unparsed for name, one in log.channels.items()}
+    for name, count in {"rows": log.rows, "refused_rows": log.refused_rows, **counts}.items():
+        if type(count) is not int or count < 0:
+            raise ValueError(f"gave {name} as {count!r}, not as a count")
+    if type(log.notes) is not tuple or not all(isinstance(note, str) for note in log.notes):
+        raise ValueError(f"gave notes as {log.notes!r}, not as a tuple of lines")
+    stated, true = (log.first_us, log.last_us), ends(log.stamps()) or (None, None)
+    if stated != true:
+        raise ValueError(f"gave the ends {stated}, and its time stamps have {true}")
+    if log.first_us is not None and log.last_us is not None:
+        require_possible(log.first_us, log.last_us, latest_us)
+    return log
+
+
+def _require_arrays(name: str, channel: RawChannel) -> None:
+    for part, dtype in _DTYPES.items():
+        array, size = getattr(channel, part), channel.time_us.size
+        if part == "bad_quality" and array is None:
+            continue
+        if (type(array), array.dtype, array.shape) != (np.ndarray, dtype, (size,)):
+            kind = f"{type(array).__name__} of {array.dtype} {array.shape}"
+            raise ValueError(f"gave {part} of {name} as {kind}, not as array of {dtype} ({size},)")
+
+
+def require_possible(first_us: int, last_us: int, latest_us: int | None = None) -> None:
+    """ValueError for ends of a log that none can have."""
+    latest = latest_by_clock() if latest_us is None else latest_us
+    if first_us < EARLIEST_US or last_us > latest:
+        raise ValueError(
+            "gave time stamps before 1990 or in the future: they are microseconds since 1970"
+        )

@@ -1,12 +1,12 @@
-"""Arrays that grow as a log is read in pieces: each figure is copied once, and held once.
+"""Readings and stamps that are gathered as a log is read in pieces, each copied once.
 
-Lists of pieces that are joined in the end would hold everything twice for a moment, and leave holes
-in the memory behind them.
+Lists of pieces that are joined in the end would hold everything twice for a moment, and each piece
+would need memory of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -17,121 +17,97 @@ from pipeline.ingest.time_stamps import WITH_ZONE, WrittenStamps
 
 _T = TypeVar("_T", bound=np.generic)
 
-_FIRST_ROOM = 2**12
-_MOST_ROOM = 2**18
-_MOST_EXPECTED = 2**24
-"""Two days at 100 Hz; what a file claims beyond that is believed when it comes."""
-
 
 class Growing(Generic[_T]):
-    """An array that grows at its end, where it lies.
-
-    Room is made for about as many elements as expected; memory is used by those that are written.
-    A first piece that is all that is expected is kept as it is.
+    """An array that grows at its end, where it lies; a lone piece is kept as it is.
 
     Examples
     --------
-    >>> array = Growing(np.int64, 2)
+    >>> array = Growing(np.int64)
     >>> for piece in ([1, 2], [3], [4, 5, 6]):
-    ...     _ = array.append(np.array(piece))
+    ...     array.append(np.array(piece))
     >>> array.taken().tolist()
     [1, 2, 3, 4, 5, 6]
     """
 
-    def __init__(self, dtype: type[_T], expected: int = 0) -> None:
-        self._expected = min(expected, _MOST_EXPECTED)
-        self._array: NDArray[_T] = np.empty(max(self._expected, _FIRST_ROOM), dtype)
+    def __init__(self, dtype: type[_T]) -> None:
+        self._array: NDArray[_T] = np.empty(0, dtype)
         self._size = 0
+        self._is_own = False  # not a piece
 
     def append(self, piece: NDArray[_T]) -> None:
         """Add a piece at the end."""
-        begin, end, room = self._size, self._size + piece.size, self._array.size
-        self._size = end
-        if not begin and piece.size >= self._expected > 0:
+        begin, self._size = self._size, self._size + piece.size
+        if not begin:
             self._array = piece
             return
-        if end > room:
-            if not self._array.flags.owndata or not self._array.flags.writeable:
-                self._array = self._array.copy()
-            # Small steps cost little: a large array is moved by its pages, not copied.
-            self._array.resize(max(end, room + min(room // 8, _MOST_ROOM)), refcheck=False)
-        self._array[begin:end] = piece
+        if not self._is_own:
+            first, self._array = self._array, np.empty(2 * self._size, piece.dtype)
+            self._array[:begin] = first
+            self._is_own = True
+        elif self._size > self._array.size:
+            # A large array is moved by its pages, not copied, and room costs nothing till used.
+            self._array.resize(2 * self._size, refcheck=False)
+        self._array[begin : self._size] = piece
 
     def taken(self) -> NDArray[_T]:
         """All elements, to be given up; room that was not needed goes back."""
-        array, self._array = self._array, np.empty(0, self._array.dtype)
-        if array.size != self._size:
-            array.resize(self._size, refcheck=False)
-        self._size = 0
-        return array
+        if self._is_own:
+            self._array.resize(self._size, refcheck=False)
+        return self._array
 
 
 class GatheredStamps:
     """Time stamps as they are written, piece after piece."""
 
-    def __init__(self, expected: int = 0) -> None:
-        self._time_us = Growing(np.int64, expected)
-        self._kind = _Marks(np.int8(WITH_ZONE), expected)
+    def __init__(self) -> None:
+        self._time_us = Growing(np.int64)
+        self._kinds: list[NDArray[np.int8]] = []
         self._example: str | None = None
 
     def add(self, part: WrittenStamps) -> None:
         """Add a piece."""
         self._time_us.append(part.time_us)
-        self._kind.append(part.kind)
+        self._kinds.append(part.kind)
         self._example = self._example or part.example
 
     def taken(self) -> WrittenStamps:
         """All of them, to be given up."""
-        return WrittenStamps(self._time_us.taken(), self._kind.taken(), self._example)
+        kinds = _joined(self._kinds, np.int8(WITH_ZONE))
+        return WrittenStamps(self._time_us.taken(), kinds, self._example)
 
 
 class GatheredReadings:
-    """Readings of a channel or field, piece after piece, each converted."""
+    """Readings of a column or field, piece after piece."""
 
-    def __init__(
-        self,
-        convert: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
-        expected: int = 0,
-    ) -> None:
-        self._convert = convert
-        self._raw = Growing(np.float64, expected)
-        self._missing: _Marks[np.bool_] = _Marks(np.bool_(False), expected)
-        self._unparsed: _Marks[np.bool_] = _Marks(np.bool_(False), expected)
+    def __init__(self) -> None:
+        self._raw = Growing(np.float64)
+        self._missing: list[NDArray[np.bool_]] = []
+        self._unparsed: list[NDArray[np.bool_]] = []
         self._example: str | None = None
 
     def add(self, part: Readings) -> None:
         """Add a piece."""
-        self._raw.append(part.raw if self._convert is None else self._convert(part.raw))
+        self._raw.append(part.raw)
         self._missing.append(part.missing)
         self._unparsed.append(part.unparsed)
         self._example = self._example or part.example
 
+    @property
+    def has_none(self) -> bool:
+        """True if there are messages or rows, and nothing at all in any."""
+        marks = zip(self._missing, self._unparsed, strict=True)
+        return bool(self._missing) and all(gone.all() and not odd.any() for gone, odd in marks)
+
     def taken(self) -> Readings:
         """All of them, to be given up."""
-        marks = self._missing.taken(), self._unparsed.taken()
-        return Readings(self._raw.taken(), *marks, self._example)
+        missing = _joined(self._missing, np.bool_(False))
+        unparsed = _joined(self._unparsed, np.bool_(False))
+        return Readings(self._raw.taken(), missing, unparsed, self._example)
 
 
-class _Marks(Generic[_T]):
-    """Values one after the other, which take no memory as long as all are the same."""
-
-    def __init__(self, usual: _T, expected: int) -> None:
-        self._usual = usual
-        self._expected = expected
-        self._marks: Growing[_T] | None = None
-        self._size = 0
-
-    def append(self, marks: NDArray[_T]) -> None:
-        if self._marks is None and (marks != self._usual).any():
-            self._marks = Growing(type(self._usual), self._expected)
-            self._marks.append(np.full(self._size, self._usual))
-        if self._marks is not None:
-            self._marks.append(marks)
-        self._size += marks.size
-
-    def taken(self) -> NDArray[_T]:
-        """All of them, to be given up."""
-        if self._marks is not None:
-            return self._marks.taken()
-        # Not broadcast: each count of such marks takes ten times as long.
-        return np.full(self._size, self._usual)
+def _joined(parts: Sequence[NDArray[_T]], usual: _T) -> NDArray[_T]:
+    """Marks one after the other; in most logs all are the same, which needs no copy."""
+    if all((part == usual).all() for part in parts):
+        return np.full(sum(part.size for part in parts), usual)
+    return np.concatenate(parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ _GOOD, _BAD, BLANK = 0, 1, 2
 """States of a cell of a quality column."""
 
 _MOST_VALUES = 1000
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf(inity)?")
 _TRUTH = {"true": 1.0, "false": 0.0}
 
 
@@ -88,7 +90,5 @@ def _text(value: object) -> str:
 def _number(text: str) -> float | None:
     if text in _TRUTH:
         return _TRUTH[text]
-    try:
-        return float(text)
-    except ValueError:
-        return None
+    # `float` also takes 1_92 and the digits of other scripts.
+    return float(text) if _NUMBER.fullmatch(text) else None

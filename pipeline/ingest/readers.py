@@ -13,15 +13,9 @@ from dataclasses import replace
 from importlib.metadata import EntryPoint
 from typing import Any
 
-import numpy as np
-
-from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.readers import reader_entry, reader_version
 from pipeline.errors import LogError
-from pipeline.ingest.contract import LogFile, Place, RawLog, Reader, ends
-from pipeline.ingest.wall_clock import EARLIEST_US
-
-_DTYPES = {"time_us": "int64", "value": "float64", "missing": "bool", "bad_quality": "bool"}
+from pipeline.ingest.contract import LogFile, Place, RawLog, Reader, require_possible, validate
 
 
 def reader_of(file: LogFile) -> Reader:
@@ -108,55 +102,14 @@ def checked(file: LogFile, log: object) -> RawLog:
     Raises
     ------
     LogError
-        ``log_reader``: an installed reader broke the contract.
+        ``log_reader``: the reader broke the contract.
     """
     entry = reader_entry(file.logs.format)
-    if not isinstance(log, RawLog):
-        raise _fault(file, entry, f"gave no RawLog but a {type(log).__name__}")
-    if entry.dist is not None:
-        with _its_faults(file, entry, "gave what cannot be used"):
-            breach = next(_breaches(file, log), None)
-        if breach is not None:
-            raise _fault(file, entry, breach)
-    return log
-
-
-def _breaches(file: LogFile, log: RawLog) -> Iterator[str]:
-    if log.channels.keys() != file.channels.keys():
-        asked, given = ", ".join(file.channels), ", ".join(log.channels)
-        yield f"gave the channels {given or 'none'} where {asked} were asked for"
-    yield from _breaches_of_types(log)
-    found = ends(log.stamps())
-    if found is not None:
-        yield from _impossible(file, *found)
-    stated, true = (log.first_us, log.last_us), found or (None, None)
-    if stated != true:
-        yield f"gave the ends {stated}, and its time stamps have {true}"
-
-
-def _breaches_of_types(log: RawLog) -> Iterator[str]:
-    counts: dict[str, object] = {"rows": log.rows, "refused_rows": log.refused_rows}
-    for name, channel in log.channels.items():
-        counts[f"unparsed of {name}"] = channel.unparsed
-        arrays = {part: getattr(channel, part) for part in _DTYPES}
-        if channel.bad_quality is None:
-            del arrays["bad_quality"]
-        for part, array in arrays.items():
-            dtype, size = _DTYPES[part], channel.time_us.size
-            if (type(array), array.dtype, array.shape) != (np.ndarray, dtype, (size,)):
-                kind = f"{type(array).__name__} of {array.dtype} {array.shape}"
-                yield f"gave {part} of {name} as {kind}, not as array of {dtype} ({size},)"
-    for name, count in counts.items():
-        if type(count) is not int or count < 0:
-            yield f"gave {name} as {count!r}, not as a count"
-    if type(log.notes) is not tuple or not all(isinstance(note, str) for note in log.notes):
-        yield f"gave notes as {log.notes!r}, not as a tuple of lines"
-
-
-def _impossible(file: LogFile, first_us: int, last_us: int) -> Iterator[str]:
-    latest = latest_by_clock() if file.latest_us is None else file.latest_us
-    if first_us < EARLIEST_US or last_us > latest:
-        yield "gave time stamps before 1990 or in the future: they are microseconds since 1970"
+    with _its_faults(file, entry, "gave what cannot be used"):
+        try:
+            return validate(log, file.channels, file.latest_us)
+        except ValueError as error:
+            raise _fault(file, entry, str(error)) from error
 
 
 def checked_span(file: LogFile, span: object) -> tuple[int, int]:
@@ -164,12 +117,12 @@ def checked_span(file: LogFile, span: object) -> tuple[int, int]:
     entry = reader_entry(file.logs.format)
     match span:
         case (int() as first, int() as last) if first <= last:
-            breach = next(_impossible(file, first, last), None)
-            if breach is None or entry.dist is None:
-                return first, last
-        case _:
-            breach = f"gave {span!r} as the span of a log"
-    raise _fault(file, entry, breach)
+            try:
+                require_possible(first, last, file.latest_us)
+            except ValueError as error:
+                raise _fault(file, entry, str(error)) from error
+            return first, last
+    raise _fault(file, entry, f"gave {span!r} as the span of a log")
 
 
 def checked_piece(file: LogFile, piece: object) -> tuple[RawLog | None, Place]:

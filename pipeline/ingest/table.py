@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from pipeline.arrays import Rows, chosen_rows
+from pipeline.arrays import chosen_rows
 from pipeline.config.channels import Channel, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
     Readings,
     converted,
-    in_canonical_unit,
     judged,
     raw_channel,
     raw_log,
@@ -103,10 +101,6 @@ def _quality_of(channel: Channel) -> _Quality:
     return channel.quality_source, channel.quality_good
 
 
-def _of_rows(states: NDArray[np.uint8] | None, rows: Rows) -> NDArray[np.uint8] | None:
-    return None if states is None else states[rows]
-
-
 class RawTable:
     """Rows of a log, gathered in the order of the file; each piece is given up once joined."""
 
@@ -115,20 +109,13 @@ class RawTable:
         self.logs = file.logs
         self.latest_us = file.latest_us
         self.channels = file.channels
-        self._expected = 0
         self._written = GatheredStamps()
-        # In canonical units, by channel; in a long table as they stand, all together.
-        self._parts: dict[str, GatheredReadings] = {}
+        self._readings: dict[str, GatheredReadings] = {}  # by column, as they stand
         self._names: list[NDArray[np.int16]] = []
         self._seen: dict[str, int] = {}
         # Of all rows, by what they are called and what is good.
         self._states: dict[_Quality, list[NDArray[np.uint8]]] = {}
         self._motors: set[str] = set()
-
-    def expect(self, rows: int) -> None:
-        """Make room for so many rows, before the first are added."""
-        self._expected = rows
-        self._written = GatheredStamps(rows)
 
     def of_motor(
         self, columns: Columns, cells: Mapping[str, pa.ChunkedArray]
@@ -137,7 +124,7 @@ class RawTable:
         if columns.motor is None:
             return cells
         motors = pc.utf8_trim_whitespace(cells[columns.motor].cast(pa.string()))
-        self._motors |= set(pc.unique(motors).drop_null().to_pylist())
+        self._motors |= set(pc.unique(motors).drop_null().to_pylist()) - {""}
         own = pc.equal(motors, self.logs.motor_name)
         return {name: column.filter(own) for name, column in cells.items()}
 
@@ -150,33 +137,20 @@ class RawTable:
     ) -> None:
         """Add rows: their times, readings and qualities by column, and names in layout "long"."""
         self._written.add(written)
-        if names is None:
-            self._add_by_channel(readings)
-        else:
-            self._gathered("", None).add(readings[self.logs.value_column])
+        for column, part in readings.items():
+            self._readings.setdefault(column, GatheredReadings()).add(part)
+        if names is not None:
             self._names.append(self._codes(names))
         for column, good in dict.fromkeys(map(_quality_of, self.channels.values())):
             if column in qualities:
                 states = quality_states(self.path, column, qualities[column], good)
                 self._states.setdefault((column, good), []).append(states)
 
-    def _add_by_channel(self, readings: Mapping[str, Readings]) -> None:
-        for name, channel in self.channels.items():
-            column = self._column(channel)
-            if column is not None and column in readings:
-                self._gathered(name, channel).add(readings[column])
-
-    def _gathered(self, name: str, channel: Channel | None) -> GatheredReadings:
-        if name not in self._parts:
-            convert = None if channel is None else partial(in_canonical_unit, name, channel)
-            self._parts[name] = GatheredReadings(convert, self._expected)
-        return self._parts[name]
-
     def _codes(self, names: pa.ChunkedArray) -> NDArray[np.int16]:
         """Number of each row's name among those seen so far; -1 where there is none."""
         trimmed = pc.utf8_trim_whitespace(names)
         for name in pc.unique(trimmed).to_pylist():
-            if name is not None:
+            if name:
                 self._seen.setdefault(name, len(self._seen))
         if len(self._seen) > _MOST_NAMES:
             raise LogError(
@@ -223,19 +197,23 @@ class RawTable:
         rows = chosen_rows(stamps.readable)
         time_us = stamps.time_us[rows]
         states = self._joined_states()
+        columns = {name: self._column(channel) for name, channel in self.channels.items()}
         channels: dict[str, RawChannel] = {}
-        for name, channel in self.channels.items():
-            readings, here = self._joined(name), np.empty(0, np.int64)
-            quality = None
-            if self._column(channel) is not None:
-                readings, here = readings.rows(rows), time_us
-                quality = _of_rows(states.get(_quality_of(channel)), rows)
-            channels[name] = raw_channel(self.path, name, channel, here, readings, quality)
+        # A column is given up with its last channel, so that a long log is not held twice.
+        for column in dict.fromkeys(columns.values()):
+            readings = self._taken(column)
+            readings = readings.rows(rows) if column is not None else readings
+            for name, channel in self.channels.items():
+                if columns[name] == column:
+                    here = time_us if column is not None else np.empty(0, np.int64)
+                    quality = None if column is None else states.get(_quality_of(channel))
+                    own = None if quality is None else quality[rows]
+                    made = converted(name, channel, readings)
+                    channels[name] = raw_channel(self.path, name, channel, here, made, own)
+        channels = {name: channels[name] for name in self.channels}
         if self.logs.layout == "wide":
-            columns: dict[str, str] = {
-                name: channel.source for name, channel in self.channels.items()
-            }
-            channels = without_rows_of_others(channels, columns)
+            sources: dict[str, str] = {name: one.source for name, one in self.channels.items()}
+            channels = without_rows_of_others(channels, sources)
         return raw_log(channels, time_us.size, refused)
 
     def _column(self, channel: Channel) -> str | None:
@@ -245,15 +223,15 @@ class RawTable:
         own = channel.value_column or self.logs.value_column
         return own if is_of_file(channel, self.path) else None
 
-    def _joined(self, name: str) -> Readings:
-        return self._parts.pop(name, GatheredReadings()).taken()
+    def _taken(self, column: str | None) -> Readings:
+        return self._readings.pop(column or "", GatheredReadings()).taken()
 
     def _joined_states(self) -> dict[_Quality, NDArray[np.uint8]]:
         return {quality: np.concatenate(parts) for quality, parts in self._states.items()}
 
     def _long_log(self, stamps: TimeStamps, refused: Mapping[str, int]) -> RawLog:
         names = np.concatenate([np.empty(0, np.int16), *self._names])
-        readings = self._joined("")
+        readings = self._taken(self.logs.value_column)
         states = self._joined_states()
         channels: dict[str, RawChannel] = {}
         for name, channel in self.channels.items():
@@ -264,7 +242,7 @@ class RawTable:
                 channel,
                 stamps.time_us[rows],
                 converted(name, channel, readings.rows(rows)),
-                _of_rows(states.get(_quality_of(channel)), rows),
+                None if (own := states.get(_quality_of(channel))) is None else own[rows],
             )
         sources = [channel.source for channel in self.channels.values()]
         absent = [name for name in sources if name not in self._seen]

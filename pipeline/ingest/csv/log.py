@@ -1,38 +1,49 @@
 """Logs as delimited text, read in pieces, so that memory holds the readings and not the text.
 
-A row with too many or too few cells, and a last row without a line end, are left out and counted:
-half a figure looks like a figure. Where a header comes again in the middle, it holds from there on.
+A piece is parsed as numbers and stamps at once; where some cell of it is neither, all its cells are
+taken as text, and what is no number is counted. A row with too many or too few cells, and a last
+row without a line end, are left out and counted: half a figure looks like a figure.
 """
 
 from __future__ import annotations
 
 import codecs
+import csv
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
 
 from pipeline.config.logs import Logs
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
+from pipeline.ingest.arrow_types import nulls
+from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.contract import LogFile, Place, RawLog
-from pipeline.ingest.csv import cells as csv_cells
-from pipeline.ingest.csv.header import HeadedRows, Header, headed_rows, rows_begin
 from pipeline.ingest.csv.text import Lines, is_packed, is_utf8, read_lines, repaired
 from pipeline.ingest.table import Columns, RawTable, wanted_columns
+from pipeline.ingest.time_stamps import WrittenStamps, written
 
+MOST_CELLS = 2**14
+"""Cells of a header, as many as a spreadsheet has columns; the parser takes 2 kB for each."""
+
+_HEAD = 2**20
 _SPAN_PIECE = 2**16
-# Room for more rows than those of a file's first piece make likely: they may be shorter further on.
-_SLACK = 1.1
 # From so many rows of another width on, most of the rows before must have the header's.
 _MANY_RAGGED = 2**19
+_NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
 
 
 def read_csv_log(file: LogFile) -> RawLog:
     """Read the wanted columns of a CSV, plain or packed with gzip or Zstandard."""
-    reader = _Reader(RawTable(file), wanted_columns(file))
+    reader = _Reader(file, wanted_columns(file))
     for lines in read_lines(file.path, file.logs.encoding):
         reader.read(lines)
     return reader.log()
@@ -43,9 +54,10 @@ def csv_units(file: LogFile) -> dict[str, str]:
     if not file.logs.unit_rows:
         return {}
     data = next(read_lines(file.path, file.logs.encoding, _SPAN_PIECE)).data
-    header = Header(file.path, file.logs, ())
-    below = data[header.take_first(data) :].splitlines()[:1]
-    return dict(zip(header.names, *map(header.cells, below), strict=False)) if below else {}
+    header = _first_header(file.path, file.logs, data)
+    below = data[header.size :].splitlines()[:1]
+    units = [_cells(file.path, file.logs, line) for line in below]
+    return dict(zip(header.names, *units, strict=False)) if below else {}
 
 
 def csv_can_grow(file: LogFile) -> bool:
@@ -61,14 +73,14 @@ def read_csv_piece(file: LogFile, place: Place, most_bytes: int) -> tuple[RawLog
     end = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
     if not end:
         return None, place
-    reader = _Reader(RawTable(file), wanted_columns(file), is_whole=False)
+    reader = _Reader(file, wanted_columns(file))
     if place.columns:
-        reader.header.resume(place.columns)
+        reader.go_on(place.columns)
     text = data[:end] if place.position else data[:end].removeprefix(codecs.BOM_UTF8)
     reader.read(Lines(repaired(text)))
-    if reader.header.unit_rows_left:
+    if reader.units_left:
         return None, place
-    return reader.log(), Place(place.position + end, reader.header.names)
+    return reader.log(), Place(place.position + end, reader.names)
 
 
 def csv_time_span(file: LogFile) -> tuple[int, int]:
@@ -79,7 +91,7 @@ def csv_time_span(file: LogFile) -> tuple[int, int]:
             return _span_of_ends(file, times)
         except LogError:
             pass  # The whole file says what is wrong, or has the span.
-    reader = _Reader(RawTable(file), times)
+    reader = _Reader(file, times)
     for lines in read_lines(file.path, file.logs.encoding):
         reader.read(lines)
     reader.require_rows_of_one_width()
@@ -91,7 +103,7 @@ def _span_of_ends(file: LogFile, times: Columns) -> tuple[int, int]:
         text_file.seek(-_SPAN_PIECE, 2)
         tail = text_file.read()
     begin, end = tail.find(b"\n") + 1, max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
-    reader = _Reader(RawTable(file), times)
+    reader = _Reader(file, times)
     reader.read(next(read_lines(file.path, file.logs.encoding, _SPAN_PIECE)))
     first = reader.table.span()
     reader.table = RawTable(file)
@@ -100,233 +112,387 @@ def _span_of_ends(file: LogFile, times: Columns) -> tuple[int, int]:
     return min(first[0], last[0]), max(first[1], last[1])
 
 
-class _Ragged(NamedTuple):
-    """A row of another width: its piece, its line within it, both from 0, and its cells."""
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """The first header of a file."""
 
-    piece: int
-    line: int
-    cells: int
+    names: tuple[str, ...]
+    line: int  # its number, from 1
+    size: int  # bytes up to its end
 
 
-def _first(ragged: Sequence[Any], data: bytes, start: int, piece: int) -> _Ragged:
-    """The first of some rows of a piece, told by their text."""
-    cells = {re.split(r"[\r\n]", row.text)[0].encode(): row.actual_columns for row in ragged}
-    above = len(data[:start].splitlines())
-    rows = enumerate(data[start:].splitlines(), above)
-    return next(_Ragged(piece, at, cells[row]) for at, row in rows if row in cells)
+def _first_header(path: Path, logs: Logs, data: bytes) -> _Header:
+    lines = data[:_HEAD].splitlines(keepends=True)
+    at = logs.skip_rows
+    while at < len(lines) and not lines[at].strip():
+        at += 1
+    if at >= len(lines):
+        raise LogError("log_empty", path, f"no header after {logs.skip_rows} skipped lines")
+    where = f"line {at + 1}"
+    if not lines[at].endswith((b"\n", b"\r")):
+        how = f"the header is longer than {_HEAD} bytes"
+        raise LogError("log_not_csv", path, how, where)
+    names = _cells(path, logs, lines[at])
+    if len(names) > MOST_CELLS:
+        how = (
+            f"the header has {len(names)} cells, read are at most {MOST_CELLS}: check separator "
+            "and skip_rows"
+        )
+        raise LogError("log_not_csv", path, how)
+    return _Header(names, at + 1, sum(map(len, lines[: at + 1])))
+
+
+def _cells(path: Path, logs: Logs, line: bytes) -> tuple[str, ...]:
+    """Cells of a header or a line of units, without blanks around them."""
+    text = line.decode().strip("\r\n").removeprefix("\ufeff")
+    try:
+        row = next(csv.reader([text], delimiter=logs.separator), [])
+    except csv.Error as error:
+        raise LogError("log_not_csv", path, f"the header cannot be read: {error}") from error
+    return tuple(cell.strip() for cell in row)
+
+
+def _positions(
+    path: Path, logs: Logs, names: Sequence[str], wanted: Sequence[str]
+) -> dict[str, int]:
+    """Column of each wanted name, from 0."""
+    for name in wanted:
+        count = names.count(name)
+        if count > 1:
+            how = f"{count} columns are called {name!r}: rename one"
+            raise LogError("log_column_twice", path, how)
+        if not count:
+            there = ", ".join(repr(known[:40]) for known in names[:40])
+            hint = ", not in encoding utf-8: set the right one" if "\ufffd" in there else ""
+            raise LogError(
+                "log_column_missing",
+                path,
+                f"no column {name!r}; separated by {logs.separator!r} there are {there}{hint}",
+            )
+    return {name: names.index(name) for name in wanted}
 
 
 class _Reader:
     """Takes the pieces of a file one after the other, and gives the log."""
 
-    def __init__(self, table: RawTable, columns: Columns, *, is_whole: bool = True) -> None:
-        self.is_whole = is_whole
-        self.path = table.path
-        self.logs = logs = table.logs
+    def __init__(self, file: LogFile, columns: Columns) -> None:
+        self.path, self.logs = file.path, file.logs
         self.columns = columns
-        self.table = table
-        self.header = Header(table.path, logs, columns.all)
-        self.torn = 0
-        self.rows = 0
-        self.ragged = 0
-        self.first_ragged = _Ragged(0, 0, 0)
-        self.pieces = 0
-        numbers: tuple[pa.DataType, ...] = () if logs.thousands else (pa.float64(),)
-        # What each column may be parsed as at once; what fails is not tried again.
-        self.types: dict[str, tuple[pa.DataType, ...]] = dict.fromkeys(columns.numbers, numbers)
-        self.types |= dict.fromkeys(columns.time, csv_cells.time_types(logs))
-        self.types |= dict.fromkeys(columns.qualities, (pa.string(),))
+        self.table = RawTable(file)
+        self.names: tuple[str, ...] = ()
+        self.position: Mapping[str, int] = {}
+        self.units_left = 0  # lines of units that are still to come
+        self.pieces = 0  # that are read
+        self.torn = self.rows = self.ragged = self.headers_again = 0
+        self.first_ragged = (0, 0)  # its line and cells
+
+    def go_on(self, names: tuple[str, ...]) -> None:
+        """Read rows below a header of these names."""
+        self.position = _positions(self.path, self.logs, names, self.columns.all)
+        self.names = names
 
     def read(self, lines: Lines) -> None:
         """Take a piece."""
         self.torn += bool(lines.torn)
         if lines.torn or not lines.data:
-            self.header.require(torn=lines.torn)
+            self._require_header(lines.torn)
             return
+        data, start = lines.data, 0
+        if not self.names:
+            header = _first_header(self.path, self.logs, data)
+            self.go_on(header.names)
+            self.units_left, start = self.logs.unit_rows, header.size
+        start = self._below_units(data, start)
+        if start < len(data):
+            self._read_rows(data, start)
         self.pieces += 1
-        start = rows_begin(self.header, lines.data)
-        if self._read_at_once(lines.data, start):
-            return
-        for rows in headed_rows(self.header, lines.data, start):
-            self._read_rows(rows, lines.data, start)
         if self.ragged > _MANY_RAGGED:
             self.require_rows_of_one_width()
 
-    def _read_at_once(self, data: bytes, start: int) -> bool:
-        """Read a piece all of whose cells are numbers and stamps, so that no header is in it."""
-        keys = {name: str(at) for name, at in self.header.position.items()}
-        if start == len(data) or not all(self.types.get(name) for name in keys):
-            return False
-        whole = HeadedRows(
-            memoryview(data)[start:], len(self.header.names), self.header.position, 0
-        )
+    def _require_header(self, torn: int) -> None:
+        """Refuse a file that has ended without a header, `torn` bytes behind its last line end."""
+        if self.names:
+            return
+        if torn > _HEAD:
+            raise LogError("log_not_csv", self.path, f"no line end in {torn} bytes")
+        if torn:
+            raise LogError("log_truncated", self.path, "the header has no line end")
+        how = f"no header after {self.logs.skip_rows} skipped lines"
+        raise LogError("log_empty", self.path, how)
+
+    def _below_units(self, data: bytes, start: int) -> int:
+        """Begin of the rows below the lines of units that are still to come."""
+        if self.units_left:
+            for line in data[start:][:_HEAD].splitlines(keepends=True):
+                if not self.units_left:
+                    break
+                self.units_left -= bool(line.strip())
+                start += len(line)
+        return start
+
+    def _read_rows(self, data: bytes, start: int) -> None:
+        names = {str(at): name for name, at in self.position.items()}
+        types = self._types(data, start)
         try:
-            types = {key: self.types[name][0] for name, key in keys.items()}
-            table, ragged = self._parse(whole, types)
-        except pa.ArrowInvalid:
-            return False
-        if ragged:
-            return False
-        self._count(table.num_rows, len(data))
+            found = self._parsed_as(types, data, start)
+            # A header would be no number, and is no other text than any.
+            all_text = all(kind == pa.string() for kind in types.values())
+            if found is None or found[1].count or all_text:
+                data = self._without_headers(data, start)
+                found = self._parsed_as(types, data, start)
+            if found is None:
+                found = self._parsed(dict.fromkeys(types, pa.string()), data, start)
+        except pa.ArrowInvalid as error:
+            how = f"the rows cannot be told apart: {error}"
+            raise LogError("log_damaged", self.path, how) from error
+        table, ragged = found
+        self._note_ragged(ragged, data, start)
+        self.rows += table.num_rows
         # In the parser's own blocks, which need no copy to be arrays.
         for batch in table.to_batches():
-            self._add({name: pa.chunked_array([batch.column(key)]) for name, key in keys.items()})
-        return True
+            columns = zip(names.values(), batch.columns, strict=True)
+            self._add({name: pa.chunked_array([column]) for name, column in columns})
 
-    def _count(self, rows: int, size: int) -> None:
-        """Count rows; by those of the first piece, make room for the whole file."""
-        if (
-            self.is_whole
-            and not self.rows
-            and is_utf8(self.logs.encoding)
-            and not is_packed(self.path)
-        ):
-            self.table.expect(int(_SLACK * rows * self.path.stat().st_size / size))
-        self.rows += rows
-
-    def log(self) -> RawLog:
-        """All that was read."""
-        self.require_rows_of_one_width()
-        ragged = "row with too many or too few cells"
-        if self.ragged:
-            first = self.first_ragged
-            ragged += f", the first in line {self._line(first)} with {first.cells}"
-        return self.table.log(
-            {
-                "last row without a line end (it may be cut)": self.torn,
-                ragged: self.ragged,
-                "line equal to the header": self.header.repeated,
-            }
-        )
-
-    def require_rows_of_one_width(self) -> None:
-        """Refuse a file most of whose rows do not have the header's number of cells."""
-        if self.ragged > self.rows:
-            raise LogError(
-                "log_not_csv",
-                self.path,
-                f"{self.ragged} of {self.ragged + self.rows} rows have not the header's "
-                f"{len(self.header.names)} cells, the first has {self.first_ragged.cells}: check "
-                "separator and skip_rows",
-                f"line {self._line(self.first_ragged)}",
-            )
-
-    def _line(self, row: _Ragged) -> int:
-        """Number of a row's line in the file, from 1."""
-        # Counted only where it is asked for, which costs a sound file nothing.
-        pieces = islice(read_lines(self.path, self.logs.encoding), row.piece + 1)
-        line, last = row.line + 1, b""
-        for number, lines in enumerate(pieces):
-            # A line end of two characters may be cut in two.
-            line -= last.endswith(b"\r") and lines.data.startswith(b"\n")
-            if number < row.piece:
-                line += len(lines.data.splitlines())
-            last = lines.data
-        return line
-
-    def _read_rows(self, rows: HeadedRows, data: bytes, start: int) -> None:
-        keys = {name: str(at) for name, at in rows.position.items()}
+    def _parsed_as(
+        self, types: Mapping[str, pa.DataType], data: bytes, start: int
+    ) -> tuple[pa.Table, _Ragged] | None:
+        """Columns by position, as some types; None where some cell is of another one."""
         try:
-            table, ragged = self._parsed(rows, keys)
-        except pa.ArrowInvalid as error:
-            raise LogError(
-                "log_damaged",
-                self.path,
-                f"the rows cannot be told apart: {error}",
-                f"after line {rows.line}" if rows.line else None,
-            ) from error
-        swallowed = [row for row in ragged if "\n" in row.text.rstrip("\r\n")]
-        if swallowed:
-            first = _first(swallowed, data, start, self.pieces - 1)
-            raise LogError(
-                "log_damaged",
-                self.path,
-                "a quotation mark is opened and not closed in its row",
-                f"line {self._line(first)}",
-            )
-        if ragged and not self.ragged:
-            self.first_ragged = _first(ragged, data, start, self.pieces - 1)
-        self.ragged += len(ragged)
-        self._count(table.num_rows, len(rows.body))
-        self._add({name: table.column(key) for name, key in keys.items()})
+            return self._parsed(types, data, start)
+        except pa.ArrowInvalid:
+            return None
 
-    def _parsed(self, rows: HeadedRows, keys: dict[str, str]) -> tuple[pa.Table, list[Any]]:
-        """The columns parsed at once, or as text where that cannot be."""
-        types = {key: self.types.get(name) or () for name, key in keys.items()}
-        while any(types.values()):
-            first = {key: kinds[0] if kinds else pa.string() for key, kinds in types.items()}
-            try:
-                return self._parse(rows, first)
-            except pa.ArrowInvalid:
-                failed = self._next_types(rows, keys)
-                if not failed:
-                    break
-                types = {key: self.types.get(name) or () for name, key in keys.items()}
-        return self._parse(rows, dict.fromkeys(keys.values(), pa.string()))
+    def _parsed(
+        self, types: Mapping[str, pa.DataType], data: bytes, start: int
+    ) -> tuple[pa.Table, _Ragged]:
+        """Columns by position, as some types, and the rows that are left out."""
+        ragged = _Ragged()
+        # Columns go by position: names may repeat, or be those of no column that is wanted.
+        table = arrow_csv.read_csv(
+            pa.BufferReader(pa.py_buffer(memoryview(data)[start:])),
+            read_options=arrow_csv.ReadOptions(
+                use_threads=False, column_names=list(map(str, range(len(self.names))))
+            ),
+            parse_options=arrow_csv.ParseOptions(
+                delimiter=self.logs.separator, invalid_row_handler=ragged.leave_out
+            ),
+            convert_options=arrow_csv.ConvertOptions(
+                include_columns=list(types),
+                column_types=dict(types),
+                null_values=list(self.logs.missing_tokens),
+                decimal_point=self.logs.decimal,
+            ),
+        )
+        return table, ragged
 
-    def _next_types(self, rows: HeadedRows, keys: dict[str, str]) -> bool:
-        """Try the next types of the columns that are not of their first; False: all are."""
-        failed = False
-        for name, key in keys.items():
-            while kinds := self.types.get(name, ()):
-                try:
-                    self._parse(rows, {key: kinds[0]})
-                    break
-                except pa.ArrowInvalid:
-                    self.types[name] = kinds[1:]
-                    failed = True
-        return failed
+    def _types(self, data: bytes, start: int) -> dict[str, pa.DataType]:
+        """Types that the wanted columns may be parsed as at once, by their position."""
+        return {
+            str(at): self._time_type(data, start, at)
+            if name in self.columns.time
+            else pa.float64()
+            if name in self.columns.numbers and not self.logs.thousands
+            else pa.string()
+            for name, at in self.position.items()
+        }
+
+    def _time_type(self, data: bytes, start: int, at: int) -> pa.DataType:
+        logs = self.logs
+        if logs.date_column:
+            return pa.string()
+        if logs.time_format in EPOCH_UNITS:
+            return pa.int64()
+        if logs.time_format == "iso8601":
+            # The first row tells what all may be.
+            first = data[start : start + _SPAN_PIECE].lstrip(b"\r\n").partition(b"\n")[0]
+            cells = first.split(logs.separator.encode())
+            cell = cells[at].strip(b'" \r') if at < len(cells) else b""
+            unit = "ns" if re.search(rb"[.,]\d{7}", cell) else "us"
+            has_zone = re.search(rb":.*(Z|[+-]\d\d(:?\d\d)?)$", cell)
+            return pa.timestamp(unit, "UTC" if has_zone else None)
+        return pa.float64() if logs.time_format == EXCEL_DAYS else pa.string()
+
+    def _without_headers(self, data: bytes, start: int) -> bytes:
+        """The rows, with blank lines in the place of the header where it comes again.
+
+        A line whose cell of time is a header's is a header; another one than the first is refused.
+        """
+        needle, parts, kept_to = self.columns.time[0].encode(), [], 0
+        at = data.find(needle, start)
+        while at >= 0:
+            newline = max(data.rfind(b"\n", start, at), start - 1)
+            begin = max(data.rfind(b"\r", newline + 1, at), newline) + 1
+            end = begin + len(data[begin:].splitlines(keepends=True)[0])
+            is_again = self._is_header(data[begin:end])
+            if is_again is False:
+                how = "another header, with other columns than the first: split the log before it"
+                line = self._lines_above(data, begin) + 1
+                raise LogError("log_not_csv", self.path, how, f"line {line}")
+            if is_again:
+                self.headers_again += 1
+                self.units_left = self.logs.unit_rows
+                stop = self._below_units(data, end)
+                parts += [data[kept_to:begin], b"\n" * data[begin:stop].count(b"\n")]
+                kept_to = end = stop
+            at = data.find(needle, end)
+        return b"".join([*parts, data[kept_to:]]) if parts else data
+
+    def _is_header(self, line: bytes) -> bool | None:
+        """True for a line that is the header again, False for another header, None for a row."""
+        try:
+            cells = _cells(self.path, self.logs, line)
+        except LogError:
+            return None
+        if cells == self.names:
+            return True
+        time = self.columns.time[0]
+        here = cells[self.position[time]] if self.position[time] < len(cells) else None
+        return False if time in cells and here in self.names else None
+
+    def _note_ragged(self, ragged: _Ragged, data: bytes, start: int) -> None:
+        """Count rows of another width; refuse an open quotation mark among them."""
+        if not ragged.count:
+            return
+        # The parser's rows are those that are not blank.
+        lines = [i for i, line in enumerate(data[start:].splitlines(), 1) if line]
+
+        def line_of(row: int) -> int:
+            return self._lines_above(data, start) + (lines[row - 1] if row <= len(lines) else 0)
+
+        if ragged.swallowed:
+            how = "a quotation mark is opened and not closed in its row"
+            raise LogError("log_damaged", self.path, how, f"line {line_of(ragged.swallowed)}")
+        if not self.ragged:
+            self.first_ragged = (line_of(ragged.row), ragged.cells)
+        self.ragged += ragged.count
+
+    def _lines_above(self, data: bytes, start: int) -> int:
+        """Lines above a place of the piece, counted where a message names it, and only then."""
+        before = islice(read_lines(self.path, self.logs.encoding), self.pieces)
+        # A line end of two characters may be cut in two.
+        counts = (lines.data.count(b"\n") or lines.data.count(b"\r") for lines in before)
+        return sum(counts) + len(data[:start].splitlines())
 
     def _add(self, cells: Mapping[str, pa.ChunkedArray]) -> None:
         cells = self.table.of_motor(self.columns, cells)
         self.table.add(
-            csv_cells.stamps(self.logs, [cells[name] for name in self.columns.time]),
+            stamps(self.logs, [cells[name] for name in self.columns.time]),
             {
-                name: csv_cells.readings(self.path, self.logs, name, cells[name])
+                name: readings(self.path, self.logs, name, cells[name])
                 for name in self.columns.numbers
             },
             self.columns.channel_names(cells),
             {name: cells[name] for name in self.columns.qualities},
         )
 
-    def _parse(self, rows: HeadedRows, types: dict[str, pa.DataType]) -> tuple[pa.Table, list[Any]]:
-        """Columns by position, and the rows that are left out."""
-        if not self.columns.qualities:
-            return _parse(self.logs, rows, types)
-        # What means "no sample" in a column of readings is an answer in one of qualities.
-        table, ragged = _parse(self.logs, rows, types, text_can_be_null=False)
-        kept = {str(rows.position[name]) for name in self.columns.qualities}
-        return csv_cells.with_missing_tokens(self.logs, table, kept), ragged
+    def log(self) -> RawLog:
+        """All that was read."""
+        self.require_rows_of_one_width()
+        ragged = "row with too many or too few cells"
+        if self.ragged:
+            ragged += ", the first in line {} with {}".format(*self.first_ragged)
+        return self.table.log(
+            {
+                "last row without a line end (it may be cut)": self.torn,
+                ragged: self.ragged,
+                "line equal to the header": self.headers_again,
+            }
+        )
+
+    def require_rows_of_one_width(self) -> None:
+        """Refuse a file most of whose rows do not have the header's number of cells."""
+        line, cells = self.first_ragged
+        if self.ragged > self.rows:
+            raise LogError(
+                "log_not_csv",
+                self.path,
+                f"{self.ragged} of {self.ragged + self.rows} rows have not the header's "
+                f"{len(self.names)} cells, the first has {cells}: check separator and skip_rows",
+                f"line {line}",
+            )
 
 
-def _parse(
-    logs: Logs,
-    rows: HeadedRows,
-    types: dict[str, pa.DataType],
-    *,
-    text_can_be_null: bool = True,
-) -> tuple[pa.Table, list[Any]]:
-    ragged: list[Any] = []
+@dataclass(slots=True)
+class _Ragged:
+    """Rows of a piece that have another width, counted from 1 without blank lines."""
 
-    def leave_out(row: Any) -> str:
-        ragged.append(row)
+    count: int = 0
+    row: int = 0  # the first
+    cells: int = 0  # of the first
+    swallowed: int = 0  # the first that goes over several lines
+
+    def leave_out(self, row: Any) -> str:
+        """Count a row; nothing else is kept of it, as there may be many."""
+        if not self.count:
+            self.row, self.cells = row.number, row.actual_columns
+        if not self.swallowed and "\n" in row.text.rstrip("\r\n"):
+            self.swallowed = row.number
+        self.count += 1
         return "skip"
 
-    # Columns go by position: names may repeat, or be those of no column that is wanted.
-    table = arrow_csv.read_csv(
-        pa.BufferReader(pa.py_buffer(rows.body)),
-        read_options=arrow_csv.ReadOptions(
-            use_threads=False, column_names=list(map(str, range(rows.width)))
-        ),
-        parse_options=arrow_csv.ParseOptions(
-            delimiter=logs.separator, invalid_row_handler=leave_out
-        ),
-        convert_options=arrow_csv.ConvertOptions(
-            include_columns=list(types),
-            column_types=types,
-            null_values=list(logs.missing_tokens),
-            strings_can_be_null=text_can_be_null,
-            decimal_point=logs.decimal,
-        ),
+
+def stamps(logs: Logs, columns: list[pa.ChunkedArray]) -> WrittenStamps:
+    """Time stamps of a column of time, or of one of dates and one of times."""
+    numeric = logs.time_format in EPOCH_UNITS or logs.time_format == EXCEL_DAYS
+    if logs.decimal == "," and numeric and pa.types.is_string(columns[-1].type):
+        columns = [*columns[:-1], pc.replace_substring(columns[-1], ",", ".")]
+    return written(columns, logs.time_format)
+
+
+def readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readings:
+    """Numbers of a column of text, or of one that Arrow could parse as float64.
+
+    Raises
+    ------
+    LogError
+        ``log_damaged``: a quotation mark is opened and not closed in its row.
+    """
+    if pa.types.is_floating(cells.type):
+        return readings_of(cells)
+    trimmed = cells
+    if logs.thousands:
+        trimmed = _without_groups(logs, cells)
+    elif logs.decimal == ",":
+        # A dot is then no decimal sign: 1.234 may be a thousand and more.
+        trimmed = pc.replace_substring(pc.replace_substring(cells, ".", "_"), ",", ".")
+    try:
+        return readings_of(trimmed.cast(pa.float64()))
+    except pa.ArrowInvalid:
+        return _cell_by_cell(path, logs, name, cells, trimmed)
+
+
+def _without_groups(logs: Logs, cells: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Numbers without marks between their thousands; a mark elsewhere stays, and is no number."""
+    mark, decimal = re.escape(logs.thousands), re.escape(logs.decimal)
+    trimmed = pc.utf8_trim_whitespace(cells)
+    grouped = rf"^[+-]?[0-9]{{1,3}}({mark}[0-9]{{3}})+({decimal}[0-9]*)?$"
+    plain = pc.if_else(
+        pc.match_substring_regex(trimmed, grouped),
+        pc.replace_substring(trimmed, logs.thousands, ""),
+        pc.replace_substring(trimmed, logs.thousands, "_"),
     )
-    return table, ragged
+    if logs.decimal == ".":
+        return plain
+    return pc.replace_substring(pc.replace_substring(plain, ".", "_"), ",", ".")
+
+
+def _cell_by_cell(
+    path: Path, logs: Logs, name: str, texts: pa.ChunkedArray, dotted: pa.ChunkedArray
+) -> Readings:
+    """Slower, for a column in which some cell is no bare number."""
+    if pc.any(pc.match_substring_regex(texts, r"[\r\n]")).as_py():
+        raise LogError(
+            "log_damaged", path, "a quotation mark is opened and not closed in its row", name
+        )
+    trimmed = pc.utf8_trim_whitespace(dotted)
+    is_number = pc.match_substring_regex(trimmed, _NUMBER)
+    # The grammar lets through one sign at most; the cast below knows no plus.
+    unsigned = pc.utf8_ltrim(pc.if_else(is_number, trimmed, None), "+")
+    blank = pc.is_in(
+        pc.utf8_trim_whitespace(texts), value_set=pa.array(logs.missing_tokens, pa.string())
+    )
+    missing = np.logical_not(pc.fill_null(is_number, False).to_numpy())
+    unparsed = missing & ~nulls(texts) & np.logical_not(blank.to_numpy())
+    example = texts[int(np.argmax(unparsed))].as_py() if unparsed.any() else None
+    raw = readings_of(unsigned.cast(pa.float64())).raw
+    return Readings(raw, missing, unparsed, example)

@@ -124,7 +124,8 @@ def unpacked(path: Path, piece: int) -> Iterator[bytes]:
                     f"there are more than the {LARGEST_TEXT} bytes of text that a CSV may have: "
                     "split it, or use Parquet",
                 )
-            if packing and total > max(_RATIO_FROM, LARGEST_RATIO * size):
+            # By what has been unpacked so far: a bomb shows long before its end.
+            if packing and total > max(_RATIO_FROM, LARGEST_RATIO * file.tell()):
                 raise LogError(
                     "log_too_large",
                     path,
@@ -183,16 +184,33 @@ def _decoded(path: Path, pieces: Iterator[bytes], encoding: str) -> Iterator[byt
 
 
 def _refuse_binary(path: Path, head: bytes) -> None:
+    """Refuse what is no text, or in another encoding, and say what it is."""
     packers = {**_PACKED, **_OTHER_PACKERS}
     packed = next((name for magic, name in packers.items() if head.startswith(magic)), None)
     if packed is not None:
         raise LogError("log_not_csv", path, f"what is in it is packed again, with {packed}")
-    nul = head.count(0)
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or 5 * nul > 2 * len(head) > 0:
-        raise LogError(
-            "log_encoding", path, 'the text looks like UTF-16: set encoding = "utf-16" for this log'
-        )
-    if nul:
+    if head.startswith(b"SQLite format 3\0"):
+        how = "this is an SQLite database: export its table as CSV or Parquet"
+        raise LogError("log_not_csv", path, how)
+    if head and not any(head):
+        raise LogError("log_damaged", path, "the file holds nothing but zero bytes: copy it again")
+    encoding = _wide_encoding(head)
+    if encoding:
+        how = f'the text looks like {encoding.upper()}: set encoding = "{encoding}" for this log'
+        raise LogError("log_encoding", path, how)
+    if 0 in head:
         raise LogError(
             "log_not_csv", path, "the file is not text: set the format it has, or unpack it first"
         )
+
+
+def _wide_encoding(head: bytes) -> str | None:
+    """Encoding of text whose letters have zero bytes around them."""
+    if head.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
+        return "utf-32"
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    nul = head.count(0)
+    if 10 * nul > 7 * len(head):
+        return "utf-32"
+    return "utf-16" if 5 * nul > 2 * len(head) else None

@@ -57,6 +57,9 @@ class Schema(NamedTuple):
     data: bytes
 
 
+NO_SCHEMA = Schema("", "", b"")
+
+
 @dataclass(frozen=True, slots=True)
 class Declared:
     """Channels and schemas by id; they may be repeated but not changed."""

@@ -2,116 +2,74 @@
 
 Messages are taken from the file in pieces of some megabytes, and each piece is decoded at once; of
 a piece only the readings and time stamps are kept. What cannot be taken at once is taken message by
-message, by the `json` module or Protobuf's runtime; messages of ROS 2 need no second way. The
-format's own reader is the oracle in the tests, which list what only that lets through.
+message, by the `json` module or the format's own packages.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows, chosen_rows
-from pipeline.config.channels import Channel, Channels, QualityValue
+from pipeline.config.channels import Channel, QualityValue
 from pipeline.config.field_paths import FieldPath, field_path, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import converted, judged, raw_channel, raw_log, span
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
-from pipeline.ingest.mcap.cdr import ROS2_LANGUAGES, cdr_decoder
-from pipeline.ingest.mcap.json import json_decoder, require_json_field
-from pipeline.ingest.mcap.layout import ChannelRecord, Schema
+from pipeline.ingest.mcap.decoding import (
+    Decoded,
+    Decoder,
+    Payloads,
+    Wanted,
+    has,
+    leaves,
+    payloads_of,
+    stacked,
+)
+from pipeline.ingest.mcap.json import json_decoder, json_object
+from pipeline.ingest.mcap.layout import NO_SCHEMA, ChannelRecord, Schema
 from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
-from pipeline.ingest.mcap.payloads import Decoded, Decoder, Payloads, payloads_of, stacked
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
+from pipeline.ingest.mcap.ros2 import ros2_decoder
 from pipeline.ingest.quality import BLANK, quality_states
 from pipeline.ingest.time_stamps import WrittenStamps, from_epoch, placed, written_as_numbers
+from pipeline.ingest.wall_clock import TimeStamps
 
 _PIECE = 2**20
 _COST_OF_MESSAGE = 64
 """Bytes that a message takes while it is decoded, besides its payload."""
 
-_NO_SCHEMA = Schema("", "", b"")
-_ENCODINGS = {("protobuf", "protobuf"), *(("cdr", language) for language in ROS2_LANGUAGES)}
+_MOST_NAMES = 40
 
 _Quality = tuple[FieldPath, tuple[QualityValue, ...]]
 """A field of qualities, and what is good there."""
 
 
-class _Fields(NamedTuple):
-    """Wanted fields of each message of a topic: readings, and what it says of them."""
-
-    readings: tuple[FieldPath, ...]
-    qualities: tuple[_Quality, ...]
-
-
-_Wanted = Mapping[str, _Fields]
-"""Fields by topic."""
-
-_Key = tuple[str, Schema, _Fields]
-"""Encoding, schema and fields: what messages have to share to be decoded together."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Parts:
-    """The messages of one topic, in the order of the file."""
-
-    stamps: GatheredStamps
-    fields: dict[FieldPath, GatheredReadings]
-    states: dict[_Quality, list[NDArray[np.uint8]]]
-
-
-@dataclass(slots=True)
-class _Decoders:
-    """Topic and decoder by channel id; -1 for what is not wanted."""
-
-    topic: NDArray[np.int16]
-    number: NDArray[np.int16]
-    by_key: dict[_Key, Decoder] = field(default_factory=dict)
-
-
 def read_mcap_log(file: LogFile) -> RawLog:
     """Read the wanted topics of an MCAP file, chunked or not."""
-    path, logs, channels = file.path, file.logs, file.channels
-    wanted = _wanted(channels)
-    content, loss = _content(path, logs, wanted)
-    placed_stamps = [placed(parts.stamps.taken(), logs.time_zone) for parts in content.values()]
-    stamps, refused = judged(path, placed_stamps, _time_name(logs), file.latest_us)
-    del placed_stamps
+    path, logs = file.path, file.logs
+    names = dict.fromkeys(channel.source for channel in file.channels.values())
+    topics = [_Topic(file, name) for name in names]
+    reading = _Reading(path, logs, topics)
+    for messages in read_messages(path, salvage=logs.salvage):
+        reading.add(messages)
+    reading.finish(messages)
+    stamps, refused = judged(
+        path, [topic.stamps() for topic in topics], _time_name(logs), file.latest_us
+    )
     found: dict[str, RawChannel] = {}
-    rows = 0
-    for (topic, fields), judged_stamps in zip(wanted.items(), stamps, strict=True):
-        kept = chosen_rows(judged_stamps.readable)
-        time_us = judged_stamps.time_us[kept]
-        rows += time_us.size
-        states = _states(path, logs, topic, content[topic], kept)
-        for one in fields.readings:
-            # The columns are given up, so that a long log is not held twice.
-            readings = content[topic].fields.pop(one).taken().rows(kept)
-            if readings.missing.size and readings.missing.all() and not readings.unparsed.any():
-                _require_field(path, logs, topic, one)
-            found |= {
-                name: raw_channel(
-                    path,
-                    name,
-                    channel,
-                    time_us,
-                    converted(name, channel, readings),
-                    states.get(_quality_of(channel)),
-                )
-                for name, channel in channels.items()
-                if channel.source == topic and field_path(channel.field, topic) == one
-            }
-    in_order: dict[str, RawChannel] = {name: found[name] for name in channels}
+    for topic, of_topic in zip(topics, stamps, strict=True):
+        found |= topic.channels(of_topic)
+    in_order: dict[str, RawChannel] = {name: found[name] for name in file.channels}
+    rows = sum(int(np.count_nonzero(of_topic.readable)) for of_topic in stamps)
     refused = {reason.replace("row", "message", 1): n for reason, n in refused.items()}
-    return raw_log(in_order, rows, refused, [loss] if loss else [])
+    return raw_log(in_order, rows, refused, [messages.loss] if messages.loss else [])
 
 
 def mcap_time_span(file: LogFile) -> tuple[int, int]:
@@ -158,194 +116,216 @@ def _time_of_record(logs: Logs) -> str:
     return "publish_time" if logs.time == "publish_time" else "log_time"
 
 
-def _wanted(channels: Channels) -> _Wanted:
-    topics = dict.fromkeys(channel.source for channel in channels.values())
-    return {topic: _fields(channels, topic) for topic in topics}
+def decoder_of(path: Path, channel: ChannelRecord, schema: Schema, wanted: Wanted) -> Decoder:
+    """Decoder of the messages of a channel record.
+
+    Raises
+    ------
+    LogError
+        ``log_encoding``: messages in this encoding are not read; and as each decoder.
+    """
+    match channel.encoding, schema.encoding:
+        case "json", _:
+            return json_decoder(wanted)
+        case "protobuf", "protobuf":
+            return protobuf_decoder(path, channel.topic, schema, wanted)
+        case "cdr", "ros2msg":
+            return ros2_decoder(path, channel.topic, schema, wanted)
+    raise LogError(
+        "log_encoding",
+        path,
+        f"messages of topic {channel.topic!r} are encoded as {channel.encoding!r} with a schema in "
+        f"{schema.encoding!r}; read are 'json', 'protobuf' with descriptors, and 'cdr' with "
+        "'ros2msg'",
+        channel.topic,
+    )
 
 
-def _fields(channels: Channels, topic: str) -> _Fields:
-    own = [channel for channel in channels.values() if channel.source == topic]
-    readings = dict.fromkeys(field_path(channel.field, topic) for channel in own)
-    qualities = dict.fromkeys(_quality_of(channel) for channel in own if channel.quality_source)
-    return _Fields(tuple(readings), tuple(qualities))
+class _Reading:
+    """Takes the messages of a file piece by piece, and decodes those of some topics.
+
+    Messages of topics that have encoding, schema and fields in common are decoded together.
+    """
+
+    def __init__(self, path: Path, logs: Logs, topics: Sequence[_Topic]) -> None:
+        self.path = path
+        self.topics = topics
+        self.time = _time_of_record(logs)
+        self.decoders: dict[tuple[str, Schema, Wanted], Decoder] = {}
+        # Number of topic and decoder by channel id; -1 for what is not wanted.
+        self.topic_of = np.full(2**16, -1, np.int16)
+        self.decoder_of = np.full(2**16, -1, np.int16)
+        self.known = 0  # channels that the file has declared so far
+        self.in_turn = False  # some topic has messages of more than one decoder
+        self.held: dict[int, list[Payloads]] = {}
+
+    def add(self, messages: Messages) -> None:
+        """Add the messages of a piece."""
+        if len(messages.channels) != self.known:
+            self._know(messages)
+        if not messages.start.size:
+            return
+        topic, times = self.topic_of.take(messages.channel_id), messages.times(self.time)
+        for number, rows in self._runs(self.decoder_of.take(messages.channel_id)):
+            # Messages of one topic keep their order, whatever decodes them.
+            for other in [other for other in self.held if self.in_turn and other != number]:
+                self._decode(other)
+            held = self.held.setdefault(number, [])
+            held.append(payloads_of(messages, rows, topic, times))
+            if sum(one.text.size + _COST_OF_MESSAGE * one.start.size for one in held) >= _PIECE:
+                self._decode(number)
+
+    def _know(self, messages: Messages) -> None:
+        """Know the channels that the file has declared so far."""
+        self.known = len(messages.channels)
+        for channel_id, channel in messages.channels.items():
+            for number, topic in enumerate(self.topics):
+                if channel.topic == topic.name:
+                    schema = messages.schemas.get(channel.schema_id, NO_SCHEMA)
+                    # Of JSON, the schema is not looked at.
+                    own = NO_SCHEMA if channel.encoding == "json" else schema
+                    key = channel.encoding, own, topic.wanted
+                    if key not in self.decoders:
+                        made = decoder_of(self.path, channel, schema, topic.wanted)
+                        self.decoders[key] = made
+                    self.topic_of[channel_id] = number
+                    self.decoder_of[channel_id] = list(self.decoders).index(key)
+                    topic.encodings.add(channel.encoding)
+        pairs = set(zip(self.topic_of.tolist(), self.decoder_of.tolist(), strict=True))
+        self.in_turn = len(pairs) > len({topic for topic, _ in pairs})
+
+    def _runs(self, numbers: NDArray[np.int16]) -> Iterator[tuple[int, Rows]]:
+        """Messages of each decoder; where they take turns, each stretch of them by itself."""
+        if self.in_turn:
+            edges = np.flatnonzero(np.diff(numbers)) + 1
+            for stretch in np.split(np.arange(numbers.size), edges):
+                if numbers[stretch[0]] >= 0:
+                    yield int(numbers[stretch[0]]), stretch
+            return
+        for number in range(int(numbers.max(initial=-1)) + 1):
+            chosen = numbers == number
+            if chosen.any():
+                yield number, chosen_rows(chosen)
+
+    def _decode(self, number: int) -> None:
+        payloads = stacked(self.held.pop(number))
+        decoded = list(self.decoders.values())[number].decode(payloads)
+        stamps = decoded.stamps
+        if stamps is None:
+            stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
+        for of_topic, topic in enumerate(self.topics):
+            rows = np.flatnonzero(payloads.topic == of_topic)
+            if rows.size:
+                topic.add(decoded, stamps, rows)
+
+    def finish(self, last: Messages) -> None:
+        """Decode what is left; refuse a topic that no channel has, and fields that no message has.
+
+        The last piece of a file knows all channels.
+        """
+        for number in list(self.held):
+            self._decode(number)
+        there = ", ".join(
+            map(repr, sorted({one.topic for one in last.channels.values()})[:_MOST_NAMES])
+        )
+        for topic in self.topics:
+            if not topic.encodings:
+                how = f"no topic {topic.name!r}; there are {there}"
+                raise LogError("log_column_missing", self.path, how)
+            topic.require_fields()
+
+
+class _Topic:
+    """What is wanted of the messages of one topic, gathered in the order of the file."""
+
+    def __init__(self, file: LogFile, name: str) -> None:
+        self.file = file
+        self.name = name
+        self.own = {key: one for key, one in file.channels.items() if one.source == name}
+        qualities = (_quality_of(one) for one in self.own.values() if one.quality_source)
+        self.states: dict[_Quality, list[NDArray[np.uint8]]] = {one: [] for one in qualities}
+        readings = dict.fromkeys(field_path(one.field, name) for one in self.own.values())
+        self.readings = {one: GatheredReadings() for one in readings}
+        logs = file.logs
+        self.wanted = Wanted(
+            tuple(readings),
+            tuple(dict.fromkeys(quality for quality, _ in self.states)),
+            field_path(logs.stamp) if logs.stamp else None,
+            logs.time_format if logs.stamp else "epoch_ns",
+        )
+        self.written = GatheredStamps()
+        self.encodings: set[str] = set()
+
+    def add(self, decoded: Decoded, stamps: WrittenStamps, rows: NDArray[np.intp]) -> None:
+        """Add its rows of what was decoded."""
+        own = WrittenStamps(stamps.time_us.take(rows), stamps.kind.take(rows), stamps.example)
+        self.written.add(own)
+        for one, readings in self.readings.items():
+            readings.add(decoded.fields[one].rows(rows))
+        for (one, good), states in self.states.items():
+            cells = decoded.qualities[one].take(pa.array(rows))
+            states.append(quality_states(self.file.path, path_text(one), cells, good))
+
+    def require_fields(self) -> None:
+        """Refuse a field that no message has."""
+        for one, parts in self.readings.items():
+            if parts.has_none:
+                self._require_field(one)
+        for (one, _), states in self.states.items():
+            if states and all((part == BLANK).all() for part in states):
+                self._require_field(one)
+
+    def _require_field(self, field: FieldPath) -> None:
+        """Refuse a field that no message has; one that is null is a missing sample.
+
+        Messages that have a schema are left out: it has told which fields there are.
+        """
+        if self.encodings != {"json"}:
+            return
+        there: dict[str, None] = {}
+        for messages in read_messages(self.file.path, salvage=self.file.logs.salvage):
+            ids = [i for i, channel in messages.channels.items() if channel.topic == self.name]
+            for i in np.flatnonzero(np.isin(messages.channel_id, ids)).tolist():
+                payload = messages.buffer[messages.payload_start[i] : messages.payload_end[i]]
+                message = json_object(bytes(payload)) or {}
+                if has(message, field):
+                    return
+                if len(there) < _MOST_NAMES:
+                    there |= dict.fromkeys(path_text(one) for one, _ in leaves(message))
+        names = ", ".join(map(repr, sorted(there)[:_MOST_NAMES]))
+        raise LogError(
+            "log_column_missing",
+            self.file.path,
+            f"no message of topic {self.name!r} has a field {path_text(field)!r}; "
+            f"there are {names}",
+            self.name,
+        )
+
+    def stamps(self) -> TimeStamps:
+        """Stamps of all messages, in UTC; they are given up."""
+        return placed(self.written.taken(), self.file.logs.time_zone)
+
+    def channels(self, stamps: TimeStamps) -> dict[str, RawChannel]:
+        """Its channels at these stamps; the readings are given up."""
+        kept = chosen_rows(stamps.readable)
+        time_us = stamps.time_us[kept]
+        states = {
+            quality: np.concatenate([np.empty(0, np.uint8), *parts])[kept]
+            for quality, parts in self.states.items()
+        }
+        found: dict[str, RawChannel] = {}
+        for one in self.wanted.readings:
+            # The columns are given up, so that a long log is not held twice.
+            readings = self.readings.pop(one).taken().rows(kept)
+            for name, channel in self.own.items():
+                if field_path(channel.field, self.name) == one:
+                    own = converted(name, channel, readings)
+                    quality = states.get(_quality_of(channel))
+                    found[name] = raw_channel(self.file.path, name, channel, time_us, own, quality)
+        return found
 
 
 def _quality_of(channel: Channel) -> _Quality:
     """Path of a channel's quality, and what is good there."""
     named = channel.quality_source
     return field_path(named, channel.source) if named else (), channel.quality_good
-
-
-def _states(
-    path: Path, logs: Logs, topic: str, parts: _Parts, kept: Rows
-) -> dict[_Quality, NDArray[np.uint8]]:
-    """The qualities of a topic's messages with a good time."""
-    found: dict[_Quality, NDArray[np.uint8]] = {}
-    for quality, pieces in parts.states.items():
-        states = np.concatenate([np.empty(0, np.uint8), *pieces])
-        if states.size and (states == BLANK).all():
-            _require_field(path, logs, topic, quality[0])
-        found[quality] = states[kept]
-    return found
-
-
-def _content(path: Path, logs: Logs, wanted: _Wanted) -> tuple[dict[str, _Parts], str]:
-    """Messages by topic, and what was lost to damage, in words."""
-    names = tuple(wanted)
-    summary, _ = summary_of(path, salvage=logs.salvage)
-    content = {
-        name: _no_parts(fields, summary.stated_count(name) or 0) for name, fields in wanted.items()
-    }
-    decoders = _Decoders(np.empty(0, np.int16), np.empty(0, np.int16))
-    known = -1
-    held: dict[int, list[Payloads]] = {}
-    for messages in read_messages(path, salvage=logs.salvage):
-        if len(messages.channels) != known:
-            _add_decoders(path, logs, wanted, messages, decoders)
-            known = len(messages.channels)
-            in_turn = _is_shared(decoders)
-        if not messages.start.size:
-            continue
-        topic = decoders.topic.take(messages.channel_id)
-        times = messages.times(_time_of_record(logs))
-        for number, chosen in _runs(decoders.number.take(messages.channel_id), in_turn=in_turn):
-            # Messages of one topic keep their order, whatever decodes them.
-            for other in [other for other in held if in_turn and other != number]:
-                _decode(path, decoders, other, held.pop(other), names, content)
-            stretches = held.setdefault(number, [])
-            stretches.append(payloads_of(messages, chosen, topic, times))
-            size = sum(one.text.size + _COST_OF_MESSAGE * one.start.size for one in stretches)
-            if size >= _PIECE:
-                _decode(path, decoders, number, held.pop(number), names, content)
-    for number, stretches in held.items():
-        _decode(path, decoders, number, stretches, names, content)
-    _require_topics(path, wanted, messages)
-    return content, messages.loss
-
-
-def _no_parts(fields: _Fields, expected: int) -> _Parts:
-    return _Parts(
-        GatheredStamps(expected),
-        {one: GatheredReadings(expected=expected) for one in fields.readings},
-        {one: [] for one in fields.qualities},
-    )
-
-
-def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, Rows]]:
-    """Messages of each decoder; `in_turn`, each stretch of them by itself."""
-    if in_turn:
-        edges = np.flatnonzero(np.diff(numbers)) + 1
-        for stretch in np.split(np.arange(numbers.size), edges):
-            if stretch.size and numbers[stretch[0]] >= 0:
-                yield int(numbers[stretch[0]]), stretch
-        return
-    for number in range(int(numbers.max(initial=-1)) + 1):
-        chosen = numbers == number
-        if chosen.any():
-            yield number, chosen_rows(chosen)
-
-
-def _is_shared(decoders: _Decoders) -> bool:
-    """True if some topic has messages of more than one decoder."""
-    pairs = set(zip(decoders.topic.tolist(), decoders.number.tolist(), strict=True))
-    return len(pairs) > len({topic for topic, _ in pairs})
-
-
-def _decode(
-    path: Path,
-    decoders: _Decoders,
-    number: int,
-    stretches: Sequence[Payloads],
-    names: Sequence[str],
-    content: Mapping[str, _Parts],
-) -> None:
-    payloads = stacked(stretches)
-    decoded = list(decoders.by_key.values())[number](payloads)
-    stamps = decoded.stamps
-    if stamps is None:
-        stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
-    for topic, name in enumerate(names):
-        rows = np.flatnonzero(payloads.topic == topic)
-        if not rows.size:
-            continue
-        parts = content[name]
-        parts.stamps.add(
-            WrittenStamps(stamps.time_us.take(rows), stamps.kind.take(rows), stamps.example)
-        )
-        for one, column in parts.fields.items():
-            column.add(decoded.fields[one].rows(rows))
-        for (one, good), states in parts.states.items():
-            cells = _cells(decoded, one).take(pa.array(rows))
-            states.append(quality_states(path, path_text(one), cells, good))
-
-
-def _cells(decoded: Decoded, quality: FieldPath) -> pa.Array:
-    if quality in decoded.qualities:
-        return decoded.qualities[quality]
-    readings = decoded.fields[quality]
-    return pa.array(readings.raw, mask=readings.missing)
-
-
-def _add_decoders(
-    path: Path, logs: Logs, wanted: _Wanted, messages: Messages, decoders: _Decoders
-) -> None:
-    """Know the channels that a file has declared so far."""
-    names = list(wanted)
-    size = max(messages.channels, default=0) + 1
-    decoders.topic = np.full(size, -1, np.int16)
-    decoders.number = np.full(size, -1, np.int16)
-    for channel_id, channel in messages.channels.items():
-        fields = wanted.get(channel.topic)
-        if fields is None:
-            continue
-        key = _key(path, channel, messages.schemas, fields)
-        if key not in decoders.by_key:
-            decoders.by_key[key] = _decoder(path, logs, channel.topic, key)
-        decoders.topic[channel_id] = names.index(channel.topic)
-        decoders.number[channel_id] = list(decoders.by_key).index(key)
-
-
-def _key(
-    path: Path, channel: ChannelRecord, schemas: Mapping[int, Schema], fields: _Fields
-) -> _Key:
-    if channel.encoding == "json":
-        return channel.encoding, _NO_SCHEMA, fields
-    schema = schemas.get(channel.schema_id, _NO_SCHEMA)
-    if (channel.encoding, schema.encoding) not in _ENCODINGS:
-        raise LogError(
-            "log_encoding",
-            path,
-            f"messages of topic {channel.topic!r} are encoded as {channel.encoding!r} with a "
-            f"schema in {schema.encoding!r}; read are 'json', 'protobuf' with descriptors, and "
-            "'cdr' with 'ros2msg' or 'ros2idl'",
-            channel.topic,
-        )
-    return channel.encoding, schema, fields
-
-
-def _decoder(path: Path, logs: Logs, topic: str, key: _Key) -> Decoder:
-    encoding, schema, fields = key
-    stamp = field_path(logs.stamp) if logs.stamp else None
-    qualities = tuple(dict.fromkeys(one for one, _ in fields.qualities))
-    if encoding == "json":
-        return json_decoder(fields.readings, stamp, logs.time_format, qualities)
-    made = cdr_decoder if encoding == "cdr" else protobuf_decoder
-    numbers = tuple(dict.fromkeys((*fields.readings, *qualities)))
-    return made(path, topic, schema, numbers, stamp, logs.time_format)
-
-
-def _require_topics(path: Path, wanted: _Wanted, last: Messages) -> None:
-    """Refuse a topic that no channel has; the last piece of a file knows all channels."""
-    topics = sorted({one.topic for one in last.channels.values()})
-    for name in wanted:
-        if name not in topics:
-            there = ", ".join(map(repr, topics[:40]))
-            raise LogError("log_column_missing", path, f"no topic {name!r}; there are {there}")
-
-
-def _require_field(path: Path, logs: Logs, topic: str, one: FieldPath) -> None:
-    """Refuse a field that no JSON message has; other encodings have said so from the schema."""
-    for messages in read_messages(path, salvage=logs.salvage):
-        channels = [c for c in messages.channels.values() if c.topic == topic]
-    if all(channel.encoding == "json" for channel in channels):
-        require_json_field(path, topic, one, salvage=logs.salvage)

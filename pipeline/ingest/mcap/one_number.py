@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from pipeline.ingest.mcap.decoding import Payloads
 from pipeline.ingest.mcap.layout import column
-from pipeline.ingest.mcap.payloads import Payloads
 
 _NUMBER = re.compile(rb" *-?[0-9][-+.0-9eE]*")
 _MOST_NUMBERS = 8

@@ -10,13 +10,10 @@ import numpy as np
 
 from pipeline.config.field_paths import FieldPath
 from pipeline.errors import LogError
-from pipeline.ingest.mcap.cdr import ROS2_LANGUAGES, cdr_decoder, ros2_root
-from pipeline.ingest.mcap.fields import number_paths
-from pipeline.ingest.mcap.json import json_decoder, json_object, leaves
-from pipeline.ingest.mcap.layout import ChannelRecord, Schema, Summary, read_summary
+from pipeline.ingest.mcap.decoding import Payloads, Wanted, leaves, payloads_of, stacked
+from pipeline.ingest.mcap.layout import NO_SCHEMA, ChannelRecord, Schema, Summary, read_summary
+from pipeline.ingest.mcap.log import decoder_of
 from pipeline.ingest.mcap.messages import Messages, read_messages
-from pipeline.ingest.mcap.payloads import Payloads, payloads_of, stacked
-from pipeline.ingest.mcap.protobuf import protobuf_decoder, protobuf_root
 
 MESSAGES_READ = 50
 _MOST_BYTES = 64 * 2**20
@@ -34,7 +31,7 @@ class Topic:
     log_ns: list[int] = field(default_factory=list)
     publish_ns: list[int] = field(default_factory=list)
     fields: Mapping[FieldPath, tuple[float, ...]] = field(default_factory=dict)  # nan for none
-    texts: Mapping[FieldPath, str] = field(default_factory=dict)  # of the first message (JSON)
+    texts: Mapping[FieldPath, str] = field(default_factory=dict)  # of the first message
     fault: str = ""  # why the messages cannot be read
 
 
@@ -46,22 +43,28 @@ def read_topics(path: Path) -> list[Topic]:
     summary = read_summary(path)
     payloads: dict[str, list[Payloads]] = {}
     topics: dict[str, Topic] = {}
-    schemas: dict[str, Schema] = {}
+    records: dict[str, ChannelRecord] = {}
+    schemas: dict[int, Schema] = {}
     for messages in read_messages(path):
+        schemas |= {**summary.declared.schemas, **messages.schemas}
         for channel in {**summary.declared.channels, **messages.channels}.values():
-            schema = {**summary.declared.schemas, **messages.schemas}.get(channel.schema_id)
-            schemas.setdefault(channel.topic, schema or Schema("", "", b""))
-            topics.setdefault(channel.topic, _topic(channel, schema, summary))
+            records.setdefault(channel.topic, channel)
+            topics.setdefault(channel.topic, _topic(channel, schemas, summary))
         _take(messages, topics, payloads)
         whole = all(len(one.log_ns) >= MESSAGES_READ for one in topics.values())
         if (whole and summary.declared.channels) or messages.read_to > _MOST_BYTES:
             break
-    for name, found in payloads.items():
-        _decode(path, topics[name], schemas[name], stacked(found))
+    for name, record in records.items():
+        try:
+            schema = schemas.get(record.schema_id, NO_SCHEMA)
+            _decode(path, topics[name], record, schema, payloads.get(name, []))
+        except LogError as error:
+            topics[name].fault = error.message
     return [topics[name] for name in sorted(topics)]
 
 
-def _topic(channel: ChannelRecord, schema: Schema | None, summary: Summary) -> Topic:
+def _topic(channel: ChannelRecord, schemas: Mapping[int, Schema], summary: Summary) -> Topic:
+    schema = schemas.get(channel.schema_id)
     name = "" if schema is None else schema.name
     return Topic(channel.topic, channel.encoding, name, summary.stated_count(channel.topic))
 
@@ -75,39 +78,31 @@ def _take(
         wanted = MESSAGES_READ - len(topic.log_ns)
         rows = np.flatnonzero(np.isin(messages.channel_id, ids))[: max(wanted, 0)]
         if rows.size:
-            numbers, log_time = np.zeros(messages.start.size, np.int16), messages.times("log_time")
-            taken = payloads_of(messages, rows, numbers, log_time)
+            log_time = messages.times("log_time")
+            taken = payloads_of(messages, rows, np.zeros(log_time.size, np.int16), log_time)
             payloads.setdefault(name, []).append(taken)
             topic.log_ns += log_time[rows].tolist()
             topic.publish_ns += messages.times("publish_time")[rows].tolist()
 
 
-def _decode(path: Path, topic: Topic, schema: Schema, payloads: Payloads) -> None:
-    kind = (topic.encoding, schema.encoding)
-    try:
-        if topic.encoding == "json":
-            messages = [one for one in map(json_object, payloads.each()) if one is not None]
-            found = [leaf for one in messages for leaf in leaves(one)]
-            paths = list(dict.fromkeys(at for at, value in found if _is_number(value)))
-            texts = leaves(messages[0]) if messages else ()
-            topic.texts = {at: text for at, text in texts if isinstance(text, str)}
-            decoder = json_decoder(paths[:_MOST_FIELDS], None, "epoch_ns")
-        elif topic.encoding == "cdr" and schema.encoding in ROS2_LANGUAGES:
-            paths = number_paths(ros2_root(path, topic.name, schema), _MOST_FIELDS)
-            decoder = cdr_decoder(path, topic.name, schema, paths, None, "epoch_ns")
-        elif kind == ("protobuf", "protobuf"):
-            paths = number_paths(protobuf_root(path, schema), _MOST_FIELDS)
-            decoder = protobuf_decoder(path, topic.name, schema, paths, None, "epoch_ns")
-        else:
-            topic.fault = f"messages in {topic.encoding or 'an encoding without a name'!r}"
-            return
-        paths = paths[:_MOST_FIELDS]
-        decoded = decoder(payloads) if paths else None
-    except LogError as error:
-        topic.fault = error.message
+def _decode(
+    path: Path,
+    topic: Topic,
+    record: ChannelRecord,
+    schema: Schema,
+    found: list[Payloads],
+) -> None:
+    read_tree = decoder_of(path, record, schema, Wanted(())).tree
+    if not found:
         return
-    if decoded is not None:
-        topic.fields = {one: tuple(decoded.fields[one].raw.tolist()) for one in paths}
+    payloads = stacked(found)
+    trees = [tree for tree in map(read_tree, payloads.each()) if tree is not None]
+    values = [leaf for tree in trees for leaf in leaves(tree)]
+    numbers = [at for at, value in values if at and _is_number(value)]
+    paths = tuple(dict.fromkeys(numbers))[:_MOST_FIELDS]
+    topic.texts = {at: one for at, one in leaves(trees[0]) if isinstance(one, str)} if trees else {}
+    decoded = decoder_of(path, record, schema, Wanted(paths)).decode(payloads)
+    topic.fields = {one: tuple(decoded.fields[one].raw.tolist()) for one in paths}
 
 
 def _is_number(value: object) -> bool:

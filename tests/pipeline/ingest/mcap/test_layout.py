@@ -20,8 +20,8 @@ import pipeline.ingest.mcap.log
 import pipeline.ingest.mcap.messages
 from pipeline.ingest import time_span
 from pipeline.ingest.conformance import T0_US
-from pipeline.ingest.mcap.chunks import offsets_in_chunk, record_size
 from pipeline.ingest.mcap.layout import record_offsets
+from pipeline.ingest.mcap.messages import offsets_in_chunk, record_size_of_all
 from tests.pipeline.ingest.mcap.json_files import (
     DP,
     MAGIC,
@@ -247,7 +247,7 @@ def test_records_are_of_one_size_where_the_walk_finds_them_so(
     whole = b"".join(record(opcode, bytes(length)) for opcode, length in kinds * times)
     records = memoryview(whole[: max(len(whole) - missing, 0)])
     alike = len(set(kinds)) == 1 and not missing
-    assert record_size(records) == (9 + kinds[0][1] if alike else 0)
+    assert record_size_of_all(records) == (9 + kinds[0][1] if alike else 0)
 
 
 @pytest.mark.parametrize("wrong", [1, 9, 2**63, 2**64 - 9])

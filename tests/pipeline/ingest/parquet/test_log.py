@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import pipeline.ingest.parquet.log
+import pipeline.ingest.parquet
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log, time_span
 from pipeline.ingest.conformance import T0_US
@@ -259,7 +259,7 @@ def test_more_rows_than_fit_are_refused_while_they_unfold(
     path = written(tmp_path, {"time": times, "dp": np.ones(rows)})
     assert path.stat().st_size < rows / 100
     assert read_log(path, *SOURCE).rows == rows
-    monkeypatch.setattr(pipeline.ingest.parquet.log, "MOST_ROWS", 1_000_000)
+    monkeypatch.setattr(pipeline.ingest.parquet, "MOST_ROWS", 1_000_000)
     assert error(path).code == "log_too_large"
 
 

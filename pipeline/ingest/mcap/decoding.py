@@ -1,0 +1,294 @@
+"""Payloads of messages, and the readings that are found in them, one message at a time.
+
+What is faster for many messages at once is each encoding's own; this is what all fall back to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from pipeline.arrays import Rows
+from pipeline.config.field_paths import FieldPath
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
+from pipeline.ingest.assembly import Readings
+from pipeline.ingest.mcap.layout import fields_at
+from pipeline.ingest.mcap.messages import Messages
+from pipeline.ingest.time_stamps import WrittenStamps, written_as_numbers, written_as_text
+from pipeline.ingest.wall_clock import LATEST_US
+
+SECONDS = ("sec", "secs", "seconds")
+NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
+"""Names of the two numbers of a stamp: of ROS 2, of ROS 1 and JSON, and of Protobuf."""
+
+_NEWLINE = 10
+_ELEMENTS_SHOWN = 4
+_DEEPEST = 6
+_INT64 = np.iinfo(np.int64)
+
+
+class Wanted(NamedTuple):
+    """What is wanted of each message of a topic."""
+
+    readings: tuple[FieldPath, ...]
+    qualities: tuple[FieldPath, ...] = ()  # what it says of the readings
+    stamp: FieldPath | None = None  # None where the log or publish time is to be used
+    time_format: str = "epoch_ns"  # of the stamp
+
+
+@dataclass(frozen=True, slots=True)
+class Payloads:
+    """Payloads of some messages, each with a newline before it."""
+
+    text: NDArray[np.uint8]
+    start: NDArray[np.int64]  # of each payload in the text
+    length: NDArray[np.int64]
+    topic: NDArray[np.int16]  # number of the topic of each
+    time_ns: NDArray[np.uint64]  # log or publish time
+
+    @property
+    def first(self) -> bytes:
+        """The first payload; there is one at least."""
+        return self.text[self.start[0] :][: self.length[0]].tobytes()
+
+    def each(self, rows: NDArray[np.intp] | None = None) -> Iterator[bytes]:
+        """One payload after the other; of some messages, or of all."""
+        starts, lengths = (
+            values if rows is None else values[rows] for values in (self.start, self.length)
+        )
+        text = self.text.data
+        for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
+            yield bytes(text[start : start + length])
+
+    def by_length(self) -> Iterator[tuple[NDArray[np.intp], int, memoryview]]:
+        """Rows of messages of one length, the length, and their text: a byte and a payload each."""
+        if (self.length == self.length[0]).all():
+            yield np.arange(self.length.size), int(self.length[0]), self.text.data
+            return
+        for length in np.flatnonzero(np.bincount(self.length)).tolist():
+            rows = np.flatnonzero(self.length == length)
+            text = fields_at(self.text.data, self.start[rows] - 1, f"V{length + 1}")
+            yield rows, length, text.view(np.uint8).data
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """Readings of the wanted fields of messages, what they say of them, and stamps if wanted."""
+
+    fields: Mapping[FieldPath, Readings]
+    stamps: WrittenStamps | None
+    qualities: Mapping[FieldPath, pa.Array]
+
+
+class Decoder(NamedTuple):
+    """How messages of one encoding and schema are read."""
+
+    decode: Callable[[Payloads], Decoded]
+    tree: Callable[[bytes], Any]  # a message as dicts, lists and values; None for what is none
+
+
+Value = Callable[[Any], Any]
+"""A function of a message that gives what a path leads to; None where it leads nowhere."""
+
+
+def payloads_of(
+    messages: Messages, chosen: Rows, topic: NDArray[np.int16], time_ns: NDArray[np.uint64]
+) -> Payloads:
+    """Payloads of the chosen messages, one at least, with the topics and times of all messages."""
+    starts, ends = messages.payload_start[chosen], messages.payload_end[chosen]
+    length = ends - starts
+    if (length == length[0]).all():
+        size = int(length[0]) + 1
+        text = fields_at(messages.buffer, starts - 1, f"V{size}").view(np.uint8)
+        placed = np.arange(1, text.size + 1, size)
+    else:
+        edges = np.append(np.column_stack([starts - 1, ends]), ends[-1])
+        buffers = [None, pa.py_buffer(edges), pa.py_buffer(messages.buffer)]
+        pieces = pa.Array.from_buffers(pa.large_binary(), edges.size - 1, buffers)
+        texts = pieces.take(pa.array(np.arange(0, edges.size - 1, 2)))
+        text = np.frombuffer(texts.buffers()[2], np.uint8, int((length + 1).sum()))
+        placed = _starts(length)
+    text[placed - 1] = _NEWLINE
+    return Payloads(text, placed, length, topic[chosen], time_ns[chosen])
+
+
+def stacked(parts: Sequence[Payloads]) -> Payloads:
+    """Payloads one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    length = np.concatenate([part.length for part in parts])
+    return Payloads(
+        text=np.concatenate([part.text for part in parts]),
+        start=_starts(length),
+        length=length,
+        topic=np.concatenate([part.topic for part in parts]),
+        time_ns=np.concatenate([part.time_ns for part in parts]),
+    )
+
+
+def _starts(length: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.cumsum(length + 1) - length
+
+
+def one_by_one(
+    messages: Sequence[Any], wanted: Wanted, values: Mapping[FieldPath, Value], example: str
+) -> Decoded:
+    """What is wanted of messages, None for each that is none; `example` is one of these in words.
+
+    `values` are the functions of a message by path.
+    """
+    found = {
+        path: [None if one is None else value(one) for one in messages]
+        for path, value in values.items()
+    }
+    broken = np.array([one is None for one in messages], np.bool_)
+    fields = {path: _readings(found[path], broken, example) for path in wanted.readings}
+    words = {path: pa.array(map(_word, found[path]), pa.string()) for path in wanted.qualities}
+    stamps = None if wanted.stamp is None else stamps_of(found[wanted.stamp], wanted.time_format)
+    return Decoded(fields, stamps, words)
+
+
+def _readings(values: list[Any], broken: NDArray[np.bool_], example: str) -> Readings:
+    missing = np.array([value is None for value in values], np.bool_)
+    try:
+        if set(map(type, values)) <= {int, float, type(None)}:
+            raw = np.array(values, np.float64)
+            return Readings(raw, missing, broken, example if broken.any() else None)
+    except OverflowError:
+        pass
+    numbers = [_number(value) for value in values]
+    unparsed = broken | (~missing & np.array([one is None for one in numbers], np.bool_))
+    first = int(np.argmax(unparsed))
+    shown = example if broken[first] else repr(values[first])[:60]
+    raw = np.array(numbers, np.float64)
+    return Readings(raw, missing | unparsed, unparsed, shown if unparsed.any() else None)
+
+
+def _number(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        return float(value)
+    except OverflowError:  # An integer of more than 308 digits is a number, but not finite.
+        return math.inf if value > 0 else -math.inf
+
+
+def _word(value: object) -> str | None:
+    # Halves of letters beyond the first 65 536 are no text to Arrow.
+    return None if value is None else str(value).encode(errors="replace").decode()
+
+
+def stamps_of(values: Sequence[Any], time_format: str) -> WrittenStamps:
+    """Stamps of any kind each: text, a number, or a message of seconds and nanoseconds."""
+    time_us, kind = np.zeros(len(values), np.int64), np.zeros(len(values), np.int8)
+    rows: dict[type, list[int]] = {}
+    for i, value in enumerate(values):
+        rows.setdefault(type(value), []).append(i)
+    example = None
+    for of_type, chosen in rows.items():
+        stamps = _stamps_of_type(of_type, [values[i] for i in chosen], time_format)
+        if stamps is not None:
+            time_us[chosen], kind[chosen] = stamps.time_us, stamps.kind
+            example = example or stamps.example
+    return WrittenStamps(time_us, kind, example)
+
+
+def _stamps_of_type(of_type: type, values: list[Any], time_format: str) -> WrittenStamps | None:
+    if of_type is str:
+        # No stamp holds a letter beyond ASCII, and halves of such letters are no text to Arrow.
+        texts = pa.array([one if one.isascii() else None for one in values], pa.string())
+        return written_as_text(pa.chunked_array([texts]), time_format)
+    if of_type is int:
+        return stamps_of_numbers(_int64(values)[0], time_format)
+    if of_type is float:
+        return stamps_of_numbers(np.array(values), time_format)
+    if of_type is dict:
+        parts = [pair_of(one) or ("", "") for one in values]
+        pairs = [
+            [one.get(name) for name in names] for one, names in zip(values, parts, strict=True)
+        ]
+        return stamps_of_pairs(_int64([s for s, _ in pairs]), _int64([ns for _, ns in pairs]))
+    return None
+
+
+def _int64(values: Sequence[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Whole numbers, 0 where there is none, and where there is one."""
+    there = [type(one) is int and _INT64.min <= one <= _INT64.max for one in values]
+    whole = [one if ok else 0 for one, ok in zip(values, there, strict=True)]
+    return np.array(whole, np.int64), np.array(there, np.bool_)
+
+
+def pair_of(value: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Names of the seconds and nanoseconds of a stamp."""
+    seconds = next((name for name in SECONDS if name in value), None)
+    nanoseconds = next((name for name in NANOSECONDS if name in value), None)
+    return (seconds, nanoseconds) if seconds and nanoseconds else None
+
+
+def stamps_of_numbers(
+    numbers: NDArray[np.integer] | NDArray[np.floating], time_format: str
+) -> WrittenStamps:
+    """Stamps that are one number; none of them can be read where the format is one of text."""
+    if time_format in EPOCH_UNITS or time_format == EXCEL_DAYS:
+        return written_as_numbers(numbers, time_format)
+    return WrittenStamps(np.zeros(numbers.size, np.int64), np.zeros(numbers.size, np.int8))
+
+
+Numbers = tuple[NDArray[Any], NDArray[np.bool_]]
+"""Numbers, and where there is one."""
+
+
+def stamps_of_pairs(seconds: Numbers, nanoseconds: Numbers) -> WrittenStamps:
+    """Stamps of whole seconds since 1970, UTC, and nanoseconds, cut off to microseconds."""
+    (whole, there), (rest, also) = seconds, nanoseconds
+    sound = there & also & (whole >= 0) & (whole < LATEST_US // 1_000_000)
+    sound &= (rest >= 0) & (rest < 1_000_000_000)
+    time_us = np.where(sound, whole, 0).astype(np.int64) * 1_000_000
+    time_us += np.where(sound, rest, 0).astype(np.int64) // 1000
+    return written_as_numbers(time_us, "epoch_us")
+
+
+def value_at(node: Any, path: FieldPath) -> Any:
+    """The value that a path leads to in a tree; None where it leads nowhere."""
+    for step in path:
+        if not _leads(node, step):
+            return None
+        node = node[step]
+    return node
+
+
+def has(node: Any, path: FieldPath) -> bool:
+    """True if a path leads to something, be it null, or is cut short by a null."""
+    for step in path:
+        if not _leads(node, step):
+            return node is None
+        node = node[step]
+    return True
+
+
+def _leads(node: object, step: str | int) -> bool:
+    """True for a dict with such a key, or a list with such a position."""
+    if isinstance(step, str):
+        return isinstance(node, dict) and step in node
+    return isinstance(node, list) and step < len(node)
+
+
+def leaves(node: Any, path: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
+    """Values that are neither dicts nor lists, by path; of a list the first ones."""
+    below: Sequence[tuple[Any, Any]] = ()
+    if isinstance(node, dict):
+        below = list(node.items())
+    elif isinstance(node, list):
+        below = list(enumerate(node[:_ELEMENTS_SHOWN]))
+    else:
+        yield path, node
+    for step, inner in below if len(path) < _DEEPEST else ():
+        # A key without a letter cannot stand in a path.
+        if step != "":
+            yield from leaves(inner, (*path, step))
