@@ -224,7 +224,7 @@ def _largest_of(path: AnnularGap, drive: Callable[[Array], Array], highest: floa
     found = float(
         minimize_scalar(less, bounds=(0.0, highest), method="bounded", options={"xatol": 1e-6}).x
     )
-    return found if found < highest - 1e-3 else None
+    return round(found, 3) if found < highest - 1e-3 else None
 
 
 def _pressures(subject: ModelSubject, path: AnnularGap) -> Array:
