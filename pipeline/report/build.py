@@ -16,7 +16,7 @@ import polars as pl
 
 from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
-from pipeline.report.encoding import script_json
+from pipeline.report.charts import conditions_chart, watch_chart
 from pipeline.report.findings import scores
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
@@ -29,12 +29,20 @@ from pipeline.report.manifest import (
     write_changed,
     write_report_manifest,
 )
-from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
-from pipeline.report.pages import ASSETS, UTC, FleetFacts, fleet_html, motor_html
+from pipeline.report.pages import (
+    ASSETS,
+    UTC,
+    FleetFacts,
+    fleet_html,
+    glossary_html,
+    motor_html,
+)
+from pipeline.report.plotly_json import script_json
 from pipeline.report.status import changed_by_rules, standing_states
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
+from pipeline.report.words import STATUSES
 from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, WATCH
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
@@ -58,7 +66,7 @@ class KnownMotor:
     """Facts on a motor that only the config has."""
 
     motor_type: str
-    # Its dated events, each with `date`, `kind` and `note`; each starts a new baseline.
+    # Its dated events, each with `date`, `kind` and `note`.
     events: tuple[Mapping[str, Any], ...] = ()
     paths: tuple[str, ...] = ()  # names of its leakage paths, in the config's order
 
@@ -279,6 +287,7 @@ def _make_pages(
     by_type = {motor_id: row.motor_type for motor_id, row in by_id.items()}
     parts = scores(history.decisions, history.rows(WATCH), by_type)
     write(INDEX, fleet_html(facts, rows, told.to_dicts(), parts).encode())
+    write("glossary.html", glossary_html(facts).encode())
     for motor in motors:
         name = names[motor.motor_id]
         page = _motor_page(request, history, motor, name, by_id[motor.motor_id], facts, now)
@@ -295,16 +304,20 @@ def _motor_page(
     facts: FleetFacts,
     now: ReportManifest,
 ) -> str:
-    detailed = {night for night in motor.nights if night_file_name(name, night) in now.files}
     known = request.known.get(motor.motor_id, KnownMotor(""))
-    events = [
-        {**event, "date": event["date"].isoformat()}
-        for event in sorted(known.events, key=lambda event: event["date"])
-    ]
     changes = changes_of_state(motor.motor_id, history)
-    payload = motor_payload(motor, name, detailed, changes, events, known.paths)
+    nights = {
+        "file": name,
+        "nights": [str(night) for night in motor.nights],
+        "statuses": [STATUSES.get(status, status) for status in motor.statuses],
+        "detailed": [int(night_file_name(name, night) in now.files) for night in motor.nights],
+    }
+    charts = {
+        "course": watch_chart(motor, known.paths, known.events, changes),
+        "conditions": conditions_chart(motor),
+    }
     said = [one for one in history.decisions if one.motor_id == motor.motor_id]
-    return motor_html(facts, row, motor, payload, changes, said)
+    return motor_html(facts, row, motor, charts, nights, changes, said)
 
 
 def changes_of_state(motor_id: str, history: ReportTables) -> list[dict[str, Any]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,18 +15,12 @@ from pathlib import Path
 import polars as pl
 
 from pipeline.errors import StoreError
+from pipeline.report.explain import EXPLAINED
 from pipeline.schema import (
-    BLOCK_STATISTICS,
     FIT_KEY_NAMES,
     FITS,
-    INPUT_FILES,
-    PARAMETERS,
     PREDICTIONS,
-    QUALITY,
-    RESIDUAL_TESTS,
-    RESIDUAL_VERDICTS,
     RUNS,
-    SENSITIVITIES,
     TREND_TABLES,
     Table,
     frame,
@@ -36,18 +29,7 @@ from pipeline.store.tables import by_file, files_of, night_paths, read_table, wh
 from pipeline.trends.nights.decisions import Decision, read_decisions
 
 # Tables of a night that its page shows.
-SHOWN_TABLES = (
-    FITS,
-    PARAMETERS,
-    SENSITIVITIES,
-    PREDICTIONS,
-    RESIDUAL_TESTS,
-    RESIDUAL_VERDICTS,
-    QUALITY,
-    BLOCK_STATISTICS,
-    INPUT_FILES,
-)
-READING_THREADS = 4
+SHOWN_TABLES = (*EXPLAINED, PREDICTIONS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,11 +136,7 @@ def _read_files(
             return error.message
         return rows.select(columns)
 
-    if len(paths) < READING_THREADS:
-        parts = list(map(part, paths))
-    else:
-        with ThreadPoolExecutor(READING_THREADS) as pool:
-            parts = list(pool.map(part, paths))
+    parts = [part(path) for path in paths]
     empty = pl.DataFrame(schema=table.schema).select(columns)
     frames = [found for found in parts if isinstance(found, pl.DataFrame)]
     faults = tuple(found for found in parts if isinstance(found, str))
