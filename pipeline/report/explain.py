@@ -13,7 +13,7 @@ from typing import Any
 
 from pipeline.errors import UsageError
 from pipeline.messages import counted, plain, statement
-from pipeline.report.words import UNITS
+from pipeline.report.words import UNITS, figure, refusal
 from pipeline.schema import (
     FITS,
     INPUT_FILES,
@@ -129,7 +129,7 @@ def _refusals(rows: list[Row]) -> Iterator[str]:
     of_channel: dict[str, list[str]] = {}
     for row in sorted(told, key=lambda row: -row["n_refused"] / row["n_samples"]):
         share = 100 * row["n_refused"] / row["n_samples"]
-        words = f"{plain(row['reason'])} {share:.1f} %"
+        words = f"{refusal(row['reason'])} {share:.1f} %"
         of_channel.setdefault(row["channel"], []).append(words)
     for channel, parts in of_channel.items():
         yield f"refused samples of {plain(channel)}: {', '.join(parts)}"
@@ -192,7 +192,7 @@ def _leakages(fit: Row, watch: list[Row]) -> Iterator[str]:
 def _conditions(row: Row, kind: str) -> str:
     """Conditions of a leakage; `kind` is how their columns begin."""
     units = {"pressure_bar": "bar", "temperature_c": "°C", "speed_rpm": "rpm"}
-    return ", ".join(f"{row[f'{kind}_{name}']:.3g} {unit}" for name, unit in units.items())
+    return ", ".join(f"{figure(row[f'{kind}_{name}'])} {unit}" for name, unit in units.items())
 
 
 def _figure(fit: Row) -> str:

@@ -98,9 +98,9 @@ def _charts(page: Figure, chart: Chart) -> None:
     marks = "    ".join(
         f"{number}  {mark.night}: {mark.words}" for number, mark in enumerate(chart.marks, 1)
     )
-    page.text(LEFT, 0.255, _wrapped(textwrap.shorten(marks, 3 * LETTERS)), va="top", color="0.35")
+    page.text(LEFT, 0.248, _wrapped(textwrap.shorten(marks, 3 * LETTERS)), va="top", color="0.35")
     grid = page.add_gridspec(
-        len(panels), 1, left=LEFT, right=RIGHT, top=0.80, bottom=0.285, hspace=0.35,
+        len(panels), 1, left=LEFT, right=RIGHT, top=0.80, bottom=0.29, hspace=0.35,
         height_ratios=[one.height for one in panels],
     )  # fmt: skip
     first: Axes | None = None

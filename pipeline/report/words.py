@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from pipeline.messages import plain
+from pipeline.schema import QUALITY_REASONS
 from pipeline.trends.sentences import CAUSES
 
 ABSENT: Final = "–"
@@ -70,6 +71,12 @@ GLOSSARY: Final[Mapping[str, str]] = {
     "Lack of fit": "What of the baseline's flow the model leaves to pressure, speed and "
     "temperature. Up to 2 % it is supported, up to 5 % doubtful; beyond, no part is named.",
 }
+
+
+def refusal(code: str) -> str:
+    """Words of a rule that refuses samples."""
+    reason = QUALITY_REASONS.get(code)
+    return plain(code) if reason is None else reason.words
 
 
 def candidates(text: str | None) -> list[tuple[str, float]]:

@@ -41,7 +41,7 @@ from pipeline.night.cleaning import CHANNEL_RULES, Course
 from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import Rows
 from pipeline.night.time_base import JOINT_RULES, Together
-from pipeline.report.words import for_scripts
+from pipeline.report.words import refusal
 from pipeline.schema import QUALITY_REASONS, Reason
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
@@ -210,12 +210,10 @@ def test_rules_of_its_own_refuse_and_are_told_in_their_words(tmp_path: Path) -> 
     refused = {(row["channel"], row["reason"]): row["n_refused"] for row in rows["quality"]}
     assert refused["speed", "settling"] == refused["oil_temperature", "settling"] == 60
     assert refused["time_base", "hot"] == int((temperature[60:] > 55.0).sum()) > 0
-    assert for_scripts()["rules"]["settling"] == "sensor settling"
-    assert for_scripts()["rules"]["hot"] == "oil too hot"
+    assert refusal("settling") == "sensor settling"
+    assert refusal("hot") == "oil too hot"
 
 
 def test_every_reason_has_words_on_the_pages() -> None:
-    words = for_scripts()["rules"]
-    assert words.keys() == QUALITY_REASONS.keys()
-    assert all(words.values())
-    assert words["bad_quality"] == "not good by the log's own word"
+    assert all(refusal(code) for code in QUALITY_REASONS)
+    assert refusal("bad_quality") == "not good by the log's own word"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-from dataclasses import replace
 from typing import Any
 
 from pipeline.report.fleet_page import fleet_rows
@@ -47,8 +46,6 @@ def test_the_age_of_data_counts_from_their_end() -> None:
 
 def test_change_and_leakage_stand_with_their_intervals_and_conditions() -> None:
     state = state_of("M", "alarm")
-    own = {"own_pressure_bar": 150.0, "own_temperature_c": 48.0, "own_speed_rpm": 26.0}
-    state = replace(state, watch=replace(state.watch, **own))
     rows = fleet_rows([history([fit(0)], [watch(0, 2.42)])], {"M": "M"}, {}, {"M": state})
     html = fleet_html(FleetFacts("F", None, None), rows)
     for words in (
