@@ -34,9 +34,6 @@ from pipeline.config.motor_types import (
     Scale,
     SpeedCurvePath,
 )
-from pipeline.model_figures.canvas import drawing
-from pipeline.model_figures.subject import subject_of
-from pipeline.model_figures.writing import model_figures
 from pipeline.night.cleaning import CHANNEL_RULES, Course
 from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import Rows
@@ -192,16 +189,6 @@ def test_what_scales_it_and_its_tolerance_leave_the_statistics_as_they_are(tmp_p
     plain = hashed()
     assert hashed(diameter_um=300.0) == hashed(flow_tolerance_percent=1.0) == plain
     assert hashed(flow_l_per_min=2.0) != plain
-
-
-def test_it_has_a_figure(tmp_path: Path) -> None:
-    spec = with_paths(tmp_path)
-    subject = subject_of(spec.motor_type, spec.oil_on(NIGHT), spec.settings)
-    with drawing():
-        (axes,) = model_figures(subject)["bore_leakage"]().axes
-    pressure, flow = axes.lines[0].get_data()
-    # Q₀ of 1 l/min at 200 bar; the axis is in ml/min.
-    assert np.interp(200.0, pressure, flow) == pytest.approx(1000.0, rel=1e-4)
 
 
 @pytest.mark.usefixtures("rules")
