@@ -22,7 +22,7 @@ from pipeline.report.history import Course, MotorHistory
 from pipeline.report.words import EVENTS, STATUSES
 from pipeline.thinning import keep_extremes
 from pipeline.trends.nights.decisions import LEAKAGE
-from pipeline.trends.sentences import CAUSES
+from pipeline.trends.sentences import cause_words
 
 Times = NDArray[np.datetime64]
 Row = Mapping[str, Any]
@@ -249,7 +249,7 @@ def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
     told = motor.watch.filter(pl.col("told_on").is_not_null(), pl.col("goes_on").not_())
     causes = told.unique("told_on", keep="last", maintain_order=True).select("told_on", "cause")
     for night, cause in causes.iter_rows():
-        what = "cause not known" if cause == "cannot_be_told" else CAUSES.get(cause, plain(cause))
+        what = "cause not known" if cause == "cannot_be_told" else cause_words(cause)
         yield Mark(night, f"change detected: {what}", ORANGE)
     for row in changes:
         if row["indicator"] == LEAKAGE and row["to_state"] == "alarm" != row["from_state"]:

@@ -7,7 +7,7 @@ from typing import Final
 
 from pipeline.messages import plain
 from pipeline.schema import QUALITY_REASONS
-from pipeline.trends.sentences import CAUSES
+from pipeline.trends.sentences import cause_words
 
 ABSENT: Final = "–"
 STATUSES: Final[Mapping[str, str]] = {
@@ -88,7 +88,7 @@ def candidates(text: str | None) -> list[tuple[str, float]]:
     [('balance sleeve', 0.93), ('all gaps', 0.05)]
     """
     parts = (one.rsplit(" ", 1) for one in (text or "").split("; ") if one)
-    return [(CAUSES.get(cause, plain(cause)), float(probability)) for cause, probability in parts]
+    return [(cause_words(cause), float(probability)) for cause, probability in parts]
 
 
 def figure(value: float | None, digits: int = 3) -> str:
