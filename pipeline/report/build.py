@@ -21,13 +21,13 @@ from pipeline.report.findings import scores
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.manifest import (
+    Entry,
     ReportManifest,
+    close_report,
     is_as_left,
-    read_report_manifest,
-    remove_stale,
+    open_report,
     short_hash,
     write_changed,
-    write_report_manifest,
 )
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
@@ -58,7 +58,7 @@ WORTH_WORKERS = 8
 # Of changes of state a page lists the newest.
 SHOWN_CHANGES = 200
 
-Entries = dict[str, tuple[str, int]]
+Entries = dict[str, Entry]
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class NightTask:
     folder: Path
     night: dt.date
     names: Mapping[str, str]  # names of the motors' folders; other motors are left out
-    before: Mapping[str, tuple[str, int]]  # entries of the night's files in the manifest, by path
+    before: Mapping[str, Entry]  # entries of the night's files in the manifest, by path
 
 
 def build_report(request: ReportRequest) -> ReportResult:
@@ -130,10 +130,7 @@ def build_report(request: ReportRequest) -> ReportResult:
             f"{request.output} holds no table of fits; run fit-fleet first; if it found no log, "
             "run check",
         )
-    before = read_report_manifest(request.folder)
-    if before is None:
-        before = ReportManifest("")
-        write_report_manifest(request.folder, before)
+    before = open_report(request.folder)
     remove_leftovers([request.folder])
     history = read_tables(request.output)
     names = _names(request, history)
@@ -142,8 +139,7 @@ def build_report(request: ReportRequest) -> ReportResult:
     made, faults = _make_nights(request, nights, names, before, now)
     n_motors = _make_pages(request, history, names, faults, before, now)
     n_written = sum(1 for name, entry in now.files.items() if before.files.get(name) != entry)
-    n_removed = remove_stale(request.folder, before, now)
-    write_report_manifest(request.folder, now)
+    n_removed = close_report(request.folder, before, now)
     return ReportResult(
         index=request.folder / INDEX,
         n_motors=n_motors,
@@ -155,14 +151,11 @@ def build_report(request: ReportRequest) -> ReportResult:
 
 
 def _names(request: ReportRequest, history: ReportTables) -> dict[str, str]:
-    """Names of the pages of all motors that are shown."""
+    """File names of all motors that are shown."""
     ids = {*request.known, *history.fits["motor_id"].unique()}
-    strangers = sorted(set(request.motors) - ids)
-    if strangers:
-        raise UsageError(
-            "unknown_motor",
-            f"no motor {', '.join(strangers)}; there are {', '.join(sorted(ids))}",
-        )
+    if strangers := sorted(set(request.motors) - ids):
+        there = ", ".join(sorted(ids))
+        raise UsageError("unknown_motor", f"no motor {', '.join(strangers)}; there are {there}")
     names = file_names(ids)
     return {one: names[one] for one in sorted(ids) if not request.motors or one in request.motors}
 

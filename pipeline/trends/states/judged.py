@@ -49,9 +49,7 @@ class JudgedNight:
 
     @property
     def gap_growth(self) -> Estimate | None:
-        """Relative change of the gap that the cause names; None where it names none.
-
-        """
+        """Relative change of the gap that the cause names; None where it names none."""
         watch, change = self.watched.watch, self.change
         growth = None if change is None else change.path_growth
         if watch is None or change is None or growth is None:
