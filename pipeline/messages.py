@@ -78,3 +78,24 @@ def error_line(code: str, message: str, exit_code: int, *, as_json: bool) -> str
         return f"motor-leakage: {code}: {message}"
     line = {"event": "error", "code": code, "message": message, "exit_code": exit_code}
     return json.dumps(line)
+
+
+def plain(name: str) -> str:
+    """A name of the tables with blanks for underscores."""
+    return name.replace("_", " ")
+
+
+def as_sentence(words: str) -> str:
+    """Words with a capital and a full stop.
+
+    Examples
+    --------
+    >>> as_sentence("flows have risen"), as_sentence("")
+    ('Flows have risen.', '')
+    """
+    return f"{words[:1].upper()}{words[1:].removesuffix('.')}." if words else ""
+
+
+def statement(sentence: str, advice: str) -> str:
+    """What is told of a motor and what to do, as pages, paper, mail and terminal say it."""
+    return " ".join(as_sentence(one) for one in (sentence, advice) if one)

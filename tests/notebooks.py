@@ -19,7 +19,7 @@ from nbclient import NotebookClient
 from PIL import Image
 
 DOCS = Path(__file__).parent.parent / "docs"
-NAMES = ("one_motor", "fleet_year")
+NAMES = ("one_motor", "fleet_year", "motor_type")
 COLOURS = 64
 
 

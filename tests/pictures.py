@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import io
 import sys
-import tempfile
 from pathlib import Path
 
 from PIL import Image
 from selenium.webdriver.remote.webdriver import WebDriver
-from typer.testing import CliRunner
 
-from pipeline.cli import app
 from tests.pipeline.report.browser import opened
 
 PAGES = {"fleet.png": "index.html", "motor.png": "motors/CB400-02.html"}
-FIGURES = ("piston_ring_leakage", "shares", "viscosity")
-MOTOR_TYPE = "CB560"
 SIZE = (1280, 860)
-WIDTH = 1200
 COLOURS = 128  # more than the pages have, so that a picture stays below 200 kB
 
 
@@ -30,13 +24,6 @@ def main(report: Path, folder: Path) -> None:
         for name, page in PAGES.items():
             browser.get((report / page).resolve().as_uri())
             _first_screen(browser).save(folder / name, optimize=True)
-    with tempfile.TemporaryDirectory() as drawn:
-        arguments = ["model", "--type", MOTOR_TYPE, "--output", drawn]
-        CliRunner().invoke(app, arguments, catch_exceptions=False)
-        for figure in FIGURES:
-            picture = Image.open(Path(drawn) / f"{MOTOR_TYPE}_{figure}.png").convert("RGB")
-            picture.thumbnail((WIDTH, WIDTH))
-            picture.quantize(COLOURS).save(folder / f"model_{figure}.png", optimize=True)
 
 
 def _first_screen(browser: WebDriver) -> Image.Image:

@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from PIL import Image
 
-from pipeline.model_figures.canvas import dots, drawing, label, line, new_figure, save
+from pipeline.arrays import Array
 from pipeline.notebook import Tables
+from pipeline.palette import COLOURS as PENS
 from validation.record import FLOW, TIME, Record
 
 SOURCE = (
@@ -28,16 +30,30 @@ def draw(record: Record, predicted: pl.Series, cuts: Tables, nights: Tables, fol
     `predicted` is the flow of each row of the record's warm part.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with drawing():
-        figure, axes = new_figure("A real pump", 3, note=SOURCE)
-        _course(axes[0], record.warm(), predicted)
-        _windows(axes[1], cuts, f"{record.name}-windows")
-        _wear(axes[2], nights, record.name)
-        path = folder / f"real_machines_{record.name}.png"
-        save(figure, path, "png")
+    figure = Figure(figsize=(13.8, 5.0), layout="constrained")
+    figure.suptitle("A real pump")
+    figure.supxlabel(SOURCE, fontsize=8)
+    axes = figure.subplots(1, 3)
+    _course(axes[0], record.warm(), predicted)
+    _windows(axes[1], cuts, f"{record.name}-windows")
+    _wear(axes[2], nights, record.name)
+    path = folder / f"real_machines_{record.name}.png"
+    figure.savefig(path, dpi=150)
     picture = Image.open(path).convert("RGB")
     picture.thumbnail((WIDTH, WIDTH))
     picture.quantize(COLOURS).save(path, optimize=True)
+
+
+def line(axes: Axes, x: Array, y: Array, place: int, name: str | None = None) -> None:
+    axes.plot(x, y, color=PENS[place], label=name)
+
+
+def dots(axes: Axes, x: Array, y: Array, place: int) -> None:
+    axes.plot(x, y, "o", color=PENS[place])
+
+
+def label(axes: Axes, title: str, x: str, y: str) -> None:
+    axes.set(title=title, xlabel=x, ylabel=y)
 
 
 def _course(axes: Axes, rows: pl.DataFrame, predicted: pl.Series) -> None:

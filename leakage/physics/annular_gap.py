@@ -29,6 +29,17 @@ MICROMETRES_PER_METRE = 1e6
 VISIBLE_BELOW = 0.83
 
 
+def gap_ratio(flow_ratio: float) -> float:
+    """Ratio of two heights of a gap from that of their loss factors, which go with the cube.
+
+    Examples
+    --------
+    >>> round(gap_ratio(2.0), 2)
+    1.26
+    """
+    return math.cbrt(flow_ratio)
+
+
 @dataclass(frozen=True, slots=True)
 class AnnularGap(Law):
     r"""Laminar flow through an annular gap that pressure may close and eccentricity widens.

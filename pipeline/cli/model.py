@@ -1,9 +1,9 @@
-"""Commands that need no logs: figures of a motor type's model, and the simulated fleet."""
+"""The command that writes the simulated fleet."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -39,37 +39,3 @@ def demo(
     )
     config = folder / "configs" / "fleet.toml"
     typer.echo(f"logs written to {folder / 'demo' / 'logs'}; the fleet's config is {config}")
-
-
-def draw_model(
-    motor_type: Annotated[str, typer.Option("--type", help="Motor type, such as CB560.")],
-    config: Annotated[
-        Path | None, typer.Option(metavar="FLEET", help="The fleet file; else the shipped config.")
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option(help="Folder of the figures; else figures/ in the output.")
-    ] = None,
-    image_format: Annotated[
-        Literal["png", "svg"], typer.Option("--format", help="Kind of the files.")
-    ] = "png",
-    oil: Annotated[
-        str | None, typer.Option(help="The oil; else that of the fleet's first motor of the type.")
-    ] = None,
-) -> None:
-    """Draw the model of a motor type as its config states it: each path, oil, shares, films.
-
-    Nothing is fitted: gap heights and eccentricities are the configured ones, and the settings
-    are the fleet's, without what a motor overrides. Prints the files that were written.
-
-    Example: motor-leakage model --type CB560 --config configs/fleet.toml --format svg
-    """
-    from pipeline.config import load_fleet
-    from pipeline.demo import shipped_configs
-    from pipeline.model_figures import choose, write_model_figures
-
-    fleet = load_fleet(config or shipped_configs() / "fleet.toml")
-    subject = choose(fleet, motor_type, oil)
-    # The shipped config lies within the program, and its output folder too.
-    folder = output or (fleet.output if config else Path("out").resolve()) / "figures"
-    for path in write_model_figures(subject, folder, image_format):
-        typer.echo(path)

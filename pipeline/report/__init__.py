@@ -2,5 +2,5 @@
 
 Doors: `build` (the pages), `paper` (a page for a work order), `status` (states on the terminal)
 and `explain` (a night in words). Below them `tables` reads, `history` has a motor over its nights,
-`night` one night of all motors.
+`charts` what is drawn of it, by `plotly_json` on pages and by `paper`.
 """

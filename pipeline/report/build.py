@@ -15,25 +15,33 @@ import polars as pl
 
 from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
-from pipeline.report.encoding import script_json
+from pipeline.report.charts import conditions_chart, watch_chart
 from pipeline.report.findings import scores
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.manifest import (
+    Entry,
     ReportManifest,
+    close_report,
     is_as_left,
-    read_report_manifest,
-    remove_stale,
+    open_report,
     short_hash,
     write_changed,
-    write_report_manifest,
 )
-from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
-from pipeline.report.pages import ASSETS, UTC, FleetFacts, fleet_html, motor_html
+from pipeline.report.pages import (
+    ASSETS,
+    UTC,
+    FleetFacts,
+    fleet_html,
+    glossary_html,
+    motor_html,
+)
+from pipeline.report.plotly_json import script_json
 from pipeline.report.status import changed_by_rules, standing_states
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
+from pipeline.report.words import STATUSES
 from pipeline.schema import ALARMS, FITS, NIGHTLY_TABLES, SCHEMA_VERSION, WATCH, Table
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import days_of, files_of, read_table, table_folder
@@ -49,7 +57,7 @@ WORTH_WORKERS = 8
 # Of changes of state a page lists the newest.
 SHOWN_CHANGES = 200
 
-Entries = dict[str, tuple[str, int]]
+Entries = dict[str, Entry]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +65,7 @@ class KnownMotor:
     """Facts on a motor that only the config has."""
 
     motor_type: str
-    # Its dated events, each with `date`, `kind` and `note`; each starts a new baseline.
+    # Its dated events, each with `date`, `kind` and `note`.
     events: tuple[Mapping[str, Any], ...] = ()
     paths: tuple[str, ...] = ()  # names of its leakage paths, in the config's order
 
@@ -105,7 +113,7 @@ class NightTask:
     folder: Path
     night: dt.date
     names: Mapping[str, str]  # names of the motors' folders; other motors are left out
-    before: Mapping[str, tuple[str, int]]  # entries of the night's files in the manifest, by path
+    before: Mapping[str, Entry]  # entries of the night's files in the manifest, by path
 
 
 def build_report(request: ReportRequest) -> ReportResult:
@@ -121,10 +129,7 @@ def build_report(request: ReportRequest) -> ReportResult:
             f"{request.output} holds no table of fits; run fit-fleet first; if it found no log, "
             "run check",
         )
-    before = read_report_manifest(request.folder)
-    if before is None:
-        before = ReportManifest("")
-        write_report_manifest(request.folder, before)
+    before = open_report(request.folder)
     remove_leftovers([request.folder])
     history = read_tables(request.output)
     names = _names(request, history)
@@ -133,8 +138,7 @@ def build_report(request: ReportRequest) -> ReportResult:
     made, faults = _make_nights(request, nights, names, before, now)
     n_motors = _make_pages(request, history, names, faults, before, now)
     n_written = sum(1 for name, entry in now.files.items() if before.files.get(name) != entry)
-    n_removed = remove_stale(request.folder, before, now)
-    write_report_manifest(request.folder, now)
+    n_removed = close_report(request.folder, before, now)
     return ReportResult(
         index=request.folder / INDEX,
         n_motors=n_motors,
@@ -146,14 +150,11 @@ def build_report(request: ReportRequest) -> ReportResult:
 
 
 def _names(request: ReportRequest, history: ReportTables) -> dict[str, str]:
-    """Names of the pages of all motors that are shown."""
+    """File names of all motors that are shown."""
     ids = {*request.known, *history.fits["motor_id"].unique()}
-    strangers = sorted(set(request.motors) - ids)
-    if strangers:
-        raise UsageError(
-            "unknown_motor",
-            f"no motor {', '.join(strangers)}; there are {', '.join(sorted(ids))}",
-        )
+    if strangers := sorted(set(request.motors) - ids):
+        there = ", ".join(sorted(ids))
+        raise UsageError("unknown_motor", f"no motor {', '.join(strangers)}; there are {there}")
     names = file_names(ids)
     return {one: names[one] for one in sorted(ids) if not request.motors or one in request.motors}
 
@@ -292,6 +293,7 @@ def _make_pages(
     by_type = {motor_id: row.motor_type for motor_id, row in by_id.items()}
     parts = scores(history.decisions, history.rows(WATCH), by_type)
     write(INDEX, fleet_html(facts, rows, told.to_dicts(), parts).encode())
+    write("glossary.html", glossary_html(facts).encode())
     for motor in motors:
         name = names[motor.motor_id]
         page = _motor_page(request, history, motor, name, by_id[motor.motor_id], facts, now)
@@ -308,16 +310,20 @@ def _motor_page(
     facts: FleetFacts,
     now: ReportManifest,
 ) -> str:
-    detailed = {night for night in motor.nights if night_file_name(name, night) in now.files}
     known = request.known.get(motor.motor_id, KnownMotor(""))
-    events = [
-        {**event, "date": event["date"].isoformat()}
-        for event in sorted(known.events, key=lambda event: event["date"])
-    ]
     changes = changes_of_state(motor.motor_id, history)
-    payload = motor_payload(motor, name, detailed, changes, events, known.paths)
+    nights = {
+        "file": name,
+        "nights": [str(night) for night in motor.nights],
+        "statuses": [STATUSES.get(status, status) for status in motor.statuses],
+        "detailed": [int(night_file_name(name, night) in now.files) for night in motor.nights],
+    }
+    charts = {
+        "course": watch_chart(motor, known.paths, known.events, changes),
+        "conditions": conditions_chart(motor),
+    }
     said = [one for one in history.decisions if one.motor_id == motor.motor_id]
-    return motor_html(facts, row, motor, payload, changes, said)
+    return motor_html(facts, row, motor, charts, nights, changes, said)
 
 
 def changes_of_state(motor_id: str, history: ReportTables) -> list[dict[str, Any]]:

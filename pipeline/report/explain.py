@@ -6,13 +6,14 @@ All figures come from the published tables.
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UsageError
-from pipeline.messages import counted
-from pipeline.report.words import UNITS
+from pipeline.messages import counted, plain, statement
+from pipeline.report.words import UNITS, figure, refusal
 from pipeline.schema import (
     FITS,
     INPUT_FILES,
@@ -21,16 +22,27 @@ from pipeline.schema import (
     RESIDUAL_VERDICTS,
     SENSITIVITIES,
     WATCH,
-    Table,
 )
 from pipeline.store.tables import read_rows
 from pipeline.trends.rows.motor_states import FITS_OF_A_NIGHT, fit_words
 
 Row = dict[str, Any]
 
+# Tables that the words on a night are made from.
+EXPLAINED = (*(FITS, WATCH, PARAMETERS, SENSITIVITIES, RESIDUAL_VERDICTS, QUALITY, INPUT_FILES),)
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    """A title and its lines; the headline has none."""
+
+    title: str
+    lines: list[str]
+
+
 # A rule that refused less than this is not worth a line.
 WORTH_TELLING = 0.005
-LARGEST_EFFECTS = 3
+LARGEST_EFFECTS = 5
 NAMES = {
     "pressure_difference": "pressure",
     "oil_temperature": "oil temperature",
@@ -44,53 +56,53 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
 
     Raises UsageError if there is no row of that motor and night, StoreError if a table is damaged.
     """
-    fits = _rows(output, FITS, motor_id, night)
-    if not fits:
+    rows = {
+        table.name: read_rows(output, table, [motor_id], nights=[night])
+        .filter(night=night)
+        .to_dicts()
+        for table in EXPLAINED
+    }
+    if not rows["fits"]:
         raise UsageError(
             "unknown_night", f"no row of motor {motor_id} in the night of {night}; run fit-fleet"
         )
-    primary = next(row for row in fits if row["is_primary"])
-    data = [
-        *_files(_rows(output, INPUT_FILES, motor_id, night), primary["reason"]),
-        *_refusals(_rows(output, QUALITY, motor_id, night)),
-    ]
-    lines = [_headline(motor_id, night, primary)]
-    watched = list(_watched(_rows(output, WATCH, motor_id, night)))
-    if primary["status"] != "ok":
+    first, *others = paragraphs(rows)
+    lines = [line for one in others for line in ("", one.title, *(f"  {x}" for x in one.lines))]
+    return [*first.lines, *lines]
+
+
+def paragraphs(rows: Mapping[str, list[Row]]) -> list[Paragraph]:
+    """Paragraphs on a motor's night from its rows by table, the headline first.
+
+    There is at least a row of `fits`.
+    """
+    fits, watch = rows["fits"], rows["watch"]
+    fit = next(row for row in fits if row["is_primary"])
+    data = [*_files(rows["input_files"], fit["reason"]), *_refusals(rows["quality"])]
+    if fit["status"] != "ok":
         # Without a baseline it would but repeat why there is no fit.
-        known = watched if len(watched) > 1 else []
-        return [*lines, *_paragraph("State", known), *_paragraph("Data", data)]
-    parameters = _of(primary, _rows(output, PARAMETERS, motor_id, night))
-    effects = _of(primary, _rows(output, SENSITIVITIES, motor_id, night))
-    tests = _of(primary, _rows(output, RESIDUAL_VERDICTS, motor_id, night))
-    return [
-        *lines,
-        *_leakage(primary),
-        *_paragraph("State", watched),
-        *_paragraph("Paths", _verdicts(parameters)),
-        *_paragraph("Systematic errors", _budget(primary, effects)),
-        *_paragraph("Fit", (*_fit(primary), *_modes(fits))),
-        *_paragraph("Errors of the fit", explain_residuals(primary, tests)),
-        *_paragraph("Data", (*_kept(primary), *data)),
+        known = list(_watched(watch)) if watch and watch[0]["evidence_limit"] is not None else []
+        found = [Paragraph("", [_headline(fit)]), Paragraph("State", known)]
+        return [one for one in (*found, Paragraph("Data", data)) if one.lines]
+    parameters, effects, tests = (
+        [row for row in rows[table.name] if row["flushing_mode"] == fit["flushing_mode"]]
+        for table in (PARAMETERS, SENSITIVITIES, RESIDUAL_VERDICTS)
+    )
+    found = [
+        Paragraph("", [_headline(fit)]),
+        Paragraph("Leakage", list(_leakages(fit, watch))),
+        Paragraph("State", list(_watched(watch))),
+        Paragraph("Paths", list(_verdicts(parameters))),
+        Paragraph("Systematic errors", list(_budget(fit, effects))),
+        Paragraph("Fit", [*_fit(fit), *_modes(fits)]),
+        Paragraph("Errors of the fit", list(explain_residuals(fit, tests))),
+        Paragraph("Data", [*_kept(fit), *data]),
     ]
+    return [one for one in found if one.lines]
 
 
-def _paragraph(title: str, lines: Iterable[str]) -> list[str]:
-    """A title and its lines; nothing where there are none."""
-    found = [f"  {line}" for line in lines]
-    return ["", title, *found] if found else []
-
-
-def _rows(output: Path, table: Table, motor_id: str, night: dt.date) -> list[Row]:
-    rows = read_rows(output, table, [motor_id], nights=[night])
-    return rows.filter(night=night).to_dicts()
-
-
-def _of(fit: Row, rows: list[Row]) -> list[Row]:
-    return [row for row in rows if row["flushing_mode"] == fit["flushing_mode"]]
-
-
-def _headline(motor_id: str, night: dt.date, fit: Row) -> str:
+def _headline(fit: Row) -> str:
+    motor_id, night = fit["motor_id"], fit["night"]
     if fit["status"] == "ok":
         window = f"{fit['window_start']:%Y-%m-%d %H:%M} to {fit['window_end']:%Y-%m-%d %H:%M} UTC"
         return f"{motor_id}, night of {night}: fitted, {window}, flushing {fit['flushing_mode']}"
@@ -117,16 +129,16 @@ def _refusals(rows: list[Row]) -> Iterator[str]:
     of_channel: dict[str, list[str]] = {}
     for row in sorted(told, key=lambda row: -row["n_refused"] / row["n_samples"]):
         share = 100 * row["n_refused"] / row["n_samples"]
-        words = f"{row['reason'].replace('_', ' ')} {share:.1f} %"
+        words = f"{refusal(row['reason'])} {share:.1f} %"
         of_channel.setdefault(row["channel"], []).append(words)
     for channel, parts in of_channel.items():
-        yield f"refused samples of {channel}: {', '.join(parts)}"
+        yield f"refused samples of {plain(channel)}: {', '.join(parts)}"
 
 
 def _watched(rows: list[Row]) -> Iterator[str]:
     """What the watch says of the night."""
     for row in rows:
-        yield f"{row['state'].replace('_', ' ')}: {row['sentence']}. {row['advice']}"
+        yield f"{plain(row['state'])}: {statement(row['sentence'], row['advice'])}"
         if row["lack_of_fit"] is not None:
             yield (
                 f"model: {row['model_verdict']}, lack of fit {100 * row['lack_of_fit']:.1f} % of "
@@ -158,27 +170,34 @@ def _fit(fit: Row) -> Iterator[str]:
         yield f"no intervals: {status}"
 
 
-def _leakage(fit: Row) -> Iterator[str]:
-    at = (
-        f"{fit['reference_pressure_bar']:g} bar, {fit['reference_temperature_c']:g} °C, "
-        f"{fit['reference_speed_rpm']:g} rpm"
-    )
+def _leakages(fit: Row, watch: list[Row]) -> Iterator[str]:
+    """The two leakages with their conditions, or why there is none."""
+    at = _conditions(fit, "reference")
     if fit["reference_leakage_l_per_min"] is None:
-        yield f"no reference leakage ({at}): {fit['reference_reason']}"
+        yield f"at the reference ({at}): none, {fit['reference_reason']}"
     else:
-        yield f"reference leakage ({at}): {_figure(fit, 'reference_leakage')}"
-    own = (
-        f"{fit['own_pressure_bar']:.0f} bar, {fit['own_temperature_c']:.1f} °C, "
-        f"{fit['own_speed_rpm']:.0f} rpm"
-    )
-    if fit["own_conditions_leakage_l_per_min"] is None:
-        yield f"no leakage at the night's own mean ({own}): {fit['own_conditions_reason']}"
+        yield f"at the reference ({at}): {_figure(fit)}"
+    row = watch[0] if watch else None
+    if row is None or row["own_leakage_l_per_min"] is None:
+        why = f": {row['sentence']}" if row else ""
+        yield f"at the motor's own conditions: none without a baseline{why}"
     else:
-        yield f"leakage at the night's own mean ({own}): {_figure(fit, 'own_conditions_leakage')}"
+        ends = [f"{row[f'own_leakage_{end}']:.4g}" for end in ("l_per_min", "lower", "upper")]
+        yield (
+            f"at the motor's own conditions ({_conditions(row, 'own')}, those of its baseline): "
+            f"{ends[0]} l/min [{ends[1]}, {ends[2]}]"
+        )
 
 
-def _figure(fit: Row, name: str) -> str:
-    """Value with its interval and its total ±, as far as there are any."""
+def _conditions(row: Row, kind: str) -> str:
+    """Conditions of a leakage; `kind` is how their columns begin."""
+    units = {"pressure_bar": "bar", "temperature_c": "°C", "speed_rpm": "rpm"}
+    return ", ".join(f"{figure(row[f'{kind}_{name}'])} {unit}" for name, unit in units.items())
+
+
+def _figure(fit: Row) -> str:
+    """Reference leakage with its interval and its total ±, as far as there are any."""
+    name = "reference_leakage"
     text = f"{fit[f'{name}_l_per_min']:.4g} l/min"
     if fit[f"{name}_lower"] is not None:
         text += f" [{fit[f'{name}_lower']:.4g}, {fit[f'{name}_upper']:.4g}]"
@@ -189,10 +208,8 @@ def _figure(fit: Row, name: str) -> str:
             if fit[f"{name}_{column}_half_width"] is not None
         )
         text += f", in all ± {fit[f'{name}_total_half_width']:.2g} ({', '.join(parts)})"
-    stem = name.removesuffix("_leakage")
-    verdict, reason = fit[f"{stem}_verdict"], fit[f"{stem}_reason"]
-    if verdict not in ("identified", "fixed"):
-        text += f"; {verdict}: {reason}"
+    if fit["reference_verdict"] not in ("identified", "fixed"):
+        text += f"; {fit['reference_verdict']}: {fit['reference_reason']}"
     return text
 
 
@@ -201,31 +218,25 @@ def _verdicts(rows: list[Row]) -> Iterator[str]:
         if not row["parameter"].startswith(("K_", "C_", "scale_")):
             continue
         unit = f" {UNITS.get(row['unit'], row['unit'])}".rstrip()
-        text = f"{row['parameter']}: {row['verdict'].replace('_', ' ')}"
+        text = f"{row['parameter']}: {plain(row['verdict'])}"
         if row["verdict"] in ("identified", "uncertain"):
             text += f", {row['value']:.4g} [{row['lower']:.4g}, {row['upper']:.4g}]{unit}"
         yield f"{text}; {row['reason']}" if row["reason"] else text
 
 
 def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
-    """Systematic errors of the leakage that was published, and the largest of them."""
-    known = fit["reference_leakage_l_per_min"] is not None
-    name = "reference_leakage" if known else "own_conditions_leakage"
-    effects = [row for row in rows if row["indicator"] == name]
-    leakage = fit[f"{name}_l_per_min"]
+    """Systematic errors of the reference leakage, and the largest of them."""
+    leakage = fit["reference_leakage_l_per_min"]
+    effects = [row for row in rows if row["indicator"] == "reference_leakage" and row["effect"]]
     if not effects or not leakage:
         return
-    if fit[f"{name}_systematic"] is not None:
+    if fit["reference_leakage_systematic"] is not None:
         yield (
-            f"{name.replace('_', ' ')} ± {fit[f'{name}_systematic']:.2g} l/min from stated "
-            "tolerances; what constants do alike on all nights is not in the ± above"
+            f"leakage at the reference ± {fit['reference_leakage_systematic']:.2g} l/min from "
+            "stated tolerances; what constants do alike on all nights is not in the ± above"
         )
-    largest = sorted(effects, key=lambda row: -abs(row["effect"]))[:LARGEST_EFFECTS]
-    told = ", ".join(
-        f"{row['source']} of {_tolerance(row)} {100 * row['effect'] / leakage:+.1f} %"
-        for row in largest
-    )
-    yield f"largest: {told}"
+    for row in sorted(effects, key=lambda row: -abs(row["effect"]))[:LARGEST_EFFECTS]:
+        yield f"{plain(row['source'])} of {_tolerance(row)}: {100 * row['effect'] / leakage:+.1f} %"
 
 
 def _tolerance(row: Row) -> str:

@@ -28,6 +28,9 @@ class Course:
     lower: Array
     upper: Array
 
+    def __getitem__(self, places: NDArray[np.int64]) -> Course:
+        return Course(self.value[places], self.lower[places], self.upper[places])
+
     @property
     def is_known(self) -> NDArray[np.bool_]:
         """Nights that have a value, shape (n,)."""
@@ -63,17 +66,18 @@ class MotorHistory:
     def level(self) -> Array:
         """The same of each night's baseline, l/min, shape (n,); NaN before there is one."""
         level = np.full(len(self.nights), np.nan)
-        stamps = np.array(self.nights, dtype="datetime64[D]")
         for start, mean in self.baselines.select("start", "mean").drop_nulls().iter_rows():
-            level[stamps >= np.datetime64(start)] = mean
+            level[self.stamps >= np.datetime64(start)] = mean
         return level
 
     @cached_property
-    def flow(self) -> Course:
-        """Mean drain flow of each night as measured, l/min."""
-        value = self.fits["mean_flow_l_per_min"].cast(pl.Float64).to_numpy()
-        nothing = np.full(len(value), np.nan)
-        return Course(value, nothing, nothing)
+    def stamps(self) -> NDArray[np.datetime64]:
+        """Its nights, shape (n,)."""
+        return np.array(self.nights, dtype="datetime64[D]")
+
+    def fitted(self, name: str) -> Array:
+        """A column of `fits`, shape (n,); NaN where a night has none."""
+        return self.fits[name].cast(pl.Float64).to_numpy()
 
     def watched(self, name: str) -> Array:
         """A column of `watch`, shape (n,); NaN in nights without a row."""
@@ -88,10 +92,9 @@ class MotorHistory:
     def _placed(self, rows: pl.DataFrame, name: str) -> Array:
         """Figures of some nights among all nights of the motor."""
         figures = np.full(len(self.nights), np.nan)
-        stamps = np.array(self.nights, dtype="datetime64[D]")
         labels = rows["night"].to_numpy().astype("datetime64[D]")
-        is_there = np.isin(labels, stamps)
-        place = np.searchsorted(stamps, labels[is_there])
+        is_there = np.isin(labels, self.stamps)
+        place = np.searchsorted(self.stamps, labels[is_there])
         figures[place] = rows[name].cast(pl.Float64).to_numpy()[is_there]
         return figures
 

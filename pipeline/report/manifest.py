@@ -16,17 +16,17 @@ from pipeline.errors import StoreError
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, read
 
 FILE = "manifest.json"
+Entry = tuple[str, int]  # hash and size of a file
 
 
 @dataclass(slots=True)
 class ReportManifest:
     """Pages and data files that a run has written."""
 
-    program: str  # hash of all that shapes pages beside the tables
+    program: str = ""  # hash of all that shapes pages beside the tables
     # Hash of the table files that each night was made from, by label.
     nights: dict[str, str] = field(default_factory=dict)
-    # Hash and size of every file of the report, by path relative to its folder.
-    files: dict[str, tuple[str, int]] = field(default_factory=dict)
+    files: dict[str, Entry] = field(default_factory=dict)  # by path relative to the folder
 
 
 def short_hash(content: bytes) -> str:
@@ -34,50 +34,31 @@ def short_hash(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def read_report_manifest(folder: Path) -> ReportManifest | None:
-    """The manifest of a report's folder; None where there is none that can be used.
+def open_report(folder: Path) -> ReportManifest:
+    """The manifest of a report's folder; an empty one, which is written, of a new folder.
 
     Raises StoreError if the folder holds something else: nothing of it is ever overwritten.
     """
     path = folder / FILE
-    if not path.exists():
-        strangers = [one for one in _entries(folder) if not one.name.startswith(TEMPORARY_PREFIX)]
-        if strangers:
-            raise StoreError(
-                "report_folder",
-                f"{folder} holds {strangers[0].name} and no report; name an empty or new folder",
-            )
-        return None
-    try:
-        document = json.loads(read(path))
-        files = {name: (str(one[0]), int(one[1])) for name, one in document["files"].items()}
-        return ReportManifest(document["program"], dict(document["nights"]), files)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError):
-        # Without it all files are made anew, over the present ones.
-        return None
-
-
-def _entries(folder: Path) -> list[Path]:
-    if not folder.exists():
-        return []
-    if not folder.is_dir():
+    if path.exists():
+        try:
+            document = json.loads(read(path))
+            files = {name: (str(one[0]), int(one[1])) for name, one in document["files"].items()}
+            return ReportManifest(document["program"], dict(document["nights"]), files)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError):
+            # Without it all files are made anew, over the present ones.
+            return ReportManifest()
+    if folder.exists() and not folder.is_dir():
         raise StoreError("report_folder", f"{folder} is no folder; name another")
-    return sorted(folder.iterdir())
+    for one in sorted(folder.iterdir()) if folder.exists() else ():
+        if not one.name.startswith(TEMPORARY_PREFIX):
+            said = f"{folder} holds {one.name} and no report; name an empty or new folder"
+            raise StoreError("report_folder", said)
+    _write(path, ReportManifest())
+    return ReportManifest()
 
 
-def write_report_manifest(folder: Path, manifest: ReportManifest) -> None:
-    """Write the manifest last: the files in it are then there."""
-    # One flush for all pages, not one for each; of a new report there is nothing yet.
-    if folder.is_dir():
-        flush_disk(folder)
-    content = json.dumps(asdict(manifest), separators=(",", ":"), sort_keys=True).encode()
-    if not (folder / FILE).exists() or read(folder / FILE) != content:
-        put(folder / FILE, content)
-
-
-def write_changed(
-    folder: Path, name: str, content: bytes, before: tuple[str, int] | None
-) -> tuple[str, int]:
+def write_changed(folder: Path, name: str, content: bytes, before: Entry | None) -> Entry:
     """Write a file unless it is there with that content.
 
     Raises StoreError if it cannot be written.
@@ -88,7 +69,7 @@ def write_changed(
     return entry
 
 
-def is_as_left(folder: Path, name: str, entry: tuple[str, int]) -> bool:
+def is_as_left(folder: Path, name: str, entry: Entry) -> bool:
     """True if a file has the size that it was written with."""
     try:
         return (folder / name).stat().st_size == entry[1]
@@ -96,8 +77,8 @@ def is_as_left(folder: Path, name: str, entry: tuple[str, int]) -> bool:
         return False
 
 
-def remove_stale(folder: Path, before: ReportManifest, now: ReportManifest) -> int:
-    """Remove files that the report had and has no more, and no others; returns how many."""
+def close_report(folder: Path, before: ReportManifest, now: ReportManifest) -> int:
+    """Remove files that the report had and has no more, then write the manifest; how many went."""
     stale = sorted(before.files.keys() - now.files.keys())
     for name in stale:
         path = folder / name
@@ -106,4 +87,12 @@ def remove_stale(folder: Path, before: ReportManifest, now: ReportManifest) -> i
             with suppress(OSError):
                 path.unlink()
                 path.parent.rmdir()
+    flush_disk(folder)  # one flush for all pages, not one for each
+    _write(folder / FILE, now)
     return len(stale)
+
+
+def _write(path: Path, manifest: ReportManifest) -> None:
+    content = json.dumps(asdict(manifest), separators=(",", ":"), sort_keys=True).encode()
+    if not path.exists() or read(path) != content:
+        put(path, content)

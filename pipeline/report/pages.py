@@ -13,22 +13,23 @@ from zoneinfo import ZoneInfo
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from leakage.estimation.validation import POOR_FIT_PERCENT, is_poor
-from pipeline.report.encoding import script_json
+from pipeline.messages import as_sentence, plain
+from pipeline.report.charts import Chart
 from pipeline.report.findings import Score
 from pipeline.report.fleet_page import FleetRow
 from pipeline.report.history import MotorHistory
-from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
+from pipeline.report.plotly_json import figure as plotly_figure
+from pipeline.report.plotly_json import script_json
+from pipeline.report.sparkline import HEIGHT, WIDTH
 from pipeline.report.words import (
     ABSENT,
     DECISIONS,
+    GLOSSARY,
     STATES,
     STATUSES,
     candidates,
     figure,
-    plain,
-    sentence,
-    signed,
+    percent,
 )
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.rows.motor_states import ORDER
@@ -66,43 +67,44 @@ def fleet_html(
     those that inspections found, by type of motor.
     """
     found = Counter(row.state.state for row in rows)
-    return (
-        _environment()
-        .get_template("fleet.html")
-        .render(
-            facts=facts,
-            rows=rows,
-            by_rules=by_rules,
-            counts=[(code, found[code]) for code in ORDER if found[code]],
-            types=sorted({row.motor_type for row in rows if row.motor_type}),
-            parts=parts or {},
-        )
-    )
+    counts = [(code, found[code]) for code in ORDER if found[code]]
+    return _made("fleet.html", facts, rows=rows, by_rules=by_rules, counts=counts, parts=parts)
+
+
+def glossary_html(facts: FleetFacts) -> str:
+    """The page of terms and states."""
+    return _made("glossary.html", facts, terms=GLOSSARY)
 
 
 def motor_html(
     facts: FleetFacts,
     row: FleetRow,
     motor: MotorHistory,
-    payload: Mapping[str, Any],
+    charts: Mapping[str, Chart],
+    nights: Mapping[str, Any],
     changes: Sequence[Mapping[str, Any]],
     decisions: Sequence[Decision],
 ) -> str:
-    """The page of one motor; its changes of state and decisions come with the newest first."""
-    last = motor.fits.row(-1, named=True) if motor.nights else None
-    return (
-        _environment()
-        .get_template("motor.html")
-        .render(
-            facts=facts,
-            row=row,
-            last=last,
-            payload=script_json(payload),
-            changes=changes,
-            decisions=decisions,
-            has_shown=bool(payload["shown"]),
-        )
+    """The page of one motor.
+
+    `charts` are those over its nights by the id of their place, `nights` what the page's script
+    needs to choose a night; changes of state and decisions come with the newest first.
+    """
+    drawn = {name: plotly_figure(chart) for name, chart in charts.items()}
+    return _made(
+        "motor.html",
+        facts,
+        row=row,
+        last=motor.fits.row(-1, named=True) if motor.nights else None,
+        charts=charts,
+        payload=script_json({**nights, "figures": drawn}),
+        changes=changes,
+        decisions=decisions,
     )
+
+
+def _made(template: str, facts: FleetFacts, **values: Any) -> str:
+    return _environment().get_template(template).render(facts=facts, **values)
 
 
 @cache
@@ -114,25 +116,21 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.tests["poor"] = is_poor
     environment.filters |= {
         "candidates": candidates,
         "day": day,
         "decision": lambda code: DECISIONS.get(code, code),
         "figure": figure,
-        "percent": lambda share: signed(None if share is None else 100.0 * share),
         "indicator": name_of,
+        "percent": percent,
         "plain": plain,
-        "sentence": sentence,
-        "signed": signed,
+        "sentence": as_sentence,
         "status": lambda code: STATUSES.get(code, code),
     }
     environment.globals |= {
         "absent": ABSENT,
-        "poor_fit_percent": POOR_FIT_PERCENT,
         "states": STATES,
         "spark_width": WIDTH,
         "spark_height": HEIGHT,
-        "strip_height": STRIP_HEIGHT,
     }
     return environment

@@ -8,25 +8,18 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import polars as pl
 
 from pipeline.errors import StoreError
+from pipeline.report.explain import EXPLAINED
 from pipeline.schema import (
-    BLOCK_STATISTICS,
     FIT_KEY_NAMES,
     FITS,
-    INPUT_FILES,
-    PARAMETERS,
     PREDICTIONS,
-    QUALITY,
-    RESIDUAL_TESTS,
-    RESIDUAL_VERDICTS,
     RUNS,
-    SENSITIVITIES,
     TREND_TABLES,
     Table,
     frame,
@@ -35,18 +28,7 @@ from pipeline.store.tables import files_of, read_table
 from pipeline.trends.nights.decisions import Decision, read_decisions
 
 # Tables of a night that its page shows.
-SHOWN_TABLES = (
-    FITS,
-    PARAMETERS,
-    SENSITIVITIES,
-    PREDICTIONS,
-    RESIDUAL_TESTS,
-    RESIDUAL_VERDICTS,
-    QUALITY,
-    BLOCK_STATISTICS,
-    INPUT_FILES,
-)
-READING_THREADS = 4
+SHOWN_TABLES = (*EXPLAINED, PREDICTIONS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,11 +121,7 @@ def _read(
                 raise
             return error.message
 
-    if len(paths) < READING_THREADS:
-        parts = list(map(part, paths))
-    else:
-        with ThreadPoolExecutor(READING_THREADS) as pool:
-            parts = list(pool.map(part, paths))
+    parts = [part(path) for path in paths]
     empty = pl.DataFrame(schema=table.schema).select(columns)
     frames = [found for found in parts if isinstance(found, pl.DataFrame)]
     faults = tuple(found for found in parts if isinstance(found, str))

@@ -1,11 +1,13 @@
-"""Words of the pages for codes, names and units of the tables; `schema` has those of reasons."""
+"""Words of the pages for codes and units of the tables; the watch's are in `trends.sentences`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Final
 
+from pipeline.messages import plain
 from pipeline.schema import QUALITY_REASONS
+from pipeline.trends.sentences import cause_words
 
 ABSENT: Final = "–"
 STATUSES: Final[Mapping[str, str]] = {
@@ -15,21 +17,6 @@ STATUSES: Final[Mapping[str, str]] = {
     "insufficient_data": "too little data",
     "failed": "failed",
 }
-VERDICTS: Final[Mapping[str, str]] = {
-    "identified": "determined by the data",
-    "only_in_combination": "known only together with others",
-    "not_excited": "not seen: the motor did not run where it would show",
-    "at_bound": "at its bound",
-    "fixed": "held fixed",
-    "too_little_data": "too little data to say",
-    "not_identified": "not determined by the data",
-    "outside_fitted_range": "outside what the night's data cover",
-    "uncertain": "known, but not well",
-    "extrapolated": "extrapolated from close by",
-    "supported": "the data support the model",
-    "doubtful": "the data cast doubt on the model",
-    "disproved": "the data disprove the model",
-}
 UNITS: Final[Mapping[str, str]] = {
     "m3": "m³",
     "um": "µm",
@@ -37,37 +24,15 @@ UNITS: Final[Mapping[str, str]] = {
     "1": "",
     "percent": "%",
 }
-CHANNELS: Final[Mapping[str, str]] = {
-    "time_base": "all channels together",
-    "leakage_flow": "drain flow",
-}
-FLUSHING: Final[Mapping[str, str]] = {
-    "none": "no flushing",
-    "fixed": "fixed flushing",
-    "estimated": "estimated flushing",
-}
-TESTS: Final[Mapping[str, str]] = {
-    "whiteness": "with itself",
-    "independence": "with an input",
-    "passed": "passed",
-    "failed": "failed",
-    "not_tested": "not tested",
-    "none": "",
-}
 SENSORS: Final[Mapping[str, str]] = {"ok": "unchanged", "drifted": "moved"}
 # A state has the name that the tables have; the pages say its meaning beside.
 STATES: Final[Mapping[str, str]] = {
     "alarm": "the leakage is above the alarm level, or above the motor type's own limit",
-    "warning": "a change is told and in force",
-    "common_cause": "the other motors of the tank have changed alike",
+    "warning": "a change was detected and is in force",
+    "common_cause": "the other motors of the oil circuit have changed alike",
     "stale": "no night with samples for long; nothing is known of now",
     "insufficient": "too few nights for a baseline",
-    "ok": "no change is told; each motor says how small a change would have been",
-}
-TIMES_TO_LIMIT: Final[Mapping[str, str]] = {
-    "no_trend": "no trend towards it",
-    "already_crossed": "already crossed",
-    "insufficient": "too few nights",
+    "ok": "no change was detected; each motor says how small a change would have been",
 }
 DECISIONS: Final[Mapping[str, str]] = {
     "acknowledged": "acknowledged",
@@ -83,11 +48,35 @@ EVENTS: Final[Mapping[str, str]] = {
     "motor_exchanged": "motor exchanged",
     "note": "note",
 }
+# Terms of all pages, on a page of their own.
+GLOSSARY: Final[Mapping[str, str]] = {
+    "Leakage at the motor's own conditions": "Oil that the motor loses through its gaps, without "
+    "flushing, at one fixed pressure, temperature and speed: the medians of its baseline. It does "
+    "not move with the night's load, so it is the figure to follow.",
+    "Leakage at the reference": "The same at the fleet's reference conditions, the same for all "
+    "motors, to compare one with another. Where a motor never ran near them there is none.",
+    "Drain flow": "What the sensor measures in the drain line, flushing included. It rises and "
+    "falls with pressure, temperature and speed, so by itself it says nothing on wear.",
+    "Baseline": "The first nights of a motor, or those after an event such as an overhaul. Later "
+    "nights are compared with them.",
+    "Change of the drain flow": "By how many percent the night's drain flow differs from what the "
+    "baseline would give at the same pressure, temperature and speed.",
+    "Change of a gap": "By how many percent a gap is higher. The flow goes with its cube: twice "
+    "the flow is a gap 26 % higher. It never means the same as a change of the flow.",
+    "Interval": "Two figures in brackets: the true value lies between them 95 times of 100.",
+    "Evidence": "How strongly the nights speak for a change, as a logarithm (ln R). Above its "
+    "limit a change is detected. Falsely that happens about once in the time the fleet file sets.",
+    "Cause": "What fits a change best, with its probability: a part, the oil, a sensor. Where "
+    "several fit, none is named, and the page says what would tell.",
+    "Lack of fit": "What of the baseline's flow the model leaves to pressure, speed and "
+    "temperature. Up to 2 % it is supported, up to 5 % doubtful; beyond, no part is named.",
+}
 
 
-def plain(name: str) -> str:
-    """A name of the tables with blanks for underscores."""
-    return name.replace("_", " ")
+def refusal(code: str) -> str:
+    """Words of a rule that refuses samples."""
+    reason = QUALITY_REASONS.get(code)
+    return plain(code) if reason is None else reason.words
 
 
 def candidates(text: str | None) -> list[tuple[str, float]]:
@@ -99,27 +88,7 @@ def candidates(text: str | None) -> list[tuple[str, float]]:
     [('balance sleeve', 0.93), ('all gaps', 0.05)]
     """
     parts = (one.rsplit(" ", 1) for one in (text or "").split("; ") if one)
-    return [(plain(cause), float(probability)) for cause, probability in parts]
-
-
-def sentence(words: str) -> str:
-    """Words of a state as a sentence."""
-    return f"{words[:1].upper()}{words[1:]}{'' if words.endswith('.') else '.'}"
-
-
-def for_scripts() -> dict[str, Mapping[str, str]]:
-    """All words that the scripts of a page need, as they are handed to it."""
-    return {
-        "statuses": STATUSES,
-        "verdicts": VERDICTS,
-        "units": UNITS,
-        "channels": CHANNELS,
-        "rules": {name: reason.words for name, reason in QUALITY_REASONS.items()},
-        "flushing": FLUSHING,
-        "tests": TESTS,
-        "timesToLimit": TIMES_TO_LIMIT,
-        "events": EVENTS,
-    }
+    return [(cause_words(cause), float(probability)) for cause, probability in parts]
 
 
 def figure(value: float | None, digits: int = 3) -> str:
@@ -127,24 +96,26 @@ def figure(value: float | None, digits: int = 3) -> str:
 
     Examples
     --------
-    >>> figure(1.2345), figure(0.05), figure(-123456.0), figure(None)
-    ('1.23', '0.0500', '−123456', '–')
+    >>> figure(1.2345), figure(0.05), figure(999.6), figure(-123456.0), figure(None)
+    ('1.23', '0.0500', '1000', '−123456', '–')
     """
     if value is None:
         return ABSENT
-    text = f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}"
+    rounded = float(f"{value:.{digits}g}")
+    is_large = abs(rounded) >= 10**digits
+    text = f"{value:.0f}" if is_large else f"{rounded:#.{digits}g}"
     return text.removesuffix(".").replace("-", "−")
 
 
-def signed(value: float | None, decimals: int = 1) -> str:
-    """A change with its sign.
+def percent(share: float | None, decimals: int = 1) -> str:
+    """A change with its sign, in percent.
 
     Examples
     --------
-    >>> signed(-3.21), signed(None)
-    ('−3.2', '–')
+    >>> percent(-0.0321), percent(-0.0001), percent(None)
+    ('−3.2', '+0.0', '–')
     """
-    if value is None:
+    if share is None:
         return ABSENT
-    rounded = round(value, decimals) + 0.0  # no minus before a zero
+    rounded = round(100.0 * share, decimals) + 0.0  # no minus before a zero
     return f"{rounded:+.{decimals}f}".replace("-", "−")

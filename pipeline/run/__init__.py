@@ -1,4 +1,4 @@
 """The nightly run: plan, tasks of motors and chunks, publishing, trends, telling.
 
-Imports every room but `cli`, `report`, `export`, `setup`, `model_figures` and `demo`.
+Imports every room but `cli`, `report`, `export`, `setup` and `demo`.
 """

@@ -31,15 +31,17 @@ JOINS = {
         "SELECT * FROM parameters SEMI JOIN primary_fits USING (motor_id, night, flushing_mode)",
     ),
     "leakage": (
-        "Leakage of each motor and night with data: at reference conditions where the night tells "
-        "it, else at its own mean",
-        """SELECT motor_id, night, reference_verdict,
-       coalesce(reference_leakage_l_per_min, own_conditions_leakage_l_per_min) AS leakage_l_per_min,
-       coalesce(reference_leakage_lower, own_conditions_leakage_lower) AS lower_l_per_min,
-       coalesce(reference_leakage_upper, own_conditions_leakage_upper) AS upper_l_per_min,
-       coalesce(reference_leakage_systematic, own_conditions_leakage_systematic) AS systematic,
-       coalesce(reason, reference_reason) AS reason
-FROM primary_fits WHERE status IN ('ok', 'insufficient_data')""",
+        "The two leakages of every motor and night, at the reference conditions and at the "
+        "motor's own fixed ones, with status, state, and the reason where one is missing",
+        """SELECT motor_id, night, fits.status, watch.state,
+       watch.reference_leakage_l_per_min, watch.reference_leakage_lower,
+       watch.reference_leakage_upper,
+       watch.own_leakage_l_per_min, watch.own_leakage_lower, watch.own_leakage_upper,
+       coalesce(fits.reason,
+                CASE WHEN watch.own_leakage_l_per_min IS NULL THEN watch.sentence END,
+                CASE WHEN watch.reference_leakage_l_per_min IS NULL THEN fits.reference_reason END
+       ) AS reason
+FROM primary_fits AS fits LEFT JOIN watch USING (motor_id, night)""",
     ),
     "tonight": (
         "Trends of each motor in its newest night",

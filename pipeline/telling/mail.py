@@ -15,6 +15,7 @@ from typing import Any
 from pipeline.config.receivers import mail_server
 from pipeline.config.watching import Email
 from pipeline.errors import one_line
+from pipeline.messages import plain, statement
 from pipeline.telling.delivery import DEADLINE_S, Delivery, fault_words, filled, talk
 from pipeline.telling.outbox import SUMMARY
 
@@ -97,25 +98,19 @@ def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
 def _summary(motors: Sequence[Row]) -> tuple[str, list[str]]:
     """Subject and lines on the states of all motors."""
     counts = Counter(row["state"] for row in motors)
-    subject = ", ".join(f"{n} {_plain(state)}" for state, n in counts.items())
+    subject = ", ".join(f"{n} {plain(state)}" for state, n in counts.items())
     lines = []
     for row in motors:
-        words = (row["sentence"], row.get("advice", ""))
-        said = " ".join(one.removesuffix(".") + "." for one in words if one)
-        lines += [f"{row['motor_id']}, {_plain(row['state'])}", f"  {said}", ""]
+        said = statement(row["sentence"], row.get("advice", ""))
+        lines += [f"{row['motor_id']}, {plain(row['state'])}", f"  {said}", ""]
     return f"week: {subject}", lines
 
 
 def _changes(changes: Sequence[Row]) -> tuple[str, list[str]]:
     """Subject and lines on changes of state."""
     of_motors = _by_motor(changes)
-    subject = "; ".join(f"{motor} {_plain(rows[-1]['to_state'])}" for motor, rows in of_motors)
+    subject = "; ".join(f"{motor} {plain(rows[-1]['to_state'])}" for motor, rows in of_motors)
     return subject, [line for one in of_motors for line in _paragraph(*one)]
-
-
-def _plain(state: str) -> str:
-    """A state as people write it."""
-    return state.replace("_", " ")
 
 
 def _when(row: Row) -> str:
@@ -139,7 +134,7 @@ def _urgency(row: Row) -> int:
 def _paragraph(motor: str, rows: Sequence[Row]) -> Iterator[str]:
     yield motor
     for row in rows:
-        before, after = _plain(row["from_state"]), _plain(row["to_state"])
+        before, after = plain(row["from_state"]), plain(row["to_state"])
         yield f"  {_when(row)}, {before} to {after}: {row['reason']}"
     yield ""
 

@@ -7,6 +7,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from pipeline.messages import as_sentence, plain
+
 if TYPE_CHECKING:
     from leakage.watch import Change, Estimate
     from pipeline.trends.states.judged import JudgedNight
@@ -48,17 +50,17 @@ CAUSES = {
     "odd_nights": "single odd nights",
     "tank": "the oil circuit",
 }
-FALL = "A fall is no wear: check oil, sensors and flushing, and whether a part was replaced."
+FALL = "Check oil, sensors and flushing, or enter the overhaul that was made: a fall is no wear."
 ADVICE = {
-    "all_flows": "Check oil, its temperature sensor and the flow meter; if they hold, gaps wear.",
-    "oil_grade": "Take an oil sample; if another oil was filled in, enter an oil_change.",
+    "all_flows": "An oil sample and the flow meter's zero at a halt would tell.",
+    "oil_grade": "Take an oil sample, or enter the oil_change that was made.",
     "temperature_sensor": "Compare the oil temperature with a second thermometer.",
-    "flushing": "Check the flushing; if it was changed, enter a flushing_change.",
+    "flushing": "Check the flushing, or enter the flushing_change that was made.",
     "known": "Check the constants of the motor type, and the speed sensor.",
     "zero": "Check the zero of the flow sensor at a halt without pressure.",
     "back_as_before": "Nothing to do.",
     "odd_nights": "Compare duty, charge pressure and oil of these nights with the others.",
-    "tank": "Check oil, temperature and charge pressure of the oil circuit first.",
+    "tank": "Check oil, temperature and charge pressure of the oil circuit.",
 }
 CHECK_ZERO = "Check the sensor whose zero has moved."
 # Causes that are no part of the motor.
@@ -160,17 +162,16 @@ def sentence(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[s
 
 
 def advice(night: JudgedNight, drifts: Sequence[str]) -> str:
-    """What to do in a night, or what would tell where the cause cannot be told."""
+    """What to do in a night: one order, or what would tell where the cause cannot be told."""
     if night.way == "limit" and night.change is None:
         return _look_at("the motor", night.state)
     if night.state == "stale":
         return "Check whether the motor's logs arrive, and the reason of its last nights."
-    check = f"{CHECK_ZERO} " if drifts else ""
-    if night.state == "insufficient":
-        return check.strip() or "Wait for more nights."
-    if night.change is None or night.state == "ok":
-        return check.strip() or "Nothing to do."
-    return check + _advice_on(night, night.change)
+    if night.change is not None and night.state not in ("insufficient", "ok"):
+        return _advice_on(night, night.change)
+    if drifts:
+        return CHECK_ZERO
+    return "Wait for more nights." if night.state == "insufficient" else "Nothing to do."
 
 
 def _advice_on(night: JudgedNight, change: Change) -> str:
@@ -179,10 +180,9 @@ def _advice_on(night: JudgedNight, change: Change) -> str:
     if change.cause == "cannot_be_told":
         return _what_would_tell(change)
     if not change.is_rise:
-        return f"{FALL} After a repair enter an overhaul."
+        return FALL
     if change.cause == "all_gaps":
-        look = _look_at("the motor", night.state)
-        return f"Take an oil sample first: all gaps at once are rare. {look}"
+        return "Take an oil sample: all gaps at once are rare."
     return _look_at(f"the {_parts(change)}", night.state)
 
 
@@ -200,9 +200,7 @@ def _what_would_tell(change: Change) -> str:
         steps.append("an oil sample, the meter's zero at a halt and a second thermometer")
     if not left <= OF_OIL_AND_SENSORS:
         steps.append("nights at other pressures and speeds")
-    told = f"{' and '.join(steps)} would tell"
-    rise = "" if change.is_rise else f" {FALL}"
-    return f"{told[0].upper()}{told[1:]}.{rise}"
+    return as_sentence(f"{' and '.join(steps)} would tell")
 
 
 def _limit_words(night: JudgedNight) -> str:
@@ -298,15 +296,11 @@ def _since(change: Change) -> str:
 
 def cause_words(name: str) -> str:
     """A cause for people."""
-    return CAUSES.get(name, _spoken(name))
+    return CAUSES.get(name, plain(name))
 
 
 def _parts(change: Change) -> str:
-    return _spoken(change.cause).replace(" and ", " and the ")
-
-
-def _spoken(name: str) -> str:
-    return name.replace("_", " ")
+    return plain(change.cause).replace(" and ", " and the ")
 
 
 def percent(probability: float) -> str:

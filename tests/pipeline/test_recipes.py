@@ -34,14 +34,11 @@ from pipeline.config.motor_types import (
     Scale,
     SpeedCurvePath,
 )
-from pipeline.model_figures.canvas import drawing
-from pipeline.model_figures.subject import subject_of
-from pipeline.model_figures.writing import model_figures
 from pipeline.night.cleaning import CHANNEL_RULES, Course
 from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import Rows
 from pipeline.night.time_base import JOINT_RULES, Together
-from pipeline.report.words import for_scripts
+from pipeline.report.words import refusal
 from pipeline.schema import QUALITY_REASONS, Reason
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
@@ -191,28 +188,16 @@ def test_what_scales_it_and_its_tolerance_leave_the_statistics_as_they_are(tmp_p
     assert hashed(flow_l_per_min=2.0) != plain
 
 
-def test_it_has_a_figure(tmp_path: Path) -> None:
-    spec = with_paths(tmp_path)
-    subject = subject_of(spec.motor_type, spec.oil_on(NIGHT), spec.settings)
-    with drawing():
-        (axes,) = model_figures(subject)["bore_leakage"]().axes
-    pressure, flow = axes.lines[0].get_data()
-    # Q₀ of 1 l/min at 200 bar; the axis is in ml/min.
-    assert np.interp(200.0, pressure, flow) == pytest.approx(1000.0, rel=1e-4)
-
-
 @pytest.mark.usefixtures("rules")
 def test_rules_of_its_own_refuse_and_are_told_in_their_words(tmp_path: Path) -> None:
     rows, temperature = night_rows(with_paths(tmp_path))
     refused = {(row["channel"], row["reason"]): row["n_refused"] for row in rows["quality"]}
     assert refused["speed", "settling"] == refused["oil_temperature", "settling"] == 60
     assert refused["time_base", "hot"] == int((temperature[60:] > 55.0).sum()) > 0
-    assert for_scripts()["rules"]["settling"] == "sensor settling"
-    assert for_scripts()["rules"]["hot"] == "oil too hot"
+    assert refusal("settling") == "sensor settling"
+    assert refusal("hot") == "oil too hot"
 
 
 def test_every_reason_has_words_on_the_pages() -> None:
-    words = for_scripts()["rules"]
-    assert words.keys() == QUALITY_REASONS.keys()
-    assert all(words.values())
-    assert words["bad_quality"] == "not good by the log's own word"
+    assert all(refusal(code) for code in QUALITY_REASONS)
+    assert refusal("bad_quality") == "not good by the log's own word"

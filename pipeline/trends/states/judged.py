@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from leakage.physics.annular_gap import gap_ratio
 from leakage.watch import Change, Estimate
 from leakage.watch.causes import AND, BACK, CANNOT_BE_TOLD, TANK, TEMPERATURE_EFFECT
 from pipeline.config import MotorSpec
@@ -49,17 +49,14 @@ class JudgedNight:
 
     @property
     def gap_growth(self) -> Estimate | None:
-        """Relative change of the gap that the cause names; None where it names none.
-
-        A loss factor goes with the cube of its gap.
-        """
+        """Relative change of the gap that the cause names; None where it names none."""
         watch, change = self.watched.watch, self.change
         growth = None if change is None else change.path_growth
         if watch is None or change is None or growth is None:
             return None
         if change.cause not in watch.state.machine.gaps or growth.value <= -1.0:
             return None
-        height = math.cbrt(1.0 + growth.value)
+        height = gap_ratio(1.0 + growth.value)
         return Estimate(height - 1.0, growth.sd / (3.0 * height**2))
 
     @property

@@ -76,7 +76,6 @@ def drawn(browser: Chrome) -> dict[str, str]:
     """Result of each figure, folded or not: a chart, or a reason why there is none."""
     wait(browser, "return document.body.dataset.night")
     browser.execute_script("document.getElementById('analyst').open = true")
-    browser.execute_script("motorLeakage.drawAll()")
     return wait(
         browser,
         "const all = [...document.querySelectorAll('figure.chart')];"

@@ -2,19 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import re
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-
-
-def unpacked(column: dict[str, str]) -> np.ndarray:
-    """Numbers as a script sees them."""
-    ((kind, text),) = column.items()
-    return np.frombuffer(base64.b64decode(text), dtype=f"<{kind}")
 
 
 def night_file(path: Path) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
     assert out.strip().endswith(str(index))
     assert "<h1>Demo fleet</h1>" in index.read_text("utf-8")
     page = (index.parent / "motors" / f"{MOTOR}.html").read_text("utf-8")
-    assert '"kind":"overhaul","note":"new \\u003cb\\u003eseals' in page
+    assert "overhaul: new &lt;b&gt;seals&lt;/b&gt;" in page
     # The fleet's page alone tells when it was made.
     assert call("report", fleet)[1].startswith("6 motors, 0 nights updated, 1 file written")
 

@@ -242,10 +242,10 @@ def test_a_summary_has_every_motor_and_its_sentence() -> None:
     assert mail["Subject"] == "Mill 3: week: 1 alarm, 1 ok"
     assert mail.get_content().splitlines() == [
         "CB400-02, alarm",
-        "  ring +30 %. Look.",
+        "  Ring +30 %. Look.",
         "",
         "CB400-01, ok",
-        "  no change of more than 3 %.",
+        "  No change of more than 3 %.",
     ]
 
 

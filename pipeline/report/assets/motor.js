@@ -1,0 +1,172 @@
+/* A motor's page: draws the figures that Python has made, and shows the night that is chosen. */
+"use strict";
+
+const motorLeakage = (() => {
+  const page = JSON.parse(document.getElementById("payload").textContent);
+  const byId = (id) => document.getElementById(id);
+  const plotOf = (id) => document.querySelector(`#${id} .plot`);
+
+  /* Drawing */
+
+  const CONFIG = {
+    displaylogo: false,
+    responsive: true,
+    showTips: false,
+    plotlyServerURL: "",
+    doubleClick: "reset",
+    /* Listed, so that none of a later version that sends a chart away comes in unseen. */
+    modeBarButtons: [["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"], ["toImage"]],
+    toImageButtonOptions: { scale: 2 },
+  };
+  const FONT = "system-ui, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif";
+  const AXIS = { showline: true, ticks: "outside", ticklen: 4, zeroline: false };
+
+  function draw(id, figure) {
+    const plot = plotOf(id);
+    const isAbsent = !figure.data;
+    plot.hidden = isAbsent;
+    plot.nextElementSibling.hidden = !isAbsent;
+    document.getElementById(id).dataset.drawn = isAbsent ? "absent" : "chart";
+    if (isAbsent) return Plotly.purge(plot);
+    const traces = figure.data.map((trace) => ({ ...trace, x: figure.x[trace.x] }));
+    const layout = { ...figure.layout, font: { family: FONT, size: 12 } };
+    for (const key of Object.keys(layout).filter((one) => /^[xy]axis/.test(one)))
+      layout[key] = { ...AXIS, ...layout[key] };
+    plot.style.height = `${layout.height}px`;
+    return Plotly.react(plot, traces, layout, CONFIG);
+  }
+
+  /* With a chart focused: + and − zoom in time, arrows move, Home shows all. */
+  const STEPS = {
+    "+": [0.25, -0.25],
+    "-": [-0.5, 0.5],
+    ArrowLeft: [-0.2, -0.2],
+    ArrowRight: [0.2, 0.2],
+  };
+  function onKey(event) {
+    const plot = event.currentTarget;
+    const axis = plot._fullLayout?.xaxis;
+    const step = STEPS[event.key];
+    if (!axis || (!step && event.key !== "Home") || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    const [low, high] = axis.range.map((end) => axis.r2l(end));
+    const range = step
+      ? [axis.l2r(low + step[0] * (high - low)), axis.l2r(high + step[1] * (high - low))]
+      : axis._rangeInitial0 && [axis._rangeInitial0, axis._rangeInitial1];
+    Plotly.relayout(plot, { "xaxis.range": range });
+  }
+
+  /* On paper all charts have one width, whatever the window had. */
+  const drawn = () => [...document.querySelectorAll("[data-drawn=chart] .plot")];
+  const PAPER_WIDTH = 660;
+  window.addEventListener("beforeprint", () =>
+    drawn().forEach((plot) => Plotly.relayout(plot, { width: PAPER_WIDTH })),
+  );
+  window.addEventListener("afterprint", () =>
+    drawn().forEach((plot) => Plotly.relayout(plot, { width: null, autosize: true })),
+  );
+
+  /* One night: chosen, loaded as a script of its own, and shown */
+
+  const select = byId("choose");
+  const loaded = new Map();
+  let wanted = "";
+
+  function element(name, attributes, ...children) {
+    const made = document.createElement(name);
+    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+    made.append(...children);
+    return made;
+  }
+
+  function show({ night, words, figure }) {
+    byId("said").textContent = "";
+    byId("words").replaceChildren(
+      ...words.flatMap(([title, lines]) => [
+        ...(title ? [element("h3", {}, title)] : []),
+        ...lines.map((line) => element("p", {}, line)),
+      ]),
+    );
+    draw("samples", figure);
+    document.body.dataset.night = night;
+  }
+  const fail = (why) => show({ night: wanted, words: [["", [why]]], figure: {} });
+
+  function choose(night) {
+    wanted = night;
+    select.value = night;
+    const place = page.nights.indexOf(night);
+    byId("earlier").disabled = place <= 0;
+    byId("later").disabled = place >= page.nights.length - 1;
+    for (const id of ["course", "conditions"]) mark(id, night);
+    if (loaded.has(night)) return show(loaded.get(night));
+    if (!page.detailed[place])
+      return fail(`The words on ${night} are not in this report, which was made with fewer nights.`);
+    byId("said").textContent = `loading ${night}`;
+    const source = `../data/${encodeURIComponent(page.file)}/${night}.js`;
+    const script = element("script", { src: source });
+    script.addEventListener("load", () => script.remove());
+    script.addEventListener("error", () => {
+      script.remove();
+      const what = "copy the whole folder of the report, or make it again";
+      if (wanted === night) fail(`${source.slice(3)} is not there; ${what}.`);
+    });
+    return document.head.append(script);
+  }
+
+  /* The chosen night is a line through the charts over the nights. */
+  function mark(id, night) {
+    const plot = plotOf(id);
+    if (!plot.layout || !night) return;
+    const shapes = (plot.layout.shapes ?? []).filter((one) => one.name !== "chosen night");
+    const line = { type: "line", x0: night, x1: night, yref: "paper", y0: 0, y1: 1 };
+    const look = { line: { color: "#76818d", width: 1 }, name: "chosen night" };
+    Plotly.relayout(plot, { shapes: [...shapes, { ...line, ...look }] });
+  }
+
+  const isKnown = (night) => page.nights.includes(night);
+  function go(night) {
+    if (!isKnown(night)) return;
+    if (location.hash === `#${night}`) fromHash();
+    else location.hash = night;
+  }
+  function fromHash() {
+    const night = location.hash.slice(1);
+    if (!isKnown(night)) return;
+    if (night !== wanted) choose(night);
+    byId("night").scrollIntoView();
+  }
+
+  function drawCourse(id) {
+    draw(id, page.figures[id]);
+    if (!page.figures[id].data) return;
+    plotOf(id).on("plotly_click", (event) => go(String(event.points[0].x).slice(0, 10)));
+    mark(id, wanted);
+  }
+
+  drawCourse("course");
+  /* Those in a closed fold have no width yet. */
+  byId("analyst").addEventListener("toggle", () => drawCourse("conditions"), { once: true });
+  document.querySelectorAll(".plot").forEach((plot) => plot.addEventListener("keydown", onKey));
+  select.append(
+    ...page.nights
+      .map((night, at) => element("option", { value: night }, `${night}, ${page.statuses[at]}`))
+      .reverse(),
+  );
+  const step = (by) => go(page.nights[page.nights.indexOf(wanted) + by] ?? "");
+  select.addEventListener("change", () => go(select.value));
+  byId("earlier").addEventListener("click", () => step(-1));
+  byId("later").addEventListener("click", () => step(1));
+  byId("picker").addEventListener("submit", (event) => event.preventDefault());
+  window.addEventListener("hashchange", fromHash);
+  fromHash();
+  if (!wanted) choose(page.nights.at(-1));
+
+  return {
+    /* Called by a night's script. */
+    night: (payload) => {
+      loaded.set(payload.night, payload);
+      if (payload.night === wanted) show(payload);
+    },
+  };
+})();

@@ -1,0 +1,179 @@
+"""A chart as Plotly's JSON, and JSON that no name can break out of.
+
+A page may be opened from a file, so its data are scripts; what stands in them came out of files
+of others and is never trusted.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import textwrap
+from collections.abc import Mapping
+from html import escape
+from itertools import accumulate
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pipeline.report.charts import Chart, Line, Panel, Times
+
+Payload = dict[str, Any]
+
+LARGEST = float(np.finfo(np.float32).max)
+# In a string of JSON their escapes mean the same, and end no script element; what lies beyond
+# ASCII, and could end a line, is escaped by JSON itself.
+HARMFUL = "<>&"
+# Pixels around the panels, of a line of a panel's head, and of the numbers of events.
+MARGIN: Final = {"l": 52, "r": 12, "t": 6, "b": 24}
+LETTER_HEIGHT, NUMBERS, BELOW = 17, 26, 12
+LETTERS = 46  # of a line of the names in a head: a telephone has room for no more
+# Of more nights than that the marks would cover the lines.
+MARKED = 200
+SIGNS = {"circle": "●", "square": "■", "diamond": "◆", "triangle-up": "▲", "x": "✕"}
+SIGNS |= {"circle-open": "○", "line-ns-open": "|", "": "━━"}
+
+
+def figure(chart: Chart) -> Payload:
+    """The chart for `draw` of the pages; empty where there is nothing to show.
+
+    `x` holds the times of all lines, each once; `x` of a trace is a place in it.
+    """
+    if not chart.panels:
+        return {}
+    times: dict[bytes, tuple[int, list[str]]] = {}
+    traces: list[Payload] = []
+    heads = [_head(panel) for panel in chart.panels]
+    numbers_above = NUMBERS if chart.marks else 0
+    tall = [LETTER_HEIGHT * one.count("<br>") + LETTER_HEIGHT + BELOW for one in heads]
+    tall[0] += numbers_above
+    bottoms = list(
+        accumulate(top + panel.height for top, panel in zip(tall, chart.panels, strict=True))
+    )
+    layout: Payload = {"height": bottoms[-1] + MARGIN["t"] + MARGIN["b"], "margin": MARGIN}
+    layout |= {"showlegend": False, "hovermode": "closest", "annotations": [], "shapes": []}
+    for place, (panel, head, bottom) in enumerate(zip(chart.panels, heads, bottoms, strict=True)):
+        axis = f"y{place + 1 if place else ''}"
+        ends = [1.0 - bottom / bottoms[-1], 1.0 - (bottom - panel.height) / bottoms[-1]]
+        layout[f"yaxis{axis[1:]}"] = _axis(panel, [max(ends[0], 0.0), ends[1]])
+        shift = numbers_above if place == 0 else 0
+        layout["annotations"].append(_text(head, axis, yshift=shift, align="left"))
+        for line in panel.lines:
+            key = line.time.tobytes()
+            x, _ = times.setdefault(key, (len(times), _words_of(line.time)))
+            traces.append(_trace(line, panel, axis) | {"x": x})
+        layout["shapes"] += [_upright(one.night, one.colour, axis) for one in chart.marks]
+        layout["shapes"] += [
+            {"type": "rect", "layer": "below", "x0": str(first), "x1": str(last)}
+            | {"yref": f"{axis} domain", "y0": 0, "y1": 1, "fillcolor": "#8a949e"}
+            | {"opacity": 0.18, "line": {"width": 0}}
+            for first, last in (chart.shaded if panel.has_axis else ())
+        ]
+    for number, mark in enumerate(chart.marks):
+        at = {"x": str(mark.night), "xref": "x", "xanchor": "center", "yshift": 13 * (number % 2)}
+        layout["annotations"].append(_text(str(number + 1), "y", **at))
+    layout["xaxis"] = {"type": "date", "anchor": f"y{len(heads) if len(heads) > 1 else ''}"}
+    layout["xaxis"]["range"] = _span([words for _, words in times.values()])
+    return {"x": [words for _, words in times.values()], "data": traces, "layout": layout}
+
+
+def script_json(document: Mapping[str, Any]) -> str:
+    r"""JSON that may stand inside a script, of a page or of a file of its own.
+
+    Raises ValueError if it holds NaN or infinity, which JSON has not.
+    """
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False)
+    for character in HARMFUL:  # one after the other: `translate` takes a hundred times as long
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+def numbers(values: ArrayLike) -> Payload:
+    """Numbers as Plotly reads them from Base64: single floats, NaN where there is none."""
+    wide = np.asarray(values, dtype=np.float64)
+    # Beyond the largest single float is nothing that a chart could show.
+    single = np.where(np.abs(wide) < LARGEST, wide, np.nan).astype("<f4")
+    return {"dtype": "f4", "bdata": base64.b64encode(single.tobytes()).decode("ascii")}
+
+
+def safe(name: str) -> str:
+    """A name as Plotly shows it: it reads some HTML, and a percent sign begins a figure."""
+    return escape(name, quote=False).replace("%", "")
+
+
+def _trace(line: Line, panel: Panel, axis: str) -> Payload:
+    known = np.isfinite(line.value)
+    marks = bool(line.symbol) and (not line.dash or int(known.sum()) <= MARKED)
+    day = "%Y-%m-%d" if line.time.dtype == np.dtype("datetime64[D]") else "%Y-%m-%d %H:%M:%S"
+    value = "%{text}" if line.words else f"%{{y:.4g}} {panel.unit.replace('%', '%')}"
+    trace: Payload = {
+        "type": "scatter",
+        "mode": "+".join([*(["lines"] if line.dash else []), *(["markers"] if marks else [])]),
+        "name": safe(line.name),
+        "y": numbers(line.value),
+        "yaxis": axis,
+        "line": {"color": line.colour, "width": 1.4, "dash": "solid" if marks else line.dash},
+        "marker": {"color": line.colour, "size": 5, "symbol": line.symbol or "circle"},
+        "hovertemplate": f"%{{x|{day}}}: {value}<extra>{safe(line.name)}</extra>",
+    }
+    if line.words:
+        trace["text"] = [safe(one) for one in line.words]
+    if line.lower is not None and line.upper is not None:
+        ends = {"array": line.upper - line.value, "arrayminus": line.value - line.lower}
+        trace["error_y"] = {name: numbers(one) for name, one in ends.items()}
+        trace["error_y"] |= {"type": "data", "symmetric": False, "width": 0, "thickness": 2}
+        trace["error_y"]["color"] = f"{line.colour}66"
+    return trace
+
+
+def _head(panel: Panel) -> str:
+    """Title and unit of a panel; below, in their colours, the names of its lines."""
+    unit = f", {panel.unit}" if panel.unit else ""
+    title = f"<b>{panel.title}</b>{unit}"
+    names = [one.name for one in panel.lines if one.name != panel.title]
+    if len(panel.lines) < 2 and panel.has_axis:
+        return title
+    rows: list[list[str]] = [[]]
+    room = LETTERS
+    for line, name in zip(panel.lines, names, strict=True):
+        short = textwrap.shorten(name, LETTERS - 4, placeholder="…")
+        if rows[-1] and room < len(short):
+            rows.append([])
+            room = LETTERS
+        room -= len(short) + 4
+        sign = f'<span style="color:{line.colour}">{SIGNS.get(line.symbol, "●")}</span>'
+        rows[-1].append(f"{sign} {safe(short)}")
+    return "<br>".join([title, *("   ".join(row) for row in rows)])
+
+
+def _axis(panel: Panel, domain: list[float]) -> Payload:
+    axis: Payload = {"domain": domain, "nticks": max(3, panel.height // 30)}
+    if panel.ends:
+        axis["range"] = list(panel.ends)
+    if not panel.has_axis:
+        axis |= {"visible": False, "fixedrange": True}
+    return axis
+
+
+def _text(words: str, axis: str, **more: Any) -> Payload:
+    """Words above a panel."""
+    place = {"xref": "paper", "x": 0, "xanchor": "left", "yref": f"{axis} domain", "y": 1}
+    return place | {"text": words, "showarrow": False, "yanchor": "bottom"} | more
+
+
+def _upright(night: object, colour: str, axis: str) -> Payload:
+    place = {"type": "line", "x0": str(night), "x1": str(night), "yref": f"{axis} domain"}
+    return place | {"y0": 0, "y1": 1, "line": {"color": colour, "width": 1, "dash": "dot"}}
+
+
+def _words_of(time: Times) -> list[str]:
+    return [str(one) for one in time]
+
+
+def _span(times: list[list[str]]) -> list[str]:
+    """Ends of the axis of time: a little beyond the first and the last."""
+    first = np.datetime64(min(one[0] for one in times), "m")
+    last = np.datetime64(max(one[-1] for one in times), "m")
+    beyond = max((last - first) // 50, np.timedelta64(1, "m"))
+    return [str(first - beyond), str(last + beyond)]

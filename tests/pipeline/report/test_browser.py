@@ -1,0 +1,363 @@
+"""The pages in headless Chromium, opened from the file system."""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select
+
+from pipeline.report.build import KnownMotor, ReportRequest, build_report
+from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES, frame
+from tests.pipeline.report.browser import (
+    complaints,
+    drawn,
+    needs_browser,
+    shown,
+    text,
+    visit,
+    wait,
+)
+from tests.pipeline.report.conftest import change_table
+from tests.pipeline.report.judged import HEALTHY, NIGHTS, NOTE, REASON, WORN
+
+pytestmark = needs_browser
+
+MOTORS = 6
+PAGES = ("index.html", f"motors/{WORN}.html", "glossary.html")
+NIGHT = "return document.body.dataset.night"
+
+
+# The fleet
+
+
+def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
+    browser: Chrome, told: Path
+) -> None:
+    visit(browser, told / "index.html")
+    every = shown(browser)
+    assert len(every) == MOTORS
+    assert every[0] == WORN
+    (item,) = browser.find_elements(By.CSS_SELECTOR, ".attention li")
+    said = f"alarm\n{WORN}\nL{REASON[1:]}. Look at the balance sleeve at the next stop."
+    assert said in item.text
+    assert f"Acknowledged: {NOTE}" in item.text
+    find = browser.find_element(By.ID, "find")
+    find.send_keys("cb560 insufficient")
+    assert shown(browser) == ["CB560-02"]
+    assert browser.find_element(By.ID, "shown").text == f"1 of {MOTORS} shown"
+    # Who is searched for leaves the others above the table, too.
+    assert not item.is_displayed()
+    browser.find_element(By.CSS_SELECTOR, "[type=reset]").click()
+    wait(browser, "return document.getElementById('shown').textContent === ''")
+    header = browser.find_elements(By.CSS_SELECTOR, "#fleet thead th")[3]
+    assert header.text.startswith("Leakage at its own conditions")
+    button = header.find_element(By.TAG_NAME, "button")
+    for keys, order in ((Keys.ENTER, [WORN, HEALTHY]), (Keys.SPACE, [HEALTHY, WORN])):
+        button.send_keys(keys)
+        # What is absent comes last, whichever way.
+        assert shown(browser)[:2] == order
+    assert header.get_dom_attribute("aria-sort") == "ascending"
+    find.send_keys("cb")
+    address = browser.current_url.partition("index.html")[2]
+    seen = shown(browser)
+    visit(browser, told / "index.html", address)
+    assert shown(browser) == seen
+    visit(browser, told / "index.html", "#find=none&sort=99%20up&type=%E0<b>")
+    assert shown(browser) == []
+    assert browser.find_element(By.ID, "nothing").is_displayed()
+
+
+def test_a_state_has_two_lines_and_the_rest_behind_it(browser: Chrome, told: Path) -> None:
+    visit(browser, told / "index.html")
+    why = browser.find_element(By.CSS_SELECTOR, f"tr[data-motor='{WORN}'] .why")
+    line = "return parseFloat(getComputedStyle(arguments[0]).lineHeight)"
+    assert why.size["height"] < 2.3 * browser.execute_script(line, why)
+    assert "next stop" not in why.text
+    why.find_element(By.TAG_NAME, "summary").click()
+    assert REASON[1:] in why.text
+    assert "Look at the balance sleeve at the next stop." in why.text
+    # 11 UTC is noon in the fleet's zone; all is long ago.
+    old = [one.text for one in browser.find_elements(By.CSS_SELECTOR, "time.old")]
+    assert old[0].startswith("2026-01-05 12:00 (")
+    assert old[0].endswith(" days ago)")
+    assert len(old) == 1 + MOTORS
+
+
+def test_a_motor_s_page_and_the_glossary_are_reached_by_keyboard(
+    browser: Chrome, report: Path
+) -> None:
+    visit(browser, report / "index.html")
+    browser.find_element(By.LINK_TEXT, "CB560-01").send_keys(Keys.ENTER)
+    assert wait(browser, NIGHT) == NIGHTS[-1]
+    assert browser.find_element(By.TAG_NAME, "h1").text == "CB560-01"
+    browser.find_element(By.LINK_TEXT, "Glossary").send_keys(Keys.ENTER)
+    assert len(browser.find_elements(By.CSS_SELECTOR, "main > dl:first-child dt")) == 10
+    browser.find_element(By.CSS_SELECTOR, "header nav a").click()
+    assert len(shown(browser)) == MOTORS
+
+
+# A motor
+
+
+def test_every_chart_is_drawn_before_it_is_scrolled_to(browser: Chrome, told: Path) -> None:
+    visit(browser, told / "motors" / f"{WORN}.html")
+    wait(browser, NIGHT)
+    for name, n_panels in (("course", 3), ("samples", 4)):
+        chart = browser.find_element(By.ID, name)
+        assert chart.get_dom_attribute("data-drawn") == "chart"
+        assert len(chart.find_elements(By.CSS_SELECTOR, ".cartesianlayer > .subplot")) == n_panels
+        assert chart.find_elements(By.CSS_SELECTOR, ".scatterlayer path.js-line")
+    assert set(drawn(browser).values()) == {"chart"}
+    assert f"L{REASON[1:]}." in browser.find_element(By.ID, "sentence").text
+    aside = browser.find_element(By.TAG_NAME, "aside").text
+    for words in ("balance sleeve 95 %", "+21.0 [+17.0, +25.0]", "0.40, model supported"):
+        assert words in aside
+    assert browser.find_element(By.CSS_SELECTOR, ".marks").text.splitlines() == [
+        "2026-01-04 alarm",
+        "2026-01-05 change detected: balance sleeve",
+    ]
+    changed = browser.find_element(By.CSS_SELECTOR, "#alarm-table tbody tr").text
+    assert f"leakage ok alarm {REASON}" in " ".join(changed.split())
+    assert NOTE in browser.find_element(By.ID, "decision-table").text
+
+
+def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
+    browser: Chrome, report: Path
+) -> None:
+    # An address that is no night leads to the newest.
+    visit(browser, report / "motors" / "CB400-02.html", "#../../../etc/passwd%E0")
+    assert wait(browser, NIGHT) == NIGHTS[2]
+    Select(browser.find_element(By.ID, "choose")).select_by_value(NIGHTS[0])
+    wait(browser, f"{NIGHT} === '{NIGHTS[0]}'")
+    words = browser.find_element(By.ID, "words").text
+    for said in (f"CB400-02, night of {NIGHTS[0]}: fitted", "at the reference (200 bar", "Paths"):
+        assert said in words
+    assert not browser.find_element(By.ID, "earlier").is_enabled()
+    browser.find_element(By.ID, "later").send_keys(Keys.ENTER)
+    wait(browser, f"{NIGHT} === '{NIGHTS[1]}'")
+    browser.back()
+    wait(browser, f"{NIGHT} === '{NIGHTS[0]}'")
+    visit(browser, report / "motors" / "CB400-02.html", f"#{NIGHTS[1]}")
+    assert wait(browser, NIGHT) == NIGHTS[1]
+    drawn(browser)
+    browser.execute_script("window.scrollTo(0, 0)")
+    browser.execute_script(
+        "document.querySelector('#course .plot')"
+        ".emit('plotly_click', {points: [{x: arguments[0]}]})",
+        NIGHTS[0],
+    )
+    wait(browser, f"{NIGHT} === '{NIGHTS[0]}'")
+    # It comes into view, and is marked in all charts over the nights.
+    top = "return document.getElementById('night').getBoundingClientRect().top"
+    assert 0 <= browser.execute_script(top) < 100
+    marked = browser.execute_script(
+        "return ['course', 'conditions'].map((id) => document.querySelector(`#${id} .plot`).layout"
+        ".shapes.filter((shape) => shape.name === 'chosen night').map((one) => one.x0))"
+    )
+    assert marked == [[NIGHTS[0]]] * 2
+
+
+def test_keys_zoom_and_no_button_sends_a_chart_away(browser: Chrome, report: Path) -> None:
+    visit(browser, report / "motors" / "CB400-02.html")
+    drawn(browser)
+    plot = browser.find_element(By.CSS_SELECTOR, "#course .plot")
+
+    def span() -> list[float]:
+        script = "return arguments[0]._fullLayout.xaxis.range.map((end) => Date.parse(end))"
+        low, high = browser.execute_script(script, plot)
+        return [low, high]
+
+    whole = span()
+    plot.send_keys("+")
+    zoomed = span()
+    assert zoomed[1] - zoomed[0] == pytest.approx((whole[1] - whole[0]) / 2, rel=1e-3)
+    plot.send_keys(Keys.ARROW_RIGHT)
+    assert span()[0] > zoomed[0]
+    plot.send_keys(Keys.HOME)
+    assert span() == pytest.approx(whole)
+    buttons = browser.find_elements(By.CSS_SELECTOR, ".modebar-btn")
+    wanted = {"Zoom", "Pan", "Zoom in", "Zoom out", "Reset axes", "Download plot as a PNG"}
+    assert {one.get_dom_attribute("data-title") for one in buttons} == wanted
+    assert browser.find_elements(By.CSS_SELECTOR, "[href^=http], [src^=http]") == []
+
+
+def test_a_night_whose_file_was_not_copied_says_so(
+    browser: Chrome, output: Path, tmp_path: Path
+) -> None:
+    page = tmp_path / "r" / "motors" / "CB560-01.html"
+    build_report(ReportRequest(output, tmp_path / "r", motors=("CB560-01",)))
+    (tmp_path / "r" / "data" / "CB560-01" / f"{NIGHTS[2]}.js").unlink()
+    visit(browser, page)
+    wait(browser, NIGHT)
+    assert f"{NIGHTS[2]}.js is not there" in text(browser, "#words")
+    assert f"{NIGHTS[2]}.js" in complaints(browser)[0]
+    build_report(ReportRequest(output, tmp_path / "r", motors=("CB560-01",), nights=1))
+    visit(browser, page, f"#{NIGHTS[0]}")
+    wait(browser, NIGHT)
+    assert "was made with fewer nights" in text(browser, "#words")
+
+
+def test_motors_without_a_good_night_or_any_have_pages_that_say_why(
+    browser: Chrome, output: Path
+) -> None:
+    reason = "CB560-01.mcap: the end is missing"
+    known = ("motor_id", "motor_type", "night", "flushing_mode", "is_primary")
+    failed = {"status": "failed", "reason": reason, "error_code": "log_truncated"}
+
+    def fail(rows: pl.DataFrame) -> pl.DataFrame:
+        kept = rows.filter(motor_id="CB560-01").select(known).to_dicts()
+        return frame(FITS, [row | failed for row in kept])
+
+    change_table(output, "fits", fail)
+    for table in (*NIGHT_TABLES, *TREND_TABLES):
+        if table.name not in ("fits", "input_files", "quality"):
+            change_table(output, table.name, lambda rows: rows.clear())
+    shutil.rmtree(output / "tables" / "latest")
+    folder = output / "report"
+    build_report(ReportRequest(output, folder, known={"new": KnownMotor("CB400")}))
+    visit(browser, folder / "motors" / "CB560-01.html")
+    assert drawn(browser) == {"course": "chart", "samples": "absent", "conditions": "absent"}
+    assert reason in browser.find_element(By.ID, "why").text
+    assert reason in text(browser, "#words")
+    assert complaints(browser) == []
+    visit(browser, folder / "motors" / "new.html")
+    assert "No night of this motor" in browser.find_element(By.ID, "why").text
+
+
+# Strangers' words, small and dark screens, paper
+
+# Would run, were it ever taken for markup, for a part of a script or for a template.
+HOSTILE = (
+    '</script><script>window.harmed=1</script><img src=x onerror="window.harmed=1">'
+    "'\"${window.harmed=1}%{x}<a href='javascript:window.harmed=1'>"
+)
+
+
+def hostile_output(output: Path) -> None:
+    """The tables with a stranger's words wherever a name or a text can stand."""
+    texts = {
+        "fits": ("motor_type", "oil", "reason", "reference_reason", "interval_status"),
+        "parameters": ("reason",),
+        "sensitivities": ("source",),
+        "quality": ("reason",),
+        "input_files": ("path", "message"),
+        "trends": ("gated_reason", "unit"),
+        "watch": ("cause", "candidates", "sentence", "advice"),
+    }
+    keyed = {"sensitivities": "source", "quality": "reason", "trends": "indicator"}
+    for table in (*NIGHT_TABLES, *TREND_TABLES):
+        unique = keyed.get(table.name)
+        names = {"motor_id", *texts.get(table.name, ()), *([unique] if unique else [])}
+
+        def rename(rows: pl.DataFrame, names: Any = names, unique: Any = unique) -> pl.DataFrame:
+            mine = rows.filter(motor_id="CB560-01")
+            return mine.with_columns(
+                (pl.lit(HOSTILE) + pl.col(name) if name == unique else pl.lit(HOSTILE)).alias(name)
+                for name in names
+                if name in rows.columns
+            )
+
+        change_table(output, table.name, rename)
+
+
+def test_hostile_names_are_shown_and_do_nothing(browser: Chrome, output: Path) -> None:
+    hostile_output(output)
+    event = {"date": dt.date(2026, 1, 3), "kind": HOSTILE, "note": HOSTILE}
+    known = {HOSTILE: KnownMotor(HOSTILE, (event,))}
+    build_report(ReportRequest(output, output / "report", fleet=HOSTILE, known=known))
+    visit(browser, output / "report" / "index.html")
+    link = browser.find_element(By.CSS_SELECTOR, "#fleet tbody a")
+    assert link.text == HOSTILE
+    assert complaints(browser) == []
+    link.click()
+    drawn(browser)
+    assert browser.find_element(By.TAG_NAME, "h1").text == HOSTILE
+    for place in (".marks", "#words"):
+        assert HOSTILE in text(browser, place)
+    assert browser.find_elements(By.CSS_SELECTOR, "main img, a[href^=javascript], svg a") == []
+
+
+OVERLAPS = """
+const kinds = 'h1, h2, h3, p, .plot, table, dl, #words';
+const boxes = [...document.querySelectorAll(kinds)]
+  .filter((one) => one.checkVisibility() && !one.matches('.unseen'))
+  .map((one) => [one, one.getBoundingClientRect()])
+  .filter(([, box]) => box.width && box.height);
+const found = [];
+boxes.forEach(([a, p], at) => boxes.slice(at + 1).forEach(([b, q]) => {
+  if (a.contains(b) || b.contains(a)) return;
+  const wide = Math.min(p.right, q.right) - Math.max(p.left, q.left);
+  const high = Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top);
+  if (wide > 1 && high > 1) found.push(`${a.tagName} ${a.textContent.slice(0, 30)} | ${b.tagName}`);
+}));
+return found;
+"""
+# Words above a panel lie on no line: each stands above its panel's axes.
+OVER_A_CHART = """
+return [...document.querySelectorAll('.plot')].filter((one) => one._fullLayout).flatMap((plot) =>
+  plot._fullLayout.annotations.filter((one) => one.y !== 1 || one.yanchor !== 'bottom'));
+"""
+WIDEST = "return document.documentElement.scrollWidth"
+
+
+def channels(browser: Chrome, selector: str, name: str) -> list[int]:
+    """Red, green and blue of an element's colour."""
+    script = "return getComputedStyle(document.querySelector(arguments[0]))[arguments[1]]"
+    return [int(one) for one in re.findall(r"\d+", browser.execute_script(script, selector, name))]
+
+
+@contextmanager
+def seen_as(browser: Chrome, width: int, media: str = "", scheme: str = "light") -> Iterator[None]:
+    """A screen, or a sheet of paper, of another width and colour."""
+    size = {"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": False}
+    scheme_feature = {"name": "prefers-color-scheme", "value": scheme}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"media": media, "features": [scheme_feature]}
+    )
+    try:
+        yield
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_desk_a_telephone_in_the_dark_and_paper(browser: Chrome, told: Path, page: str) -> None:
+    """Nothing is wider than its screen; A4 between its margins is 703 pixels wide."""
+    has_charts = page == PAGES[1]
+    for width, scheme in ((1280, "light"), (390, "dark")):
+        with seen_as(browser, width, scheme=scheme):
+            visit(browser, told / page)
+            if has_charts:
+                drawn(browser)
+                assert browser.execute_script(OVER_A_CHART) == []
+            assert browser.execute_script(WIDEST) <= width
+            assert browser.execute_script(OVERLAPS) == []
+            if scheme == "dark":
+                assert max(channels(browser, "body", "backgroundColor")) < 60
+                if has_charts:
+                    assert min(channels(browser, ".plot .xtick text", "fill")) > 150
+    with seen_as(browser, 703, "print", "dark"):
+        browser.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+        assert browser.execute_script(OVERLAPS) == []
+        assert browser.execute_script(WIDEST) <= 703
+        assert channels(browser, "body", "backgroundColor") == [255, 255, 255]
+
+
+def test_without_scripts_the_pages_say_so_and_hold_the_figures(told: Path) -> None:
+    for page in PAGES[:2]:
+        content = (told / page).read_text("utf-8")
+        assert "need JavaScript" in content.partition("<noscript>")[2].partition("</noscript>")[0]
+        assert REASON[1:] in re.sub(r"<script.*?</script>", "", content, flags=re.DOTALL)
