@@ -204,7 +204,7 @@ def _require_alike(client: Client, expected: Surroundings) -> None:
 
 def _kind_of(difference: str) -> tuple[str, str]:
     """The code of what makes a worker unfit, and what to do about it."""
-    code, todo = "scheduler_versions", "install the same requirements.txt there"
+    code, todo = "scheduler_versions", "install the same requirements/ there"
     if difference.startswith("there is no folder"):
         code = "scheduler_folders"
         todo = "mount the same folders there"
