@@ -34,6 +34,7 @@ from pipeline.config.motor_types import (
     Scale,
     SpeedCurvePath,
 )
+from pipeline.config.section import Stage
 from pipeline.model_figures.canvas import drawing
 from pipeline.model_figures.subject import subject_of
 from pipeline.model_figures.writing import model_figures
@@ -101,14 +102,11 @@ class Orifice(Law):
 class OrificePath(PathSection):
     """`orifice`: turbulent flow through a bore."""
 
-    scale_keys = frozenset({"scale", "diameter_um"})
-    tolerance_keys = frozenset({"flow_tolerance_percent"})
-
     law: Literal["orifice"]
     flow_l_per_min: float
-    diameter_um: float
-    scale: Scale
-    flow_tolerance_percent: float = 0.0
+    diameter_um: Annotated[float, Stage.SCALE]
+    scale: Annotated[Scale, Stage.SCALE]
+    flow_tolerance_percent: Annotated[float, Stage.FIGURES] = 0.0
 
     def path(self) -> Orifice:
         scale = self.scale.parameter(f"scale_{self.name}", "1")
