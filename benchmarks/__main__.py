@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import importlib
 import sys
-from inspect import signature
 from itertools import dropwhile
 from pathlib import Path
 
@@ -27,10 +26,10 @@ def main(arguments: list[str]) -> int:
     if names == ["all"]:
         names = [name for name in BENCHMARKS if name != "guard"]
     mains = [importlib.import_module(f"benchmarks.{name}").main for name in names]
-    if options and (len(mains) > 1 or "options" not in signature(mains[0]).parameters):
-        sys.stderr.write(f"options are for one benchmark that has any, not {', '.join(names)}\n")
+    if options and len(mains) > 1:
+        sys.stderr.write(f"options are for one benchmark, not {', '.join(names)}\n")
         return 2
-    return next(filter(None, (main(options) if options else main() for main in mains)), 0)
+    return next(filter(None, (main(options) for main in mains)), 0)
 
 
 def _usage() -> str:
