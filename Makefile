@@ -1,27 +1,45 @@
-# Every target makes its own virtual environment first: nothing but Python >= 3.11 and make is needed.
+# Every target makes its own virtual environment first, with what it needs of requirements/:
+# nothing but Python >= 3.11, make and, for the tests, gcc has to be there.
 
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
-READY  := $(VENV)/.ready
+RUN    := $(VENV)/.run
+DEV    := $(VENV)/.dev
+FULL   := $(VENV)/.full
 DEMO   := demo
 
 # Only variables that are set are passed on; the config decides the rest.
 OPTIONS := $(if $(JOBS),--jobs $(JOBS)) $(if $(MOTORS),--motors "$(MOTORS)") $(if $(SINCE),--since $(SINCE)) $(if $(UNTIL),--until $(UNTIL))
 
 .PHONY: help install fit-fleet look report check demo-logs lint format test test-full bench bench-guard validate docs \
-        docs-site pictures wheelhouse clean
+        docs-site pictures requirements wheelhouse clean
 
 help:            ## list of targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
 
-install: $(READY) ## the virtual environment with pinned packages
+install: $(RUN)  ## the virtual environment with what the program needs
 
-$(READY): requirements.txt pyproject.toml
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+# On all cores, and without what is hardly ever imported: half a minute less than by pip.
+COMPILE := $(BIN)/python -m compileall -q -j 0 -x '/(tests?|plotly|fontTools|pygments|pip|setuptools)/' $(VENV)/lib
+
+$(RUN): requirements/run.txt pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; say make PYTHON=...")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(INSTALL) --require-hashes -r $<
+	$(INSTALL) --no-deps --no-build-isolation -e .
+	$(COMPILE)
+	@touch $@
+
+$(DEV): requirements/dev.txt $(RUN)
+	$(INSTALL) --require-hashes -r $<
+	$(COMPILE)
+	@touch $@
+
+$(FULL): requirements/full.txt $(DEV)
+	$(INSTALL) --require-hashes -r $<
+	$(COMPILE)
 	@touch $@
 
 # The demo's logs are made where no fleet is named.
@@ -33,63 +51,83 @@ fit-fleet report check look: demo-logs
 report: fit-fleet
 endif
 
-fit-fleet: $(READY) ## fit a fleet: CONFIG=configs/fleet.toml JOBS=4 MOTORS="A B" SINCE=2026-01-01 UNTIL=...
+fit-fleet: $(RUN) ## fit a fleet: CONFIG=configs/fleet.toml JOBS=4 MOTORS="A B" SINCE=2026-01-01 UNTIL=...
 	$(BIN)/motor-leakage fit-fleet $(FLEET) $(OPTIONS)
 
-look: $(READY)   ## new minutes of growing logs, told at once: CONFIG=... EVERY=10min
+look: $(RUN)   ## new minutes of growing logs, told at once: CONFIG=... EVERY=10min
 	$(BIN)/motor-leakage look $(FLEET) $(if $(EVERY),--every $(EVERY)) $(if $(MOTORS),--motors "$(MOTORS)")
 
-report: $(READY) ## pages of the fleet and its motors: CONFIG=configs/fleet.toml
+report: $(RUN) ## pages of the fleet and its motors: CONFIG=configs/fleet.toml
 	$(BIN)/motor-leakage report $(FLEET) $(if $(JOBS),--jobs $(JOBS))
 
-check: $(READY)  ## check a fleet's config and the head of its logs: CONFIG=...
+check: $(RUN)  ## check a fleet's config and the head of its logs: CONFIG=...
 	$(BIN)/motor-leakage check $(FLEET)
 
 demo-logs: $(DEMO)/truth.json ## simulated logs of the six motors of configs/fleet.toml, in demo/
 
-$(DEMO)/truth.json: | $(READY)
+$(DEMO)/truth.json: | $(RUN)
 	$(BIN)/motor-leakage demo .
 
-lint: docs-site  ## style, types, law of imports, and up-to-date docs
+lint: $(DEV)     ## style, types, law of imports, and up-to-date docs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pipeline.cli.reference --check docs
 
-format: $(READY)
+format: $(DEV)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-test: $(READY)   ## the tests of every change
+test: $(DEV)   ## the tests of every change
 	$(BIN)/pytest -n 2 -m "not full"
 
-test-full: $(READY) ## all tests, with the long ones (84 minutes, two tests at a time)
+test-full: $(FULL) ## all tests, with the long ones (84 minutes, two tests at a time)
 	$(BIN)/pytest -n 2 --dist worksteal
 
-bench: $(READY)  ## the benchmarks, into benchmarks/results/
+bench: $(FULL)  ## the benchmarks, into benchmarks/results/
 	$(BIN)/python -m benchmarks all
 
-validate: $(READY) ## figures of docs/real_machines.md: DATA=folder of the pump rig's records
+validate: $(DEV) ## figures of docs/real_machines.md: DATA=folder of the pump rig's records
 	$(BIN)/python -m validation pump_rig $(DATA) --page docs/real_machines.md
 	$(BIN)/python -m validation machines --page docs/real_machines.md
 
-bench-guard: $(READY) ## compare speed with the last committed results
+bench-guard: $(DEV) ## compare speed with the last committed results
 	$(BIN)/python -m benchmarks guard
 
-docs: $(READY)   ## regenerate the config and table reference
+docs: $(DEV)   ## regenerate the config and table reference
 	$(BIN)/python -m pipeline.cli.reference docs
 
-docs-site: $(READY) ## the documentation as pages that can be browsed and searched, in site/
+docs-site: $(FULL) ## the documentation as pages that can be browsed and searched, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-pictures: report ## make the pictures of the README and the docs anew, from the demo
+pictures: report $(FULL) ## make the pictures of the README and the docs anew, from the demo
 	$(BIN)/python -m tests.pictures out/report docs/pictures
 	$(BIN)/python -m tests.notebooks .
 
-wheelhouse: $(READY) ## all packages for an installation without a network, in wheelhouse/
-	$(BIN)/python -m pip download --quiet --require-hashes -r requirements.txt -d wheelhouse
+# Exact versions with hashes. Those that are there stay; `make requirements UPGRADE=--upgrade` takes
+# the newest. A file begins with another one, whose packages it leaves out.
+UV    := $(VENV)-uv/bin/uv
+PINS   = $(UV) pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --quiet \
+         --no-emit-index-url --no-header --no-annotate $(UPGRADE) -o requirements/$(1).txt
+BEYOND = -c requirements/run.txt $(2:%=-c requirements/%.txt) \
+         $$(sed -nE 's/^([a-z0-9.-]+)==.*/--no-emit-package \1/p' requirements/run.txt $(2:%=requirements/%.txt))
+
+requirements:    ## make the pins of requirements/ anew of pyproject.toml
+	$(PYTHON) -m venv $(VENV)-uv
+	$(VENV)-uv/bin/pip install --quiet --disable-pip-version-check uv
+	$(call PINS,run) --group build
+	$(call PINS,dev) --group dev $(addprefix --extra ,dask delta duckdb protobuf s3 sql) $(call BEYOND)
+	sed -i '1i -r run.txt' requirements/dev.txt
+	$(call PINS,full) --group full $(call BEYOND,,dev)
+	sed -i '1i -r dev.txt' requirements/full.txt
+	$(call PINS,image) --extra protobuf --extra s3 -c requirements/dev.txt $(call BEYOND)
+	sed -i '1i -r run.txt' requirements/image.txt
+
+wheelhouse: $(DEV) ## all packages for an installation without a network, in wheelhouse/
+	$(BIN)/python -m pip download --quiet --require-hashes -r requirements/dev.txt -d wheelhouse
 	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation -w wheelhouse .
+	rm -rf build
 
 clean:           ## remove the virtual environment and the demo's logs; tables stay
 	rm -rf $(VENV) $(DEMO)

@@ -5,28 +5,10 @@ from __future__ import annotations
 import ast
 import importlib
 import sys
-from inspect import signature
 from itertools import dropwhile
 from pathlib import Path
 
-BENCHMARKS = (
-    "coverage",
-    "dates",
-    "demo_alarms",
-    "fuzz",
-    "guard",
-    "model_choices",
-    "month_files",
-    "night_cost",
-    "noise",
-    "notebook",
-    "notebook_rivals",
-    "residual_tests",
-    "scale",
-    "speed",
-    "watch",
-    "wide_plant",
-)
+BENCHMARKS = ("coverage", "demo_alarms", "guard", "speed", "watch")
 
 
 def main(arguments: list[str]) -> int:
@@ -40,14 +22,14 @@ def main(arguments: list[str]) -> int:
     if not names:
         sys.stdout.write(_usage())
         return 0
-    # What compares with results that are there does not make them, and a record is to be named.
+    # What compares with results that are there does not make them.
     if names == ["all"]:
-        names = [name for name in BENCHMARKS if name not in ("guard", "noise")]
+        names = [name for name in BENCHMARKS if name != "guard"]
     mains = [importlib.import_module(f"benchmarks.{name}").main for name in names]
-    if options and (len(mains) > 1 or "options" not in signature(mains[0]).parameters):
-        sys.stderr.write(f"options are for one benchmark that has any, not {', '.join(names)}\n")
+    if options and len(mains) > 1:
+        sys.stderr.write(f"options are for one benchmark, not {', '.join(names)}\n")
         return 2
-    return next(filter(None, (main(options) if options else main() for main in mains)), 0)
+    return next(filter(None, (main(options) for main in mains)), 0)
 
 
 def _usage() -> str:

@@ -7,13 +7,15 @@ appendix B, for inch, pound-force and the gallons).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from typing import TYPE_CHECKING, NamedTuple
 
 from pipeline.errors import UsageError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
 
 class Conversion(NamedTuple):
@@ -49,7 +51,7 @@ UNITS: Mapping[str, Mapping[str, Conversion]] = {
     "speed": {
         "rpm": Conversion(1.0),
         "1/s": Conversion(60.0),
-        "rad/s": Conversion(30.0, np.pi),
+        "rad/s": Conversion(30.0, math.pi),
         "deg/s": Conversion(1.0, 6.0),
     },
     "flow": {
@@ -129,8 +131,6 @@ def conversion(channel: str, unit: str) -> Conversion:
     return known[unit]
 
 
-# A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
-@np.errstate(over="ignore", invalid="ignore")
 def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
     """Readings of a channel in its canonical unit, always a new array; shape (n,).
 
@@ -141,18 +141,21 @@ def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float
     >>> to_canonical("oil_temperature", [32.0, 212.0], "degF")
     array([  0., 100.])
     """
-    readings = np.array(values, dtype=np.float64)
+    import numpy as np
+
     numerator, denominator, shift = conversion(channel, unit)
-    if shift:
-        readings += shift
-    if numerator != 1.0:
-        readings *= numerator
-    if denominator != 1.0:
-        readings /= denominator
+    # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        readings = np.array(values, dtype=np.float64)
+        if shift:
+            readings += shift
+        if numerator != 1.0:
+            readings *= numerator
+        if denominator != 1.0:
+            readings /= denominator
     return readings
 
 
-@np.errstate(over="ignore", invalid="ignore")
 def from_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
     """Readings of a channel in a unit of a log: the inverse of `to_canonical`.
 
@@ -161,9 +164,11 @@ def from_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.flo
     >>> from_canonical("oil_temperature", [0.0, 100.0], "degF")
     array([ 32., 212.])
     """
+    import numpy as np
+
     numerator, denominator, shift = conversion(channel, unit)
-    readings = np.array(values, dtype=np.float64)
-    return readings * denominator / numerator - shift
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.array(values, dtype=np.float64) * denominator / numerator - shift
 
 
 def _quantity(channel: str) -> str:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+pytest.importorskip("nbclient", reason="nbclient is of requirements/full.txt")
+
 import nbformat
 
 from tests.notebooks import DOCS, NAMES, executed, figures

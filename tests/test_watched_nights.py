@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.noise import by_scale
 from benchmarks.results_file import stored
 from benchmarks.watch.cb560 import FITTED, HEALTHY, SLEEVE, THETA, State, history
 from benchmarks.watch.cells import FOREIGN, RIG, cells, step
@@ -131,10 +130,3 @@ def test_a_chart_counts_in_the_scatter_of_its_baseline() -> None:
     assert chart(change, 3, 0.5)[3:] == pytest.approx(np.array([2.0, 1.0]) * np.sqrt(3.0))
     # 0 of 30 excludes more than 11.6 % (two-sided 95 %), after Clopper and Pearson.
     assert share_interval(0, 30) == pytest.approx((0.0, 0.1157), abs=1e-4)
-
-
-def test_sizes_by_time_scale_find_the_scale_of_an_error() -> None:
-    index = np.arange(7200)
-    slow, quick = (np.where(index // s % 2, size, -size) for s, size in ((600, 0.01), (1, 0.02)))
-    found = by_scale(slow + quick, index)
-    assert found == pytest.approx((np.hypot(0.01, 0.02), 0.02, 0.0, 0.0, 0.01, 0.0), abs=1e-12)

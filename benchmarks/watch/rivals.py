@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.signal import lfilter
-from sklearn.ensemble import HistGradientBoostingRegressor  # type: ignore[import-untyped]
 
 from benchmarks.watch.cb560 import PATHS, PISTON, THETA
 from leakage.watch import NightBlocks as Night
@@ -41,6 +40,7 @@ def regression(nights: Sequence[Night]) -> Predict:
 
 def boosting(nights: Sequence[Night]) -> Predict:
     """Gradient boosting on pressure, temperature, speed and ΔP/η."""
+    from sklearn.ensemble import HistGradientBoostingRegressor  # type: ignore[import-untyped]
 
     def columns(of: Sequence[Night]) -> Array:
         conditions = np.concatenate([one.conditions for one in of])

@@ -29,10 +29,12 @@ app = typer.Typer(
     name="motor-leakage",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    # Plain help and errors: boxes cost as much time as all the rest of `--help`.
+    rich_markup_mode=None,
     add_completion=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
 )
-baseline = typer.Typer(no_args_is_help=True, help="Baselines of a motor.")
+baseline = typer.Typer(no_args_is_help=True, help="Baselines of a motor.", rich_markup_mode=None)
 # In the order in which the help lists them.
 app.command("fit-fleet")(runs.fit_fleet)
 app.command()(looking.look)

@@ -18,8 +18,7 @@ def prune(
     config: ConfigFile,
     output: Output = None,
     tables: Annotated[
-        # Square brackets are markup in a help text.
-        str, typer.Option(help=r"Tables, with commas between; those of \[retention] if empty.")
+        str, typer.Option(help="Tables, with commas between; those of [retention] if empty.")
     ] = "",
     keep: Annotated[
         int | None, typer.Option(min=1, help="Newest nights to keep of them; else the config's.")

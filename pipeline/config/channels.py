@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, field_validator
 
 from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import FieldText
-from pipeline.config.section import NonNegative, Positive, Section
+from pipeline.config.section import NonNegative, Positive, Section, Stage
 from pipeline.units import QUANTITIES, UNITS
 
 ChannelName = Literal[
@@ -75,7 +75,9 @@ class Channel(Section):
     mPa.s), whatever the log's.
     """
 
-    source: str = ""
+    shapes = Stage.READING | Stage.BLOCKS
+
+    source: Annotated[str, Stage.READING] = ""
     """Column of a CSV or Parquet log (nested: its path, `a.b.c`), topic of an MCAP; in the layout
     `long` the channel's name, in `file_per_channel` a glob of the file's name. Needed without a
     `constant`."""
@@ -83,10 +85,10 @@ class Channel(Section):
     """In place of `source`, for what is not logged, such as the speed of a motor that always turns
     alike, or the case pressure: its value, in `unit`. The drain flow's time stamps are its own, and
     no rule of cleaning judges it."""
-    field: FieldText = Field("value", min_length=1)
+    field: Annotated[FieldText, Stage.READING] = Field("value", min_length=1)
     """Field in the message of an MCAP topic: a key, or a path such as `hydraulics.pressure.a`,
     `pressures[0].value` or, in a map, `temperatures.oil`."""
-    value_column: str = ""
+    value_column: Annotated[str, Stage.READING] = ""
     """Layout `file_per_channel`: column of this channel's values, where it is another than
     `logs.value_column`; several channels may be columns of one file."""
     unit: str
@@ -105,15 +107,15 @@ class Channel(Section):
     """Added to the scaled number, in the log's unit."""
     valid_range: Limits | None = None
     """Values outside are refused; without it the channel's usual range."""
-    sensor_maximum: float | None = None
+    sensor_maximum: Positive | None = None
     """Highest value that the sensor gives; for the drain flow also what it gives under
     back-flow."""
     resolution: NonNegative = 0.0
     """Smallest step of the sensor; where none is stated, spikes are judged by the step that the
     readings visibly have."""
-    offset_tolerance: NonNegative = 0.0
+    offset_tolerance: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Stated constant error of the sensor; 0: none stated."""
-    gain_tolerance_percent: NonNegative = 0.0
+    gain_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Stated error in proportion to the reading; 0: none stated."""
     frozen_after_s: Positive | None = None
     """Overrides cleaning.frozen_after_s; temperature: 900 s unless stated."""
@@ -160,6 +162,9 @@ class Channel(Section):
             yield (key,), "expected no such key beside a constant", getattr(self, key)
         if "quality_good" in self.model_fields_set and not self.quality_source:
             yield ("quality_good",), "expected quality_source beside it", self.quality_good
+        if self.sensor_maximum and self.valid_range and self.sensor_maximum <= self.valid_range[0]:
+            message = "expected more than the lower end of valid_range"
+            yield ("sensor_maximum",), message, self.sensor_maximum
         if self.longest_silence_s is None and self.sampling == "on_change":
             yield ("longest_silence_s",), 'expected a time for sampling = "on_change"', None
         if self.between == "hold" and self.sampling != "on_change":

@@ -6,8 +6,6 @@ import datetime as dt
 import json
 from collections.abc import Iterable, Iterator, Mapping
 
-from leakage import LeakageError, leakage_l_per_min
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from pipeline.config.channels import COUNTED, channel_faults
 from pipeline.config.defaults import Document
 from pipeline.config.faults import Fault, Place, fault_at
@@ -71,6 +69,8 @@ def oil_faults(
 def _faults_of_sample(
     file: str, place: Place, sample: OilSample, spec: MotorSpec
 ) -> Iterator[Fault]:
+    from leakage.physics.walther import kinematic_viscosity_mm2_per_s
+
     if sample.date > dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1):
         message = "expected a day that has come: an analysis holds from its date on"
         yield fault_at(file, (*place, "date"), message, sample.date.isoformat())
@@ -114,12 +114,13 @@ def faults_of_channels(file: str, document: Document) -> Iterator[Fault]:
 
 def impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
     """Faults that only show when type, oil, flushing and settings come together."""
+    from leakage import LeakageError, leakage_l_per_min
+
     conditions = spec.settings.reference.conditions().operating
-    for night in (dt.date.min, *(event.date for event in spec.file.events)):
-        if spec.file.oil_on(night) not in spec.oils:
-            continue
+    oils = {spec.file.oil, *(event.oil for event in spec.file.events)}
+    for name in sorted(spec.oils.keys() & oils):
         for mode in spec.file.flushing.modes:
             try:
-                leakage_l_per_min(spec.motor(night, mode), conditions)
+                leakage_l_per_min(spec.motor_with(spec.oils[name], mode), conditions)
             except LeakageError as error:
-                yield Fault(file, "", f"with {spec.file.oil_on(night)}: {error}")
+                yield Fault(file, "", f"with {name}: {error}")

@@ -7,7 +7,7 @@ import datetime as dt
 from pydantic import Field, field_validator
 
 from pipeline.config.receivers import Secret
-from pipeline.config.section import Positive, Section
+from pipeline.config.section import Positive, Section, Stage
 
 START, END = "{start}", "{end}"
 """Stand in a query for the borders of a night, half open."""
@@ -15,6 +15,8 @@ START, END = "{start}", "{end}"
 
 class Database(Section):
     """A query in a PostgreSQL database, asked night by night."""
+
+    shapes = Stage.NOTHING
 
     query: str
     """One `SELECT` with the marks `{start}` and `{end}`, which become time stamps with a zone

@@ -8,13 +8,15 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from pipeline.config.faults import Misfit
-from pipeline.config.section import NonNegative, Positive, Section
+from pipeline.config.section import NonNegative, Positive, Section, Stage
 
 RelativeFolder = Annotated[str, Field(min_length=1)]
 
 
 class Folders(Section):
     """Folders; each is relative to the fleet file."""
+
+    shapes = Stage.NOTHING
 
     motors: RelativeFolder = "motors"
     """Folder of the motors' files, one per motor."""
@@ -36,6 +38,8 @@ class Folders(Section):
 
 class Execution(Section):
     """Execution of a run; nothing here changes a figure."""
+
+    shapes = Stage.NOTHING
 
     workers: int = Field(2, ge=1, le=256)
     """Motors fitted at the same time."""
@@ -72,6 +76,8 @@ class Execution(Section):
 class Retention(Section):
     """Newest nights whose rows `prune` keeps, by table; without a number all are kept."""
 
+    shapes = Stage.NOTHING
+
     predictions: int | None = Field(None, ge=1)
     """Nights kept of `predictions`."""
     starts: int | None = Field(None, ge=1)
@@ -84,6 +90,8 @@ class Retention(Section):
 
 class Metrics(Section):
     """Metrics of each run as a file for Prometheus."""
+
+    shapes = Stage.NOTHING
 
     textfile: str = Field("", pattern=r"^$|\.prom$")
     """File below the folder of the node exporter's textfile collector, such as

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import tomllib
 from collections.abc import Mapping
@@ -13,6 +14,9 @@ from pydantic import BaseModel, ValidationError
 
 from pipeline.config.defaults import Document, completed
 from pipeline.config.faults import Fault, faults_of
+
+# Bytes of a config file.
+LARGEST = 8 * 2**20
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -58,7 +62,7 @@ def read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | No
     """Content of a TOML file; None if it has a fault."""
     try:
         # Windows' editors begin a file with a byte order mark.
-        document = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        document = tomllib.loads(_content(path).decode("utf-8-sig"))
         # Whatever cannot be written as JSON: too deep, or a number of thousands of digits.
         json.dumps(document, default=str)
     except OSError as error:
@@ -70,6 +74,17 @@ def read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | No
     else:
         return document
     return None
+
+
+def _content(path: Path) -> bytes:
+    """All of a file. Raises OSError for a huge one, a pipe, or a device, which may never end."""
+    if not (path.is_file() or path.is_dir()) and path.exists():
+        raise OSError(errno.EINVAL, "is no regular file")
+    with path.open("rb") as stream:
+        content = stream.read(LARGEST + 1)
+    if len(content) > LARGEST:
+        raise OSError(errno.EFBIG, f"is larger than {LARGEST // 2**20} MiB")
+    return content
 
 
 def validated(

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from pipeline.config.section import NonNegative, Positive, Section
+from pipeline.config.section import NonNegative, Positive, Section, Stage
 
 if TYPE_CHECKING:
     from leakage import OperatingConditions
@@ -16,12 +16,14 @@ if TYPE_CHECKING:
 class Model(Section):
     """Choices of the physics that are not a property of the motor."""
 
+    shapes = Stage.BLOCKS
+
     film_pressure: Literal["thesis", "slot"] = "thesis"
     """`thesis`: Barus viscosity at the pressure difference times the share; `slot`: exact laminar
     flow through a slot with Barus viscosity."""
     film_pressure_share: NonNegative = Field(1.0, le=1)
     """Share of the pressure difference in the film; `thesis` only."""
-    film_pressure_share_tolerance: NonNegative = Field(0.0, le=1)
+    film_pressure_share_tolerance: Annotated[NonNegative, Stage.FIGURES] = Field(0.0, le=1)
     """Stated tolerance of that share; 0: none stated."""
     two_sided: bool | None = None
     """Every path leaks to the case from both sides: the high one at pressure difference + charge −
@@ -31,10 +33,10 @@ class Model(Section):
     """Pressure of the low port, without a channel of it; 0: none stated."""
     case_pressure_bar: NonNegative = 0.0
     """Pressure of the case; `two_sided` without a channel of it."""
-    charge_pressure_tolerance_bar: NonNegative = 0.0
+    charge_pressure_tolerance_bar: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Stated tolerance of charge − case pressure; 0: none stated."""
 
-    roller_scale: Literal["by_information", "fixed"] = "by_information"
+    roller_scale: Annotated[Literal["by_information", "fixed"], Stage.FIGURES] = "by_information"
     """Scale of a motor's one known curve, that of the cam rollers: estimated where most of the
     first nights of a baseline tell it, since speed varies; `fixed`: as the motor type says, the
     thesis."""
@@ -49,6 +51,8 @@ class Estimation(Section):
     """Bounded least squares; the search of the thesis, by `fit` alone, names as in MATLAB's
     lsqnonlin."""
 
+    shapes = Stage.NOTHING
+
     starting_points: int = Field(10, ge=0, le=1000)
     """Starting points of the audit that `fit` makes, the configured one first; 0: none. No figure
     depends on it or on the three settings after it."""
@@ -58,10 +62,10 @@ class Estimation(Section):
     """A start stops at a relative change of the criterion below this."""
     maximum_iterations: int = Field(200, ge=1)
     """Iterations a start may take."""
-    loss: Literal["squared", "huber"] = "squared"
+    loss: Annotated[Literal["squared", "huber"], Stage.BLOCKS] = "squared"
     """`huber`: training samples with large errors count less, by weights found before their
     statistics are made."""
-    sensitivity_samples: int = Field(1500, ge=100)
+    sensitivity_samples: Annotated[int, Stage.FIGURES] = Field(1500, ge=100)
     """Training samples that carry the stated tolerances; thinned."""
     seed: int = Field(1, ge=0)
     """Seed of the starts; a night's seed is derived from it."""
@@ -89,6 +93,8 @@ class Conditions:
 
 class ReferenceConditions(Section):
     """Conditions at which the reference leakage is evaluated."""
+
+    shapes = Stage.FIGURES
 
     pressure_bar: Positive = 200.0
     """Pressure difference."""

@@ -8,14 +8,17 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
-from leakage import FilmPressure, Motor
 from pipeline.config.execution import Execution, Retention
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import OilSample, Walther, measured_curve
 from pipeline.config.settings import Settings
 from pipeline.errors import UsageError
+
+if TYPE_CHECKING:
+    from leakage import Motor
 
 # Object stores that logs and tables may lie in.
 URL_SCHEMES = ("s3", "az", "gs")
@@ -80,11 +83,17 @@ class MotorSpec:
 
     def motor(self, night: dt.date, flushing_mode: str) -> Motor:
         """The motor on a night and under one mode of flushing, with the data sheet's oil."""
+        return self.motor_with(self.oil_on(night), flushing_mode)
+
+    def motor_with(self, oil: OilFile, flushing_mode: str) -> Motor:
+        """The motor with an oil and under one mode of flushing."""
+        from leakage import FilmPressure, Motor
+
         model = self.settings.model
         motor = Motor(
             motor_type=self.motor_type.motor_type,
             paths=(*self.motor_type.paths(), self.file.flushing.path(flushing_mode)),
-            oil=self.oil_on(night).oil(),
+            oil=oil.oil(),
             film_pressure=FilmPressure(model.film_pressure, model.film_pressure_share),
         )
         return motor.with_free_standard() if self.roller_is_free else motor

@@ -12,7 +12,7 @@ from pipeline.config.databases import Database
 from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import FieldText
 from pipeline.config.readers import FormatName
-from pipeline.config.section import NonNegative, Section, TimeZone
+from pipeline.config.section import NonNegative, Section, Stage, TimeZone
 from pipeline.config.time_formats import TimeFormat
 
 LogLayout = Literal["wide", "long", "file_per_channel"]
@@ -59,15 +59,17 @@ Encoding = Annotated[str, AfterValidator(_encoding)]
 class Logs(Section):
     """The motor's log files and their dialect, or the database that has its samples."""
 
+    shapes = Stage.READING
+
     format: FormatName
     """`csv`, `parquet`, `mcap`, `sql` (a database), or a format that an installed package reads
     ([readers](readers.md))."""
     options: dict[str, Any] = Field({})
     """Options of an installed package's reader."""
-    files: tuple[Pattern, ...] = ()
+    files: Annotated[tuple[Pattern, ...], Stage.NOTHING] = ()
     """Paths or globs below the log root; a path named and absent is an error. Needed without a
     `database`."""
-    database: Database | None = None
+    database: Annotated[Database | None, Stage.NOTHING] = None
     """With `sql`: where the samples are."""
     time: str = "time"
     """Column of the time; MCAP: `log_time` or `publish_time` of the message."""
@@ -103,7 +105,7 @@ class Logs(Section):
     """CSV: lines after the header that hold no samples."""
     missing_tokens: tuple[str, ...] = MISSING_TOKENS
     """CSV: content of a cell without a value."""
-    settle_s: NonNegative = 0.0
+    settle_s: Annotated[NonNegative, Stage.NOTHING] = 0.0
     """A new file that was written to within this time before a run is left to a later run. Without
     it, only a file that changes during reading is."""
     stamp: FieldText = ""

@@ -6,17 +6,16 @@ Other motor families, and paths that the thesis leaves out, are files, not code.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from leakage import AnnularGap, Laminar, Oil, Parameter, SpeedCurve
-from leakage.physics.motor import FIXED_COLUMNS
-from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, LeakagePath
-from leakage.physics.simulated_curves import fit_deformation_pressure, fit_speed_curve
-from leakage.physics.walther import walther_coefficients
 from pipeline.config.faults import Misfit
-from pipeline.config.section import Id, NonNegative, Positive, Section, left_out
+from pipeline.config.section import Id, NonNegative, Positive, Section, Stage, left_out
+
+if TYPE_CHECKING:
+    from leakage import AnnularGap, Laminar, Oil, Parameter, SpeedCurve
+    from leakage.physics.paths import LeakagePath
 
 BAR = 1e5
 MILLIMETRE = 1e-3
@@ -51,6 +50,8 @@ class Unknown(Section):
 
     def parameter(self, name: str, unit: str) -> Parameter:
         """The unknown as the estimation knows it."""
+        from leakage import Parameter
+
         return Parameter(name, unit, self.value, self.minimum, self.maximum, self.fixed)
 
 
@@ -82,16 +83,13 @@ class Scale(Unknown):
 class PathSection(Section):
     """A `[[path]]` table: base of the models, one for each law."""
 
-    # Keys that scale the coefficient of a free path and leave its column as it is.
-    scale_keys: ClassVar[frozenset[str]]
-    # Keys that say how well something is known.
-    tolerance_keys: ClassVar[frozenset[str]] = frozenset()
+    shapes = Stage.BLOCKS
 
     name: Name
     """Name of the path in the tables."""
     law: str
     """The path's law."""
-    source: Source
+    source: Annotated[Source, Stage.FIGURES]
 
     def misfits(self) -> Iterator[Misfit]:
         """Two sources of one thing, or none; numbers that the physics refuses, which raise."""
@@ -106,30 +104,25 @@ class PathSection(Section):
 class AnnularGapPath(PathSection):
     """`annular_gap`: laminar flow through an annular gap, with deformation and eccentricity."""
 
-    scale_keys = frozenset(
-        {"count", "radius_mm", "length_mm", "height_factor", "gap_um", "eccentricity"}
-    )
-    tolerance_keys = frozenset({"deformation_tolerance_percent"})
-
     law: Literal["annular_gap"]
-    count: int = Field(ge=1)
+    count: Annotated[int, Stage.SCALE] = Field(ge=1)
     """Interfaces at high pressure at any time."""
-    radius_mm: Positive
+    radius_mm: Annotated[Positive, Stage.SCALE]
     """Radius of the gap."""
-    length_mm: Positive
+    length_mm: Annotated[Positive, Stage.SCALE]
     """Length of the gap in the direction of flow."""
-    height_factor: Positive = 1.0
+    height_factor: Annotated[Positive, Stage.SCALE] = 1.0
     """Factor on the gap height (1.1 for sleeves)."""
     deformation_pressure_bar: Positive | None = None
     """Deformation constant X; without it, or points, the gap does not deform."""
     deformation_points: tuple[tuple[float, float, float], ...] | None = None
     """Points [pressure difference in bar, gap height in µm, flow in l/min] of a simulation at
     constant viscosity, to which X is fitted."""
-    deformation_tolerance_percent: NonNegative = 0.0
+    deformation_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Stated tolerance of the deformation constant; 0: none stated."""
-    gap_um: GapHeight = left_out()
+    gap_um: Annotated[GapHeight, Stage.SCALE] = left_out()
     """Gap height."""
-    eccentricity: Eccentricity | None = None
+    eccentricity: Annotated[Eccentricity | None, Stage.SCALE] = None
     """Eccentricity, if the path has one."""
 
     def misfits(self) -> Iterator[Misfit]:
@@ -139,6 +132,8 @@ class AnnularGapPath(PathSection):
 
     def path(self) -> AnnularGap:
         """The path as the physics knows it."""
+        from leakage import AnnularGap
+
         return AnnularGap(
             name=self.name,
             count=self.count,
@@ -160,6 +155,8 @@ class AnnularGapPath(PathSection):
         if self.deformation_points is None:
             bar = self.deformation_pressure_bar
             return None if bar is None else bar * BAR
+        from leakage.physics.simulated_curves import fit_deformation_pressure
+
         pressure, gap, flow = zip(*self.deformation_points, strict=True)
         return fit_deformation_pressure(
             [bar * BAR for bar in pressure], [um * MICROMETRE for um in gap], flow
@@ -168,9 +165,6 @@ class AnnularGapPath(PathSection):
 
 class SpeedCurvePath(PathSection):
     """`speed_curve`: a curve over the speed from a simulation, scaled by pressure and viscosity."""
-
-    scale_keys = frozenset({"scale"})
-    tolerance_keys = frozenset({"curve_tolerance_percent"})
 
     law: Literal["speed_curve"]
     count: int = Field(ge=1)
@@ -185,9 +179,9 @@ class SpeedCurvePath(PathSection):
     """Pressure difference of the simulation."""
     reference_viscosity_mpa_s: Positive
     """Dynamic viscosity of the simulation."""
-    curve_tolerance_percent: NonNegative = 0.0
+    curve_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Stated tolerance of the curve's level; 0: none stated."""
-    scale: Scale = left_out()
+    scale: Annotated[Scale, Stage.SCALE] = left_out()
     """Factor on the curve."""
 
     def misfits(self) -> Iterator[Misfit]:
@@ -199,6 +193,9 @@ class SpeedCurvePath(PathSection):
 
     def path(self) -> SpeedCurve:
         """The path as the physics knows it."""
+        from leakage import SpeedCurve
+        from leakage.physics.simulated_curves import fit_speed_curve
+
         if self.points is not None:
             speed, flow = zip(*self.points, strict=True)
             coefficients = fit_speed_curve(speed, flow).coefficients
@@ -223,16 +220,16 @@ class SpeedCurvePath(PathSection):
 class LaminarPath(PathSection):
     """`laminar`: flow in proportion to pressure difference over viscosity."""
 
-    scale_keys = frozenset({"count", "coefficient_m3"})
-
     law: Literal["laminar"]
-    count: int = Field(ge=1)
+    count: Annotated[int, Stage.SCALE] = Field(ge=1)
     """Interfaces at high pressure at any time."""
-    coefficient_m3: Unknown
+    coefficient_m3: Annotated[Unknown, Stage.SCALE]
     """Loss factor of one interface, m³."""
 
     def path(self) -> Laminar:
         """The path as the physics knows it."""
+        from leakage import Laminar
+
         return Laminar(self.name, self.count, self.coefficient_m3.parameter(f"C_{self.name}", "m3"))
 
 
@@ -243,6 +240,8 @@ DeclaredPath = Annotated[AnnularGapPath | SpeedCurvePath | LaminarPath, Field(di
 class LeakageLimits(Section):
     """Absolute limits of the reference leakage; there is no universal one, so none by default."""
 
+    shapes = Stage.TRENDS
+
     warning_l_per_min: Positive | None = None
     """Reference leakage that is a warning whatever the baseline."""
     alarm_l_per_min: Positive | None = None
@@ -251,6 +250,8 @@ class LeakageLimits(Section):
 
 class MotorTypeFile(Section):
     """`motor_types/<motor_type>.toml`."""
+
+    shapes = Stage.FIGURES
 
     motor_type: Id
     """The type."""
@@ -263,6 +264,9 @@ class MotorTypeFile(Section):
 
     def misfits(self) -> Iterator[Misfit]:
         """Names of paths and of their parameters that are taken."""
+        from leakage.physics.motor import FIXED_COLUMNS
+        from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
+
         names, parameters = {*FIXED_COLUMNS, FLUSHING_PATH}, {FLUSHING_PARAMETER}
         for index, declared in enumerate(self.path):
             own = {parameter.name for parameter in declared.path().parameters}
@@ -279,9 +283,11 @@ class MotorTypeFile(Section):
 class OilFile(Section):
     """`oils/<oil>.toml`: an oil's data sheet."""
 
-    name: str = Field(min_length=1)
+    shapes = Stage.BLOCKS
+
+    name: Annotated[str, Stage.FIGURES] = Field(min_length=1)
     """The oil's name, as reports show it."""
-    source: Source
+    source: Annotated[Source, Stage.NOTHING]
     reference_temperatures_c: tuple[float, float]
     """Temperatures of the two reference viscosities."""
     reference_viscosities_mm2_per_s: tuple[Positive, Positive]
@@ -292,9 +298,9 @@ class OilFile(Section):
     """β of the density."""
     pressure_viscosity_per_pa: NonNegative = 2.0e-8
     """α of the Barus equation."""
-    pressure_viscosity_tolerance_percent: NonNegative = 0.0
+    pressure_viscosity_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Stated tolerance of α; 0: none stated."""
-    density_tolerance_percent: NonNegative = 0.0
+    density_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Stated tolerance of the density; 0: none stated."""
 
     def misfits(self) -> tuple[()]:
@@ -304,6 +310,9 @@ class OilFile(Section):
 
     def oil(self) -> Oil:
         """The oil as the physics knows it."""
+        from leakage import Oil
+        from leakage.physics.walther import walther_coefficients
+
         (temperature_1, temperature_2) = self.reference_temperatures_c
         (viscosity_1, viscosity_2) = self.reference_viscosities_mm2_per_s
         a, b = walther_coefficients(temperature_1, viscosity_1, temperature_2, viscosity_2)

@@ -5,25 +5,28 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field
 
-from leakage import Constant, Parameter
-from leakage.estimation.sample_blocks import ChosenPeriods, Stretch
-from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.clock import microseconds
 from pipeline.config.channels import NEVER_CONSTANT, Channel, ChannelName, channel_faults
 from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import field_path
 from pipeline.config.logs import Logs
-from pipeline.config.nights import Night
 from pipeline.config.oil_samples import OilSample, order_faults
-from pipeline.config.section import Id, NonNegative, Section, left_out
+from pipeline.config.section import Id, NonNegative, Section, Stage, left_out
+
+if TYPE_CHECKING:
+    from leakage import Constant
+    from leakage.estimation.sample_blocks import ChosenPeriods, Stretch
+    from pipeline.config.nights import Night
 
 
 class Event(Section):
     """Something that starts a new baseline, or a note on the time axis."""
+
+    shapes = Stage.TRENDS
 
     date: dt.date
     """First night's label from which it holds."""
@@ -31,7 +34,7 @@ class Event(Section):
     """Kind of event; a `note` (a filter change, a cleaning) starts no baseline."""
     oil: str | None = None
     """The new oil, where it changed; needed for `oil_change`."""
-    note: str = ""
+    note: Annotated[str, Stage.NOTHING] = ""
     """In words."""
 
     def misfits(self) -> Iterator[Misfit]:
@@ -49,6 +52,8 @@ class Periods(Section):
     A night that one of them touches uses only these; all others are split by the rules.
     """
 
+    shapes = Stage.BLOCKS
+
     training: tuple[tuple[AwareDatetime, AwareDatetime], ...] = ()
     """Periods to fit, each [from, to), with their offset from UTC."""
     validation: tuple[tuple[AwareDatetime, AwareDatetime], ...] = ()
@@ -64,6 +69,7 @@ class Periods(Section):
 
     def within(self, night: Night) -> ChosenPeriods:
         """Those that touch a night, in order of time."""
+        from leakage.estimation.sample_blocks import ChosenPeriods
 
         def touching(chosen: Iterable[tuple[dt.datetime, dt.datetime]]) -> tuple[Stretch, ...]:
             stretches = sorted((microseconds(begin), microseconds(end)) for begin, end in chosen)
@@ -78,6 +84,8 @@ class Periods(Section):
 
 class FlushingTable(Section):
     """Flushing of the motor: the flow that is added on the way to the sensor."""
+
+    shapes = Stage.FIGURES
 
     mode: Literal["none", "fixed", "estimated"] = "none"
     """The primary fit's: no flushing, a known flow, or an estimated one."""
@@ -104,6 +112,9 @@ class FlushingTable(Section):
 
     def path(self, mode: str) -> Constant:
         """The flushing of one mode as a constant path."""
+        from leakage import Constant, Parameter
+        from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
+
         flow = 0.0 if mode == "none" else self.flow_l_per_min
         limits = (flow, flow)
         if mode == "estimated":
@@ -117,11 +128,13 @@ class FlushingTable(Section):
 class MotorFile(Section):
     """`motors/<motor_id>.toml`."""
 
+    shapes = Stage.TRENDS
+
     motor_id: Id
     """Unique name; the file has the same."""
-    motor_type: str
+    motor_type: Annotated[str, Stage.FIGURES]
     """One of the motor types."""
-    name_in_log: str = Field("", exclude=True)
+    name_in_log: Annotated[str, Stage.NOTHING] = Field("", exclude=True)
     """The motor's name as the log writes it, for `[defaults]`; empty: `motor_id`."""
     oil: str
     """One of the oils; changes are dated in `events`."""
@@ -135,11 +148,11 @@ class MotorFile(Section):
     """Flow added before the sensor."""
     periods: Periods = left_out()
     """Training and validation set by hand."""
-    events: tuple[Event, ...] = ()
+    events: tuple[Event, ...] = Field((), max_length=1000)
     """Dated events; all but notes start a new baseline."""
-    oil_samples: tuple[OilSample, ...] = ()
+    oil_samples: tuple[OilSample, ...] = Field((), max_length=1000)
     """Analyses of the oil, by date; those of a shared oil are in its circuit's file."""
-    override: dict[str, Any] = Field({})
+    override: Annotated[dict[str, Any], Stage.NOTHING] = Field({})
     """Any section of the fleet file, for this motor alone."""
 
     def misfits(self) -> Iterator[Misfit]:

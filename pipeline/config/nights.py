@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import datetime as dt
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from pipeline.config.preparation import Nights
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 DAY = dt.timedelta(days=1)
 
@@ -47,6 +49,8 @@ def nights_between(first: dt.date, last: dt.date) -> list[dt.date]:
 
 def nights_of(time_us: NDArray[np.int64], nights: Nights) -> set[dt.date]:
     """Labels of all nights in which any of some moments lies."""
+    import numpy as np
+
     if not len(time_us):
         return set()
     labels = nights_between(

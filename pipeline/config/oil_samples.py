@@ -7,13 +7,11 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
-from leakage.physics.walther import walther_coefficients, walther_through
 from pipeline.config.faults import Misfit
 from pipeline.config.motor_types import OilFile
-from pipeline.config.section import Section
+from pipeline.config.section import Section, Stage
 
 Walther = tuple[float, float]
 # A viscosity further from the data sheet, by this factor, is a slip or another oil.
@@ -23,15 +21,17 @@ FURTHEST = 3.0
 class OilSample(Section):
     """An analysis of the oil in use."""
 
+    shapes = Stage.FIGURES
+
     date: dt.date
     """Day on which it was drawn: the first night's label."""
     viscosity_40_c_mm2_per_s: Annotated[float, Field(ge=2, le=2000)] | None = None
     """Kinematic viscosity at 40 °C."""
     viscosity_100_c_mm2_per_s: Annotated[float, Field(ge=1, le=200)] | None = None
     """Kinematic viscosity at 100 °C; without it the data sheet's slope holds."""
-    water_mg_per_kg: Annotated[float, Field(ge=0, le=100_000)] | None = None
+    water_mg_per_kg: Annotated[float, Field(ge=0, le=100_000), Stage.TRENDS] | None = None
     """Water content; it changes no figure, and is told beside the viscosity."""
-    note: str = ""
+    note: Annotated[str, Stage.NOTHING] = ""
     """In words."""
 
     def misfits(self) -> Iterator[Misfit]:
@@ -45,6 +45,8 @@ class OilSample(Section):
 
     def curve(self, oil: OilFile) -> Walther | None:
         """Walther constants of the sample; None without a viscosity."""
+        from leakage.physics.walther import walther_coefficients, walther_through
+
         at_40, at_100 = self.viscosity_40_c_mm2_per_s, self.viscosity_100_c_mm2_per_s
         if at_40 is None:
             return None
@@ -82,6 +84,8 @@ def measured_curve(
     temperature (ASTM D341); after the last they hold. A filling with a date
     begins as the data sheet has it; without one the data sheet holds until the first sample.
     """
+    import numpy as np
+
     known = [(one.date, curve) for one in samples if (curve := one.curve(oil)) is not None]
     if known and filled is not None and filled < known[0][0]:
         sheet = oil.oil()

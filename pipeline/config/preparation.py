@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Annotated, Literal
 from zoneinfo import ZoneInfo
 
 from pydantic import Field
 
 from pipeline.config.faults import Misfit
-from pipeline.config.section import NonNegative, Positive, Section, Share, TimeZone
+from pipeline.config.section import NonNegative, Positive, Seconds, Section, Share, Stage, TimeZone
 
+Rate = Annotated[float, Field(gt=0, le=1000)]
 InputName = Literal["pressure_difference", "oil_temperature", "speed"]
 
 
 class Nights(Section):
     """A night is [end hour, next end hour) in local time, labelled by the date on which it ends."""
+
+    shapes = Stage.READING | Stage.BLOCKS
 
     time_zone: TimeZone = "UTC"
     """IANA time zone of the fleet, such as Europe/Oslo."""
@@ -31,22 +34,26 @@ class Nights(Section):
 class TimeBase(Section):
     """The one grid of time on which all channels of a motor's night are brought together."""
 
-    rate_hz: Positive | None = None
+    shapes = Stage.BLOCKS
+
+    rate_hz: Rate | None = None
     """Samples a second; without it the rate of the fastest channel."""
-    maximum_rate_hz: Positive = 10.0
+    maximum_rate_hz: Rate = 10.0
     """Upper limit of the rate where not stated."""
 
 
 class Cleaning(Section):
     """Rules that refuse samples. The table `quality` counts each refusal."""
 
+    shapes = Stage.BLOCKS
+
     standstill_rpm: NonNegative = 0.5
     """Below this |speed| the motor stands still."""
-    guard_before_s: NonNegative = 10.0
+    guard_before_s: Seconds = 10.0
     """Time refused before a standstill or a back-flow."""
-    guard_after_s: NonNegative = 30.0
+    guard_after_s: Seconds = 30.0
     """Time refused after a standstill or a back-flow."""
-    hampel_window: int = Field(11, ge=3)
+    hampel_window: int = Field(11, ge=3, le=1001)
     """Samples in the Hampel filter's centred window; odd."""
     hampel_threshold: Positive = 5.0
     """A spike is further from the local median than this many scaled MAD."""
@@ -78,16 +85,18 @@ class Cleaning(Section):
 class TransportDelay(Section):
     """Time between the motor and the sensors of its drain line, equation (14)."""
 
+    shapes = Stage.BLOCKS
+
     mode: Literal["off", "fixed", "flow"] = "off"
     """`fixed`: always the same; `flow`: the line's volume over the drain flow. Either reports an
     estimate beside it; with `fixed` and 0 s it changes nothing else."""
-    fixed_s: NonNegative = 0.0
+    fixed_s: Seconds = 0.0
     """`fixed`: the delay."""
     line_length_m: Positive | None = None
     """`flow`: length of the drain line from the motor to the sensor."""
     line_inner_diameter_mm: Positive | None = None
     """`flow`: inner diameter of the drain line."""
-    flow_average_s: NonNegative = 10.0
+    flow_average_s: Seconds = 10.0
     """`flow`: averaging time of the drain flow that gives the delay."""
     maximum_s: Positive = 60.0
     """A sample with a longer delay is refused; longest delay estimated."""
@@ -114,7 +123,9 @@ class TransportDelay(Section):
 class Smoothing(Section):
     """Moving average of the drain flow, and of its regressors with it (model.md, section 4)."""
 
-    window_s: NonNegative = 0.0
+    shapes = Stage.BLOCKS
+
+    window_s: Seconds = 0.0
     """Length of the centred average; 0: none."""
     apply_to: Literal["all", "leakage"] = "all"
     """`all`: the same filter on regressors and drain flow, which leaves the loss factors unbiased;
@@ -124,7 +135,9 @@ class Smoothing(Section):
 class Windows(Section):
     """Blocks of a night, and how they are split into training and validation."""
 
-    block_s: Positive = 120.0
+    shapes = Stage.BLOCKS
+
+    block_s: float = Field(120.0, ge=1, le=86_400)
     """Length of a block of statistics."""
     maximum_blocks: int = Field(96, ge=4)
     """At most this many blocks are stored a night; neighbours are merged."""
@@ -142,23 +155,25 @@ class Windows(Section):
     one."""
     minimum_stretch_minutes: NonNegative = 0.0
     """A stretch with fewer kept samples, as time, is left out."""
-    minimum_pressure_spread_bar: NonNegative = 0.0
+    minimum_pressure_spread_bar: Annotated[NonNegative, Stage.NIGHT] = 0.0
     """Spread of |pressure difference| over the training samples, 5th to 95th percentile, that a fit
     needs."""
-    minimum_speed_spread_rpm: NonNegative = 0.0
+    minimum_speed_spread_rpm: Annotated[NonNegative, Stage.NIGHT] = 0.0
     """The same of |speed|."""
-    minimum_temperature_spread_c: NonNegative = 0.0
+    minimum_temperature_spread_c: Annotated[NonNegative, Stage.NIGHT] = 0.0
     """The same of the oil temperature."""
-    minimum_kept_share: Share = 0.6
+    minimum_kept_share: Annotated[Share, Stage.NIGHT] = 0.6
     """Share of the running motor's samples that must be kept for a fit."""
-    minimum_training_minutes: Positive = 5.0
+    minimum_training_minutes: Annotated[Positive, Stage.FIGURES] = 5.0
     """Kept samples needed for training, as time."""
 
 
 class SensorHealth(Section):
     """Halts that show the zero of the pressure and flow sensors; published in `operation`."""
 
-    settle_s: NonNegative = 45.0
+    shapes = Stage.NIGHT
+
+    settle_s: Seconds = 45.0
     """Time after the motor has stopped that is left out."""
     minimum_s: Positive = 20.0
     """Credible samples, as time, that a halt needs after that."""

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from email.errors import MessageError
-from email.headerregistry import Address
 from typing import Annotated
 from urllib.parse import urlsplit
 
@@ -60,6 +58,9 @@ Secret = Annotated[str, AfterValidator(_variable)]
 
 def is_mail_address(address: str) -> bool:
     """True if mail can go to an address."""
+    from email.errors import MessageError
+    from email.headerregistry import Address
+
     try:
         return bool(Address(addr_spec=address).domain)
     except (ValueError, IndexError, MessageError):

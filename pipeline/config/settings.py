@@ -19,7 +19,7 @@ from pipeline.config.preparation import (
     TransportDelay,
     Windows,
 )
-from pipeline.config.section import Section, left_out
+from pipeline.config.section import Section, Stage, left_out
 from pipeline.config.watching import Alarms, Look, Trend
 
 
@@ -49,6 +49,8 @@ class Settings(Section):
 
 class FleetFile(Settings):
     """`fleet.toml`."""
+
+    shapes = Stage.NOTHING
 
     name: str = Field(min_length=1)
     """The fleet's name, as reports show it."""

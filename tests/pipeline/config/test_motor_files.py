@@ -46,6 +46,18 @@ FAULTS: dict[str, list[tuple[str, str, str, str]]] = {
         ('"dp_bar"', '"x"\nscale = 0.0', f"{CHANNEL}.scale", "got 0.0; expected a factor"),
         ('source = "dp_bar"', "source = 5", f"{CHANNEL}.source", "got 5; expected a valid string"),
         ('source = "dp_bar"\n', "", f"{CHANNEL}.source", "is missing"),
+        (
+            "resolution = 0.1",
+            "sensor_maximum = -1.0",
+            f"{CHANNEL}.sensor_maximum",
+            "greater than 0",
+        ),
+        (
+            "[-450.0, 450.0]",
+            "[100.0, 450.0]\nsensor_maximum = 90.0",
+            f"{CHANNEL}.sensor_maximum",
+            "more than the lower end of valid_range",
+        ),
         ("[channels.speed]", "[channels.spede]", "channels.spede", "'oil_temperature', 'speed'"),
         # The dialect
         *(

@@ -1,5 +1,5 @@
 """Damaged logs end in a coded error, in data that is right, or in values that nothing could tell
-from right ones; `python -m benchmarks fuzz` shows how many in which."""
+from right ones."""
 
 from __future__ import annotations
 

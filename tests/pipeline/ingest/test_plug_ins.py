@@ -9,19 +9,13 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from pipeline.config import load_fleet, readers
+from pipeline.config import readers
 from pipeline.config.hashes import reading_hash
 from pipeline.errors import LogError
 from pipeline.ingest import Place, can_grow, header_units, read_log, read_piece, time_span
-from pipeline.ingest.conformance import CHANNELS, Check, checks_of
-from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.ingest.conformance import CHANNELS
 from tests.pipeline.ingest.sources import logs_of
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate, write_configs
-
-EXAMPLE = Path(__file__).parents[3] / "examples" / "mdf4_reader"
-sys.path.insert(0, str(EXAMPLE))
-
-import test_mdf4_reader as example  # noqa: E402
+from tests.pipeline.simulated import load_motor, motor_toml
 
 HEAD = """
 import numpy as np
@@ -60,35 +54,6 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
 
     yield add
     readers.installed.cache_clear()
-
-
-@pytest.fixture
-def mdf4(install: Install) -> None:
-    install("mdf4", "mdf4_reader")
-
-
-@pytest.mark.usefixtures("mdf4")
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("check", checks_of(example.MDF4), ids=lambda check: check.__name__)
-def test_the_example_conforms(check: Check, tmp_path: Path) -> None:
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    example.test_conformance(check, folder)
-
-
-@pytest.mark.usefixtures("mdf4")
-def test_a_run_fits_a_motor_from_the_example_s_format(tmp_path: Path) -> None:
-    text = motor_toml("M1", files='"*.mf4"').replace('"parquet"', '"mdf4"')
-    fleet = load_fleet(write_configs(tmp_path, {"M1": text}))
-    operation = operate()
-    values = operation.channels(operation.flow(fleet.motors[0].motor(NIGHT, "none")))
-    rows = [
-        example.Row(int(time_us), dict(zip(values, map(float, cells), strict=True)))
-        for time_us, *cells in zip(operation.time_us, *values.values(), strict=True)
-    ]
-    example.write(fleet.log_root / "a.mf4", rows, list(values))
-    (outcome,) = run_fleet(RunRequest(fleet)).outcomes
-    assert (outcome.status, dict(outcome.counts)) == ("ok", {"ok": 1})
 
 
 def test_a_format_that_nothing_reads_is_a_fault_with_those_that_there_are(install: Install) -> None:

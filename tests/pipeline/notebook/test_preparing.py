@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.notebook import figures_of, published_figures
 from leakage.estimation.sample_blocks import DefaultWindows
 from leakage.frame.result import FrameFit
+from leakage.frame.words import PARTS
 from pipeline.config import MotorSpec, Windows
 from pipeline.errors import UsageError
 from pipeline.night.fit_night import fit_night
@@ -63,6 +65,56 @@ def as_frame(time_us: NDArray[np.int64], values: dict[str, Array]) -> pl.DataFra
     columns = {FRAME_NAMES[name]: value for name, value in values.items()}
     time = pl.Series("time", time_us).cast(pl.Datetime("us", "UTC"))
     return pl.DataFrame({"time": time} | columns)
+
+
+Figures = dict[str, Any]
+
+CONDITIONS = ("pressure_bar", "temperature_c", "speed_rpm")
+FROM_PARAMETERS = ("value", "lower", "upper", "total_half_width", "verdict", "reason")
+
+
+def published_figures(fit: Figures, parameters: Iterable[Figures]) -> Figures:
+    """Figures of a night's rows in `fits` and `parameters`."""
+    found = dict(fit)
+    for row in parameters:
+        found |= {f"{name} {row['parameter']}": row.get(name) for name in FROM_PARAMETERS}
+    return found
+
+
+def figures_of(found: FrameFit, fit: Figures) -> Figures:
+    """The same figures of a fit to a frame, its leakages at the conditions of the published row."""
+    slow, structured = found.identification.slow, found.estimate.misfit
+    figures: Figures = {
+        "model_misfit_percent": None if structured is None else 100.0 * structured.share,
+        "slow_error_memory": slow.memory,
+        "slow_error_ratio": slow.variance_ratio,
+        "correlation_time_s": found.memory_s,
+    }
+    for part, judged in zip(PARTS, (found.training, found.validation), strict=True):
+        figures |= {
+            f"n_{part}": judged.n,
+            f"{part}_fit_percent": judged.fit_percent,
+            f"{part}_rmse_l_per_min": judged.rmse_l_per_min,
+            f"{part}_mean_error_l_per_min": judged.mean_error_l_per_min,
+            f"{part}_whiteness": found.residual_tests(part).whiteness.verdict,
+        }
+    for name, leakage in (("own", "own_conditions"), ("reference", "reference")):
+        judged_at = found.leakage(*(fit[f"{name}_{one}"] for one in CONDITIONS))
+        told = judged_at.information if judged_at.is_told else None
+        figures |= {
+            f"{leakage}_leakage_l_per_min": judged_at.leakage_l_per_min
+            if judged_at.is_told
+            else None,
+            f"{leakage}_leakage_statistical_half_width": told and told.half_width,
+            f"{leakage}_verdict": judged_at.verdict,
+        }
+    columns = found.columns()
+    for at, name in enumerate(columns["parameter"]):
+        figures |= {
+            f"{one} {name}": (columns[one][at] or None) if one == "reason" else columns[one][at]
+            for one in FROM_PARAMETERS
+        }
+    return figures
 
 
 def differences(found: FrameFit, rows: dict[str, list[Row]]) -> dict[str, object]:
