@@ -1,4 +1,4 @@
-"""Strangers' logs: `init` sniffs them, names their columns and proposes config; `check` looks at a fleet's.
+"""Strangers' logs: `init` sniffs them, names their columns and proposes config; `check` looks on.
 
 Imports `night`, `logs`, `ingest`, `config` and what lies below; the run does without it.
 """

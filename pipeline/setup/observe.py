@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.clock import utc
-from pipeline.config import Channel, Nights
+from pipeline.config import Channel
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
@@ -24,6 +24,7 @@ from pipeline.units import canonical_unit
 LARGEST_LOG_BYTES = 200 << 20
 _MOST_MOTORS, _MOST_FILES = 12, 30
 _STANDSTILL_RPM = 0.5
+_PAUSE_H = 3
 _FOLDERS_OF_LOGS = {"log", "logs", "data", "csv", "export", "exports", "daten", "archive"}
 
 
@@ -32,7 +33,7 @@ class Observed:
     """A motor's logs; None for what is not known."""
 
     spans: tuple[tuple[dt.datetime, dt.datetime], ...] = ()  # in local time, of files by name
-    pressure_bar: float | None = None  # medians while the motor ran, in the newest log
+    pressure_bar: float | None = None  # medians in the newest log, of the speed while it turned
     temperature_c: float | None = None
     speed_rpm: float | None = None
     fault: str = ""  # why the newest log cannot be read as proposed
@@ -60,13 +61,17 @@ def observe(motor: ProposedMotor) -> Observed:
         found = read_log(newest, logs, channels).channels
     except LogError as error:
         return Observed(fault=f"{error.code}: {error.message}")
-    values = {name: np.abs(one.value) for name, one in found.items()}
-    speed = values.get("speed", np.zeros(0))
+    typical = {name: _typical(one.value) for name, one in found.items()}
+    speed = np.abs(found["speed"].value) if "speed" in found else np.zeros(0)
+    pressure = typical.get("pressure_difference")
+    high, low = typical.get("high_port_pressure"), typical.get("low_port_pressure")
+    if high is not None and low is not None:
+        pressure = abs(high - low)
     return Observed(
         spans,
-        _typical([values.get("pressure_difference"), values.get("high_port_pressure")]),
-        _typical([values.get("oil_temperature")]),
-        _typical([speed[speed > _STANDSTILL_RPM]]),
+        pressure,
+        typical.get("oil_temperature"),
+        _typical(speed[speed > _STANDSTILL_RPM]),
     )
 
 
@@ -74,9 +79,9 @@ def _local(zone: ZoneInfo, begin: int, end: int) -> tuple[dt.datetime, dt.dateti
     return utc(begin).astimezone(zone), utc(end).astimezone(zone)
 
 
-def _typical(values: Iterable[Array | None]) -> float | None:
-    own = next((one[np.isfinite(one)] for one in values if one is not None), np.zeros(0))
-    return float(np.median(own)) if own.size else None
+def _typical(values: Array) -> float | None:
+    known = np.abs(values[np.isfinite(values)])
+    return float(np.median(known)) if known.size else None
 
 
 def reference(observed: Sequence[Observed]) -> dict[str, float]:
@@ -90,18 +95,15 @@ def reference(observed: Sequence[Observed]) -> dict[str, float]:
 
 
 def night_end(observed: Sequence[Observed]) -> int | None:
-    """Hour after which logs stop, where they run over the hour at which a night ends by default."""
+    """Hour at which logs stop for some hours every day; None where they do not."""
     covered = set[int]()
     for begin, end in (span for one in observed for span in one.spans):
-        hours = int((end - begin) / dt.timedelta(hours=1)) + 1
-        covered |= {(begin + dt.timedelta(hours=i)).hour for i in range(min(hours, 24))} | {
-            end.hour
-        }
-    usual = Nights().end_hour
-    if not covered or {(usual - 1) % 24, usual} - covered:
-        return None
-    stops = (hour % 24 for hour in range(usual, usual + 24) if hour % 24 not in covered)
-    return next(stops, None)
+        hours = min(int((end - begin) / dt.timedelta(hours=1)) + 1, 24)
+        covered |= {(begin + dt.timedelta(hours=i)).hour for i in range(hours)} | {end.hour}
+    stops = [hour for hour in range(24) if hour not in covered and (hour - 1) % 24 in covered]
+    pauses = {stop: next(i for i in range(1, 25) if (stop + i) % 24 in covered) for stop in stops}
+    longest = max(pauses, key=lambda stop: pauses[stop], default=None)
+    return longest if longest is not None and pauses[longest] >= _PAUSE_H else None
 
 
 def fleet_name(root: Path) -> str:

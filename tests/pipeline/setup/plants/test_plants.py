@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections import Counter
 from pathlib import Path
 
@@ -171,3 +172,53 @@ def test_a_mark_that_is_not_the_decimal_one_is_between_thousands(tmp_path: Path)
     log = seconds(tmp_path / "a.csv", header, ";1.250;45;30;2.500")
     (motor,) = propose(log, {"decimal": ","}).motors
     assert (motor.logs["decimal"], motor.logs["thousands"]) == (",", ".")
+
+
+def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
+    """Two gauges, a day shift from 06:00 to 21:40, and a name that is no "logs"."""
+    header = "Datum;Uhrzeit;Druck 1 [bar];Druck 2 [bar];T [°C];n [1/min];Lecköl [l/min]"
+    for motor in ("M1", "M2"):
+        rows = [
+            f"12.01.2026;{6 + i // 3:02}:{i % 3 * 20:02}:00;12,5;162,5;48,25;{i % 2 * 6},5;1,5"
+            for i in range(48)
+        ]
+        log = tmp_path / "mill" / "logs" / motor / f"{motor}_20260112.csv"
+        log.parent.mkdir(parents=True)
+        log.write_text("\n".join([header, *rows, ""]), "cp1252")
+    source = tmp_path / "mill" / "logs"
+    first = propose(source, {})
+    asked = {one.key: one for one in first.questions}
+    assert set(asked) == {"time_zone", "M1.high_port_pressure"}
+    # The higher one is shown first.
+    assert asked["M1.high_port_pressure"].choices == ("Druck 2 [bar]", "Druck 1 [bar]", "none")
+    answers = {"time_zone": "Europe/Oslo", "M1.high_port_pressure": "Druck 2 [bar]"}
+    found = propose(source, answers)
+    assert {one.channels["low_port_pressure"].column.name for one in found.motors} == {
+        "Druck 1 [bar]"
+    }
+    to = tmp_path / "fleet"
+    files = fleet_files(found, to, "CB560", "vg68", tuple(observed_of(found).values()))
+    fleet = tomllib.loads(files["fleet.toml"])
+    assert fleet["name"] == "mill"
+    assert fleet["nights"] == {"time_zone": "Europe/Oslo", "end_hour": 22}
+    assert fleet["reference"] == {"pressure_bar": 150.0, "temperature_c": 48.0, "speed_rpm": 6.5}
+    # A motor that is new to the fleet is added, and no other.
+    del files["motors/M2.toml"]
+    write_fleet(files, to, shipped_configs(), "CB560")
+    run = CliRunner().invoke
+    options = ["init", str(source), "--to", str(to), "--add", "--write"]
+    options += [part for one in answers.items() for part in ("--answer", "=".join(one))]
+    assert run(app, options).exit_code == 0
+    assert [one.motor_id for one in load_fleet(to / "fleet.toml").motors] == ["M1", "M2"]
+    assert "has all of these motors" in run(app, options).stdout
+
+
+def test_an_answer_to_nothing_is_refused(tmp_path: Path) -> None:
+    log = seconds(
+        tmp_path / "a.csv", "time,dp [bar],T [°C],n [rpm],q [l/min]", ",9.5,45.5,30.5,1.5"
+    )
+    with refused("answer", "dpp: there is no such question; open: none is open"):
+        propose(log, {"dpp": "bar"})
+    # What was not asked can be put right.
+    (motor,) = propose(log, {"a.speed": "q [l/min]"}).motors
+    assert motor.channels["speed"].column.name == "q [l/min]"
