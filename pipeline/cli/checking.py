@@ -72,11 +72,12 @@ def check(
     if as_json:
         for one in checks:
             typer.echo(json.dumps(asdict(one)))
-        typer.echo(json.dumps({"event": "unclaimed", "logs": unclaimed(fleet)}))
+        if strays := unclaimed(fleet):
+            typer.echo(json.dumps({"event": "unclaimed", "logs": strays}))
     else:
         _print_checks(checks)
-        if strays := strays_told(fleet):
-            typer.echo(strays)
+        if told := strays_told(fleet):
+            typer.echo(told)
     there_are_logs = any(one.n_files for one in checks)
     if not there_are_logs:
         message = (

@@ -56,8 +56,6 @@ def init(
 
     Example: motor-leakage init demo/logs --to my-fleet
 
-    Example: motor-leakage init demo/logs --to my-fleet --add --write
-
     Example: motor-leakage init sql:PLANT_DATABASE --to my-fleet
 
     Exit code 0: all is known; 1: questions are open, or a log cannot be read, and nothing is

@@ -57,5 +57,5 @@ def _range(values: Array) -> float:
 
 def _agree(one: Array, other: Array) -> float:
     """Agreement of the ranks; hotter oil is thinner, so that either rises with the flow."""
-    ranks = [np.argsort(np.argsort(values)) for values in (one, other)]
-    return float(np.corrcoef(*ranks)[0, 1])
+    first, second = (np.argsort(np.argsort(values)) for values in (one, other))
+    return float(np.corrcoef(first, second)[0, 1])

@@ -119,7 +119,9 @@ def test_a_circuit_is_one_of_a_motor_and_has_the_only_analyses(configs: Path) ->
     }
 
 
-NU, ETA = (f'\n[channels.{name}_viscosity]\nsource = "x"\n' for name in ("kinematic", "dynamic"))
+NU, ETA = (
+    f'\n[channels.{name}_viscosity]\nsource = "{name}"\n' for name in ("kinematic", "dynamic")
+)
 
 
 @pytest.mark.parametrize(
