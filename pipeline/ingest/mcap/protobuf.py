@@ -32,7 +32,6 @@ _WHOLE_KINDS = {1: "i4", 2: "i8", 3: "u4", 4: "u8"}
 """NumPy's names by the runtime's ``CPPTYPE_INT32`` and so on."""
 
 _MOST_NAMES = 40
-_DEEPEST = 4
 _WHOLE_NUMBER = re.compile(r"-?[0-9]{1,20}")
 
 
@@ -50,11 +49,14 @@ def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> 
     values: dict[FieldPath, Value] = {}
     for one in (*wanted.readings, *wanted.qualities, *([wanted.stamp] if wanted.stamp else [])):
         try:
-            values[one] = _value(descriptor, one)
+            values[one] = _value(descriptor, one, stamp=one == wanted.stamp)
         except LookupError as error:
             there = ", ".join(map(repr, islice(_names(descriptor, ()), _MOST_NAMES)))
             how = f"messages of topic {topic!r} have no field {path_text(one)!r}; there are {there}"
             raise LogError("log_column_missing", path, how, topic) from error
+        except TypeError as error:
+            how = f"field {path_text(one)!r} is no number but {error}"
+            raise LogError("log_type", path, how, topic) from error
 
     def message(payload: bytes) -> Any:
         try:
@@ -97,18 +99,24 @@ def _message_class(path: Path, schema: Schema) -> tuple[Any, type[Exception]]:
         ) from error
 
 
-def _names(descriptor: Any, above: FieldPath) -> Iterator[str]:
+def _names(descriptor: Any, above: FieldPath, around: tuple[str, ...] = ()) -> Iterator[str]:
     """Paths of fields, for a message; a message may hold itself."""
     for field in descriptor.fields:
-        path = (*above, field.name)
-        if field.message_type is None or _is_repeated(field) or len(path) == _DEEPEST:
+        inner = field.message_type
+        is_map = inner is not None and inner.GetOptions().map_entry
+        step: FieldPath = (0,) if _is_repeated(field) else ()
+        path = (*above, field.name, *(("KEY",) if is_map else step))
+        if inner is None or is_map or inner.full_name in (*_WRAPPERS, *around):
             yield path_text(path)
         else:
-            yield from _names(field.message_type, path)
+            yield from _names(inner, path, (*around, descriptor.full_name))
 
 
-def _value(descriptor: Any, path: FieldPath) -> Value:
-    """Function of a message that gives what a path leads to; LookupError where it leads nowhere."""
+def _value(descriptor: Any, path: FieldPath, *, stamp: bool) -> Value:
+    """Function of a message that gives what a path leads to; only a stamp may be a message.
+
+    Raises LookupError where it leads nowhere, TypeError where to no single value.
+    """
     field = descriptor.fields_by_name[path[0]]
     get, inner, rest = _getter(field), field.message_type, path[1:]
     is_many = _is_repeated(field)
@@ -120,7 +128,9 @@ def _value(descriptor: Any, path: FieldPath) -> Value:
     if rest:
         if inner is None:
             raise LookupError(path)
-        return _then(get, _value(inner, rest))
+        return _then(get, _value(inner, rest, stamp=stamp))
+    if is_many or (inner is not None and inner.full_name not in _WRAPPERS and not stamp):
+        raise TypeError("an array or map" if is_many else f"a message {inner.full_name}")
     is_plain = inner is None and not is_many and field.cpp_type != field.CPPTYPE_BOOL
     return get if is_plain else _then(get, _tree)
 

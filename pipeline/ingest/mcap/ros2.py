@@ -65,7 +65,7 @@ _TIME = (("sec", "uint32", ""), ("nanosec", "uint32", ""))
 _BUILT_IN = {"builtin_interfaces/Time": _TIME, "builtin_interfaces/Duration": _TIME}
 _BROKEN = "a message that is cut or not in CDR"
 
-_MOST_FIELDS = 2**18
+MOST_FIELDS = 2**18
 """Fields of a message; definitions of a few lines may have any number, one in another."""
 
 _LONGEST_ALONE = 2**20
@@ -78,8 +78,8 @@ _Fields = tuple[tuple[str, str, str], ...]
 """Name, type and array of each field of a message; the array is empty for a single value."""
 
 
-class _NoLayoutError(Exception):
-    """A message whose layout is not known here, or that is cut."""
+class _CutError(Exception):
+    """A message ends before all that it says it has."""
 
 
 class _TooManyFieldsError(Exception):
@@ -98,6 +98,14 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
     """
     decode_one = _decode_function(path, topic, schema)
     definitions, root = _definitions(schema), _short(schema.name)
+    try:
+        _require_known(definitions, root, (), set())
+    except NotImplementedError as error:
+        how = f"messages of topic {topic!r} have {error}"
+        raise LogError("log_encoding", path, how, topic) from error
+    except ValueError as error:
+        how = f"the definition of {schema.name} cannot be read: {error}"
+        raise LogError("log_damaged", path, how) from error
     for one in (*wanted.readings, *wanted.qualities):
         _require_number(path, topic, definitions, root, one)
     pairs = tuple((*wanted.stamp, name) for name in (*SECONDS, *NANOSECONDS) if wanted.stamp)
@@ -237,6 +245,22 @@ def _full(kind: str, message: str) -> str:
     return _short(kind) if "/" in kind else f"{message.split('/')[0]}/{kind}"
 
 
+def _require_known(
+    definitions: Mapping[str, _Fields], name: str, around: tuple[str, ...], known: set[str]
+) -> None:
+    """Refuse a message that holds itself, or what is not defined, or a type that is not read."""
+    if name in around:
+        raise ValueError(f"{name} holds itself")
+    if name not in definitions:
+        raise ValueError(f"there is no definition of {name}")
+    for _, kind, _ in definitions[name]:
+        if kind in ("wstring", "time", "duration"):
+            raise NotImplementedError(f"a field of type {kind}, which is not read")
+        if kind not in _NUMBERS and kind != "string" and kind not in known:
+            _require_known(definitions, kind, (*around, name), known)
+    known.add(name)
+
+
 def _fields_of(
     definitions: Mapping[str, _Fields], kind: str, array: str
 ) -> dict[str | int, tuple[str, str]]:
@@ -296,15 +320,13 @@ class _Layout:
     wanted: frozenset[FieldPath]
     order: str
     at: int = _HEAD
-    fields_left: int = _MOST_FIELDS
+    fields_left: int = MOST_FIELDS
     numbers: dict[FieldPath, _Number] = field(default_factory=dict)
     lengths: list[int] = field(default_factory=list)  # where lengths of texts and sequences stand
 
     def message(self, name: str, path: FieldPath) -> None:
         """Go past a message."""
-        fields = self.definitions.get(name)
-        if fields is None:
-            raise _NoLayoutError(name)
+        fields = self.definitions[name]
         # A message of no fields has one byte on the wire.
         self.at += not fields
         for own, kind, array in fields:
@@ -321,7 +343,7 @@ class _Layout:
         if self.fields_left < 0:
             raise _TooManyFieldsError
         if self.at > len(self.payload):
-            raise _NoLayoutError
+            raise _CutError
         if kind in _NUMBERS:
             self.array(kind, 1, path, is_single=True)
         elif kind == "string":
@@ -355,7 +377,7 @@ class _Layout:
         self.lengths.append(self.at)
         self.at += 4
         if self.at > len(self.payload):
-            raise _NoLayoutError
+            raise _CutError
         return int(struct.unpack_from(self.order + "I", self.payload, self.at - 4)[0])
 
 
@@ -364,6 +386,7 @@ class _Found:
     """Numbers of messages by path, and which messages are done."""
 
     done: NDArray[np.bool_]
+    broken: NDArray[np.bool_]
     raw: dict[FieldPath, NDArray[Any]]
     there: dict[FieldPath, NDArray[np.bool_]]
 
@@ -387,11 +410,11 @@ class _Found:
         for path in wanted.readings:
             numbers, there = self._numbers(path)
             raw, missing = np.where(there, numbers.astype(np.float64), np.nan), ~there
-            unparsed, example = np.zeros(there.size, np.bool_), None
+            unparsed, example = self.broken.copy(), _BROKEN if self.broken.any() else None
             if others is not None:
                 own = others.fields[path]
                 raw[rest], missing[rest], unparsed[rest] = own.raw, own.missing, own.unparsed
-                example = own.example
+                example = example or own.example
             fields[path] = Readings(raw, missing, unparsed, example)
         cells: dict[FieldPath, pa.Array] = {}
         for path in wanted.qualities:
@@ -434,7 +457,8 @@ class _Layouts:
 
     def read(self, payloads: Payloads) -> _Found:
         """The numbers of all messages whose layout is that of others."""
-        found = _Found(np.zeros(payloads.length.size, np.bool_), {}, {})
+        none = np.zeros(payloads.length.size, np.bool_)
+        found = _Found(none, none.copy(), {}, {})
         for rows, length, text in payloads.by_length():
             left = np.arange(rows.size)
             for _ in range(_MOST_LAYOUTS):
@@ -443,7 +467,9 @@ class _Layouts:
                 first = bytes(text[left[0] * (length + 1) + 1 :][:length])
                 layout = self._layout_of(first)
                 if layout is None:
-                    break
+                    found.broken[rows[left[0]]] = found.done[rows[left[0]]] = True
+                    left = left[1:]
+                    continue
                 same = self._same(layout, text, length)[left]
                 own = left[same]
                 for path, (at, kind) in layout.numbers.items():
@@ -454,14 +480,14 @@ class _Layouts:
         return found
 
     def _layout_of(self, payload: bytes) -> _Layout | None:
-        """The layout of a message; None where it is cut, or has a type that is not known here."""
+        """The layout of a message; None where it is cut."""
         order = _ORDERS.get(payload[:2])
         if order is None:
             return None
         layout = _Layout(payload, self.definitions, self.wanted, order)
         try:
             layout.message(self.root, ())
-        except (_NoLayoutError, RecursionError):
+        except (_CutError, RecursionError):
             return None
         return layout if layout.at <= len(payload) else None
 

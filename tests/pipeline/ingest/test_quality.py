@@ -157,6 +157,12 @@ def test_qualities_of_every_type(cells: pa.Array, good: Any, bad: list[bool]) ->
     assert (states != 0).tolist() == bad
 
 
+@pytest.mark.parametrize("word", ["1_92", "١٩٢", "192_", "0xC0"])
+def test_only_plain_digits_are_a_code(word: str) -> None:
+    states = quality_states(Path("log"), "quality", pa.array([word, "192"]), (192,))
+    assert states.tolist() == [1, 0]
+
+
 @given(st.lists(st.sampled_from(["Good", "192", "0", "Bad", "", None, "x", "64.5"]), max_size=60))
 def test_any_qualities_as_one_by_one(words: list[str | None]) -> None:
     expected = [word in ("Good", "192") for word in words]

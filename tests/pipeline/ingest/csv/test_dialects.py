@@ -76,19 +76,24 @@ def test_a_header_that_comes_again_is_no_sample(tmp_path: Path, line_end: str) -
     assert log.notes == ("1 line equal to the header",)
 
 
-def test_columns_that_change_within_a_file_are_read_by_name(tmp_path: Path) -> None:
-    text = f"time,dp,n\n{ROWS}n,x,time,dp\n7,?,{DAY}6Z,6\n8,?,{DAY}7Z,9\n"
-    log = read(tmp_path, text)
-    assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0]
-    assert values(log, "speed")[-2:] == [7.0, 8.0]
-    assert log.refused_rows == 1
-    twice = error(tmp_path, f"time,dp,n\n{ROWS}time,dp,n,dp\n")
-    assert twice.code == "log_column_twice"
+@pytest.mark.parametrize(
+    "header",
+    ["n,time,dp", "time,dp_bar,n", "time,n,dp", "n,x,time,dp", "time,dp,n,dp", '"time",dp,speed'],
+)
+@pytest.mark.parametrize("time_format", ["iso8601", "%Y-%m-%dT%H:%M:%S%z"])
+def test_another_header_within_a_file_is_refused_with_its_line(
+    tmp_path: Path, header: str, time_format: str
+) -> None:
+    """Read on by position, the wanted column would hold another one's readings."""
+    text = f"time,dp,n\n{ROWS}{header}\n{DAY}6Z,1,2\n"
+    wrong = error(tmp_path, text, SOURCE.but(time_format=time_format))
+    assert (wrong.code, wrong.place) == ("log_not_csv", "line 7")
+    assert "another header" in wrong.message
 
 
 @pytest.mark.parametrize("piece", [64, 100, 1000])
 def test_pieces_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int) -> None:
-    text = "Logger 7\n" + f"time,dp,n\nUTC,bar,rpm\n{ROWS}" * 6 + "n,time,dp\n,,\n" + "5,2025"
+    text = "Logger 7\n" + f"time,dp,n\nUTC,bar,rpm\n{ROWS}" * 6 + "2025-03"
     source = SOURCE.but(skip_rows=1, unit_rows=1)
     whole = read(tmp_path, text, source)
     in_pieces(monkeypatch, piece)

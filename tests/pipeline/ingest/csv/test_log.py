@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import random
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pipeline.ingest.csv.text
+from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.ingest.conformance import T0_US
 from pipeline.messages import counted
@@ -349,3 +352,39 @@ def test_every_float_comes_back_as_python_reads_it(
     rows = "".join(f"{DAY}0.{i:03d}Z,{cell},1\n" for i, cell in enumerate(cells))
     channel = pressure(read(folder, f"time,dp,n\n{rows}"))
     np.testing.assert_array_equal(channel.value[: len(values)], values)
+
+
+@pytest.mark.parametrize(
+    ("data", "code", "said"),
+    [
+        (b"SQLite format 3\0" + bytes(100), "log_not_csv", "SQLite"),
+        (bytes(5000), "log_damaged", "zero bytes"),
+        ("time,dp,n\n".encode("utf-32"), "log_encoding", "utf-32"),
+        ("time,dp,n\n".encode("utf-32-le"), "log_encoding", "utf-32"),
+        ("time,dp,n\n".encode("utf-16-be"), "log_encoding", "utf-16"),
+    ],
+)
+def test_what_is_no_text_is_called_what_it_is(
+    tmp_path: Path, data: bytes, code: str, said: str
+) -> None:
+    wrong = error(tmp_path, data)
+    assert wrong.code == code
+    assert said in wrong.message
+
+
+def test_a_bomb_is_stopped_long_before_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By what has been unpacked of it so far: rows that are kept until then take memory."""
+    monkeypatch.setattr(pipeline.ingest.csv.text, "_RATIO_FROM", 2**20)
+    path = tmp_path / "log.csv.gz"
+    noise = random.Random(5).randbytes(300_000)  # noqa: S311
+    path.write_bytes(gzip.compress(b"1,2\n" * 2**23, 9) + gzip.compress(noise))
+    sizes: list[int] = []
+    with pytest.raises(LogError, match="expand to more"):
+        sizes.extend(len(data) for data in pipeline.ingest.csv.text.unpacked(path, 2**18))
+    assert sum(sizes) < 2**25
+
+
+def test_a_header_too_long_is_told_with_its_line(tmp_path: Path) -> None:
+    assert error(tmp_path, b"x" * (2**20 + 1) + b"\n").place == "line 1"

@@ -200,7 +200,7 @@ def test_descriptors_that_contradict_themselves_are_damage(tmp_path: Path) -> No
 def test_without_the_extra_the_error_says_which(
     tmp_path: Path, hydraulics: Callable[..., bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "google.protobuf", None)
+    monkeypatch.setitem(sys.modules, "mcap_protobuf.decoder", None)
     wrong = error_of(tmp_path, protobuf([hydraulics(total=1)], DESCRIPTORS), "total")
     assert wrong.code == "log_extra_missing"
     assert "motor-leakage[protobuf]" in wrong.message

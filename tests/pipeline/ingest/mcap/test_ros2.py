@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import random
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap_ros2._dynamic import serialize_dynamic
 
-from pipeline.ingest.mcap.topics import read_topics
-from tests.pipeline.ingest.mcap.ros2_files import NAME, code, encoded, idl_of, ros2, ros2_of
+from tests.pipeline.ingest.mcap.ros2_files import NAME, code, encoded, ros2, ros2_of
 from tests.pipeline.ingest.mcap_files import (
     all_values,
     error_of,
@@ -106,82 +103,23 @@ def test_messages_of_any_layout_are_read_as_by_the_official_reader(tmp_path: Pat
         assert any(value is not None for value in found)
 
 
-SERVICE = "motor_msgs/srv/Measure"
-MEASURE = """\
-uint8 CHANNEL_A=0
-uint8[] channels
----
-Port[] ports  # as they are
-float64 total
-"""
-PORT = """\
-================================================================================
-MSG: motor_msgs/Port
-float64 pressure
-"""
-# As rosbag2 records them, and in whole, as other tools want them (ros2/rosbag2, issue 2365).
-AS_RECORDED = f"{'=' * 80}\nSRV: {SERVICE}\n{MEASURE}\n{PORT}"
-AS_A_MESSAGE = f"""\
-service_msgs/ServiceEventInfo info
-motor_msgs/Measure_Request[<=1] request
-motor_msgs/Measure_Response[<=1] response
-================================================================================
-MSG: motor_msgs/Measure_Request
-{MEASURE.partition("---")[0]}
-================================================================================
-MSG: motor_msgs/Measure_Response
-{MEASURE.partition("---")[2]}
-================================================================================
-MSG: service_msgs/ServiceEventInfo
-uint8 REQUEST_SENT = 0
-uint8 event_type
-builtin_interfaces/Time stamp
-char[16] client_gid
-int64 sequence_number
-{PORT}"""
+def test_events_of_services_are_refused(tmp_path: Path) -> None:
+    """As rosbag2 records them (its issue 2365), and in whole, as other tools want them."""
+    name = "motor_msgs/srv/Measure_Event"
+    for text in (f"{'=' * 80}\nSRV: {name}\nuint8 a\n---\nfloat64 b\n", "float64 value\n"):
+        data = mcap_of([bytes(12)], (name, "ros2msg", text.encode()), "cdr")
+        wrong = error_of(tmp_path, data, "value")
+        assert wrong.code == "log_encoding"
+        assert "service" in wrong.message
 
 
-def service_event(i: int) -> dict[str, Any]:
-    """Requests and responses in turn; a response has any number of ports."""
-    info = {
-        "event_type": i % 4,
-        "stamp": {"sec": 1740808800 + i, "nanosec": 9},
-        "client_gid": [-1] * 16,
-        "sequence_number": i,
-    }
-    ports = [{"pressure": 100.0 + i + port} for port in range(i % 3)]
-    asked, answered = [{"channels": bytes(i % 5)}], [{"ports": ports, "total": 1.5 * i}]
-    return {
-        "info": info,
-        "request": [] if i % 2 else asked,
-        "response": answered if i % 2 else [],
-    }
-
-
-@pytest.mark.parametrize(
-    "definition",
-    [AS_RECORDED, AS_A_MESSAGE, f"{MEASURE}\n{PORT}"],
-    ids=["recorded", "message", "without heading"],
-)
-def test_events_of_a_service_are_read(tmp_path: Path, definition: str) -> None:
-    name, events = f"{SERVICE}_Event", [service_event(i) for i in range(40)]
-    # The format's own writer knows no names of services' messages.
-    encode = serialize_dynamic(NAME, AS_A_MESSAGE.replace("Measure_", "Measure"))[NAME]
-    data = mcap_of([encode(one) for one in events], (name, "ros2msg", definition.encode()), "cdr")
-    assert values(tmp_path, data, "info.sequence_number") == list(range(40))
-    totals = [1.5 * i if i % 2 else None for i in range(40)]
-    assert values(tmp_path, data, "response[0].total") == totals
-    pressures = [100.0 + i if i % 2 and i % 3 else None for i in range(40)]
-    assert values(tmp_path, data, "response[0].ports[0].pressure") == pressures
-    (topic,) = read_topics(tmp_path / "log.mcap")
-    assert not topic.fault
-
-
-def test_events_of_a_service_that_is_not_read_are_no_damage(tmp_path: Path) -> None:
-    """Messages of IDL within a service: rosbag2 mixes both languages."""
-    mixed = f"{AS_RECORDED}\n{'=' * 80}\nIDL: motor_msgs/Port\nmodule motor_msgs {{}};"
-    data = mcap_of([bytes(8)], (f"{SERVICE}_Event", "ros2idl", mixed.encode()), "cdr")
-    assert code(tmp_path, data, "info.sequence_number") == "log_encoding"
+def test_definitions_in_idl_and_wide_text_are_refused(tmp_path: Path) -> None:
+    idl = b"module motor_msgs { module msg { struct Hydraulics { double value; }; }; };"
+    data = mcap_of([bytes(12)], (NAME, "ros2idl", idl), "cdr")
+    assert "'ros2msg'" in error_of(tmp_path, data, "value").message
+    assert code(tmp_path, data, "value") == "log_encoding"
+    wide = ros2_of("wstring name\nfloat64 value\n", [bytes(12)])
+    assert code(tmp_path, wide, "value") == "log_encoding"
 
 
 def test_both_byte_orders_in_one_file(tmp_path: Path) -> None:
@@ -198,65 +136,12 @@ def test_both_byte_orders_in_one_file(tmp_path: Path) -> None:
     assert officially(tmp_path / "log.mcap", "last") == [1, 2, 3]
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("wide", ["I", "H"])
-def test_wide_characters_of_two_and_of_four_bytes(tmp_path: Path, order: str, wide: str) -> None:
-    """As Fast CDR 1 writes them ("I"), and as 2 does: their number, then their UTF-16, no end."""
-    rng = random.Random(6)  # noqa: S311
-
-    def wide_text(at: int, text: str) -> bytes:
-        units = np.frombuffer(text.encode("utf-16-le"), "<u2").tolist()
-        head = bytes(-at % 4) + struct.pack(f"{order}I", len(units))
-        return head + struct.pack(f"{order}{len(units)}{wide}", *units)
-
-    def payload(value: float, texts: Sequence[str], padding: int) -> bytes:
-        body = wide_text(0, texts[0])
-        body += bytes(-len(body) % 8) + struct.pack(f"{order}dI", value, len(texts) - 1)
-        for text in texts[1:]:
-            body += wide_text(len(body), text)
-        body += struct.pack("B", int(value))
-        return bytes([0, int(order == "<"), 0, 0]) + body + bytes(padding)
-
-    words = ["", "a", "öl", "Druck", "\U0001f6e2", "a" * 9]
-    payloads = [
-        payload(float(i), rng.choices(words, k=rng.randrange(1, 5)), rng.randrange(4))
-        for i in range(60)
-    ]
-    definition = "wstring name\nfloat64 value\nwstring<=9[] more\nuint8 last\n"
-    for text, language in (
-        (definition, "ros2msg"),
-        (
-            idl_of("wstring name; double value; sequence<wstring<9>> more; octet last;"),
-            "ros2idl",
-        ),
-    ):
-        data = ros2_of(text, payloads, language)
-        assert values(tmp_path, data, "value") == list(range(60))
-        assert values(tmp_path, data, "last") == list(range(60))
-    cut = ros2_of(definition, [*payloads, payloads[0][:-8]])
-    assert values(tmp_path, cut, "last") == [*range(60), None]
-
-
-def test_the_width_of_wide_characters_where_both_would_do(tmp_path: Path) -> None:
-    """A single message, and a width with which it would end, though not where it ends."""
-    of_four = struct.pack("<4sII", b"\0\1\0\0", 1, ord("a")) + b"\x07"
-    data = ros2_of("wstring name\nuint8 last", [of_four])
-    assert values(tmp_path, data, "last") == [7]
-    rest = bytes([0, 0, 0, 0, 5, *range(40)])
-    of_two = struct.pack("<4sI2HI", b"\0\1\0\0", 2, *b"ab", len(rest)) + rest
-    data = ros2_of("wstring name\nuint8[] rest", [of_two])
-    assert values(tmp_path, data, "rest[4]") == [5]
-
-
-@pytest.mark.parametrize(
-    ("second", "name"),
-    [(2, "PL_CDR"), (3, "PL_CDR"), (6, "CDR2"), (7, "CDR2"), (9, "D_CDR2"), (11, "PL_CDR2")],
-)
-def test_other_representations_are_refused_by_name(tmp_path: Path, second: int, name: str) -> None:
+@pytest.mark.parametrize("second", [2, 3, 6, 7, 9, 11])
+def test_other_representations_are_refused(tmp_path: Path, second: int) -> None:
     good, other = (struct.pack("<BBBBd", 0, mark, 0, 0, 7.0) for mark in (1, second))
     wrong = error_of(tmp_path, ros2_of("float64 value", [other, b"", other]), "value")
     assert wrong.code == "log_encoding"
-    assert f"'/hydraulics' are in {name}," in wrong.message
+    assert "representation of DDS" in wrong.message
     # A stray one is a message that cannot be read, as damage may have made it so.
     data = ros2_of("float64 value", [good, other, good])
     channel = read(tmp_path, data, source_of("value")).channels["pressure_difference"]
@@ -313,7 +198,6 @@ def test_any_bytes_for_a_message_do_no_harm(
         ("float64[0] value", "value[0]", "log_damaged"),
         ("float64[ value", "value", "log_damaged"),
         ("float64 value\nfloat32 value", "value", "log_damaged"),
-        ("float64[99999999999999999999] value", "value[1]", "log_damaged"),
         ("time at\nfloat64 value", "value", "log_encoding"),
     ],
 )
@@ -336,7 +220,7 @@ def test_arrays_too_large_for_any_message_are_not_walked(tmp_path: Path) -> None
     data = ros2_of(definition, [b"\0\1\0\0" + bytes(100)])
     assert code(tmp_path, data, "value") == "log_type"
     longer = definition.replace("A[1000]", "A[100000000]")
-    assert code(tmp_path, ros2_of(longer, [b"\0\1\0\0" + bytes(100)]), "value") == "log_damaged"
+    assert code(tmp_path, ros2_of(longer, [b"\0\1\0\0" + bytes(100)]), "value") == "log_type"
 
 
 def test_nan_in_a_message_is_no_missing_sample(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from contextlib import suppress
 from datetime import date
@@ -341,3 +342,12 @@ def _names(path: Path) -> list[str]:
             return list(file.schema_arrow.names)
     except OSError:
         return ["time"]
+
+
+def test_a_name_that_is_not_utf_8_is_no_damage(tmp_path: Path) -> None:
+    plain = tmp_path / "log.parquet"
+    table = pa.table({"time": pa.array([1740808800000000], pa.timestamp("us", "UTC")), "dp": [7.0]})
+    pq.write_table(table, plain)
+    path = plain.rename(tmp_path / os.fsdecode(b"log\xff.parquet"))
+    source = Source.of("parquet", {"pressure_difference": column("dp", "bar")})
+    assert read_log(path, *source).channels["pressure_difference"].value.tolist() == [7.0]
