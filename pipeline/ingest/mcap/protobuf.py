@@ -100,9 +100,11 @@ def _message_class(path: Path, schema: Schema) -> tuple[Any, type[Exception]]:
 
 
 def _names(descriptor: Any, above: FieldPath, around: tuple[str, ...] = ()) -> Iterator[str]:
-    """Paths of fields, for a message; a message may hold itself."""
+    """Paths of numbers, for an error; a message may hold itself."""
     for field in descriptor.fields:
         inner = field.message_type
+        if field.cpp_type == field.CPPTYPE_STRING:
+            continue
         is_map = inner is not None and inner.GetOptions().map_entry
         step: FieldPath = (0,) if _is_repeated(field) else ()
         path = (*above, field.name, *(("KEY",) if is_map else step))
