@@ -38,7 +38,7 @@ TEXT: tuple[Dialect, ...] = (
     Csv("pipe, °F, CR", {"separator": "|"}, {"temperature": "degF"}, line_end="\r"),
     Csv("K, preamble, row of units", {"skip_rows": 3, "unit_rows": 1}, {"temperature": "K"}),
     Csv("header again, m³/h", {"unit_rows": 1}, {"flow": "m3/h"}, header_every=1000),
-    Csv("columns in turning order", header_every=700, turning=True, company=True),
+    Csv("columns of others, header again", header_every=700, company=True),
     Csv("UTF-8 with its mark, umlauts", names=GERMAN, bom=codecs.BOM_UTF8),
     Csv("UTF-16", {"encoding": "utf-16"} | SEMICOLON, names=GERMAN),
     Csv("UTF-16 without its mark", {"encoding": "utf-16-be"}, names=GERMAN, line_end="\r\n"),

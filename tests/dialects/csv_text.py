@@ -40,7 +40,6 @@ class Csv(Dialect):
     tokens: tuple[str, ...] = ("",)  # what stands for no reading, in turn
     # Rows after which the header comes again, with its rows of units; 0: never.
     header_every: int = 0
-    turning: bool = False  # the columns stand in another order below each header that comes again
     reverse: bool = False  # the columns stand the other way round
     company: bool = False  # there are columns of others, too
 
@@ -131,8 +130,6 @@ class Csv(Dialect):
             lines += [
                 self._line(row, order) for row in [head, *units, *rows[begin : begin + every]]
             ]
-            if self.turning:
-                order = order[1:] + order[:1]
         text = self.line_end.join([*lines, ""]).encode(self._key("encoding", "utf-8"))
         path.write_bytes(PACKERS[self.packed](self.bom + text))
         return path

@@ -90,7 +90,6 @@ def csv_dialects(draw: st.DrawFn) -> Dialect:
         written_zone=draw(st.sampled_from(["", *ZONES])),
         tokens=draw(st.sampled_from([("",), ("---", "Bad", "NA"), ("", "null")])),
         header_every=header_every,
-        turning=bool(header_every) and draw(st.booleans()),
         reverse=draw(st.booleans()),
         company=draw(st.booleans()),
     )

@@ -35,6 +35,7 @@ MOST_CELLS = 2**14
 """Cells of a header, as many as a spreadsheet has columns; the parser takes 2 kB for each."""
 
 _HEAD = 2**20
+_LINE_END = re.compile(rb"\r\n?|\n")
 _SPAN_PIECE = 2**16
 # From so many rows of another width on, most of the rows before must have the header's.
 _MANY_RAGGED = 2**19
@@ -152,6 +153,12 @@ def _cells(path: Path, logs: Logs, line: bytes) -> tuple[str, ...]:
     return tuple(cell.strip() for cell in row)
 
 
+def _line_end(data: bytes, at: int) -> int:
+    """End of the line that a place of a piece is in."""
+    found = _LINE_END.search(data, at)
+    return found.end() if found else len(data)
+
+
 def _positions(
     path: Path, logs: Logs, names: Sequence[str], wanted: Sequence[str]
 ) -> dict[str, int]:
@@ -222,12 +229,10 @@ class _Reader:
 
     def _below_units(self, data: bytes, start: int) -> int:
         """Begin of the rows below the lines of units that are still to come."""
-        if self.units_left:
-            for line in data[start:][:_HEAD].splitlines(keepends=True):
-                if not self.units_left:
-                    break
-                self.units_left -= bool(line.strip())
-                start += len(line)
+        while self.units_left and start < len(data):
+            end = _line_end(data, start)
+            self.units_left -= bool(data[start:end].strip())
+            start = end
         return start
 
     def _read_rows(self, data: bytes, start: int) -> None:
@@ -322,7 +327,7 @@ class _Reader:
         while at >= 0:
             newline = max(data.rfind(b"\n", start, at), start - 1)
             begin = max(data.rfind(b"\r", newline + 1, at), newline) + 1
-            end = begin + len(data[begin:].splitlines(keepends=True)[0])
+            end = _line_end(data, at)
             is_again = self._is_header(data[begin:end])
             if is_again is False:
                 how = "another header, with other columns than the first: split the log before it"

@@ -198,7 +198,6 @@ def _mcap_seeds() -> list[Seed]:
         "json-no-chunks": ("json", in_data),
         "protobuf-none": ("protobuf", {"compression": none}),
         "ros2msg-zstd": ("ros2msg", {"compression": zstd}),
-        "ros2idl-lz4": ("ros2idl", {"compression": lz4}),
     }
     unsound: dict[str, tuple[str, dict[str, Any]]] = {
         "json-none-crc-0": ("json", {"compression": none, "enable_crcs": False}),
@@ -206,7 +205,6 @@ def _mcap_seeds() -> list[Seed]:
         "protobuf-lz4-crc-0": ("protobuf", {"compression": lz4, "enable_crcs": False}),
         "protobuf-no-chunks-crc-0": ("protobuf", {"use_chunking": False, **bare}),
         "ros2msg-none-crc-0": ("ros2msg", {"compression": none, **bare}),
-        "ros2idl-none-crc-0": ("ros2idl", {"compression": none, "enable_crcs": False}),
     }
     source = Source.of("mcap", CHANNELS)
     found = [
@@ -283,10 +281,4 @@ _ENCODINGS: dict[str, tuple[str, str, bytes, Callable[[float], bytes]]] = {
         lambda value: b"\x09" + struct.pack("<d", value),
     ),
     "ros2msg": ("motor/msg/Value", "ros2msg", b"string sensor\nfloat64 value\n", _cdr),
-    "ros2idl": (
-        "motor/msg/Value",
-        "ros2idl",
-        b"module motor { module msg { struct Value { string sensor; double value; }; }; };",
-        _cdr,
-    ),
 }

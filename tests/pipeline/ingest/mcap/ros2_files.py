@@ -39,7 +39,3 @@ def ros2_of(
 
 def code(folder: Path, data: bytes, field: str) -> str:
     return error_of(folder, data, field).code
-
-
-def idl_of(members: str, others: str = "") -> str:
-    return f"module motor_msgs {{ module msg {{ {others} struct Hydraulics {{ {members} }}; }}; }};"
