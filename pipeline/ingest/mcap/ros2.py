@@ -68,6 +68,7 @@ _BROKEN = "a message that is cut or not in CDR"
 MOST_FIELDS = 2**18
 """Fields of a message; definitions of a few lines may have any number, one in another."""
 
+_LONGEST_SIZE = len("[<=1000000000]")
 _LONGEST_ALONE = 2**20
 """Bytes of a message that is decoded by itself."""
 
@@ -103,7 +104,7 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
     except NotImplementedError as error:
         how = f"messages of topic {topic!r} have {error}"
         raise LogError("log_encoding", path, how, topic) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         how = f"the definition of {schema.name} cannot be read: {error}"
         raise LogError("log_damaged", path, how) from error
     for one in (*wanted.readings, *wanted.qualities):
@@ -253,7 +254,9 @@ def _require_known(
         raise ValueError(f"{name} holds itself")
     if name not in definitions:
         raise ValueError(f"there is no definition of {name}")
-    for _, kind, _ in definitions[name]:
+    for field_name, kind, array in definitions[name]:
+        if len(array) > _LONGEST_SIZE:
+            raise ValueError(f"{field_name} is longer than any message")
         if kind in ("wstring", "time", "duration"):
             raise NotImplementedError(f"a field of type {kind}, which is not read")
         if kind not in _NUMBERS and kind != "string" and kind not in known:

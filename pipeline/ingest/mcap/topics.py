@@ -92,6 +92,9 @@ def _decode(
     schema: Schema,
     found: list[Payloads],
 ) -> None:
+    if record.encoding not in ("json", "protobuf", "cdr"):
+        topic.fault = f"messages in {record.encoding or 'an encoding without a name'!r}"
+        return
     read_tree = decoder_of(path, record, schema, Wanted(())).tree
     if not found:
         return
