@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.run.verification import verify_tables
 from pipeline.schema import QUALITY, frame
 from pipeline.store.manifest import manifest_file, manifest_key, read_manifest
 from pipeline.store.night_files import NewRows, prepare_file, with_nights
+from pipeline.store.published import verify_tables
 from pipeline.store.tables import night_file
 from tests.pipeline.faults.conftest import say
 from tests.pipeline.faults.disk import Disk, Killed, on

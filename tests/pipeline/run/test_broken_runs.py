@@ -300,7 +300,7 @@ def test_a_damaged_night_is_made_anew_for_all_motors_by_the_run_after(
     own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Damage that is found only when the night is made, as the file keeps its time stamp."""
-    monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: lambda _: False)
+    monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: set())
     config = own_fleet("CB400-01", "CB400-02", fitted=True)
     fleet, night = load_fleet(config), FIRST
     before = read_table(night_file(fleet.output, FITS, night), FITS).drop("run_id")

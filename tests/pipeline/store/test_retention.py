@@ -14,10 +14,11 @@ from pipeline.config import Retention, load_fleet
 from pipeline.errors import UsageError
 from pipeline.run.plans import plan_fleet
 from pipeline.run.request import RunRequest
-from pipeline.run.verification import verify_tables
 from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES
 from pipeline.store.locks import locked
+from pipeline.store.published import verify_tables
 from pipeline.store.retention import LOSSES, nights_kept, old_files, prune
+from pipeline.store.state import STATE_FILE, open_state
 from pipeline.trends.nights.trend_record import read_record
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
@@ -45,7 +46,8 @@ def workshop(made: Workshop, tmp_path: Path) -> Workshop:
 
 
 def pruned(workshop: Workshop, kept: Mapping[str, int] = KEPT) -> None:
-    prune(workshop.output, old_files(workshop.output, kept, NIGHTS[-1]))
+    with open_state(workshop.output) as state:
+        prune(state, old_files(workshop.output, kept, NIGHTS[-1]))
 
 
 def nights_of(workshop: Workshop, table: str) -> list[dt.date]:
@@ -69,7 +71,7 @@ def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Worksho
     gone.add("tables/sensitivities/month=2026-02/2026-02.parquet")
     assert before.keys() - after.keys() == gone
     changed = {name for name in after if after[name] != before[name]}
-    assert changed == {"manifest/2026-02.json", "manifest/2026-03.json"}
+    assert changed == {STATE_FILE}
     assert nights_of(workshop, "predictions") == list(NIGHTS[-2:])
     assert nights_of(workshop, "sensitivities") == list(NIGHTS[3:])
     for table in HEAVY:
@@ -111,7 +113,7 @@ def test_without_statistics_a_refit_reads_the_logs_where_they_are(workshop: Work
     assert speeds == {NIGHTS[0]: 30.0, **dict.fromkeys(NIGHTS[1:], 31.0)}
 
 
-def test_a_crash_between_manifest_and_file_is_mended_by_pruning_again(
+def test_a_crash_between_list_and_file_is_mended_by_pruning_again(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def crash(*_: object, **__: object) -> None:
