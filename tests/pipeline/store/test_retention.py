@@ -19,7 +19,7 @@ from pipeline.store.locks import locked
 from pipeline.store.published import verify_tables
 from pipeline.store.retention import LOSSES, nights_kept, old_files, prune
 from pipeline.store.state import STATE_FILE, open_state
-from pipeline.trends.nights.trend_record import read_record
+from tests.pipeline.remembered import record_of
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 # The nights lie on both sides of a month's end.
@@ -210,8 +210,8 @@ def test_pruning_waits_for_no_run(workshop: Workshop, command: Command) -> None:
 
 
 def test_trends_do_not_notice(workshop: Workshop) -> None:
-    before, record = workshop.rows("trends"), read_record(workshop.output, "M1")
+    before, record = workshop.rows("trends"), record_of(workshop.output, "M1")
     pruned(workshop)
     workshop.run()
     assert workshop.rows("trends").equals(before)
-    assert read_record(workshop.output, "M1") == record
+    assert record_of(workshop.output, "M1") == record
