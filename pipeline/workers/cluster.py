@@ -130,26 +130,25 @@ def open_cluster(
         yield Cluster(client, execution, expected)
 
 
-def _require(who: str, found: Sequence[tuple[str, str]] | BaseException) -> None:
+def _require(who: str, found: Sequence[Loss] | BaseException) -> None:
     """Refuse who cannot read tasks, would make other bytes, or would take absent logs for none."""
     if isinstance(found, BaseException):
-        found = [("scheduler_versions", f"{type(found).__name__}: {found}")]
+        found = [Loss("scheduler_versions", f"{type(found).__name__}: {found}")]
     if found:
-        code = found[0][0]
-        words = "; ".join(words for _, words in found)
-        raise EngineError(code, f"{who} is unfit: {words}; {TODO[code]}")
+        words = "; ".join(one.how for one in found)
+        raise EngineError(found[0].code, f"{who} is unfit: {words}; {TODO[found[0].code]}")
 
 
-def differences(expected: Surroundings) -> list[tuple[str, str]]:
-    """Differences of this process from the run: codes, and words."""
+def differences(expected: Surroundings) -> list[Loss]:
+    """Differences of this process from the run."""
     own = own_versions()
     found = [
-        ("scheduler_versions", f"{name} is {own.get(name, 'absent')} there and {wanted} here")
+        Loss("scheduler_versions", f"{name} is {own.get(name, 'absent')} there and {wanted} here")
         for name, wanted in expected.versions.items()
         if own.get(name) != wanted
     ]
     found += [
-        ("scheduler_folders", f"there is no folder {folder} there")
+        Loss("scheduler_folders", f"there is no folder {folder} there")
         for folder in expected.folders
         if not folder.is_dir()
     ]
@@ -157,7 +156,7 @@ def differences(expected: Surroundings) -> list[tuple[str, str]]:
         try:
             ObjectStore.at(url)  # nothing is asked of it
         except StoreError as error:
-            found.append(("scheduler_credentials", f"object store: {error.message}"))
+            found.append(Loss("scheduler_credentials", f"object store: {error.message}"))
     return found
 
 
@@ -197,7 +196,7 @@ def do_on_worker(
     if found := differences(expected):
         from distributed import get_worker
 
-        raise StrangeWorkerError(get_worker().address, "; ".join(words for _, words in found))
+        raise StrangeWorkerError(get_worker().address, "; ".join(one.how for one in found))
     with tempfile.TemporaryDirectory(prefix="motor-leakage-") as name:
         folder = Path(name)
         if hasattr(task, "staging"):
