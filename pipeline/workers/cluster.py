@@ -221,7 +221,8 @@ class Cluster:
         Raises EngineError (``scheduler_lost``) if the scheduler or all workers are gone before any
         task was done; StoreError if what a task staged cannot be written.
         """
-        waiting, under_way = iter(tasks), dict[Future[Any], Any]()
+        waiting = iter(tasks)
+        under_way: dict[Future[Any], Any] = {}
         ended: SimpleQueue[Future[Any]] = SimpleQueue()
         limits = Limits(self.execution.timeout_s, self.execution.answer_s)
         n_done = 0
