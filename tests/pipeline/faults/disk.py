@@ -19,8 +19,8 @@ from pipeline.store.state import State
 DOORS = (atomic_files,)
 # Their calls, and how each of them fails on a disk.
 FULL = (errno.EIO, errno.ENOSPC)
-CALLS = dict.fromkeys(("open", "write", "pwrite", "fsync", "replace", "mkdir"), FULL)
-CALLS |= dict.fromkeys(("chmod", "fchmod", "pread", "unlink", "rmdir", "ftruncate"), (errno.EIO,))
+CALLS = dict.fromkeys(("open", "write", "fsync", "replace", "mkdir"), FULL)
+CALLS |= dict.fromkeys(("fchmod", "pread", "unlink", "rmdir"), (errno.EIO,))
 # `short`: a write takes half of what it is given, and what comes next finds the disk full.
 # `flipped`: what is read is not what was written. `killed`: the process dies before the call.
 Kind = Literal["EIO", "ENOSPC", "short", "flipped", "killed"]

@@ -130,7 +130,7 @@ def test_nothing_reaches_the_disk_but_through_the_one_door(
         for name, one in after.items()
         if before.get(name) != one and not name.startswith(STATE)
     }
-    assert len(new) > 20
+    assert len(new) > 15
     assert set(new.values()) <= hashes
     assert len(staged) >= 4  # of each motor, those of its nights and of its trends
     assert set(staged) <= hashes
