@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -36,7 +37,10 @@ log = logging.getLogger(__name__)
 Forget = Callable[[list[str]], object]
 # SHA-256 that a file may have, by its name.
 Listed = Mapping[str, tuple[str | None, ...]]
+# Of a night, of a day of looks, and of a run.
+OLD_NAME = re.compile(r"(looks-)?\d{4}-\d{2}-\d{2}|\d{8}T\d{12}Z")
 MONTHLY = tuple(one for one in TABLES if one not in (*NIGHTLY_TABLES, *WHOLE_TABLES))
+OLD_TABLES = {table.name for table in MONTHLY}
 
 
 def take_over(output: Path, forget: Forget) -> None:
@@ -80,8 +84,8 @@ def _old_months(output: Path, table: Table) -> list[str]:
 
 
 def _sources(output: Path, table: Table, month: str) -> list[Path]:
-    place = month_file(output, table, month)
-    return [path for path in sorted(place.parent.glob(f"*{ENDING}")) if path != place]
+    paths = month_file(output, table, month).parent.glob(f"*{ENDING}")
+    return sorted(path for path in paths if OLD_NAME.fullmatch(path.stem))
 
 
 def _take_month(
@@ -95,7 +99,8 @@ def _take_month(
         place, sources = month_file(output, table, month), _sources(output, table, month)
         name, there = name_of(output, place), {name_of(output, path) for path in sources}
         known = {one for one in listed if one.startswith(f"{table.name}/{folder}/")} - {name}
-        gone = known - there
+        # One that is there and was not listed has all of them: this was broken off.
+        gone = set() if place.exists() and name not in listed else known - there
         parts = []
         for path in (place, *sources):
             try:
@@ -116,7 +121,8 @@ def _take_month(
     for name, accepted in listed.items():
         path = output / "tables" / name
         is_here = folder in name or (month == WHOLE and MONTH_PREFIX not in name)
-        if is_here and path not in old and name not in files:
+        is_old = name.split("/")[0] in OLD_TABLES and OLD_NAME.fullmatch(path.stem)
+        if is_here and not is_old and name not in files:
             files[name] = accepted[0] if len(accepted) == 1 else _digest(path, accepted)
     update_manifest(output, files)
     for path in old:
