@@ -16,7 +16,6 @@ BENCHMARKS = (
     "fuzz",
     "guard",
     "model_choices",
-    "month_files",
     "night_cost",
     "noise",
     "notebook",

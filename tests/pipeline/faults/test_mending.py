@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -186,12 +187,10 @@ def test_no_flipped_bit_of_a_footer_is_read_as_other_rows(output: Path) -> None:
         flipped = bytearray(whole)
         flipped[bit // 8] ^= 1 << bit % 8
         path.write_bytes(flipped)
-        try:
+        rows = sound  # also where it is a bit of the statistics, which only others read
+        with suppress(StoreError):
             rows = read_rows(output, FITS, MOTORS, FIT_COLUMNS, nights=[NIGHT])
-        except StoreError:  # it is damaged
-            continue
-        else:  # a bit of statistics that only others read
-            assert rows.equals(sound, null_equal=True)
+        assert rows.equals(sound, null_equal=True)
 
 
 def test_a_file_that_may_not_be_read_is_named_and_left_alone(

@@ -7,10 +7,12 @@ import hashlib
 import json
 import shutil
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
 
 from pipeline.schema import FITS, NIGHTLY_TABLES, TABLES, WHOLE_TABLES
@@ -39,6 +41,14 @@ def put_sealed(path: Path, document: dict[str, Any]) -> None:
         stream.write(json.dumps(plain | {"sha256": sha256}) + "\n")
 
 
+def split(path: Path, rows: pl.DataFrame) -> Iterator[tuple[Path, pl.DataFrame]]:
+    """Rows of a month as the files of its nights, or runs."""
+    column = "night" if "night" in rows.columns else "started_at"
+    for (label,), some in rows.partition_by(column, as_dict=True).items():
+        name = f"{label:%Y%m%dT%H%M%S%fZ}" if column == "started_at" else str(label)
+        yield path.with_name(f"{name}.parquet"), some
+
+
 def make_old(output: Path) -> None:
     """Turn an output into one of version 0.9: a file a night, and what is known in many files."""
     manifests: defaultdict[tuple[str, str], dict[str, str]] = defaultdict(dict)
@@ -47,11 +57,7 @@ def make_old(output: Path) -> None:
             parts = {path: read_table(path, table)}
             if table in MONTHLY:
                 path.unlink()
-                column = "night" if "night" in table.schema else "run_id"
-                parts = {
-                    path.with_name(f"{label}.parquet"): rows
-                    for (label,), rows in parts[path].partition_by(column, as_dict=True).items()
-                }
+                parts = dict(split(path, parts[path]))
             for place, rows in parts.items():
                 month = "whole" if table in WHOLE_TABLES else place.parent.name[6:]
                 digest = write_table(place, rows)
@@ -59,6 +65,13 @@ def make_old(output: Path) -> None:
     for (month, label), files in manifests.items():
         place = output / "manifest" / f"month={month}" / f"{label}.json"
         put_sealed(place, {"files": files, "coming": {}})
+    write_records(output)
+    for path in (*output.glob("state.*"), output / "manifest.json"):
+        path.unlink()
+
+
+def write_records(output: Path) -> None:
+    """What is known of motors, what people said, and what waits, in the files of version 0.9."""
     for motor in MOTORS:
         folder, ledger = output / "ledger" / motor, ledger_of(output, motor)
         files = {name: asdict(one) for name, one in ledger.files.items()}
@@ -78,8 +91,6 @@ def make_old(output: Path) -> None:
         document = {"queues": {"command": queue}, "known": ["key-said-0"], "stamps": {}}
         put_sealed(output / name, document)
     (output / "history" / "M1").mkdir(parents=True)
-    for path in (*output.glob("state.*"), output / "manifest.json"):
-        path.unlink()
 
 
 @pytest.fixture
