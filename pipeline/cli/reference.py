@@ -117,11 +117,12 @@ def table_reference() -> str:
         NOTE,
         f"Schema version {SCHEMA_VERSION}. All tables are Parquet below `<output>/tables/`, where "
         "`<output>` is `out` in the folder from which the run was started, unless the config or "
-        "`--output` says otherwise. Rows are sorted by key and no two share it. Times are UTC. "
-        "Null means that there is no such figure, never 0. The table `data_dictionary` holds what "
-        "this page says. Files of the nights of a month that is long over, or of its runs, become "
-        "one, `month=YYYY-MM/YYYY-MM.parquet` ([operations.md](operations.md#months)): globs and "
-        "keys do not change.",
+        "`--output` says otherwise. Rows are sorted by night and key, and no two share a key. "
+        "Times are UTC. Null means that there is no such figure, never 0. The table "
+        "`data_dictionary` holds what this page says. A month is one file, "
+        "`month=YYYY-MM/YYYY-MM.parquet`; of `predictions`, `block_statistics` and "
+        "`residual_tests` a night is one, `month=YYYY-MM/YYYY-MM-DD.parquet` "
+        "([operations.md](operations.md#months)).",
         "Columns are added at the end and never removed, renamed or given another meaning. Files "
         "that an older version wrote lack what came later: have a reader match columns by name. "
         "[queries.md](queries.md) does so for DuckDB, Polars and pandas and answers common "

@@ -160,7 +160,7 @@ def _run(
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet, state = request.fleet, damage.state
-    damage.look_around(share_due(state, fleet.execution.prove_within_days))
+    damage.look_around(share_due(state, fleet.execution.prove_within_days, started))
     state.set_meta("share proven", f"{started:%Y-%m-%d}")
     tasks = [task_of(request, spec, staging) for spec in request.specs]
     outcomes: dict[str, MotorOutcome] = {}

@@ -197,8 +197,8 @@ class NewFile:
     path: Path  # its place
     before: str | None  # SHA-256 of the present file; None without one
     after: str | None  # SHA-256 of the new file; None if there is neither a file nor a row
-    # True if the present file is damaged: rows of motors that are not published with it have to be
-    # made anew.
+    # True if the present file is damaged or gone: rows of motors that are not published with it
+    # have to be made anew.
     lost_rows: bool = False
     prepared: Prepared | None = None  # the new file; None if the present one stays
 
@@ -207,7 +207,7 @@ class NewFile:
 
         That survives a power cut once its folder is flushed.
         """
-        if self.lost_rows:
+        if self.lost_rows and self.before is not None:
             move(self.path, self.path.with_suffix(PUT_ASIDE))
         if self.prepared is not None:
             self.prepared.land(flush=False)
@@ -230,13 +230,14 @@ def prepare_file(
     Raises StoreError if the new file cannot be written, or the present one not be read.
     """
     before, content = _present(path, table, accepted)
-    lost_rows = before is not None and content is None
+    gone = before is None and bool(accepted) and None not in accepted
+    lost_rows = gone or (before is not None and content is None)
     present = iter(()) if content is None else groups_of(path, table, content)
     pieces = chain([frame(table, [])], change(present))
     if before is None:
         rows = next((one for one in pieces if one.height), None)
         if rows is None:
-            return NewFile(path, None, None)
+            return NewFile(path, None, None, lost_rows)
         pieces = chain([rows], pieces)
     prepared = prepare_table(path, pieces)
     if prepared.sha256 == before:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -45,7 +46,10 @@ DECISION = ("motor_id", "indicator", "time", "kind", "night", "finding", "note",
 LISTED = "SELECT 1 FROM files WHERE name = ?"
 # SHA-256 that a file may have, by its name.
 Listed = Mapping[str, tuple[str | None, ...]]
+# Of a night, of a day of looks, and of a run.
+OLD_NAME = re.compile(r"(looks-)?\d{4}-\d{2}-\d{2}|\d{8}T\d{12}Z")
 MONTHLY = tuple(one for one in TABLES if one not in (*NIGHTLY_TABLES, *WHOLE_TABLES))
+OLD_TABLES = {table.name for table in MONTHLY}
 
 
 def take_over(state: State, forget: Forget) -> None:
@@ -170,8 +174,8 @@ def _old_months(output: Path, table: Table) -> list[str]:
 
 
 def _sources(output: Path, table: Table, month: str) -> list[Path]:
-    place = month_file(output, table, month)
-    return [path for path in sorted(place.parent.glob(f"*{ENDING}")) if path != place]
+    paths = month_file(output, table, month).parent.glob(f"*{ENDING}")
+    return sorted(path for path in paths if OLD_NAME.fullmatch(path.stem))
 
 
 def _take_month(
@@ -185,7 +189,8 @@ def _take_month(
         place, sources = month_file(output, table, month), _sources(output, table, month)
         name, there = name_of(output, place), {name_of(output, path) for path in sources}
         known = {one for one in listed if one.startswith(f"{table.name}/{folder}/")} - {name}
-        gone = known - there
+        # One that is there and was not listed has all of them: this was broken off.
+        gone = set() if place.exists() and name not in listed else known - there
         parts = []
         for path in (place, *sources):
             try:

@@ -76,9 +76,9 @@ def note(state: State, files: Mapping[str, str | None]) -> None:
 
     Raises StoreError if it cannot be written.
     """
-    today = dt.datetime.now(dt.UTC).date().isoformat()
+    now = dt.datetime.now(dt.UTC).isoformat()
     rows = [
-        (name, digest, *_stamp(state.output, name), today)
+        (name, digest, *_stamp(state.output, name), now)
         for name, digest in files.items()
         if digest is not None
     ]
@@ -105,14 +105,13 @@ def _stamp(output: Path, name: str) -> tuple[int, int]:
     return found.st_size, found.st_mtime_ns
 
 
-def share_due(state: State, days: int) -> set[str]:
+def share_due(state: State, days: int, now: dt.datetime) -> set[str]:
     """Files that a run proves, the longest unproven first, so that all are within some days."""
     rows = state.rows("SELECT name, proven FROM files ORDER BY proven, name")
-    today = dt.datetime.now(dt.UTC).date()
     before = state.meta("share proven")
-    passed = (today - dt.date.fromisoformat(before)).days if before else days
+    passed = (now.date() - dt.date.fromisoformat(before)).days if before else days
     n = ceil(len(rows) * min(max(passed, 1) / days, 1.0))
-    overdue = str(today - dt.timedelta(days))
+    overdue = (now - dt.timedelta(days)).isoformat()
     return {name for place, (name, proven) in enumerate(rows) if place < n or proven <= overdue}
 
 

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 import polars as pl
 
-from pipeline.schema import NIGHTLY_TABLES, Table, frame
+from pipeline.schema import NIGHTLY_TABLES, TREND_TABLES, Table, frame
 from pipeline.store.atomic_files import flush_folders, remove_all
 from pipeline.store.night_files import (
     Change,
@@ -212,7 +212,10 @@ class Publisher:
 
     def _give_up(self, file: NewFile, table: Table, staged: _Staged, forget: Forget) -> None:
         """Let the nights of a damaged file be made anew, but for what comes with the new one."""
-        self.damaged.append(name_of(self.output, file.path))
+        if file.before is not None:
+            self.damaged.append(name_of(self.output, file.path))
+        elif table in TREND_TABLES:
+            return  # it was missed before its trends were made, and they are complete
         for night in days_of(file.path.stem):
             new = {one for one, rows in staged.items() if night in rows.heights[table.name]}
             forget((night,), new)

@@ -184,7 +184,9 @@ def read_state_file(output: Path) -> Iterator[State]:
             _make_tables(state)
             yield state
         return
-    with closing(_reader(place)) as connection:
+    with _errors("store_read"):
+        reader = _reader(place)
+    with closing(reader) as connection:
         state = State(output, connection)
         state.write("PRAGMA query_only = ON")
         _version(state)
@@ -192,19 +194,18 @@ def read_state_file(output: Path) -> Iterator[State]:
 
 
 def _reader(place: Path) -> sqlite3.Connection:
-    """A connection to a file; in a folder where nobody may write it is taken to be at rest."""
-    with _errors("store_read"):
+    """A connection to a file; where nothing can be written beside it, it is taken to be at rest."""
+    connection = sqlite3.connect(
+        f"{place.as_uri()}?mode=rw", timeout=BUSY_S, isolation_level=None, uri=True
+    )
+    try:
+        connection.execute("PRAGMA schema_version")
+    except sqlite3.OperationalError:
+        connection.close()
         connection = sqlite3.connect(
-            f"{place.as_uri()}?mode=rw", timeout=BUSY_S, isolation_level=None, uri=True
+            f"{place.as_uri()}?mode=ro&immutable=1", isolation_level=None, uri=True
         )
-        try:
-            connection.execute("PRAGMA schema_version")
-        except sqlite3.OperationalError:
-            connection.close()
-            connection = sqlite3.connect(
-                f"{place.as_uri()}?mode=ro&immutable=1", isolation_level=None, uri=True
-            )
-        return connection
+    return connection
 
 
 def _make_tables(state: State) -> None:
@@ -266,7 +267,7 @@ def _version_of(place: Path) -> int | None:
     if not place.exists():
         return 0
     try:
-        with closing(sqlite3.connect(place, timeout=BUSY_S, isolation_level=None)) as connection:
+        with closing(_reader(place.resolve())) as connection:
             if connection.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
                 return None
             return int(connection.execute("PRAGMA user_version").fetchone()[0])

@@ -154,7 +154,8 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
             put(output / path, content, durable=False)
 
     in_turn(bring, [path for path in published if here.get(path) != published[path]])
-    _record(store, output, published)
+    # The state may have decisions of its own.
+    _record(store, output, {path: one for path, one in published.items() if path != STATE_FILE})
     return snapshot
 
 

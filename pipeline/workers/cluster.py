@@ -46,8 +46,6 @@ TODO = {
 }
 # How often to look whether there are workers while nothing finishes [s].
 LOOK_S = 1.0
-# How often a task is sent anew, for reasons that are not its own.
-MOST_SENT = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,26 +128,25 @@ def open_cluster(
         yield Cluster(client, execution, expected)
 
 
-def _require(who: str, found: Sequence[tuple[str, str]] | BaseException) -> None:
+def _require(who: str, found: Sequence[Loss] | BaseException) -> None:
     """Refuse who cannot read tasks, would make other bytes, or would take absent logs for none."""
     if isinstance(found, BaseException):
-        found = [("scheduler_versions", f"{type(found).__name__}: {found}")]
+        found = [Loss("scheduler_versions", f"{type(found).__name__}: {found}")]
     if found:
-        code = found[0][0]
-        words = "; ".join(words for _, words in found)
-        raise EngineError(code, f"{who} is unfit: {words}; {TODO[code]}")
+        words = "; ".join(one.how for one in found)
+        raise EngineError(found[0].code, f"{who} is unfit: {words}; {TODO[found[0].code]}")
 
 
-def differences(expected: Surroundings) -> list[tuple[str, str]]:
-    """Differences of this process from the run: codes, and words."""
+def differences(expected: Surroundings) -> list[Loss]:
+    """Differences of this process from the run."""
     own = own_versions()
     found = [
-        ("scheduler_versions", f"{name} is {own.get(name, 'absent')} there and {wanted} here")
+        Loss("scheduler_versions", f"{name} is {own.get(name, 'absent')} there and {wanted} here")
         for name, wanted in expected.versions.items()
         if own.get(name) != wanted
     ]
     found += [
-        ("scheduler_folders", f"there is no folder {folder} there")
+        Loss("scheduler_folders", f"there is no folder {folder} there")
         for folder in expected.folders
         if not folder.is_dir()
     ]
@@ -157,7 +154,7 @@ def differences(expected: Surroundings) -> list[tuple[str, str]]:
         try:
             ObjectStore.at(url)  # nothing is asked of it
         except StoreError as error:
-            found.append(("scheduler_credentials", f"object store: {error.message}"))
+            found.append(Loss("scheduler_credentials", f"object store: {error.message}"))
     return found
 
 
@@ -197,7 +194,7 @@ def do_on_worker(
     if found := differences(expected):
         from distributed import get_worker
 
-        raise StrangeWorkerError(get_worker().address, "; ".join(words for _, words in found))
+        raise StrangeWorkerError(get_worker().address, "; ".join(one.how for one in found))
     with tempfile.TemporaryDirectory(prefix="motor-leakage-") as name:
         folder = Path(name)
         if hasattr(task, "staging"):
@@ -224,43 +221,34 @@ class Cluster:
         Raises EngineError (``scheduler_lost``) if the scheduler or all workers are gone before any
         task was done; StoreError if what a task staged cannot be written.
         """
-        waiting = ((task, 1) for task in tasks)  # and how often each was sent then
-        under_way: dict[Future[Any], tuple[Any, int]] = {}
+        waiting = iter(tasks)
+        under_way: dict[Future[Any], Any] = {}
         ended: SimpleQueue[Future[Any]] = SimpleQueue()
         limits = Limits(self.execution.timeout_s, self.execution.answer_s)
         n_done = 0
-
-        def send(task: Any, times: int) -> None:
-            future = self.client.submit(
-                do_on_worker,
-                *(function, task, limits, self.expected),
-                pure=False,
-                workers=sorted(self._workers()) if self.refused else None,
-            )
-            under_way[future] = task, times
-            future.add_done_callback(ended.put)
-
         try:
             while True:
-                for task, times in islice(waiting, at_a_time - len(under_way)):
-                    send(task, times)
+                for task in islice(waiting, at_a_time - len(under_way)):
+                    future = self.client.submit(
+                        do_on_worker,
+                        *(function, task, limits, self.expected),
+                        pure=False,
+                        workers=sorted(self._workers()) if self.refused else None,
+                    )
+                    under_way[future] = task
+                    future.add_done_callback(ended.put)
                 if not under_way:
                     return
                 future = self._next(ended)
-                task, times = under_way[future]
-                outcome = self._outcome(future, task)
-                del under_way[future]
-                if outcome is None and times < MOST_SENT and self._workers():
-                    send(task, times + 1)
-                    continue
+                outcome = self._outcome(future, under_way[future])
                 n_done += 1
-                yield task, outcome or Loss("worker_died", "no worker brought its result")
+                yield under_way.pop(future), outcome
         except EngineError as error:
             if not n_done:
                 raise
             log.warning("%s; what is finished is kept", error)
-            for task, _ in [*under_way.values(), *waiting]:
-                yield task, Loss(error.code, error.message)
+            lost = Loss(error.code, error.message)
+            yield from ((task, lost) for task in (*under_way.values(), *waiting))
         finally:
             if under_way and self.client.status == "running":
                 with suppress(OSError, TimeoutError):
@@ -292,8 +280,8 @@ class Cluster:
             log.warning("the scheduler does not answer: %s", error)
             return set()
 
-    def _outcome(self, future: Future[Any], task: Any) -> Done[Any] | Loss | None:
-        """Outcome of a task; None where it is to be sent anew."""
+    def _outcome(self, future: Future[Any], task: Any) -> Done[Any] | Loss:
+        """Outcome of a task that has ended; its staged files are put where they belong."""
         from distributed import KilledWorker
 
         try:
@@ -305,13 +293,10 @@ class Cluster:
             address, why = error.args
             log.warning("the worker %s joined and is unfit: %s", address, why)
             self.refused.add(address)
-            return None
+            return Loss("scheduler_versions", why)
         except Exception as error:
-            if future.status == "error":
-                return loss_of(error)
             self._require_connection()
-            log.warning("a result was lost: %s: %s", type(error).__name__, error)
-            return None
+            return loss_of(error)
         for name, content in staged.items():
             put(task.staging / name, content, durable=False)
         return outcome

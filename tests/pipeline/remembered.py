@@ -7,13 +7,14 @@ from typing import Any
 
 from pipeline.logs.ledger import Ledger, read_ledger
 from pipeline.look.state import LookState, read_states
+from pipeline.store.published import MANIFEST_FILE
 from pipeline.store.state import BACKUP_FILE, STATE_FILE, open_state
 from pipeline.trends.nights.trend_record import Record, read_records
 
 # Files and folders of an output that outlive a run.
 LASTING = {
-    *("tables", "manifest", "lock", "heartbeat.json", "views.sql"),
-    *(STATE_FILE, BACKUP_FILE),
+    *("tables", "lock", "heartbeat.json", "views.sql"),
+    *(STATE_FILE, BACKUP_FILE, MANIFEST_FILE),
 }
 
 

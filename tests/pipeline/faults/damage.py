@@ -6,10 +6,9 @@ import os
 from pathlib import Path
 
 from pipeline.run.fleet import RunResult
-from pipeline.run.mending import mend_output
-from pipeline.run.verification import verify_tables
+from pipeline.run.mending import repair
+from pipeline.store.published import TableFault, verify_tables
 from pipeline.store.state import open_state
-from pipeline.store.verification import TableFault
 from tests.pipeline.simulated import NIGHT
 
 MONTH = f"{NIGHT:%Y-%m}"
@@ -63,7 +62,7 @@ def remove_aside(output: Path) -> int:
     return len(aside)
 
 
-def mended(output: Path) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
-    """Mend an output as the command does: faults that were found, and those that are left."""
+def repaired(output: Path) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
+    """Repair an output as the command does: faults that were found, and those that are left."""
     with open_state(output) as state:
-        return mend_output(state, lambda _: False)
+        return repair(state)

@@ -13,17 +13,18 @@ from typing import Any, Literal
 import pytest
 
 from pipeline.store import atomic_files
+from pipeline.store.state import State
 
 # All that the program writes to its output goes through these.
 DOORS = (atomic_files,)
 # Their calls, and how each of them fails on a disk.
 FULL = (errno.EIO, errno.ENOSPC)
-CALLS = dict.fromkeys(("open", "write", "pwrite", "fsync", "replace", "mkdir"), FULL)
-CALLS |= dict.fromkeys(("chmod", "fchmod", "pread", "unlink", "rmdir", "ftruncate"), (errno.EIO,))
+CALLS = dict.fromkeys(("open", "write", "fsync", "replace", "mkdir"), FULL)
+CALLS |= dict.fromkeys(("fchmod", "pread", "unlink", "rmdir"), (errno.EIO,))
 # `short`: a write takes half of what it is given, and what comes next finds the disk full.
 # `flipped`: what is read is not what was written. `killed`: the process dies before the call.
 Kind = Literal["EIO", "ENOSPC", "short", "flipped", "killed"]
-KINDS: tuple[Kind, ...] = ("EIO", "ENOSPC", "short", "flipped", "killed")
+KINDS: tuple[Kind, ...] = ("EIO", "ENOSPC", "short", "flipped")
 
 
 class Killed(BaseException):
@@ -56,6 +57,11 @@ class Disk:
             return real(*arguments, **settings)
 
         return call
+
+    def pass_by(self, name: str) -> None:
+        """Pass a point at which the process may die."""
+        if self._fails(name):
+            self._fail(None, ())
 
     def _fails(self, name: str) -> bool:
         if not self._can_fail(name):
@@ -104,4 +110,21 @@ def on(disk: Disk) -> Iterator[Disk]:
     with pytest.MonkeyPatch.context() as patched:
         for door in DOORS:
             patched.setattr(door, "os", disk)
+        if disk.kind == "killed":
+            patched.setattr(State, "write", _dying(disk))
         yield disk
+
+
+def _dying(disk: Disk) -> Callable[..., None]:
+    """Changes of the state file, before and after the commit of which the process may die."""
+    real = State.write
+
+    def write(state: State, statement: str, *values: Any) -> None:
+        ends = statement == "COMMIT"
+        if ends:
+            disk.pass_by("before the commit")
+        real(state, statement, *values)
+        if ends:
+            disk.pass_by("after the commit")
+
+    return write

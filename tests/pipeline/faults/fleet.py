@@ -20,11 +20,11 @@ import pipeline.run.motor_task
 from pipeline.config import load_fleet
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
-from pipeline.run.verification import verify_tables
 from pipeline.schema import LATEST, TABLES, TREND_TABLES, Table
 from pipeline.schema.fits import FAILED
+from pipeline.store.published import verify_tables
 from pipeline.store.tables import files_of, name_of, read_table
-from pipeline.trends.nights.trend_record import read_record
+from tests.pipeline.remembered import LASTING, ledger_of, record_of
 from tests.pipeline.simulated import NIGHT, motor_toml, write_configs, write_log
 from tests.pipeline.workshop import MINI, QUICK, Workshop
 

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from tests.pipeline.faults.disk import Disk, Killed, Kind, on
+from tests.pipeline.faults.disk import Disk, Kind, on
 from tests.pipeline.faults.fleet import (
     TinyFleet,
     check_old_or_new,
@@ -28,7 +28,7 @@ class Tally:
     # Points by the call that failed, after which files were whole, old or new, and the next run
     # repaired everything.
     survived: Counter[str] = field(default_factory=Counter)
-    # Points by the end of the run: an error, killed, a failed motor, or no effect.
+    # Points by the end of the run: an error, a failed motor, or no effect.
     ends: Counter[str] = field(default_factory=Counter)
 
 
@@ -56,7 +56,7 @@ def try_points(
             end, failed = _run_on(disk, fleet, output)
             assert disk.struck, f"{kind}: there is no point {point}"
             check_old_or_new(output, fleet, failed)
-            if kind != "killed" and not lasting and disk.struck not in ("unlink", "rmdir"):
+            if not lasting and disk.struck not in ("unlink", "rmdir"):
                 assert temporary(output) == []
             fleet.run(output)
             check_repaired(output, fleet)
@@ -74,8 +74,6 @@ def _run_on(disk: Disk, fleet: TinyFleet, output: Path) -> tuple[str, list[str]]
             result = fleet.run(output, workers=2 if disk.lasting else 1)
     except StoreError:
         return "error", []
-    except Killed:
-        return "killed", []
     failed = [outcome.motor_id for outcome in result.failed]
     if not failed:
         # A run that says that all went well has published all.

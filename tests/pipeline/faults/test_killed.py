@@ -1,179 +1,229 @@
-"""SIGKILL of the process and of its workers, anywhere: the next run repairs all."""
+"""SIGKILL at each point at which something is written: the next run leaves what no kill disturbed.
+
+Points are the calls of our one door to the disk, and the begin and end of each transaction.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
-from itertools import product
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 import numpy as np
 import pytest
 
-import pipeline.run.fleet
-import pipeline.run.motors
-import pipeline.run.publishing
-from pipeline.run.fleet import run_fleet
-from pipeline.run.motor_task import run_motor
-from pipeline.run.publishing import run_trends
-from pipeline.run.tasks import MotorTask
+from pipeline.schema import FITS, PREDICTIONS, TRENDS
+from pipeline.store.tables import night_file
+from pipeline.trends.nights.decisions import read_decisions
+from tests.pipeline.faults.conftest import say
+from tests.pipeline.faults.damage import remove_aside, repaired, rot, rot_of_footer
 from tests.pipeline.faults.fleet import (
     ENVIRONMENT,
-    MOTORS,
+    LATER,
     TinyFleet,
     check_old_or_new,
     check_repaired,
+    check_tables,
     remembered_fits,
+    tables_in,
 )
-from tests.pipeline.faults.sweep import count_points
-from tests.pipeline.faults.victim import OF_MOTORS, OF_TRENDS, STAGES, at_entry, die
+from tests.pipeline.simulated import NIGHT
+from tests.pipeline.telling.fleet import keep, told, told_fleet
 
-Kill = Callable[[Path, str, int], None]
-Run = Callable[[Any], Any]
+SLICES = 4
+# Tried in every run of the tests, of each work.
+SOME = 3
+
+
+class Victim:
+    """A process that works and dies as it is told."""
+
+    def __init__(self, stdin: IO[str], stdout: IO[str]) -> None:
+        self._stdin, self._stdout = stdin, stdout
+
+    def ask(self, **request: object) -> int:
+        self._stdin.write(json.dumps({name: str(one) for name, one in request.items()}) + "\n")
+        self._stdin.flush()
+        return int(self._stdout.readline())
 
 
 @pytest.fixture(scope="module")
-def kill(tiny_fleet: TinyFleet) -> Iterator[Kill]:
-    """Kills a run of the tiny fleet."""
-    with killer() as kill_run:
-        yield lambda output, stage, number: kill_run(tiny_fleet.folder, output, stage, number)
+def victim() -> Iterator[Victim]:
+    command = [sys.executable, "-m", "tests.pipeline.faults.victim"]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT
+    ) as process:
+        yield Victim(process.stdin, process.stdout)
+        process.stdin.close()
+        assert process.wait(60) == 0
 
 
-@contextmanager
-def killer() -> Iterator[Callable[[Path, Path, str, int], None]]:
-    """Kills a run of the fleet in a folder at the Nth call of the disk, or entry into a stage."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.pipeline.faults.victim"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env=ENVIRONMENT,
+@dataclass(frozen=True)
+class Case:
+    """A work on an output as it was before, and what holds when it was killed, and after a run."""
+
+    work: str
+    fleet: TinyFleet
+    before: Path
+    killed: Callable[[Path], None]
+    repaired: Callable[[Path], None]
+
+
+def nightly(fleet: TinyFleet, _: Path) -> Case:
+    """A night is corrected, the next one comes."""
+    return Case(
+        "run",
+        fleet,
+        fleet.before,
+        lambda output: check_old_or_new(output, fleet),
+        lambda output: check_repaired(output, fleet),
     )
 
-    def ask(folder: Path, output: Path, stage: str, number: int) -> None:
-        request = {"folder": str(folder), "output": str(output), "stage": stage, "number": number}
-        process.stdin.write(json.dumps(request) + "\n")
-        process.stdin.flush()
-        assert process.stdout.readline() == f"{-signal.SIGKILL}\n", (stage, number)
 
-    yield ask
-    process.stdin.close()
-    assert process.wait(60) == 0
-    process.stdout.close()
+def first(fleet: TinyFleet, folder: Path) -> Case:
+    """There is nothing yet."""
+    (folder / "before").mkdir()
+
+    def check(output: Path) -> None:
+        whole = {name: rows for name, rows in tables_in(fleet.after).items() if "fits/" in name}
+        found = tables_in(output)
+        assert all(found[name].equals(rows) for name, rows in whole.items())
+
+    return Case("run", fleet, folder / "before", lambda _: None, check)
 
 
-def kill_and_repair(fleet: TinyFleet, output: Path, kill: Kill, stage: str, number: int) -> None:
-    fleet.copy(output)
-    kill(output, stage, number)
-    check_old_or_new(output, fleet)
-    with remembered_fits():
-        # Nobody holds the lock any more.
+def harmed(fleet: TinyFleet, folder: Path) -> Path:
+    """An output with damaged and missing files, and with what people said."""
+    before = shutil.copytree(fleet.after, folder / "before")
+    say(before)
+    night_file(before, PREDICTIONS, NIGHT).unlink()
+    rot_of_footer(night_file(before, FITS, LATER))
+    rot(night_file(before, TRENDS, NIGHT))
+    for path in before.rglob("*.parquet"):  # all are looked at
+        os.utime(path)
+    return before
+
+
+def check_mended(fleet: TinyFleet, output: Path) -> None:
+    assert len(read_decisions(output)) == 3
+    remove_aside(output)
+    for name in ("decisions/decisions.parquet", "latest/latest.parquet"):
+        shutil.copy(fleet.after / "tables" / name, output / "tables" / name)
+    check_tables(output, fleet)
+
+
+def mending(fleet: TinyFleet, folder: Path) -> Case:
+    """A run that mends."""
+    before = harmed(fleet, folder)
+    return Case("run", fleet, before, lambda _: None, lambda output: check_mended(fleet, output))
+
+
+def repairing(fleet: TinyFleet, folder: Path) -> Case:
+    """The command that repairs, done again."""
+    before = harmed(fleet, folder)
+
+    def killed(output: Path) -> None:
+        assert repaired(output)[1] == ()
+
+    return Case("repair", fleet, before, killed, lambda output: check_mended(fleet, output))
+
+
+def telling(_: TinyFleet, folder: Path) -> Case:
+    """Somebody is told of an alarm: at least once, and what comes twice says so by its id."""
+    told_fleet(folder, keep(folder / "told"))
+    fleet = TinyFleet(folder)
+    (folder / "told").touch()
+    before = shutil.copytree(folder / "out", folder / "before")
+
+    def check(output: Path) -> None:
+        found = told(folder)
+        assert len({one["id"] for one in found}) == 1
+        assert [one["to_state"] for one in found[0]["changes"]] == ["alarm"]
+        (folder / "told").write_text("")
         fleet.run(output)
-    check_repaired(output, fleet)
+        assert told(folder) == []
+
+    return Case("run", fleet, before, lambda _: None, check)
 
 
-SOME = (("fitting", 1), ("landing", 2), ("remembering", 1), ("trends", 1))
-ENTERED_ONCE = (("trends", 2), ("publishing the run", 2))
+CASES = [nightly, first, mending, repairing, telling]
 
 
-@pytest.mark.parametrize(
-    ("stage", "number"),
-    [
-        pytest.param(*one, marks=() if one in SOME else pytest.mark.full)
-        for one in product(STAGES, (1, 2))
-        if one not in ENTERED_ONCE
-    ],
-)
-def test_killed_in_a_stage(
-    tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill, stage: str, number: int
-) -> None:
-    kill_and_repair(tiny_fleet, tmp_path / "out", kill, stage, number)
+def kill_at(case: Case, victim: Victim, output: Path, point: int) -> None:
+    shutil.rmtree(output, ignore_errors=True)
+    shutil.copytree(case.before, output)
+    request = {"work": case.work, "folder": case.fleet.folder, "output": output}
+    assert victim.ask(**request, point=point) == -signal.SIGKILL, point
+    case.killed(output)
+    with remembered_fits():
+        case.fleet.run(output)  # nobody holds the lock any more
+    case.repaired(output)
 
 
-def test_killed_at_a_call(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill) -> None:
-    output = tmp_path / "out"
-    n = count_points(tiny_fleet, "killed")
-    for point in np.random.default_rng(3).choice(n, 2, replace=False):
-        kill_and_repair(tiny_fleet, output, kill, "call", int(point) + 1)
+def points_of(case: Case, victim: Victim, output: Path) -> int:
+    request = {"work": case.work, "folder": case.fleet.folder, "output": output}
+    return victim.ask(**request, before=case.before)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("part", range(4))
-def test_killed_at_many_calls(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill, part: int) -> None:
-    """The process itself; that each call can be the last is shown without it, too."""
-    output = tmp_path / "out"
-    points = range(1 + part, count_points(tiny_fleet, "killed") + 1, 40)
-    for point in points:
-        kill_and_repair(tiny_fleet, output, kill, "call", point)
-    sys.stdout.write(f"SIGKILL, {part + 1} of 4: {len(points)} points tried and survived\n")
-
-
-# Workers. What is to be done reaches them with the task. (In the tests of every change, workers are
-# killed in `tests/pipeline/run/test_fleet.py`: starting some takes longer than all of the above.)
-
-
-def killing(run: Run, stage: str, motor: str, marker: Path | None) -> Run:
-    """A motor's task, of its nights or its trends, that dies in a stage; once, if with a marker."""
-
-    def run_or_die(task: Any) -> Any:
-        spec = task.spec if isinstance(task, MotorTask) else task.specs[0]
-        if spec.motor_id != motor or (marker and marker.exists()):
-            return run(task)
-
-        def then() -> None:
-            if marker:
-                marker.touch()
-            die()
-
-        patched = at_entry(stage, 1, then)
-        try:
-            return run(task)
-        finally:
-            patched.undo()
-
-    return run_or_die
-
-
-def check_worker(
-    fleet: TinyFleet, tmp_path: Path, patched: pytest.MonkeyPatch, stage: str, always: bool
-) -> None:
-    """A worker dies once and nothing is lost; or whenever it does a motor, and that alone fails."""
-    output, motor = fleet.copy(tmp_path / "out"), MOTORS[1]
-    marker = None if always else tmp_path / "died"
-    if stage in OF_MOTORS:
-        patched.setattr(pipeline.run.motors, "run_motor", killing(run_motor, stage, motor, marker))
-    else:
-        patched.setattr(
-            pipeline.run.publishing, "run_trends", killing(run_trends, stage, motor, marker)
-        )
-        # A task a motor: one alone would be done in this very process.
-        patched.setattr(pipeline.run.publishing, "MOTORS_A_TREND_TASK", 1)
-    result = fleet.run(output, workers=2, backend="loky")
-    patched.undo()
-    failed = [outcome.motor_id for outcome in result.failed]
-    assert failed == ([motor] if always else [])
-    assert always or (marker is not None and marker.exists())
-    check_old_or_new(output, fleet, failed)
-    if always:
-        with remembered_fits():
-            run_fleet(replace(fleet.request(output), retry=True))
-    check_repaired(output, fleet)
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("always", [False, True], ids=["once", "always"])
-@pytest.mark.parametrize("stage", [*OF_MOTORS, *OF_TRENDS])
-def test_a_worker_killed_in_every_stage(
+@pytest.mark.parametrize("made", CASES)
+def test_killed_at_some_points(
     tiny_fleet: TinyFleet,
+    victim: Victim,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    stage: str,
-    always: bool,
+    made: Callable[[TinyFleet, Path], Case],
 ) -> None:
-    check_worker(tiny_fleet, tmp_path, monkeypatch, stage, always)
+    case, output = made(tiny_fleet, tmp_path), tmp_path / "killed" / "out"
+    n = points_of(case, victim, output)
+    assert n > 20
+    for point in np.random.default_rng(len(made.__name__)).choice(n, SOME, replace=False):
+        kill_at(case, victim, output, int(point) + 1)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("part", range(SLICES))
+@pytest.mark.parametrize("made", CASES)
+def test_killed_at_every_point(
+    tiny_fleet: TinyFleet,
+    victim: Victim,
+    tmp_path: Path,
+    made: Callable[[TinyFleet, Path], Case],
+    part: int,
+) -> None:
+    case, output = made(tiny_fleet, tmp_path), tmp_path / "killed" / "out"
+    points = range(1 + part, points_of(case, victim, output) + 1, SLICES)
+    for point in points:
+        kill_at(case, victim, output, point)
+    sys.stdout.write(f"{made.__name__}, {part + 1} of {SLICES}: {len(points)} points survived\n")
+
+
+@pytest.mark.full
+def test_killed_at_any_moment(tiny_fleet: TinyFleet, tmp_path: Path) -> None:
+    """From outside, also within a write of SQLite."""
+    case, output = nightly(tiny_fleet, tmp_path), tmp_path / "out"
+    program = (
+        "import sys; from tests.pipeline.faults.victim import *; run(*map(Path, sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", program, str(tiny_fleet.folder), str(output)]
+    tiny_fleet.copy(output)
+    begin = time.perf_counter()
+    subprocess.run(command, env=ENVIRONMENT, check=True)
+    taken = time.perf_counter() - begin
+    for share in np.random.default_rng(11).uniform(0.2, 1.0, 30):
+        tiny_fleet.copy(output)
+        with subprocess.Popen(command, env=ENVIRONMENT) as process:
+            try:
+                process.wait(share * taken)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        case.killed(output)
+        with remembered_fits():
+            tiny_fleet.run(output)
+        case.repaired(output)

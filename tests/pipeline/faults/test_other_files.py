@@ -71,7 +71,7 @@ def test_an_export_is_whole_or_as_it_was(tiny_fleet: TinyFleet, tmp_path: Path, 
 @pytest.mark.parametrize(
     "n_points", [pytest.param(1, id="some"), pytest.param(25, marks=pytest.mark.full, id="many")]
 )
-@pytest.mark.parametrize("kind", ["EIO", "ENOSPC", "killed"])
+@pytest.mark.parametrize("kind", ["EIO", "ENOSPC"])
 def test_a_report_is_made_whole_by_the_next(
     tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind, n_points: int
 ) -> None:

@@ -18,9 +18,9 @@ import duckdb
 import polars as pl
 import pytest
 
-from pipeline.run.verification import verify_tables
 from pipeline.schema import FITS, INPUT_FILES, PARAMETERS, QUALITY, TRENDS, Table
 from pipeline.store.atomic_files import Prepared
+from pipeline.store.published import verify_tables
 from tests.pipeline.faults.fleet import LATER, TinyFleet, remembered_fits
 from tests.pipeline.simulated import NIGHT
 

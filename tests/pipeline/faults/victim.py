@@ -1,51 +1,40 @@
-"""A process that runs the tiny fleet and is killed on the way: by its own hand, with SIGKILL.
+"""A process that does some work on a fleet and is killed on the way: by its own hand, with SIGKILL.
 
-It imports everything once and then does each run in a copy of itself, so that a death costs little.
-Requests come as lines of JSON on stdin; for each the copy's exit code is written to stdout.
+It imports everything once and does each work in a copy of itself, so that a death costs little.
+Requests come as lines of JSON on stdin; for each the copy's exit code, or the number of points at
+which it may die, is written to stdout.
 """
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
+import shutil
 import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-import pytest
 
 import pipeline.run.fleet
+from pipeline.run.mending import repair
+from pipeline.store.state import make_ready, open_state
 from tests.pipeline.faults.disk import Disk, on
 from tests.pipeline.faults.fleet import TinyFleet
 
-# Where a run is when it enters a stage.
-STAGES = {
-    "planning": "pipeline.run.motor_nights.LogShelf",
-    "reading": "pipeline.logs.motor_logs.read_log",
-    "fitting": "pipeline.run.motor_task.fit_night",
-    "staging": "pipeline.run.motor_task.stage",
-    "publishing": "pipeline.store.publishing.prepare_file",
-    "announcing": "pipeline.store.publishing.announce",
-    "landing": "pipeline.store.atomic_files.Prepared.land",
-    "recording": "pipeline.store.publishing.update_manifest",
-    "remembering": "pipeline.run.publishing.write_change",
-    "trends": "pipeline.trends.stage.read_nights",
-    "staging trends": "pipeline.trends.stage.stage",
-    "publishing the run": "pipeline.store.publishing.Publisher.add",
-}
-# Those of a run whose fleet tells somebody of its alarms.
-OF_TELLING = {
-    "opening the outbox": "pipeline.run.fleet.open_outbox",
-    "taking up": "pipeline.run.telling.take_up",
-    "telling": "pipeline.run.telling.deliver",
-    "told": "pipeline.telling.delivering.was_taken",
-}
-# Those that a worker goes through.
-OF_MOTORS = ("planning", "reading", "fitting", "staging")
-OF_TRENDS = ("trends", "staging trends")
+
+def run(folder: Path, output: Path) -> None:
+    """A run, one task at a time."""
+    TinyFleet(folder).run(output)
+
+
+def mend(_: Path, output: Path) -> None:
+    """What `check --repair` does."""
+    make_ready(output)
+    with open_state(output) as state:
+        repair(state)
+
+
+WORK: dict[str, Callable[[Path, Path], None]] = {"run": run, "repair": mend}
 
 
 def die() -> None:
@@ -54,52 +43,40 @@ def die() -> None:
     signal.pause()
 
 
-def at_entry(stage: str, number: int, then: Callable[[], None]) -> pytest.MonkeyPatch:
-    """Do something when a stage is entered for the Nth time."""
-    owner, _, name = (STAGES | OF_TELLING)[stage].rpartition(".")
-    try:
-        holder: Any = importlib.import_module(owner)
-    except ModuleNotFoundError:
-        module, _, kind = owner.rpartition(".")
-        holder = getattr(importlib.import_module(module), kind)
-    real = getattr(holder, name)
-    calls = 0
-
-    def entered(*arguments: Any, **settings: Any) -> Any:
-        nonlocal calls
-        calls += 1
-        if calls == number:
-            then()
-        return real(*arguments, **settings)
-
-    patched = pytest.MonkeyPatch()
-    patched.setattr(holder, name, entered)
-    return patched
+def count(work: str, folder: Path, before: Path, output: Path) -> int:
+    """Points at which a work that is done to its end may die."""
+    shutil.copytree(before, output)
+    with on(Disk("killed", 0)) as disk:
+        WORK[work](folder, output)
+    shutil.rmtree(output)
+    return disk.seen
 
 
-def run(folder: str, output: str, stage: str, number: int) -> None:
-    """Run the fleet until the call of the disk, or the entry into the stage, that is its last."""
-    fleet = TinyFleet(Path(folder))
-    if stage == "call":
-        with on(Disk("killed", number, die=die)):
-            fleet.run(Path(output))
+def obey(asked: dict[str, str]) -> None:
+    """Do a work, or count its points: they are written to stdout."""
+    work, folder, output = asked["work"], Path(asked["folder"]), Path(asked["output"])
+    if "before" in asked:
+        sys.stdout.write(f"{count(work, folder, Path(asked['before']), output)}\n")
+        sys.stdout.flush()
     else:
-        at_entry(stage, number, die)
-        fleet.run(Path(output))
+        with on(Disk("killed", int(asked["point"]), die=die)):
+            WORK[work](folder, output)
 
 
 def main() -> None:
     """Do what the lines of stdin ask for."""
     for line in sys.stdin:
+        asked = json.loads(line)
         child = os.fork()
         if child == 0:
             try:
-                run(**json.loads(line))
+                obey(asked)
             finally:
                 os._exit(0)
-        _, status = os.waitpid(child, 0)
-        sys.stdout.write(f"{os.waitstatus_to_exitcode(status)}\n")
-        sys.stdout.flush()
+        ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        if "before" not in asked:
+            sys.stdout.write(f"{ended}\n")
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":

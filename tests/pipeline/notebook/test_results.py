@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-from hashlib import sha256
 from pathlib import Path
 
 import matplotlib as mpl
@@ -15,8 +14,7 @@ from pipeline.notebook import open_tables, plot_course
 from pipeline.notebook.results import Tables
 from pipeline.schema import ALARMS, FITS, LATEST, TRENDS, WATCH, frame
 from pipeline.store.encoding import write_table
-from pipeline.store.manifest import update_manifest
-from pipeline.store.tables import files_of, name_of, night_file, table_folder
+from pipeline.store.tables import night_file, table_folder
 from tests.pipeline.written import write_nights
 
 FIRST = dt.date(2026, 1, 30)
@@ -39,9 +37,6 @@ def tables(tmp_path: Path) -> Tables:
         courses = [trend(night, "gap_change_ring", 2.0 * at), trend(night, "drain_flow", 1.0)]
         for table, rows in ((FITS, fits), (TRENDS, courses)):
             write_nights(tmp_path, table, frame(table, rows))
-    paths = [path for table in (FITS, TRENDS) for path in files_of(tmp_path, table)]
-    digests = {name_of(tmp_path, one): sha256(one.read_bytes()).hexdigest() for one in paths}
-    update_manifest(tmp_path, digests)
     return open_tables(tmp_path)
 
 

@@ -23,7 +23,6 @@ from pipeline.errors import StoreError
 from pipeline.report.build import KnownMotor, ReportRequest, ReportResult, build_report
 from pipeline.schema import FITS, PARAMETERS, PREDICTIONS, TRENDS
 from pipeline.store.encoding import VERSION_KEY, write_table
-from pipeline.store.sealed import put_sealed, read_sealed, seal, unseal
 from pipeline.store.tables import night_file, read_table
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.report.conftest import change_table, rows_with, rows_without
@@ -88,7 +87,7 @@ def test_pages_of_ten_years_are_small(output: Path) -> None:
         rows = read_table(path, table, NIGHTS[:1]).filter(motor_id=MOTOR)
         labels = pl.DataFrame({"night": [before - dt.timedelta(days=n) for n in range(3650)]})
         many = rows.drop("night").join(labels, how="cross").select(table.schema.keys())
-        write_table(night_file(output, table, before), many)
+        write_table(night_file(output, table, before - dt.timedelta(days=31)), many)
     build(output, motors=(MOTOR,), nights=1)
     page = output / "report" / "motors" / f"{MOTOR}.html"
     assert page.stat().st_size < 1_000_000
@@ -183,7 +182,7 @@ def test_another_version_of_the_program_makes_all_anew(
 def test_a_broken_manifest_is_no_more_than_lost_time(built: Path) -> None:
     before = contents(built / "report")
     flipped = before["manifest.json"].replace(b'"nights"', b'"nightS"')
-    for content in (b"{", b"[]", flipped, seal({"files": {}})):
+    for content in (b"{", b"[]", flipped, b'{"files": {}}'):
         (built / "report" / "manifest.json").write_bytes(content)
         assert build(built).n_nights == 3
         assert contents(built / "report") == before
@@ -206,9 +205,9 @@ def test_a_manifest_cannot_have_other_files_removed(built: Path) -> None:
     mine = built / "mine.txt"
     mine.write_text("mine")
     path = built / "report" / "manifest.json"
-    document = read_sealed(path, unseal)
+    document = json.loads(path.read_bytes())
     document["files"]["../mine.txt"] = ["0", 4]
-    put_sealed(path, document)
+    path.write_text(json.dumps(document))
     build(built)
     assert mine.exists()
 

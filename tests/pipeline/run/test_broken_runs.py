@@ -30,6 +30,7 @@ from pipeline.schema import FITS
 from pipeline.store.night_files import NewFile, prepare_file
 from pipeline.store.tables import night_file, read_table
 from tests.conftest import OwnFleet
+from tests.pipeline.faults.damage import rot
 from tests.pipeline.mini_fleet import mini_fleet
 from tests.pipeline.misbehaviour import MISBEHAVIOUR
 from tests.pipeline.remembered import ledger_of
@@ -300,13 +301,11 @@ def test_a_damaged_night_is_made_anew_for_all_motors_by_the_run_after(
     own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Damage that is found only when the night is made, as the file keeps its time stamp."""
-    monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: lambda _: False)
+    monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: set())
     config = own_fleet("CB400-01", "CB400-02", fitted=True)
     fleet, night = load_fleet(config), FIRST
     before = read_table(night_file(fleet.output, FITS, night), FITS).drop("run_id")
-    state = night_file(fleet.output, FITS, night).stat()
-    night_file(fleet.output, FITS, night).write_bytes(b"junk")
-    os.utime(night_file(fleet.output, FITS, night), ns=(state.st_atime_ns, state.st_mtime_ns))
+    rot(night_file(fleet.output, FITS, night))
     log = min((fleet.log_root / "CB400-01").iterdir())
     log.write_text(log.read_text("utf-8").rsplit("\n", 2)[0] + "\n", "utf-8")
     run(config)

@@ -13,6 +13,8 @@ from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.run.disk_space import MIB, STAGING_FACTOR
 from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.schema import NIGHT_TABLES, NIGHTLY_TABLES, TREND_TABLES
+from pipeline.store.tables import files_of
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 NIGHT = dt.date(2026, 3, 2)
@@ -58,11 +60,11 @@ def test_a_night_asks_for_what_the_largest_of_the_newest_took(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(workshop)
-    sizes = [
-        sum(path.stat().st_size for path in (workshop.output / "tables").rglob(f"{label}.parquet"))
-        for label in (NIGHT, NIGHT + DAY)
-    ]
-    needed = 100 * MIB + STAGING_FACTOR * max(sizes)
+    needed = 100 * MIB
+    for table in (*NIGHT_TABLES, *TREND_TABLES):
+        # Its largest night, or its month once more and what is new of it.
+        sizes = [path.stat().st_size for path in files_of(workshop.output, table)]
+        needed += (STAGING_FACTOR if table in NIGHTLY_TABLES else 2) * max(sizes, default=0)
     leave(monkeypatch, needed - 1)
     with pytest.raises(StoreError, match="a night asks for 10"):
         run(workshop)

@@ -12,6 +12,7 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 import pipeline.config.hashes
@@ -25,7 +26,7 @@ from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop
 
 FIRST = dt.date(2026, 3, 2)
-States = Mapping[str, tuple[int, int]]
+States = Mapping[str, str]
 NIGHTS = tuple(FIRST + number * DAY for number in range(4))
 # A setting of each kind, and what must be made anew for it: all nights, or none.
 SETTINGS = {
@@ -77,20 +78,19 @@ def trends_planned(workshop: Workshop) -> dict[str, str]:
 
 
 def files(workshop: Workshop, *tables: str) -> States:
-    """Published files by path, with what changes when one is written anew."""
-    root = workshop.output / "tables"
-    paths = (path for table in tables for path in (root / table).rglob("*.parquet"))
-    states = ((path, path.stat()) for path in paths)
-    return {
-        path.relative_to(root).as_posix(): (state.st_ino, state.st_mtime_ns)
-        for path, state in states
-    }
+    """Rows of each night by table, with the runs that made them, as text."""
+    found = {}
+    for table in tables:
+        pattern = workshop.output / "tables" / table / "**" / "*.parquet"
+        rows = pl.read_parquet(pattern, hive_partitioning=False)
+        for (night,), part in rows.partition_by("night", as_dict=True).items():
+            found[f"{table} {night}"] = part.write_json()
+    return found
 
 
-def written(
-    before: Mapping[str, tuple[int, int]], after: Mapping[str, tuple[int, int]]
-) -> set[str]:
-    return {Path(name).stem for name in after if after[name] != before.get(name)}
+def written(before: States, after: States) -> set[str]:
+    """Nights with rows that were made anew."""
+    return {name.split()[1] for name in after if after[name] != before.get(name)}
 
 
 # New, late and corrected files

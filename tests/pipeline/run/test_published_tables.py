@@ -16,6 +16,7 @@ import pytest
 
 from pipeline.schema import NIGHT_TABLES, TABLES
 from pipeline.store.tables import days_of
+from tests.pipeline.remembered import LASTING
 from tests.pipeline.run.demo_runs import FIRST, MOTORS, NIGHTS, rows
 
 EXCITED = [motor for motor in MOTORS if motor != "CB1120-02"]

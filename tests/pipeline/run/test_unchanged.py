@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 
 import pytest
 
@@ -122,8 +123,12 @@ def test_what_is_asked_for_is_a_task(workshop: Workshop, asked: str) -> None:
     assert unchanged(HERE, task) == 0
 
 
-def test_logs_that_do_not_answer_are_left_to_the_tasks(workshop: Workshop) -> None:
-    task = workshop.task()
+def test_logs_that_do_not_answer_are_left_to_the_tasks(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task, answered = workshop.task(), Event()
     assert unchanged(BESIDE, task, task) == 2
-    hasty = BESIDE.model_copy(update={"answer_s": 1e-9})
+    monkeypatch.setattr("pipeline.run.unchanged.states_of", lambda *_: answered.wait())
+    hasty = BESIDE.model_copy(update={"answer_s": 0.01})
     assert unchanged(hasty, task, task) == 0
+    answered.set()

@@ -54,7 +54,8 @@ def test_a_run_beats_at_every_stage_and_leaves_what_it_was(
         ("running", "publishing", 1),
         ("running", "trends", 1),
         ("running", "recording", 1),
-        ("finished", "recording", 1),
+        ("running", "telling", 1),
+        ("finished", "telling", 1),
     ]
     last = seen[-1]
     assert (last.pid, last.n_motors, last.run_id) == (os.getpid(), 1, result.run_id)
@@ -106,7 +107,7 @@ def test_a_beat_that_cannot_be_written_ends_nothing(
     with Heartbeat(tmp_path, 1, None) as heartbeat:
         heartbeat.motor_done(is_news=True)
         heartbeat.motor_done(is_news=True)
-        heartbeat.finished("abc", good=True)
+        heartbeat.finished("abc", interrupted=False, good=True)
     assert [one.message[:13] for one in caplog.records] == ["no heartbeat:"]
     assert [one.name for one in tmp_path.iterdir()] == ["heartbeat.json"]
 
@@ -117,7 +118,7 @@ def test_a_beat_is_missing_when_several_are(tmp_path: Path) -> None:
         late = beat.beaten_at + dt.timedelta(seconds=61)
         assert not beat.is_missing(beat.beaten_at + dt.timedelta(seconds=59))
         assert beat.is_missing(late)
-        heartbeat.finished("abc", good=True)
+        heartbeat.finished("abc", interrupted=False, good=True)
     assert not beat_of(tmp_path).is_missing(late + DAY)
 
 

@@ -14,11 +14,12 @@ from pipeline.config import Retention, load_fleet
 from pipeline.errors import UsageError
 from pipeline.run.plans import plan_fleet
 from pipeline.run.request import RunRequest
-from pipeline.run.verification import verify_tables
 from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES
 from pipeline.store.locks import locked
+from pipeline.store.published import verify_tables
 from pipeline.store.retention import LOSSES, nights_kept, old_files, prune
-from pipeline.trends.nights.trend_record import read_record
+from pipeline.store.state import STATE_FILE, open_state
+from tests.pipeline.remembered import record_of
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 # The nights lie on both sides of a month's end.
@@ -45,7 +46,8 @@ def workshop(made: Workshop, tmp_path: Path) -> Workshop:
 
 
 def pruned(workshop: Workshop, kept: Mapping[str, int] = KEPT) -> None:
-    prune(workshop.output, old_files(workshop.output, kept, NIGHTS[-1]))
+    with open_state(workshop.output) as state:
+        prune(state, old_files(workshop.output, kept, NIGHTS[-1]))
 
 
 def nights_of(workshop: Workshop, table: str) -> list[dt.date]:
@@ -69,7 +71,7 @@ def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Worksho
     gone.add("tables/sensitivities/month=2026-02/2026-02.parquet")
     assert before.keys() - after.keys() == gone
     changed = {name for name in after if after[name] != before[name]}
-    assert changed == {"manifest/2026-02.json", "manifest/2026-03.json"}
+    assert changed == {STATE_FILE}
     assert nights_of(workshop, "predictions") == list(NIGHTS[-2:])
     assert nights_of(workshop, "sensitivities") == list(NIGHTS[3:])
     for table in HEAVY:
@@ -111,7 +113,7 @@ def test_without_statistics_a_refit_reads_the_logs_where_they_are(workshop: Work
     assert speeds == {NIGHTS[0]: 30.0, **dict.fromkeys(NIGHTS[1:], 31.0)}
 
 
-def test_a_crash_between_manifest_and_file_is_mended_by_pruning_again(
+def test_a_crash_between_list_and_file_is_mended_by_pruning_again(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def crash(*_: object, **__: object) -> None:
@@ -208,8 +210,8 @@ def test_pruning_waits_for_no_run(workshop: Workshop, command: Command) -> None:
 
 
 def test_trends_do_not_notice(workshop: Workshop) -> None:
-    before, record = workshop.rows("trends"), read_record(workshop.output, "M1")
+    before, record = workshop.rows("trends"), record_of(workshop.output, "M1")
     pruned(workshop)
     workshop.run()
     assert workshop.rows("trends").equals(before)
-    assert read_record(workshop.output, "M1") == record
+    assert record_of(workshop.output, "M1") == record

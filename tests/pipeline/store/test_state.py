@@ -92,7 +92,7 @@ def test_a_lost_one_comes_back_from_the_backup(
     tmp_path: Path, harm: Callable[[Path], object], caplog: pytest.LogCaptureFixture
 ) -> None:
     for value in ("first", "second", "third"):
-        assert not make_ready(tmp_path)
+        assert make_ready(tmp_path) is (value == "first")  # it is new
         keep(tmp_path, value)
     harm(tmp_path / STATE_FILE)
     assert make_ready(tmp_path)

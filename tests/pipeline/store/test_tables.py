@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
-from pipeline.run.verification import verify_tables
 from pipeline.schema import (
     BLOCK_STATISTICS,
     INPUT_FILES,
@@ -33,6 +32,7 @@ from pipeline.schema import (
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
 from pipeline.store.encoding import ROWS_A_GROUP, prepare_table, write_table
 from pipeline.store.night_files import stage
+from pipeline.store.published import verify_tables
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import (
     files_of,
@@ -53,6 +53,7 @@ from tests.pipeline.store.made_rows import (
     row,
     rows,
 )
+from tests.pipeline.written import publisher_of
 
 
 def published(output: Path, night: dt.date = NIGHT) -> list[tuple[str, str, int, str]]:
@@ -297,14 +298,10 @@ class TestPublish:
     def test_runs_of_a_month_follow_each_other(self, tmp_path: Path) -> None:
         """Also two in a microsecond; one that is added again replaces itself."""
         start = dt.datetime(2026, 1, 31, 23, 59, 59, 5, tzinfo=dt.UTC)
-        publisher = Publisher(tmp_path, tmp_path, "r")
-        for run_id, started in (
-            ("b", start),
-            ("a", start),
-            ("b", start),
-            ("c", start - dt.timedelta(1)),
-        ):
-            publisher.add("2026-01", {RUNS: [{"run_id": run_id, "started_at": started}]})
+        earlier = start - dt.timedelta(1)
+        with publisher_of(tmp_path) as publisher:
+            for run_id, started in (("b", start), ("a", start), ("b", start), ("c", earlier)):
+                publisher.add("2026-01", {RUNS: [{"run_id": run_id, "started_at": started}]})
         found = read_table(table_folder(tmp_path, RUNS) / "month=2026-01" / "2026-01.parquet", RUNS)
         assert found["run_id"].to_list() == ["c", "a", "b"]
 
@@ -314,15 +311,16 @@ NIGHTS = tuple(dt.date(2026, 1, day) for day in (3, 4, 9, 31))
 
 def publish(output: Path, motors: Mapping[str, Iterable[dt.date]], run_id: str = "r") -> Publisher:
     """Publish nights of motors, as a run does."""
-    publisher = Publisher(output, output / "staging" / "run", run_id, threads=2)
-    publisher.staging.mkdir(parents=True, exist_ok=True)
+    staging = output / "staging" / "run"
+    staging.mkdir(parents=True, exist_ok=True)
     for motor, nights in motors.items():
         tables: dict[Table, dict[dt.date, list[Row]]] = {
             QUALITY: {n: [row(motor, one, night=n) for one in ("b", "a")] for n in nights},
             BLOCK_STATISTICS: {n: [{"motor_id": motor, "night": n}] for n in nights},
         }
-        stage(publisher.staging / "nights" / f"{motor}.arrow", tables)
-    publisher.nights("nights", (QUALITY, BLOCK_STATISTICS), list(motors), lambda *_: None)
+        stage(staging / "nights" / f"{motor}.arrow", tables)
+    with publisher_of(output, run_id, threads=2) as publisher:
+        publisher.nights("nights", (QUALITY, BLOCK_STATISTICS), list(motors), lambda *_: None)
     return publisher
 
 
@@ -374,11 +372,12 @@ class TestMonths:
         path = night_file(tmp_path, QUALITY, NIGHT)
         path.write_bytes(path.read_bytes()[:-9])
         forgotten: dict[dt.date, Collection[str]] = {}
-        publisher = Publisher(tmp_path, tmp_path / "staging" / "run", "r")
-        stage(publisher.staging / "nights" / "A.arrow", {QUALITY: {NIGHTS[0]: [row("A")]}})
-        publisher.nights(
-            "nights", [QUALITY], ["A"], lambda n, keep: forgotten.update(dict.fromkeys(n, keep))
-        )
+        staged = tmp_path / "staging" / "run" / "nights" / "A.arrow"
+        stage(staged, {QUALITY: {NIGHTS[0]: [row("A")]}})
+        with publisher_of(tmp_path) as publisher:
+            publisher.nights(
+                "nights", [QUALITY], ["A"], lambda n, keep: forgotten.update(dict.fromkeys(n, keep))
+            )
         assert len(forgotten) == 31
         assert {night: keep for night, keep in forgotten.items() if keep} == {NIGHTS[0]: {"A"}}
         assert publisher.damaged == ["quality/month=2026-01/2026-01.parquet"]
@@ -389,13 +388,14 @@ class TestMonths:
         """A log that moves to another month, either way, or to another night of its own."""
         paths = []
         for moved_to in (NIGHTS[0], LATER, NIGHTS[1], None, NIGHTS[0]):
-            publisher = Publisher(tmp_path, tmp_path / "staging" / "run", "r")
-            publisher.staging.mkdir(parents=True, exist_ok=True)
+            staging = tmp_path / "staging" / "run"
+            staging.mkdir(parents=True, exist_ok=True)
             logs = {n: [{"motor_id": "A", "path": str(n), "night": n}] for n in (*NIGHTS, LATER)}
             moving = {"motor_id": "A", "path": "moving", "night": moved_to}
             logs[moved_to or NIGHTS[0]].append(moving)
-            stage(publisher.staging / "nights" / "A.arrow", {INPUT_FILES: logs})
-            publisher.nights("nights", [INPUT_FILES], ["A"], lambda *_: None)
+            stage(staging / "nights" / "A.arrow", {INPUT_FILES: logs})
+            with publisher_of(tmp_path) as publisher:
+                publisher.nights("nights", [INPUT_FILES], ["A"], lambda *_: None)
             paths = read_rows(tmp_path, INPUT_FILES, ["A"])["path"].to_list()
             assert sorted(paths) == sorted([*map(str, (*NIGHTS, LATER)), "moving"])
 

@@ -10,7 +10,6 @@ import polars as pl
 import pytest
 
 from pipeline.schema import ALARMS, LATEST, WATCH, frame
-from pipeline.store.publishing import Publisher
 from pipeline.store.tables import whole_file
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.rows.latest_states import latest_states, published_states
@@ -19,13 +18,15 @@ from pipeline.trends.rows.watch_rows import WatchRow
 from tests.pipeline.report.states import LAST, output, watched
 from tests.pipeline.report.states import publish as publish_rows
 from tests.pipeline.trends.nights import night_of
+from tests.pipeline.written import publisher_of
 
 __all__ = ["output"]
 
 
 def publish(output: Path, states: list[MotorState]) -> None:
     rows = frame(LATEST, latest_rows(states, "r"))
-    Publisher(output, output / "staging", "r").whole(LATEST, rows)
+    with publisher_of(output) as publisher:
+        publisher.whole(LATEST, rows)
 
 
 def test_every_column_of_the_watch_is_one_of_latest() -> None:
@@ -61,7 +62,8 @@ def test_a_table_of_an_earlier_version_says_that_the_next_run_makes_it(output: P
     (state,) = latest_states(output, ["M1"])
     rows = frame(LATEST, latest_rows([state], "r"))
     old = rows.with_columns(pl.lit("duty_outside").alias("state"))
-    Publisher(output, output / "staging", "r").whole(LATEST, old)
+    with publisher_of(output) as publisher:
+        publisher.whole(LATEST, old)
     (found,) = published_states(output, ["M1"])
     assert (found.state, found.advice) == ("insufficient", "Wait for the next run.")
 

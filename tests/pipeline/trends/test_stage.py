@@ -11,10 +11,9 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TREND_TABLES, TRENDS, WATCH
 from pipeline.store.night_files import stage
-from pipeline.store.publishing import Publisher
+from pipeline.store.published import verify_tables
 from pipeline.store.state import open_state
 from pipeline.trends.circuits import Circuit, circuits_of
 from pipeline.trends.nights.decisions import Decision, record_decision
@@ -50,6 +49,7 @@ from tests.pipeline.trends.nights import (
     run,
     step,
 )
+from tests.pipeline.written import publisher_of
 
 N, AT = 24, 16
 WORN = Nights(motor(), N + 1, {"balance_sleeve": step(N + 1, AT, 0.9)})
@@ -265,7 +265,8 @@ def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
         for place, before, after in ((10, "ok", "warning"), (15, "warning", "alarm"))
     }
     stage(tmp_path / "trends" / "M1.arrow", {ALARMS: by_old_rules})
-    Publisher(output, tmp_path, "old").nights("trends", (ALARMS,), ["M1"], lambda *_: None)
+    with publisher_of(output, "old", tmp_path) as publisher:
+        publisher.nights("trends", (ALARMS,), ["M1"], lambda *_: None)
     record = record_of(output, "M1")
     assert record is not None
     rules = rules_now(motor())

@@ -19,8 +19,8 @@ from pipeline.logs import told_nights
 from pipeline.report.explain import explain
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.publishing import fleets_tonight
-from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, FITS, NIGHT_TABLES, OPERATION, TREND_TABLES, WATCH, Table
+from pipeline.store.published import verify_tables
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.nights.tonight import Tonight, tonight_of
 from tests.pipeline.remembered import change, forget

@@ -165,7 +165,7 @@ def test_workers_of_other_versions_are_refused(
     ("found", "code"),
     [
         (ModuleNotFoundError("No module named 'pipeline'"), "scheduler_versions"),
-        ([("scheduler_folders", "there is no folder /logs there")], "scheduler_folders"),
+        ([Loss("scheduler_folders", "there is no folder /logs there")], "scheduler_folders"),
     ],
 )
 def test_who_has_not_the_program_or_the_logs_is_refused(found: Any, code: str) -> None:
@@ -208,6 +208,6 @@ def test_without_the_extra_the_message_says_what_to_install(
 
 def test_the_same_process_differs_in_nothing(tmp_path: Path) -> None:
     assert differences(Surroundings(own_versions(), (tmp_path,))) == []
-    ((code, found),) = differences(Surroundings({"numpy": "0"}))
-    assert code == "scheduler_versions"
-    assert found.endswith("there and 0 here")
+    (found,) = differences(Surroundings({"numpy": "0"}))
+    assert found.code == "scheduler_versions"
+    assert found.how.endswith("there and 0 here")

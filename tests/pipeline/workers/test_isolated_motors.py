@@ -40,7 +40,8 @@ def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str
         return run_motor(task)
 
     fleet = load_fleet(fleet_file)
-    limits = Execution(workers=2, timeout_s=20.0, memory_limit_mib=1500)
+    timeout_s = 15.0 if what.startswith("hang") else 60.0
+    limits = Execution(workers=2, timeout_s=timeout_s, memory_limit_mib=1500)
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.run.motors, "run_motor", run_or_misbehave)
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
