@@ -104,7 +104,7 @@ def _below(model: type[Section]) -> Iterator[type[Section]]:
     ("key", "cells"),
     [
         ("cleaning.standstill_rpm", ["number >= 0", "`0.5`"]),
-        ("cleaning.guard_after_s", ["number >= 0", "`30.0`"]),
+        ("cleaning.guard_after_s", ["number >= 0, <= 3.1536e+07", "`30.0`"]),
         ("nights.end_hour", ["whole number >= 0, <= 23", "`6`"]),
         ("windows.training_share", ["number > 0, < 1", "`0.8`"]),
         ("time_base.rate_hz", ["number > 0", "none"]),
