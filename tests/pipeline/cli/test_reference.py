@@ -107,7 +107,7 @@ def _below(model: type[Section]) -> Iterator[type[Section]]:
         ("cleaning.guard_after_s", ["number >= 0, <= 3.1536e+07", "`30.0`"]),
         ("nights.end_hour", ["whole number >= 0, <= 23", "`6`"]),
         ("windows.training_share", ["number > 0, < 1", "`0.8`"]),
-        ("time_base.rate_hz", ["number > 0", "none"]),
+        ("time_base.rate_hz", ["number > 0, <= 1000", "none"]),
         ("path.gap_um.minimum", ["number > 0", "`1.0`"]),
         ("path.radius_mm", ["number > 0", "required"]),
         ("reference_viscosities_mm2_per_s", ["[number > 0, number > 0]", "required"]),
