@@ -28,7 +28,7 @@ INDEX_KEY = "motor_leakage_row_groups"
 INDEXED = ("motor_id", "night")
 # Rows of a row group: the writer needs memory for one of them, and a reader of some motors or
 # nights leaves the others out.
-ROWS_A_GROUP = 4_096
+ROWS_A_GROUP = 16_384
 # Sizes of packed columns tell one state of a file from another: an engine that opens a file before
 # and after it is replaced finds no pages where the old footer has them. With Snappy, which is three
 # times as quick, columns of as many numbers are often of one size.

@@ -19,6 +19,7 @@ from typing import Any
 
 from pipeline.errors import StoreError
 from pipeline.store.atomic_files import (
+    TEMPORARY_PREFIX,
     flush_path,
     make_folders,
     move,
@@ -308,10 +309,13 @@ def _set_aside(place: Path) -> None:
 
 def _back_up(state: State, backup: Path) -> None:
     """Copy the state as it is, and put the copy into the place of the last one."""
-    made = backup.with_name(f".writing-{backup.name}")
+    made = backup.with_name(f"{TEMPORARY_PREFIX}{backup.name}")
     remove(made)
-    with _errors("store_write"):
+    try:
         state.write("VACUUM INTO ?", str(made))
-    with store_errors(backup):
-        flush_path(made)
-    move(made, backup)
+        with store_errors(backup):
+            flush_path(made)
+        move(made, backup)
+    except StoreError:
+        remove(made)
+        raise

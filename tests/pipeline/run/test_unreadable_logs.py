@@ -14,10 +14,13 @@ import pytest
 import pipeline.logs.locations
 import pipeline.logs.motor_logs
 import pipeline.run.motor_task
+from pipeline.config import load_fleet
 from pipeline.config.hashes import config_hash
 from pipeline.logs.files import find_logs
 from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.motor_task import run_motor
+from pipeline.store.heartbeat import last_good_run
 from tests.pipeline.simulated import NIGHT, write_log
 from tests.pipeline.workshop import DAY, Workshop, part
 
@@ -273,3 +276,59 @@ def test_a_task_writes_into_its_staging_and_nowhere_else(workshop: Workshop) -> 
     assert new
     assert all(path.is_relative_to(task.staging) for path in new)
     assert all("M1" in (path.stem, path.parent.name) for path in new)
+
+
+# What failed stands until it is mended
+
+
+def broken_night(workshop: Workshop) -> Path:
+    """A night between two others whose log is damaged, and done as well as it goes."""
+    for day in range(3):
+        workshop.log(NIGHT + day * DAY, seed=day)
+    path = workshop.logs / f"{NIGHT + DAY}.parquet"
+    sound = path.read_bytes()
+    path.write_bytes(sound[:100] + bytes(len(sound) - 100))
+    state = path.stat()
+    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+    path.with_suffix(".sound").write_bytes(sound)
+    os.utime(path.with_suffix(".sound"), ns=(state.st_atime_ns, state.st_mtime_ns))
+    assert workshop.run().n_standing == 1
+    return path
+
+
+def test_a_failure_is_told_by_every_run_while_it_stands(workshop: Workshop) -> None:
+    broken_night(workshop)
+    for _ in range(2):
+        result = run_fleet(RunRequest(load_fleet(workshop.fleet)))
+        assert (result.n_nights, result.failed, result.n_standing) == (0, (), 1)
+        assert not result.is_good
+    assert workshop.rows("runs")["status"].to_list() == ["motors_failed"] * 3
+    assert last_good_run(workshop.output) is None
+
+
+def test_a_failed_night_whose_log_was_removed_fails_no_more(workshop: Workshop) -> None:
+    path = broken_night(workshop)
+    path.unlink()
+    outcome = workshop.run()
+    assert (outcome.nights, outcome.n_standing) == ((NIGHT + DAY,), 0)
+    assert list(workshop.statuses().values()) == ["ok", "no_new_data", "ok"]
+    assert workshop.run().nights == ()
+    # Where its log comes back, it is read.
+    path.with_suffix(".sound").replace(path)
+    assert workshop.run().nights[0] == NIGHT + DAY
+    assert set(workshop.statuses().values()) == {"ok"}
+
+
+def test_a_folder_that_is_not_mounted_heals_no_failure(workshop: Workshop) -> None:
+    broken_night(workshop)
+    workshop.logs.rename(workshop.logs.with_name("away"))
+    assert workshop.run().n_standing == 1
+    assert list(workshop.statuses().values()) == ["ok", "failed", "ok"]
+
+
+def test_a_sound_log_of_the_same_size_and_time_is_read(workshop: Workshop) -> None:
+    """As `cp -p` of the copy that was not damaged leaves it."""
+    path = broken_night(workshop)
+    path.with_suffix(".sound").replace(path)
+    assert workshop.run().n_standing == 0
+    assert set(workshop.statuses().values()) == {"ok"}
