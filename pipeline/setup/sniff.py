@@ -22,7 +22,7 @@ from pipeline.config.logs import MISSING_TOKENS
 from pipeline.errors import LogError
 from pipeline.ingest.contract import readable
 from pipeline.ingest.csv.text import unpacked
-from pipeline.ingest.parquet.file import decoded, opened, text_paths
+from pipeline.ingest.parquet import decoded, opened, text_paths
 from pipeline.setup.cells import (
     is_missing,
     is_number,

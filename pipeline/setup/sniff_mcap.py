@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.field_paths import FieldPath, path_text
-from pipeline.ingest.mcap.payloads import NANOSECONDS, SECONDS
+from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.setup.cells import TimeFormats, count_format, is_stamp, is_time_name, time_formats
 from pipeline.setup.names import is_in, unit_named, words_of
