@@ -106,12 +106,13 @@ pictures: report $(FULL) ## make the pictures of the README and the docs anew, f
 	$(BIN)/python -m tests.notebooks .
 
 # Exact versions with hashes. Those that are there stay; `make requirements UPGRADE=--upgrade` takes
-# the newest. A file begins with another one, whose packages it leaves out.
+# the newest. A file begins with another one, whose packages it leaves out; those of other systems
+# alone it has again.
 UV    := $(VENV)-uv/bin/uv
 PINS   = $(UV) pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --quiet \
          --no-emit-index-url --no-header --no-annotate $(UPGRADE) -o requirements/$(1).txt
 BEYOND = -c requirements/run.txt $(2:%=-c requirements/%.txt) \
-         $$(sed -nE 's/^([a-z0-9.-]+)==.*/--no-emit-package \1/p' requirements/run.txt $(2:%=requirements/%.txt))
+         $$(sed -nE 's/^([a-z0-9.-]+)==[^ ]+ .$$/--no-emit-package \1/p' requirements/run.txt $(2:%=requirements/%.txt))
 
 requirements:    ## make the pins of requirements/ anew of pyproject.toml
 	$(PYTHON) -m venv $(VENV)-uv
