@@ -112,7 +112,7 @@ UV    := $(VENV)-uv/bin/uv
 PINS   = $(UV) pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --quiet \
          --no-emit-index-url --no-header --no-annotate $(UPGRADE) -o requirements/$(1).txt
 BEYOND = -c requirements/run.txt $(2:%=-c requirements/%.txt) \
-         $$(sed -nE 's/^([a-z0-9.-]+)==[^ ]+ .$$/--no-emit-package \1/p' requirements/run.txt $(2:%=requirements/%.txt))
+         $$(sed -nE 's/^([a-z0-9.-]+)==[^ ]+ (; python_full_version [^ ]+ [^ ]+ )?.$$/--no-emit-package \1/p' requirements/run.txt $(2:%=requirements/%.txt))
 
 requirements:    ## make the pins of requirements/ anew of pyproject.toml
 	$(PYTHON) -m venv $(VENV)-uv
