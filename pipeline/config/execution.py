@@ -64,7 +64,7 @@ class Execution(Section):
     minimum_free_mib: NonNegative = 100.0
     """Free disk space that a run requires beyond its own tables [MiB]; 0: not checked."""
     prove_within_days: int = Field(30, ge=1, le=365)
-    """Days within which every published file is read and compared with its manifest, a share in
+    """Days within which every published file is read and compared with its SHA-256, a share in
     each run [days]."""
 
     def misfits(self) -> Iterator[Misfit]:

@@ -26,7 +26,7 @@ URL_SCHEMES = ("s3", "az", "gs")
 LOW_SIDE = frozenset(("charge_pressure", "low_port_pressure"))
 # Folders of the output that a run writes or empties.
 LANDED_FOLDER = "landed"
-OWN_FOLDERS = ("tables", "manifest", "ledger", "history", "staging", "report", LANDED_FOLDER)
+OWN_FOLDERS = ("tables", "staging", "report", LANDED_FOLDER)
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,7 @@ def night_file(output: Path, table: Table, night: dt.date) -> Path:
 
 
 def name_of(output: Path, path: Path) -> str:
-    """Path of a file relative to the folder of the tables, as manifests name it."""
+    """Path of a file relative to the folder of the tables, as the state file names it."""
     return path.relative_to(output / "tables").as_posix()
 
 

@@ -13,9 +13,11 @@ import polars as pl
 from polars.testing import assert_frame_equal
 
 from pipeline.config import load_fleet
+from pipeline.logs.ledger import read_ledger
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import NIGHT_TABLES, TABLES
+from pipeline.store.state import read_state_file
 from tests.pipeline.simulated import FLEET, Operation, motor_toml, operate, write_configs, write_log
 
 DAY = dt.timedelta(days=1)
@@ -81,7 +83,8 @@ class Workshop:
         spec, *_ = load_fleet(self.folder / "configs" / "fleet.toml").motors
         staging = self.folder / "staging"
         staging.mkdir(exist_ok=True)
-        return MotorTask(spec, self.output, staging)
+        with read_state_file(self.output) as state:
+            return MotorTask(spec, self.output, staging, read_ledger(state, spec.motor_id))
 
     def night(self, label: dt.date, seed: int = 1) -> tuple[Operation, dict[str, Any]]:
         """A night with a little noise, the same for the same seed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import json
 import os
 import re
@@ -218,7 +219,8 @@ def test_options_reach_the_run(call: Call, own_fleet: OwnFleet, tmp_path: Path) 
     assert out.splitlines()[0] == f"{PARQUET}: ok (1 ok)"
     assert not (fleet.parent.parent / "out").exists()
     files = sorted((tmp_path / "elsewhere" / "tables" / "fits").rglob("*.parquet"))
-    assert [path.name for path in files] == ["2026-01-03.parquet"]
+    assert [path.name for path in files] == ["2026-01.parquet"]
+    assert pl.read_parquet(files[0])["night"].to_list() == [dt.date(2026, 1, 3)]
     (run,) = (tmp_path / "elsewhere" / "tables" / "runs").rglob("*.parquet")
     assert pl.read_parquet(run)["workers"].to_list() == [1]
 

@@ -300,7 +300,7 @@ def test_a_log_of_no_night_stands_under_the_motors_first(workshop: Workshop) -> 
     assert (outcome.status, outcome.error_code) == ("failed", "log_not_parquet")
     assert "its night would lie more than a day ahead: it is of none" in (outcome.message or "")
     assert unread(workshop) == {"M1/x_2099-01-01.parquet": None}
-    assert file_of(workshop, "x_2099-01-01.parquet") == str(NIGHT + DAY)
+    assert file_of(workshop, "x_2099-01-01.parquet") == f"{NIGHT:%Y-%m}"
     assert not any("x_2099" in line for line in explain(workshop.output, "M1", NIGHT + DAY))
     # It is told once, as a night that failed is.
     again = workshop.run()
@@ -309,7 +309,7 @@ def test_a_log_of_no_night_stands_under_the_motors_first(workshop: Workshop) -> 
     workshop.log(NIGHT)
     assert workshop.run().status == "ok"
     assert unread(workshop) == {"M1/x_2099-01-01.parquet": None}
-    assert file_of(workshop, "x_2099-01-01.parquet") == str(NIGHT)
+    assert file_of(workshop, "x_2099-01-01.parquet") == f"{NIGHT:%Y-%m}"
     # Other content, still none.
     path.write_bytes(JUNK + JUNK)
     assert workshop.run().status == "failed"
