@@ -59,7 +59,7 @@ def test_files_lie_where_the_code_looks(fitted_output: Path) -> None:
     assert (fitted_output / "tables" / path.replace("\\", "/").lstrip("/")).is_file()
     for table in NIGHT_TABLES:
         for file in files(fitted_output, table):
-            assert re.fullmatch(r"\d{4}-\d\d-\d\d\.parquet", file.name)
+            assert re.fullmatch(r"\d{4}-\d\d(-\d\d)?\.parquet", file.name)
             assert file.parent.name == f"month={file.name[:7]}"
 
 

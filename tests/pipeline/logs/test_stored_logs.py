@@ -167,7 +167,7 @@ def test_check_opens_the_first_and_the_newest_objects_alone(server: Server, tmp_
     opened = {Path(path).stem for path in server.asked("GET") if path.endswith(".parquet")}
     assert opened == {str(FIRST + number * DAY) for number in (0, 3, 4)}
     assert (one.n_files, one.first, one.last) == (5, str(FIRST), str(FIRST + 4 * DAY))
-    ran, note = one.notes
+    ran, *_, note = one.notes
     assert ran.startswith("the motor ran ")
     assert note.startswith("3 of 5 objects were opened")
     ended = CliRunner().invoke(app, ["check", str(shop.fleet)])
@@ -186,7 +186,7 @@ def test_check_tells_of_globs_without_a_match_and_of_names_that_are_absent(
     shop.configure(files=files, fleet=QUICK.replace("../logs", URL))
     (spec,) = load_fleet(shop.fleet).motors
     one = check_motor(spec)
-    ran, note = one.notes
+    ran, *_, note = one.notes
     assert ran.startswith("the motor ran ")
     assert note == f"no object matches M1/*.csv below {URL}"
     absent, unusual = one.faults

@@ -188,12 +188,12 @@ def test_a_second_run_has_nothing_to_do(fleet: tuple[Path, Path]) -> None:
 
 def test_a_new_night_is_added_and_the_others_stay(fleet: tuple[Path, Path]) -> None:
     config, output = fleet
-    before = files(output)
+    before = published_trends(output, WATCH)
     publish(output, part_of(WORN.frames(), N, N + 1))
     run(config)
-    after = files(output)
-    assert {path: after[path] for path in before} == before
-    assert {path.stem for path in after.keys() - before.keys()} == {str(night_of(N))}
+    after = published_trends(output, WATCH)
+    assert_frame_equal(after.filter(pl.col("night") < night_of(N)), before)
+    assert after["night"].max() == night_of(N)
 
 
 @pytest.mark.parametrize("kind", ["reset", "overhaul"])

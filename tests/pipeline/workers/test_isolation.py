@@ -142,10 +142,10 @@ def test_a_task_that_is_lost_once_is_done_the_second_time_with_nothing_beside_it
 
 def test_workers_stay_for_the_tasks_that_follow() -> None:
     with open_workers(LIMITS) as workers:
-        first = set(workers.run(own_pid, range(6), not_lost))
-        assert set(workers.run(own_pid, range(6), not_lost)) <= first
-        assert len(first) <= 2
-        assert os.getpid() not in first
+        # One of the two may do all of a call.
+        found = {pid for _ in range(3) for pid in workers.run(own_pid, range(6), not_lost)}
+        assert len(found) <= 2
+        assert os.getpid() not in found
     assert workers_of(os.getpid()) == 0
 
 
@@ -153,14 +153,14 @@ def test_tasks_are_drawn_when_there_is_somebody_to_do_them(tmp_path: Path) -> No
     drawn = []
 
     def tasks() -> Any:
-        for number in range(8):
+        for number in range(10_000):
             drawn.append(number)
             yield number
 
     with open_workers(LIMITS) as workers:
         results = workers.run(own_pid, tasks(), not_lost)
         next(results)
-        assert len(drawn) < 8
+        assert len(drawn) < 10_000
         results.close()  # type: ignore[attr-defined]
 
 
