@@ -1,7 +1,7 @@
 """Fleets of motors that each have a log of one simulated day, for benchmarks of whole runs.
 
-The day is that of a motor of the demo; each motor of a fleet has a copy of its log, or the very
-file under a name of its own where there are too many for the disk.
+The day is that of a motor of the demo; each motor of a fleet has the very file of its log, under a
+name of its own.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipeline.demo import writing
-from pipeline.demo.fleet import Plan
+from pipeline.demo import write_demo
 
 MOTORS = {"parquet": "CB400-02", "csv": "CB400-01", "mcap": "CB560-01"}
 """The motor of the demo whose logs come in a format: four channels, temperature at 1 Hz."""
@@ -27,11 +26,11 @@ DAY_MINUTES = 1440.0
 
 def write_day(folder: Path, minutes: float, rate_hz: float, *formats: str) -> None:
     """Write the demo's configs, and one log in each of some formats."""
-    config, plan = writing.demo_config(folder), Plan(1, minutes, rate_hz, 1, NIGHT)
-    writing._clear(folder / "demo")
-    wanted = {MOTORS[name] for name in formats}
-    nights = [one for one in writing._demo_nights(config, plan) if one.spec.motor_id in wanted]
-    writing._write_nights((folder / "demo" / "logs", nights))
+    motors = [MOTORS[name] for name in formats]
+    write_demo(
+        folder, nights=1, minutes=minutes, rate_hz=rate_hz, workers=1, first_night=NIGHT,
+        motors=motors,
+    )  # fmt: skip
 
 
 def log_of(day: Path, name: str) -> Path:
@@ -40,10 +39,8 @@ def log_of(day: Path, name: str) -> Path:
     return log
 
 
-def make_fleet(
-    day: Path, folder: Path, name: str, n: int, *, linked: bool = False, tank: str = ""
-) -> Path:
-    """Make a fleet of n motors with a day's log in a format, on one tank or on one each.
+def make_fleet(day: Path, folder: Path, name: str, n: int) -> Path:
+    """Make a fleet of n motors with a day's log in a format, each on a tank of its own.
 
     Returns its config.
     """
@@ -56,12 +53,12 @@ def make_fleet(
     log = log_of(day, name)
     for number in range(1, n + 1):
         motor_id = f"M{number:04}"
-        circuit = tank or f"tank of {motor_id}"
-        own = re.sub("(oil_circuit = ).*", rf'\1"{circuit}"', text.replace(MOTORS[name], motor_id))
+        own = text.replace(MOTORS[name], motor_id)
+        own = re.sub("(oil_circuit = ).*", rf'\1"tank of {motor_id}"', own)
         (motors / f"{motor_id}.toml").write_text(own, "utf-8")
         target = folder / "demo" / "logs" / motor_id / log.name
         target.parent.mkdir(parents=True)
-        (os.link if linked else shutil.copyfile)(log, target)
+        os.link(log, target)
     return folder / "configs" / "fleet.toml"
 
 
@@ -83,14 +80,8 @@ def add_nights(config: Path, n: int) -> None:
         for place, motor in enumerate(sorted(logs.iterdir())):
             path = motor / f"before{number:04}.parquet"
             if not place:
-                pq.write_table(later(whole, -number), first := path)
+                # The first column is the time.
+                earlier = pc.subtract(whole[0], pa.scalar(timedelta(days=number)))
+                pq.write_table(whole.set_column(0, whole.column_names[0], earlier), first := path)
             else:
                 os.link(first, path)
-
-
-def later(table: pa.Table, days: int) -> pa.Table:
-    """The same log some days later; its first column is the time, a stamp or milliseconds."""
-    field, step = table.schema.field(0), timedelta(days=days)
-    is_stamp = pa.types.is_timestamp(field.type)
-    shift = pa.scalar(step, pa.duration("us")) if is_stamp else step // timedelta(milliseconds=1)
-    return table.set_column(0, field.name, pc.add(table[0], shift))

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import datetime as dt
 import json
-import os
 import platform
 import sys
-import tempfile
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,49 +24,26 @@ class Part:
     rows: Sequence[Sequence[str]]
 
 
-def write_results(name: str, title: str, header: str, rows: Sequence[Sequence[str]]) -> None:
-    """Write one Markdown table to `benchmarks/results/`, and print it."""
-    _write(name, title, table(header, rows))
-
-
 def write_parts(name: str, title: str, text: str, parts: Sequence[Part]) -> None:
     """Write several Markdown tables with their words to one file, and print them."""
-    _write(name, title, [text, "", *_sections(parts)])
+    lines = [
+        f"# {title}",
+        "",
+        f"Python {platform.python_version()}, {platform.machine()}, made by "
+        f"`python -m benchmarks {name}` on {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M} UTC.",
+        "",
+        text,
+        "",
+        *_sections(parts),
+    ]
+    written = "\n".join(lines)
+    (RESULTS / f"{name}.md").write_text(written, "utf-8")
+    sys.stdout.write(written)
 
 
 def show_parts(parts: Sequence[Part]) -> None:
     """Print several Markdown tables with their words."""
     sys.stdout.write("\n".join(_sections(parts)))
-
-
-def write_stored(
-    name: str,
-    title: str,
-    text: str,
-    makers: Mapping[str, Callable[[], Part]],
-    options: Sequence[str],
-) -> None:
-    """Measure all parts or some (`--only A,B`); the others are as they were stored."""
-    parser = argparse.ArgumentParser(prog=f"python -m benchmarks {name}")
-    parser.add_argument("--only", default=",".join(makers), help=f"of {', '.join(makers)}")
-    asked = parser.parse_args(list(options)).only.split(",")
-    if strangers := sorted(set(asked) - set(makers)):
-        parser.error(f"no part {', '.join(strangers)}; there are {', '.join(makers)}")
-    for one in asked:
-        begin = time.perf_counter()
-        sys.stderr.write(f"{one}: begins, load {os.getloadavg()[0]:.1f}\n")
-        store(name, one, asdict(makers[one]()))
-        sys.stderr.write(f"{one}: {time.perf_counter() - begin:.0f} s\n")
-    found = stored(name)
-    write_parts(name, title, text, [Part(**found[one]) for one in makers if one in found])
-
-
-def in_folder(make: Callable[[Path], Part]) -> Part:
-    """A part made in a folder of its own, with the load of the machine before it began."""
-    load = os.getloadavg()[0]
-    with tempfile.TemporaryDirectory() as folder:
-        part = make(Path(folder))
-    return replace(part, text=f"{part.text} Load before it began: {load:.1f}.")
 
 
 def stored(name: str) -> dict[str, Any]:
@@ -103,18 +76,3 @@ def table(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a Markdown table."""
     line = "|" + "---|" * len(header.split(" | "))
     return [f"| {header} |", line, *(f"| {' | '.join(row)} |" for row in rows), ""]
-
-
-def _write(name: str, title: str, body: Sequence[str]) -> None:
-    lines = [
-        f"# {title}",
-        "",
-        f"Python {platform.python_version()}, {platform.machine()}, made by "
-        f"`python -m benchmarks {name}` on {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M} UTC.",
-        "",
-        *body,
-    ]
-    RESULTS.mkdir(exist_ok=True)
-    text = "\n".join(lines)
-    (RESULTS / f"{name}.md").write_text(text, "utf-8")
-    sys.stdout.write(text)

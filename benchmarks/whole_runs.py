@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import compileall
-import ctypes
 import os
 import resource
 import shutil
@@ -12,20 +10,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import polars as pl
 
-IN_ACCESS = 1
-ROOT = Path(__file__).parents[1]
 ENVIRONMENT = {**os.environ, "POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1"}
-
-
-def compile_sources() -> None:
-    """Compile the program's modules, as an installer does: no measured process has to."""
-    for package in ("leakage", "pipeline", "benchmarks"):
-        compileall.compile_dir(ROOT / package, quiet=2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,32 +35,31 @@ def fit_command(config: Path, jobs: int) -> list[str]:
     return [*command, "--output", output, "--jobs", str(jobs), "--json"]
 
 
-def first_night(config: Path, jobs: int, *, look_at_parent: bool = False) -> Cost:
+def first_night(config: Path, jobs: int) -> Cost:
     """A run over a fleet of which nothing is known yet."""
     shutil.rmtree(config.parent.parent / "out", ignore_errors=True)
-    used = _children_s()
-    begin = time.perf_counter()
-    process = subprocess.Popen(fit_command(config, jobs), stdout=subprocess.DEVNULL)
-    peak = _peak_mib_of(process) if look_at_parent else 0.0
-    if process.wait():
-        raise RuntimeError(f"fit-fleet ended with {process.returncode}")
-    return Cost(time.perf_counter() - begin, _children_s() - used, parent_mib=peak)
+    return elapsed(fit_command(config, jobs), look=True)
 
 
 def reading(reader: str, files: Sequence[Path]) -> Cost:
     """Two fresh processes, each of which reads half of the files, at the same time."""
     command = [sys.executable, "-m", "benchmarks.log_readers", reader]
-    used = _children_s()
-    begin = time.perf_counter()
-    both = [
-        subprocess.Popen([*command, *map(str, half)], env=ENVIRONMENT)
-        for half in (files[::2], files[1::2])
-        if half
+    halves = [half for half in (files[::2], files[1::2]) if half]
+    return elapsed(*([*command, *map(str, half)] for half in halves), environment=ENVIRONMENT)
+
+
+def elapsed(
+    *commands: Sequence[str], look: bool = False, environment: Mapping[str, str] | None = None
+) -> Cost:
+    """Commands at the same time; with `look` the memory of the first is looked at."""
+    used, begin = _children_s(), time.perf_counter()
+    processes = [
+        subprocess.Popen(one, stdout=subprocess.DEVNULL, env=environment) for one in commands
     ]
-    for process in both:
-        if process.wait():
-            raise RuntimeError(f"{reader} ended with {process.returncode}")
-    return Cost(time.perf_counter() - begin, _children_s() - used)
+    peak = _peak_mib_of(processes[0]) if look else 0.0
+    if any(process.wait() for process in processes):
+        raise RuntimeError(f"{commands[0]} failed")
+    return Cost(time.perf_counter() - begin, _children_s() - used, peak)
 
 
 def interleaved(cases: Mapping[str, Callable[[], Cost]], repeats: int) -> dict[str, Cost]:
@@ -79,41 +68,10 @@ def interleaved(cases: Mapping[str, Callable[[], Cost]], repeats: int) -> dict[s
     for _ in range(repeats):
         for name, case in cases.items():
             found[name].append(case())
-    return {name: median(costs) for name, costs in found.items()}
-
-
-def median(costs: Sequence[Cost]) -> Cost:
-    """Median of each figure by itself."""
-    return Cost(
-        *(
-            statistics.median(getattr(cost, name) for cost in costs)
-            for name in ("elapsed_s", "processor_s", "parent_mib")
-        )
-    )
-
-
-def elapsed(command: Sequence[str]) -> Cost:
-    """Any command."""
-    used = _children_s()
-    begin = time.perf_counter()
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    return Cost(time.perf_counter() - begin, _children_s() - used)
-
-
-def until_first_byte(config: Path) -> Cost:
-    """From the start of `fit-fleet` until it reads the first byte of a log (Linux: inotify)."""
-    shutil.rmtree(config.parent.parent / "out", ignore_errors=True)
-    library = ctypes.CDLL(None)
-    watch = library.inotify_init()
-    for path in (config.parent.parent / "demo" / "logs").glob("*/*"):
-        library.inotify_add_watch(watch, os.fsencode(path), IN_ACCESS)
-    begin = time.perf_counter()
-    process = subprocess.Popen(fit_command(config, 2), stdout=subprocess.DEVNULL)
-    os.read(watch, 4096)
-    taken = time.perf_counter() - begin
-    os.close(watch)
-    process.wait()
-    return Cost(taken, 0.0)
+    return {
+        name: Cost(*map(statistics.median, zip(*map(astuple, costs), strict=True)))
+        for name, costs in found.items()
+    }
 
 
 def worker_peak_mib(config: Path) -> float:

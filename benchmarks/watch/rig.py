@@ -60,7 +60,7 @@ class Cut:
         return [History(WATCHED, tuple(seen), more - 1.0, more - 1.0)]
 
 
-# Nights as in docs/real_machines.md, which overlap; and ten minutes, one after another.
+# Nights that overlap; and ten minutes, one after another.
 CUTS = {
     f"{words}{', +10 % from night 20 on' if worn else ''}": replace(cut, is_worn=worn)
     for words, cut in {
