@@ -14,11 +14,10 @@ from leakage.physics.conditions import OperatingConditions
 from leakage.physics.law import Parameter
 from leakage.physics.motor import Motor, leakage_l_per_min, regressors, total_flow_l_per_min
 from leakage.physics.oil import FilmPressure, Oil
-from leakage.physics.paths import Constant, Laminar
-from leakage.physics.speed_curve import SpeedCurve
+from leakage.physics.paths import Constant, Laminar, SpeedCurve
 
 if TYPE_CHECKING:
-    from leakage.estimation.error_sources import ChannelTolerance, Tolerances
+    from leakage.estimation.sensitivities import ChannelTolerance, Tolerances
     from leakage.frame.fit import fit_frame
     from leakage.frame.result import FrameFit
 
@@ -45,9 +44,9 @@ __all__ = [
 
 # Modules that bring SciPy, or libraries of data frames: loaded with the first use of a name.
 _LATE = {
-    "ChannelTolerance": "estimation.error_sources",
+    "ChannelTolerance": "estimation.sensitivities",
     "FrameFit": "frame.result",
-    "Tolerances": "estimation.error_sources",
+    "Tolerances": "estimation.sensitivities",
     "fit_frame": "frame.fit",
 }
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from leakage.course.autoregression import Array
-from leakage.errors import ParameterError, ShapeError
+from leakage.course.slope import Array
 
 # Halts at the beginning, and as many at the end, that a drift is told from.
 LEAST_HALTS = 5
@@ -24,50 +23,29 @@ COVERAGE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class ZeroCourse:
-    """Drift of a sensor's zero as known after each halt; shape (n,) each, nan below ten halts.
+    """Drift of a sensor's zero as known after each halt; shape (n,) each, nan below ten halts."""
 
-    Attributes
-    ----------
-    drifts
-        True where the move is certain and beyond the tolerance.
-    zero
-        Present zero [unit].
-    change, change_lower, change_upper
-        Present zero less initial zero, and its 95 % interval [unit].
-    """
-
-    drifts: NDArray[np.bool_]
-    zero: Array
+    drifts: NDArray[np.bool_]  # True where the move is certain and beyond the tolerance.
+    zero: Array  # Present zero [unit].
+    # change, change_lower, change_upper: Present zero less initial zero, and its 95 % interval
+    # [unit].
     change: Array
     change_lower: Array
     change_upper: Array
 
 
-def zero_course(
-    nights: NDArray[np.int64], zeros: Array, errors: Array, tolerance: float
-) -> ZeroCourse:
+def zero_course(zeros: Array, errors: Array, tolerance: float) -> ZeroCourse:
     """Drift of a sensor's zero since its first halts, halt by halt.
 
     From the means of the first and of the last halts, up to thirty each and without overlap, by
     Welch's t; the scatter between halts counts, and is at least that of the errors. The result
     after a halt depends only on that halt and those before it.
 
-    Parameters
-    ----------
-    nights
-        Night of each halt since the sensor was last corrected, not decreasing, shape (n,).
-    zeros, errors
-        Zero and standard error of each halt [unit], shape (n,); those that are not finite do
-        not count, and keep the result before.
-    tolerance
-        Stated tolerance of the sensor's zero [unit]: a smaller move is no drift, however certain.
-
-    Raises
-    ------
-    ShapeError, ParameterError
-        ``shape`` or ``night_order``; ``zero_tolerance``.
+    `zeros, errors`: Zero and standard error of each halt since the sensor was last corrected, in
+    order [unit], shape (n,); those that are not finite do not count, and keep the result before.
+    `tolerance`: Stated tolerance of the sensor's zero [unit]: a smaller move is no drift, however
+    certain.
     """
-    _require_halts(nights, zeros, errors, tolerance)
     kept = np.isfinite(zeros) & np.isfinite(errors)
     count = np.cumsum(kept, dtype=np.int64)
     # The last halt that counts is what each halt knows.
@@ -125,19 +103,3 @@ class _Sums:
         squares = self.square[end] - self.square[first] - n * mean**2
         scatter = np.maximum(squares / (n - 1), (self.error[end] - self.error[first]) / n)
         return mean, np.maximum(scatter, 0.0) / n
-
-
-def _require_halts(
-    nights: NDArray[np.int64], zeros: Array, errors: Array, tolerance: float
-) -> None:
-    if not len(nights) == len(zeros) == len(errors):
-        raise ShapeError(
-            "shape",
-            f"{len(nights)} nights, {len(zeros)} zeros, {len(errors)} errors; expected one length",
-        )
-    if len(nights) > 1 and int(np.min(np.diff(nights))) < 0:
-        raise ShapeError("night_order", "nights of halts go back; expected time order")
-    if not tolerance >= 0.0:
-        raise ParameterError(
-            "zero_tolerance", f"tolerance of a zero is {tolerance:g}; expected 0 or more"
-        )

@@ -36,17 +36,19 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy.special import gammaincc, ndtr
 
-from leakage.course.autoregression import (
+from leakage.course.slope import (
     HIGHEST_PHI,
+    LEAST_NIGHTS,
+    PARAMETERS,
     Array,
+    CourseFits,
     Nights,
     correlation_to_previous,
     estimated_phi,
     variance_of_mean,
     whitened,
 )
-from leakage.course.slope import LEAST_NIGHTS, PARAMETERS, CourseFits, check_series
-from leakage.estimation.robust import MAD_TO_SD
+from leakage.estimation.compression import MAD_TO_SD
 
 TimeStatus: TypeAlias = Literal[
     "finite", "not_before", "no_trend", "already_crossed", "beyond_horizon", "insufficient"
@@ -75,23 +77,15 @@ LARGEST_EXPONENT = 300.0
 
 @dataclass(frozen=True, slots=True)
 class TimeToLimit:
-    """Time until an indicator reaches a limit from below, in units of the position.
+    """Time until an indicator reaches a limit from below, in units of the position."""
 
-    Attributes
-    ----------
-    status
-        ``finite``; ``not_before``: nothing is known but an earliest time; ``beyond_horizon``: the
-        earliest time is the horizon; ``already_crossed``: more likely at the limit than below;
-        ``no_trend``: more likely falling than rising; ``insufficient``: fewer than 20 nights, or
-        all at one position.
-    time
-        As likely later as earlier; only of ``finite``.
-    lower, upper
-        Ends of the 90 % set; None where there is none.
-    """
-
+    # ``finite``; ``not_before``: nothing is known but an earliest time; ``beyond_horizon``: the
+    # earliest time is the horizon; ``already_crossed``: more likely at the limit than below;
+    # ``no_trend``: more likely falling than rising; ``insufficient``: fewer than 20 nights, or all
+    # at one position.
     status: TimeStatus
-    time: float | None = None
+    time: float | None = None  # As likely later as earlier; only of ``finite``.
+    # lower, upper: Ends of the 90 % set; None where there is none.
     lower: float | None = None
     upper: float | None = None
 
@@ -105,21 +99,11 @@ def time_to_limit(
     back, and the wear does not come in jumps. ``benchmarks/results/dates.md`` says how often the
     sets hold.
 
-    Parameters
-    ----------
-    nights, position, values
-        Numbers of the nights up to tonight, which say how far errors remember, what wear goes by,
-        such as running hours, both increasing, and the indicator, shape (n,); nights that are not
-        finite do not count.
-    limit
-        In the unit of the indicator, positive.
-    horizon
-        Time ahead beyond which nothing is said [unit of position].
-
-    Raises
-    ------
-    ShapeError
-        ``shape`` or ``night_order``.
+    `nights, position, values`: Numbers of the nights up to tonight, which say how far errors
+    remember, what wear goes by, such as running hours, both increasing, and the indicator, shape
+    (n,); nights that are not finite do not count.
+    `limit`: In the unit of the indicator, positive.
+    `horizon`: Time ahead beyond which nothing is said [unit of position].
 
     Examples
     --------
@@ -130,7 +114,6 @@ def time_to_limit(
     >>> found.status, found.lower < 8 * 51 < found.upper
     ('finite', True)
     """
-    check_series(nights, position, values)
     kept = np.isfinite(values)
     if int(kept.sum()) < LEAST_NIGHTS or not np.ptp(position[kept]) > 0.0:
         return TimeToLimit("insufficient")

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import merge, with_free_known
-from leakage.estimation.certificate import Certificate, certify
+from leakage.estimation.certificate import Certificate, Fit, certify, fit
 from leakage.estimation.identifiability import Excitation, Identification, identify
-from leakage.estimation.least_squares import Fit, fit
 from leakage.estimation.misfit import Misfit, misfit
-from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
 from leakage.physics.motor import Motor
 
@@ -58,12 +56,9 @@ class BlockEstimate:
 def fit_blocks(blocks: SampleBlocks, motor: Motor) -> BlockEstimate:
     """Fit a motor to blocks of samples, columns as ``motor.columns``.
 
-    Raises
-    ------
-    EstimationError
-        If there are fewer training samples than free coefficients.
+    Raises EstimationError if there are fewer training samples than free coefficients.
     """
-    lower, upper = Parametrisation.of(motor).coefficient_bounds()
+    lower, upper = motor.coefficient_bounds()
     fixed = lower == upper
     training = certify(merge(blocks.factors[blocks.trains]), lower, upper)
     whole = merge(blocks.factors)

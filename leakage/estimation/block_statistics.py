@@ -43,10 +43,7 @@ def factor(z: Array) -> Array:
 
     `z` has the columns of n samples, shape (n, c): paths, one, known, measured. n may be 0.
 
-    Raises
-    ------
-    StatisticsError
-        If `z` is no matrix or holds a value that is not finite.
+    Raises StatisticsError if `z` is no matrix or holds a value that is not finite.
 
     Examples
     --------
@@ -84,10 +81,7 @@ def merge(factors_in_time_order: Array) -> Array:
 
     Their order changes rounding only; keep it, so that runs agree to the bit.
 
-    Raises
-    ------
-    StatisticsError
-        If a factor holds a value that is not finite.
+    Raises StatisticsError if a factor holds a value that is not finite.
     """
     blocks, _, columns = factors_in_time_order.shape
     if blocks == 0:
@@ -100,12 +94,10 @@ def merge(factors_in_time_order: Array) -> Array:
 def with_free_known(factors: Array, place: int, coefficient: float) -> Array:
     """Factors with the known flow as a path of its own, whose coefficient can be estimated.
 
-    Parameters
-    ----------
-    factors
-        Shape (b, c, c); those that are returned, in which nothing is known, (b, c + 1, c + 1).
-    place, coefficient
-        Of the new column among the paths, and with which the path is in the known flow.
+    `factors`: Shape (b, c, c); those that are returned, in which nothing is known, (b, c + 1, c +
+    1).
+    `place, coefficient`: Of the new column among the paths, and with which the path is in the known
+    flow.
     """
     moved = np.insert(factors, place, factors[:, :, -2] / coefficient, axis=2)
     moved[:, :, -2] = 0.0

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from leakage.errors import EstimationError
 from leakage.estimation.block_statistics import criterion, sample_count
+from leakage.physics.motor import Motor
 
 Array = NDArray[np.float64]
 
@@ -83,8 +84,8 @@ def certify(r: Array, lower: Array, upper: Array) -> Certificate:
     Where the minimum is a set (dependent columns), its element of least norm in scaled columns if
     that lies in the box, else the one that the bounded solver ends at: both deterministic.
 
-    Raises EstimationError if bounds are out of order, not finite or not one for each coefficient,
-    if the factor is not finite, or holds fewer samples than there are free coefficients.
+    Raises EstimationError if the factor is not finite, or holds fewer samples than there are free
+    coefficients.
     """
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     _require_well_posed(r, lower, upper)
@@ -127,18 +128,7 @@ def certify(r: Array, lower: Array, upper: Array) -> Certificate:
 
 
 def _require_well_posed(r: Array, lower: Array, upper: Array) -> None:
-    """Refuse bounds that are no box, and a factor that cannot determine a minimum."""
-    expected = (r.shape[1] - 2,)
-    if lower.shape != expected or upper.shape != expected:
-        raise EstimationError(
-            "bounds",
-            f"bounds must be of shape {expected}, one for each coefficient, not {lower.shape} and"
-            f" {upper.shape}",
-        )
-    if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower <= upper).all()):
-        raise EstimationError(
-            "bounds", "bounds must be finite, each lower one at most its upper one"
-        )
+    """Refuse a factor that cannot determine a minimum."""
     if not np.isfinite(r).all():
         raise EstimationError("not_finite", "the factor holds a value that is not finite")
     n, n_free = sample_count(r), int((lower < upper).sum())
@@ -206,3 +196,35 @@ def _minimum_of_face(
 
 def _least_norm(matrix: Array, target: Array) -> Array:
     return np.linalg.lstsq(matrix, target, rcond=RANK_TOLERANCE)[0].astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A fitted motor."""
+
+    motor: Motor  # the motor as declared
+    certificate: Certificate  # global minimum of the criterion: the published estimate
+
+    @property
+    def coefficients(self) -> Array:
+        """θ: loss factors in the order of the columns, then the constant flow; shape (p + 1,)."""
+        return self.certificate.coefficients
+
+    @property
+    def unbounded(self) -> Array:
+        """θ without its bounds, by which leakages are told; shape (p + 1,)."""
+        return self.certificate.unbounded
+
+    @property
+    def coefficients_by_path(self) -> dict[str, float]:
+        """Coefficient of each free path, and of the constant [unit of the path's coefficient]."""
+        paths, values = self.motor.coefficient_paths, self.coefficients.tolist()
+        return {path.name: value for path, value in zip(paths, values, strict=True) if path}
+
+
+def fit(r: Array, motor: Motor) -> Fit:
+    """Fit a motor's loss factors to the factor of its training samples, shape (c, c).
+
+    Raises EstimationError if there are fewer samples than free coefficients.
+    """
+    return Fit(motor, certify(r, *motor.coefficient_bounds()))

@@ -14,6 +14,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.estimation.certificate import Fit
 from leakage.estimation.choices import (
     FARTHEST,
     LARGEST_BLOCK_SHARE,
@@ -27,8 +28,6 @@ from leakage.estimation.choices import (
     WIDEST_IDENTIFIED,
     WIDEST_UNCERTAIN,
 )
-from leakage.estimation.least_squares import Fit
-from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors
 from leakage.estimation.uncertainty import ClusterRobust, Interval, cluster_robust
 from leakage.physics.motor import OperatingConditions, regressors
@@ -66,23 +65,12 @@ class Excitation:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """The verdict on a coefficient or a figure.
+    """The verdict on a coefficient or a figure."""
 
-    Attributes
-    ----------
-    verdict
-        One of `Verdict`.
-    reason
-        In words, with what operation would help; empty where identified.
-    interval
-        Its 95 % interval; None unless identified or uncertain.
-    information
-        The interval that was judged, whatever the verdict; None where the samples do not span it.
-    """
-
-    verdict: Verdict
-    reason: str
-    interval: Interval | None
+    verdict: Verdict  # One of `Verdict`.
+    reason: str  # In words, with what operation would help; empty where identified.
+    interval: Interval | None  # Its 95 % interval; None unless identified or uncertain.
+    # The interval that was judged, whatever the verdict; None where the samples do not span it.
     information: Interval | None = None
 
 
@@ -106,23 +94,17 @@ def identify(
 ) -> Identification:
     """Judge every coefficient of a fit.
 
-    Parameters
-    ----------
-    fit, factors
-        The fit, and the factors of its blocks in time order, shape (b, c, c); whitened where errors
-        are slow.
-    excitation
-        Range of their samples.
-    inflation
-        Factor on all standard errors, of robust weights.
-    slow
-        Memory of the errors from block to block; the same that whitened the factors.
+    `fit, factors`: The fit, and the factors of its blocks in time order, shape (b, c, c); whitened
+    where errors are slow.
+    `excitation`: Range of their samples.
+    `inflation`: Factor on all standard errors, of robust weights.
+    `slow`: Memory of the errors from block to block; the same that whitened the factors.
     """
     # A bound on which the minimum lies is no knowledge: every coefficient that is not fixed counts.
     free = ~fit.certificate.fixed
     widening = WIDENING if slow.are_slow else 1.0
     distribution = cluster_robust(factors, fit.coefficients, free, inflation * widening)
-    paths = Parametrisation.of(fit.motor).paths
+    paths = fit.motor.coefficient_paths
     judged = tuple(
         _judge(place, path, fit, distribution, excitation) for place, path in enumerate(paths)
     )
@@ -137,7 +119,7 @@ def judge_by_total(
     `total` has whole half-widths by place in θ. A coefficient that is identified by its samples is
     ``uncertain`` where its is more than half of the configured value or not less than the estimate.
     """
-    paths = Parametrisation.of(fit.motor).paths
+    paths = fit.motor.coefficient_paths
     judged = list(identification.coefficients)
     for place, whole in total.items():
         path, value = paths[place], float(fit.coefficients[place])
@@ -189,7 +171,7 @@ def _taken_from_bounds(place: int, fit: Fit, interval: Interval | None) -> str:
     on_bound = np.flatnonzero(certificate.at_lower | certificate.at_upper)
     if not len(on_bound) or interval is None or moved <= interval.standard_error:
         return ""
-    paths = Parametrisation.of(fit.motor).paths
+    paths = fit.motor.coefficient_paths
     names = " and ".join(path.coefficient_name for at in on_bound if (path := paths[at]))
     return f"{names} on a bound moves it by {100 * moved / abs(fit.coefficients[place]):.0f} %"
 
@@ -268,34 +250,22 @@ def _partner(place: int, fit: Fit, everything: ClusterRobust) -> str:
     among = int(np.flatnonzero(places == place)[0])
     strength = np.abs(everything.correlation()[among])
     strength[among] = -1.0
-    paths = Parametrisation.of(fit.motor).paths
+    paths = fit.motor.coefficient_paths
     other = paths[int(places[int(np.argmax(strength))])]
     return other.coefficient_name if other is not None else "another coefficient"
 
 
 @dataclass(frozen=True, slots=True)
 class LeakageJudgement:
-    """The leakage of a fitted motor at one condition, flushing excluded.
+    """The leakage of a fitted motor at one condition, flushing excluded."""
 
-    Attributes
-    ----------
-    leakage_l_per_min
-        Estimate without bounds [l/min].
-    interval
-        Its 95 % interval; None where there is none.
-    verdict
-        ``identified``, ``uncertain``, ``extrapolated`` or ``fixed``, which are told;
-        ``not_identified``, ``outside_fitted_range`` or ``too_little_data``, which are not.
-    reason
-        In words; empty where identified.
-    information
-        The interval that was judged, whatever the verdict; None where the samples do not span it.
-    """
-
-    leakage_l_per_min: float
-    interval: Interval | None
+    leakage_l_per_min: float  # Estimate without bounds [l/min].
+    interval: Interval | None  # Its 95 % interval; None where there is none.
+    # ``identified``, ``uncertain``, ``extrapolated`` or ``fixed``, which are told;
+    # ``not_identified``, ``outside_fitted_range`` or ``too_little_data``, which are not.
     verdict: str
-    reason: str
+    reason: str  # In words; empty where identified.
+    # The interval that was judged, whatever the verdict; None where the samples do not span it.
     information: Interval | None = None
 
     @property

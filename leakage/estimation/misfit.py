@@ -72,17 +72,11 @@ def misfit(
     """Structured misfit of a fit; None where blocks are too few for a covariance, or without
     leakage.
 
-    Parameters
-    ----------
-    factors, number
-        Factors of its stored blocks in time order, not whitened, shape (b, c, c), and their places
-        on the clock, in blocks, shape (b,).
-    coefficients, fixed
-        θ of the fit, and which of it are not estimated, shape (c − 2,).
-    means
-        Mean temperature [°C], pressure [bar] and speed [rpm] of each block, shape (b, 3).
-    scales
-        Whether slow errors scale the leakage, as of the fit; None: not known.
+    `factors, number`: Factors of its stored blocks in time order, not whitened, shape (b, c, c),
+    and their places on the clock, in blocks, shape (b,).
+    `coefficients, fixed`: θ of the fit, and which of it are not estimated, shape (c − 2,).
+    `means`: Mean temperature [°C], pressure [bar] and speed [rpm] of each block, shape (b, 3).
+    `scales`: Whether slow errors scale the leakage, as of the fit; None: not known.
     """
     n = np.einsum("bi,bi->b", factors[:, :, -3], factors[:, :, -3])
     theta = np.concatenate([coefficients[:-1], (0.0, 1.0)])

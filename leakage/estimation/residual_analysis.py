@@ -157,22 +157,15 @@ def analyse_residuals(
     not to be. Residuals of samples that a model was fitted to are orthogonal to its regressors, so
     on training samples failures by chance are rarer.
 
-    Parameters
-    ----------
-    error, inputs
-        Prediction errors y − ŷ in time order [l/min], and inputs by name, shape (n,) each.
-    index
-        Place of each sample on an even time base, increasing, shape (n,); where it jumps is a gap.
-    correlation_time
-        How long the errors remember [samples], may be infinite; variances are summed over ten times
-        as many lags.
-    rounding
-        Errors of this size are rounding, and not tested [l/min].
+    `error, inputs`: Prediction errors y − ŷ in time order [l/min], and inputs by name, shape (n,)
+    each.
+    `index`: Place of each sample on an even time base, increasing, shape (n,); where it jumps is a
+    gap.
+    `correlation_time`: How long the errors remember [samples], may be infinite; variances are
+    summed over ten times as many lags.
+    `rounding`: Errors of this size are rounding, and not tested [l/min].
 
-    Raises
-    ------
-    ShapeError, StatisticsError
-        ``shape``: the arrays differ in length; ``not_finite``.
+    Raises ShapeError, StatisticsError: ``shape``: the arrays differ in length; ``not_finite``.
 
     Examples
     --------

@@ -29,24 +29,15 @@ class Windows(Protocol):
     """Settings of blocks and their split, as `[windows]` of a fleet's config."""
 
     @property
-    def block_s(self) -> float:
-        """Length of a short block [s]."""
-
+    def block_s(self) -> float: ...  # length of a short block [s]
     @property
-    def maximum_blocks(self) -> int:
-        """Neighbours are merged until no more are left."""
-
+    def maximum_blocks(self) -> int: ...  # neighbours are merged until no more are left
     @property
-    def split(self) -> str:
-        """chronological or interleaved."""
-
+    def split(self) -> str: ...  # chronological or interleaved
     @property
-    def training_share(self) -> float:
-        """Share of the samples that trains."""
-
+    def training_share(self) -> float: ...  # share of the samples that trains
     @property
-    def guard_blocks(self) -> int:
-        """Blocks left out at each border between training and validation."""
+    def guard_blocks(self) -> int: ...  # left out at each border between training and validation
 
 
 @dataclass(frozen=True, slots=True)

@@ -132,17 +132,11 @@ def slow_errors(
 ) -> SlowErrors:
     """Memory, size and direction of slow errors; without memory where nothing can be told of it.
 
-    Parameters
-    ----------
-    factors, number
-        Triangular factors of the blocks in time order, shape (b, c, c), and the place of each on
-        the clock, in blocks, shape (b,).
-    fixed, values
-        Coefficients that are held, and the values they are held at; shape (p + 1,).
-    whole
-        The merged factor of the blocks, where it is known.
-    scales
-        Look at errors that scale, or that add, alone; None: at both.
+    `factors, number`: Triangular factors of the blocks in time order, shape (b, c, c), and the
+    place of each on the clock, in blocks, shape (b,).
+    `fixed, values`: Coefficients that are held, and the values they are held at; shape (p + 1,).
+    `whole`: The merged factor of the blocks, where it is known.
+    `scales`: Look at errors that scale, or that add, alone; None: at both.
     """
     whole = merge(factors) if whole is None else whole
     design = _design(whole, fixed, values)

@@ -3,10 +3,10 @@
 All figures come from the triangular factor of the samples, so judging last night's model on
 tonight's samples costs one product.
 
+Source: the thesis, equations (23) and (25).
+
 References
 ----------
-.. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, Luleå University
-   of Technology, 2021: equations (23) and (25).
 .. [2] K. P. Burnham and D. R. Anderson, *Model Selection and Multimodel Inference*, 2nd ed., 2002.
 """
 

@@ -13,9 +13,7 @@ from leakage.errors import LeakageError, ShapeError
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
 from leakage.estimation.compression import CompressedSamples, compress
 from leakage.estimation.correlation import memory_s
-from leakage.estimation.error_sources import Tolerances
 from leakage.estimation.identifiability import Excitation
-from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.sample_blocks import (
     NONE_CHOSEN,
     SECOND_US,
@@ -27,6 +25,7 @@ from leakage.estimation.sample_blocks import (
     places_on_clock,
     split_into_blocks,
 )
+from leakage.estimation.sensitivities import Tolerances
 from leakage.estimation.validation import agreement
 from leakage.frame.result import FrameFit, columns_of
 from leakage.frame.samples import FrameSamples, Period, read_samples
@@ -138,7 +137,7 @@ def fit_frame(
         index,
         period_us,
         short,
-        Parametrisation.of(motor).coefficient_bounds(),
+        motor.coefficient_bounds(),
         maximum_blocks=windows.maximum_blocks * days,
         smoothing_s=smoothing_s,
         smoothing_of=smoothing_of,

@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from leakage.errors import LeakageError
 from leakage.estimation.block_fit import BlockEstimate
 from leakage.estimation.block_statistics import criterion
-from leakage.estimation.certificate import Certificate, certify
+from leakage.estimation.certificate import Certificate, Fit, certify
 from leakage.estimation.identifiability import Identification
-from leakage.estimation.least_squares import Fit
-from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.residual_analysis import ResidualAnalysis
 from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
 from leakage.frame.samples import FrameSamples
@@ -120,12 +118,12 @@ def plot_profile(
     The others are fitted anew at each value, within their bounds. The scale is that of the
     interval: at its limits the curve is at 1, as far as no bound is in the way.
     """
-    parametrisation = Parametrisation.of(estimate.fit.motor)
-    lower, upper = parametrisation.coefficient_bounds()
+    motor = estimate.fit.motor
+    lower, upper = motor.coefficient_bounds()
     best, whole = estimate.fit.certificate, estimate.fitted
     paths = {
         place: path
-        for place, path in enumerate(parametrisation.paths)
+        for place, path in enumerate(motor.coefficient_paths)
         if path is not None and not best.fixed[place]
     }
     if not paths:

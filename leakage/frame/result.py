@@ -15,7 +15,6 @@ from leakage.errors import LeakageError
 from leakage.estimation.block_fit import BlockEstimate, SampleBlocks
 from leakage.estimation.block_statistics import factor
 from leakage.estimation.choices import COEFFICIENT_FACTOR, LEAKAGE_FACTOR
-from leakage.estimation.error_sources import Tolerances
 from leakage.estimation.identifiability import (
     Identification,
     Judgement,
@@ -24,10 +23,9 @@ from leakage.estimation.identifiability import (
     judge_leakage,
 )
 from leakage.estimation.misfit import model_errors
-from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
 from leakage.estimation.sample_blocks import SECOND_US
-from leakage.estimation.sensitivities import ErrorBudget, error_budget
+from leakage.estimation.sensitivities import ErrorBudget, Tolerances, error_budget
 from leakage.estimation.validation import Agreement, agreement
 from leakage.frame.samples import FrameSamples, read_samples
 from leakage.frame.words import Part, Summary, explanation, short_form, summary
@@ -46,46 +44,32 @@ THINNED = 1500
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FrameFit:
-    """A motor fitted to a frame.
+    """A motor fitted to a frame."""
 
-    Attributes
-    ----------
-    motor, samples
-        The motor as fitted, and the complete samples of the frame.
-    parts
-        Part of each sample, training, validation or guard, shape (n,).
-    used
-        Mask of the samples behind the estimates, shape (n,).
-    blocks, estimate
-        The blocks of these, and what was estimated from them.
-    identification
-        Verdicts on the coefficients, with what sensors and the model can do to them.
-    memory_s
-        Time over which the errors of the training samples forget [s].
-    training, validation
-        Agreement of the fit to the training samples with these, and with the validation samples.
-    beside_samples
-        ± of each coefficient of θ by the model and the sensors, shape (p + 1,).
-    """
-
+    # motor, samples: The motor as fitted, and the complete samples of the frame.
     motor: Motor
     samples: FrameSamples
-    parts: NDArray[np.str_]
-    used: NDArray[np.bool_]
+    parts: NDArray[np.str_]  # Part of each sample, training, validation or guard, shape (n,).
+    used: NDArray[np.bool_]  # Mask of the samples behind the estimates, shape (n,).
+    # blocks, estimate: The blocks of these, and what was estimated from them.
     blocks: SampleBlocks
     estimate: BlockEstimate
-    memory_s: float
+    memory_s: float  # Time over which the errors of the training samples forget [s].
+    # training, validation: Agreement of the fit to the training samples with these, and with the
+    # validation samples.
     training: Agreement
     validation: Agreement
     tolerances: Tolerances | None
+    # Verdicts on the coefficients, with what sensors and the model can do to them.
     identification: Identification
+    # ± of each coefficient of θ by the model and the sensors, shape (p + 1,).
     beside_samples: Array
     _tests: dict[str, ResidualAnalysis] = field(default_factory=dict)
 
     @property
     def paths(self) -> dict[int, LeakagePath]:
         """Path of each coefficient by its place in θ."""
-        paths = Parametrisation.of(self.motor).paths
+        paths = self.motor.coefficient_paths
         return {at: path for at, path in enumerate(paths) if path is not None}
 
     @property

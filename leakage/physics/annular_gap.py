@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from leakage.errors import ParameterError
-from leakage.physics.film import film_thickness_ratio
 from leakage.physics.law import (
     LITRES_PER_MINUTE,
     CoefficientUnit,
@@ -22,6 +22,54 @@ from leakage.physics.law import (
     require_parameter,
     require_positive,
 )
+
+LubricationRegime = Literal["boundary", "mixed", "elastohydrodynamic", "hydrodynamic"]
+
+# Lowest and highest film thickness ratio: section 2.2.4 of the thesis, the table after its
+# reference [12], in which the regimes overlap. It ends hydrodynamic lubrication at 100; a thicker
+# film is no less hydrodynamic.
+REGIMES: Mapping[LubricationRegime, tuple[float, float]] = {
+    "boundary": (0.0, 1.0),
+    "mixed": (1.0, 5.0),
+    "elastohydrodynamic": (3.0, 10.0),
+    "hydrodynamic": (5.0, math.inf),
+}
+
+
+def film_thickness_ratio(
+    gap_m: ArrayLike, eccentricity: ArrayLike, roughness_1_m: float, roughness_2_m: float
+) -> NDArray[np.float64]:
+    r"""Film thickness ratio at the narrowest place of a gap, shape of the arguments, [-].
+
+    .. math:: \Lambda = \frac{h (1 - e)}{\sqrt{R_{a1}^2 + R_{a2}^2}}
+
+    with the mean gap height h, [m], the eccentricity e from 0 to 1, and the mean roughness of the
+    two surfaces, [m]; section 2.2.4 of the thesis.
+
+    Raises ParameterError if a gap is negative, an eccentricity outside 0 to 1, or both surfaces
+    perfectly smooth.
+
+    Examples
+    --------
+    >>> round(float(film_thickness_ratio(10e-6, 0.4, 0.2e-6, 0.2e-6)), 2)
+    21.21
+    """
+    gap = np.asarray(gap_m, dtype=np.float64)
+    closeness = 1.0 - np.asarray(eccentricity, dtype=np.float64)
+    roughness = math.hypot(roughness_1_m, roughness_2_m)
+    if np.any(gap < 0.0) or np.any((closeness < 0.0) | (closeness > 1.0)):
+        raise ParameterError(
+            "film_gap", "a film needs a gap height from 0 upwards and an eccentricity from 0 to 1"
+        )
+    if not 0.0 < roughness < math.inf or min(roughness_1_m, roughness_2_m) < 0.0:
+        raise ParameterError(
+            "film_roughness",
+            f"roughness {roughness_1_m:g} m and {roughness_2_m:g} m: neither may be negative,"
+            " and one must be above 0",
+        )
+    ratio: NDArray[np.float64] = gap * closeness / roughness
+    return ratio
+
 
 MICROMETRE = 1e-6
 MICROMETRES_PER_METRE = 1e6
@@ -50,31 +98,20 @@ class AnnularGap(Law):
     The piston ring, the balance piston and the balance sleeve follow this one law: the ring with
     a deformation constant, the piston with an eccentricity, the sleeve with both and c = 1.1.
 
-    Parameters
-    ----------
-    name
-        Name of the path.
-    count
-        Number n of interfaces at high pressure, [-].
-    radius_m, length_m
-        Radius r of the interface and length l of the gap in the direction of flow, [m].
-    gap
-        Gap height h, [um].
-    eccentricity
-        Eccentricity e, 0 to 1, [1]; None: none.
-    deformation_pressure_pa
-        Deformation constant X, [Pa]; None: no deformation.
-    height_factor
-        Factor c on the gap height, [-].
-    geometry_is_placeholder
-        Whether r, l or n are placeholders, so that h in micrometres means nothing.
-    deformation_tolerance
-        Stated tolerance of X, relative; 0: none stated.
+    `name`: Name of the path.
+    `count`: Number n of interfaces at high pressure, [-].
+    `radius_m, length_m`: Radius r of the interface and length l of the gap in the direction of
+    flow, [m].
+    `gap`: Gap height h, [um].
+    `eccentricity`: Eccentricity e, 0 to 1, [1]; None: none.
+    `deformation_pressure_pa`: Deformation constant X, [Pa]; None: no deformation.
+    `height_factor`: Factor c on the gap height, [-].
+    `geometry_is_placeholder`: Whether r, l or n are placeholders, so that h in micrometres means
+    nothing.
+    `deformation_tolerance`: Stated tolerance of X, relative; 0: none stated.
 
-    Raises
-    ------
-    ParameterError
-        If a constant is not positive, a bound outside the physical range or a unit another.
+    Raises ParameterError if a constant is not positive, a bound outside the physical range or a
+    unit another.
 
     Notes
     -----
@@ -89,10 +126,7 @@ class AnnularGap(Law):
     >>> f"{ring.coefficient([8.0]):.6e}"
     '7.506312e-14'
 
-    References
-    ----------
-    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
-       equations (6), (7), (10), (11) and (28) to (31).
+    Source: the thesis, equations (6), (7), (10), (11) and (28) to (31).
     """
 
     coefficient_unit: ClassVar[CoefficientUnit] = "m3"
@@ -132,11 +166,6 @@ class AnnularGap(Law):
         """Pressure difference above which the deformed gap hardly shows in the leakage [Pa]."""
         deformation = self.deformation_pressure_pa
         return math.inf if deformation is None else VISIBLE_BELOW * deformation
-
-    @property
-    def coefficient_name(self) -> str:
-        """Name of K in tables."""
-        return f"K_{self.name}"
 
     def coefficient(self, values: Values) -> NDArray[np.float64]:
         r"""Lumped loss factor of all interfaces of the path.

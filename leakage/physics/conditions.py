@@ -17,22 +17,13 @@ PASCALS_PER_BAR = 1e5
 class OperatingConditions:
     """Operating conditions that a motor's leakage depends on, sample by sample.
 
-    Parameters
-    ----------
-    pressure_difference_pa
-        ΔP, high minus low port, shape (n,), [Pa]; the sign is its direction.
-    oil_temperature_c
-        T, shape (n,), [°C].
-    speed_rpm
-        ω, shape (n,), [rpm]; the sign is its direction.
-    charge_over_case_pa
-        Charge pressure (the low port's) above case pressure, shape (n,), [Pa]: every path then
-        leaks to the case from both sides. None: the thesis's one side, at ΔP.
+    `pressure_difference_pa`: ΔP, high minus low port, shape (n,), [Pa]; the sign is its direction.
+    `oil_temperature_c`: T, shape (n,), [°C].
+    `speed_rpm`: ω, shape (n,), [rpm]; the sign is its direction.
+    `charge_over_case_pa`: Charge pressure (the low port's) above case pressure, shape (n,), [Pa]:
+    every path then leaks to the case from both sides. None: the thesis's one side, at ΔP.
 
-    Raises
-    ------
-    ShapeError
-        If the channels differ in shape or are not one-dimensional.
+    Raises ShapeError if the channels differ in shape or are not one-dimensional.
     """
 
     pressure_difference_pa: NDArray[np.float64]

@@ -23,23 +23,14 @@ Values: TypeAlias = Sequence[float] | NDArray[np.float64]
 class Parameter:
     """A physical quantity that is estimated within bounds, or held fixed.
 
-    Parameters
-    ----------
-    name
-        Name in tables, such as ``"h_o"``.
-    unit
-        Unit of the values as the optimiser sees them: ``"um"``, ``"1"``, ``"m3"``, ``"l_per_min"``.
-    value
-        Initial value, or the value held where `fixed`, [unit].
-    minimum, maximum
-        Bounds, [unit].
-    fixed
-        Whether the value is held.
+    `name`: Name in tables, such as ``"h_o"``.
+    `unit`: Unit of the values as the optimiser sees them: ``"um"``, ``"1"``, ``"m3"``,
+    ``"l_per_min"``.
+    `value`: Initial value, or the value held where `fixed`, [unit].
+    `minimum, maximum`: Bounds, [unit].
+    `fixed`: Whether the value is held.
 
-    Raises
-    ------
-    ParameterError
-        If a figure is not finite or the value lies outside its bounds.
+    Raises ParameterError if a figure is not finite or the value lies outside its bounds.
     """
 
     name: str
@@ -125,16 +116,18 @@ class Law(ABC):
         return math.inf
 
     @property
-    @abstractmethod
     def coefficient_name(self) -> str:
         """Name of the coefficient in tables."""
+        return f"K_{self.name}"
 
-    @abstractmethod
     def coefficient(self, values: Values) -> NDArray[np.float64]:
         """Lumped coefficient of all interfaces of the path, shape (…), [coefficient_unit].
 
-        `values` are those of `parameters` in their order and units, along the last axis.
+        `values` are those of `parameters` in their order and units, along the last axis; of one
+        parameter alone, the coefficient is its value.
         """
+        value: NDArray[np.float64] = np.asarray(values, dtype=np.float64)[..., 0]
+        return value
 
     @abstractmethod
     def regressor(
@@ -188,12 +181,6 @@ class Law(ABC):
             float(self.coefficient([parameter.lowest for parameter in self.parameters])),
             float(self.coefficient([parameter.highest for parameter in self.parameters])),
         )
-
-
-def only_value(values: Values) -> NDArray[np.float64]:
-    """The value of a law with one parameter, shape (…) for values of shape (…, 1)."""
-    value: NDArray[np.float64] = np.asarray(values, dtype=np.float64)[..., 0]
-    return value
 
 
 def require_positive(path: str, **constants: float) -> None:

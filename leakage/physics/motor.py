@@ -1,9 +1,6 @@
 """A motor as a declared list of leakage paths: its regressors and its total flow.
 
-References
-----------
-.. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, Luleå University
-   of Technology, 2021, sections 2.3 and 3.1.
+Source: the thesis, sections 2.3 and 3.1.
 """
 
 from __future__ import annotations
@@ -43,21 +40,13 @@ _CHUNK = 16_384
 class Motor:
     """A motor type with its oil: nothing but a list of leakage paths, each with its law.
 
-    Parameters
-    ----------
-    motor_type
-        Name of the type, such as ``"CB560"``.
-    paths
-        Leakage paths in declared order; names are unique, at most one is a `Constant`.
-    oil
-        The oil in the motor.
-    film_pressure
-        Pressure at which the viscosity of the films is taken.
+    `motor_type`: Name of the type, such as ``"CB560"``.
+    `paths`: Leakage paths in declared order; names are unique, at most one is a `Constant`.
+    `oil`: The oil in the motor.
+    `film_pressure`: Pressure at which the viscosity of the films is taken.
 
-    Raises
-    ------
-    ParameterError
-        If there is no path, a name stands twice or is reserved, or two paths are constant.
+    Raises ParameterError if there is no path, a name stands twice or is reserved, or two paths are
+    constant.
 
     Notes
     -----
@@ -98,6 +87,18 @@ class Motor:
     def column_paths(self) -> tuple[LeakagePath, ...]:
         """Free paths but the constant, in declared order: one column each."""
         return tuple(path for path in self.paths if path.is_free and not isinstance(path, Constant))
+
+    @cached_property
+    def coefficient_paths(self) -> tuple[LeakagePath | None, ...]:
+        """Path of each coefficient of θ: the columns', then the constant's or None."""
+        return (*self.column_paths, self.constant)
+
+    def coefficient_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Bounds of θ that those of the parameters imply, each of shape (p + 1,)."""
+        paths = self.coefficient_paths
+        limits = [path.coefficient_bounds() if path else (0.0, 0.0) for path in paths]
+        lower, upper = zip(*limits, strict=True)
+        return np.array(lower), np.array(upper)
 
     @cached_property
     def known_paths(self) -> tuple[LeakagePath, ...]:
@@ -143,14 +144,9 @@ def regressors(
 
     .. math:: z(t) = (\varphi_1, \dots, \varphi_p, 1, \textstyle\sum_{known} K \varphi)
 
-    Parameters
-    ----------
-    motor
-        The motor.
-    conditions
-        Operating conditions of n samples.
-    out
-        Where the columns go, shape (n, p + 2); None: into an array of their own.
+    `motor`: The motor.
+    `conditions`: Operating conditions of n samples.
+    `out`: Where the columns go, shape (n, p + 2); None: into an array of their own.
 
     Returns
     -------
@@ -158,19 +154,13 @@ def regressors(
         Shape (n, p + 2), one row a sample: the free paths in the order of `Motor.columns`,
         [l/min per unit of each coefficient], ones, and the known flow, [l/min].
 
-    Raises
-    ------
-    ValidityError
-        If a temperature is outside the range of Walther's equation for this oil.
+    Raises ValidityError if a temperature is outside the range of Walther's equation for this oil.
 
     Notes
     -----
     A sample that is nan in one channel is nan in the columns which depend on that channel.
 
-    References
-    ----------
-    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
-       equations (4), (5) and (16).
+    Source: the thesis, equations (4), (5) and (16).
     """
     column_paths = motor.column_paths
     known_paths = [(path, path.configured_coefficient) for path in motor.known_paths]
@@ -196,19 +186,12 @@ def path_flows_l_per_min(
 
     All interfaces of a path together; the constant among them.
 
-    Parameters
-    ----------
-    motor, conditions
-        The motor, and operating conditions of n samples.
-    coefficients
-        By path name, [`coefficient_unit` of the path]; others keep their configured one.
+    `motor, conditions`: The motor, and operating conditions of n samples.
+    `coefficients`: By path name, [`coefficient_unit` of the path]; others keep their configured
+    one.
 
-    Raises
-    ------
-    ParameterError
-        If a coefficient names no path of the motor.
-    ValidityError
-        If a temperature is outside the range of Walther's equation for this oil.
+    Raises ParameterError if a coefficient names no path of the motor. Raises ValidityError if a
+    temperature is outside the range of Walther's equation for this oil.
     """
     given = dict(coefficients or {})
     unknown = sorted(given.keys() - {path.name for path in motor.paths})

@@ -34,28 +34,15 @@ FilmPressureModel = Literal["thesis", "slot"]
 class Oil:
     """Data-sheet constants of an oil.
 
-    Parameters
-    ----------
-    name
-        Grade, such as ``"VG 68"``.
-    walther_a, walther_b
-        Constants A and B of equation (2) of [1]_, decimal logarithms, [-].
-    density_15_c_kg_per_m3
-        Density at 15 °C, [kg/m³].
-    thermal_expansion_per_k
-        Coefficient β of the density, [1/K].
-    pressure_viscosity_per_pa
-        Barus coefficient α, [1/Pa].
+    `name`: Grade, such as ``"VG 68"``.
+    `walther_a, walther_b`: Constants A and B of equation (2) of the thesis, decimal logarithms,
+    [-].
+    `density_15_c_kg_per_m3`: Density at 15 °C, [kg/m³].
+    `thermal_expansion_per_k`: Coefficient β of the density, [1/K].
+    `pressure_viscosity_per_pa`: Barus coefficient α, [1/Pa].
 
-    Raises
-    ------
-    ParameterError
-        If a constant is not finite or outside its physical range.
-
-    References
-    ----------
-    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
-       equations (1) and (2).
+    Raises ParameterError if a constant is not finite or outside its physical range. Raises Source:
+    the thesis, equations (1) and (2).:
     """
 
     name: str
@@ -117,18 +104,11 @@ class Oil:
 class FilmPressure:
     """The pressure at which the viscosity of a leakage film is taken.
 
-    Parameters
-    ----------
-    model
-        ``"thesis"``: Barus at ``share`` times the pressure difference. ``"slot"``: exact for
-        laminar flow through a slot whose viscosity follows Barus along the pressure drop.
-    share
-        Share of the pressure difference, 0 to 1, [-]; 1 is the thesis. Not used by ``"slot"``.
+    `model`: ``"thesis"``: Barus at ``share`` times the pressure difference. ``"slot"``: exact for
+    laminar flow through a slot whose viscosity follows Barus along the pressure drop.
+    `share`: Share of the pressure difference, 0 to 1, [-]; 1 is the thesis. Not used by ``"slot"``.
 
-    Raises
-    ------
-    ParameterError
-        If the model is unknown or the share outside 0 to 1.
+    Raises ParameterError if the model is unknown or the share outside 0 to 1.
     """
 
     model: FilmPressureModel = "thesis"
@@ -180,10 +160,7 @@ def dynamic_viscosity_pa_s(
 
     Isothermal; reasonable below 0.1 GPa. Of the common shape of the arguments.
 
-    Raises
-    ------
-    ValidityError
-        If a temperature is outside the range of Walther's equation for this oil.
+    Raises ValidityError if a temperature is outside the range of Walther's equation for this oil.
 
     Examples
     --------
@@ -213,10 +190,7 @@ def flow_drive_per_s(
     pressure drop. The thesis's share 1 is below it, by 19 % at 200 bar and α = 2e-8 1/Pa; a share
     of 0.47 to 0.49 equals it from 100 to 350 bar.
 
-    Raises
-    ------
-    ValidityError
-        If a temperature is outside the range of Walther's equation for this oil.
+    Raises ValidityError if a temperature is outside the range of Walther's equation for this oil.
 
     Examples
     --------

@@ -1,15 +1,9 @@
 """Constants of the laws from points of a simulated curve: X of a gap, the polynomial over speed.
 
-References
-----------
-.. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, Luleå University
-   of Technology, 2021, sections 3.1.1, 3.1.3 and 3.1.4.
+Source: the thesis, sections 3.1.1, 3.1.3 and 3.1.4.
 """
 
 from __future__ import annotations
-
-import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -22,52 +16,25 @@ _TOLERATED_UNDERSHOOT = 0.01
 _STEPS_OVER_RANGE = 1000
 
 
-@dataclass(frozen=True, slots=True)
-class FittedDeformation:
-    """Deformation constant of a gap, fitted to points of a simulation."""
-
-    deformation_pressure_pa: float  # X
-    amplitude: float  # Q/(h³ ΔP) as ΔP tends to 0 [l/min / (m³·Pa)]
-    n_points: int
-    rms_residual_l_per_min: float
-    largest_residual_l_per_min: float
-
-
-@dataclass(frozen=True, slots=True)
-class FittedSpeedCurve:
-    """Polynomial over speed, fitted to points of a simulated curve; it holds in their range."""
-
-    coefficients: tuple[float, ...]
-    speed_minimum_rpm: float
-    speed_maximum_rpm: float
-    n_points: int
-    rms_residual_l_per_min: float
-    largest_residual_l_per_min: float
-
-
 def fit_deformation_pressure(
     pressure_difference_pa: ArrayLike, gap_m: ArrayLike, flow_l_per_min: ArrayLike
-) -> FittedDeformation:
-    r"""Deformation constant X of a gap from points (ΔP, h, Q) of a simulation.
+) -> float:
+    r"""Deformation constant X [Pa] of a gap from points (ΔP, h, Q) of a simulation.
 
     .. math:: Q = a\,h^3\,\Delta P\,e^{-3 \Delta P / X}
 
     by least squares in Q over a and X, from the straight line of ln(Q/(h³ ΔP)) over ΔP; (28) to
-    (31) of [1]_. The simulation's viscosity is taken as constant and falls into a, as do count,
-    geometry, eccentricity and the factor on h. All points are above 0, shape (n,).
+    (31) of the thesis. The simulation's viscosity is taken as constant and falls into a, as do
+    count, geometry, eccentricity and the factor on h. All points are above 0, shape (n,).
 
-    Raises
-    ------
-    CurveError
-        If there are fewer than 3 points or 2 pressures, a value is not above 0, or the gap does
-        not close with pressure.
+    Raises CurveError if there are fewer than 3 points or 2 pressures, a value is not above 0, or
+    the gap does not close with pressure.
 
     Examples
     --------
     >>> pressure = np.array([20e5, 40e5, 80e5, 160e5])
     >>> flow = 1e-3 * pressure * np.exp(-3 * pressure / 120e5)
-    >>> fit = fit_deformation_pressure(pressure, 8e-6, flow)
-    >>> round(fit.deformation_pressure_pa / 1e5, 6)
+    >>> round(fit_deformation_pressure(pressure, 8e-6, flow) / 1e5, 6)
     120.0
     """
     pressure, gap, flow = _points(
@@ -95,42 +62,33 @@ def fit_deformation_pressure(
     search = least_squares(
         deviation, [intercept, -slope], jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14
     )
-    log_amplitude, decay = search.x
+    decay = float(search.x[1])
     if not search.success or decay <= 0.0:
         raise CurveError(
             "curve_without_deformation",
             "the simulated gap does not close with pressure; declare the path without a"
             " deformation constant, or check the order of the points' columns",
         )
-    residual = search.fun * flow.max()
-    return FittedDeformation(
-        deformation_pressure_pa=float(3.0 * pressure.max() / decay),
-        amplitude=float(math.exp(log_amplitude) * flow.max() / (gap.max() ** 3 * pressure.max())),
-        n_points=flow.size,
-        rms_residual_l_per_min=_root_mean_square(residual),
-        largest_residual_l_per_min=float(np.abs(residual).max()),
-    )
+    return float(3.0 * pressure.max() / decay)
 
 
 def fit_speed_curve(
     speed_rpm: ArrayLike, flow_l_per_min: ArrayLike, degree: int = 5
-) -> FittedSpeedCurve:
-    r"""Polynomial over speed from points of a simulated curve, by least squares; (32) of [1]_.
+) -> tuple[float, ...]:
+    r"""Polynomial over speed of a simulated curve, by least squares; (32) of the thesis.
 
     .. math:: f(\omega) = a \omega^5 + b \omega^4 + c \omega^3 + d \omega^2 + e \omega + f
 
-    in the thesis, of degree 5. Speeds and flows of one interface are not negative, shape (n,).
+    in the thesis, of degree 5; coefficients are returned with the highest power first. Speeds and
+    flows of one interface are not negative, shape (n,).
 
-    Raises
-    ------
-    CurveError
-        If there are no more different speeds than the degree, a value is negative, or the
-        polynomial turns negative between the points.
+    Raises CurveError if there are no more different speeds than the degree, a value is negative, or
+    the polynomial turns negative between the points.
 
     Examples
     --------
-    >>> fit = fit_speed_curve([0.0, 50.0, 100.0], [1.0, 2.0, 3.0], degree=1)
-    >>> [round(coefficient, 9) for coefficient in fit.coefficients]
+    >>> found = fit_speed_curve([0.0, 50.0, 100.0], [1.0, 2.0, 3.0], degree=1)
+    >>> [round(coefficient, 9) for coefficient in found]
     [0.02, 1.0]
     """
     speed, flow = _points(speed_rpm=speed_rpm, flow_l_per_min=flow_l_per_min)
@@ -147,15 +105,7 @@ def fit_speed_curve(
     coefficients = np.zeros(needed)
     fitted = polynomial.convert().coef
     coefficients[: fitted.size] = fitted
-    residual = flow - polynomial(speed)
-    return FittedSpeedCurve(
-        coefficients=tuple(coefficients[::-1].tolist()),
-        speed_minimum_rpm=float(speed.min()),
-        speed_maximum_rpm=float(speed.max()),
-        n_points=flow.size,
-        rms_residual_l_per_min=_root_mean_square(residual),
-        largest_residual_l_per_min=float(np.abs(residual).max()),
-    )
+    return tuple(coefficients[::-1].tolist())
 
 
 def _points(**columns: ArrayLike) -> tuple[NDArray[np.float64], ...]:
@@ -194,7 +144,3 @@ def _require_no_undershoot(
             f"the fitted polynomial falls to {values.min():.3g} l/min at"
             f" {between[values.argmin()]:.4g} rpm; give more points there or a lower degree",
         )
-
-
-def _root_mean_square(residual: NDArray[np.float64]) -> float:
-    return math.sqrt(float(np.mean(residual * residual)))

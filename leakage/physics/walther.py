@@ -32,12 +32,8 @@ def walther_coefficients(
     with :math:`Z = \nu + 0.7` from 2 mm²/s upwards and D341's full form below. Valid from
     0.21 mm²/s and from -70 to 370 °C. The order of the two points does not matter.
 
-    Raises
-    ------
-    ParameterError
-        If the temperatures coincide, or the viscosity does not fall with temperature.
-    ValidityError
-        If a temperature or a viscosity is outside the range of D341.
+    Raises ParameterError if the temperatures coincide, or the viscosity does not fall with
+    temperature. Raises ValidityError if a temperature or a viscosity is outside the range of D341.
 
     Examples
     --------
@@ -90,10 +86,7 @@ def kinematic_viscosity_mm2_per_s(
 
     where ν steps down by 0.03 %. nan where the temperature is nan.
 
-    Raises
-    ------
-    ValidityError
-        If a temperature is outside -70 to 370 °C, or a viscosity below 0.21 mm²/s.
+    Raises ValidityError if a temperature is outside -70 to 370 °C, or a viscosity below 0.21 mm²/s.
 
     Examples
     --------

@@ -1,16 +1,16 @@
 """One watch over a motor's nights: what changed, since when, by how much, and through what.
 
 Arrays in, frozen results out; imports nothing but `leakage.physics` and `leakage.errors`. From the
-bottom up: `nights` (what goes in), `choices` (constants, with their reasons), `columns` (a block in
-numbers), `within_night` (errors within a night), `baseline` (what the first nights fix), `wander`
-(errors from night to night), `causes`, `evidence` (of every start, shape and cause), `attribution`
-(since, how much, which cause), `verdict` (what comes out), `watch` (night by night), `keeping`,
-`comparison` (before and after a date).
+bottom up: `nights` (what goes in and comes out), `choices` (constants, with their reasons),
+`within_night` (errors within a night), `baseline` (what the first nights fix), `wander` (errors
+from night to night), `causes`, `evidence` (of every start, shape and cause), `attribution` (since,
+how much, which cause), `state` (with the figures of the newest nights), `adoption` (a change told,
+and what it leaves behind), `watch` (night by night), `keeping`, `comparison` (before and after a
+date).
 """
 
 from leakage.watch.comparison import Comparison, compare
-from leakage.watch.nights import Estimate, Machine, NightBlocks, WatchSettings
-from leakage.watch.verdict import Change, Verdict
+from leakage.watch.nights import Change, Estimate, Machine, NightBlocks, Verdict, WatchSettings
 from leakage.watch.watch import Watch
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Eras and what a change leaves behind: adoption, wander anew, an era of its own, rest."""
+"""A change told by the evidence of a night, and what it leaves behind: adoption, eras, rest."""
 
 from __future__ import annotations
 
@@ -7,20 +7,212 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leakage.watch import choices
-from leakage.watch.attribution import Attribution, share_of_flow
-from leakage.watch.baseline import Baseline, baseline_of
-from leakage.watch.causes import BACK, ODD_NIGHTS, Cause, back_as_before
-from leakage.watch.columns import N_TEMPERATURE
-from leakage.watch.evidence import Causes
-from leakage.watch.figures import on_first_baseline, present
-from leakage.watch.nights import Array, Machine, NightBlocks, WatchSettings
-from leakage.watch.state import NOTHING, State
-from leakage.watch.telling import settled
-from leakage.watch.verdict import RAMPS
+from leakage.watch.attribution import (
+    Attribution,
+    Name,
+    attribute,
+    name_of,
+    share_of_flow,
+)
+from leakage.watch.baseline import N_TEMPERATURE, Baseline, baseline_of
+from leakage.watch.causes import (
+    BACK,
+    CANNOT_BE_TOLD,
+    ODD_NIGHTS,
+    TEMPERATURE_EFFECT,
+    Cause,
+    back_as_before,
+)
+from leakage.watch.evidence import STEP, Causes, Evidence, Places, Sums, Window, starts_of
+from leakage.watch.nights import (
+    NOW_AND_THEN,
+    RAMPS,
+    Array,
+    Change,
+    Estimate,
+    Machine,
+    NightBlocks,
+    WatchSettings,
+    grown_as,
+)
+from leakage.watch.state import NOTHING, UNCHANGED, Standing, State, on_first_baseline, present
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
-from leakage.watch.window import Sums, Window
+
+Days = NDArray[np.int64]
+
+
+def judged(state: State) -> State:
+    """With the evidence of the newest night; a change is told where it is enough."""
+    first = state.place(state.first_start)
+    if first == len(state.window):
+        return replace(state, evidence=NOTHING)
+    evidence = state.evidence_now()
+    weighed = with_evidence(state, evidence, first)
+    frequent = weighed.often - math.log(2 * len(evidence.causes))
+    if frequent >= max(state.settings.limit, weighed.evidence) and len(odd_nights(weighed)):
+        return _with_odd_nights(weighed)
+    return _told(weighed) if weighed.evidence >= state.settings.limit else weighed
+
+
+def with_evidence(state: State, evidence: Evidence, first: int) -> State:
+    """With what the newest night and those before it say of starts from a place on."""
+    starts, weights = starts_of(first, len(state.window) - 1)
+    log_ratio = evidence.of_starts(starts).log_ratio
+    tonight = float(np.logaddexp.reduce(log_ratio[STEP, -1]))
+    odd = float(np.logaddexp(math.log(1 - choices.ODD), math.log(choices.ODD) + tonight))
+    often = np.logaddexp(0.0, state.often) - odd
+    often += np.logaddexp(math.log(1 - choices.OFTEN), math.log(choices.OFTEN) + tonight)
+    window = state.window.with_odd(odd)
+    told = np.logaddexp.reduce(log_ratio, axis=(0, 2))
+    certain = told - of_odd_night(evidence, window, starts, told)
+    found = float(np.logaddexp.reduce(certain + weights))
+    return replace(state, window=window, evidence=found, often=float(often))
+
+
+def of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array) -> Array:
+    """What the oddest night since each start says alone, shape (k,): one odd night is no change.
+
+    At another duty the nights share an error, so that one says nearly as much as all: there it is
+    what all nights say less what they say without it.
+    """
+    last = len(window) - 1
+    oddest = np.array([start + int(window.odd[start:].argmax()) for start in starts])
+    odd: Array = window.odd[oddest]
+    if last and evidence.is_other_duty(starts):
+        rest = evidence.of_starts(starts, without=oddest).log_ratio
+        alone = told - np.logaddexp.reduce(rest, axis=(0, 2))
+        by_all = np.logaddexp(math.log(1 - choices.ODD), math.log(choices.ODD) + alone)
+        is_other = evidence.duty_beyond(starts) > choices.DUTY_OTHER
+        odd = np.where(is_other, np.minimum(odd, np.maximum(by_all, 0.0)), odd)
+    return odd
+
+
+def _told(state: State) -> State:
+    """A change told tonight, unless the flow has hardly changed."""
+    evidence = state.evidence_now()
+    found = attribute(evidence, state.baseline, state.place(state.first_start))
+    if abs(found.flow.value) < choices.LEAST_CHANGE:
+        return state
+    return replace(state, standing=standing_of(state, evidence, found, told_on=state.day))
+
+
+def settled(state: State) -> State:
+    """With the change that was told, as the nights up to now show it."""
+    assert state.standing is not None
+    evidence = state.evidence_now()
+    first = state.place(state.first_start)
+    found = attribute(evidence, state.baseline, first)
+    told_on = state.standing.change.told_on
+    if found.start > told_on:
+        # A second change came before the first was settled: this one by its own nights.
+        return state
+    tank = state.standing.tank
+    return replace(state, standing=standing_of(state, evidence, found, told_on, tank))
+
+
+def standing_of(
+    state: State,
+    evidence: Evidence,
+    found: Attribution,
+    told_on: int,
+    tank: Estimate | None = None,
+) -> Standing:
+    """The change that is told from a day on, with its name."""
+    name = name_of(evidence, state.machine, state.baseline, found.start, found.flow.value, tank)
+    prior = _before(state, told_on)
+    is_rise = found.flow.value > 0.0
+    goes_on = prior is not None and _is_the_same(prior.change, name, is_rise=is_rise)
+    cause, probability = name.cause, name.probability
+    # What goes on began where it was told first, and keeps its name.
+    lower, since, upper = found.since
+    if prior is not None and goes_on:
+        since, lower, upper = prior.change.dates
+        if cause == CANNOT_BE_TOLD:
+            cause, probability = prior.change.cause, prior.change.probability
+    growth = state.growth_of(cause, found.flow)
+    if prior is not None and goes_on and prior.change.cause == cause:
+        growth = grown_as(prior.change, found.flow)
+    change = Change(
+        cause,
+        probability,
+        name.candidates,
+        is_rise,
+        found.shape,
+        since,
+        lower,
+        upper,
+        told_on,
+        found.flow,
+        growth,
+        name.likeliest.grade,
+        goes_on,
+    )
+    if prior is not None and goes_on:
+        return replace(prior, change=change, found=found, prior=prior, tank=tank)
+    along, of_flow, before = state.baseline.all_flows, 1.0, UNCHANGED
+    if prior is not None:
+        start = state.place(found.start)
+        before = on_first_baseline(state, slice(max(0, start - choices.PRESENT_NIGHTS), start))
+    elif name.cause == name.likeliest.name and name.cause not in (BACK, TEMPERATURE_EFFECT):
+        along, of_flow = name.likeliest.direction, share_of_flow(name.likeliest, state.baseline)
+    return Standing(change, along, of_flow, before, found, prior, tank)
+
+
+def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
+    """True if a change goes on: of the same sign and cause; a ramp, by what may be its cause."""
+    if before.is_rise != is_rise or ODD_NIGHTS in (before.cause, name.cause):
+        return False
+    if CANNOT_BE_TOLD not in (before.cause, name.cause):
+        return before.cause == name.cause
+    return before.shape == RAMPS and bool(before.candidates.keys() & name.candidates.keys())
+
+
+def _before(state: State, told_on: int) -> Standing | None:
+    """What was in force before the change that is told from a day on."""
+    standing = state.standing
+    if standing is None or standing.change.told_on == told_on:
+        return None if standing is None else standing.prior
+    return replace(standing, prior=None)
+
+
+def odd_nights(state: State) -> Days:
+    """Days of odd nights, if there are enough of them and not too many."""
+    odd = np.flatnonzero(state.window.odd > 1.0)
+    odd = odd[odd > len(state.window) - 1 - choices.ODD_WITHIN]
+    if len(odd) < choices.LEAST_ODD:
+        return odd[:0]
+    most = choices.MOST_ODD * (len(state.window) - odd[0])
+    return state.window.days[odd] if len(odd) <= most else odd[:0]
+
+
+def _with_odd_nights(state: State) -> State:
+    """With odd nights told that come again and again, unless another change is in force."""
+    if state.standing is not None and state.standing.change.cause != ODD_NIGHTS:
+        return replace(state, often=NOTHING)
+    days, again = odd_nights(state), state.standing is not None
+    level = state.level_along(state.baseline.all_flows)
+    value = level.value[np.searchsorted(state.window.days, days)]
+    size = Estimate(float(value.mean()), float(value.std() / math.sqrt(len(value))))
+    first = int(days[0])
+    change = Change(
+        ODD_NIGHTS,
+        1.0,
+        {ODD_NIGHTS: 1.0},
+        size.value > 0.0,
+        NOW_AND_THEN,
+        first,
+        first,
+        first,
+        state.day,
+        size,
+        goes_on=again,
+    )
+    standing = Standing(change, state.baseline.all_flows, 1.0, UNCHANGED)
+    return replace(state, standing=standing, often=NOTHING)
+
 
 Earlier = Callable[[int], Sequence[NightBlocks]]
 # Nights without an odd one after which odd nights are over.

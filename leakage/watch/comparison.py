@@ -10,39 +10,27 @@ import numpy as np
 from scipy.special import expit
 
 from leakage.errors import EstimationError
-from leakage.watch.adoption import begin
+from leakage.watch.adoption import begin, of_odd_night, with_evidence
 from leakage.watch.attribution import name_of
-from leakage.watch.levels import levels_along, surroundings
 from leakage.watch.nights import Estimate, Machine, NightBlocks, WatchSettings
-from leakage.watch.state import State
-from leakage.watch.telling import of_odd_night, with_evidence
+from leakage.watch.state import State, levels_along, surroundings
 from leakage.watch.watch import with_night
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Nights from a day on against those before.
+    """Nights from a day on against those before."""
 
-    Attributes
-    ----------
-    change
-        Relative change of the flow at the same conditions, all causes.
-    probability
-        That something has changed, where before the nights were seen both were as likely.
-    cause, cause_probability, candidates
-        As of `Change`: what it would be, if something has changed.
-    lack_of_fit
-        Root mean square share of the flow before that the model misses.
-    is_other_duty
-        True if the nights after have another duty: the interval is wider by the model's error.
-    """
-
-    change: Estimate
+    change: Estimate  # Relative change of the flow at the same conditions, all causes.
+    # That something has changed, where before the nights were seen both were as likely.
     probability: float
+    # cause, cause_probability, candidates: As of `Change`: what it would be, if something has
+    # changed.
     cause: str
     cause_probability: float
     candidates: Mapping[str, float]
-    lack_of_fit: float
+    lack_of_fit: float  # Root mean square share of the flow before that the model misses.
+    # True if the nights after have another duty: the interval is wider by the model's error.
     is_other_duty: bool
 
 
@@ -58,19 +46,11 @@ def compare(
     the likelihood ratio of a step or a ramp of any cause, with even odds before. One odd night is
     no change.
 
-    Parameters
-    ----------
-    machine
-        Paths and oil.
-    before, after
-        Nights in order.
-    settings
-        The least number of nights before.
+    `machine`: Paths and oil.
+    `before, after`: Nights in order.
+    `settings`: The least number of nights before.
 
-    Raises
-    ------
-    EstimationError
-        If there are too few nights before, or none after.
+    Raises EstimationError if there are too few nights before, or none after.
     """
     if len(before) < settings.baseline_nights or not after:
         raise EstimationError(

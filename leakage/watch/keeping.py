@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 
 from leakage.watch.attribution import Attribution
-from leakage.watch.baseline import Baseline
+from leakage.watch.baseline import Baseline, Columns
 from leakage.watch.causes import BACK, Cause
-from leakage.watch.columns import Columns
-from leakage.watch.nights import Array, Estimate, Machine, WatchSettings
+from leakage.watch.evidence import Sums, Window
+from leakage.watch.nights import Array, Change, Estimate, Machine, WatchSettings
 from leakage.watch.state import Standing, State
-from leakage.watch.verdict import Change
 from leakage.watch.wander import Wander
-from leakage.watch.window import Sums, Window
 from leakage.watch.within_night import BlockErrors
 
 Arrays = dict[str, Any]

@@ -1,9 +1,10 @@
-"""What the watch is given: a machine's paths, its nights' blocks, settings; and an estimate."""
+"""What the watch is given, machine, nights' blocks and settings, and what it says of a night."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,25 +26,15 @@ _TWO_SIDED_95 = float(ndtri(0.975))
 class NightBlocks:
     """Means of a night's blocks of samples, in order of time.
 
-    Parameters
-    ----------
-    day
-        Number of the calendar night: days since any fixed date.
-    middle_s
-        Middle of each block, shape (b,), [s].
-    drives
-        Mean flow a unit of each path's coefficient, shape (b, p), [l/min a unit]; a flow that is
-        known is a path whose coefficient is 1.
-    flow
-        Mean measured flow, shape (b,), [l/min].
-    conditions
-        Mean oil temperature [°C], size of the pressure difference [bar] and of the speed [rpm],
-        shape (b, 3).
+    `day`: Number of the calendar night: days since any fixed date.
+    `middle_s`: Middle of each block, shape (b,), [s].
+    `drives`: Mean flow a unit of each path's coefficient, shape (b, p), [l/min a unit]; a flow that
+    is known is a path whose coefficient is 1.
+    `flow`: Mean measured flow, shape (b,), [l/min].
+    `conditions`: Mean oil temperature [°C], size of the pressure difference [bar] and of the speed
+    [rpm], shape (b, 3).
 
-    Raises
-    ------
-    ShapeError
-        If the arrays are not of one number of blocks, or there is no block.
+    Raises ShapeError if the arrays are not of one number of blocks, or there is no block.
     """
 
     day: int
@@ -124,3 +115,69 @@ class Estimate:
     def scaled(self, factor: float) -> Estimate:
         """The estimate times a factor."""
         return Estimate(self.value * factor, self.sd * abs(factor))
+
+
+STEPS, RAMPS, NOW_AND_THEN = "step", "ramp", "now and then"
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A change that has been told and is in force; dates are numbers of days."""
+
+    # cause, probability: A path's name, ``all_gaps``, ``all_flows``, ``oil_grade``,
+    # ``temperature_sensor``, ``temperature_effect``, ``flushing``, ``back_as_before``,
+    # ``odd_nights``, ``tank`` or ``cannot_be_told``; its probability, where it cannot be told that
+    # of the likeliest.
+    cause: str
+    probability: float
+    candidates: Mapping[str, float]  # Causes above 1 %, by probability.
+    is_rise: bool  # Whether the flow has risen.
+    shape: str  # ``step``, ``ramp`` or ``now and then``.
+    # since, since_lower, since_upper: First day, and its 95 % interval.
+    since: int
+    since_lower: int
+    since_upper: int
+    told_on: int  # Day on which it was told.
+    size: Estimate  # Relative change of the flow at the motor's own conditions, now against before.
+    # Relative change of the named path's own flow; None where its share is below a tenth.
+    path_growth: Estimate | None = None
+    grade: int | None = None  # ISO viscosity grade that does as much, of ``oil_grade``.
+    goes_on: bool = False  # Whether the same was told before.
+
+    @property
+    def dates(self) -> tuple[int, int, int]:
+        """First day, and the ends of its interval."""
+        return self.since, self.since_lower, self.since_upper
+
+
+def grown_as(change: Change, flow: Estimate) -> Estimate | None:
+    """Growth of a change's path where the flow has changed by so much; None where it has none.
+
+    The path's share is that of the baseline by which it was named, whatever era came since.
+    """
+    told = change.path_growth
+    if told is None or not change.size.value:
+        return None
+    growth = told.value / change.size.value * flow.value
+    by_share = (told.sd / told.value) ** 2 - (change.size.sd / change.size.value) ** 2
+    sd = flow.sd * abs(told.value / change.size.value)
+    return Estimate(growth, math.hypot(sd, growth * math.sqrt(max(by_share, 0.0))))
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What is known of a motor after a night."""
+
+    day: int
+    # evidence, limit: ln R, and from where on it tells a change.
+    evidence: float
+    limit: float
+    lack_of_fit: float  # Root mean square share of the baseline's flow that the model misses.
+    change: Change | None  # The newest change in force; None where none is told.
+    # tonight, present: Relative change of the flow against the first baseline, along the named
+    # cause: of this night, and of the last nights since the change.
+    tonight: Estimate
+    present: Estimate
+    smallest: float  # Smallest change of all flows that ten nights like these would have told.
+    # Distance of the night's duty from the baseline's, in its standard deviations.
+    distance: float = field(default=0.0)

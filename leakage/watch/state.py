@@ -1,22 +1,116 @@
-"""State of a motor's watch after a night."""
+"""State of a motor's watch after a night, and its figures: levels, leakages, what would be told.
+
+Along a direction d, λ = d'(u − Aẑ) / d'Ad of a night, ẑ what all nights say of the unknowns, but
+for what moves the flow at the motor's own conditions, which is d's: a baseline of few nights knows
+the unknowns badly, and a season would be taken for a change.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import Cause, causes_of, is_path
-from leakage.watch.evidence import Causes, Evidence
-from leakage.watch.levels import Level, levels_along, surroundings
-from leakage.watch.nights import Array, Estimate, Machine, WatchSettings
-from leakage.watch.verdict import Change
+from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS, Cause, causes_of, is_path
+from leakage.watch.evidence import STEP, Causes, Evidence, Sums, Window
+from leakage.watch.nights import RAMPS, Array, Change, Estimate, Machine, WatchSettings, grown_as
 from leakage.watch.wander import Wander
-from leakage.watch.window import Sums, Window
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What nights say of the unknowns beside the level at the motor's own conditions.
+
+    Mean, shape (q,), and covariance, shape (q, q).
+    """
+
+    mean: Array
+    covariance: Array
+
+
+def surroundings(
+    window: Window, sums: Sums, own_row: Array, direction: Array, end: int
+) -> Surroundings:
+    """Of the nights before a place, beside a straight line in time along a direction.
+
+    What rises evenly is wear, or none: it is not taken for an effect of a season.
+    """
+    q = len(direction)
+    before, score = (one[0] for one in sums.before(np.array([end]), window))
+    day = float(window.days[max(end - 1, 0)])
+    (a0, a1, a2), (u0, u1) = (
+        tuple(one[1, end] for one in kind) for kind in (sums.information, sums.score)
+    )
+    tens = choices.RAMP_DAYS
+    linear = (a1 - day * a0) @ direction / tens
+    square = float(direction @ (a2 - 2.0 * day * a1 + day**2 * a0) @ direction) / tens**2
+    whole = np.block([[before, linear[:, None]], [linear[None], np.array([[square]])]])
+    whole[q, q] += choices.RAMP_SIZE**-2
+    line = float((u1 - day * u0) @ direction) / tens
+    covariance = np.linalg.inv(whole)
+    mean = (covariance @ np.append(score, line))[:q]
+    levelled = np.eye(q) - np.outer(direction, own_row) / float(own_row @ direction)
+    return Surroundings(levelled @ mean, levelled @ covariance[:q, :q] @ levelled.T)
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """λ of some nights, and what their errors are made from.
+
+    `value`, the variances `noise` of the errors within each night and `shift` of its own shift of
+    the paths, and `beyond`, how far its duty is from a usual one, have shape (n,); `of_others` and
+    `of_paths` are what an error of all unknowns, and of the paths, does to it, shapes (n, q) and
+    (n, p).
+    """
+
+    value: Array
+    noise: Array
+    shift: Array
+    of_others: Array
+    of_paths: Array
+    beyond: Array
+    around: Surroundings
+    wander: Wander
+    duty_error: Array
+
+    def mean(self, nights: slice) -> Estimate:
+        """Mean of some nights: they share their serial correlation, and the errors of the model."""
+        value, noise, shift = self.value[nights], self.noise[nights], self.shift[nights]
+        weights = 1.0 / (noise + shift) / np.sum(1.0 / (noise + shift))
+        length = float(self.wander.inflation(np.array([len(value)], dtype=float))[0])
+        of_others = weights @ self.of_others[nights]
+        by_duty = weights @ (self.of_paths[nights] * self.beyond[nights][:, None])
+        variance = float(weights**2 @ (noise + length * shift))
+        variance += float(of_others @ self.around.covariance @ of_others)
+        variance += float(np.sum((by_duty * self.duty_error) ** 2))
+        return Estimate(float(weights @ value), math.sqrt(variance))
+
+
+def levels_along(
+    window: Window, direction: Array, wander: Wander, baseline: Baseline, around: Surroundings
+) -> Level:
+    """λ of a window's nights along a direction of shape (q,)."""
+    p = len(wander.spread)
+    along = window.information @ direction
+    weight = np.maximum(along @ direction, 1e-12)
+    gain = along / weight[:, None]
+    shift = np.einsum("ni,ij,nj->n", gain[:, :p], wander.spread, gain[:, :p])
+    return Level(
+        window.score @ direction / weight - gain @ around.mean,
+        1.0 / weight,
+        shift,
+        gain,
+        gain[:, :p],
+        np.clip(window.distance - choices.DUTY_FREE, 0.0, choices.DUTY_MOST),
+        around,
+        wander,
+        baseline.duty_error,
+    )
+
 
 NOTHING = -math.inf
 UNCHANGED = Estimate(0.0, 0.0)
@@ -43,48 +137,28 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What is kept of a motor.
-
-    Attributes
-    ----------
-    baseline, window, sums, wander
-        What the first nights fix, the nights, their sums, and what they do by themselves.
-    undone
-        Causes that undo what was adopted.
-    first_start
-        Day of the first candidate start.
-    n_baseline, n_nights
-        Nights of the era's baseline, and all of the era.
-    due
-        Number of nights with which the wander is estimated anew; 0: never.
-    often
-        Evidence that odd nights have become frequent.
-    evidence
-        ln R of the newest night.
-    era_from
-        Day from which an era of its own is to begin; None: none is.
-    carried
-        Change of the flow at the era's beginning against the first baseline.
-    standing
-        The change in force; None: none is told.
-    """
+    """What is kept of a motor."""
 
     machine: Machine
     settings: WatchSettings
+    # baseline, window, sums, wander: What the first nights fix, the nights, their sums, and what
+    # they do by themselves.
     baseline: Baseline
     window: Window
     sums: Sums
     wander: Wander
-    undone: tuple[Cause, ...]
-    first_start: int
+    undone: tuple[Cause, ...]  # Causes that undo what was adopted.
+    first_start: int  # Day of the first candidate start.
+    # n_baseline, n_nights: Nights of the era's baseline, and all of the era.
     n_baseline: int
     n_nights: int
-    due: int
-    often: float = NOTHING
-    evidence: float = NOTHING
-    era_from: int | None = None
+    due: int  # Number of nights with which the wander is estimated anew; 0: never.
+    often: float = NOTHING  # Evidence that odd nights have become frequent.
+    evidence: float = NOTHING  # ln R of the newest night.
+    era_from: int | None = None  # Day from which an era of its own is to begin; None: none is.
+    # Change of the flow at the era's beginning against the first baseline.
     carried: Estimate = UNCHANGED
-    standing: Standing | None = None
+    standing: Standing | None = None  # The change in force; None: none is told.
 
     @property
     def day(self) -> int:
@@ -131,3 +205,114 @@ class State:
         return Evidence(
             self.window, self.sums, self.wander, causes, self.baseline.duty_error, self.n_nights
         )
+
+
+def direction(state: State) -> tuple[Array, float]:
+    """What the level is taken along, and what a unit of it is of the flow."""
+    if state.standing is None:
+        return state.baseline.all_flows, 1.0
+    return state.standing.along, state.standing.of_flow
+
+
+def _n_present(state: State) -> int:
+    """Nights behind the present change: those since it, ten at most."""
+    if state.standing is None:
+        return choices.PRESENT_NIGHTS
+    change = state.standing.change
+    most = choices.PRESENT_OF_RAMP if change.shape == RAMPS else choices.PRESENT_NIGHTS
+    return max(1, min(most, len(state.window) - state.place(change.since)))
+
+
+def on_first_baseline(state: State, nights: slice) -> Estimate:
+    """Change of the flow over some nights, against the first baseline."""
+    along, of_flow = direction(state)
+    level = state.level_along(along).mean(nights).scaled(of_flow)
+    grown = 1.0 + state.carried.value
+    sd = math.hypot(grown * level.sd, (1.0 + level.value) * state.carried.sd)
+    return Estimate(grown * (1.0 + level.value) - 1.0, sd)
+
+
+def present(state: State) -> Estimate:
+    """Change of the flow against the first baseline, of the last nights."""
+    return on_first_baseline(state, slice(-_n_present(state), None))
+
+
+def change_in_force(state: State) -> Change | None:
+    """The change in force; adopted, or going on, its size is that of now against before it."""
+    standing = state.standing
+    if standing is None or standing.change.cause == ODD_NIGHTS:
+        return None if standing is None else standing.change
+    change = standing.change
+    if standing.found is not None and not change.goes_on:
+        return change
+    now, before = present(state), standing.before
+    ratio = (1.0 + now.value) / (1.0 + before.value)
+    sd = math.hypot(now.sd, ratio * before.sd) / (1.0 + before.value)
+    size = Estimate(ratio - 1.0, sd)
+    growth = grown_as(change, size)
+    return replace(change, size=size, is_rise=size.value > 0.0, path_growth=growth)
+
+
+def smallest_change(state: State) -> float:
+    """Smallest change of all flows, begun ten nights ago, that would be told tonight."""
+    evidence = state.evidence_now()
+    start = max(0, len(state.window) - choices.PRESENT_NIGHTS)
+    told = evidence.of_starts(np.array([start]))
+    names = [one.name for one in evidence.causes.every]
+    second = float(told.second[STEP, 0, names.index(ALL_FLOWS)])
+    spread, freedom = choices.STEP_SIZE, state.wander.degrees_of_freedom(state.n_nights)
+    sd = 1.0 / math.sqrt(second + spread**-2)
+    fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(names))
+    gain = freedom * math.expm1(2.0 * (state.settings.limit - fixed) / (freedom + 1.0))
+    return math.sqrt(gain) * sd
+
+
+def change_since(state: State, day: int) -> Estimate | None:
+    """Change of all flows from a day on against before; None without nights on both sides.
+
+    An adopted change is in no window any more: where it may have begun since, it is the change.
+    """
+    standing = state.standing
+    if standing is not None and standing.found is None and standing.change.cause != ODD_NIGHTS:
+        told = change_in_force(state)
+        if told is not None and told.since_upper >= day:
+            return told.size
+    place = int(np.searchsorted(state.window.days, day))
+    if not 0 < place < len(state.window):
+        return None
+    level = state.level_along(state.baseline.all_flows)
+    after, before = level.mean(slice(place, None)), level.mean(slice(None, place))
+    return Estimate(after.value - before.value, math.hypot(after.sd, before.sd))
+
+
+def leakage_at(state: State, drives: Array, conditions: Array) -> Estimate:
+    """Flow at some conditions, by the level of the newest night, [l/min].
+
+    `drives` are the flows a unit of each path's coefficient there, shape (p,), 0 for what is left
+    out; `conditions` are temperature [°C], pressure [bar] and speed [rpm], shape (3,).
+    """
+    row, flow = _row_at(state, drives, conditions)
+    along, _ = direction(state)
+    levels = state.level_along(along)
+    level, of_cause = levels.mean(slice(-1, None)), float(row @ along)
+    as_first = 1.0 + float(row @ (state.baseline.unknowns + levels.around.mean))
+    before, _ = state.sums.before(np.array([len(state.window)]), state.window)
+    uncertain = float(row @ np.linalg.solve(before[0], row))
+    variance = (of_cause * level.sd) ** 2 + uncertain
+    return Estimate(flow * (as_first + level.value * of_cause), flow * math.sqrt(variance))
+
+
+def frozen_leakage_at(state: State, drives: Array, conditions: Array) -> float:
+    """Flow at some conditions by the baseline alone, [l/min]; arguments as of `leakage_at`."""
+    row, flow = _row_at(state, drives, conditions)
+    return flow * (1.0 + float(row @ state.baseline.unknowns))
+
+
+def _row_at(state: State, drives: Array, conditions: Array) -> tuple[Array, float]:
+    """What a unit of each unknown is of the flow at some conditions, and that flow by theta."""
+    columns = state.baseline.columns
+    expected = columns.expected(drives[None])
+    row: Array = columns.design(drives[None], conditions[None], np.maximum(expected, 1e-12))[0]
+    if columns.has_zero:
+        row[-1] = 0.0
+    return row, float(expected[0])

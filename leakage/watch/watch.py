@@ -11,20 +11,30 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from leakage.errors import EstimationError
-from leakage.watch import figures, keeping
+from leakage.watch import keeping
 from leakage.watch.adoption import (
     Earlier,
     adopted,
     at_rest,
     begin,
+    judged,
     new_era,
+    settled,
     shortened,
+    standing_of,
     with_new_wander,
 )
-from leakage.watch.nights import Array, Estimate, Machine, NightBlocks, WatchSettings
-from leakage.watch.state import State
-from leakage.watch.telling import judged, settled, standing_of
-from leakage.watch.verdict import Verdict
+from leakage.watch.nights import Array, Estimate, Machine, NightBlocks, Verdict, WatchSettings
+from leakage.watch.state import (
+    State,
+    change_in_force,
+    change_since,
+    frozen_leakage_at,
+    leakage_at,
+    on_first_baseline,
+    present,
+    smallest_change,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +49,7 @@ class Watch:
     ) -> Watch:
         """The watch after the nights of its baseline, in order.
 
-        Raises
-        ------
-        EstimationError
-            If there are fewer nights than a baseline needs.
+        Raises EstimationError if there are fewer nights than a baseline needs.
         """
         if len(nights) < settings.baseline_nights:
             raise EstimationError(
@@ -64,12 +71,8 @@ class Watch:
     def after(self, night: NightBlocks, earlier: Earlier) -> Watch:
         """The watch after one more night.
 
-        Parameters
-        ----------
-        night
-            Its blocks; later than all nights before.
-        earlier
-            The nights from a day on up to this one, which are asked for where an era begins.
+        `night`: Its blocks; later than all nights before.
+        `earlier`: The nights from a day on up to this one, which are asked for where an era begins.
         """
         state = adopted(with_night(self.state, night))
         if state.is_settling:
@@ -104,24 +107,24 @@ class Watch:
             state.evidence,
             state.settings.limit,
             self.lack_of_fit,
-            figures.change_in_force(state),
-            figures.on_first_baseline(state, slice(-1, None)),
-            figures.present(state),
-            figures.smallest_change(state),
+            change_in_force(state),
+            on_first_baseline(state, slice(-1, None)),
+            present(state),
+            smallest_change(state),
             float(state.window.distance[-1]),
         )
 
     def change_since(self, day: int) -> Estimate | None:
         """Change of all flows from a day on against before; None without nights on both sides."""
-        return figures.change_since(self.state, day)
+        return change_since(self.state, day)
 
     def leakage_at(self, drives: Array, conditions: Array) -> Estimate:
-        """Flow at some conditions by the level of the newest night; as `figures.leakage_at`."""
-        return figures.leakage_at(self.state, drives, conditions)
+        """Flow at some conditions by the level of the newest night; as `state.leakage_at`."""
+        return leakage_at(self.state, drives, conditions)
 
     def frozen_leakage_at(self, drives: Array, conditions: Array) -> float:
         """The same by the baseline alone, [l/min]."""
-        return figures.frozen_leakage_at(self.state, drives, conditions)
+        return frozen_leakage_at(self.state, drives, conditions)
 
     def arrays(self) -> dict[str, Array]:
         """Numbers to keep, by name."""
