@@ -1,29 +1,32 @@
 """Typed config: the only door for settings.
 
 `loading` reads a fleet's files, with the faults that only show between them (`cross_checks`), into
-`fleet`. A file a model: `settings` (fleet file; its sections are in `preparation`, `fitting`,
-`watching` and `execution`), `motors` (with `logs`, `channels` and `databases`), `motor_types`,
-`oil_samples`. `hashes` says what a change of settings makes anew; `nights` are the days of a fleet.
+`fleet`. A module a file: `settings` (fleet file), `motors` (with `logs` and `channels`),
+`motor_types`, `oil_samples`. `hashes` says what a change of settings makes anew; `nights` are the
+days of a fleet.
 """
 
 from pipeline.config.channels import Channel
-from pipeline.config.execution import Execution, Retention
 from pipeline.config.faults import ConfigError, Fault
-from pipeline.config.fitting import Estimation
 from pipeline.config.fleet import Fleet, MotorSpec, absolute, overlap
 from pipeline.config.loading import load_fleet
 from pipeline.config.motors import Event, MotorFile
-from pipeline.config.preparation import (
+from pipeline.config.settings import (
+    Alarms,
     Cleaning,
+    Estimation,
+    Execution,
+    Look,
     Nights,
+    Retention,
     SensorHealth,
+    Settings,
     Smoothing,
     TimeBase,
     TransportDelay,
+    Trend,
     Windows,
 )
-from pipeline.config.settings import Settings
-from pipeline.config.watching import Alarms, Look, Trend
 
 __all__ = [
     "Alarms",

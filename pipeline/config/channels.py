@@ -10,7 +10,6 @@ from pydantic import AfterValidator, Field, field_validator
 from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import FieldText
 from pipeline.config.section import NonNegative, Positive, Section, Stage
-from pipeline.units import QUANTITIES, UNITS
 
 ChannelName = Literal[
     "pressure_difference",
@@ -69,7 +68,7 @@ Limits = Annotated[tuple[float, float], AfterValidator(_limits)]
 
 
 class Channel(Section):
-    """One channel of the log: where it stands, its unit, and what its sensor can say.
+    """One channel of the log.
 
     Limits, resolution and tolerance are in the unit of the tables (bar, °C, rpm, l/min, mm2/s,
     mPa.s), whatever the log's.
@@ -78,72 +77,55 @@ class Channel(Section):
     shapes = Stage.READING | Stage.BLOCKS
 
     source: Annotated[str, Stage.READING] = ""
-    """Column of a CSV or Parquet log (nested: its path, `a.b.c`), topic of an MCAP; in the layout
-    `long` the channel's name, in `file_per_channel` a glob of the file's name. Needed without a
-    `constant`."""
+    """Column, topic (MCAP), the channel's name (`long`), or a glob of the file's name
+    (`file_per_channel`)."""
     constant: float | None = None
-    """In place of `source`, for what is not logged, such as the speed of a motor that always turns
-    alike, or the case pressure: its value, in `unit`. The drain flow's time stamps are its own, and
-    no rule of cleaning judges it."""
+    """Value in place of `source`, where not logged."""
     field: Annotated[FieldText, Stage.READING] = Field("value", min_length=1)
-    """Field in the message of an MCAP topic: a key, or a path such as `hydraulics.pressure.a`,
-    `pressures[0].value` or, in a map, `temperatures.oil`."""
+    """MCAP: field of the message, such as `value` or `pressures[0].value`."""
     value_column: Annotated[str, Stage.READING] = ""
-    """Layout `file_per_channel`: column of this channel's values, where it is another than
-    `logs.value_column`; several channels may be columns of one file."""
+    """Column in its file, where not `logs.value_column`."""
     unit: str
     """Unit in the log."""
     quality_source: str = ""
-    """Column of this channel's quality (CSV, Parquet; in the layouts `long` and `file_per_channel`
-    of the row), or path of a field in the same message (MCAP). A sample without a good code is
-    refused as `bad_quality` and ends the held value of an `on_change` channel. Empty: none."""
+    """Column, or field of the message (MCAP), of the channel's quality."""
     quality_good: tuple[QualityValue, ...] = GOOD_QUALITY
-    """Codes of a good sample, as text (without regard to case), number or truth value; all others
-    are bad, and so is a blank. OPC DA: `[192]`; OPC UA: `[0]`, which is bad in OPC DA and therefore
-    only good if it is listed here."""
+    """Codes of a good sample. OPC DA: `[192]`; OPC UA: `[0]`."""
     scale: Factor = 1.0
-    """Factor on the logged number, before the unit."""
+    """Factor on the logged number."""
     offset: float = 0.0
-    """Added to the scaled number, in the log's unit."""
+    """Added to the scaled number."""
     valid_range: Limits | None = None
-    """Values outside are refused; without it the channel's usual range."""
+    """Values outside are refused; by default the usual range."""
     sensor_maximum: Positive | None = None
-    """Highest value that the sensor gives; for the drain flow also what it gives under
-    back-flow."""
+    """Highest value that the sensor gives."""
     resolution: NonNegative = 0.0
-    """Smallest step of the sensor; where none is stated, spikes are judged by the step that the
-    readings visibly have."""
+    """Smallest step of the sensor."""
     offset_tolerance: Annotated[NonNegative, Stage.FIGURES] = 0.0
-    """Stated constant error of the sensor; 0: none stated."""
+    """Constant error of the sensor."""
     gain_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
-    """Stated error in proportion to the reading; 0: none stated."""
+    """Error in proportion to the reading."""
     frozen_after_s: Positive | None = None
-    """Overrides cleaning.frozen_after_s; temperature: 900 s unless stated."""
+    """As in `[cleaning]`; temperature: 900 s unless stated."""
     sampling: Literal["periodic", "on_change", "mean"] = "periodic"
-    """`periodic`: readings at a fixed rate; `on_change`: samples sent on change, or kept by a
-    historian's compression (silence is neither a gap nor a frozen sensor, and no sample is a
-    spike); `mean`: means of a period."""
+    """Fixed rate (`periodic`), sent on change or compressed (`on_change`), means of a period
+    (`mean`)."""
     longest_silence_s: Positive | None = Field(None, le=31_536_000.0)
-    """Longer silence than this is a gap in this channel; needed for `on_change`, else five sample
-    periods unless stated."""
+    """Silence that is a gap; required for `on_change`."""
     between: Literal["interpolate", "hold"] = "interpolate"
-    """Between two samples: `interpolate` (a compressed archive), or `hold` the first one (a value
-    sent on change; `on_change` only). The last `on_change` sample before a night is the first of
-    these two at its start, if silence may be that long."""
+    """`on_change`: `interpolate` (compressed) or `hold` the last value."""
     mean_of_s: Positive | None = None
     """Averaging period of a sample; needed for `mean`."""
     mean_stamp: Literal["begin", "middle", "end"] = "middle"
     """Place of a mean's time stamp in its period."""
     counts: Literal["cumulative", "pulses"] | None = None
-    """Drain flow only, with the unit `count`: the log holds a running total (`cumulative`), or the
-    counts since the sample before (`pulses`)."""
+    """Drain flow in `count`: running total (`cumulative`) or counts of a sample (`pulses`)."""
     volume_per_count_cm3: Positive | None = None
     """Volume of one count; 1000 for a counter of litres."""
     counter_rolls_over_at: Positive | None = None
-    """A running total begins at 0 again after this many counts; without it every fall of the total
-    is a reset, and that sample is refused."""
+    """Counts after which a running total begins anew."""
     time_offset_s: float = Field(0.0, ge=-600.0, le=600.0)
-    """Added to the channel's time stamps, to correct its clock."""
+    """Added to the channel's time stamps."""
 
     @field_validator("quality_good", mode="before")
     @classmethod
@@ -154,59 +136,34 @@ class Channel(Section):
         return words
 
     def misfits(self) -> Iterator[Misfit]:
-        """Keys that do not go together."""
+        given, lowest = self.model_fields_set, self.valid_range[0] if self.valid_range else None
+        is_on_change, is_mean = self.sampling == "on_change", self.sampling == "mean"
         if self.constant is None and not self.source:
             yield ("source",), "is missing: the place in the log, or else a constant", None
-        beside = sorted(self.model_fields_set - OF_A_CONSTANT)
-        for key in beside if self.constant is not None else ():
-            yield (key,), "expected no such key beside a constant", getattr(self, key)
-        if "quality_good" in self.model_fields_set and not self.quality_source:
-            yield ("quality_good",), "expected quality_source beside it", self.quality_good
-        if self.sensor_maximum and self.valid_range and self.sensor_maximum <= self.valid_range[0]:
-            message = "expected more than the lower end of valid_range"
-            yield ("sensor_maximum",), message, self.sensor_maximum
-        if self.longest_silence_s is None and self.sampling == "on_change":
-            yield ("longest_silence_s",), 'expected a time for sampling = "on_change"', None
-        if self.between == "hold" and self.sampling != "on_change":
-            yield ("between",), 'expected sampling = "on_change" beside it', self.between
-        if (self.mean_of_s is None) == (self.sampling == "mean"):
-            message = 'expected together with sampling = "mean", and only then'
-            yield ("mean_of_s",), message, self.mean_of_s
+        for key in sorted(given - OF_A_CONSTANT) if self.constant is not None else ():
+            yield self.at(key, "expected no such key beside a constant")
+        if "quality_good" in given and not self.quality_source:
+            yield self.at("quality_good", "expected quality_source beside it")
+        if self.sensor_maximum and lowest is not None and self.sensor_maximum <= lowest:
+            yield self.at("sensor_maximum", "expected more than the lower end of valid_range")
+        if is_on_change and self.longest_silence_s is None:
+            yield self.at("longest_silence_s", 'expected a time for sampling = "on_change"')
+        if self.between == "hold" and not is_on_change:
+            yield self.at("between", 'expected sampling = "on_change" beside it')
+        if is_mean == (self.mean_of_s is None):
+            yield self.at("mean_of_s", 'expected together with sampling = "mean", and only then')
         yield from self._misfits_of_counts()
 
     def _misfits_of_counts(self) -> Iterator[Misfit]:
-        if (self.counts is None) == (self.unit == COUNT):
-            yield ("counts",), f'expected together with unit = "{COUNT}"', self.counts
-        if (self.counts is None) != (self.volume_per_count_cm3 is None):
-            message = "expected together with counts, and only then"
-            yield ("volume_per_count_cm3",), message, self.volume_per_count_cm3
-        if self.counts is not None and self.sampling == "mean":
-            yield ("counts",), 'expected no sampling = "mean" beside it', self.counts
+        is_counted = self.counts is not None
+        if is_counted != (self.unit == COUNT):
+            yield self.at("counts", f'expected together with unit = "{COUNT}"')
+        if is_counted == (self.volume_per_count_cm3 is None):
+            yield self.at("volume_per_count_cm3", "expected together with counts, and only then")
+        if is_counted and self.sampling == "mean":
+            yield self.at("counts", 'expected no sampling = "mean" beside it')
         if self.counter_rolls_over_at is not None and self.counts != "cumulative":
-            message = 'expected counts = "cumulative" beside it'
-            yield ("counter_rolls_over_at",), message, self.counter_rolls_over_at
+            yield self.at("counter_rolls_over_at", 'expected counts = "cumulative" beside it')
 
 
 Channels = Mapping[ChannelName, Channel]
-
-
-def channel_faults(units: Mapping[str, object]) -> Iterator[Misfit]:
-    """Faults of a motor's channels as a whole, besides those within each."""
-    names = set(units)
-    given = ", ".join(sorted(names))
-    ports = {"high_port_pressure", "low_port_pressure"}
-    has_ports = ports <= names
-    if has_ports == ("pressure_difference" in names) or (not has_ports and ports & names):
-        message = "expected pressure_difference, or high_port_pressure and low_port_pressure"
-        yield ("channels",), message, given
-    absent = {"oil_temperature", "speed", "leakage_flow"} - names
-    if absent:
-        yield ("channels",), f"expected also {', '.join(sorted(absent))}", given
-    if {"kinematic_viscosity", "dynamic_viscosity"} <= names:
-        yield ("channels",), "expected kinematic_viscosity or dynamic_viscosity, not both", given
-    for name, unit in units.items():
-        known = UNITS[QUANTITIES[name]] if name in QUANTITIES else {}
-        if name == COUNTED and unit == COUNT:
-            continue
-        if known and isinstance(unit, str) and unit not in known:
-            yield ("channels", name, "unit"), f"expected one of {', '.join(known)}", unit

@@ -3,54 +3,39 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
-from pipeline.config.channels import COUNTED, channel_faults
-from pipeline.config.defaults import Document
-from pipeline.config.faults import Fault, Place, fault_at
-from pipeline.config.files import Folder
+from pipeline.config.channels import COUNTED
+from pipeline.config.faults import Fault, fault_at
 from pipeline.config.fleet import MotorSpec
-from pipeline.config.oil_samples import FURTHEST, OilCircuitFile, OilSample
-from pipeline.units import QUANTITIES
-
-
-def misnamed(folder: str, key: str, documents: Mapping[str, Document]) -> Iterator[Fault]:
-    """Files whose own name for what they describe is not the file's."""
-    for name, document in documents.items():
-        own = document.get(key, name)
-        if own != name:
-            message = (
-                f"got {json.dumps(own, default=str)}; expected {json.dumps(name)}, as the file"
-            )
-            yield Fault(f"{folder}/{name}.toml", key, message)
+from pipeline.config.oil_samples import FURTHEST
 
 
 def strangers(
-    file: str, document: Document, types: Iterable[str], oils: Iterable[str]
+    file: str, document: Mapping[str, Any], types: Iterable[str], oils: Iterable[str]
 ) -> Iterator[Fault]:
     """Names of motor types and oils that there are not; other faults of the file do not matter."""
     events = document.get("events")
-    named = [("motor_type", document.get("motor_type"), types), ("oil", document.get("oil"), oils)]
+    named = [("motor_type", document, types), ("oil", document, oils)]
     named += [
-        (f"events.{index}.oil", event.get("oil"), oils)
+        (f"events.{index}.oil", event, oils)
         for index, event in enumerate(events if isinstance(events, list) else ())
         if isinstance(event, dict)
     ]
-    for key, given, known in named:
+    for key, table, known in named:
+        given = table.get(key.rpartition(".")[2])
         if isinstance(given, str) and given not in known:
             choice = ", ".join(sorted(known)) or "those in its folder, which has none"
-            yield Fault(file, key, f"got {json.dumps(given)}; expected one of {choice}")
+            yield fault_at(file, (key,), f"expected one of {choice}", given)
 
 
 def oil_faults(
-    specs: Iterable[MotorSpec],
-    motors: Iterable[Document],
-    circuits: Folder[OilCircuitFile],
+    specs: Iterable[MotorSpec], motors: Iterable[Mapping[str, Any]], circuits: Iterable[str]
 ) -> Iterator[Fault]:
     """Faults of analyses that only show beside the oil, the date, or the other file."""
-    named = {document.get("oil_circuit") for document in motors}
-    for name in circuits.documents:
+    named = [document.get("oil_circuit") for document in motors]
+    for name in circuits:
         if name not in named:
             message = "no motor is of this oil circuit; expected the name that a motor's file has"
             yield Fault(f"oil_circuits/{name}.toml", "", message)
@@ -62,26 +47,26 @@ def oil_faults(
             yield Fault(file, "oil_samples", message)
         if shared:
             file = f"oil_circuits/{spec.file.oil_circuit}.toml"
-        for index, sample in enumerate(own or shared):
-            yield from _faults_of_sample(file, ("oil_samples", index), sample, spec)
+        yield from _faults_of_samples(file, spec)
 
 
-def _faults_of_sample(
-    file: str, place: Place, sample: OilSample, spec: MotorSpec
-) -> Iterator[Fault]:
+def _faults_of_samples(file: str, spec: MotorSpec) -> Iterator[Fault]:
     from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 
-    if sample.date > dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1):
-        message = "expected a day that has come: an analysis holds from its date on"
-        yield fault_at(file, (*place, "date"), message, sample.date.isoformat())
-    oil, at_40 = spec.oil_on(sample.date).oil(), sample.viscosity_40_c_mm2_per_s
-    sheet = float(kinematic_viscosity_mm2_per_s(40.0, oil.walther_a, oil.walther_b))
-    if at_40 is not None and not 1.0 / FURTHEST <= at_40 / sheet <= FURTHEST:
-        message = (
-            f"expected {sheet / FURTHEST:.3g} to {FURTHEST * sheet:.3g}, as {oil.name} has "
-            f"{sheet:.3g}; another oil is an event"
-        )
-        yield fault_at(file, (*place, "viscosity_40_c_mm2_per_s"), message, at_40)
+    tomorrow = dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1)
+    for index, sample in enumerate(spec.file.oil_samples or spec.circuit_samples):
+        place = ("oil_samples", index)
+        if sample.date > tomorrow:
+            message = "expected a day that has come: an analysis holds from its date on"
+            yield fault_at(file, (*place, "date"), message, sample.date.isoformat())
+        oil, at_40 = spec.oil_on(sample.date).oil(), sample.viscosity_40_c_mm2_per_s
+        sheet = float(kinematic_viscosity_mm2_per_s(40.0, oil.walther_a, oil.walther_b))
+        if at_40 is not None and not 1.0 / FURTHEST <= at_40 / sheet <= FURTHEST:
+            message = (
+                f"expected {sheet / FURTHEST:.3g} to {FURTHEST * sheet:.3g}, as {oil.name} has "
+                f"{sheet:.3g}; another oil is an event"
+            )
+            yield fault_at(file, (*place, "viscosity_40_c_mm2_per_s"), message, at_40)
 
 
 def claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
@@ -98,18 +83,6 @@ def claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
             )
             key = ("channels", COUNTED, "source")
             yield fault_at(f"motors/{spec.motor_id}.toml", key, message, flow.source)
-
-
-def faults_of_channels(file: str, document: Document) -> Iterator[Fault]:
-    """Faults of the channels as a whole; where the file has others, nothing else looks at them."""
-    channels = document.get("channels")
-    if isinstance(channels, dict):
-        tables = {name: part for name, part in channels.items() if isinstance(part, dict)}
-        units = {name: part.get("unit") for name, part in tables.items()}
-        is_spelled = units.keys() <= QUANTITIES.keys()
-        for place, message, given in channel_faults(units):
-            if is_spelled or len(place) > 1:  # a misspelled channel is not missing besides
-                yield fault_at(file, place, message, given)
 
 
 def impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
@@ -17,32 +19,10 @@ KEY_MARK = "[key]"
 LONGEST_QUOTE = 80
 # Keys whose values may hold a secret: nothing of them is quoted.
 UNQUOTED = frozenset({"webhook_url", "webhook_headers", "webhook_secret", "password", "connection"})
-OPENINGS = {
-    "Input should be ": "expected ",
-    "String should match pattern ": "expected text that matches ",
-    "Tuple should have ": "expected ",
-    "String should have ": "expected ",
-    "Value error, ": "",
-}
 
 Place = tuple[str | int, ...]
 Misfit = tuple[Place, str, object]
 """Key within a table, what was expected, and what stands there."""
-
-
-# Keys of earlier versions, and what is said of them.
-ONE_WATCH = "is gone: one test watches the whole flow of a motor"
-GONE = {
-    "trend.provisional_nights": f"{ONE_WATCH}, from its baseline_nights on; delete it",
-    "trend.false_discovery_rate": f"{ONE_WATCH}, and slopes are shown only; delete it",
-    "alarms.warning_percent": f"{ONE_WATCH}, and any change that it tells is a warning; delete it",
-    "alarms.on_nights": f"{ONE_WATCH}, at alarms.false_alarms_per_year; delete it",
-    "alarms.off_nights": f"{ONE_WATCH}, until the flow is back where it was; delete it",
-    "alarms.deadband_percent": f"{ONE_WATCH}, until the flow is back where it was; delete it",
-    "estimation.gradient_type": "is gone: the audit takes differences; delete it",
-    "estimation.search_every_nights": "is gone: `fit` alone searches; delete it",
-    "estimation.bootstrap_resamples": "is gone: intervals are those of the blocks; delete it",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,53 +76,41 @@ def fault_at(file: str, place: Place, message: str, given: object) -> Fault:
 
 
 def _fault(detail: ErrorDetails, file: str, prefix: str, document: object) -> Fault:
-    place = _in_file(detail["loc"], document)
-    kind = detail["type"]
-    if kind.startswith("union_tag"):
-        place.append("law")
-    key = (prefix + _key(place, document)).rstrip(".")
+    place, kind = detail["loc"], detail["type"]
+    key = prefix + _key((*place, "law") if kind.startswith("union_tag") else place, document)
+    given = "" if UNQUOTED.intersection(place) else _quote(detail["input"])
+    message = given + re.sub(r"^\w+ should (be|have|match) ", "expected ", detail["msg"])
     if kind in ("missing", "union_tag_not_found"):
-        return Fault(file, key, "is missing")
-    if kind == "extra_forbidden":
-        gone = next((why for one, why in GONE.items() if key.endswith(one)), None)
-        return Fault(file, key, gone or "is no key of this table; check its spelling")
-    if kind == "union_tag_invalid":
-        context = detail["ctx"]
-        message = f'got "{context["tag"]}"; expected one of {context["expected_tags"]}'
-        return Fault(file, key, message)
-    given = "" if UNQUOTED.intersection(detail["loc"]) else _quote(detail["input"])
-    return Fault(file, key, given + _expected(detail["msg"]))
+        message = "is missing"
+    elif kind == "extra_forbidden":
+        message = "is no key of this table; check its spelling, or delete it"
+    return Fault(file, key.rstrip("."), message.replace("Value error, ", "", 1))
 
 
-def _key(place: Iterable[str | int], document: object) -> str:
-    """A place as people find it: ``path "piston_ring" count`` for the table of that name."""
+def _key(place: Place, document: object) -> str:
+    """A place as people find it: ``path "piston_ring" count`` for the table of that name.
+
+    Left out is what pydantic adds and no file has: marks of a key, the law of a path.
+    """
     key, between = "", ""
     for part in place:
-        document = _below(document, part)
-        name = document.get("name") if isinstance(document, Mapping) else None
+        below = _below(document, part)
+        if part == KEY_MARK or (below is None and part == _below(document, "law")):
+            continue
+        name = _below(below, "name")
         if isinstance(part, int) and isinstance(name, str):
             key, between = f'{key} "{name}"', " "
         else:
             key, between = f"{key}{between}{part}", "."
+        document = below
     return key
 
 
-def _in_file(place: Iterable[str | int], document: object) -> list[str | int]:
-    """A place without what pydantic adds and no file has: marks of a key, the law of a path."""
-    found = []
-    for part in place:
-        if part == KEY_MARK or (part == _below(document, "law") and _below(document, part) is None):
-            continue
-        found.append(part)
-        document = _below(document, part)
-    return found
-
-
-def _below(document: object, part: str | int) -> object:
-    if isinstance(document, Mapping):
-        return document.get(part)
-    is_there = isinstance(document, list) and isinstance(part, int) and part < len(document)
-    return document[part] if is_there else None  # type: ignore[index]
+def _below(document: Any, part: str | int) -> Any:
+    try:
+        return document[part]
+    except (TypeError, LookupError):
+        return None
 
 
 def _quote(given: object) -> str:
@@ -151,10 +119,3 @@ def _quote(given: object) -> str:
     long = isinstance(given, Mapping | list | tuple) and len(text) > LONGEST_QUOTE
     secret = isinstance(given, Mapping) and any(f'"{key}"' in text for key in UNQUOTED)
     return "" if given is None or long or secret else f"got {text}; "
-
-
-def _expected(message: str) -> str:
-    for opening, ours in OPENINGS.items():
-        if message.startswith(opening):
-            return ours + message.removeprefix(opening)
-    return message

@@ -10,11 +10,10 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from pipeline.config.execution import Execution, Retention
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import OilSample, Walther, measured_curve
-from pipeline.config.settings import Settings
+from pipeline.config.settings import Execution, Retention, Settings
 from pipeline.errors import UsageError
 
 if TYPE_CHECKING:
@@ -31,28 +30,24 @@ OWN_FOLDERS = ("tables", "staging", "report", LANDED_FOLDER)
 
 @dataclass(frozen=True, slots=True)
 class MotorSpec:
-    """A motor with everything that its nights need, resolved: fleet file, overrides, type, oil.
-
-    Its logs lie below `log_root`, or below `log_url` where that is not empty; those of a database
-    are written below `log_root`, a folder of the output. `roller_is_free`: the scale of the
-    rollers' curve is estimated, as the motor's own nights decide. `circuit_samples` are those of
-    its oil circuit's file.
-    """
+    """A motor with everything that its nights need, resolved: fleet file, overrides, type, oil."""
 
     file: MotorFile
     motor_type: MotorTypeFile
     oils: Mapping[str, OilFile]
     settings: Settings
-    log_root: Path
-    log_url: str = ""
-    roller_is_free: bool = False
-    circuit_samples: tuple[OilSample, ...] = ()
+    log_root: Path  # those of a database are written there, a folder of the output
+    log_url: str = ""  # in the place of `log_root`
+    roller_is_free: bool = False  # scale of the rollers' curve, as the motor's own nights decide
+    circuit_samples: tuple[OilSample, ...] = ()  # of its oil circuit's file
 
     def at_output(self, output: Path) -> MotorSpec:
         """The motor with the nights of its database, if it has one, below an output folder."""
         if self.file.logs.database is None:
             return self
-        return replace(self, log_root=output / LANDED_FOLDER / self.motor_id, log_url="")
+        logs = self.file.logs.model_copy(update={"files": ("*.parquet",)})
+        file, root = self.file.model_copy(update={"logs": logs}), output / LANDED_FOLDER
+        return replace(self, file=file, log_root=root / self.motor_id, log_url="")
 
     @property
     def stated(self) -> MotorSpec:
@@ -76,10 +71,8 @@ class MotorSpec:
 
     def measured_curve(self, night: dt.date) -> Walther | None:
         """Walther constants of a night's oil by its analyses; None: by the data sheet."""
-        samples = self.samples_of(night)
-        if not samples:
-            return None
-        return measured_curve(samples, self.oil_on(night), self.file.filled_on(night), night)
+        filled = self.file.filled_on(night)
+        return measured_curve(self.samples_of(night), self.oil_on(night), filled, night)
 
     def motor(self, night: dt.date, flushing_mode: str) -> Motor:
         """The motor on a night and under one mode of flushing, with the data sheet's oil."""
@@ -101,11 +94,7 @@ class MotorSpec:
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """A fleet's whole config; `settings` are those that no motor overrides.
-
-    `object_store` is where the output is published; empty: nowhere else. `log_url` is as in
-    `MotorSpec`. `metrics_file` is None where none is to be written.
-    """
+    """A fleet's whole config; `settings` are those that no motor overrides."""
 
     name: str
     motors: tuple[MotorSpec, ...]
@@ -116,13 +105,9 @@ class Fleet:
     oils: Mapping[str, OilFile]
     settings: Settings
     retention: Retention
-    object_store: str = ""
+    object_store: str = ""  # where the output is published; empty: nowhere else
     metrics_file: Path | None = None
-
-    @property
-    def log_url(self) -> str:
-        """URL of the logs; empty where they lie in a folder."""
-        return next((spec.log_url for spec in self.motors if spec.log_url), "")
+    log_url: str = ""  # empty where the logs lie in a folder
 
     def known_motors(self, wanted: Iterable[str]) -> tuple[str, ...]:
         """The ids that are asked for.
@@ -170,16 +155,15 @@ def overlap(fleet: Fleet) -> str | None:
         return f"expected another folder than that of the logs, {logs}"
     if output in logs.parents and logs.relative_to(output).parts[0] in OWN_FOLDERS:
         return f"expected a folder without the logs, {logs}, among those that a run writes"
-    if logs in output.parents:
-        inside = output.relative_to(logs).parts
-        for spec in fleet.motors:
-            for pattern in spec.file.logs.files:
-                if _reaches(pattern, inside):
-                    return (
-                        f"expected a folder in which no log is looked for: {pattern} of "
-                        f"{spec.motor_id} reaches into it"
-                    )
-    return None
+    inside = output.relative_to(logs).parts if logs in output.parents else None
+    reaching = (
+        f"expected a folder in which no log is looked for: {pattern} of {spec.motor_id} reaches "
+        "into it"
+        for spec in fleet.motors
+        for pattern in spec.file.logs.files
+        if inside and _reaches(pattern, inside)
+    )
+    return next(reaching, None)
 
 
 def _reaches(pattern: str, folder: tuple[str, ...]) -> bool:
@@ -202,19 +186,11 @@ def absolute(folder: Path) -> Path:
         folder = folder.resolve()
         with suppress(FileNotFoundError, NotADirectoryError):
             folder.stat()
-    except OSError as error:
-        raise ValueError(error.strerror) from error
-    except RuntimeError as error:  # of links in a circle
-        raise ValueError(str(error)) from error
+    except (OSError, RuntimeError) as error:  # the latter of links in a circle
+        raise ValueError(getattr(error, "strerror", error)) from error
     return folder
 
 
 def is_url(text: str) -> bool:
-    """Tell the URL of an object store from a folder.
-
-    Examples
-    --------
-    >>> is_url("s3://bucket/logs"), is_url("../logs")
-    (True, False)
-    """
-    return text.partition("://")[0] in URL_SCHEMES and "://" in text
+    """Tell the URL of an object store, such as s3://bucket/logs, from a folder."""
+    return text.startswith(tuple(f"{scheme}://" for scheme in URL_SCHEMES))

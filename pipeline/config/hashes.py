@@ -137,12 +137,9 @@ class SettingsHashes:
 
 def settings_of(spec: MotorSpec) -> dict[str, Any]:
     """All settings of a motor as a JSON document: what a run before had, to name what changed."""
+    versions = (READING_VERSION, STATISTICS_VERSION, FIGURES_VERSION)
     document = {
-        "versions": {
-            "reading": READING_VERSION,
-            "statistics": STATISTICS_VERSION,
-            "figures": FIGURES_VERSION,
-        },
+        "versions": dict(zip(("reading", "statistics", "figures"), versions, strict=True)),
         "nights": shaping(spec, ALL & ~Stage.TRENDS),
         "trends": shaping(spec, Stage.TRENDS),
         **({ROLLER: "free"} if spec.roller_is_free else {}),
@@ -161,30 +158,31 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
     >>> why_anew({"trends": {"trend": {"x": 2}}}, {"trends": {"trend": {"x": 3}}}, trends=True)
     'changed setting trend.x'
     """
+    parts = ("versions", "nights", "trends") if trends else ("versions", "nights")
+    old, new = (
+        dict(_flat("", {part: one.get(part, {}) for part in parts})) for one in (before, now)
+    )
+    changed = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
+    names = [key.partition(".")[2] for key in changed if not key.startswith("versions.")]
     steps = [
-        f"{name} {before.get('versions', {}).get(name, '?')} to {number}"
-        for name, number in now.get("versions", {}).items()
-        if before.get("versions", {}).get(name) != number
+        f"{key.partition('.')[2]} {old.get(key, '?')} to {new.get(key)}"
+        for key in changed
+        if key.startswith("versions.")
     ]
     if steps and before:
         return f"another version of the program ({', '.join(steps)})"
-    changed: set[str] = set()
-    for part in ("nights", "trends") if trends else ("nights",):
-        old, new = (dict(_flat("", one.get(part, {}))) for one in (before, now))
-        changed |= {key for key in old.keys() | new.keys() if old.get(key) != new.get(key)}
-    if not changed or not before:
+    if not names or not before:
         return "changed settings"
-    more = ", …" if len(changed) > SETTINGS_NAMED else ""
-    return f"changed setting {', '.join(sorted(changed)[:SETTINGS_NAMED])}{more}"
+    more = ", …" if len(names) > SETTINGS_NAMED else ""
+    return f"changed setting {', '.join(sorted(set(names))[:SETTINGS_NAMED])}{more}"
 
 
 def _flat(prefix: str, value: object) -> Iterator[tuple[str, str]]:
     """Settings by dotted key, as text."""
-    if isinstance(value, Mapping):
-        for key, inner in value.items():
-            yield from _flat(f"{prefix}.{key}" if prefix else str(key), inner)
-    elif isinstance(value, list) and value and isinstance(value[0], dict):
-        for number, inner in enumerate(value):
-            yield from _flat(f"{prefix}.{inner.get('name', number)}", inner)
-    else:
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        value = {inner.get("name", number): inner for number, inner in enumerate(value)}
+    if not isinstance(value, Mapping):
         yield prefix, json.dumps(value)
+        return
+    for key, inner in value.items():
+        yield from _flat(f"{prefix}.{key}".removeprefix("."), inner)

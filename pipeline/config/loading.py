@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+import errno
+import json
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from pipeline.config.cross_checks import (
-    claimed_twice,
-    faults_of_channels,
-    impossible,
-    misnamed,
-    oil_faults,
-    strangers,
-)
-from pipeline.config.defaults import Document, at_their_place
-from pipeline.config.execution import Folders
-from pipeline.config.faults import ConfigError, Fault, fault_at
-from pipeline.config.files import Folder, read_folder, read_toml, validated
+from pydantic import BaseModel, ValidationError
+
+from pipeline.config.cross_checks import claimed_twice, impossible, oil_faults, strangers
+from pipeline.config.faults import ConfigError, Fault, fault_at, faults_of
 from pipeline.config.fleet import LOW_SIDE, Fleet, MotorSpec, absolute, is_url, overlap
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import OilCircuitFile
-from pipeline.config.settings import FleetFile, Settings
+from pipeline.config.settings import FleetFile, Folders, Settings
+
+# Bytes of a config file.
+LARGEST = 8 * 2**20
+NAME_MARK = "{name_in_log}"
+"""Stands in texts of the defaults for the motor's name as its log writes it."""
+
+Document = Mapping[str, Any]
+Model = TypeVar("Model", bound=BaseModel)
 
 
 def load_fleet(path: Path) -> Fleet:
@@ -40,45 +43,60 @@ def load_fleet(path: Path) -> Fleet:
     # The other files are looked at although this one has faults.
     known = validated(Folders, document.get("folders", {}), path.name, [])
     folders = fleet.folders if fleet else known or Folders()
-    # Settings with faults would be reported again for each motor that overrides any.
-    given = {key: document[key] for key in Settings.model_fields if fleet and key in document}
-    shared = _SharedSettings(given)
     places = dict(_places(path, folders, faults))
-    if not places.get("oil_circuits", path).is_dir():
-        places.pop("oil_circuits", None)
-    log_root = places.get("logs", path.parent)
-    types = read_folder(places.get("motor_types"), MotorTypeFile, faults)
-    oils = read_folder(places.get("oils"), OilFile, faults)
+    types = _read_folder(places.get("motor_types"), MotorTypeFile, faults)
+    oils = _read_folder(places.get("oils"), OilFile, faults)
     defaults = fleet.defaults if fleet else {}
-    motors = read_folder(places.get("motors"), MotorFile, faults, defaults)
-    circuits = read_folder(places.get("oil_circuits"), OilCircuitFile, faults)
-    faults += misnamed("motor_types", "motor_type", types.documents)
-    specs = []
-    for name in sorted(motors.documents):
-        spec = _resolve(name, motors, types, oils, shared, log_root, faults)
-        if spec is not None:
-            circuit = circuits.parsed.get(spec.file.oil_circuit, OilCircuitFile())
-            specs.append(replace(spec, circuit_samples=circuit.oil_samples))
+    motors = _read_folder(places.get("motors"), MotorFile, faults, defaults)
+    circuits = _read_folder(places.get("oil_circuits"), OilCircuitFile, faults)
+    faults += _misnamed("motor_types", "motor_type", types.documents)
+    # Settings with faults would be reported again for each motor that overrides any.
+    shared = {key: document[key] for key in Settings.model_fields if fleet and key in document}
+    log_root = places.get("logs", path.parent)
+    log_url = folders.logs if is_url(folders.logs) else ""
+    specs: list[MotorSpec] = []
+    alike: dict[str, Settings] = {}  # motors that override the same have one object
+    for name, its in sorted(motors.documents.items()):
+        if not motors.own[name]:  # not read, or empty: told already
+            continue
+        file, before = f"motors/{name}.toml", len(faults)
+        faults += _misnamed("motors", "motor_id", {name: its})
+        faults += strangers(file, its, types.documents, oils.documents)
+        motor, motor_type = motors.parsed.get(name), types.parsed.get(its.get("motor_type", ""))
+        is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
+        key = json.dumps([is_logged, its.get("override")], default=str)
+        settings = alike.get(key) or _settings(shared, its.get("override"), is_logged, file, faults)
+        alike |= {key: settings} if settings else {}
+        if len(faults) == before and motor and settings and motor_type:
+            circuit = circuits.parsed.get(motor.oil_circuit, OilCircuitFile())
+            spec = MotorSpec(
+                motor, motor_type, oils.parsed, settings, log_root, log_url,
+                circuit_samples=circuit.oil_samples,
+            )  # fmt: skip
+            faults += impossible(file, spec)
+            specs.append(spec)
     faults += claimed_twice(specs)
-    faults += oil_faults(specs, motors.documents.values(), circuits)
+    faults += oil_faults(specs, motors.documents.values(), circuits.documents)
     if not motors.documents and not faults:
         faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
     if faults or fleet is None:
         own = {f"motors/{name}.toml": one for name, one in motors.own.items()}
-        raise ConfigError(at_their_place(faults, own, defaults, path.name))
-    log_url = folders.logs if is_url(folders.logs) else ""
+        raise ConfigError(_at_their_place(faults, own, defaults, path.name))
+    output, textfile = places["output"], fleet.metrics.textfile
+    resolved = tuple(spec.at_output(output) for spec in specs)
     found = Fleet(
         name=fleet.name,
-        motors=tuple(replace(spec, log_url=log_url).at_output(places["output"]) for spec in specs),
+        motors=resolved,
         execution=fleet.execution,
         retention=fleet.retention,
         log_root=log_root,
-        output=places["output"],
+        output=output,
         motor_types=types.parsed,
         oils=oils.parsed,
         settings=fleet,
         object_store=folders.object_store,
-        metrics_file=path.absolute().parent / file if (file := fleet.metrics.textfile) else None,
+        metrics_file=path.absolute().parent / textfile if textfile else None,
+        log_url=next((one.log_url for one in resolved if one.log_url), ""),
     )
     if (expected := overlap(found)) is not None:
         raise ConfigError([fault_at(path.name, ("folders", "output"), expected, folders.output)])
@@ -93,72 +111,167 @@ def _places(path: Path, folders: Folders, faults: list[Fault]) -> Iterator[tuple
         if key == "logs" and is_url(given):
             place = path.parent
         try:
-            yield key, absolute(place)
+            place = absolute(place)
         except ValueError as error:
-            faults.append(
-                fault_at(path.name, ("folders", key), f"expected a folder: {error}", given)
-            )
+            message = f"expected a folder: {error}"
+            faults.append(fault_at(path.name, ("folders", key), message, given))
+        else:
+            if key != "oil_circuits" or place.is_dir():
+                yield key, place
 
 
-def _resolve(
-    name: str,
-    motors: Folder[MotorFile],
-    types: Folder[MotorTypeFile],
-    oils: Folder[OilFile],
-    shared: _SharedSettings,
-    log_root: Path,
-    faults: list[Fault],
-) -> MotorSpec | None:
-    """One motor's file brought together with what it names."""
-    if not motors.own[name]:  # not read, or empty: told already
+def _settings(
+    shared: Document, override: Any, is_logged: bool, file: str, faults: list[Fault]
+) -> Settings | None:
+    """The fleet's settings with a motor's own; `is_logged`: the pressure of its low side is."""
+    merged = dict(shared)
+    for section, values in override.items() if isinstance(override, dict) else ():
+        whole = isinstance(values, dict) and isinstance(shared.get(section, {}), dict)
+        merged[section] = {**shared.get(section, {}), **values} if whole else values
+    settings = validated(Settings, merged, file, faults, prefix="override.")
+    if settings is None:
         return None
-    file, document = f"motors/{name}.toml", motors.documents[name]
-    before = len(faults)
-    faults += misnamed("motors", "motor_id", {name: document})
-    faults += strangers(file, document, types.documents, oils.documents)
-    if name not in motors.parsed:
-        faults += faults_of_channels(file, document)
-    motor, motor_type = motors.parsed.get(name), types.parsed.get(document.get("motor_type", ""))
-    is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
-    settings = shared.of_motor(document.get("override"), file, faults, is_logged=is_logged)
-    if len(faults) > before or not motor or not settings or not motor_type:
-        return None
-    if motor.logs.database is not None:
-        logs = motor.logs.model_copy(update={"files": ("*.parquet",)})
-        motor = motor.model_copy(update={"logs": logs})
-    spec = MotorSpec(motor, motor_type, oils.parsed, settings, log_root)
-    faults += impossible(file, spec)
-    return spec
+    two_sided = settings.model.is_two_sided(is_logged=is_logged)
+    model = settings.model.model_copy(update={"two_sided": two_sided})
+    return settings.model_copy(update={"model": model})
 
 
-class _SharedSettings:
-    """The fleet's settings; motors that override none of them have the same object."""
+# Files
 
-    def __init__(self, document: Document) -> None:
-        self._document = document
-        self._of_all: dict[bool, Settings | None] = {}
 
-    def of_motor(
-        self, override: Any, file: str, faults: list[Fault], *, is_logged: bool
-    ) -> Settings | None:
-        """Settings of a motor; `is_logged`: the pressure of its low side is."""
-        if override:
-            return self._with(override, file, faults, is_logged=is_logged)
-        if is_logged not in self._of_all:
-            self._of_all[is_logged] = self._with({}, file, faults, is_logged=is_logged)
-        return self._of_all[is_logged]
+@dataclass(frozen=True, slots=True)
+class _Folder(Generic[Model]):
+    """The TOML files of a folder by name without ending."""
 
-    def _with(
-        self, override: Any, file: str, faults: list[Fault], *, is_logged: bool
-    ) -> Settings | None:
-        """The settings with a motor's own in their place."""
-        shared, merged = self._document, dict(self._document)
-        for section, values in override.items() if isinstance(override, dict) else ():
-            whole = isinstance(values, dict) and isinstance(shared.get(section, {}), dict)
-            merged[section] = {**shared.get(section, {}), **values} if whole else values
-        settings = validated(Settings, merged, file, faults, prefix="override.")
-        if settings is None:
-            return None
-        two_sided = settings.model.is_two_sided(is_logged=is_logged)
-        model = settings.model.model_copy(update={"two_sided": two_sided})
-        return settings.model_copy(update={"model": model})
+    own: dict[str, Document]  # content of every file there is; empty where it cannot be read
+    documents: dict[str, Document]  # the same with the fleet's defaults
+    parsed: dict[str, Model]  # those without a fault
+
+
+def _read_folder(
+    folder: Path | None, model: type[Model], faults: list[Fault], defaults: Document | None = None
+) -> _Folder[Model]:
+    """All TOML files of a folder; none where it cannot be, which is told already."""
+    found: _Folder[Model] = _Folder({}, {}, {})
+    if folder is not None and not folder.is_dir():
+        faults.append(Fault(folder.name, "", f"expected a folder at {folder}"))
+    for path in sorted(folder.glob("*.toml")) if folder else ():
+        file, name = f"{folder.name}/{path.name}" if folder else "", path.stem
+        document = read_toml(path, file, faults)
+        found.own[name] = document or {}
+        found.documents[name] = completed(document or {}, defaults or {}, name)
+        if document is not None and (
+            content := validated(model, found.documents[name], file, faults)
+        ):
+            found.parsed[name] = content
+    return found
+
+
+def read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | None:
+    """Content of a TOML file; None if it has a fault."""
+    try:
+        # Windows' editors begin a file with a byte order mark.
+        document = tomllib.loads(_content(path).decode("utf-8-sig"))
+        # Whatever cannot be written as JSON: too deep, or a number of thousands of digits.
+        json.dumps(document, default=str)
+    except OSError as error:
+        faults.append(Fault(file, "", f"cannot be read: {error.strerror}"))
+    except UnicodeDecodeError as error:
+        faults.append(Fault(file, "", f"is not UTF-8, as TOML must be: byte {error.start}"))
+    except (ValueError, RecursionError) as error:
+        faults.append(Fault(file, "", f"is not TOML: {error}"))
+    else:
+        return document
+    return None
+
+
+def _content(path: Path) -> bytes:
+    """All of a file. Raises OSError for a huge one, a pipe, or a device, which may never end."""
+    if not (path.is_file() or path.is_dir()) and path.exists():
+        raise OSError(errno.EINVAL, "is no regular file")
+    with path.open("rb") as stream:
+        content = stream.read(LARGEST + 1)
+    if len(content) > LARGEST:
+        raise OSError(errno.EFBIG, f"is larger than {LARGEST // 2**20} MiB")
+    return content
+
+
+def validated(
+    model: type[Model], document: Document, file: str, faults: list[Fault], prefix: str = ""
+) -> Model | None:
+    """The model of a file's content; None if it has a fault."""
+    try:
+        # By way of JSON: strict validation then still takes arrays as tuples and text as dates.
+        return model.model_validate_json(json.dumps(document, default=str))
+    except ValidationError as error:
+        faults += faults_of(error, file, prefix, document)
+    return None
+
+
+def _misnamed(folder: str, key: str, documents: Mapping[str, Document]) -> Iterator[Fault]:
+    """Files whose own name for what they describe is not the file's."""
+    for name, document in documents.items():
+        own = document.get(key, name)
+        if own != name:
+            yield fault_at(f"{folder}/{name}.toml", (key,), f'expected "{name}", as the file', own)
+
+
+# `[defaults]` of the fleet file: what its motors' files have in common
+
+
+def completed(own: Document, defaults: Document, name: str) -> dict[str, Any]:
+    """A motor's file with the defaults where it says nothing; `name` is the file's.
+
+    Tables are merged key by key; a channel's that names its source or a constant stands alone.
+
+    Examples
+    --------
+    >>> completed({"oil": "vg46"}, {"oil": "vg68", "logs": {"files": ["{name_in_log}/*"]}}, "W1")
+    {'oil': 'vg46', 'logs': {'files': ['W1/*']}}
+    """
+    named = own.get("name_in_log")
+    return _merged(own, _named(defaults, named if isinstance(named, str) and named else name))
+
+
+def _merged(own: Document, defaults: Document) -> dict[str, Any]:
+    found = dict(defaults)
+    for key, value in own.items():
+        below = defaults.get(key)
+        is_part = isinstance(value, Mapping) and isinstance(below, Mapping) and not _is_whole(value)
+        found[key] = _merged(value, below or {}) if is_part else value
+    return found
+
+
+def _is_whole(value: object) -> bool:
+    """True for a channel's table, which takes nothing from the defaults."""
+    return isinstance(value, Mapping) and bool({"source", "constant"} & value.keys())
+
+
+def _named(value: Any, name: str) -> Any:
+    """Texts of a table or list with a motor's name in the mark's place."""
+    if isinstance(value, Mapping):
+        return {key: _named(inner, name) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_named(inner, name) for inner in value]
+    return value.replace(NAME_MARK, name) if isinstance(value, str) else value
+
+
+def _at_their_place(
+    faults: Iterable[Fault], own: Mapping[str, Document], defaults: Document, fleet_file: str
+) -> Iterator[Fault]:
+    """Faults of motors' files, each told of the fleet file where the defaults have the key."""
+    for fault in faults:
+        parts = fault.key.split(".")
+        is_own = fault.file not in own or _depth(own[fault.file], parts) >= _depth(defaults, parts)
+        yield fault if is_own else Fault(fleet_file, f"defaults.{fault.key}", fault.message)
+
+
+def _depth(document: Any, parts: list[str]) -> int:
+    """Number of steps of a key that there are; what a whole table lacks is not the defaults'."""
+    for depth, part in enumerate(parts):
+        if not isinstance(document, Mapping) or part not in document:
+            return depth
+        document = document[part]
+        if _is_whole(document):
+            break
+    return len(parts)

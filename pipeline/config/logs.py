@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import codecs
+import datetime as dt
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, field_validator
 
-from pipeline.config.databases import Database
 from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import FieldText
 from pipeline.config.readers import FormatName
-from pipeline.config.section import NonNegative, Section, Stage, TimeZone
+from pipeline.config.receivers import Secret
+from pipeline.config.section import NonNegative, Positive, Section, Stage, TimeZone
 from pipeline.config.time_formats import TimeFormat
 
 LogLayout = Literal["wide", "long", "file_per_channel"]
@@ -22,24 +23,24 @@ MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/
 THOUSANDS = (".", ",", "'", "’", " ", "\u00a0", "\u202f", "_")
 # Bytes of a pattern of logs; S3 takes no longer names, and most systems 255 bytes a part.
 LONGEST_PATTERN, LONGEST_NAME = 1024, 255
+START, END = "{start}", "{end}"
+"""Stand in a query for the borders of a night, half open."""
 
 
 def _pattern(pattern: str) -> str:
     """A path or glob of logs below their root."""
     parts = pattern.replace("\\", "/").split("/")
+    longest = max(len(part.encode()) for part in parts)
     if pattern.startswith(("/", "\\")) or ".." in parts:
         raise ValueError("expected a path below the log root, without '..'")
     if not pattern.isprintable() or not parts[-1].strip(". "):
         raise ValueError("expected the name of a file, or a glob")
-    longest = max(len(part.encode()) for part in parts)
     if longest > LONGEST_NAME or len(pattern.encode()) > LONGEST_PATTERN:
         raise ValueError(
-            f"expected names of at most {LONGEST_NAME} bytes, {LONGEST_PATTERN} together"
+            f"expected names of at most {LONGEST_NAME} bytes, {LONGEST_PATTERN} in all"
         )
     if parts[-1] == "**" or any("**" in part and part != "**" for part in parts):
-        raise ValueError(
-            "expected ** only as a folder of its own, with a file's name or glob behind it"
-        )
+        raise ValueError("expected ** only as a folder, with a file's name or glob behind it")
     return pattern
 
 
@@ -56,41 +57,67 @@ Pattern = Annotated[str, AfterValidator(_pattern)]
 Encoding = Annotated[str, AfterValidator(_encoding)]
 
 
+class Database(Section):
+    """A query in a PostgreSQL database, asked night by night."""
+
+    shapes = Stage.NOTHING
+
+    query: str
+    """`SELECT` with marks: `SELECT * FROM log WHERE time >= {start} AND time < {end}`."""
+    connection: Secret = Field("${MOTOR_LEAKAGE_DATABASE}", min_length=1)
+    """`${NAME}`: variable with `postgresql://user:password@host/database?sslmode=verify-full`."""
+    begin: dt.date
+    """First night that is asked for."""
+    look_back_days: int = Field(3, ge=0, le=366)
+    """Nights that every run asks for again."""
+    statement_timeout_s: Positive = Field(600.0, le=86_400.0)
+    """Longest time for a night's query."""
+    connect_timeout_s: int = Field(10, ge=2, le=600)
+    """Longest time to connect."""
+
+    @field_validator("query")
+    @classmethod
+    def _asks_for_a_night(cls, query: str) -> str:
+        if START not in query or END not in query:
+            raise ValueError(f"expected the marks {START} and {END} in it")
+        query = query.strip().removesuffix(";").rstrip()
+        if query.split(maxsplit=1)[0].upper() not in ("SELECT", "WITH"):
+            raise ValueError("expected a query that begins with SELECT or WITH")
+        return query
+
+
 class Logs(Section):
     """The motor's log files and their dialect, or the database that has its samples."""
 
     shapes = Stage.READING
 
     format: FormatName
-    """`csv`, `parquet`, `mcap`, `sql` (a database), or a format that an installed package reads
-    ([readers](readers.md))."""
+    """`csv`, `parquet`, `mcap`, `sql`, or a format of an installed package."""
     options: dict[str, Any] = Field({})
     """Options of an installed package's reader."""
     files: Annotated[tuple[Pattern, ...], Stage.NOTHING] = ()
-    """Paths or globs below the log root; a path named and absent is an error. Needed without a
-    `database`."""
+    """Paths or globs below the log root."""
     database: Annotated[Database | None, Stage.NOTHING] = None
     """With `sql`: where the samples are."""
     time: str = "time"
-    """Column of the time; MCAP: `log_time` or `publish_time` of the message."""
+    """Column of the time; MCAP: `log_time` or `publish_time`."""
     time_format: TimeFormat = "iso8601"
     """`iso8601`, `epoch_s`, `epoch_ms`, `epoch_us`, `epoch_ns`, `excel_days` or a strptime
     format."""
     time_zone: TimeZone = "UTC"
     """Zone of time stamps that state none."""
     date_column: str = ""
-    """Column of the date, where the time has one of its own; read as `date time`."""
+    """Column of the date, where it has its own."""
     layout: LogLayout = "wide"
-    """CSV, Parquet: one column per channel, one row per sample with the channel's name, or one file
-    per channel."""
+    """A column per channel (`wide`), a row per sample (`long`), or `file_per_channel`."""
     channel_column: str = "channel"
     """Layout `long`: column of channels' names."""
     motor_column: str = ""
-    """CSV, Parquet: column of the motor's name, where rows are of several."""
+    """Column of the motor's name, where rows are of several."""
     motor_name: str = ""
     """The motor's name in `motor_column`."""
     value_column: str = "value"
-    """Layouts `long` and `file_per_channel`: column of the values."""
+    """Column of the values, unless `wide`."""
     separator: str = Field(",", min_length=1, max_length=1)
     """CSV: between cells."""
     decimal: Literal[".", ","] = "."
@@ -102,41 +129,34 @@ class Logs(Section):
     skip_rows: int = Field(0, ge=0)
     """CSV: lines before the header."""
     unit_rows: int = Field(0, ge=0)
-    """CSV: lines after the header that hold no samples."""
+    """CSV: lines after the header without samples."""
     missing_tokens: tuple[str, ...] = MISSING_TOKENS
     """CSV: content of a cell without a value."""
     settle_s: Annotated[NonNegative, Stage.NOTHING] = 0.0
-    """A new file that was written to within this time before a run is left to a later run. Without
-    it, only a file that changes during reading is."""
+    """A file written to within this time is left for later."""
     stamp: FieldText = ""
-    """MCAP: path of a time stamp within the message, such as `header.stamp`, to use instead of its
-    log time; a number or text there is in `time_format`."""
+    """MCAP: path of the time stamp in the message, such as `header.stamp`."""
     salvage: bool = False
-    """MCAP: read the part of a truncated or damaged file before the damage, instead of refusing the
-    file; the loss is noted."""
+    """MCAP: read a damaged file up to the damage."""
 
     def misfits(self) -> Iterator[Misfit]:
-        """Marks of a CSV that cannot stand beside one another; files or a database, not both."""
         separator, thousands, is_sql = self.separator, self.thousands, self.format == "sql"
         if not separator.isascii() or separator in '"\r\n':
-            message = "expected a character of ASCII that is no quotation mark"
-            yield ("separator",), message, separator
+            yield self.at("separator", "expected a character of ASCII that is no quotation mark")
         if separator == self.decimal:
-            yield ("separator",), "expected another mark than the decimal mark", separator
+            yield self.at("separator", "expected another mark than the decimal mark")
         if thousands and thousands not in THOUSANDS:
-            message = f"expected one of {', '.join(map(repr, THOUSANDS))}"
-            yield ("thousands",), message, thousands
+            yield self.at("thousands", f"expected one of {', '.join(map(repr, THOUSANDS))}")
         if thousands and thousands in (self.decimal, separator):
             message = "expected another mark than the decimal mark and the separator"
-            yield ("thousands",), message, thousands
+            yield self.at("thousands", message)
         if is_sql != (self.database is not None):
             yield ("database",), 'expected together with format = "sql", and only then', None
         if is_sql and self.files:
-            yield ("files",), 'expected no files with format = "sql"', self.files
+            yield self.at("files", 'expected no files with format = "sql"')
         if not is_sql and not self.files:
-            yield ("files",), "expected at least one path or glob", self.files
+            yield self.at("files", "expected at least one path or glob")
         if is_sql and self.layout == "file_per_channel":
-            yield ("layout",), 'expected "wide" or "long" with format = "sql"', self.layout
+            yield self.at("layout", 'expected "wide" or "long" with format = "sql"')
         if bool(self.motor_column) != bool(self.motor_name):
-            message = "expected motor_column and motor_name together"
-            yield ("motor_name",), message, self.motor_name
+            yield self.at("motor_name", "expected motor_column and motor_name together")

@@ -6,9 +6,9 @@ Other motor families, and paths that the thesis leaves out, are files, not code.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pipeline.config.faults import Misfit
 from pipeline.config.section import Id, NonNegative, Positive, Section, Stage, left_out
@@ -18,15 +18,13 @@ if TYPE_CHECKING:
     from leakage.physics.paths import LeakagePath
 
 BAR = 1e5
-MILLIMETRE = 1e-3
-MICROMETRE = 1e-6
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 Source = Annotated[
     str,
     Field(
         min_length=1,
-        description="Where the values are from: a document, or `placeholder` for a plausible guess",
+        description="Document behind the values, or `placeholder` for a guess",
     ),
 ]
 
@@ -44,7 +42,6 @@ class Unknown(Section):
     """Held at `value`."""
 
     def misfits(self) -> Iterator[Misfit]:
-        """Bounds that do not enclose the value."""
         if not self.minimum <= self.value <= self.maximum:
             yield (), "expected minimum <= value <= maximum", None
 
@@ -91,14 +88,14 @@ class PathSection(Section):
     """The path's law."""
     source: Annotated[Source, Stage.FIGURES]
 
-    def misfits(self) -> Iterator[Misfit]:
-        """Two sources of one thing, or none; numbers that the physics refuses, which raise."""
-        yield from ()
-        self.path()
-
     def path(self) -> LeakagePath:
-        """The path as the physics knows it."""
+        """The path as the physics knows it; raises ValueError for numbers that it refuses."""
         raise NotImplementedError
+
+    @model_validator(mode="after")
+    def _is_physical(self) -> Self:
+        self.path()
+        return self
 
 
 class AnnularGapPath(PathSection):
@@ -110,16 +107,15 @@ class AnnularGapPath(PathSection):
     radius_mm: Annotated[Positive, Stage.SCALE]
     """Radius of the gap."""
     length_mm: Annotated[Positive, Stage.SCALE]
-    """Length of the gap in the direction of flow."""
+    """Length of the gap along the flow."""
     height_factor: Annotated[Positive, Stage.SCALE] = 1.0
     """Factor on the gap height (1.1 for sleeves)."""
     deformation_pressure_bar: Positive | None = None
-    """Deformation constant X; without it, or points, the gap does not deform."""
+    """Deformation constant X; none: no deformation."""
     deformation_points: tuple[tuple[float, float, float], ...] | None = None
-    """Points [pressure difference in bar, gap height in µm, flow in l/min] of a simulation at
-    constant viscosity, to which X is fitted."""
+    """Points [bar, µm, l/min] to which X is fitted."""
     deformation_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
-    """Stated tolerance of the deformation constant; 0: none stated."""
+    """Tolerance of the deformation constant."""
     gap_um: Annotated[GapHeight, Stage.SCALE] = left_out()
     """Gap height."""
     eccentricity: Annotated[Eccentricity | None, Stage.SCALE] = None
@@ -128,39 +124,32 @@ class AnnularGapPath(PathSection):
     def misfits(self) -> Iterator[Misfit]:
         if self.deformation_pressure_bar is not None and self.deformation_points is not None:
             yield (), "expected deformation_pressure_bar or deformation_points, not both", None
-        yield from super().misfits()
 
     def path(self) -> AnnularGap:
-        """The path as the physics knows it."""
         from leakage import AnnularGap
+        from leakage.physics.simulated_curves import fit_deformation_pressure
 
+        deformation_pa = None
+        if self.deformation_points is not None:
+            pressure, gap, flow = zip(*self.deformation_points, strict=True)
+            deformation_pa = fit_deformation_pressure(
+                [bar * BAR for bar in pressure], [um * 1e-6 for um in gap], flow
+            )
+        elif self.deformation_pressure_bar is not None:
+            deformation_pa = self.deformation_pressure_bar * BAR
+        own = self.eccentricity
         return AnnularGap(
             name=self.name,
             count=self.count,
-            radius_m=self.radius_mm * MILLIMETRE,
-            length_m=self.length_mm * MILLIMETRE,
+            radius_m=self.radius_mm * 1e-3,
+            length_m=self.length_mm * 1e-3,
             gap=self.gap_um.parameter(f"h_{self.name}", "um"),
-            eccentricity=self._eccentricity(),
-            deformation_pressure_pa=self._deformation_pressure_pa(),
+            eccentricity=None if own is None else own.parameter(f"e_{self.name}", "1"),
+            deformation_pressure_pa=deformation_pa,
             height_factor=self.height_factor,
             geometry_is_placeholder=self.source == "placeholder",
             deformation_tolerance=self.deformation_tolerance_percent / 100,
         )
-
-    def _eccentricity(self) -> Parameter | None:
-        unknown = self.eccentricity
-        return None if unknown is None else unknown.parameter(f"e_{self.name}", "1")
-
-    def _deformation_pressure_pa(self) -> float | None:
-        if self.deformation_points is None:
-            bar = self.deformation_pressure_bar
-            return None if bar is None else bar * BAR
-        from leakage.physics.simulated_curves import fit_deformation_pressure
-
-        pressure, gap, flow = zip(*self.deformation_points, strict=True)
-        return fit_deformation_pressure(
-            [bar * BAR for bar in pressure], [um * MICROMETRE for um in gap], flow
-        ).deformation_pressure_pa
 
 
 class SpeedCurvePath(PathSection):
@@ -172,15 +161,15 @@ class SpeedCurvePath(PathSection):
     coefficients: tuple[float, ...] | None = Field(None, min_length=1)
     """Coefficients, highest power first, l/min over rpm."""
     speed_range_rpm: tuple[float, float] | None = None
-    """Range over which the coefficients hold; the end value is held outside."""
+    """Range of the coefficients."""
     points: tuple[tuple[float, float], ...] | None = None
-    """Points [speed in rpm, flow in l/min] to which a quintic is fitted."""
+    """Points [rpm, l/min] to which a quintic is fitted."""
     reference_pressure_bar: Positive
     """Pressure difference of the simulation."""
     reference_viscosity_mpa_s: Positive
-    """Dynamic viscosity of the simulation."""
+    """Viscosity of the simulation."""
     curve_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
-    """Stated tolerance of the curve's level; 0: none stated."""
+    """Tolerance of the curve's level."""
     scale: Annotated[Scale, Stage.SCALE] = left_out()
     """Factor on the curve."""
 
@@ -188,22 +177,16 @@ class SpeedCurvePath(PathSection):
         given = self.coefficients is not None and self.speed_range_rpm is not None
         if given == (self.points is not None):
             yield (), "expected coefficients with speed_range_rpm, or points", None
-        else:
-            self.path()
 
     def path(self) -> SpeedCurve:
-        """The path as the physics knows it."""
         from leakage import SpeedCurve
         from leakage.physics.simulated_curves import fit_speed_curve
 
+        coefficients, speed_range = self.coefficients or (), self.speed_range_rpm or (0.0, 0.0)
         if self.points is not None:
             speed, flow = zip(*self.points, strict=True)
-            coefficients = fit_speed_curve(speed, flow).coefficients
+            coefficients = fit_speed_curve(speed, flow)
             speed_range = (min(speed), max(speed))
-        else:
-            assert self.coefficients is not None
-            assert self.speed_range_rpm is not None
-            coefficients, speed_range = self.coefficients, self.speed_range_rpm
         return SpeedCurve(
             name=self.name,
             count=self.count,
@@ -227,7 +210,6 @@ class LaminarPath(PathSection):
     """Loss factor of one interface, m³."""
 
     def path(self) -> Laminar:
-        """The path as the physics knows it."""
         from leakage import Laminar
 
         return Laminar(self.name, self.count, self.coefficient_m3.parameter(f"C_{self.name}", "m3"))
@@ -238,14 +220,14 @@ DeclaredPath = Annotated[AnnularGapPath | SpeedCurvePath | LaminarPath, Field(di
 
 
 class LeakageLimits(Section):
-    """Absolute limits of the reference leakage; there is no universal one, so none by default."""
+    """Absolute limits of the reference leakage; none by default."""
 
     shapes = Stage.TRENDS
 
     warning_l_per_min: Positive | None = None
-    """Reference leakage that is a warning whatever the baseline."""
+    """Reference leakage that is a warning."""
     alarm_l_per_min: Positive | None = None
-    """Reference leakage that is an alarm whatever the baseline."""
+    """Reference leakage that is an alarm."""
 
 
 class MotorTypeFile(Section):
@@ -258,12 +240,11 @@ class MotorTypeFile(Section):
     path: tuple[DeclaredPath, ...] = Field(min_length=1)
     """Leakage paths of the type."""
     surface_roughness_um: tuple[Positive, Positive] = (0.2, 0.2)
-    """R_a of the two surfaces of a gap, for the film thickness ratio."""
+    """R_a of the two surfaces of a gap."""
     limits: LeakageLimits = left_out()
     """Absolute limits, where there are any."""
 
     def misfits(self) -> Iterator[Misfit]:
-        """Names of paths and of their parameters that are taken."""
         from leakage.physics.motor import FIXED_COLUMNS
         from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
 
@@ -289,9 +270,9 @@ class OilFile(Section):
     """The oil's name, as reports show it."""
     source: Annotated[Source, Stage.NOTHING]
     reference_temperatures_c: tuple[float, float]
-    """Temperatures of the two reference viscosities."""
+    """Temperatures of the reference viscosities."""
     reference_viscosities_mm2_per_s: tuple[Positive, Positive]
-    """Kinematic viscosities at these temperatures."""
+    """Kinematic viscosities there."""
     density_15_c_kg_per_m3: Positive
     """Density at 15 °C."""
     thermal_expansion_per_k: NonNegative = 7.0e-4
@@ -299,13 +280,12 @@ class OilFile(Section):
     pressure_viscosity_per_pa: NonNegative = 2.0e-8
     """α of the Barus equation."""
     pressure_viscosity_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
-    """Stated tolerance of α; 0: none stated."""
+    """Tolerance of α."""
     density_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
-    """Stated tolerance of the density; 0: none stated."""
+    """Tolerance of the density."""
 
     def misfits(self) -> tuple[()]:
-        """Numbers that the physics refuses, which raise."""
-        self.oil()
+        self.oil()  # raises for numbers that the physics refuses
         return ()
 
     def oil(self) -> Oil:
@@ -313,9 +293,10 @@ class OilFile(Section):
         from leakage import Oil
         from leakage.physics.walther import walther_coefficients
 
-        (temperature_1, temperature_2) = self.reference_temperatures_c
-        (viscosity_1, viscosity_2) = self.reference_viscosities_mm2_per_s
-        a, b = walther_coefficients(temperature_1, viscosity_1, temperature_2, viscosity_2)
+        cold, warm = zip(
+            self.reference_temperatures_c, self.reference_viscosities_mm2_per_s, strict=True
+        )
+        a, b = walther_coefficients(*cold, *warm)
         return Oil(
             name=self.name,
             walther_a=a,

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AwareDatetime, Field
 
 from pipeline.clock import microseconds
-from pipeline.config.channels import NEVER_CONSTANT, Channel, ChannelName, channel_faults
+from pipeline.config.channels import COUNT, COUNTED, NEVER_CONSTANT, Channel, ChannelName
 from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import field_path
 from pipeline.config.logs import Logs
 from pipeline.config.oil_samples import OilSample, order_faults
 from pipeline.config.section import Id, NonNegative, Section, Stage, left_out
+from pipeline.units import QUANTITIES, UNITS
 
 if TYPE_CHECKING:
     from leakage import Constant
@@ -31,36 +32,30 @@ class Event(Section):
     date: dt.date
     """First night's label from which it holds."""
     kind: Literal["overhaul", "oil_change", "flushing_change", "motor_exchanged", "note"]
-    """Kind of event; a `note` (a filter change, a cleaning) starts no baseline."""
+    """A `note` (a filter change, a cleaning) starts no baseline."""
     oil: str | None = None
     """The new oil, where it changed; needed for `oil_change`."""
     note: Annotated[str, Stage.NOTHING] = ""
     """In words."""
 
     def misfits(self) -> Iterator[Misfit]:
-        """A change of oil without its name, and an oil that a note names."""
         if self.kind == "oil_change" and self.oil is None:
-            message = 'expected the oil\'s name, as kind = "oil_change" needs it'
-            yield ("oil",), f"{message}: the old one if it is of the same kind", None
+            yield self.at("oil", "expected the oil's name: the old one if it is of the same kind")
         if self.kind == "note" and self.oil is not None:
-            yield ("oil",), 'a note changes nothing: expected kind = "oil_change"', self.oil
+            yield self.at("oil", 'a note changes nothing: expected kind = "oil_change"')
 
 
 class Periods(Section):
-    """Times to fit and to validate on, chosen by hand.
-
-    A night that one of them touches uses only these; all others are split by the rules.
-    """
+    """Times chosen by hand; a night that one of them touches uses only these."""
 
     shapes = Stage.BLOCKS
 
     training: tuple[tuple[AwareDatetime, AwareDatetime], ...] = ()
-    """Periods to fit, each [from, to), with their offset from UTC."""
+    """Periods [from, to) to fit, with offset from UTC."""
     validation: tuple[tuple[AwareDatetime, AwareDatetime], ...] = ()
-    """Periods to validate on, each [from, to), with their offset from UTC."""
+    """Periods to validate on."""
 
     def misfits(self) -> Iterator[Misfit]:
-        """Periods that end before they begin, or overlap."""
         periods = sorted((*self.training, *self.validation))
         if any(begin >= end for begin, end in periods):
             yield (), "expected each period as [from, to], the later time second", None
@@ -74,9 +69,7 @@ class Periods(Section):
         def touching(chosen: Iterable[tuple[dt.datetime, dt.datetime]]) -> tuple[Stretch, ...]:
             stretches = sorted((microseconds(begin), microseconds(end)) for begin, end in chosen)
             return tuple(
-                (begin, end)
-                for begin, end in stretches
-                if begin < night.end_us and end > night.start_us
+                one for one in stretches if one[0] < night.end_us and one[1] > night.start_us
             )
 
         return ChosenPeriods(touching(self.training), touching(self.validation))
@@ -88,18 +81,17 @@ class FlushingTable(Section):
     shapes = Stage.FIGURES
 
     mode: Literal["none", "fixed", "estimated"] = "none"
-    """The primary fit's: no flushing, a known flow, or an estimated one."""
+    """Flushing in the primary fit."""
     also: tuple[Literal["none", "fixed", "estimated"], ...] = ()
     """Other modes to fit beside the primary one."""
     flow_l_per_min: NonNegative = 0.0
-    """Flushing flow: the fixed value, or the first starting point."""
+    """The fixed value, or the first starting point."""
     minimum_l_per_min: NonNegative = 0.0
     """Lower bound where estimated."""
     maximum_l_per_min: NonNegative = 20.0
     """Upper bound where estimated."""
 
     def misfits(self) -> Iterator[Misfit]:
-        """Bounds that do not enclose the flow; a mode twice."""
         if not self.minimum_l_per_min <= self.flow_l_per_min <= self.maximum_l_per_min:
             yield (), "expected minimum_l_per_min <= flow_l_per_min <= maximum_l_per_min", None
         if len({self.mode, *self.also}) != 1 + len(self.also):
@@ -131,11 +123,11 @@ class MotorFile(Section):
     shapes = Stage.TRENDS
 
     motor_id: Id
-    """Unique name; the file has the same."""
+    """Unique name, which is also the file's."""
     motor_type: Annotated[str, Stage.FIGURES]
     """One of the motor types."""
     name_in_log: Annotated[str, Stage.NOTHING] = Field("", exclude=True)
-    """The motor's name as the log writes it, for `[defaults]`; empty: `motor_id`."""
+    """The motor's name in the log, where not `motor_id`."""
     oil: str
     """One of the oils; changes are dated in `events`."""
     oil_circuit: str = ""
@@ -156,23 +148,43 @@ class MotorFile(Section):
     """Any section of the fleet file, for this motor alone."""
 
     def misfits(self) -> Iterator[Misfit]:
-        """Channels that are missing or not measured, qualities that lead nowhere, oil samples."""
-        yield from channel_faults({name: part.unit for name, part in self.channels.items()})
+        yield from self._missing_channels()
+        yield from order_faults(self.oil_samples)
         taken: dict[tuple[str, str, str], str] = {}
         for name, channel in self.channels.items():
-            place = (channel.source, channel.field, channel.value_column)
-            other = taken.setdefault(place, name) if channel.source else name
-            if other != name:
-                message = f"expected a column of its own: this is that of {other}, too"
-                yield ("channels", name, "source"), message, channel.source
-            if channel.constant is not None and name in NEVER_CONSTANT:
-                yield ("channels", name, "constant"), "expected a source", channel.constant
-            try:
-                if self.logs.format == "mcap" and channel.quality_source:
-                    field_path(channel.quality_source)
-            except ValueError as error:
-                yield ("channels", name, "quality_source"), str(error), channel.quality_source
-        yield from order_faults(self.oil_samples)
+            for key, message in self._misfits_of(name, channel, taken):
+                yield ("channels", name, key), message, getattr(channel, key)
+
+    def _misfits_of(
+        self, name: str, channel: Channel, taken: dict[tuple[str, str, str], str]
+    ) -> Iterator[tuple[str, str]]:
+        place = (channel.source, channel.field, channel.value_column)
+        other = taken.setdefault(place, name) if channel.source else name
+        if other != name:
+            yield "source", f"expected a column of its own: this is that of {other}, too"
+        if channel.constant is not None and name in NEVER_CONSTANT:
+            yield "constant", "expected a source"
+        known = UNITS[QUANTITIES[name]]
+        if channel.unit not in known and (name, channel.unit) != (COUNTED, COUNT):
+            yield "unit", f"expected one of {', '.join(known)}"
+        try:
+            if self.logs.format == "mcap" and channel.quality_source:
+                field_path(channel.quality_source)
+        except ValueError as error:
+            yield "quality_source", str(error)
+
+    def _missing_channels(self) -> Iterator[Misfit]:
+        names = set(self.channels)
+        given = ", ".join(sorted(names))
+        ports = {"high_port_pressure", "low_port_pressure"}
+        if (ports <= names) == ("pressure_difference" in names) or len(ports & names) == 1:
+            message = "expected pressure_difference, or high_port_pressure and low_port_pressure"
+            yield ("channels",), message, given
+        if absent := {"oil_temperature", "speed", "leakage_flow"} - names:
+            yield ("channels",), f"expected also {', '.join(sorted(absent))}", given
+        if {"kinematic_viscosity", "dynamic_viscosity"} <= names:
+            message = "expected kinematic_viscosity or dynamic_viscosity, not both"
+            yield ("channels",), message, given
 
     @property
     def baseline_events(self) -> tuple[Event, ...]:

@@ -6,7 +6,7 @@ import datetime as dt
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pipeline.config.preparation import Nights
+from pipeline.config.settings import Nights
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,10 +19,9 @@ DAY = dt.timedelta(days=1)
 class Night:
     """A night: its label (the local date on which it ends) and its borders."""
 
-    date: dt.date  # label
-    # start_us, end_us: half open, UTC microseconds.
-    start_us: int
-    end_us: int
+    date: dt.date
+    start_us: int  # UTC
+    end_us: int  # not in it
 
 
 def night(date: dt.date, nights: Nights) -> Night:

@@ -24,18 +24,17 @@ class OilSample(Section):
     shapes = Stage.FIGURES
 
     date: dt.date
-    """Day on which it was drawn: the first night's label."""
+    """Day on which it was drawn."""
     viscosity_40_c_mm2_per_s: Annotated[float, Field(ge=2, le=2000)] | None = None
     """Kinematic viscosity at 40 °C."""
     viscosity_100_c_mm2_per_s: Annotated[float, Field(ge=1, le=200)] | None = None
-    """Kinematic viscosity at 100 °C; without it the data sheet's slope holds."""
+    """The same at 100 °C; by default by the data sheet's slope."""
     water_mg_per_kg: Annotated[float, Field(ge=0, le=100_000), Stage.TRENDS] | None = None
-    """Water content; it changes no figure, and is told beside the viscosity."""
+    """Water content, for information."""
     note: Annotated[str, Stage.NOTHING] = ""
     """In words."""
 
     def misfits(self) -> Iterator[Misfit]:
-        """Viscosities that cannot be, or none of what an analysis is for."""
         at_40, at_100 = self.viscosity_40_c_mm2_per_s, self.viscosity_100_c_mm2_per_s
         if at_40 is None and self.water_mg_per_kg is None:
             yield (), "expected viscosity_40_c_mm2_per_s or water_mg_per_kg", None
@@ -63,7 +62,6 @@ class OilCircuitFile(Section):
     """Analyses of the oil, by date."""
 
     def misfits(self) -> Iterator[Misfit]:
-        """Samples that are not in order of their dates."""
         return order_faults(self.oil_samples)
 
 
@@ -80,9 +78,8 @@ def measured_curve(
 ) -> Walther | None:
     """Walther constants in a night by the samples of a filling; None: by the data sheet.
 
-    Between two samples A and B are linear in time, and so is log log Z = A − B log T at each
-    temperature (ASTM D341); after the last they hold. A filling with a date
-    begins as the data sheet has it; without one the data sheet holds until the first sample.
+    Between two samples A and B are linear in time, and so is log log Z = A − B log T (ASTM D341).
+    A filling with a date begins as the data sheet has it.
     """
     import numpy as np
 

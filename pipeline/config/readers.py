@@ -25,13 +25,13 @@ def reader_entry(name: str) -> EntryPoint:
     if name in BUILT_IN:
         return EntryPoint(name, BUILT_IN[name], GROUP)
     found = [entry for entry in installed() if entry.name == name]
-    if len(found) == 1:
-        return found[0]
-    names = ", ".join((*BUILT_IN, *sorted({entry.name for entry in installed()})))
     if not found:
+        names = ", ".join((*BUILT_IN, *sorted({entry.name for entry in installed()})))
         raise ValueError(f"expected one of the formats that are built in or installed: {names}")
-    packages = " and ".join(sorted(map(reader_version, found)))
-    raise ValueError(f"expected a format of one package: {packages} both have a reader of it")
+    if len(found) > 1:
+        packages = " and ".join(sorted(map(reader_version, found)))
+        raise ValueError(f"expected a format of one package: {packages} both have a reader of it")
+    return found[0]
 
 
 def reader_version(entry: EntryPoint) -> str:

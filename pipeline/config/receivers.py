@@ -68,13 +68,7 @@ def is_mail_address(address: str) -> bool:
 
 
 def mail_server(server: str) -> tuple[str, int | None] | None:
-    """Host and port of ``host`` or ``host:port``, the port None if none is stated; None: neither.
-
-    Examples
-    --------
-    >>> mail_server("mail.example"), mail_server("smtp://mail.example")
-    (('mail.example', None), None)
-    """
+    """Host and port of ``host`` or ``host:port``, the port None if it is not stated; or None."""
     try:
         parts = urlsplit(f"//{server}")
         host, port = parts.hostname, parts.port

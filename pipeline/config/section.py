@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from enum import Flag, auto
+from functools import cache
 from typing import Annotated, Any, ClassVar, Self
 from zoneinfo import ZoneInfo
 
@@ -65,12 +66,17 @@ class Section(BaseModel):
         """Keys that do not go together."""
         return ()
 
+    def at(self, key: str, message: str) -> Misfit:
+        """A misfit at a key: what was expected, and what stands there."""
+        return (key,), message, getattr(self, key)
+
     @model_validator(mode="after")
     def _goes_together(self) -> Self:
         refuse(self.misfits())
         return self
 
     @classmethod
+    @cache
     def stage_of(cls, key: str, inherited: Stage | None = None) -> Stage | None:
         """The stage that a key names, else its table's, else the one that is inherited."""
         own = (one for one in cls.model_fields[key].metadata if isinstance(one, Stage))
@@ -78,11 +84,11 @@ class Section(BaseModel):
 
     def shaping(self, stage: Stage, inherited: Stage | None = None) -> dict[str, Any]:
         """All settings of a stage, by key."""
-        parts = (
-            (key, _shaping(getattr(self, key), stage, self.stage_of(key, inherited)))
+        return {
+            key: found
             for key in type(self).model_fields
-        )
-        return {key: found for key, part in parts for found in part}
+            for found in _shaping(getattr(self, key), stage, self.stage_of(key, inherited))
+        }
 
 
 def _shaping(value: Any, stage: Stage, own: Stage | None) -> Iterator[Any]:

@@ -1,26 +1,443 @@
-"""All settings of a fleet file; a motor's file may override any key of those in `Settings`."""
+"""All settings of a fleet file, in the order of the work; a motor may override `Settings`."""
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Iterator
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+from zoneinfo import ZoneInfo
 
 from pydantic import Field
 
-from pipeline.config.execution import Execution, Folders, Metrics, Retention
 from pipeline.config.faults import Misfit
-from pipeline.config.fitting import Estimation, Model, ReferenceConditions
-from pipeline.config.preparation import (
-    Cleaning,
-    Nights,
-    SensorHealth,
-    Smoothing,
-    TimeBase,
-    TransportDelay,
-    Windows,
+from pipeline.config.receivers import Secret, WebAddress, WebHeaders, is_mail_address, mail_server
+from pipeline.config.section import (
+    NonNegative,
+    Positive,
+    Seconds,
+    Section,
+    Share,
+    Stage,
+    TimeZone,
+    left_out,
 )
-from pipeline.config.section import Section, Stage, left_out
-from pipeline.config.watching import Alarms, Look, Trend
+
+if TYPE_CHECKING:
+    from leakage import OperatingConditions
+
+Rate = Annotated[float, Field(gt=0, le=1000)]
+InputName = Literal["pressure_difference", "oil_temperature", "speed"]
+RelativeFolder = Annotated[str, Field(min_length=1)]
+DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
+
+
+class Nights(Section):
+    """A night is [end hour, next end hour) in local time, labelled by the date on which it ends."""
+
+    shapes = Stage.READING | Stage.BLOCKS
+
+    time_zone: TimeZone = "UTC"
+    """IANA time zone of the fleet, such as Europe/Oslo."""
+    end_hour: int = Field(6, ge=0, le=23)
+    """Local hour at which a night ends."""
+
+    @property
+    def zone(self) -> ZoneInfo:
+        """The time zone itself."""
+        return ZoneInfo(self.time_zone)
+
+
+class TimeBase(Section):
+    """The one grid of time on which all channels of a motor's night are brought together."""
+
+    shapes = Stage.BLOCKS
+
+    rate_hz: Rate | None = None
+    """Samples a second; by default of the fastest channel."""
+    maximum_rate_hz: Rate = 10.0
+    """Upper limit of the rate where not stated."""
+
+
+class Cleaning(Section):
+    """Rules that refuse samples. The table `quality` counts each refusal."""
+
+    shapes = Stage.BLOCKS
+
+    standstill_rpm: NonNegative = 0.5
+    """Below this |speed| the motor stands still."""
+    guard_before_s: Seconds = 10.0
+    """Time refused before a halt or back-flow."""
+    guard_after_s: Seconds = 30.0
+    """Time refused after a halt or back-flow."""
+    hampel_window: int = Field(11, ge=3, le=1001)
+    """Samples in the Hampel filter's centred window; odd."""
+    hampel_threshold: Positive = 5.0
+    """Scaled MAD off the local median that are a spike."""
+    frozen_after_s: Positive = 60.0
+    """Time without a change after which a sensor is frozen."""
+    gap_sample_periods: Positive = 5.0
+    """Silence that is a gap, in sample periods."""
+    temperature_gap_s: Positive = 5.0
+    """The same of the oil temperature [s]."""
+    maximum_mean_s: Positive = 10.0
+    """Longest averaging period of a channel."""
+    out_of_order: Literal["sort", "refuse"] = "sort"
+    """Samples behind the log's time: `sort` puts them back where there is room, `refuse` refuses
+    them."""
+    refuse_transients: bool = False
+    """Refuse fast changes of speed or pressure."""
+    transient_speed_rpm_per_s: Positive = 5.0
+    """Faster changes of speed are transients."""
+    transient_pressure_bar_per_s: Positive = 50.0
+    """Faster changes of pressure are transients."""
+
+    def misfits(self) -> Iterator[Misfit]:
+        if self.hampel_window % 2 == 0:
+            yield self.at("hampel_window", "expected an odd number of samples")
+
+
+class TransportDelay(Section):
+    """Time between the motor and the sensors of its drain line, equation (14)."""
+
+    shapes = Stage.BLOCKS
+
+    mode: Literal["off", "fixed", "flow"] = "off"
+    """`fixed`: always the same; `flow`: the line's volume over the drain flow."""
+    fixed_s: Seconds = 0.0
+    """`fixed`: the delay."""
+    line_length_m: Positive | None = None
+    """`flow`: length of the drain line."""
+    line_inner_diameter_mm: Positive | None = None
+    """`flow`: inner diameter of the drain line."""
+    flow_average_s: Seconds = 10.0
+    """`flow`: averaging time of the drain flow."""
+    maximum_s: Positive = 60.0
+    """A sample with a longer delay is refused."""
+    leading: tuple[InputName, ...] = ()
+    """Inputs paired at t − τ with the drain flow."""
+    lagging: tuple[InputName, ...] = ()
+    """Inputs paired at t + τ with it."""
+
+    def misfits(self) -> Iterator[Misfit]:
+        named = (*self.leading, *self.lagging)
+        if len(set(named)) < len(named):
+            yield (), "expected each input once among leading and lagging", None
+        if self.mode != "off" and not named:
+            yield (), "expected an input in leading or in lagging", None
+        if self.mode == "flow" and None in (self.line_length_m, self.line_inner_diameter_mm):
+            yield (), "expected line_length_m and line_inner_diameter_mm beside mode", None
+        if self.mode == "fixed" and self.fixed_s > self.maximum_s:
+            yield self.at("fixed_s", "expected no more than maximum_s")
+
+
+class Smoothing(Section):
+    """Moving average of the drain flow, and of its regressors with it (model.md, section 4)."""
+
+    shapes = Stage.BLOCKS
+
+    window_s: Seconds = 0.0
+    """Length of the centred average; 0: none."""
+    apply_to: Literal["all", "leakage"] = "all"
+    """Drain flow and regressors (`all`), or drain flow alone (`leakage`, the thesis)."""
+
+
+class Windows(Section):
+    """Blocks of a night, and how they are split into training and validation."""
+
+    shapes = Stage.BLOCKS
+
+    block_s: float = Field(120.0, ge=1, le=86_400)
+    """Length of a block of statistics."""
+    maximum_blocks: int = Field(96, ge=4)
+    """Blocks stored a night at most; neighbours are merged."""
+    split: Literal["chronological", "interleaved"] = "chronological"
+    """`chronological`: the first blocks train; `interleaved`: seven train, then three validate."""
+    training_share: Share = Field(0.8, lt=1)
+    """Share of the kept samples that trains."""
+    guard_blocks: int = Field(1, ge=0)
+    """Blocks left out between training and validation."""
+    minimum_block_share: NonNegative = Field(0.0, le=1)
+    """Share of its samples that a block needs."""
+    longest_gap_s: Positive | None = None
+    """Longer gaps cut the night into stretches."""
+    minimum_stretch_minutes: NonNegative = 0.0
+    """A shorter stretch is left out."""
+    minimum_pressure_spread_bar: Annotated[NonNegative, Stage.NIGHT] = 0.0
+    """Spread of |pressure| that a fit needs, 5th to 95th percentile."""
+    minimum_speed_spread_rpm: Annotated[NonNegative, Stage.NIGHT] = 0.0
+    """The same of |speed|."""
+    minimum_temperature_spread_c: Annotated[NonNegative, Stage.NIGHT] = 0.0
+    """The same of the oil temperature."""
+    minimum_kept_share: Annotated[Share, Stage.NIGHT] = 0.6
+    """Share of running samples that a fit needs."""
+    minimum_training_minutes: Annotated[Positive, Stage.FIGURES] = 5.0
+    """Training time that a fit needs."""
+
+
+class SensorHealth(Section):
+    """Halts that show the zero of the pressure and flow sensors; published in `operation`."""
+
+    shapes = Stage.NIGHT
+
+    settle_s: Seconds = 45.0
+    """Time left out after the motor has stopped."""
+    minimum_s: Positive = 20.0
+    """Credible samples that a halt needs after that."""
+    depressurised_below_bar: Positive = 5.0
+    """|pressure| of a halt that shows the zero."""
+
+
+class Model(Section):
+    """Choices of the physics that are not a property of the motor."""
+
+    shapes = Stage.BLOCKS
+
+    film_pressure: Literal["thesis", "slot"] = "thesis"
+    """Barus viscosity at a share of the pressure (`thesis`) or exact slot flow (`slot`)."""
+    film_pressure_share: NonNegative = Field(1.0, le=1)
+    """`thesis`: share of the pressure difference in the film."""
+    film_pressure_share_tolerance: Annotated[NonNegative, Stage.FIGURES] = Field(0.0, le=1)
+    """Tolerance of that share."""
+    two_sided: bool | None = None
+    """Paths leak from both sides; by default where the low pressure is known."""
+    charge_pressure_bar: NonNegative = 0.0
+    """Low-port pressure without a channel of it."""
+    case_pressure_bar: NonNegative = 0.0
+    """Case pressure without a channel of it."""
+    charge_pressure_tolerance_bar: Annotated[NonNegative, Stage.FIGURES] = 0.0
+    """Tolerance of charge − case pressure."""
+    roller_scale: Annotated[Literal["by_information", "fixed"], Stage.FIGURES] = "by_information"
+    """Scale of the cam rollers' curve: estimated where nights tell it, or `fixed`."""
+
+    def is_two_sided(self, *, is_logged: bool = False) -> bool:
+        """Two-sided as stated, else where the low side's pressure is stated or logged."""
+        is_known = is_logged or self.charge_pressure_bar > 0.0
+        return is_known if self.two_sided is None else self.two_sided
+
+
+class Estimation(Section):
+    """Bounded least squares; the search of the thesis, by `fit` alone, names as in MATLAB's
+    lsqnonlin."""
+
+    shapes = Stage.NOTHING
+
+    starting_points: int = Field(10, ge=0, le=1000)
+    """Starting points of the audit by `fit`."""
+    step_tolerance: Positive = 1e-10
+    """A start stops below this step."""
+    function_tolerance: Positive = 1e-10
+    """A start stops below this change of the criterion."""
+    maximum_iterations: int = Field(200, ge=1)
+    """Iterations a start may take."""
+    loss: Annotated[Literal["squared", "huber"], Stage.BLOCKS] = "squared"
+    """`huber`: samples with large errors count less."""
+    sensitivity_samples: Annotated[int, Stage.FIGURES] = Field(1500, ge=100)
+    """Samples that carry the stated tolerances."""
+    seed: int = Field(1, ge=0)
+    """Seed of the starts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Conditions at which a leakage is told."""
+
+    pressure_bar: float
+    temperature_c: float
+    speed_rpm: float
+    # Charge above case pressure of a two-sided motor.
+    charge_over_case_bar: float | None = None
+
+    @property
+    def operating(self) -> OperatingConditions:
+        """The same as the model takes them."""
+        from leakage.physics.conditions import OperatingConditions
+
+        return OperatingConditions.from_bar(
+            self.pressure_bar, self.temperature_c, self.speed_rpm, self.charge_over_case_bar
+        )
+
+
+class ReferenceConditions(Section):
+    """Conditions at which the reference leakage is evaluated."""
+
+    shapes = Stage.FIGURES
+
+    pressure_bar: Positive = 200.0
+    """Pressure difference."""
+    temperature_c: float = Field(50.0, gt=-60, lt=150)
+    """Oil temperature."""
+    speed_rpm: NonNegative = 30.0
+    """Motor speed."""
+
+    def conditions(self, charge_over_case_bar: float | None = None) -> Conditions:
+        """These conditions; of a two-sided motor with a charge above case pressure, else None."""
+        return Conditions(
+            self.pressure_bar, self.temperature_c, self.speed_rpm, charge_over_case_bar
+        )
+
+
+class Trend(Section):
+    """The motor against its own past: baseline, slope and time to limit."""
+
+    shapes = Stage.TRENDS
+
+    baseline_nights: int = Field(8, ge=8)
+    """Nights of a baseline, after which the watch begins."""
+    confidence: Share = Field(0.95, lt=1)
+    """Coverage of the slope's interval."""
+    horizon_years: Positive = 5.0
+    """Time beyond which a limit is `beyond_horizon`."""
+
+
+class Email(Section):
+    """Mail of changes of state over SMTP, and of all states once a week; off without `to`."""
+
+    shapes = Stage.NOTHING
+
+    to: tuple[str, ...] = ()
+    """Addresses that get the mail."""
+    sender: str = ""
+    """Address that it comes from; required with `to`."""
+    server: str = ""
+    """`host` or `host:port` of the mail server; required with `to`."""
+    security: Literal["starttls", "tls", "none"] = "starttls"
+    """Encryption; port 587, 465 or 25 where `server` states none."""
+    user: str = ""
+    """Name to log in with; empty: no log-in."""
+    password: Secret = ""
+    """`${NAME}`: variable with the password."""
+    weekly: Literal["", "mon", "tue", "wed", "thu", "fri", "sat", "sun"] = "mon"
+    """Weekday on which all motors' states are sent, or empty."""
+    report_url: WebAddress = ""
+    """Address of the report, for links."""
+
+    def summary_due(self, today: dt.date) -> dt.date | None:
+        """Date on which the latest weekly summary is due; None without any."""
+        if not self.to or not self.weekly:
+            return None
+        return today - dt.timedelta(days=(today.weekday() - DAYS.index(self.weekly)) % 7)
+
+    def misfits(self) -> Iterator[Misfit]:
+        for key, address in [("to", one) for one in self.to] + [("sender", self.sender)]:
+            if self.to and not is_mail_address(address):
+                yield (key,), "expected an address such as shift@plant.example", address
+        if self.to and mail_server(self.server) is None:
+            yield self.at("server", "expected host or host:port")
+        if bool(self.user) != bool(self.password):
+            yield (), "expected user and password together", None
+        if self.user and self.security == "none":
+            yield self.at("security", "expected starttls or tls with a password")
+
+
+class Alarms(Section):
+    """Rules for the states `warning` and `alarm`, and who is told."""
+
+    shapes = Stage.NOTHING
+
+    alarm_percent: Annotated[Positive, Stage.TRENDS] = 30.0
+    """Rise that is an alarm, with 97.5 % probability."""
+    stale_after_nights: Annotated[int, Stage.TRENDS] = Field(7, ge=1)
+    """Nights without data after which a motor is `stale`."""
+    false_alarms_per_year: Annotated[Positive, Stage.TRENDS] = Field(0.04, le=12)
+    """False alarms per motor and year."""
+    command: tuple[str, ...] = ()
+    """Program that gets new alarms as JSON on standard input."""
+    webhook_url: WebAddress = ""
+    """Address that the same is posted to, http or https."""
+    webhook_headers: WebHeaders = Field({})
+    """Headers of the post; `${NAME}`: a variable."""
+    webhook_secret: Secret = ""
+    """`${NAME}`: variable with the secret that signs posts (Standard Webhooks)."""
+    email: Email = left_out()
+    """Mail over SMTP."""
+
+
+class Look(Section):
+    """Looks within the day; nothing here changes a figure of a night."""
+
+    shapes = Stage.NOTHING
+
+    warm_up_minutes: NonNegative = 20.0
+    """Minutes after a start that are not judged."""
+    blind_after_minutes: Positive = 60.0
+    """Minutes without judgement after which a motor is `blind`."""
+
+
+class Folders(Section):
+    """Folders; each is relative to the fleet file."""
+
+    shapes = Stage.NOTHING
+
+    motors: RelativeFolder = "motors"
+    """Folder of the motors' files."""
+    motor_types: RelativeFolder = "motor_types"
+    """Folder of the motor types."""
+    oils: RelativeFolder = "oils"
+    """Folder of the oils."""
+    oil_circuits: RelativeFolder = "oil_circuits"
+    """Folder of the oil circuits."""
+    logs: RelativeFolder = "../logs"
+    """Root of the logs, a folder or a URL such as s3://bucket/logs."""
+    output: RelativeFolder | None = None
+    """Output folder; by default `out/` in the working directory."""
+    object_store: str = Field("", pattern=r"^$|^(s3|az|gs)://[^/\s]+(/\S*)?$")
+    """Where the output is published, such as s3://bucket/fleet."""
+
+
+class Execution(Section):
+    """Execution of a run; nothing here changes a figure."""
+
+    shapes = Stage.NOTHING
+
+    workers: int = Field(2, ge=1, le=256)
+    """Motors fitted at the same time."""
+    backend: Literal["loky", "sequential", "dask"] = "loky"
+    """Processes of this machine (`loky`), the run's own (`sequential`), or a cluster (`dask`)."""
+    scheduler: str = Field("", pattern=r"^$|^(tcp|tls)://[^/\s]+:[0-9]+$")
+    """`dask`: address of the scheduler, such as tcp://10.0.0.5:8786."""
+    tasks_in_flight: int = Field(256, ge=1)
+    """`dask`: most tasks at the scheduler."""
+    scheduler_wait_s: Positive = 30.0
+    """`dask`: time to wait for scheduler and first worker."""
+    timeout_s: Positive = Field(600.0, le=604_800.0)
+    """Longest time for a night of a motor."""
+    answer_s: Positive = Field(60.0, le=604_800.0)
+    """A log that does not open within this time fails."""
+    memory_limit_mib: int = Field(4096, ge=512, le=1_048_576)
+    """Most memory of a worker (Linux)."""
+    minimum_free_mib: NonNegative = 100.0
+    """Free disk space that a run requires."""
+    prove_within_days: int = Field(30, ge=1, le=365)
+    """Days within which each table file is proven by its SHA-256."""
+
+    def misfits(self) -> Iterator[Misfit]:
+        if self.backend == "dask" and not self.scheduler:
+            yield ("scheduler",), "is missing: the address of the Dask scheduler", None
+
+
+class Retention(Section):
+    """Newest nights whose rows `prune` keeps, by table; without a number all are kept."""
+
+    shapes = Stage.NOTHING
+
+    predictions: int | None = Field(None, ge=1)
+    """Nights kept of `predictions`."""
+    starts: int | None = Field(None, ge=1)
+    """Nights kept of `starts`."""
+    residual_tests: int | None = Field(None, ge=1)
+    """Nights kept of `residual_tests`."""
+    sensitivities: int | None = Field(None, ge=1)
+    """Nights kept of `sensitivities`."""
+
+
+class Metrics(Section):
+    """Metrics of each run as a file for Prometheus."""
+
+    shapes = Stage.NOTHING
+
+    textfile: str = Field("", pattern=r"^$|\.prom$")
+    """File for the node exporter's textfile collector; relative to the fleet file; empty: none."""
 
 
 class Settings(Section):
@@ -41,7 +458,6 @@ class Settings(Section):
     look: Look = left_out()
 
     def misfits(self) -> Iterator[Misfit]:
-        """Smoothing that reaches beyond a block."""
         if self.smoothing.window_s >= self.windows.block_s:
             message = f"expected less than windows.block_s = {self.windows.block_s:g}"
             yield ("smoothing", "window_s"), message, self.smoothing.window_s
@@ -59,6 +475,5 @@ class FleetFile(Settings):
     retention: Retention = left_out()
     metrics: Metrics = left_out()
     defaults: dict[str, Any] = Field({})
-    """Any part of a motor's file, for motors that do not state it: tables are merged key by key,
-    but a channel's that names a `source` or a `constant` stands alone. `{name_in_log}` in a text is
-    the motor's name in the log."""
+    """Parts of a motor's file, for motors that do not state them; `{name_in_log}` is the motor's
+    name in the log."""

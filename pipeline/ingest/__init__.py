@@ -13,16 +13,16 @@ import numpy as np
 from pipeline.config.channels import COUNTED, Channel, Channels
 from pipeline.config.logs import Logs
 from pipeline.ingest.assembly import Samples, log_of_samples, span
-from pipeline.ingest.contract import LogFile, Place, RawChannel, RawLog, Reader, readable, validate
-from pipeline.ingest.readers import (
-    called,
-    checked,
-    checked_piece,
-    checked_span,
-    checked_units,
-    reader_of,
-    with_options,
+from pipeline.ingest.contract import (
+    LogFile,
+    Place,
+    RawChannel,
+    RawLog,
+    Reader,
+    require_possible,
+    validate,
 )
+from pipeline.ingest.readers import opened
 from pipeline.units import CHANNELS, to_canonical
 
 __all__ = [
@@ -43,45 +43,24 @@ __all__ = [
 
 
 def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None = None) -> RawLog:
-    """Read the channels of a log.
+    """Read the channels of a log; one without rows gives channels without samples.
 
-    Parameters
-    ----------
-    path
-        The file.
-    logs
-        How it is written.
-    channels
-        What is wanted of it, by channel; at least one.
-    latest_us
-        Samples after this time lie in the future [µs since 1970]; None: a day from now.
-
-    Returns
-    -------
-    RawLog
-        The wanted channels; a log without rows gives channels without samples.
+    Samples after `latest_us` [µs since 1970] lie in the future; None: after a day from now.
 
     Raises
     ------
     LogError
         The file cannot be read, or not be trusted; codes in `pipeline.ingest.contract`.
     """
-    with readable(path):
-        reader, file = _opened(path, logs, channels, latest_us)
-        return _with_constants(checked(file, called(file, reader.read)), channels)
+    with opened(path, logs, channels, latest_us) as (reader, file):
+        log = validate(reader.read(file), file.channels, file.latest_us)
+    return _with_constants(log, channels)
 
 
 def can_grow(path: Path, logs: Logs) -> bool:
-    """True for a log that is read from a place on, as rows are appended to it.
-
-    Raises
-    ------
-    LogError
-        As `read_log`.
-    """
-    with readable(path):
-        reader, file = _opened(path, logs, {}, None)
-        return bool(called(file, reader.can_grow))
+    """True for a log that is read from a place on, as rows are appended; errors as `read_log`."""
+    with opened(path, logs, {}) as (reader, file):
+        return reader.can_grow is not None and reader.can_grow(file)
 
 
 def read_piece(
@@ -92,88 +71,41 @@ def read_piece(
     place: Place,
     most_bytes: int,
 ) -> tuple[RawLog | None, Place]:
-    """Read what follows a place of a log that can grow.
+    """Rows that follow a place of a log that can grow, and the place behind them.
 
-    Parameters
-    ----------
-    path, logs, channels, latest_us
-        As for `read_log`.
-    place
-        Where the piece before ended; that of a new `Place` is the file's begin.
-    most_bytes
-        Size of the piece; it ends behind a whole row.
-
-    Returns
-    -------
-    RawLog or None
-        Its rows; None where no whole row follows.
-    Place
-        Behind them.
-
-    Raises
-    ------
-    LogError
-        As `read_log`.
+    There are at most `most_bytes` of them, and None where no whole row follows. A new `Place` is
+    the file's begin; the rest, and the errors, are as for `read_log`.
     """
-    with readable(path):
-        reader, file = _opened(path, logs, channels, latest_us)
-        log, end = checked_piece(file, called(file, reader.piece, place, most_bytes))
-        return None if log is None else _with_constants(log, channels), end
+    with opened(path, logs, channels, latest_us) as (reader, file):
+        if reader.piece is None:
+            return None, place
+        log, end = reader.piece(file, place, most_bytes)
+        log = None if log is None else validate(log, file.channels, file.latest_us)
+    return None if log is None else _with_constants(log, channels), end
 
 
 def time_span(
     path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
 ) -> tuple[int, int]:
-    """Time from which and until which a log goes, without reading it whole if that can be.
+    """Smallest and largest time stamp [µs since 1970, UTC], without reading the whole log if so.
 
-    A CSV is taken to be in order, its first and last rows are looked at; a Parquet file says it in
-    its row groups, an MCAP file in its summary, there for all topics together.
-
-    Parameters
-    ----------
-    path, logs, channels, latest_us
-        As for `read_log`.
-
-    Returns
-    -------
-    tuple of int
-        Smallest and largest time stamp [µs since 1970, UTC].
-
-    Raises
-    ------
-    LogError
-        As `read_log`; ``log_empty`` where the log holds no samples.
+    A CSV is taken to be in order, its first and last rows are looked at; an MCAP file says it in
+    its summary, for all topics together. Errors as `read_log`; ``log_empty`` without samples.
     """
-    with readable(path):
-        reader, file = _opened(path, logs, channels, latest_us)
+    with opened(path, logs, channels, latest_us) as (reader, file):
         if reader.span is None:
-            return span(path, checked(file, called(file, reader.read)).stamps())
-        return checked_span(file, called(file, reader.span))
+            log = validate(reader.read(file), file.channels, file.latest_us)
+            return span(path, log.stamps())
+        first, last = reader.span(file)
+        require_possible(first, last, file.latest_us)
+        return first, last
 
 
 def header_units(path: Path, logs: Logs, channels: Channels) -> dict[str, str]:
-    """Units that a log's header states, as written, by channel.
-
-    Raises
-    ------
-    LogError
-        As `read_log`.
-    """
-    with readable(path):
-        reader, file = _opened(path, logs, channels, None)
-        units = checked_units(file, called(file, reader.units))
-        return {name: units.get(one.source, "") for name, one in file.channels.items()}
-
-
-def _opened(
-    path: Path, logs: Logs, channels: Channels, latest_us: int | None
-) -> tuple[Reader, LogFile]:
-    """A log's reader, and what it is given: the channels that a log holds, in their order."""
-    logged = (item for item in channels.items() if item[1].constant is None)
-    in_order = dict(sorted(logged, key=lambda item: CHANNELS.index(item[0])))
-    file = LogFile(path, logs, in_order, latest_us)
-    reader = reader_of(file)
-    return reader, with_options(file, reader)
+    """Units that a log's header states, as written, by channel; errors as `read_log`."""
+    with opened(path, logs, channels) as (reader, file):
+        units = {} if reader.units is None else reader.units(file)
+        return {name: str(units.get(one.source, "")) for name, one in file.channels.items()}
 
 
 def _with_constants(log: RawLog, channels: Channels) -> RawLog:

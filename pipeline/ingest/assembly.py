@@ -6,26 +6,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
-from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.channels import Channel
-from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import nulls
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog, different_stamps, ends
 from pipeline.ingest.quality import is_bad, quality_states
-from pipeline.ingest.time_stamps import example_of, from_epoch
-from pipeline.ingest.wall_clock import TimeStamps
+from pipeline.ingest.time_stamps import TimeStamps, from_epoch
 from pipeline.messages import counted
 from pipeline.units import canonical_unit, to_canonical
-
-_T = TypeVar("_T", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +64,9 @@ def _with_nan(
     return raw
 
 
-def in_canonical_unit(name: str, channel: Channel, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+def _in_canonical_unit(
+    name: str, channel: Channel, raw: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Figures of a channel with scale, offset and unit applied; as they are where none changes."""
     # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -82,11 +79,6 @@ def in_canonical_unit(name: str, channel: Channel, raw: NDArray[np.float64]) -> 
     return to_canonical(name, raw, channel.unit)
 
 
-def converted(name: str, channel: Channel, readings: Readings) -> Readings:
-    """Readings of a channel in its canonical unit."""
-    return replace(readings, raw=in_canonical_unit(name, channel, readings.raw))
-
-
 def raw_channel(
     path: Path,
     name: str,
@@ -95,7 +87,7 @@ def raw_channel(
     readings: Readings,
     quality: NDArray[np.uint8] | None = None,
 ) -> RawChannel:
-    """Channel of readings in its canonical unit, with their `quality_states` if the log has them.
+    """Channel of readings as logged, with their `quality_states` if the log has them.
 
     Raises
     ------
@@ -113,74 +105,62 @@ def raw_channel(
             f"such as {readings.example!r}: give the right column, decimal sign or missing_tokens",
             channel.source,
         )
-    return _frozen(RawChannel(time_us, readings.raw, readings.missing, unparsed, bad))
+    value = _in_canonical_unit(name, channel, readings.raw)
+    return _frozen(RawChannel(time_us, value, readings.missing, unparsed, bad))
 
 
-def time_name(logs: Logs, example: str | None = None) -> str:
-    """Name of a table's time column in messages, with a stamp that is not readable."""
-    form = logs.time_format
-    here = f"; here is {example[:40]!r}" if example else ""
-    return f"{logs.time!r} in format {form} (such as {example_of(form)}{here})"
+def _frozen(channel: RawChannel) -> RawChannel:
+    for array in (channel.time_us, channel.value, channel.missing, channel.bad_quality):
+        if array is not None:
+            array.flags.writeable = False
+    return channel
 
 
 def judged(
-    path: Path, parts: Sequence[TimeStamps], name: str, latest_us: int | None
+    path: Path, parts: Sequence[TimeStamps], name: str, latest_us: int
 ) -> tuple[list[TimeStamps], dict[str, int]]:
     """Stamps of a log without those in the future; counts of rows without a good time, by reason.
 
     The parts are judged together; `name` says what the stamps are called and how they were read.
-    The future begins after `latest_us` [µs since 1970], None: a day from now.
+    The future begins after `latest_us` [µs since 1970].
 
     Raises
     ------
     LogError
         ``log_time``: more than half of the rows have no good time.
     """
-    latest = latest_by_clock() if latest_us is None else latest_us
     rows = sum(part.readable.size for part in parts)
-    ahead = sum(int(np.count_nonzero(_future(part, latest))) for part in parts)
+    ahead = sum(int(np.count_nonzero(part.time_us > latest_us)) for part in parts)
     skipped = sum(part.skipped for part in parts)
     unreadable = rows - sum(int(np.count_nonzero(part.readable)) for part in parts)
-    _require_time(path, rows, {"ahead": ahead, "skipped": skipped, "unreadable": unreadable}, name)
+    for count, what in (
+        (
+            ahead,
+            f", read as {name}, lie more than a day in the future: have the logger's clock set, or "
+            "give the right time format",
+        ),
+        (
+            skipped,
+            f", read as {name}, lie in an hour that does not exist in the zone, as its clocks go "
+            "forward: where the logger's clock does not, set time_zone to a fixed one such as "
+            "Etc/GMT-1",
+        ),
+        (
+            unreadable + ahead,
+            f" cannot be read as {name}, lie before 1990 or after 2200, or in the future: give the "
+            "right time format, or have the logger's clock set",
+        ),
+    ):
+        if 2 * count > rows:
+            raise LogError("log_time", path, f"{count} of {rows} time stamps{what}")
     past = list(parts)
     if ahead:
-        past = [replace(p, readable=p.readable & ~_future(p, latest)) for p in parts]
+        past = [replace(p, readable=p.readable & (p.time_us <= latest_us)) for p in parts]
     return past, {
         "row without a readable time": unreadable - skipped,
         "row at a local time that the zone's clock change leaves out": skipped,
         "row with a time more than a day in the future": ahead,
     }
-
-
-def _future(stamps: TimeStamps, latest: int) -> NDArray[np.bool_]:
-    return stamps.time_us > latest
-
-
-def _require_time(path: Path, rows: int, counts: Mapping[str, int], name: str) -> None:
-    """More than half of the rows without a good time are an error ``log_time``."""
-    if 2 * counts["ahead"] > rows:
-        raise LogError(
-            "log_time",
-            path,
-            f"{counts['ahead']} of {rows} time stamps, read as {name}, lie more than a day in the "
-            "future: have the logger's clock set, or give the right time format",
-        )
-    if 2 * counts["skipped"] > rows:
-        raise LogError(
-            "log_time",
-            path,
-            f"{counts['skipped']} of {rows} time stamps, read as {name}, lie in an hour that does "
-            "not exist in the zone, as its clocks go forward: where the logger's clock does not, "
-            "set time_zone to a fixed one such as Etc/GMT-1",
-        )
-    without = counts["unreadable"] + counts["ahead"]
-    if 2 * without > rows:
-        raise LogError(
-            "log_time",
-            path,
-            f"{without} of {rows} time stamps cannot be read as {name}, lie before 1990 or after "
-            "2200, or in the future: give the right time format, or have the logger's clock set",
-        )
 
 
 def without_rows_of_others(
@@ -270,14 +250,7 @@ class Samples:
 
 
 def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:
-    """Log of what an installed reader found: converted, judged and counted as every other log.
-
-    Parameters
-    ----------
-    file
-        The log.
-    samples
-        By channel, all that are asked for.
+    """Log of what an installed reader found, by channel: converted, judged and counted.
 
     Raises
     ------
@@ -285,45 +258,22 @@ def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:
         ``log_time``: more than half of the time stamps lie in the future, before 1990 or after
         2200; ``log_reader``: a channel's quality is asked for, and there is none.
     """
-    placed = [from_epoch(samples[name].time_us, "epoch_us") for name in file.channels]
-    stamps, refused = judged(file.path, placed, "microseconds since 1970", file.latest_us)
+    parts = [from_epoch(samples[name].time_us, "epoch_us") for name in file.channels]
+    stamps, refused = judged(file.path, parts, "microseconds since 1970", file.latest_us)
     channels: dict[str, RawChannel] = {}
     for (name, channel), stamp in zip(file.channels.items(), stamps, strict=True):
         own, kept = samples[name], stamp.readable
         none = np.zeros(own.value.size, np.bool_)
         missing = none if own.missing is None else own.missing
-        raw = np.where(missing, np.nan, own.value)
-        readings = converted(name, channel, Readings(raw, missing, none).rows(kept))
+        readings = Readings(np.where(missing, np.nan, own.value), missing, none).rows(kept)
         states = None
         if channel.quality_source:
-            states = _states_of(file, channel, own)[kept]
-        channels[name] = raw_channel(
-            file.path, name, channel, stamp.time_us[kept], readings, states
-        )
+            if own.quality is None:
+                how = f"the format has no quality {channel.quality_source!r}: remove quality_source"
+                raise LogError("log_reader", file.path, how, channel.quality_source)
+            cells, good = pa.array(own.quality), channel.quality_good
+            states = quality_states(file.path, channel.quality_source, cells, good)[kept]
+        time_us = stamp.time_us[kept]
+        channels[name] = raw_channel(file.path, name, channel, time_us, readings, states)
     rows = sum(one.time_us.size for one in channels.values())
     return raw_log(channels, rows, refused)
-
-
-def _states_of(file: LogFile, channel: Channel, own: Samples) -> NDArray[np.uint8]:
-    if own.quality is None:
-        how = f"this format has no quality {channel.quality_source!r}: remove quality_source"
-        raise LogError("log_reader", file.path, how, channel.quality_source)
-    cells = pa.array(own.quality)
-    return quality_states(file.path, channel.quality_source, cells, channel.quality_good)
-
-
-def _frozen(channel: RawChannel) -> RawChannel:
-    bad = channel.bad_quality
-    return RawChannel(
-        _view(channel.time_us),
-        _view(channel.value),
-        _view(channel.missing),
-        channel.unparsed,
-        None if bad is None else _view(bad),
-    )
-
-
-def _view(values: NDArray[_T]) -> NDArray[_T]:
-    view = values.view()
-    view.flags.writeable = False
-    return view

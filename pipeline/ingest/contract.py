@@ -37,11 +37,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
-from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.channels import Channels
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.wall_clock import EARLIEST_US
+from pipeline.ingest.time_stamps import EARLIEST_US, LATEST_US
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,21 +87,17 @@ class RawChannel:
     @staticmethod
     def joined(parts: Sequence[RawChannel]) -> RawChannel:
         """Samples one after the other; where a part says nothing of its quality, it is not bad."""
-        bad = None
-        if any(part.bad_quality is not None for part in parts):
-            marks = [part.bad_quality for part in parts]
-            bad = np.concatenate(
-                [
-                    np.zeros(part.missing.size, np.bool_) if own is None else own
-                    for part, own in zip(parts, marks, strict=True)
-                ]
-            )
+        marks = [part.bad_quality for part in parts]
+        bad = [
+            np.zeros(part.missing.size, np.bool_) if own is None else own
+            for part, own in zip(parts, marks, strict=True)
+        ]
         return RawChannel(
             np.concatenate([part.time_us for part in parts]),
             np.concatenate([part.value for part in parts]),
             np.concatenate([part.missing for part in parts]),
             sum(part.unparsed for part in parts),
-            bad,
+            None if all(own is None for own in marks) else np.concatenate(bad),
         )
 
 
@@ -132,7 +127,7 @@ class RawLog:
     refused_rows: int = 0
 
     def stamps(self) -> list[NDArray[np.int64]]:
-        """Time stamps of all channels, as `different_stamps`."""
+        """Time stamps of channels: those that several share, as in a table, once."""
         return different_stamps(self.channels.values())
 
 
@@ -157,30 +152,18 @@ class LogFile:
     channels
         The channels to read; at least one, and no constants.
     latest_us
-        Samples after this time lie in the future [µs since 1970]; None: a day from now.
+        Samples after this time lie in the future [µs since 1970].
     """
 
     path: Path
     logs: Logs
     channels: Channels
-    latest_us: int | None = None
-
-
-def _never(_file: LogFile) -> bool:
-    return False
-
-
-def _no_units(_file: LogFile) -> Mapping[str, str]:
-    return {}
-
-
-def _no_piece(_file: LogFile, place: Place, _most_bytes: int) -> tuple[RawLog | None, Place]:
-    return None, place
+    latest_us: int = LATEST_US
 
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """A reader of one format.
+    """A reader of one format; all but `read` may be None.
 
     Attributes
     ----------
@@ -202,18 +185,15 @@ class Reader:
     read: Callable[[LogFile], RawLog]
     span: Callable[[LogFile], tuple[int, int]] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
-    units: Callable[[LogFile], Mapping[str, str]] = _no_units
-    can_grow: Callable[[LogFile], bool] = _never
-    piece: Callable[[LogFile, Place, int], tuple[RawLog | None, Place]] = _no_piece
+    units: Callable[[LogFile], Mapping[str, str]] | None = None
+    can_grow: Callable[[LogFile], bool] | None = None
+    piece: Callable[[LogFile, Place, int], tuple[RawLog | None, Place]] | None = None
 
 
 def different_stamps(channels: Iterable[RawChannel]) -> list[NDArray[np.int64]]:
-    """Time stamps of channels, the empty ones left out, and what several share once.
-
-    Channels of one table have one array of stamps, which is then looked through once.
-    """
+    """Time stamps of channels: those that several share, as in a table, once."""
     arrays = {(part.time_us.ctypes.data, part.time_us.size): part.time_us for part in channels}
-    return [time_us for time_us in arrays.values() if time_us.size]
+    return list(arrays.values())
 
 
 def ends(parts: Iterable[NDArray[np.int64]]) -> tuple[int, int] | None:
@@ -228,7 +208,12 @@ def ends(parts: Iterable[NDArray[np.int64]]) -> tuple[int, int] | None:
 def readable(path: Path) -> Iterator[None]:
     """Refuse what is no file; errors of the disk, and of memory, become a `LogError`."""
     try:
-        _require_file(path)
+        if not path.exists():
+            raise LogError("log_missing", path, "there is no such file")
+        if not path.is_file():
+            raise LogError("log_not_readable", path, "this is no file")
+        if not path.stat().st_size:
+            raise LogError("log_empty", path, "the file has no bytes")
         yield
     except OSError as error:
         how = f"the file cannot be read: {error.strerror or error}"
@@ -238,25 +223,11 @@ def readable(path: Path) -> Iterator[None]:
         raise LogError("log_too_large", path, how) from error
 
 
-def _require_file(path: Path) -> None:
-    try:
-        if not path.exists():
-            raise LogError("log_missing", path, "there is no such file")
-        if not path.is_file():
-            raise LogError("log_not_readable", path, "this is no file")
-        if not path.stat().st_size:
-            raise LogError("log_empty", path, "the file has no bytes")
-    except ValueError as error:  # no file can have such a name
-        raise LogError("log_not_readable", path, f"the file cannot be read: {error}") from error
-
-
 _DTYPES = {"time_us": "int64", "value": "float64", "missing": "bool", "bad_quality": "bool"}
 
 
-def validate(log: object, channels: Iterable[str], latest_us: int | None = None) -> RawLog:
+def validate(log: object, channels: Iterable[str], latest_us: int = LATEST_US) -> RawLog:
     """The log that a reader gave for some channels, if it keeps this contract.
-
-    Stamps after `latest_us` [µs since 1970] lie in the future; None: after a day from now.
 
     Raises
     ------
@@ -276,11 +247,11 @@ def validate(log: object, channels: Iterable[str], latest_us: int | None = None)
             raise ValueError(f"gave {name} as {count!r}, not as a count")
     if type(log.notes) is not tuple or not all(isinstance(note, str) for note in log.notes):
         raise ValueError(f"gave notes as {log.notes!r}, not as a tuple of lines")
-    stated, true = (log.first_us, log.last_us), ends(log.stamps()) or (None, None)
-    if stated != true:
-        raise ValueError(f"gave the ends {stated}, and its time stamps have {true}")
-    if log.first_us is not None and log.last_us is not None:
-        require_possible(log.first_us, log.last_us, latest_us)
+    true = ends(log.stamps())
+    if (log.first_us, log.last_us) != (true or (None, None)):
+        raise ValueError(f"gave the ends {log.first_us}, {log.last_us} of stamps from {true}")
+    if true is not None:
+        require_possible(*true, latest_us)
     return log
 
 
@@ -294,10 +265,10 @@ def _require_arrays(name: str, channel: RawChannel) -> None:
             raise ValueError(f"gave {part} of {name} as {kind}, not as array of {dtype} ({size},)")
 
 
-def require_possible(first_us: int, last_us: int, latest_us: int | None = None) -> None:
+def require_possible(first_us: int, last_us: int, latest_us: int) -> None:
     """ValueError for ends of a log that none can have."""
-    latest = latest_by_clock() if latest_us is None else latest_us
-    if first_us < EARLIEST_US or last_us > latest:
+    if not EARLIEST_US <= first_us <= last_us <= latest_us:
         raise ValueError(
-            "gave time stamps before 1990 or in the future: they are microseconds since 1970"
+            f"gave time stamps from {first_us} to {last_us}, before 1990 or in the future: they "
+            "are microseconds since 1970, UTC"
         )

@@ -1,4 +1,4 @@
-"""Readings and stamps that are gathered as a log is read in pieces, each copied once.
+"""Rows that are gathered as a log is read in pieces, each copied once.
 
 Lists of pieces that are joined in the end would hold everything twice for a moment, and each piece
 would need memory of its own.
@@ -6,14 +6,19 @@ would need memory of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Generic, TypeVar
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.assembly import Readings
-from pipeline.ingest.time_stamps import WITH_ZONE, WrittenStamps
+from pipeline.arrays import Rows
+from pipeline.config.channels import Channels
+from pipeline.ingest.assembly import Readings, raw_channel
+from pipeline.ingest.contract import RawChannel
+from pipeline.ingest.quality import BLANK
+from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, placed
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -57,57 +62,86 @@ class Growing(Generic[_T]):
         return self._array
 
 
-class GatheredStamps:
-    """Time stamps as they are written, piece after piece."""
+class _Column:
+    """Readings of a column or field."""
 
     def __init__(self) -> None:
-        self._time_us = Growing(np.int64)
-        self._kinds: list[NDArray[np.int8]] = []
-        self._example: str | None = None
-
-    def add(self, part: WrittenStamps) -> None:
-        """Add a piece."""
-        self._time_us.append(part.time_us)
-        self._kinds.append(part.kind)
-        self._example = self._example or part.example
-
-    def taken(self) -> WrittenStamps:
-        """All of them, to be given up."""
-        kinds = _joined(self._kinds, np.int8(WITH_ZONE))
-        return WrittenStamps(self._time_us.taken(), kinds, self._example)
-
-
-class GatheredReadings:
-    """Readings of a column or field, piece after piece."""
-
-    def __init__(self) -> None:
-        self._raw = Growing(np.float64)
-        self._missing: list[NDArray[np.bool_]] = []
-        self._unparsed: list[NDArray[np.bool_]] = []
-        self._example: str | None = None
+        self.raw = Growing(np.float64)
+        self.missing, self.unparsed = Growing(np.bool_), Growing(np.bool_)
+        self.example: str | None = None
+        self.is_nothing = True  # no cell holds anything
 
     def add(self, part: Readings) -> None:
-        """Add a piece."""
-        self._raw.append(part.raw)
-        self._missing.append(part.missing)
-        self._unparsed.append(part.unparsed)
-        self._example = self._example or part.example
-
-    @property
-    def has_none(self) -> bool:
-        """True if there are messages or rows, and nothing at all in any."""
-        marks = zip(self._missing, self._unparsed, strict=True)
-        return bool(self._missing) and all(gone.all() and not odd.any() for gone, odd in marks)
+        self.raw.append(part.raw)
+        self.missing.append(part.missing)
+        self.unparsed.append(part.unparsed)
+        self.example = self.example or part.example
+        self.is_nothing &= bool(part.missing.all()) and not part.unparsed.any()
 
     def taken(self) -> Readings:
-        """All of them, to be given up."""
-        missing = _joined(self._missing, np.bool_(False))
-        unparsed = _joined(self._unparsed, np.bool_(False))
-        return Readings(self._raw.taken(), missing, unparsed, self._example)
+        parts = self.raw.taken(), self.missing.taken(), self.unparsed.taken()
+        return Readings(*parts, self.example)
 
 
-def _joined(parts: Sequence[NDArray[_T]], usual: _T) -> NDArray[_T]:
-    """Marks one after the other; in most logs all are the same, which needs no copy."""
-    if all((part == usual).all() for part in parts):
-        return np.full(sum(part.size for part in parts), usual)
-    return np.concatenate(parts)
+class Gathered:
+    """Rows of a table, or messages of a topic, in the order of the file.
+
+    Readings go by the column or field that they stand in, states of quality by that and what is
+    good there.
+    """
+
+    def __init__(self) -> None:
+        self._time_us, self._kind = Growing(np.int64), Growing(np.int8)
+        self._example: str | None = None
+        self._columns: dict[Any, _Column] = {}
+        self._states: dict[Any, Growing[np.uint8]] = {}
+        self._blank: dict[Any, bool] = {}  # by those, whether no cell tells of a quality
+
+    def add(
+        self,
+        stamps: WrittenStamps,
+        readings: Mapping[Any, Readings],
+        states: Mapping[Any, NDArray[np.uint8]],
+    ) -> None:
+        """Add a piece."""
+        self._time_us.append(stamps.time_us)
+        self._kind.append(stamps.kind)
+        self._example = self._example or stamps.example
+        for key, part in readings.items():
+            self._columns.setdefault(key, _Column()).add(part)
+        for key, marks in states.items():
+            self._states.setdefault(key, Growing(np.uint8)).append(marks)
+            self._blank[key] = self._blank.get(key, True) and bool((marks == BLANK).all())
+
+    def nothing(self) -> list[Any]:
+        """Columns and fields that are blank in all rows; none without rows."""
+        found: list[Any] = [key for key, column in self._columns.items() if column.is_nothing]
+        return found + [key[0] for key, is_blank in self._blank.items() if is_blank]
+
+    def stamps(self, zone: str) -> TimeStamps:
+        """Time stamps of all rows, to be given up."""
+        stamps = WrittenStamps(self._time_us.taken(), self._kind.taken(), self._example)
+        return placed(stamps, zone)
+
+    def channels(
+        self,
+        path: Path,
+        channels: Channels,
+        keys: Mapping[Any, tuple[Any, Any]],
+        places: Mapping[Any, tuple[Rows, NDArray[np.int64]]],
+    ) -> dict[str, RawChannel]:
+        """Channels by the keys of their readings and states, and by their rows and time stamps.
+
+        A column is given up with its last channel, so that a long log is not held twice.
+        """
+        found: dict[str, RawChannel] = {}
+        states = {key: marks.taken() for key, marks in self._states.items()}
+        for column in dict.fromkeys(column for column, _ in keys.values()):
+            readings = self._columns.pop(column, _Column()).taken()
+            for name in [name for name, key in keys.items() if key[0] == column]:
+                rows, time_us = places[name]
+                marks = states.get(keys[name][1])
+                own = None if marks is None else marks[rows]
+                some = readings.rows(rows)
+                found[name] = raw_channel(path, name, channels[name], time_us, some, own)
+        return {name: found[name] for name in channels}

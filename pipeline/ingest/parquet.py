@@ -9,15 +9,16 @@ where that is of a size that a log can have.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipeline.config.logs import Logs
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import is_number, is_text
@@ -41,108 +42,65 @@ _ROWS_OF_A_DAY = 24 * 3600 * 100
 MOST_TEXT_A_ROW = 256
 """Bytes of a stamp, a name or a quality, on average over some rows."""
 
-Place = tuple[str, ...]
-"""Names of a column and of the fields within it."""
-
 _SLACK = 2**22
 _MAGIC = b"PAR1"
 
 
-def read_parquet_log(log: LogFile) -> RawLog:
+def _read(file: LogFile) -> RawLog:
     """Read the wanted columns of a Parquet file."""
-    table = RawTable(log)
-    _gather(log.path, wanted_columns(log), table)
-    return table.log({})
+    return _gathered(file, wanted_columns(file)).log({})
 
 
-def parquet_units(log: LogFile) -> dict[str, str]:
+def _units(file: LogFile) -> dict[str, str]:
     """Units in the metadata of columns."""
-    with opened(log.path) as file:
-        told = {one.name: (one.metadata or {}).get(b"unit", b"") for one in file.schema_arrow}
+    with opened(file.path) as found:
+        told = {one.name: (one.metadata or {}).get(b"unit", b"") for one in found.schema_arrow}
     return {name: unit.decode(errors="replace") for name, unit in told.items()}
 
 
-def parquet_time_span(log: LogFile) -> tuple[int, int]:
+def _span(file: LogFile) -> tuple[int, int]:
     """First and last time stamp, from the time column alone."""
     # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata
     # are damaged ends the process, where reading the column raises.
-    table = RawTable(log)
-    times = wanted_columns(log).time
-    _gather(log.path, Columns(times, None, ()), table)
-    return table.span()
+    return _gathered(file, Columns(wanted_columns(file).time)).span()
 
 
-def _gather(path: Path, columns: Columns, table: RawTable) -> None:
+def _gathered(file: LogFile, columns: Columns) -> RawTable:
     """Read the wanted columns, some rows at a time, so that memory holds the readings alone."""
-    with opened(path) as file:
-        places = {name: place_of(path, file.schema_arrow, name) for name in columns.all}
-        _require_types(table, columns, file.schema_arrow, places)
-        wanted = [".".join(place) for place in places.values()]
-        texts = [name for name in text_paths(file.schema_arrow) if name in wanted]
-    with opened(path, texts) as file:
-        for batch in _batches(path, file, places):
-            found: Mapping[str, pa.ChunkedArray] = {
-                name: pa.chunked_array([within(path, batch, place)])
-                for name, place in places.items()
-            }
-            found = table.of_motor(columns, found)
-            table.add(
-                _stamps(path, table.logs, [found[name] for name in columns.time]),
-                {name: readings_of(found[name]) for name in columns.numbers},
-                columns.channel_names(found),
-                {name: found[name] for name in columns.qualities},
-            )
+    path, logs = file.path, file.logs
+    table = RawTable(file, columns, partial(_stamps, file), lambda _, cells: readings_of(cells))
+    with opened(path) as found:
+        places = {name: _place(path, found.schema_arrow, name) for name in columns.all}
+        for name in columns.numbers:
+            kind = places[name].kind
+            if not (is_number(kind) or pa.types.is_null(kind)):
+                channels = ", ".join(
+                    known
+                    for known, channel in file.channels.items()
+                    if logs.layout != "wide" or channel.source == name
+                )
+                how = f"column {name!r} (channel {channels}) is of type {kind}, which is no number"
+                raise LogError("log_type", path, how, name)
+        if columns.name is not None and not is_text(places[columns.name].kind):
+            how = f"column {columns.name!r} holds no names of channels"
+            raise LogError("log_type", path, how, columns.name)
+        texts = [name for name in text_paths(found.schema_arrow) if name in places]
+    with opened(path, texts) as found:
+        for batch in _batches(path, found, list(places)):
+            parts = {name: _within(path, batch, place) for name, place in places.items()}
+            table.add({name: pa.chunked_array([part]) for name, part in parts.items()})
+    return table
 
 
-def _kind(schema: pa.Schema, place: Place) -> pa.DataType:
-    """Type of a column, that of its values where it is a dictionary."""
-    kind = schema.field(place[0]).type
-    for name in place[1:]:
-        kind = kind.field(name).type
-    return kind.value_type if pa.types.is_dictionary(kind) else kind
-
-
-def _require_types(
-    table: RawTable, columns: Columns, schema: pa.Schema, places: Mapping[str, Place]
-) -> None:
-    path = table.path
-    for name in columns.numbers:
-        kind = _kind(schema, places[name])
-        if not (is_number(kind) or pa.types.is_null(kind)):
-            channels = ", ".join(
-                known
-                for known, channel in table.channels.items()
-                if table.logs.layout != "wide" or channel.source == name
-            )
-            raise LogError(
-                "log_type",
-                path,
-                f"column {name!r} (channel {channels}) is of type {kind}, which is no number",
-                name,
-            )
-    if columns.name is not None and not is_text(_kind(schema, places[columns.name])):
-        raise LogError(
-            "log_type", path, f"column {columns.name!r} holds no names of channels", columns.name
-        )
-
-
-def _batches(
-    path: Path, file: pq.ParquetFile, places: Mapping[str, Place]
-) -> Iterator[pa.RecordBatch]:
+def _batches(path: Path, file: pq.ParquetFile, wanted: list[str]) -> Iterator[pa.RecordBatch]:
     """The wanted columns, piece by piece: how many rows there are shows while they unfold."""
     rows = 0
-    tops = sorted({place[0] for place in places.values()})
-    wanted = list(dict.fromkeys(".".join(place) for place in places.values()))
     _require_fewer(path, file.metadata.num_rows)
     size = _ROWS_AT_ONCE if file.metadata.num_rows <= _ROWS_AT_ONCE else _BATCH_ROWS
     for batch in file.iter_batches(batch_size=size, columns=wanted, use_threads=False):
         rows += batch.num_rows
         _require_fewer(path, rows)
         batch.validate(full=True)
-        # A part b of a nested column a comes along with a column of the name "a.b".
-        if sorted(batch.schema.names) != tops:
-            there = ", ".join(batch.schema.names)
-            raise LogError("log_column_twice", path, f"columns {there} go by the names asked for")
         yield batch
     if rows != file.metadata.num_rows:
         claimed = file.metadata.num_rows
@@ -163,7 +121,8 @@ def _require_fewer(path: Path, rows: int) -> None:
         )
 
 
-def _stamps(path: Path, logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
+def _stamps(file: LogFile, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
+    path, logs = file.path, file.logs
     if len(columns) > 1 and not all(is_text(part.type) for part in columns):
         raise LogError("log_time", path, "date and time in columns of their own are to be text")
     kind = columns[-1].type
@@ -229,57 +188,40 @@ def _require_magic(path: Path) -> None:
         )
 
 
-def place_of(path: Path, schema: pa.Schema, name: str) -> Place:
-    """Place of a column: at the top by its very name, or within others by its path."""
-    count = schema.names.count(name)
-    if count > 1:
-        raise LogError("log_column_twice", path, f"{count} columns are called {name!r}: rename one")
-    if count:
-        return (name,)
-    for top in schema.names:
-        if name.startswith(top + ".") and schema.names.count(top) == 1:
-            within = _place_within(schema.field(top).type, name[len(top) + 1 :])
-            if within is not None:
-                return (top, *within)
-    raise LogError(
-        "log_column_missing",
-        path,
-        f"no column {name!r}; there are " + ", ".join(map(repr, _paths(schema)[:40])),
-    )
+class _Place(NamedTuple):
+    """A column: its name and those of the columns around it, from the top, and its type."""
+
+    names: tuple[str, ...]
+    kind: pa.DataType
 
 
-def _place_within(kind: pa.DataType, rest: str) -> Place | None:
-    if not pa.types.is_struct(kind):
-        return None
-    for field in kind:
-        if rest == field.name:
-            return (field.name,)
-        if rest.startswith(field.name + "."):
-            within = _place_within(field.type, rest[len(field.name) + 1 :])
-            if within is not None:
-                return (field.name, *within)
-    return None
-
-
-def _paths(fields: Iterable[pa.Field], above: str = "") -> list[str]:
-    """All columns by their paths, for a message."""
-    found: list[str] = []
+def _places(fields: Iterable[pa.Field], above: tuple[str, ...] = ()) -> Iterator[_Place]:
+    """All columns, those within others too."""
     for field in fields:
-        nested = pa.types.is_struct(field.type)
-        found += _paths(field.type, f"{above}{field.name}.") if nested else [above + field.name]
-    return found
+        names = (*above, field.name)
+        kind = field.type
+        yield _Place(names, kind.value_type if pa.types.is_dictionary(kind) else kind)
+        if pa.types.is_struct(kind):
+            yield from _places(kind, names)
 
 
-def text_paths(fields: Iterable[pa.Field], above: str = "") -> list[str]:
+def _place(path: Path, schema: pa.Schema, name: str) -> _Place:
+    """Place of a column by its name, or within others by its path."""
+    paths = [(".".join(place.names), place) for place in _places(schema)]
+    found = [place for own, place in paths if own == name]
+    if len(found) > 1:
+        how = f"{len(found)} columns are called {name!r}: rename one"
+        raise LogError("log_column_twice", path, how)
+    if not found:
+        leaves = [own for own, place in paths if not pa.types.is_struct(place.kind)]
+        there = ", ".join(map(repr, leaves[:40]))
+        raise LogError("log_column_missing", path, f"no column {name!r}; there are {there}")
+    return found[0]
+
+
+def text_paths(schema: pa.Schema) -> list[str]:
     """Paths of all columns of text, those within others too."""
-    found: list[str] = []
-    for field in fields:
-        path = above + field.name
-        if pa.types.is_struct(field.type):
-            found += text_paths(field.type, f"{path}.")
-        elif is_text(field.type):
-            found.append(path)
-    return found
+    return [".".join(place.names) for place in _places(schema) if is_text(place.kind)]
 
 
 def decoded(path: Path, name: str, column: pa.Array) -> pa.Array:
@@ -294,27 +236,19 @@ def decoded(path: Path, name: str, column: pa.Array) -> pa.Array:
         return column
     if is_text(column.type.value_type):
         lengths = pc.binary_length(column.dictionary)
-        _require_short(path, name, pc.sum(lengths.take(column.indices)).as_py() or 0, len(column))
+        size, rows = pc.sum(lengths.take(column.indices)).as_py() or 0, len(column)
+        if size > MOST_TEXT_A_ROW * rows + _SLACK:
+            how = f"column {name!r} expands to {size} bytes in {rows} rows, too many for a log: "
+            raise LogError("log_too_large", path, how + "check its content", name)
     return column.dictionary_decode()
 
 
-def _require_short(path: Path, name: str, size: int, rows: int) -> None:
-    if size > MOST_TEXT_A_ROW * rows + _SLACK:
-        raise LogError(
-            "log_too_large",
-            path,
-            f"column {name!r} expands to {size} bytes in {rows} rows, too many for a log: check "
-            "its content",
-            name,
-        )
+def _within(path: Path, batch: pa.RecordBatch, place: _Place) -> pa.Array:
+    """The column at a place; null where one around it is."""
+    column = batch.column(place.names[0])
+    if len(place.names) > 1:
+        column = pc.struct_field(column, list(place.names[1:]))
+    return decoded(path, ".".join(place.names), column)
 
 
-def within(path: Path, batch: pa.RecordBatch, place: Place) -> pa.Array:
-    """The column at a place, of its names from the top inwards; null where one around it is."""
-    column = batch.column(place[0])
-    if len(place) > 1:
-        column = pc.struct_field(column, list(place[1:]))
-    return decoded(path, ".".join(place), column)
-
-
-READER = Reader(read_parquet_log, parquet_time_span, units=parquet_units)
+READER = Reader(_read, _span, units=_units)

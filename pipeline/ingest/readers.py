@@ -1,56 +1,55 @@
-"""Readers by the name of their format, whether built in or of an installed package.
-
-What an installed reader does wrong is an error of the log that it was to read.
-"""
+"""Readers by the name of their format, whether built in or of an installed package."""
 
 from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from importlib.metadata import EntryPoint
-from typing import Any
+from pathlib import Path
 
+from pipeline.clock import latest_us as latest_by_clock
+from pipeline.config.channels import Channels
+from pipeline.config.logs import Logs
 from pipeline.config.readers import reader_entry, reader_version
 from pipeline.errors import LogError
-from pipeline.ingest.contract import LogFile, Place, RawLog, Reader, require_possible, validate
-
-
-def reader_of(file: LogFile) -> Reader:
-    """The reader of a log.
-
-    Raises
-    ------
-    LogError
-        ``log_reader``: it is not installed, cannot be loaded, or is none.
-    """
-    try:
-        entry = reader_entry(file.logs.format)
-    except ValueError as error:
-        raise LogError("log_reader", file.path, f"format {file.logs.format!r}: {error}") from error
-    with _its_faults(file, entry, "cannot be loaded"):
-        reader = entry.load()
-    if not isinstance(reader, Reader):
-        raise _fault(file, entry, f"is no Reader but of type {type(reader).__name__}")
-    return reader
-
-
-def called(file: LogFile, function: Callable[..., Any], *arguments: object) -> Any:
-    """Result of a function of a log's reader.
-
-    Raises
-    ------
-    LogError
-        As the reader raises it; ``log_reader`` where an installed one raises anything else.
-    """
-    with _its_faults(file, reader_entry(file.logs.format), "failed"):
-        return function(file, *arguments)
+from pipeline.ingest.contract import LogFile, Reader, readable
+from pipeline.units import CHANNELS
 
 
 @contextmanager
-def _its_faults(file: LogFile, entry: EntryPoint, what: str) -> Iterator[None]:
+def opened(
+    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
+) -> Iterator[tuple[Reader, LogFile]]:
+    """A log's reader, and what it is given: the channels that a log holds, in their order.
+
+    What an installed reader does wrong within is an error of the log.
+
+    Raises
+    ------
+    LogError
+        What is no file; ``log_reader``: there is no such reader or option, it cannot be loaded or
+        used, or fails.
+    """
+    with readable(path):
+        try:
+            entry = reader_entry(logs.format)
+        except ValueError as error:
+            raise LogError("log_reader", path, f"format {logs.format!r}: {error}") from error
+        logged = (item for item in channels.items() if item[1].constant is None)
+        in_order = dict(sorted(logged, key=lambda item: CHANNELS.index(item[0])))
+        with _its_faults(path, entry):
+            reader = entry.load()
+            if not isinstance(reader, Reader):
+                raise TypeError(f"no Reader but a {type(reader).__name__}")
+            latest = latest_by_clock() if latest_us is None else latest_us
+            yield reader, _with_options(LogFile(path, logs, in_order, latest), reader)
+
+
+@contextmanager
+def _its_faults(path: Path, entry: EntryPoint) -> Iterator[None]:
     """Any error of an installed reader as one of the log; a built-in one's stay as they are.
 
     What it prints is none of the program's output.
@@ -66,24 +65,13 @@ def _its_faults(file: LogFile, entry: EntryPoint, what: str) -> Iterator[None]:
             raise
         last = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{last.filename.rpartition('/')[2]}, line {last.lineno}"
-        how = f"{what}: {type(error).__name__}: {error} ({where})"
-        raise _fault(file, entry, how) from error
+        how = f"failed: {type(error).__name__}: {error} ({where})"
+        message = f"reader {entry.name} of {reader_version(entry)} {how}"
+        raise LogError("log_reader", path, message) from error
 
 
-def _fault(file: LogFile, entry: EntryPoint, how: str) -> LogError:
-    return LogError(
-        "log_reader", file.path, f"reader {entry.name} of {reader_version(entry)} {how}"
-    )
-
-
-def with_options(file: LogFile, reader: Reader) -> LogFile:
-    """The log with all options of its reader, the defaults where none are set.
-
-    Raises
-    ------
-    LogError
-        ``log_reader``: the reader has no such option, or the value is of another type.
-    """
+def _with_options(file: LogFile, reader: Reader) -> LogFile:
+    """The log with all options of its reader, the defaults where none are set."""
     own = file.logs.options
     if not own and not reader.options:
         return file
@@ -94,50 +82,3 @@ def with_options(file: LogFile, reader: Reader) -> LogFile:
             how = f"logs.options: got {key} = {value!r}; expected of {known or 'none'}"
             raise LogError("log_reader", file.path, how)
     return replace(file, logs=file.logs.model_copy(update={"options": {**reader.options, **own}}))
-
-
-def checked(file: LogFile, log: object) -> RawLog:
-    """The log that a reader gave.
-
-    Raises
-    ------
-    LogError
-        ``log_reader``: the reader broke the contract.
-    """
-    entry = reader_entry(file.logs.format)
-    with _its_faults(file, entry, "gave what cannot be used"):
-        try:
-            return validate(log, file.channels, file.latest_us)
-        except ValueError as error:
-            raise _fault(file, entry, str(error)) from error
-
-
-def checked_span(file: LogFile, span: object) -> tuple[int, int]:
-    """The span that a reader gave; errors as of `checked`."""
-    entry = reader_entry(file.logs.format)
-    match span:
-        case (int() as first, int() as last) if first <= last:
-            try:
-                require_possible(first, last, file.latest_us)
-            except ValueError as error:
-                raise _fault(file, entry, str(error)) from error
-            return first, last
-    raise _fault(file, entry, f"gave {span!r} as the span of a log")
-
-
-def checked_piece(file: LogFile, piece: object) -> tuple[RawLog | None, Place]:
-    """The piece of a log that a reader gave; errors as of `checked`."""
-    match piece:
-        case (None, Place() as end):
-            return None, end
-        case (log, Place() as end):
-            return checked(file, log), end
-    raise _fault(file, reader_entry(file.logs.format), f"gave {piece!r} as a piece of a log")
-
-
-def checked_units(file: LogFile, units: object) -> Mapping[str, str]:
-    """Units that a reader gave; errors as of `checked`."""
-    match units:
-        case Mapping() if all(isinstance(unit, str) for unit in units.values()):
-            return units
-    raise _fault(file, reader_entry(file.logs.format), f"gave {units!r} as units of columns")

@@ -11,7 +11,7 @@ from itertools import pairwise, product
 
 from pipeline.clock import latest_us
 from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
-from pipeline.logs.told_nights import date_in
+from pipeline.logs.motor_logs import date_in
 from pipeline.setup.names import is_in, words_of
 
 LOOKED_AT = 60  # cells of a column by which it is judged
@@ -57,13 +57,12 @@ def _number(decimal: str, thousands: str) -> re.Pattern[str]:
     return re.compile(rf"[+-]?(?:(?:{group}\d+)(?:{mark}\d*)?|{mark}\d+)(?:[eE][+-]?\d+)?")
 
 
-_MARKS = tuple(
-    Marks(decimal, thousands)
+_NUMBERS = {
+    Marks(decimal, thousands): _number(decimal, thousands)
     for thousands in ("", *THOUSANDS)
     for decimal in ".,"
     if decimal != thousands
-)
-_NUMBERS = {marks: _number(marks.decimal, marks.thousands) for marks in _MARKS}
+}
 _NOT_FINITE = re.compile(r"(?i)[+-]?(nan|inf|infinity)")
 
 
@@ -77,11 +76,6 @@ def is_number(cell: str) -> bool:
     """
     fits = any(number.fullmatch(cell) for number in _NUMBERS.values())
     return bool(cell) and (fits or bool(_NOT_FINITE.fullmatch(cell)))
-
-
-def is_missing(cell: str) -> bool:
-    """True if a cell says that there is no sample."""
-    return cell in MISSING_TOKENS
 
 
 def marks_of(cells: Iterable[str]) -> Marks:
@@ -106,13 +100,7 @@ def marks_of(cells: Iterable[str]) -> Marks:
 
 
 def as_number(cell: str, marks: Marks) -> float | None:
-    """A cell's number; None: it is none.
-
-    Examples
-    --------
-    >>> as_number("1.234,5", Marks(",", "."))
-    1234.5
-    """
+    """A cell's number; None: it is none."""
     plain = cell.replace(marks.thousands, "") if marks.thousands else cell
     try:
         return float(plain.replace(marks.decimal, "."))
@@ -121,31 +109,22 @@ def as_number(cell: str, marks: Marks) -> float | None:
 
 
 def strange_tokens(cells: Sequence[str]) -> tuple[str, ...]:
-    """Cells of a column of numbers that seem to say "no sample", and are not known to.
-
-    Examples
-    --------
-    >>> strange_tokens(["1.5", "ERR", "", "2.5"]), strange_tokens(["a", "b"])
-    (('ERR',), ())
-    """
-    words = [cell for cell in cells if not is_number(cell) and not is_missing(cell)]
+    """Cells of a column of numbers that seem to say "no sample", and are not known to."""
+    words = [cell for cell in cells if not is_number(cell) and cell not in MISSING_TOKENS]
     if 2 * len(words) > len(cells) or len(set(words)) > _MOST_TOKENS:
         return ()
     return tuple(dict.fromkeys(words))
 
 
 def kind_of(cells: Sequence[str]) -> str:
-    """Kind of most cells: stamp, date, clock, number, text or nothing.
-
-    Examples
-    --------
-    >>> kind_of(["1.5", "---", "2"]), kind_of(["06:00:00"]), kind_of(["", "-"])
-    ('number', 'clock', 'nothing')
-    """
-    filled = [cell for cell in cells if not is_missing(cell)][:LOOKED_AT]
-    tests = {"stamp": is_stamp, "number": is_number, "date": _is_date, "clock": _is_clock}
-    for kind, test in tests.items():
-        if filled and 2 * sum(map(test, filled)) > len(filled):
+    """Kind of most cells: stamp, date, clock, number, text or nothing."""
+    filled = [cell for cell in cells if cell not in MISSING_TOKENS][:LOOKED_AT]
+    tests = (
+        *(("stamp", is_stamp), ("number", is_number)),
+        *(("date", _ONLY_DATE.fullmatch), ("clock", _ONLY_CLOCK.fullmatch)),
+    )
+    for kind, test in tests:
+        if 2 * sum(bool(test(cell)) for cell in filled) > len(filled):
             return kind
     return "text" if filled else "nothing"
 
@@ -168,14 +147,6 @@ def is_time_name(name: str) -> bool:
 def is_stamp(cell: str) -> bool:
     """True if a cell is a whole time stamp, not a count."""
     return bool(_ISO.fullmatch(cell) or _STAMP.fullmatch(cell))
-
-
-def _is_date(cell: str) -> bool:
-    return bool(_ONLY_DATE.fullmatch(cell))
-
-
-def _is_clock(cell: str) -> bool:
-    return bool(_ONLY_CLOCK.fullmatch(cell))
 
 
 def _parsed(text: str, form: str) -> dt.datetime | None:
@@ -233,24 +204,14 @@ def time_formats(stamps: Sequence[str], decimal: str = ".", file_name: str = "")
         return TimeFormats({"iso8601": ""}, has_zone)
     ends = (stamps[0], stamps[-1]) if stamps else ()
     forms = list(dict.fromkeys(form for stamp in ends for form in _shapes(stamp)))
-    times = {form: [_parsed(stamp, form) for stamp in stamps] for form in forms}
-    read = {form: [one for one in own if one] for form, own in times.items()}
-    whole = {form: own for form, own in read.items() if stamps and len(own) == len(stamps)}
-    return TimeFormats({form: _day(own[0]) for form, own in _likeliest(whole, file_name)}, has_zone)
-
-
-def _day(moment: dt.datetime) -> str:
-    return f"{moment.day} {moment:%B %Y}"
+    read = {form: [one for stamp in stamps if (one := _parsed(stamp, form))] for form in forms}
+    whole = {form: own for form, own in read.items() if len(own) == len(stamps)}
+    likely = _likeliest(whole, file_name)
+    return TimeFormats({form: f"{day.day} {day:%B %Y}" for form, day in likely}, has_zone)
 
 
 def count_format(numbers: Sequence[float]) -> str | None:
-    """Format of stamps that are counts, by their size; None: no count of a time after 2001.
-
-    Examples
-    --------
-    >>> count_format([1740808800250.0]), count_format([45717.25]), count_format([12.5])
-    ('epoch_ms', 'excel_days', None)
-    """
+    """Format of stamps that are counts, by their size; None: no count of a time after 2001."""
     seconds = {form: [one / factor for one in numbers] for form, factor in _EPOCHS.items()}
     seconds["excel_days"] = [86400.0 * (one - _EXCEL_ZERO_DAYS) for one in numbers]
     within = (
@@ -263,7 +224,7 @@ def count_format(numbers: Sequence[float]) -> str | None:
 
 def _likeliest(
     times: dict[str, list[dt.datetime]], file_name: str
-) -> Iterator[tuple[str, list[dt.datetime]]]:
+) -> Iterator[tuple[str, dt.datetime]]:
     """Formats in which the log is as logs are, each reading of the first stamp once.
 
     It has no steps of months, nothing in the future, and is of the date that the file is named for.
@@ -287,4 +248,4 @@ def _likeliest(
     for form, own in fitting:
         if own[0] not in seen:
             seen.add(own[0])
-            yield form, own
+            yield form, own[0]

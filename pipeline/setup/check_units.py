@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterator, Mapping
-from itertools import product
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
-from pipeline.config import Channel, MotorSpec
+from pipeline.config import MotorSpec
 from pipeline.config.channels import COUNTED
 from pipeline.config.logs import Logs
 from pipeline.config.motors import MotorFile
 from pipeline.ingest import RawChannel
-from pipeline.setup.names import LOW_SIDE, QUANTITY_OF, USUAL, meaning_of
+from pipeline.setup.names import LOW_SIDE, QUANTITY_OF, USUAL, likely_units, meaning_of
 from pipeline.setup.sniff import header_of
 from pipeline.units import QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
 
@@ -26,11 +25,10 @@ UNUSUAL_FLOW = 8.0
 def suspect_units(
     spec: MotorSpec, night: dt.date, channels: Mapping[str, RawChannel]
 ) -> dict[str, str]:
-    """Channels whose magnitude is unusual under their configured unit.
+    """What is unusual of a channel's magnitude under its unit, and which units would mend it.
 
-    Pressure, temperature and speed are judged by what motors show; the flow by what the configured
-    model has at their typical values, in whatever units make these usual: a wrong unit of theirs is
-    theirs alone to be told. Returned is what is unusual, and which units would mend it, by channel.
+    Pressure, temperature and speed are judged by what motors show; once these are usual, the flow
+    by what the configured model has at their typical values.
     """
     typical = {
         str(name): value
@@ -43,11 +41,17 @@ def suspect_units(
     for name, value in typical.items():
         low, high = USUAL.get(QUANTITIES[name], (0.0, float("inf")))
         if name not in (*LOW_SIDE, COUNTED) and not low <= value <= high:
-            units = [unit for unit, _ in _usual_values(spec, name, value)]
-            found[name] = f"{_unusual(name, value)}{_mended(units)}"
-    flow = _unusual_flow(spec, night, typical, set(found))
-    found |= {COUNTED: flow} if flow else {}
-    return {name: f"unit_unusual: {name}: {words}" for name, words in found.items()}
+            found[name] = _unusual(name, value, "", likely_units(name, [_read(spec, name, value)]))
+    expected = None if found else _model_flow(spec, night, typical)
+    if expected and not _is_near(flow := typical[COUNTED], expected):
+        read = _read(spec, COUNTED, flow)
+        units = [
+            unit
+            for unit in UNITS["flow"]
+            if _is_near(float(to_canonical(COUNTED, read, unit)), expected)
+        ]
+        found[COUNTED] = _unusual(COUNTED, flow, f" where the model has {expected:.2g}", units)
+    return found
 
 
 def units_told(path: Path, file: MotorFile) -> dict[str, str]:
@@ -56,7 +60,8 @@ def units_told(path: Path, file: MotorFile) -> dict[str, str]:
     found = {}
     for name, channel in file.channels.items():
         said = meaning_of(channel.source, beside.get(channel.source, "")).unit
-        if said is None or said == channel.unit or not _is_judged(channel):
+        is_judged = channel.counts is None and channel.constant is None and channel.scale == 1.0
+        if said is None or said == channel.unit or not is_judged:
             continue
         code, more = "unit_differs", ""
         if QUANTITY_OF[said] != QUANTITIES[name]:
@@ -66,10 +71,6 @@ def units_told(path: Path, file: MotorFile) -> dict[str, str]:
             f"{channel.source}{more}"
         )
     return found
-
-
-def _is_judged(channel: Channel) -> bool:
-    return channel.counts is None and channel.constant is None and channel.scale == 1.0
 
 
 def columns_of(path: Path, logs: Logs) -> dict[str, str] | None:
@@ -84,77 +85,32 @@ def _typical(raw: RawChannel) -> float | None:
     return float(np.percentile(numbers, 75)) if len(numbers) else None
 
 
-def _unusual(name: str, value: float) -> str:
+def _unusual(name: str, value: float, where: str, units: Sequence[str]) -> str:
     unit = canonical_unit(name).replace("degC", "°C")
-    return f"typically {value:.3g} {unit}, which is unusual"
+    mended = f"; it would be usual if the log's unit were {' or '.join(units[:2])}" if units else ""
+    words = f"typically {value:.3g} {unit}, which is unusual{where}{mended}"
+    return f"unit_unusual: {name}: {words}"
 
 
-def _mended(units: list[str], others: list[str] | None = None) -> str:
-    """The units that would make a magnitude usual, in words."""
-    choices = [f"the log's unit were {' or '.join(units[:2])}"] if units else []
-    choices += [f"that of {other}" for other in others or []]
-    return f"; it would be usual if {', or '.join(choices)}" if choices else ""
-
-
-def _in_unit(spec: MotorSpec, name: str, value: float, unit: str) -> float:
-    """A reading, had the log another unit."""
+def _read(spec: MotorSpec, name: str, value: float) -> float:
+    """A value as it stands in the log."""
     configured = next(one.unit for other, one in spec.file.channels.items() if other == name)
-    return abs(float(to_canonical(name, from_canonical(name, value, configured), unit)))
+    return float(from_canonical(name, value, configured))
 
 
-def _usual_values(spec: MotorSpec, name: str, value: float) -> Iterator[tuple[str, float]]:
-    """Units under which a reading is usual, and what it is then."""
-    low, high = USUAL[QUANTITIES[name]]
-    for unit in UNITS[QUANTITIES[name]]:
-        reading = _in_unit(spec, name, value, unit)
-        if low <= reading <= high:
-            yield unit, reading
+def _is_near(flow: float, expected: float) -> bool:
+    return expected / UNUSUAL_FLOW <= flow <= expected * UNUSUAL_FLOW
 
 
-def _unusual_flow(
-    spec: MotorSpec, night: dt.date, typical: Mapping[str, float], unusual: set[str]
-) -> str | None:
-    """A flow that is unusual, in words; None: it is usual, or cannot be judged."""
+def _model_flow(spec: MotorSpec, night: dt.date, typical: Mapping[str, float]) -> float | None:
+    """Flow of the configured model at typical values; None where these are not known."""
     pressure = "pressure_difference" if "pressure_difference" in typical else "high_port_pressure"
-    inputs = (pressure, "oil_temperature", "speed")
-    if not {COUNTED, *inputs} <= typical.keys():
+    if not {COUNTED, pressure, "oil_temperature", "speed"} <= typical.keys():
         return None
-    flow = typical[COUNTED]
-    # The usual values of what is unusual as it stands, the value itself of what is not.
-    values = [
-        [reading for _, reading in _usual_values(spec, name, typical[name])]
-        if name in unusual
-        else [typical[name]]
-        for name in inputs
-    ]
-    known = [found for one in product(*values) if (found := _model_flow(spec, night, *one))]
-    if not known or _near(flow, known):
-        return None
-    units = [unit for unit in UNITS["flow"] if _near(_in_unit(spec, COUNTED, flow, unit), known)]
-    # Inputs of which another unit, usual as well, explains the flow.
-    others = [
-        f"{name} {unit}"
-        for at, name in enumerate(inputs if not unusual else ())
-        for unit, reading in _usual_values(spec, name, typical[name])
-        if (
-            found := _model_flow(
-                spec, night, *(reading if i == at else typical[one] for i, one in enumerate(inputs))
-            )
-        )
-        and _near(flow, [found])
-    ]
-    return f"{_unusual(COUNTED, flow)} where the model has {known[0]:.2g}{_mended(units, others)}"
-
-
-def _near(flow: float, expected: list[float]) -> bool:
-    return min(expected) / UNUSUAL_FLOW <= flow <= max(expected) * UNUSUAL_FLOW
-
-
-def _model_flow(
-    spec: MotorSpec, night: dt.date, pressure_bar: float, temperature_c: float, speed_rpm: float
-) -> float | None:
-    conditions = OperatingConditions.from_bar(pressure_bar, temperature_c, speed_rpm)
     try:
+        conditions = OperatingConditions.from_bar(
+            typical[pressure], typical["oil_temperature"], typical["speed"]
+        )
         motor = spec.motor(night, spec.file.flushing.mode)
         return float(total_flow_l_per_min(motor, conditions)[0])
     except LeakageError:

@@ -1,71 +1,69 @@
-"""Columns of a motor's logs that go, come, or change their unit from one log to the next."""
+"""Readings that from one log on look like those of other columns or units."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import datetime as dt
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
+
 from pipeline.config import MotorSpec
+from pipeline.config.channels import COUNTED
 from pipeline.errors import LogError
+from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import FileRecord
-from pipeline.setup.check_units import columns_of
-
-_SHOWN = 5
-_MOST = 8
+from pipeline.night.column_change import COLUMNS, column_change
+from pipeline.setup.promise import conditions_at, is_valid
 
 
-def column_changes(
-    spec: MotorSpec, records: Mapping[str, FileRecord], path_of: Callable[[str], Path]
-) -> tuple[str, ...]:
-    """Faults of channels whose column is not in all logs, or changes its unit, with the date.
+def changed_readings(
+    spec: MotorSpec,
+    records: Mapping[str, FileRecord],
+    path_of: Callable[[str], Path],
+    newest: Mapping[str, RawChannel],
+) -> str | None:
+    """The log from which on readings look like those of other columns or units; None: none.
 
-    The first and the last log are compared; where they differ, each change between them is looked
-    for by halves, so that a few of many headers are read.
+    The first log since the last event and the newest are compared, then others by halves.
     """
-    dated = sorted((min(labels_of(one)), name) for name, one in records.items() if one.nights)
-    if len(dated) < 2:
-        return ()
-    sources = [one.source for one in spec.file.channels.values() if one.constant is None]
+    since = max((one.date for one in spec.file.baseline_events), default=dt.date.min)
+    dated = sorted((max(labels_of(one)), name) for name, one in records.items() if one.nights)
+    names = [name for night, name in dated if night >= since]
 
-    def columns(at: int) -> dict[str, str]:
+    def means(at: int) -> dict[str, float]:
         try:
-            return columns_of(path_of(dated[at][1]), spec.file.logs) or {}
+            log = read_log(path_of(names[at]), spec.file.logs, spec.file.channels)
         except LogError:  # which is a fault of that log already
             return {}
+        return _typical(spec, log.channels)
 
-    def wanted(at: int) -> dict[str, str]:
-        return {name: unit for name, unit in columns(at).items() if name in sources}
-
-    last = len(dated) - 1
-    if not columns(0) or not columns(last):
-        return ()
-    found: list[str] = []
-    begin = 0
-    while wanted(begin) != wanted(last) and len(found) < _MOST:
-        low, high = begin, last
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (middle, high) if wanted(middle) == wanted(begin) else (low, middle)
-        label, name = dated[high]
-        log = f"the log of {label.day} {label:%B %Y} ({name})"
-        found += _differences(columns(low), columns(high), sources, log)
-        begin = high
-    return tuple(found[:_MOST])
+    usual, now = means(0) if len(names) > 1 else {}, _typical(spec, newest)
+    why = column_change(spec, usual, now) if usual and now else None
+    if why is None:
+        return None
+    low, high = 0, len(names) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        known = means(middle)
+        is_changed = bool(known) and column_change(spec, usual, known) is not None
+        low, high = (low, middle) if is_changed else (middle, high)
+    return f"columns_changed: from {names[high]} on: {why}"
 
 
-def _differences(
-    before: Mapping[str, str], now: Mapping[str, str], sources: list[str], log: str
-) -> Iterator[str]:
-    new = [repr(one) for one in now if one not in before]
-    for source in dict.fromkeys(sources):
-        if source in before and source not in now:
-            also = f", but {', '.join(new[:_SHOWN])}, new since then" if new else ""
-            yield f"column_gone: {log} has no column {source!r}{also}"
-        elif source in now and source not in before:
-            old = [repr(one) for one in before if one not in now]
-            also = f", without {', '.join(old[:_SHOWN])} of the logs before" if old else ""
-            yield f"column_gone: {log} is the first with column {source!r}{also}"
-        elif before.get(source) != now.get(source):
-            units = f"{now[source] or 'no unit'!r}; the log before has {before[source]!r}"
-            yield f"unit_changed: {log} gives {source!r} in {units}"
+def _typical(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> dict[str, float]:
+    """Medians of a log while the motor turned; empty where one is not known."""
+    if spec.file.channels[COUNTED].counts is not None:
+        return {}
+    flow = channels[COUNTED]
+    known = is_valid(spec, COUNTED, flow)
+    pressure, speed, degrees = conditions_at(spec, channels, flow.time_us[known])
+    if pressure is None or speed is None or degrees is None:
+        return {}
+    ran = speed > spec.settings.cleaning.standstill_rpm
+    if not ran.any():
+        return {}
+    readings = (pressure, degrees, speed, flow.value[known])
+    medians = (float(np.median(one[ran])) for one in readings)
+    return dict(zip(COLUMNS, medians, strict=True))

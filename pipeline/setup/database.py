@@ -12,18 +12,17 @@ from pydantic import ValidationError
 
 from pipeline.clock import latest_us
 from pipeline.config import Nights
-from pipeline.config.databases import END, START, Database
+from pipeline.config.logs import END, START, Database
 from pipeline.config.nights import Night, night, night_of, nights_between
 from pipeline.errors import UsageError
 from pipeline.logs.database import Connection, DatabaseError
 from pipeline.logs.landing import between, identifier, nights_with_rows, stored_type, write_parquet
-from pipeline.setup.propose import Proposal, ProposedMotor, Question, propose
+from pipeline.setup.propose import Proposal, propose
+from pipeline.setup.tables import Question
 from pipeline.store.atomic_files import put
 
-# No log is older.
-EARLIEST = dt.date(1990, 1, 1)
-# Rows of a night that are looked at.
-MOST_ROWS = 5_000_000
+EARLIEST = dt.date(1990, 1, 1)  # no log is older
+MOST_ROWS = 5_000_000  # of a night
 # Tables with a time that the user may read; partitions are parts of a table.
 TABLES = """
 SELECT table_schema::text, table_name::text, column_name::text FROM information_schema.columns
@@ -84,7 +83,9 @@ def _tables(connection: Connection) -> Iterator[tuple[str, tuple[str, str]]]:
 def _proposed(
     connection: Connection, database: Database, name: str, answers: Mapping[str, str]
 ) -> Proposal:
-    windows = _windows()
+    nights = Nights()
+    labels = nights_between(EARLIEST, night_of(latest_us(), nights))
+    windows = [night(one, nights) for one in labels]
     there = nights_with_rows(connection, database.query, windows)
     if not there:
         raise DatabaseError("database_empty", f"{database.connection}: the query has no rows")
@@ -94,14 +95,17 @@ def _proposed(
         found = propose(sample, answers)
     begin = windows[there[0]].date
     own = {"query": database.query, "connection": database.connection, "begin": begin}
-    return replace(
-        found, log_root=Path(name), motors=tuple(_of_database(one, own) for one in found.motors)
+    # The database takes the place of the file of a night.
+    motors = tuple(
+        replace(
+            motor,
+            files=(),
+            logs={key: one for key, one in motor.logs.items() if key != "files"}
+            | {"format": "sql", "database": own},
+        )
+        for motor in found.motors
     )
-
-
-def _windows() -> list[Night]:
-    nights = Nights()
-    return [night(one, nights) for one in nights_between(EARLIEST, night_of(latest_us(), nights))]
+    return replace(found, log_root=Path(name), motors=motors)
 
 
 def _write_sample(connection: Connection, query: str, here: Night, path: Path) -> None:
@@ -113,9 +117,3 @@ def _write_sample(connection: Connection, query: str, here: Night, path: Path) -
         f"SELECT {', '.join(map(identifier, names))} {rows} LIMIT {MOST_ROWS}",
         lambda batches, found: put(path, lambda stream: write_parquet(batches, found, stream)),
     )
-
-
-def _of_database(motor: ProposedMotor, database: Mapping[str, object]) -> ProposedMotor:
-    """A motor proposed from the file of a night, with the database in its place."""
-    logs = {key: value for key, value in motor.logs.items() if key not in ("format", "files")}
-    return replace(motor, logs={"format": "sql", **logs, "database": database}, files=())

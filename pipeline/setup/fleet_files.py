@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import os
-import shutil
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pipeline.config import Fleet
-from pipeline.config.defaults import NAME_MARK, completed
+from pipeline.config.loading import NAME_MARK, completed
 from pipeline.errors import UsageError
-from pipeline.logs.files import find_logs
+from pipeline.logs.finding import find_logs
 from pipeline.setup.observe import Observed, fleet_name, night_end, reference
 from pipeline.setup.propose import Proposal, ProposedMotor
-
-# Tables whose keys belong together, and stand as a whole or not at all.
-_WHOLE = "source"
 
 Document = dict[str, Any]
 
@@ -30,9 +26,9 @@ def fleet_files(
     observed: Sequence[Observed] = (),
 ) -> dict[str, str]:
     """Texts of the fleet file and of each motor's, by path below the folder."""
-    own = {one.motor_id: _document(one, motor_type, oil) for one in proposal.motors}
-    marked = [_marked(own[one.motor_id], one.name or one.motor_id) for one in proposal.motors]
-    shared = _common(marked)
+    own = [_document(one, motor_type, oil) for one in proposal.motors]
+    names = [one.name or one.motor_id for one in proposal.motors]
+    shared = _common(list(map(_marked, own, names)))
     folders = {"output": "out"}
     if "files" in proposal.motors[0].logs:
         logs = Path(os.path.relpath(proposal.log_root, folder.resolve()))
@@ -46,20 +42,18 @@ def fleet_files(
         "reference": reference(observed),
         "defaults": shared,
     }
-    files = {"fleet.toml": _toml(fleet)}
-    for motor, its in zip(proposal.motors, marked, strict=True):
-        files[f"motors/{motor.motor_id}.toml"] = _motor_text(
-            motor, its, own[motor.motor_id], shared
-        )
-    return files
+    return {"fleet.toml": _toml(fleet)} | {
+        f"motors/{motor.motor_id}.toml": _motor_text(motor, its, shared)
+        for motor, its in zip(proposal.motors, own, strict=True)
+    }
 
 
-def _motor_text(motor: ProposedMotor, marked: Document, own: Document, shared: Document) -> str:
+def _motor_text(motor: ProposedMotor, own: Document, shared: Document) -> str:
     """A motor's file, without what the defaults have."""
+    name = motor.name or motor.motor_id
     head = {"motor_id": motor.motor_id}
-    if motor.name and motor.name != motor.motor_id:
-        head["name_in_log"] = motor.name
-    return _toml(head | _without(marked, own, shared))
+    head |= {"name_in_log": name} if name != motor.motor_id else {}
+    return _toml(head | _without(_marked(own, name), own, shared))
 
 
 def added_files(
@@ -83,7 +77,7 @@ def added_files(
         if any((path, *flow) in claimed for path in motor.files):
             continue
         own = _document(motor, motor_type, oil)
-        text = _motor_text(motor, _marked(own, motor.name or motor.motor_id), own, defaults)
+        text = _motor_text(motor, own, defaults)
         whole = completed(tomllib.loads(text), defaults, motor.motor_id)
         if motor.motor_id in ids or any(whole[key] != own[key] for key in own if key != "channels"):
             message = (
@@ -107,13 +101,11 @@ def write_fleet(files: Mapping[str, str], folder: Path, types: Path, motor_type:
     if there:
         message = f"{folder / there[0]} is there: nothing is overwritten; name another folder"
         raise UsageError("file_exists", message)
-    for name in (*files, *copies):
+    texts = dict(files) | {name: (types / name).read_text("utf-8") for name in copies}
+    for name, text in texts.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-    for name, text in files.items():
         with (folder / name).open("x", encoding="utf-8") as file:
             file.write(text)
-    for name in copies:
-        shutil.copyfile(types / name, folder / name)
 
 
 def defaults_of(fleet_file: Path) -> Document:
@@ -128,10 +120,8 @@ def _document(motor: ProposedMotor, motor_type: str, oil: str) -> Document:
 
 def _marked(value: Any, name: str) -> Any:
     """Texts with the mark in the place of a motor's name."""
-    if isinstance(value, dict):
-        # A query is of all motors.
-        own = ("database",)
-        return {key: one if key in own else _marked(one, name) for key, one in value.items()}
+    if isinstance(value, dict):  # a query is of all motors
+        return {k: one if k == "database" else _marked(one, name) for k, one in value.items()}
     if isinstance(value, list):
         return [_marked(inner, name) for inner in value]
     return value.replace(name, NAME_MARK) if isinstance(value, str) else value
@@ -147,7 +137,7 @@ def _common(documents: list[Document]) -> Document:
         others = [one[key] for one in rest]
         if all(one == value for one in others):
             found[key] = value
-        elif isinstance(value, dict) and _WHOLE not in value:
+        elif isinstance(value, dict) and "source" not in value:
             found[key] = _common([value, *others])
     return found
 

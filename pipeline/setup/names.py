@@ -18,10 +18,8 @@ from pathlib import Path
 
 from pipeline.units import UNITS, to_canonical
 
-Vocabulary = Mapping[str, Mapping[str, str]]
-VOCABULARY: Vocabulary = tomllib.loads(
-    Path(__file__).with_name("vocabulary.toml").read_text("utf-8")
-)
+_FILE = Path(__file__).with_name("vocabulary.toml")
+VOCABULARY: Mapping[str, Mapping[str, str]] = tomllib.loads(_FILE.read_text("utf-8"))
 CHANNEL_OF = {"temperature": "oil_temperature", "speed": "speed", "flow": "leakage_flow"}
 QUANTITY_OF = {unit: one for one in ("pressure", *CHANNEL_OF) for unit in UNITS[one]}
 PORT_PRESSURES = ("high_port_pressure", "low_port_pressure")
@@ -76,13 +74,7 @@ def is_in(words: Iterable[str], table: str, key: str) -> bool:
 
 
 def words_of(name: str) -> tuple[str, ...]:
-    """Words and numbers of a name, in lower case, without what stands in brackets.
-
-    Examples
-    --------
-    >>> words_of("drainFlow_lpm"), words_of("P_A [bar]"), words_of("ΔP")
-    (('drain', 'flow', 'lpm'), ('p', 'a'), ('dp',))
-    """
+    """Words and numbers of a name, in lower case, without what stands in brackets."""
     plain = unicodedata.normalize("NFC", _BRACKETED.sub(" ", name))
     # A unit of its own beside the quantity's letter is no word: "p_Pa".
     plain = re.sub(r"(?<=[^\W_][\W_])Pa\b", " ", plain).replace("Δ", "d").replace("∆", "d")
@@ -90,39 +82,20 @@ def words_of(name: str) -> tuple[str, ...]:
     return tuple(re.sub(r"\bd p\b", "dp", " ".join(found)).split())
 
 
+_UNITS = {low: unit for unit, names in VOCABULARY["unit"].items() for low in names.split()}
+# Of "pa" the letters' case tells pascals from the pressure of port A.
+_UNITS |= {unit if unit == "Pa" else unit.lower(): unit for unit in QUANTITY_OF}
+
+
 def unit_named(text: str) -> str | None:
-    """Unit of the config that a text is the name of.
-
-    Examples
-    --------
-    >>> unit_named("°C"), unit_named("L/min"), unit_named("tr/min"), unit_named("pA")
-    ('degC', 'l/min', 'rpm', None)
-    """
-    return _units().get(re.sub(r"[\s·\[\]]", "", text) if text.strip() == "Pa" else _low(text))
-
-
-def _low(text: str) -> str:
-    low = re.sub(r"[\s·\[\]]", "", text.lower())
-    return "" if low == "pa" else low
-
-
-@cache
-def _units() -> dict[str, str]:
-    own = {unit if unit == "Pa" else unit.lower(): unit for unit in QUANTITY_OF}
-    others = {low: unit for unit, names in VOCABULARY["unit"].items() for low in names.split()}
-    return others | own
+    """Unit of the config that a text is the name of."""
+    plain = re.sub(r"[\s·\[\]]", "", text)
+    return _UNITS.get(plain if plain.lower() == "pa" else plain.lower())
 
 
 def unit_in(name: str) -> str | None:
-    """Unit that a name states: in brackets, behind a comma or stroke, or as a word of its own.
-
-    Examples
-    --------
-    >>> unit_in("dp [kPa]"), unit_in("drain_flow_m3_h"), unit_in("TEMP_OLEO_C"), unit_in("pA")
-    ('kPa', 'm3/h', 'degC', None)
-    """
-    text = _unit_text(name)
-    return unit_named(text) if text else None
+    """Unit that a name states: in brackets, behind a comma or stroke, or as a word of its own."""
+    return unit_named(_unit_text(name))
 
 
 def _unit_text(name: str) -> str:
@@ -147,15 +120,7 @@ def _without_unit(name: str) -> str:
 
 @lru_cache(2**16)
 def meaning_of(name: str, unit: str = "") -> Meaning:
-    """Meaning of a name, with what stands beside it as a unit.
-
-    Examples
-    --------
-    >>> [meaning_of(one).channel for one in ("drain_flow [l/min]", "T_oil", "p_low", "operator")]
-    ['leakage_flow', 'oil_temperature', 'low_port_pressure', None]
-    >>> meaning_of("AI_3", "°C"), meaning_of("speed [l/min]").channel
-    (Meaning(channel='oil_temperature', unit='degC', merit=0), None)
-    """
+    """Meaning of a name, with what stands beside it as a unit."""
     words = words_of(_without_unit(name))
     told = list(_quantities(words, name))
     said = unit_named(unit) or unit_in(name)
@@ -211,13 +176,7 @@ def _role(words: Sequence[str], name: str) -> str | None:
 
 
 def likely_units(channel: str, values: Iterable[float]) -> tuple[str, ...]:
-    """Units in which readings are such as a motor at work shows, the commonest first.
-
-    Examples
-    --------
-    >>> likely_units("oil_temperature", [320.0, 321.5])
-    ('K',)
-    """
+    """Units in which readings are such as a motor at work shows, the commonest first."""
     found = sorted(map(abs, values))
     quantity = next((one for one, key in CHANNEL_OF.items() if key == channel), "pressure")
     low, high = _USUAL_LOW_SIDE if channel in LOW_SIDE else USUAL[quantity]
@@ -230,13 +189,7 @@ def likely_units(channel: str, values: Iterable[float]) -> tuple[str, ...]:
 
 
 def missing_channels(found: Collection[str]) -> list[str]:
-    """Channels that a motor has to have, besides those that were found.
-
-    Examples
-    --------
-    >>> missing_channels(["speed", "leakage_flow", "low_port_pressure"])
-    ['high_port_pressure', 'oil_temperature']
-    """
+    """Channels that a motor has to have, besides those that were found."""
     ports = [name for name in PORT_PRESSURES if name not in found]
     if "pressure_difference" in found:
         ports = []
@@ -258,12 +211,6 @@ def groups_of(names: Sequence[str], units: Mapping[str, str]) -> tuple[list[Grou
 
     A group is the longest common part behind which the most channels stand, each once. Names that
     share nothing are one motor's, called nothing.
-
-    Examples
-    --------
-    >>> names = [f"W{n}_{tag}" for n in (1, 2) for tag in ("dp", "T_oil", "speed", "leak")]
-    >>> [group.name for group in groups_of(names, {})[0]]
-    ['W1', 'W2']
     """
     left, found = list(names), list[Group]()
     while True:

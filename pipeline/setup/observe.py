@@ -12,12 +12,12 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from pipeline.arrays import Array
 from pipeline.clock import utc
 from pipeline.config import Channel
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
+from pipeline.setup.names import PORT_PRESSURES
 from pipeline.setup.propose import Proposal, ProposedMotor
 from pipeline.units import canonical_unit
 
@@ -51,37 +51,26 @@ def observe(motor: ProposedMotor) -> Observed:
     zone = ZoneInfo(logs.time_zone)
     newest = motor.files[-1]
     try:
-        spans = tuple(
-            _local(zone, *time_span(path, logs, channels))
+        ends = (
+            time_span(path, logs, channels)
             for path in sorted({motor.files[0], *motor.files[-_MOST_FILES:]})
         )
+        spans = tuple((utc(a).astimezone(zone), utc(b).astimezone(zone)) for a, b in ends)
         is_known = all(place.unit for place in motor.channels.values())
         if not is_known or newest.stat().st_size > LARGEST_LOG_BYTES:
             return Observed(spans)
         found = read_log(newest, logs, channels).channels
     except LogError as error:
         return Observed(fault=f"{error.code}: {error.message}")
-    typical = {name: _typical(one.value) for name, one in found.items()}
-    speed = np.abs(found["speed"].value) if "speed" in found else np.zeros(0)
+    sizes = {name: np.abs(one.value[np.isfinite(one.value)]) for name, one in found.items()}
+    speed = sizes.pop("speed", np.zeros(0))
+    sizes["speed"] = speed[speed > _STANDSTILL_RPM]
+    typical = {name: float(np.median(one)) for name, one in sizes.items() if len(one)}
     pressure = typical.get("pressure_difference")
-    high, low = typical.get("high_port_pressure"), typical.get("low_port_pressure")
-    if high is not None and low is not None:
+    if typical.keys() >= set(PORT_PRESSURES):
+        high, low = (typical[port] for port in PORT_PRESSURES)
         pressure = abs(high - low)
-    return Observed(
-        spans,
-        pressure,
-        typical.get("oil_temperature"),
-        _typical(speed[speed > _STANDSTILL_RPM]),
-    )
-
-
-def _local(zone: ZoneInfo, begin: int, end: int) -> tuple[dt.datetime, dt.datetime]:
-    return utc(begin).astimezone(zone), utc(end).astimezone(zone)
-
-
-def _typical(values: Array) -> float | None:
-    known = np.abs(values[np.isfinite(values)])
-    return float(np.median(known)) if known.size else None
+    return Observed(spans, pressure, typical.get("oil_temperature"), typical.get("speed"))
 
 
 def reference(observed: Sequence[Observed]) -> dict[str, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from leakage import LeakageError, Motor, OperatingConditions
 from leakage.physics.motor import path_flows_l_per_min
 from pipeline.arrays import SECOND_US, Array
 from pipeline.config import MotorSpec
-from pipeline.config.channels import FALLBACK_VALID_RANGE
+from pipeline.config.channels import COUNTED, FALLBACK_VALID_RANGE
 from pipeline.ingest import RawChannel
 
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
@@ -29,6 +29,13 @@ _WIDEST = 0.5
 _MOST_ALIKE = 1e10
 _MOST_NIGHTS = 30
 _MOST_SAMPLES = 5000
+# Conditions that vary by less tell nothing: the 5th to 95th percentile beside the median, and [K].
+_VARIES, _VARIES_K = 0.3, 4.0
+# Ranks of a flow and of what drives it agree at least so far, with noise and dead time.
+_FOLLOWS = 0.2
+_FEWEST = 200
+# Oil in a line warms and cools slower than this, but for a few spikes.
+_JUMP_C, _JUMP_S, _JUMPS_SHARE = 2.0, 10.0, 0.02
 
 
 def promise(
@@ -36,9 +43,8 @@ def promise(
 ) -> str:
     """Running minutes a night, the conditions in them, and what they tell, in words.
 
-    A sample counts for the typical distance of two, so that gaps count for nothing. Conditions are
-    the 5th to 95th percentiles while the motor ran: ramps beside halts, which a night refuses, tell
-    no path.
+    Conditions are the 5th to 95th percentiles while the motor ran: ramps beside halts, which a
+    night refuses, tell no path.
     """
     speed = channels["speed"]
     is_running = (np.abs(speed.value) > spec.settings.cleaning.standstill_rpm) & is_valid(
@@ -66,10 +72,9 @@ def promise(
     if minutes < needed:
         return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
     told = _paths_told(spec, label, [values[is_usual] for values in inputs], minutes, shares[1])
-    first = spec.settings.trend.baseline_nights
     return (
         f"{ran}: if the model describes the motor, leakage every night, {told}; first verdict on a "
-        f"change after {first} nights"
+        f"change after {spec.settings.trend.baseline_nights} nights"
     )
 
 
@@ -86,11 +91,9 @@ def conditions_at(
     """Magnitudes of pressure difference and speed, and temperature, at some times."""
 
     def at(name: str) -> Array | None:
-        if name not in channels or not time_us.size:
-            return None
-        own = channels[name]
-        known = is_valid(spec, name, own)
-        if not known.any():
+        own = channels.get(name)
+        known = None if own is None else is_valid(spec, name, own)
+        if own is None or known is None or not known.any() or not time_us.size:
             return None
         order = np.argsort(own.time_us[known], kind="stable")
         return np.interp(time_us, own.time_us[known][order], own.value[known][order])
@@ -100,9 +103,8 @@ def conditions_at(
     )
     if pressure is None and high is not None and low is not None:
         pressure = high - low
-    speed = at("speed")
-    magnitudes = [None if one is None else np.abs(one) for one in (pressure, speed)]
-    return magnitudes[0], magnitudes[1], at("oil_temperature")
+    size, speed = (None if one is None else np.abs(one) for one in (pressure, at("speed")))
+    return size, speed, at("oil_temperature")
 
 
 def _paths_told(
@@ -113,28 +115,22 @@ def _paths_told(
     What tells the paths by their dependence on speed is as wide as the speed's own range: the
     minutes that are enough grow with its square.
     """
+    pressure, speed, temperature = inputs
     motor = spec.motor(label, spec.file.flushing.mode)
     try:
-        pressure, speed, temperature = inputs
         conditions = OperatingConditions.from_bar(pressure, temperature, speed)
         widths = half_widths(motor, conditions, minutes)
     except LeakageError:
         return "paths cannot be judged: its conditions are outside the model's"
     enough = _ENOUGH_MINUTES / max(speed_share, 1e-3) ** 2
-    nights = {
-        name: max(math.ceil(enough / minutes), math.ceil((width / _WIDEST) ** 2))
-        if math.isfinite(width)
-        else math.inf
-        for name, width in widths.items()
-    }
-    told = [name for name, number in nights.items() if number <= _MOST_NIGHTS]
-    untold = ", ".join(name.replace("_", " ") for name in nights if name not in told)
+    nights = {name: max(enough / minutes, (w / _WIDEST) ** 2) for name, w in widths.items()}
+    told = [math.ceil(number) for number in nights.values() if number <= _MOST_NIGHTS]
+    untold = [name.replace("_", " ") for name, number in nights.items() if number > _MOST_NIGHTS]
     words = "no path by itself"
     if told:
-        number = max(nights[name] for name in told)
-        after = "every night" if number == 1 else f"after {number} nights"
+        after = "every night" if max(told) == 1 else f"after {max(told)} nights"
         words = f"{'other ' if untold else ''}paths {after}"
-    return f"{words}; not identified at these conditions: {untold}" if untold else words
+    return words + (f"; not identified at these conditions: {', '.join(untold)}" if untold else "")
 
 
 def half_widths(motor: Motor, conditions: OperatingConditions, minutes: float) -> dict[str, float]:
@@ -154,3 +150,34 @@ def half_widths(motor: Motor, conditions: OperatingConditions, minutes: float) -
     spread = np.sqrt(np.diag(np.linalg.inv(correlation))) / lengths
     widths = _ERROR_L_PER_MIN * spread / math.sqrt(seconds_a_sample)
     return dict(zip(names, map(float, widths), strict=True))
+
+
+def swapped(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str]:
+    """Notes on channels whose columns may be another's."""
+    from scipy.stats import spearmanr
+
+    known = is_valid(spec, "oil_temperature", channels["oil_temperature"])
+    steps_s = np.diff(channels["oil_temperature"].time_us[known]) / SECOND_US
+    jumps = np.abs(np.diff(channels["oil_temperature"].value[known])) > _JUMP_C
+    close = (steps_s > 0.0) & (steps_s <= _JUMP_S)
+    if close.sum() >= _FEWEST and float(jumps[close].mean()) > _JUMPS_SHARE:
+        yield "oil_temperature jumps as no oil does: are columns swapped?"
+    if spec.file.channels[COUNTED].counts is not None:
+        return
+    flow = channels[COUNTED]
+    known = is_valid(spec, COUNTED, flow)
+    at = flow.time_us[known]
+    pressure, speed, degrees = conditions_at(spec, channels, at)
+    if pressure is None or speed is None or degrees is None:
+        return
+    ran = speed > spec.settings.cleaning.standstill_rpm
+    if ran.sum() < _FEWEST:
+        return
+    p, t, q = pressure[ran], degrees[ran], flow.value[known][ran]
+    widths = ((p, _VARIES * np.median(p)), (t, _VARIES_K))
+    drives = [one for one, width in widths if np.ptp(np.percentile(one, (5, 95))) > width]
+    # Hotter oil is thinner: the flow rises with either.
+    if drives and np.ptp(q) > 0 and all(spearmanr(one, q).statistic < _FOLLOWS for one in drives):
+        yield (
+            "the drain flow follows neither pressure nor the oil's viscosity: are columns swapped?"
+        )

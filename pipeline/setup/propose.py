@@ -7,69 +7,30 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from glob import escape
 from pathlib import Path
-from statistics import median
 from typing import Any
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pipeline.config.channels import GOOD_QUALITY
-from pipeline.errors import LogError, UsageError
-from pipeline.setup.cells import Marks, as_number, is_missing, marks_of
-from pipeline.setup.names import (
-    FEWEST_CHANNELS,
-    PORT_PRESSURES,
-    QUANTITY_OF,
-    Group,
-    groups_of,
-    is_in,
-    likely_units,
-    meaning_of,
-    missing_channels,
-    unit_in,
-    words_of,
-)
+from pipeline.config.logs import MISSING_TOKENS
+from pipeline.errors import LogError
+from pipeline.setup.answers import Asked
+from pipeline.setup.cells import Marks, marks_of
+from pipeline.setup.channels import Chooser, Place
+from pipeline.setup.names import FEWEST_CHANNELS, groups_of, is_in, meaning_of, unit_in, words_of
 from pipeline.setup.sniff import sniff
-from pipeline.setup.tables import SAMPLES, Cells, Column, Table
-from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
+from pipeline.setup.tables import SAMPLES, Cells, Column, Question, Table
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mcap")
 # A date, with a time or without, or a long number: what differs from file to file of one kind.
 VARYING = re.compile(
     r"(?<!\d)(?:20\d\d[-_.]?\d\d[-_.]?\d\d(?:[-_T. ]?\d\d[-_.]?\d\d(?:[-_.]?\d\d)?)?|\d{6,})(?!\d)"
 )
-NONE = "none"
 _SHOWN = 12
 _SHARED_BY_CHANCE = 0.5  # stamps of a second in which a state changes
-
-
-@dataclass(frozen=True, slots=True)
-class Question:
-    """What a log does not say; `key` names it in an answer."""
-
-    key: str
-    text: str
-    choices: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a channel is in a log; the unit is None where it has to be asked."""
-
-    column: Column
-    unit: str | None
-    quality: str = ""
-
-    def keys(self) -> dict[str, str]:
-        """Keys of ``[channels.…]``."""
-        return {
-            **self.column.keys,
-            **({"unit": self.unit} if self.unit else {}),
-            **({"quality_source": self.quality} if self.quality else {}),
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +79,7 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
     root = root or (source.resolve() if source.is_dir() else source.resolve().parent)
     motors, faults = list[ProposedMotor](), list[str]()
     loose: dict[Path, list[tuple[_Kind, Table]]] = {}
-    asked, unread, unused = _Asked(answers), 0, dict[str, None]()
+    asked, unread = Asked(answers), 0
     for kind in _kinds(files, root):
         try:
             table = sniff(kind.files[-1])
@@ -127,13 +88,13 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
             unread += 1
             continue
         asked.log = kind.name
-        found = list(_motors(table, kind, asked, unused))
+        found = list(_motors(table, kind, asked))
         motors += found
         if not found:
             loose.setdefault(kind.files[0].parent, []).append((kind, table))
     for folder, kinds in loose.items():
         asked.log = folder.name
-        found = list(_split_motors(kinds, asked, unused))
+        found = list(_split_motors(kinds, asked))
         motors += found
         for kind, table in kinds if not found else ():
             columns = ", ".join(one.name for one in table.columns[:_SHOWN])
@@ -141,17 +102,12 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
     if unread == len(faults) > 0 and not motors:
         raise LogError("log_not_readable", source, f"no log of it can be read: {faults[0]}")
     asked.require_known(one.motor_id for one in motors)
-    return Proposal(root, _apart(motors), tuple(asked.open.values()), tuple(unused), tuple(faults))
+    questions, unused = tuple(asked.open.values()), tuple(asked.unused)
+    return Proposal(root, _apart(motors), questions, unused, tuple(faults))
 
 
 def suffix_of(path: Path) -> str:
-    """Ending of a log's name, that of a packed one with what it packs.
-
-    Examples
-    --------
-    >>> suffix_of(Path("a.2025.csv.gz")), suffix_of(Path("a.1.csv"))
-    ('.csv.gz', '.csv')
-    """
+    """Ending of a log's name, that of a packed one with what it packs: ".csv.gz"."""
     packed = path.suffix.lower() in (".gz", ".zst")
     return "".join(path.suffixes[-2:]) if packed else path.suffix
 
@@ -182,167 +138,96 @@ def _kinds(files: Sequence[Path], root: Path) -> Iterator[_Kind]:
         yield _Kind(begin + name, tuple(own), label or folder.name, stem.replace("\0", " "))
 
 
-class _Asked:
-    """Questions that have no answer yet."""
-
-    def __init__(self, answers: Mapping[str, str]) -> None:
-        self.answers = answers
-        self.log = ""  # in which it is asked
-        self.open: dict[str, Question] = {}
-        self._asked: dict[str, tuple[str, ...]] = {}
-        self._alike: dict[tuple[str, ...], tuple[str, Sequence[str]]] = {}
-
-    def ask(
-        self, key: str, text: str, choices: Iterable[str] = (), known: Iterable[str] = ()
-    ) -> str | None:
-        """The answer to a question; None, and the question is open, without one.
-
-        The answer has to be `known`, by default one of the choices, where there are any.
-        """
-        likely = tuple(choices)
-        allowed = tuple(known) or likely
-        self._asked[key] = likely
-        if key not in self.answers:
-            self.open.setdefault(key, Question(key, text, likely))
-            return None
-        answer = self.answers[key]
-        if allowed and answer not in allowed:
-            raise UsageError(
-                "answer", f"{key}: got {answer!r}; expected one of {', '.join(allowed)}"
-            )
-        if key == "time_zone":
-            _require_zone(answer)
-        return answer
-
-    def of_log(self, key: str, text: str, choices: Iterable[str]) -> str | None:
-        """As `ask`; logs that read alike have one answer."""
-        own = tuple(choices)
-        if self._asked.get(key, own) != own:
-            key = f"{key} of {self.log}"
-        return self.ask(key, f"{self.log}: {text}", own)
-
-    def which(
-        self, own: str, motor: str, text: str, places: Sequence[str], known: Iterable[str]
-    ) -> str | None:
-        """The place of a motor's channel, ``motor_id.channel``, by its name.
-
-        Motors whose places are called alike but for the motor take the answer of the first.
-        """
-        rests = (re.sub(r"[\[(].*?[\])]", "", _rest(place, motor)) for place in places)
-        kind = (own.rpartition(".")[2], *rests)
-        first, alike = self._alike.setdefault(kind, (own, places))
-        if own in self.answers or first == own:
-            return self.ask(own, text, places, (*places, *known))
-        answer = self.answers.get(first)
-        return places[alike.index(answer)] if answer in alike else None
-
-    def require_known(self, motor_ids: Iterable[str]) -> None:
-        """Refuse answers to what nobody asked; a motor's channel may always be named."""
-        named = {f"{motor}.{channel}" for motor in motor_ids for channel in CHANNELS}
-        always = {"time_zone", "time_format", "decimal", "time", "table", "motor_type", "oil"}
-        strange = sorted(self.answers.keys() - self._asked.keys() - named - always)
-        if strange:
-            there = ", ".join(self.open) or "none is open"
-            raise UsageError("answer", f"{strange[0]}: there is no such question; open: {there}")
-
-
-def _require_zone(name: str) -> None:
-    try:
-        ZoneInfo(name)
-    except (ZoneInfoNotFoundError, ValueError, OSError):
-        message = f"time_zone: got {name!r}; expected a zone such as UTC or Europe/Oslo"
-        raise UsageError("answer", message) from None
-
-
 # The motors of a table
 
 
-def _motors(
-    table: Table, kind: _Kind, asked: _Asked, unused: dict[str, None]
-) -> Iterator[ProposedMotor]:
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How motors lie in logs that are alike."""
+
+    keys: Mapping[str, Any]  # of ``[logs]``
+    columns: Sequence[Column]  # that may be channels
+    marks: Marks
+    quality: str = ""  # column of the rows' quality
+    several: Mapping[str, Cells] = field(default_factory=dict)  # motors of rows, by column
+
+    @property
+    def is_a_motors(self) -> bool:
+        """True if the columns are enough for a motor."""
+        names = _without_labels([one.name for one in self.columns])
+        units = {one.name: one.unit for one in self.columns}
+        return bool(self.several or groups_of(list(names.values()), units)[0])
+
+
+def _motors(table: Table, kind: _Kind, asked: Asked) -> Iterator[ProposedMotor]:
     """The motors of logs that are alike; none where their columns are not enough for one."""
-    layout, columns, quality, several = _layout(table)
-    names, units = [one.name for one in columns], {one.name: one.unit for one in columns}
-    if not several and not groups_of(list(_without_labels(names).values()), units)[0]:
+    layout = _long(table) or _wide(table)
+    if not layout.is_a_motors:
         return
-    logs = {**_answered(table, asked), **layout, "files": [kind.pattern]}
-    if not several:
-        yield from _grouped(columns, table.marks, logs, quality, kind, asked, unused)
+    logs = {**asked.keys_of(table), **layout.keys, "files": [kind.pattern]}
+    if not layout.several:
+        yield from _grouped(layout, logs, kind, asked)
         return
-    text = f"{kind.name}: rows of several motors: which column has the motor's name?"
-    choices = tuple(several)
-    column = (
-        choices[0] if len(choices) == 1 else asked.ask(f"{kind.name}.motor_column", text, choices)
-    )
-    for name in several.get(column or "", ()):
+    column: str | None = next(iter(layout.several))
+    if len(layout.several) > 1:
+        text = f"{kind.name}: rows of several motors: which column has the motor's name?"
+        column = asked.ask(f"{kind.name}.motor_column", text, layout.several)
+    for name in layout.several.get(column or "", ()):
         own = logs | {"motor_column": column, "motor_name": name}
-        named = replace(kind, name=name)
-        yield from _grouped(columns, table.marks, own, quality, named, asked, unused)
+        yield from _grouped(layout, own, replace(kind, name=name), asked)
 
 
-def _answered(table: Table, asked: _Asked) -> dict[str, Any]:
-    """Keys of ``[logs]`` with the answers to what the log does not tell."""
-    logs = dict(table.logs)
-    for one in table.open:
-        answer = asked.of_log(one.key, one.text, one.answers)
-        if answer is not None:
-            logs |= one.answers.get(answer, {one.key: answer})
-    return logs
+def _wide(table: Table) -> _Layout:
+    """A row a moment, with a column a channel."""
+    columns = [one for one in table.columns if one.kind in ("number", "nothing")]
+    several = {one.name: own for one in table.columns if (own := _motors_beside(one, table))}
+    return _Layout({}, columns, table.marks, several=several)
 
 
-def _layout(table: Table) -> tuple[dict[str, str], list[Column], str, dict[str, Cells]]:
-    """Keys of the layout, candidates for channels, the rows' quality, and motors by column."""
+def _long(table: Table) -> _Layout | None:
+    """A row a sample, with the channel's name in a column; None: it is not."""
     numbers = [one for one in table.columns if one.kind == "number"]
-    texts = [one for one in table.columns if one.kind == "text"]
     named = [one for one in numbers if is_in(words_of(one.name), "column", "value")]
-    value = numbers[0] if len(numbers) == 1 else named[0] if len(named) == 1 else None
-    if value is not None and texts and (found := _long(table, value, texts)):
-        return found
-    readable = [one for one in table.columns if one.kind in ("number", "nothing")]
-    several = {one.name: own for one in (*texts, *numbers) if (own := _motors_beside(one, table))}
-    return {}, readable, "", several
-
-
-def _long(
-    table: Table, value: Column, texts: Sequence[Column]
-) -> tuple[dict[str, str], list[Column], str, dict[str, Cells]] | None:
-    """A row a sample, with the channel's name in a column."""
+    values = numbers if len(numbers) == 1 else named
+    texts = [one for one in table.columns if one.kind == "text"]
     units = [one.name for one in texts if is_in(words_of(one.name), "column", "unit")][:1]
     names = [one for one in texts if one.name not in units]
-    if not names:
+    if len(values) != 1 or not names:
         return None
     column = max(names, key=lambda one: len({meaning_of(cell).channel for cell in one.filled}))
     seen: dict[str, tuple[list[str], str]] = {}
-    for name, cell, *unit in table.rows([column.name, value.name, *units]):
+    for name, cell, *unit in table.rows([column.name, values[0].name, *units]):
         cells, _ = seen.setdefault(name.strip(), ([], next(iter(unit), "")))
-        if len(cells) < SAMPLES and not is_missing(cell):
+        if len(cells) < SAMPLES and cell not in MISSING_TOKENS:
             cells.append(cell)
-    found = [
+    columns = [
         Column(name, tuple(cells), "number", unit, {"source": name})
         for name, (cells, unit) in seen.items()
-        if not is_missing(name)
+        if name not in MISSING_TOKENS
     ]
-    told = {meaning_of(one.name, one.unit).channel for one in found} - {None}
+    told = {meaning_of(one.name, one.unit).channel for one in columns} - {None}
     if len(told) < 2 - is_in(words_of(column.name)[-1:], "column", "channel"):
         return None
     good = {str(one).lower() for one in GOOD_QUALITY}
-    quality = [
+    qualities = [
         one.name
         for one in texts
         if is_quality_name(one.name) and good & {cell.lower() for cell in one.filled}
     ]
-    several = {}
-    for part in (one for one in names if one is not column and one.name not in quality):
-        # Each of another column's words comes with a motor's channels: it is the motor's.
-        channels: dict[str, set[str | None]] = {}
-        for cell, name in table.rows([part.name, column.name]):
-            channels.setdefault(cell.strip(), set()).add(meaning_of(name).channel)
-        if len(channels) > 1 and all(
-            len(own - {None}) >= FEWEST_CHANNELS for own in channels.values()
-        ):
-            several[part.name] = tuple(sorted(channels))
-    keys = {"layout": "long", "channel_column": column.name, "value_column": value.name}
-    return keys, found, next(iter(quality), ""), several
+    others = [one.name for one in names if one is not column and one.name not in qualities]
+    several = {one: own for one in others if (own := _motors_of_tags(table, one, column.name))}
+    keys = {"layout": "long", "channel_column": column.name, "value_column": values[0].name}
+    return _Layout(keys, columns, table.marks, next(iter(qualities), ""), several)
+
+
+def _motors_of_tags(table: Table, motors: str, tags: str) -> Cells:
+    """Words of a column each of which comes with a motor's channels in another; else none."""
+    channels: dict[str, set[str]] = {}
+    for cell, name in table.rows([motors, tags]):
+        own = channels.setdefault(cell.strip(), set())
+        own |= {channel for channel in [meaning_of(name).channel] if channel}
+    fewest = min(map(len, channels.values()), default=0)
+    return tuple(sorted(channels)) if len(channels) > 1 and fewest >= FEWEST_CHANNELS else ()
 
 
 def _motors_beside(column: Column, table: Table) -> Cells:
@@ -356,7 +241,7 @@ def _motors_beside(column: Column, table: Table) -> Cells:
         return ()
     stamps: dict[str, set[Cells]] = {}
     for cell, *stamp in table.rows([column.name, *table.times]):
-        if not is_missing(cell):
+        if cell not in MISSING_TOKENS:
             stamps.setdefault(cell.strip(), set()).add(tuple(stamp))
     if not (is_named and column.kind == "text"):
         seen = Counter(stamp for own in stamps.values() for stamp in own)
@@ -367,13 +252,7 @@ def _motors_beside(column: Column, table: Table) -> Cells:
 
 
 def is_quality_name(name: str) -> bool:
-    """True if the last word of a name is that of a quality.
-
-    Examples
-    --------
-    >>> is_quality_name("PT101.Q"), is_quality_name("status"), is_quality_name("Q")
-    (True, True, False)
-    """
+    """True if the last word of a name is that of a quality, as in "PT101.Q"."""
     words = words_of(name)
     return is_in(words[-1:], "column", "quality") or (words[-1:] == ("q",) and len(words) > 1)
 
@@ -392,24 +271,17 @@ def _without_labels(names: Sequence[str]) -> dict[str, str]:
     ['1/p', '2/p']
     """
     labels = {name: dict(_LABEL.findall(name)) for name in names if _SERIES.fullmatch(name)}
-    differing = {
-        key
-        for own in labels.values()
-        for key, value in own.items()
-        if any(one.get(key) != value for one in labels.values())
-    }
+    counts = Counter(pair for own in labels.values() for pair in own.items())
     plain = {}
     for name in names:
         own = labels.get(name, {})
         metric = own.pop("__name__", "") or name.partition("{")[0]
-        apart = [value for key, value in own.items() if key in differing]
+        apart = [pair[1] for pair in own.items() if counts[pair] < len(labels)]
         plain[name] = "/".join((*apart, metric)) if name in labels else name
     return plain
 
 
-def _split_motors(
-    kinds: Sequence[tuple[_Kind, Table]], asked: _Asked, unused: dict[str, None]
-) -> Iterator[ProposedMotor]:
+def _split_motors(kinds: Sequence[tuple[_Kind, Table]], asked: Asked) -> Iterator[ProposedMotor]:
     """Motors whose channels lie in several files of a folder."""
     tables = [(k, t) for k, t in kinds if t.times and t.logs.get("format") != "mcap"]
     places = [
@@ -426,18 +298,17 @@ def _split_motors(
         unit = one.unit or unit_in(one.name) or ""
         columns.append(replace(one, name=name, unit=unit, keys=keys))
         files[kind.pattern] = kind.files
-    if not groups_of([one.name for one in columns], {one.name: one.unit for one in columns})[0]:
-        return
     # The dialect is that of all files together: one may hold no letter or mark that tells it.
     marks = marks_of(cell for one in columns for cell in one.cells)
+    layout = _Layout({"layout": "file_per_channel", "value_column": common}, columns, marks)
+    if not layout.is_a_motors:
+        return
     told: dict[str, Any] = {"decimal": marks.decimal, "thousands": marks.thousands}
     encodings = {table.logs["encoding"] for _, table in tables if "encoding" in table.logs}
     told["encoding"] = next(iter(encodings), "")
-    logs = _answered(tables[0][1], asked) | {key: one for key, one in told.items() if one}
-    logs |= {"layout": "file_per_channel", "value_column": common}
-    folder = kinds[0][0].files[0].parent
-    whole = _Kind("", (), folder.name, "")
-    for motor in _grouped(columns, marks, logs, "", whole, asked, unused):
+    logs = asked.keys_of(tables[0][1]) | {key: one for key, one in told.items() if one}
+    whole = _Kind("", (), kinds[0][0].files[0].parent.name, "")
+    for motor in _grouped(layout, logs | dict(layout.keys), whole, asked):
         own = list(dict.fromkeys(one.column.keys["source"] for one in motor.channels.values()))
         found = tuple(path for pattern in own for path in files[pattern])
         yield replace(motor, logs={**motor.logs, "files": own}, files=found)
@@ -447,17 +318,11 @@ def _split_motors(
 
 
 def _grouped(
-    columns: Sequence[Column],
-    marks: Marks,
-    logs: Mapping[str, Any],
-    quality: str,
-    kind: _Kind,
-    asked: _Asked,
-    unused: dict[str, None],
+    layout: _Layout, logs: Mapping[str, Any], kind: _Kind, asked: Asked
 ) -> Iterator[ProposedMotor]:
     """The motors whose columns, tags or fields there are."""
-    plain = _without_labels([one.name for one in columns])
-    by_name = {plain[one.name]: replace(one, name=plain[one.name]) for one in columns}
+    plain = _without_labels([one.name for one in layout.columns])
+    by_name = {plain[one.name]: replace(one, name=plain[one.name]) for one in layout.columns}
     qualities = {
         base: by_name[name].keys["source"]
         for name in filter(is_quality_name, by_name)
@@ -465,152 +330,14 @@ def _grouped(
     }
     names = [name for name in by_name if by_name[name].keys["source"] not in qualities.values()]
     groups, left = groups_of(names, {name: by_name[name].unit for name in names})
-    unused |= dict.fromkeys(left)
+    asked.unused |= dict.fromkeys(left)
     for group in groups:
-        chooser = _Chooser(group, by_name, marks, kind.name, asked)
-        found = chooser.channels()
-        used = {one.name for one in found.values()}
-        unused |= dict.fromkeys(name for name in group.signals if name not in used)
-        channels = {
-            channel: Place(
-                found[channel],
-                chooser.unit(channel, found[channel]),
-                qualities.get(found[channel].name, quality),
-            )
-            for channel in CHANNELS
-            if channel in found
-        }
+        motor = group.name or kind.name
+        chooser = Chooser(group, by_name, layout.marks, motor, _plain(motor), asked)
+        channels = dict(chooser.places(qualities, layout.quality))
+        used = {one.column.name for one in channels.values()}
+        asked.unused |= dict.fromkeys(name for name in group.signals if name not in used)
         yield ProposedMotor(group.name, chooser.motor_id, logs, channels, kind.files)
-
-
-class _Chooser:
-    """The columns of one motor's channels; asks where several fit, or none."""
-
-    def __init__(
-        self, group: Group, columns: Mapping[str, Column], marks: Marks, log: str, asked: _Asked
-    ) -> None:
-        self.group, self.columns, self.marks, self.asked = group, columns, marks, asked
-        self.name = group.name or log
-        self.motor_id = _plain(self.name)
-
-    def channels(self) -> dict[str, Column]:
-        """Column by channel; without those that are asked for."""
-        rivals, bare = self._rivals()
-        found = {channel: self._one(channel, own) for channel, own in rivals.items()}
-        if bare:
-            found |= self._ports(sorted(bare, key=self.size, reverse=True), found)
-        for channel in missing_channels(found):
-            text = (
-                f"{self.motor_id}, and motors alike: no {_words(channel)} was found: which is it?"
-            )
-            found[channel] = self._which(channel, text, list(self.columns))
-        return {channel: self.columns[name] for channel, name in found.items() if name}
-
-    def _rivals(self) -> tuple[dict[str, list[str]], list[str]]:
-        """The columns that fit each channel best, and pressures of nobody in particular."""
-        fitting: dict[str, list[tuple[int, str]]] = {}
-        for name, signal in self.group.signals.items():
-            meaning = meaning_of(signal, self.columns[name].unit)
-            if meaning.channel is not None:
-                fitting.setdefault(meaning.channel, []).append((meaning.merit, name))
-        rivals = {
-            channel: [name for merit, name in own if merit == max(own)[0]]
-            for channel, own in fitting.items()
-        }
-        is_bare = max(fitting.get("pressure_difference", [(0, "")]))[0] < 0
-        bare = rivals.pop("pressure_difference") if is_bare else []
-        ports = [rivals.get(port, []) for port in PORT_PRESSURES]
-        if all(ports):
-            rivals.pop("pressure_difference", None)  # it is theirs
-            bare = []
-            if [len(own) for own in ports] == [1, 1] and self.size(*ports[0]) < self.size(
-                *ports[1]
-            ):
-                bare = [*ports[0], *ports[1]]  # the low port's is the higher one
-        if (bare and all(ports)) or "pressure_difference" in rivals:
-            for port in PORT_PRESSURES:
-                rivals.pop(port, None)
-        return rivals, bare
-
-    def _one(self, channel: str, names: Sequence[str]) -> str | None:
-        """The one column that fits a channel, or that is answered; None: it is asked."""
-        if len(names) == 1:
-            # An answer has the last word, asked for or not.
-            key = f"{self.motor_id}.{channel}"
-            is_told = key in self.asked.answers
-            return self.asked.ask(key, "", self.columns) if is_told else names[0]
-        told = ", ".join(names)
-        text = (
-            f"{self.motor_id}, and motors alike: {told} may be the {_words(channel)}: which is it?"
-        )
-        return self._which(channel, text, names)
-
-    def _ports(
-        self, names: Sequence[str], found: Mapping[str, str | None]
-    ) -> dict[str, str | None]:
-        """Channels of pressures of which the names do not say whose they are, the highest first."""
-        high, low = PORT_PRESSURES
-        told = " and ".join(f"{name} (typically {self.size(name):.4g})" for name in names)
-        if low in found or high in found:
-            other = low if high in found else high
-            return {other: self._which(other, self._text(told, other), names)}
-        if len(names) > 1:
-            text = (
-                f"{self._text(told, high)} The other is the low port's; {NONE}: they are no ports'"
-            )
-            chosen = self._which(high, text, [*names, NONE])
-            if chosen != NONE:
-                others = [name for name in names if name != chosen]
-                lower = others[0] if chosen and len(others) == 1 else None
-                if chosen and len(others) > 1:
-                    lower = self._which(low, self._text(told, low), others)
-                return {high: chosen, low: lower}
-        channel = "pressure_difference"
-        return {channel: self._which(channel, self._text(told, channel), names)}
-
-    def _text(self, told: str, channel: str) -> str:
-        return (
-            f"{self.motor_id}, and motors alike: the log does not say whose pressure {told} is: "
-            f"which is the {_words(channel)}?"
-        )
-
-    def _which(self, channel: str, text: str, names: Sequence[str]) -> str | None:
-        own = f"{self.motor_id}.{channel}"
-        return self.asked.which(own, self.name, text, names, self.columns)
-
-    def size(self, name: str) -> float:
-        """Typical magnitude of a pressure, in bar where its unit is said."""
-        own = self.columns[name]
-        numbers = (as_number(cell, self.marks) for cell in own.filled)
-        sizes = [abs(number) for number in numbers if number is not None]
-        unit = meaning_of(name, own.unit).unit
-        known = unit if QUANTITY_OF.get(unit or "") == "pressure" else None
-        return float(to_canonical("pressure_difference", median(sizes or [0.0]), known or "bar"))
-
-    def unit(self, channel: str, column: Column) -> str | None:
-        """The unit of a column; one answer is for columns called alike, where it is plausible."""
-        said = meaning_of(column.name, column.unit).unit
-        if said is not None and QUANTITY_OF.get(said) == QUANTITIES[channel]:
-            return said
-        numbers = [as_number(cell, self.marks) for cell in column.filled]
-        shown = "; ".join(column.filled[:3])
-        text = f"unit of {_words(channel)} ({column.name}: {shown}): which is it?"
-        units = tuple(UNITS[QUANTITIES[channel]])
-        likely = likely_units(channel, [one for one in numbers if one is not None]) or units
-        key = f"unit of {_rest(column.name, self.name) or channel}"
-        if key in self.asked.answers and self.asked.answers[key] not in likely:
-            key = f"{key} in {self.asked.log}"
-        return self.asked.ask(key, text, likely, units)
-
-
-def _words(channel: str) -> str:
-    return channel.replace("_", " ")
-
-
-def _rest(place: str, motor: str) -> str:
-    """The name of a column or tag without the motor's."""
-    whole = rf"(?<![^\W_]){re.escape(motor)}(?![^\W_])"
-    return re.sub(r"([._/: -])[._/: -]+", r"\1", re.sub(whole, "", place)).strip("._/: -")
 
 
 def _plain(name: str) -> str:

@@ -10,7 +10,7 @@ import csv
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -21,23 +21,27 @@ from charset_normalizer import from_bytes
 from pipeline.config.logs import MISSING_TOKENS
 from pipeline.errors import LogError
 from pipeline.ingest.contract import readable
-from pipeline.ingest.csv.text import unpacked
+from pipeline.ingest.csv_text import unpacked
 from pipeline.ingest.parquet import decoded, opened, text_paths
-from pipeline.setup.cells import (
-    is_missing,
-    is_number,
-    is_time_name,
-    kind_of,
-    marks_of,
-    strange_tokens,
-)
+from pipeline.setup.cells import is_number, is_time_name, kind_of, marks_of, strange_tokens
 from pipeline.setup.names import VOCABULARY, is_in, unit_named, words_of
 from pipeline.setup.sniff_mcap import sniff_mcap
-from pipeline.setup.tables import HEAD_ROWS, SAMPLES, TIMES, Cells, Column, Open, Rows, Table, timed
+from pipeline.setup.tables import (
+    HEAD_ROWS,
+    SAMPLES,
+    TIMES,
+    Cells,
+    Column,
+    Question,
+    Rows,
+    Table,
+    timed,
+)
 
 _HEAD_BYTES = 2**16
 _SCANNED_BYTES = 2**23
 _SEPARATORS = (";", "\t", "|", ",")
+Leaf = tuple[str, pa.Field, pa.Array]
 _ENCODINGS = ["cp1252", "cp1250", "cp1251", "cp1254", "gb18030", "shift_jis"]
 
 
@@ -137,19 +141,22 @@ def _csv(path: Path) -> Table:
     questions = []
     if not marks.is_certain:
         other = {",": ".", ".": ","}[marks.decimal]
-        answers = {marks.decimal: {"decimal": marks.decimal}}
-        answers[other] = {"decimal": other, "thousands": marks.decimal}
-        questions = [Open("decimal", "a decimal mark, or between thousands?", answers)]
+        keys = {other: {"decimal": other, "thousands": marks.decimal}}
+        text = "a decimal mark, or between thousands?"
+        questions = [Question("decimal", text, (marks.decimal, other), keys)]
     logs = {"format": "csv"} | {key: value for key, value in dialect.items() if value}
     return timed(path, Table(logs, tuple(questions), tuple(columns), (), marks, rows))
 
 
 def _encoding(head: bytes) -> str:
+    if head.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
+        return "utf-32"
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    # Text has no NUL: in UTF-16 every other byte of plain letters is one.
+    # Text has no NUL: of plain letters in UTF-16 every other byte is one, in UTF-32 three of four.
     if 5 * head.count(0) > 2 * len(head):
-        return "utf-16-be" if head[:1] == b"\0" else "utf-16-le"
+        bits = 32 if 5 * head.count(0) > 3 * len(head) else 16
+        return f"utf-{bits}-be" if head[:1] == b"\0" else f"utf-{bits}-le"
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
@@ -196,7 +203,7 @@ def _taken_apart(lines: Sequence[str], separator: str) -> _Lines:
     wide = [row for row in rows if len(row) == width and any(map(_holds_sample, row))]
     # A column is one of samples where most of its cells are, those in the header left aside.
     shares = [
-        sum(map(_holds_sample, cells)) / max(sum(not is_missing(one) for one in cells), 1)
+        sum(map(_holds_sample, cells)) / max(sum(one not in MISSING_TOKENS for one in cells), 1)
         for cells in zip(*wide[len(wide) // 3 :], strict=True)
     ]
     sampled = [i for i, share in enumerate(shares) if share > 0.5]
@@ -240,25 +247,6 @@ def _header(table: _Lines) -> tuple[int | None, Cells]:
 # Parquet
 
 
-def _parquet_columns(path: Path) -> list[Column]:
-    with opened(path, _texts(path)) as file:
-        schema = file.schema_arrow
-        head = next(file.iter_batches(batch_size=HEAD_ROWS), None)
-        head = pa.RecordBatch.from_pylist([], schema=schema) if head is None else head
-        head.validate(full=True)
-        return [
-            column
-            for one, values in zip(schema, head.columns, strict=True)
-            if schema.names.count(one.name) == 1
-            for column in _leaves(path, one.name, one, values)
-        ]
-
-
-def _texts(path: Path) -> list[str]:
-    with opened(path) as file:
-        return text_paths(file.schema_arrow)
-
-
 def _parquet(path: Path) -> Table:
     columns = _parquet_columns(path)
     if not columns:
@@ -266,29 +254,36 @@ def _parquet(path: Path) -> Table:
 
     def rows(wanted: Sequence[str]) -> Rows:
         """The first rows of each text in the first of the columns, piece by piece."""
-        with opened(path, _texts(path)) as file:
-            for batch in file.iter_batches(batch_size=2**17, columns=list(wanted)):
-                batch.validate(full=True)
-                leaves = [
-                    leaf
-                    for one, values in zip(batch.schema, batch.columns, strict=True)
-                    for leaf in _flat(path, one.name, one, values)
-                ]
-                frame = pl.DataFrame({name: pl.Series(values) for name, _, values in leaves})
-                first = frame.select(wanted).group_by(wanted[0], maintain_order=True).head(SAMPLES)
-                yield from (tuple(map(_text, row)) for row in first.select(wanted).iter_rows())
+        for leaves in _leaves(path, 2**17, list(wanted)):
+            frame = pl.DataFrame({name: pl.Series(values) for name, _, values in leaves})
+            first = frame.select(wanted).group_by(wanted[0], maintain_order=True).head(SAMPLES)
+            yield from (tuple(map(_text, row)) for row in first.select(wanted).iter_rows())
 
     return timed(path, Table({"format": "parquet"}, (), tuple(columns), (), rows=rows))
 
 
-def _text(cell: object) -> str:
-    return "" if cell is None else str(cell)
+def _parquet_columns(path: Path) -> list[Column]:
+    found = (_column(*leaf) for leaf in next(_leaves(path, HEAD_ROWS)))
+    return [one for one in found if one is not None]
 
 
-def _flat(
-    path: Path, name: str, one: pa.Field, values: pa.Array
-) -> Iterator[tuple[str, pa.Field, pa.Array]]:
-    """Columns within a column, by their paths."""
+def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[list[Leaf]]:
+    """Columns, and those within them by their paths, piece by piece; the last is empty."""
+    with opened(path) as file:
+        texts = text_paths(file.schema_arrow)
+    with opened(path, texts) as file:
+        none = pa.RecordBatch.from_pylist([], schema=file.schema_arrow)
+        for batch in chain(file.iter_batches(batch_size=size, columns=wanted), [none]):
+            batch.validate(full=True)
+            yield [
+                leaf
+                for one, values in zip(batch.schema, batch.columns, strict=True)
+                if batch.schema.names.count(one.name) == 1
+                for leaf in _flat(path, one.name, one, values)
+            ]
+
+
+def _flat(path: Path, name: str, one: pa.Field, values: pa.Array) -> Iterator[Leaf]:
     if pa.types.is_struct(one.type):
         for inner, below in zip(one.type, values.flatten(), strict=True):
             yield from _flat(path, f"{name}.{inner.name}", inner, below)
@@ -296,21 +291,20 @@ def _flat(
         yield name, one, decoded(path, name, values)
 
 
-def _leaves(path: Path, name: str, one: pa.Field, values: pa.Array) -> Iterator[Column]:
-    for leaf, within, found in _flat(path, name, one, values):
-        unit = (within.metadata or {}).get(b"unit", b"").decode(errors="replace")
-        if pa.types.is_timestamp(found.type):
-            # In the place of a unit: what the type says of the zone.
-            yield Column(leaf, (), "typed", found.type.tz or "", {"source": leaf})
-            continue
-        is_number_type = pa.types.is_floating(found.type) or pa.types.is_integer(found.type)
-        is_number_type |= pa.types.is_decimal(found.type)
-        if is_number_type or pa.types.is_null(found.type) or _is_text(found.type):
-            cells = tuple(map(_text, found.to_pylist()))
-            filled = "number" if found.null_count < len(found) else "nothing"
-            kind = filled if is_number_type else kind_of(cells)
-            yield Column(leaf, cells, kind, unit, {"source": leaf})
+def _column(name: str, field: pa.Field, values: pa.Array) -> Column | None:
+    """A column of times, numbers or text; None for what is neither."""
+    of, kind, keys = pa.types, values.type, {"source": name}
+    if of.is_timestamp(kind):
+        # In the place of a unit: what the type says of the zone.
+        return Column(name, (), "typed", kind.tz or "", keys)
+    unit = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
+    cells = tuple(map(_text, values.to_pylist()))
+    if of.is_floating(kind) or of.is_integer(kind) or of.is_decimal(kind):
+        is_filled = values.null_count < len(values)
+        return Column(name, cells, "number" if is_filled else "nothing", unit, keys)
+    is_text = of.is_null(kind) or of.is_string(kind) or of.is_large_string(kind)
+    return Column(name, cells, kind_of(cells), unit, keys) if is_text else None
 
 
-def _is_text(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+def _text(cell: object) -> str:
+    return "" if cell is None else str(cell)

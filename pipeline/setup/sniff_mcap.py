@@ -13,7 +13,7 @@ from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.setup.cells import TimeFormats, count_format, is_stamp, is_time_name, time_formats
 from pipeline.setup.names import is_in, unit_named, words_of
-from pipeline.setup.tables import Column, Open, Table, set_formats
+from pipeline.setup.tables import Column, Question, Table, set_formats
 
 # Fields beside a reading that are none.
 _NO_READINGS = {
@@ -28,7 +28,7 @@ def sniff_mcap(path: Path) -> Table:
     topics = read_topics(path)
     columns = [one for topic in topics for one in _fields(topic, is_lone=len(topics) == 1)]
     logs: dict[str, Any] = {"format": "mcap", "time": "log_time"}
-    questions: list[Open] = []
+    questions: list[Question] = []
     of_readings = [one for one in topics if any(c.keys["source"] == one.name for c in columns)]
     stamp, formats = _stamp(of_readings)
     if stamp:
@@ -106,7 +106,7 @@ def _stamps_of(topic: Topic) -> dict[FieldPath, TimeFormats | None]:
     return found
 
 
-def _time_of_messages(topics: Iterable[Topic]) -> Iterator[Open]:
+def _time_of_messages(topics: Iterable[Topic]) -> Iterator[Question]:
     """A question where messages were recorded later than they were published."""
     log = np.array([t for one in topics for t in one.log_ns], dtype=np.float64)
     publish = np.array([t for one in topics for t in one.publish_ns], dtype=np.float64)
@@ -115,4 +115,4 @@ def _time_of_messages(topics: Iterable[Topic]) -> Iterator[Open]:
             f"publish_time is {float(np.median(log - publish)) / 1e6:.3g} ms before log_time: "
             "which is when it was measured?"
         )
-        yield Open("time", text, {one: {"time": one} for one in ("log_time", "publish_time")})
+        yield Question("time", text, ("log_time", "publish_time"))

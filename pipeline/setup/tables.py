@@ -8,12 +8,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from pipeline.config.logs import MISSING_TOKENS
 from pipeline.setup.cells import (
     Marks,
     TimeFormats,
     as_number,
     count_format,
-    is_missing,
     is_stamp,
     is_time_name,
     time_formats,
@@ -40,19 +40,18 @@ class Column:
     @property
     def filled(self) -> Cells:
         """The first cells that hold something."""
-        return tuple(cell for cell in self.cells if not is_missing(cell))[:SAMPLES]
+        return tuple(cell for cell in self.cells if cell not in MISSING_TOKENS)[:SAMPLES]
 
 
 @dataclass(frozen=True, slots=True)
-class Open:
-    """A key of ``[logs]`` that a log does not tell: answers, and the keys that each stands for.
-
-    Without answers any text is one.
-    """
+class Question:
+    """What a log does not say; `key` names it in an answer. Without choices any text is one."""
 
     key: str
     text: str
-    answers: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    choices: Cells = ()
+    # Keys of ``[logs]`` that a choice stands for; else the question's key alone.
+    stands_for: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +59,9 @@ class Table:
     """A log as its first lines, rows or messages tell it."""
 
     logs: Mapping[str, Any]  # keys of ``[logs]``, but for the files
-    open: tuple[Open, ...]
+    questions: tuple[Question, ...]
     columns: tuple[Column, ...]  # but for those of the time
-    times: tuple[str, ...]
+    times: Cells
     marks: Marks = field(default_factory=Marks)
     rows: Callable[[Sequence[str]], Rows] = lambda _: iter(())  # cells of some columns, further on
 
@@ -71,34 +70,29 @@ def timed(path: Path, table: Table) -> Table:
     """The table with its time found, and without the columns of the time."""
     named = sorted(table.columns, key=lambda one: not is_time_name(one.name))
     of_kind = {kind: [one for one in named if one.kind == kind] for kind in TIMES}
-    time, date = named[0], None
-    formats, is_typed = TimeFormats({}), bool(of_kind["typed"])
-    if is_typed:
-        time = of_kind["typed"][0]
-        formats = TimeFormats({"iso8601": ""}, bool(time.unit))
-    elif of_kind["stamp"]:
-        time = of_kind["stamp"][0]
-        formats = _formats(table, [time], path.name)
-    elif of_kind["date"] and of_kind["clock"]:
-        date, time = of_kind["date"][0], of_kind["clock"][0]
-        formats = _formats(table, [date, time], path.name)
+    times, formats = named[:1], TimeFormats({})
+    if of_kind["typed"]:
+        times = of_kind["typed"][:1]
+        formats = TimeFormats({"iso8601": ""}, bool(times[0].unit))
+    elif of_kind["stamp"] or (of_kind["date"] and of_kind["clock"]):
+        times = of_kind["stamp"][:1] or [of_kind["clock"][0], of_kind["date"][0]]
+        formats = _formats(table, times[::-1], path.name)
     else:
         for one in named:
             counts = [as_number(cell, table.marks) for cell in one.filled]
             is_time = is_time_name(one.name) or one is table.columns[0]
             known = [number for number in counts if number is not None]
             if one.kind == "number" and is_time and count_format(known):
-                time, formats = one, time_formats(one.filled, table.marks.decimal)
+                times, formats = [one], time_formats(one.filled, table.marks.decimal)
                 break
-    logs, questions = dict(table.logs), list(table.open)
-    logs["time"] = time.name
-    if date is not None:
-        logs["date_column"] = date.name
-    set_formats(logs, questions, formats, is_typed=is_typed)
-    times = (time.name, *([date.name] if date else []))
+    logs, questions, names = dict(table.logs), list(table.questions), [one.name for one in times]
+    logs |= dict(zip(("time", "date_column"), names, strict=False))
+    set_formats(logs, questions, formats, is_typed=bool(of_kind["typed"]))
     # The other columns of times, such as that of arrival, are no readings either.
-    rest = tuple(one for one in table.columns if one.name not in times and one.kind not in TIMES)
-    return replace(table, logs=logs, open=tuple(questions), columns=rest, times=times)
+    rest = [one for one in table.columns if one.name not in names and one.kind not in TIMES]
+    return replace(
+        table, logs=logs, questions=tuple(questions), columns=tuple(rest), times=tuple(names)
+    )
 
 
 def _formats(table: Table, columns: Sequence[Column], file_name: str) -> TimeFormats:
@@ -115,18 +109,17 @@ def _formats(table: Table, columns: Sequence[Column], file_name: str) -> TimeFor
 
 
 def set_formats(
-    logs: dict[str, Any], questions: list[Open], formats: TimeFormats, *, is_typed: bool = False
+    logs: dict[str, Any], questions: list[Question], formats: TimeFormats, *, is_typed: bool = False
 ) -> None:
     """Keys and questions of the time's format and zone."""
     readings = formats.readings
     if not readings:
-        questions.append(Open("time_format", "how are its time stamps written?"))
+        questions.append(Question("time_format", "how are its time stamps written?"))
     elif not is_typed:
         logs["time_format"] = next(iter(readings))
     if len(readings) > 1:
         said = ", or ".join(f"{reading} by {form}" for form, reading in readings.items())
-        answers = {form: {"time_format": form} for form in readings}
-        questions.append(Open("time_format", f"does it begin on {said}?", answers))
+        questions.append(Question("time_format", f"does it begin on {said}?", tuple(readings)))
     if not formats.has_zone:
         logs["time_zone"] = "UTC"
-        questions.append(Open("time_zone", "the stamps name no zone, such as Europe/Oslo"))
+        questions.append(Question("time_zone", "the stamps name no zone, such as Europe/Oslo"))

@@ -3,9 +3,6 @@
 Imports `ingest`'s contract, `config` and what lies below.
 """
 
-from pipeline.ingest.contract import Reader
-from pipeline.ingest.mcap.log import mcap_time_span, read_mcap_log
+from pipeline.ingest.mcap.log import READER
 
 __all__ = ["READER"]
-
-READER = Reader(read_mcap_log, mcap_time_span)

@@ -6,7 +6,7 @@ What is faster for many messages at once is each encoding's own; this is what al
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
 from pipeline.config.field_paths import FieldPath
-from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.layout import fields_at
 from pipeline.ingest.mcap.messages import Messages
-from pipeline.ingest.time_stamps import WrittenStamps, written_as_numbers, written_as_text
-from pipeline.ingest.wall_clock import LATEST_US
+from pipeline.ingest.time_stamps import LATEST_US, WrittenStamps, written, written_as_numbers
 
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
@@ -57,24 +55,26 @@ class Payloads:
         """The first payload; there is one at least."""
         return self.text[self.start[0] :][: self.length[0]].tobytes()
 
-    def each(self, rows: NDArray[np.intp] | None = None) -> Iterator[bytes]:
-        """One payload after the other; of some messages, or of all."""
-        starts, lengths = (
-            values if rows is None else values[rows] for values in (self.start, self.length)
-        )
+    def each(self) -> Iterator[bytes]:
+        """One payload after the other."""
         text = self.text.data
-        for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
+        for start, length in zip(self.start.tolist(), self.length.tolist(), strict=True):
             yield bytes(text[start : start + length])
 
     def by_length(self) -> Iterator[tuple[NDArray[np.intp], int, memoryview]]:
         """Rows of messages of one length, the length, and their text: a byte and a payload each."""
-        if (self.length == self.length[0]).all():
+        if self.are_of_one_length:
             yield np.arange(self.length.size), int(self.length[0]), self.text.data
             return
         for length in np.flatnonzero(np.bincount(self.length)).tolist():
             rows = np.flatnonzero(self.length == length)
             text = fields_at(self.text.data, self.start[rows] - 1, f"V{length + 1}")
             yield rows, length, text.view(np.uint8).data
+
+    @property
+    def are_of_one_length(self) -> bool:
+        """True if all are of one length."""
+        return bool((self.length == self.length[0]).all())
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +162,7 @@ def _readings(values: list[Any], broken: NDArray[np.bool_], example: str) -> Rea
             return Readings(raw, missing, broken, example if broken.any() else None)
     except OverflowError:
         pass
-    numbers = [_number(value) for value in values]
+    numbers = [number_of(value) for value in values]
     unparsed = broken | (~missing & np.array([one is None for one in numbers], np.bool_))
     first = int(np.argmax(unparsed))
     shown = example if broken[first] else repr(values[first])[:60]
@@ -170,7 +170,8 @@ def _readings(values: list[Any], broken: NDArray[np.bool_], example: str) -> Rea
     return Readings(raw, missing | unparsed, unparsed, shown if unparsed.any() else None)
 
 
-def _number(value: object) -> float | None:
+def number_of(value: object) -> float | None:
+    """A number as a float; None for what is none."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
@@ -203,45 +204,36 @@ def _stamps_of_type(of_type: type, values: list[Any], time_format: str) -> Writt
     if of_type is str:
         # No stamp holds a letter beyond ASCII, and halves of such letters are no text to Arrow.
         texts = pa.array([one if one.isascii() else None for one in values], pa.string())
-        return written_as_text(pa.chunked_array([texts]), time_format)
+        return written([pa.chunked_array([texts])], time_format)
     if of_type is int:
-        return stamps_of_numbers(_int64(values)[0], time_format)
+        return written_as_numbers(_int64(values)[0], time_format)
     if of_type is float:
-        return stamps_of_numbers(np.array(values), time_format)
+        return written_as_numbers(np.array(values), time_format)
     if of_type is dict:
         parts = [pair_of(one) or ("", "") for one in values]
         pairs = [
             [one.get(name) for name in names] for one, names in zip(values, parts, strict=True)
         ]
-        return stamps_of_pairs(_int64([s for s, _ in pairs]), _int64([ns for _, ns in pairs]))
+        return stamps_of_pairs(*(_int64(numbers) for numbers in zip(*pairs, strict=True)))
     return None
 
 
-def _int64(values: Sequence[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+Numbers = tuple[NDArray[Any], NDArray[np.bool_]]
+"""Numbers, and where there is one."""
+
+
+def _int64(values: Sequence[Any]) -> Numbers:
     """Whole numbers, 0 where there is none, and where there is one."""
     there = [type(one) is int and _INT64.min <= one <= _INT64.max for one in values]
     whole = [one if ok else 0 for one, ok in zip(values, there, strict=True)]
     return np.array(whole, np.int64), np.array(there, np.bool_)
 
 
-def pair_of(value: Mapping[str, Any]) -> tuple[str, str] | None:
-    """Names of the seconds and nanoseconds of a stamp."""
-    seconds = next((name for name in SECONDS if name in value), None)
-    nanoseconds = next((name for name in NANOSECONDS if name in value), None)
+def pair_of(names: Container[str]) -> tuple[str, str] | None:
+    """Those names of some that are of the seconds and nanoseconds of a stamp."""
+    seconds = next((name for name in SECONDS if name in names), None)
+    nanoseconds = next((name for name in NANOSECONDS if name in names), None)
     return (seconds, nanoseconds) if seconds and nanoseconds else None
-
-
-def stamps_of_numbers(
-    numbers: NDArray[np.integer] | NDArray[np.floating], time_format: str
-) -> WrittenStamps:
-    """Stamps that are one number; none of them can be read where the format is one of text."""
-    if time_format in EPOCH_UNITS or time_format == EXCEL_DAYS:
-        return written_as_numbers(numbers, time_format)
-    return WrittenStamps(np.zeros(numbers.size, np.int64), np.zeros(numbers.size, np.int8))
-
-
-Numbers = tuple[NDArray[Any], NDArray[np.bool_]]
-"""Numbers, and where there is one."""
 
 
 def stamps_of_pairs(seconds: Numbers, nanoseconds: Numbers) -> WrittenStamps:

@@ -79,6 +79,10 @@ class Messages:
         """Begins of the payloads in the buffer."""
         return self.start + _MESSAGE_HEAD
 
+    def payload(self, i: int) -> bytes:
+        """One of the payloads."""
+        return bytes(self.buffer[self.payload_start[i] : self.payload_end[i]])
+
     def times(self, name: str) -> NDArray[np.uint64]:
         """Their ``log_time`` or ``publish_time`` [ns]."""
         if self.size:

@@ -161,7 +161,7 @@ def _entry(descriptor: Any, step: str | int) -> Value:
     key: Any = str(step)
     if kind.cpp_type == kind.CPPTYPE_BOOL:
         key = {"true": True, "false": False}[key]
-    elif kind.cpp_type != kind.CPPTYPE_STRING:
+    elif kind.cpp_type in _WHOLE_KINDS:
         limits = np.iinfo(_WHOLE_KINDS[kind.cpp_type])
         if not _WHOLE_NUMBER.fullmatch(key) or not limits.min <= int(key) <= limits.max:
             raise LookupError(step)

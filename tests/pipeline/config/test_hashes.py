@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from pipeline.config import Channel, MotorSpec
-from pipeline.config.databases import Database
 from pipeline.config.hashes import SettingsHashes, config_hash, model_hash, reading_hash
+from pipeline.config.logs import Database
 from pipeline.config.motor_types import LaminarPath, LeakageLimits, Unknown
 from pipeline.config.motors import Event
 from pipeline.config.nights import DAY
@@ -273,3 +273,16 @@ def test_a_channel_s_place_in_a_new_log_leaves_the_baseline(spec: MotorSpec) -> 
         False,
         True,
     )
+
+
+def test_model_hash_changes_with_the_oil_and_not_with_the_mode(tmp_path: Path) -> None:
+    change = '[[events]]\ndate = 2026-03-02\nkind = "oil_change"\noil = "vg46"\n'
+    spec = load_motor(tmp_path, motor_toml("M1", more=change))
+    before, after = NIGHT - dt.timedelta(days=1), NIGHT
+    hashes = {
+        (night, mode): model_hash(spec, spec.motor(night, mode), night)
+        for night in (before, after)
+        for mode in ("none", "estimated")
+    }
+    assert hashes[before, "none"] == hashes[before, "estimated"] != hashes[after, "none"]
+    assert len({hashes[after, mode] for mode in ("none", "estimated")}) == 1

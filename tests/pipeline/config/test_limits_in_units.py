@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.config import Channel, Cleaning, TimeBase
+from pipeline.config import Channel, Cleaning
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
-from pipeline.night.masks import frozen, out_of_range, transient
-from pipeline.night.time_base import bring_together
+from pipeline.night.masks import out_of_range
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
 
 Floats = NDArray[np.float64]
@@ -70,37 +69,3 @@ def test_the_ends_of_a_range_are_within_it(channel: str, limits: tuple[float, fl
     outside = np.array([limits[0] - 0.02, limits[1] + 0.02])
     for unit, value in as_read(channel, outside):
         assert out_of_range(value, limits).all(), unit
-
-
-def test_as_fast_as_standstill_goes_is_no_standstill() -> None:
-    rpm = Cleaning().standstill_rpm
-    n = 600
-    for unit, speed in as_read("speed", np.array([rpm, rpm - 0.1] * (n // 2))):
-        channels = {}
-        for name in ONE_OF_EACH:
-            value = speed if name == "speed" else 50.0 + np.arange(n) % 2
-            raw = RawChannel(np.arange(n) * SECOND, value, np.zeros(n, dtype=np.bool_), 0)
-            settings = Channel(source="x", unit=canonical_unit(name), resolution=0.1)
-            channels[name] = clean_channel(raw, ChannelRules.of(name, settings, Cleaning()))
-        _, quality = bring_together(channels, 0, n * SECOND, TimeBase(), Cleaning())
-        still = {one.n_refused for one in quality if one.reason == "standstill"}
-        assert still == {n // 2}, unit
-
-
-def test_a_change_as_fast_as_the_limit_is_no_transient() -> None:
-    value = np.arange(0.0, 100.0, 0.5)
-    present = np.ones(value.size, dtype=np.bool_)
-    for unit, speed in as_read("speed", value):
-        if "float32" in unit:
-            # The difference of two readings has few digits left.
-            continue
-        assert not transient(speed, present, 0.1, 5.0).any(), unit
-        assert transient(speed, present, 0.1, 4.9).all(), unit
-
-
-def test_a_sensor_that_stays_on_a_step_is_frozen() -> None:
-    time_us = np.arange(100) * SECOND
-    for level in (0.1, 49.95, 180.0):
-        for unit, value in as_read("pressure_difference", np.full(100, level)):
-            noisy = np.where(time_us % 2, value, level)
-            assert frozen(time_us, noisy, 0.1, 50.0 * SECOND).all(), unit

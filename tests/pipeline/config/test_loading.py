@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import ConfigError, Fault, load_fleet
+from pipeline.config import Fault
 from pipeline.demo import shipped_configs
-from tests.pipeline.calling import refused
 from tests.pipeline.config.shipped import MOTOR, OIL, TYPE, add, change, faults, load, only_fault
 
 MOTOR_IDS = ["CB1120-01", "CB1120-02", "CB400-01", "CB400-02", "CB560-01", "CB560-02"]
@@ -36,18 +35,6 @@ def test_shipped_counts_are_those_of_the_model(motor_type: str, count: int) -> N
     # model.md, section 3: 8 interfaces a cam row, 3, 4 and 8 rows.
     document = tomllib.loads((shipped_configs() / f"motor_types/{motor_type}.toml").read_text())
     assert [path["count"] for path in document["path"]] == [count] * 4
-
-
-@pytest.mark.parametrize("folder", ["motor_types", "oils"])
-def test_every_placeholder_says_so(folder: str) -> None:
-    files = sorted((shipped_configs() / folder).glob("*.toml"))
-    assert len(files) == 3
-    for file in files:
-        text = file.read_text(encoding="utf-8")
-        assert "PLACEHOLDER" in text.splitlines()[0]
-        document = tomllib.loads(text)
-        parts = document["path"] if folder == "motor_types" else [document]
-        assert [part["source"] for part in parts] == ["placeholder"] * len(parts)
 
 
 def test_the_source_of_a_constant_must_be_named(configs: Path) -> None:
@@ -82,17 +69,6 @@ def test_all_faults_of_all_files_at_once(configs: Path) -> None:
     assert found.keys() <= {(MOTOR, "channels.pressure_difference.unit")}
 
 
-def test_several_faults_of_one_motor_across_its_channels(configs: Path) -> None:
-    change(configs, MOTOR, 'unit = "bar"', 'unit = "hPa"')
-    change(configs, MOTOR, 'unit = "rpm"', 'unit = "Hz"')
-    change(configs, MOTOR, 'oil = "vg68"', 'oil = "vg100"')
-    found = {fault.key: fault.message for fault in faults(configs)}
-    assert found["channels.pressure_difference.unit"].startswith('got "hPa"; expected one of bar,')
-    assert found["channels.speed.unit"] == 'got "Hz"; expected one of rpm, 1/s, rad/s, deg/s'
-    assert found["oil"] == 'got "vg100"; expected one of vg32, vg46, vg68'
-    assert len(found) == 3
-
-
 def test_a_fleet_file_with_faults_hides_no_motor_s(configs: Path) -> None:
     change(configs, "fleet.toml", 'name = "Demo fleet"', "name = 7")
     change(configs, MOTOR, 'oil = "vg68"', 'oil = "vg100"')
@@ -107,28 +83,8 @@ def test_a_fault_of_a_type_is_reported_once_not_for_each_motor(configs: Path) ->
     assert only_fault(configs).file == TYPE
 
 
-def test_message_counts_and_names_them(configs: Path) -> None:
-    change(configs, MOTOR, 'oil = "vg68"', 'oil = "vg100"')
-    fault = f'{MOTOR}: oil: got "vg100"; expected one of vg32, vg46, vg68'
-    with refused("config", f"1 config fault\n  {fault}"):
-        load(configs)
-
-
-def test_a_wrong_unit_is_told_beside_other_faults_of_its_file(configs: Path) -> None:
-    change(configs, MOTOR, 'unit = "rpm"', 'unit = "rmp"')
-    change(configs, MOTOR, "resolution = 0.1", 'resolution = "fine"')
-    found = {fault.key for fault in faults(configs)}
-    assert "channels.speed.unit" in found
-    assert any(key.endswith(".resolution") for key in found)
-
-
 def test_no_fleet_file(tmp_path: Path) -> None:
     assert str(only_fault(tmp_path)) == "fleet.toml: cannot be read: No such file or directory"
-
-
-def test_a_folder_instead_of_the_fleet_file(configs: Path) -> None:
-    with pytest.raises(ConfigError, match=r"configs: cannot be read: Is a directory"):
-        load_fleet(configs)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +114,7 @@ def test_what_never_ends_is_told_and_not_read(
 ) -> None:
     path = configs / MOTOR
     if kind == "huge":
-        monkeypatch.setattr("pipeline.config.files.LARGEST", path.stat().st_size - 1)
+        monkeypatch.setattr("pipeline.config.loading.LARGEST", path.stat().st_size - 1)
     else:
         path.unlink()
     if kind == "pipe":
@@ -183,12 +139,6 @@ def test_a_file_may_begin_with_a_byte_order_mark(configs: Path) -> None:
     assert len(load(configs).motors) == 6
 
 
-def test_an_empty_motor_file(configs: Path) -> None:
-    (configs / MOTOR).write_bytes(b"")
-    keys = {fault.key for fault in faults(configs)}
-    assert keys == {"motor_id", "motor_type", "oil", "logs", "channels"}
-
-
 def test_folders_that_are_not_there(configs: Path) -> None:
     for name in ("motors", "motor_types", "oils"):
         (configs / name).rename(configs / f"old_{name}")
@@ -201,14 +151,6 @@ def test_a_folder_without_motors(configs: Path) -> None:
     for path in (configs / "motors").iterdir():
         path.unlink()
     assert only_fault(configs).message == "expected at least one motor's file"
-
-
-def test_folders_are_those_of_the_fleet_file(configs: Path) -> None:
-    (configs / "motors").rename(configs.parent / "my motors")
-    change(configs, "fleet.toml", 'output = "../out"', 'motors = "../my motors"\noutput = "../o"')
-    fleet = load(configs)
-    assert len(fleet.motors) == 6
-    assert fleet.output == configs.parent / "o"
 
 
 NO_FOLDERS = {

@@ -40,13 +40,6 @@ def hours(label: dt.date, nights: Nights) -> float:
     return (here.end_us - here.start_us) / HOUR
 
 
-def test_label_is_the_local_date_of_the_end() -> None:
-    """The night of 2 March: from 1 March 06:00 to 2 March 06:00 in Oslo, 05:00 UTC."""
-    here = night(dt.date(2026, 3, 2), OSLO)
-    assert here.date == dt.date(2026, 3, 2)
-    assert (here.start_us, here.end_us) == (utc(2026, 3, 1, 5), utc(2026, 3, 2, 5))
-
-
 def test_half_open() -> None:
     here = night(dt.date(2026, 3, 2), OSLO)
     assert night_of(here.start_us - 1, OSLO) == here.date - DAY
@@ -81,26 +74,6 @@ class TestClockChange:
             assert hours(label, nights) + hours(label + DAY, nights) == both
         assert night(label, Nights(time_zone="Europe/Oslo", end_hour=2)).end_us == utc(*end)
 
-    def test_both_passes_of_the_repeated_hour(self) -> None:
-        nights = Nights(time_zone="Europe/Oslo", end_hour=2)
-        for fold in (0, 1):
-            moment = local(nights, 2026, 10, 25, 2, 30, fold=fold)
-            assert night_of(moment, nights) == AUTUMN + DAY
-        assert night_of(local(nights, 2026, 10, 25, 1, 59), nights) == AUTUMN
-
-
-def test_midnight_ends_the_day_before() -> None:
-    """A night that ends at 00:00 of 2 March is all of 1 March, and labelled 2 March."""
-    nights = Nights(end_hour=0)
-    assert night_of(utc(2026, 3, 1, 0), nights) == dt.date(2026, 3, 2)
-    assert night_of(utc(2026, 3, 1, 23), nights) == dt.date(2026, 3, 2)
-    assert night(dt.date(2026, 3, 2), nights).end_us == utc(2026, 3, 2)
-
-
-def test_month_and_year_ends() -> None:
-    assert night_of(utc(2026, 12, 31, 23), Nights()) == dt.date(2027, 1, 1)
-    assert night_of(utc(2028, 2, 28, 23), Nights()) == dt.date(2028, 2, 29)
-
 
 @given(MOMENTS, ANY_NIGHTS)
 def test_a_moment_lies_within_its_night(moment: int, nights: Nights) -> None:
@@ -123,14 +96,6 @@ def test_nights_follow_without_gap_or_overlap(label: dt.date, nights: Nights) ->
 def test_nights_of_many_moments_are_those_of_each(moments: list[int], nights: Nights) -> None:
     expected = {night_of(moment, nights) for moment in moments}
     assert nights_of(np.array(moments, np.int64), nights) == expected
-
-
-def test_nights_of_borders() -> None:
-    here = night(SPRING, OSLO)
-    assert nights_of(np.array([here.start_us, here.end_us - 1]), OSLO) == {SPRING}
-    assert nights_of(np.array([here.start_us, here.end_us]), OSLO) == {SPRING, SPRING + DAY}
-    far = np.array([here.start_us, here.start_us + 100 * 24 * HOUR])
-    assert len(nights_of(far, OSLO)) == 2  # none of those between
 
 
 def test_nights_between_has_both_ends() -> None:

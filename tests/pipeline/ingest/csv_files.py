@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-import pipeline.ingest.csv.log
+import pipeline.ingest.csv
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
-from pipeline.ingest.csv.text import read_lines
+from pipeline.ingest.csv_text import read_lines
 
 from .sources import Source, column
 
@@ -36,4 +36,4 @@ def error(
 
 def in_pieces(patch: pytest.MonkeyPatch, size: int) -> None:
     """Have texts read in pieces of so many bytes."""
-    patch.setattr(pipeline.ingest.csv.log, "read_lines", lambda *at: read_lines(*at[:2], size))
+    patch.setattr(pipeline.ingest.csv, "read_lines", lambda *at: read_lines(*at[:2], size))

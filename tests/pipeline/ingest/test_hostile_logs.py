@@ -1,6 +1,6 @@
 """Logs made to harm: of a few kilobytes that unfold to gigabytes, or that would take for ever.
 
-They are read in another process, as what goes wrong here may end one. `docs/security.md` has the
+They are read in another process, as what goes wrong here may end one. `docs/operations.md` has the
 limits.
 """
 
@@ -250,7 +250,7 @@ def test_a_table_of_another_width_is_not_read_to_its_end(
     right = f"{STAMP},1\n".encode()
     path.write_bytes(b"time,n\n" + other * 80_000 + right * 200_000)
     assert read_log(path, *CSV).rows == 200_000
-    monkeypatch.setattr("pipeline.ingest.csv.log._MANY_RAGGED", 50_000)
+    monkeypatch.setattr("pipeline.ingest.csv._MANY_RAGGED", 50_000)
     with pytest.raises(LogError, match="rows have not the header's 2 cells") as raised:
         read_log(path, *CSV)
     assert raised.value.code == "log_not_csv"
@@ -266,7 +266,7 @@ def test_what_takes_more_memory_than_there_is_has_a_code(
     def no_memory(*_: object) -> object:
         raise MemoryError
 
-    monkeypatch.setattr("pipeline.ingest.csv.log.read_lines", no_memory)
+    monkeypatch.setattr("pipeline.ingest.csv.read_lines", no_memory)
     with pytest.raises(LogError, match=r"log\.csv: it takes more memory") as raised:
         read(path, *CSV)
     assert raised.value.code == "log_too_large"

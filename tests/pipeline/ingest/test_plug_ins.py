@@ -101,40 +101,46 @@ def test_a_reader_gets_its_options_and_the_defaults(install: Install, tmp_path: 
 @pytest.mark.parametrize(
     ("code", "says"),
     [
-        ("import nowhere", "cannot be loaded: ModuleNotFoundError"),
-        ("READER = 1", "is no Reader but of type int"),
-        ("def read(file):\n    raise KeyError('x')\nREADER = Reader(read)", "failed: KeyError"),
-        ("def read(file):\n    raise SystemExit\nREADER = Reader(read)", "failed: SystemExit"),
-        ("READER = Reader(lambda file: 7)", "gave no RawLog but a int"),
-        ("READER = Reader(lambda file: RawLog({}, 0, None, None))", "gave the channels none"),
+        ("import nowhere", "ModuleNotFoundError"),
+        ("READER = 1", "TypeError: no Reader but a int"),
+        ("def read(file):\n    raise KeyError('x')\nREADER = Reader(read)", "KeyError"),
+        ("def read(file):\n    raise SystemExit\nREADER = Reader(read)", "SystemExit"),
+        ("READER = Reader(lambda file: 7)", "ValueError: gave no RawLog but a int"),
+        (
+            "READER = Reader(lambda file: RawLog({}, 0, None, None))",
+            "ValueError: gave the channels none",
+        ),
         (
             "READER = Reader(lambda file: RawLog(dict.fromkeys(file.channels), 0, None, None))",
-            "gave what cannot be used",
+            "AttributeError",
         ),
         (
             "def read(file):\n    a = np.arange(2)\n    one = RawChannel(a, a, a > 3, 0)\n"
             "    return RawLog(dict.fromkeys(file.channels, one), 2, 0, 1)\nREADER = Reader(read)",
-            "gave value of pressure_difference as ndarray of int64",
+            "ValueError: gave value of pressure_difference as ndarray of int64",
         ),
         (
             "def read(file):\n    a = np.arange(2)\n    one = RawChannel(a, a + 0.5, a > 3, 0)\n"
             "    return RawLog(dict.fromkeys(file.channels, one), 2, 0, 1)\nREADER = Reader(read)",
-            "gave time stamps before 1990",
+            "ValueError: gave time stamps from .* before 1990",
         ),
         (
             "READER = Reader(lambda file: made(file, time=6_000_000_000_000_000))",
-            "gave time stamps before 1990 or in the future",
+            "ValueError: gave time stamps from .* before 1990 or in the future",
         ),
         (
             "READER = Reader(lambda file: made(file, bad=np.zeros(3, bool)))",
-            r"gave bad_quality of pressure_difference as ndarray of bool \(3,\)",
+            r"ValueError: gave bad_quality of pressure_difference as ndarray of bool \(3,\)",
         ),
         (
             "READER = Reader(lambda file: made(file, np.ma.ones(1)))",
-            "gave value of pressure_difference as MaskedArray",
+            "ValueError: gave value of pressure_difference as MaskedArray",
         ),
-        ("READER = Reader(lambda file: made(file, count='2'))", "gave rows as '2', not as a count"),
-        ("READER = Reader(lambda file: made(file, notes=[]))", r"gave notes as \[\]"),
+        (
+            "READER = Reader(lambda file: made(file, count='2'))",
+            "ValueError: gave rows as '2', not as a count",
+        ),
+        ("READER = Reader(lambda file: made(file, notes=[]))", r"ValueError: gave notes as \[\]"),
     ],
     ids=lambda text: text[-20:],
 )
@@ -145,7 +151,7 @@ def test_what_a_reader_does_wrong_is_an_error_of_the_log(
     log = tmp_path / "log"
     log.write_text("x")
     for read in (read_log, time_span):
-        with pytest.raises(LogError, match=f"reader evil of evil 1.0 {says}") as caught:
+        with pytest.raises(LogError, match=f"reader evil of evil 1.0 failed: {says}") as caught:
             read(log, logs_of("evil"), CHANNELS)
         assert caught.value.code == "log_reader"
 
@@ -168,14 +174,14 @@ def test_what_a_reader_says_of_a_log_is_checked_as_well(
     log = tmp_path / "log"
     log.write_text("x")
     for number, (span, says) in enumerate(
-        (("lambda file: (3, 2)", r"\(3, 2\) as the span"), ("lambda file: (0, 1)", "before 1990"))
+        (("lambda file: (3, 2)", "from 3 to 2"), ("lambda file: (0, 1)", "before 1990"))
     ):
         name = f"say{number}"
         install(name, code=HEAD + code.format(span=span))
         with pytest.raises(LogError, match=says):
             time_span(log, logs_of(name), CHANNELS)
-        with pytest.raises(LogError, match="gave None as units"):
+        with pytest.raises(LogError, match="AttributeError"):
             header_units(log, logs_of(name), CHANNELS)
-        with pytest.raises(LogError, match="gave 3 as a piece"):
+        with pytest.raises(LogError, match="TypeError"):
             read_piece(log, logs_of(name), CHANNELS, None, Place(), 1)
     assert capsys.readouterr() == ("", "said\nsaid\n")

@@ -11,12 +11,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from mcap_ros2._dynamic import serialize_dynamic
 
 import pipeline.ingest.mcap.log
-from pipeline.config import ConfigError, load_fleet
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.ingest.conformance import T0_US
@@ -25,7 +21,6 @@ from tests.pipeline.ingest.csv_files import in_pieces
 from tests.pipeline.ingest.quality_files import (
     CASES,
     EXPECTED,
-    NUMBERS,
     PRESSURE,
     SPEED,
     csv_lines,
@@ -33,11 +28,9 @@ from tests.pipeline.ingest.quality_files import (
     json_mcap,
     protobuf_mcap,
     read,
-    schema_mcap,
     text,
     wide_csv,
 )
-from tests.pipeline.simulated import motor_toml, write_configs
 
 from .sources import Source, changed, column
 
@@ -55,15 +48,6 @@ def test_what_the_log_does_not_call_good_is_bad(
     assert not speed.bad_quality.flags.writeable
     others = [one for name, one in log.channels.items() if name != "speed"]
     assert [one.bad_quality for one in others] == [None] * len(others)
-
-
-@every_way
-def test_a_log_that_names_no_quality_says_nothing(
-    write: Callable[[Path], tuple[Path, Source]], tmp_path: Path
-) -> None:
-    path, source = write(tmp_path)
-    plain = {name: changed(one, quality_source="") for name, one in source.channels.items()}
-    assert read_log(path, *source.but(plain)).channels["speed"].bad_quality is None
 
 
 @every_way
@@ -91,16 +75,6 @@ def test_pieces_of_a_file_change_nothing(
         bad = read(write(tmp_path)).channels["speed"].bad_quality
         assert bad is not None
         assert bad.tolist() == EXPECTED
-
-
-def test_rows_without_a_time_take_their_quality_with_them(tmp_path: Path) -> None:
-    path, source = wide_csv(tmp_path)
-    lines = path.read_text().splitlines()
-    lines[4] = "yesterday" + lines[4][lines[4].index(",") :]
-    path.write_text("\n".join([*lines, ""]))
-    bad = read_log(path, *source).channels["speed"].bad_quality
-    assert bad is not None
-    assert bad.tolist() == EXPECTED[:3] + EXPECTED[4:]
 
 
 def test_channels_may_share_a_column_and_differ_in_what_is_good(tmp_path: Path) -> None:
@@ -163,16 +137,6 @@ def test_only_plain_digits_are_a_code(word: str) -> None:
     assert states.tolist() == [1, 0]
 
 
-@given(st.lists(st.sampled_from(["Good", "192", "0", "Bad", "", None, "x", "64.5"]), max_size=60))
-def test_any_qualities_as_one_by_one(words: list[str | None]) -> None:
-    expected = [word in ("Good", "192") for word in words]
-    in_chunks = pa.chunked_array([words[:7], words[7:9], words[9:]], pa.string())
-    for cells in (pa.array(words, pa.string()), in_chunks):
-        states = quality_states(Path("log"), "quality", cells, ("Good", 192))
-        assert (states == 0).tolist() == expected
-        assert (states == 2).tolist() == [word in ("", None) for word in words]
-
-
 @pytest.mark.parametrize(
     "cells",
     [
@@ -193,41 +157,6 @@ def test_what_is_no_quality(tmp_path: Path, cells: pa.Array) -> None:
     assert raised.value.code == "log_type"
 
 
-def test_a_path_that_is_none(tmp_path: Path) -> None:
-    text = motor_toml("M1")
-    text = text.replace('source = "speed"\n', 'source = "speed"\nquality_source = "a..b"\n')
-    load_fleet(write_configs(tmp_path, {"M1": text}))  # a column may be called so
-    text = text.replace('format = "parquet"', 'format = "mcap"')
-    with pytest.raises(ConfigError, match=r"channels\.speed\.quality_source"):
-        load_fleet(write_configs(tmp_path, {"M1": text}))
-
-
-@pytest.mark.parametrize(
-    ("keys", "place"),
-    [
-        ("quality_good = [192]", "quality_good"),
-        ('quality_source = "q"\nquality_good = []', "quality_good"),
-        ('quality_source = "q"\nquality_good = 192', "quality_good"),
-        ('quality_source = "q"\nquality_good = [[192]]', "quality_good"),
-        ("quality_source = 1", "quality_source"),
-    ],
-)
-def test_keys_that_cannot_be(tmp_path: Path, keys: str, place: str) -> None:
-    text = motor_toml("M1").replace('source = "speed"\n', f'source = "speed"\n{keys}\n')
-    with pytest.raises(ConfigError) as caught:
-        load_fleet(write_configs(tmp_path, {"M1": text}))
-    assert [fault.key for fault in caught.value.faults] == [f"channels.speed.{place}"]
-
-
-def test_what_is_good_keeps_its_type(tmp_path: Path) -> None:
-    keys = 'quality_source = "q"\nquality_good = ["ok", 0, true]\n'
-    text = motor_toml("M1").replace('source = "speed"\n', f'source = "speed"\n{keys}')
-    (spec,) = load_fleet(write_configs(tmp_path, {"M1": text})).motors
-    channels = spec.file.channels
-    assert repr(channels["speed"].quality_good) == "('ok', 0, True)"
-    assert channels["oil_temperature"].quality_source == ""
-
-
 def test_parts_of_a_channel_are_joined_with_their_quality() -> None:
     def part(bad: list[bool] | None) -> RawChannel:
         return RawChannel(
@@ -244,15 +173,3 @@ def test_parts_of_a_channel_are_joined_with_their_quality() -> None:
     assert both.unparsed == 2
     assert RawChannel.joined([part(None), part(None)]).bad_quality is None
     assert both.rows(slice(1, None)).bad_quality is not None
-
-
-def test_ros_2_messages(tmp_path: Path) -> None:
-    """Its fields are always set, so a missing value is a nan."""
-    definition = "float64 value\nuint8 quality\n"
-    encode = serialize_dynamic("t/msg/N", definition)["t/msg/N"]
-    cases = [case for case in NUMBERS if case.value is not None and case.quality is not None]
-    payloads = [encode({"value": case.value, "quality": case.quality}) for case in cases]
-    schema = ("t/msg/N", "ros2msg", definition.encode())
-    bad = read(schema_mcap(tmp_path, schema, "cdr", payloads)).channels["speed"].bad_quality
-    assert bad is not None
-    assert bad.tolist() == [case.is_bad for case in cases]

@@ -63,32 +63,11 @@ def test_each_channel_has_its_own_rows(tmp_path: Path, kind: str) -> None:
 
 
 @each_kind
-def test_a_slow_channel_of_shared_rows_is_missing_in_between(tmp_path: Path, kind: str) -> None:
-    cells: Cells = {
-        "dp": [1.0, 2.0, None, 4.0, 5.0, 6.0],
-        "T": [50.0, None, None, 50.5, None, None],
-        "q": [1.5, 1.6, 1.7, None, None, 1.9],
-    }
-    log = read(tmp_path, kind, cells, CHANNELS)
-    for name, channel in CHANNELS.items():
-        raw = log.channels[name]
-        assert raw.missing.tolist() == [cell is None for cell in cells[channel.source]]
-
-
-@each_kind
 def test_a_channel_without_any_reading_keeps_its_blank_cells(tmp_path: Path, kind: str) -> None:
     cells: Cells = {"dp": [1.0, None, 2.0], "T": [None] * 3, "q": [None, 1.5, None]}
     log = read(tmp_path, kind, cells, CHANNELS)
     assert log.channels["oil_temperature"].missing.tolist() == [True] * 3
     assert seconds(log, "leakage_flow") == [1]
-
-
-@each_kind
-def test_one_column_alone_has_no_others(tmp_path: Path, kind: str) -> None:
-    twice = {**PRESSURE, "high_port_pressure": column("dp", "bar")}
-    for channels in (PRESSURE, twice):
-        log = read(tmp_path, kind, {"dp": [1.0, None, 2.0]}, channels)
-        assert all(c.missing.tolist() == [False, True, False] for c in log.channels.values())
 
 
 def test_two_channels_of_one_column_do_not_share_rows_with_each_other(tmp_path: Path) -> None:

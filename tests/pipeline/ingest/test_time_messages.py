@@ -6,13 +6,12 @@ from datetime import datetime
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from pipeline.config.time_formats import EPOCH_UNITS
 from pipeline.errors import LogError
 from pipeline.ingest import read_log
-from pipeline.ingest.time_stamps import example_of, placed, written_as_text
+from pipeline.ingest.time_stamps import example_of, placed, written
 
 from .sources import Source, column
 
@@ -71,30 +70,12 @@ def test_a_number_beyond_any_time_is_counted(tmp_path: Path, time_format: str, c
     assert found.channels["speed"].time_us.tolist() == [1740808800_000000] * 2
 
 
-def test_where_cells_are_blank_there_is_none_to_show(tmp_path: Path) -> None:
-    message = told(log(tmp_path, "", ""), Source.of("csv", SPEED, separator=";"))
-    assert "'time' in format iso8601 (such as 2025-03-01T06:00:00Z)" in message
-
-
-def test_a_number_of_parquet_is_shown(tmp_path: Path) -> None:
-    path = tmp_path / "log.parquet"
-    pq.write_table(pa.table({"time": pa.array([None, 77, 78]), "n": [1.0, 2.0, 3.0]}), path)
-    source = Source.of("parquet", SPEED, time_format="epoch_ms")
-    assert "(such as 1740808800000; here is '77')" in told(path, source)
-
-
-def test_an_hour_that_does_not_exist_is_shown(tmp_path: Path) -> None:
-    source = Source.of("csv", SPEED, separator=";", time_zone="Europe/Berlin")
-    message = told(log(tmp_path, "2025-03-30T02:30:00"), source)
-    assert "here is '2025-03-30 02:30:00'), lie in an hour that does not exist" in message
-
-
 @pytest.mark.parametrize(
     "time_format",
     ["iso8601", *EPOCH_UNITS, "excel_days", "%d.%m.%Y %H:%M:%S,%f", "%Y-%j %H:%M %z"],
 )
 def test_the_example_is_read_in_its_format(time_format: str) -> None:
     cells = pa.chunked_array([[example_of(time_format)]])
-    stamps = placed(written_as_text(cells, time_format), "UTC")
+    stamps = placed(written([cells], time_format), "UTC")
     assert stamps.readable.all()
     assert stamps.time_us[0] == datetime.fromisoformat("2025-03-01T06:00Z").timestamp() * 1e6

@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.ingest.conformance import T0_US
-from pipeline.ingest.gathering import GatheredStamps
-from pipeline.ingest.time_stamps import from_epoch, placed, written_as_text, written_as_timestamps
-from pipeline.ingest.wall_clock import TimeStamps, from_naive
+from pipeline.ingest.gathering import Gathered
+from pipeline.ingest.time_stamps import TimeStamps, from_epoch, from_naive, placed, written
 
 MICROSECOND = timedelta(microseconds=1)
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -26,7 +25,7 @@ def us(moment: datetime) -> int:
 
 
 def read(texts: list[str | None], time_format: str = "iso8601", zone: str = "UTC") -> TimeStamps:
-    return placed(written_as_text(pa.chunked_array([texts], pa.string()), time_format), zone)
+    return placed(written([pa.chunked_array([texts], pa.string())], time_format), zone)
 
 
 def local(*texts: str, zone: str) -> list[int]:
@@ -79,15 +78,6 @@ def test_what_is_no_stamp(text: str) -> None:
     assert stamps.time_us.tolist() == [0, T0_US]
 
 
-def test_fractions_may_come_and_go() -> None:
-    # datetime.isoformat() leaves the fraction out where it is zero.
-    stamps = [datetime(2025, 3, 1, 6, tzinfo=UTC) + timedelta(milliseconds=500 * i) for i in (0, 1)]
-    assert read([stamp.isoformat() for stamp in stamps]).time_us.tolist() == [
-        T0_US,
-        T0_US + 500_000,
-    ]
-
-
 @given(st.lists(moments, min_size=1, max_size=20), st.integers(-14 * 60, 14 * 60), st.booleans())
 def test_iso_8601_as_datetime_writes_it(
     times: list[datetime], minutes: int, bad_cell: bool
@@ -128,13 +118,6 @@ def test_formats_mean_what_they_mean_to_python(time_format: str, text: str, offs
     assert in_tokyo == [T0_US + offset_us - nine_hours]
 
 
-@given(st.lists(moments, min_size=1, max_size=10))
-def test_formats_as_strftime_writes_them(times: list[datetime]) -> None:
-    for time_format in ("%d.%m.%Y %H:%M:%S,%f", "%Y/%m/%d %I:%M:%S.%f %p", "%j %Y %H:%M:%S.%f"):
-        stamps = read([time.strftime(time_format) for time in times], time_format)
-        assert stamps.time_us.tolist() == [us(time.replace(tzinfo=UTC)) for time in times]
-
-
 @pytest.mark.parametrize(
     ("time_format", "text", "offset_us"),
     [
@@ -155,24 +138,6 @@ def test_time_since_1970_as_text(time_format: str, text: str, offset_us: int) ->
         assert stamps.time_us[0] == T0_US + offset_us
 
 
-@given(st.integers(us(datetime(1990, 1, 2, tzinfo=UTC)), us(datetime(2199, 1, 1, tzinfo=UTC))))
-def test_whole_numbers_since_1970_are_exact(time_us: int) -> None:
-    for time_format, count in (("epoch_us", time_us), ("epoch_ns", time_us * 1000 + 999)):
-        assert from_epoch(np.array([count]), time_format).time_us.tolist() == [time_us]
-        assert from_epoch(np.array([count], np.uint64), time_format).time_us.tolist() == [time_us]
-        assert read([str(count), "?"], time_format).time_us.tolist() == [time_us, 0]
-    for time_format, unit in (("epoch_s", 1_000_000), ("epoch_ms", 1000)):
-        stamps = from_epoch(np.array([time_us // unit]), time_format)
-        assert stamps.time_us.tolist() == [time_us // unit * unit]
-
-
-@pytest.mark.parametrize("number", [np.nan, np.inf, -1.0, 0.0, 1e300, 1740808800e3, 1740808800e6])
-def test_numbers_that_cannot_be_a_time(number: float) -> None:
-    stamps = from_epoch(np.array([number]), "epoch_s")
-    assert not stamps.readable.any()
-    assert stamps.time_us.tolist() == [0]
-
-
 def test_the_largest_integers_are_no_time() -> None:
     for dtype in (np.int64, np.uint64):
         largest = np.array([np.iinfo(dtype).max, np.iinfo(dtype).min], dtype)
@@ -187,7 +152,7 @@ def test_arrow_timestamps_of_every_unit(unit: str, zone: str | None) -> None:
     per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
     counts = [1740808800 * per_second, None, 0, 2**62, -(2**62)]
     column = pa.chunked_array([counts[:2], counts[2:]], pa.timestamp(unit, zone))
-    stamps = placed(written_as_timestamps(column), "UTC")
+    stamps = placed(written([column], "iso8601"), "UTC")
     assert stamps.time_us[:3].tolist() == [T0_US, 0, 0]
     assert stamps.readable[:3].tolist() == [True, False, False]
 
@@ -266,32 +231,14 @@ def test_an_hour_that_does_not_exist_is_refused_and_counted() -> None:
 def test_a_log_in_pieces_is_placed_as_a_whole() -> None:
     texts = ["2025-10-26T01:30:00", "2025-10-26T02:31:00", "2025-10-26T02:00:00"]
     texts += ["2025-10-26T02:45:00", "2025-10-26T03:15:00"]
-    gathered = GatheredStamps()
+    gathered = Gathered()
     for text in texts:
-        gathered.add(written_as_text(pa.chunked_array([[text]]), "iso8601"))
+        gathered.add(written([pa.chunked_array([[text]])], "iso8601"), {}, {})
     whole = read(list(texts), zone="Europe/Stockholm")
-    assert placed(gathered.taken(), "Europe/Stockholm").time_us.tolist() == whole.time_us.tolist()
+    assert gathered.stamps("Europe/Stockholm").time_us.tolist() == whole.time_us.tolist()
     offsets = ["+02:00", "+02:00", "+01:00", "+01:00", "+01:00"]
     wanted = [us(datetime.fromisoformat(t + o)) for t, o in zip(texts, offsets, strict=True)]
     assert whole.time_us.tolist() == wanted
-
-
-@pytest.mark.parametrize(
-    ("days", "moment"),
-    [
-        # 1 January 2008 is day 39448 in Microsoft's documentation of DATEVALUE.
-        ("39448", datetime(2008, 1, 1, tzinfo=UTC)),
-        ("45717.25", datetime(2025, 3, 1, 6, tzinfo=UTC)),
-        ("45717.2500115741", datetime(2025, 3, 1, 6, 0, 1, tzinfo=UTC)),
-    ],
-)
-def test_days_of_a_spreadsheet(days: str, moment: datetime) -> None:
-    stamps = read([days, f" {days} ", "?", None], "excel_days")
-    assert stamps.time_us.tolist() == [us(moment), us(moment), 0, 0]
-    in_tokyo = read([days], "excel_days", "Asia/Tokyo").time_us.tolist()
-    assert in_tokyo == [us(moment) - 9 * 3600 * 1_000_000]
-    for number in (-1.0, 0.0, 1e300, np.inf, np.nan):
-        assert not read([repr(number)], "excel_days").readable.any()
 
 
 @given(st.lists(st.text(max_size=30) | st.none(), max_size=10))

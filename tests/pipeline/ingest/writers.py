@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from google.protobuf import descriptor_pb2
 from mcap.writer import CompressionType, IndexType, Writer
 
 from pipeline.ingest.conformance import Cell, Format, Row
@@ -62,28 +64,58 @@ def write_parquet(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None
     pq.write_table(table, path, row_group_size=37, write_page_checksum=True)
 
 
-def write_other_parquet(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
-    """Naive nanoseconds of a zone, Snappy, old pages, columns the other way round."""
-    winter = timedelta(hours=1) // timedelta(microseconds=1)
-    stamps = pa.array([(row.time_us + winter) * 1000 for row in rows], pa.timestamp("ns"))
-    table = pa.table({**dict(reversed(columns(rows, names).items())), "time": stamps})
-    pq.write_table(table, path, compression="snappy", use_dictionary=False)
+DESCRIPTORS = descriptor_pb2.FileDescriptorSet(
+    file=[
+        descriptor_pb2.FileDescriptorProto(
+            name="value.proto",
+            package="motor",
+            syntax="proto3",
+            message_type=[
+                descriptor_pb2.DescriptorProto(
+                    name="Value",
+                    field=[
+                        descriptor_pb2.FieldDescriptorProto(name="value", number=1, type=1, label=1)
+                    ],
+                )
+            ],
+        )
+    ]
+)
+ENCODINGS: dict[str, tuple[tuple[str, str, bytes], Callable[[str, Cell], bytes]]] = {
+    "json": (
+        ("Value", "jsonschema", b'{"type": "object"}'),
+        lambda name, cell: json.dumps({"sensor": name, "value": cell}).encode(),
+    ),
+    "protobuf": (
+        ("motor.Value", "protobuf", DESCRIPTORS.SerializeToString()),
+        lambda _, cell: b"\x09" + struct.pack("<d", cell),
+    ),
+    # Little endian: a text "oil", aligned to four, then a float64, aligned to eight.
+    "cdr": (
+        ("motor/msg/Value", "ros2msg", b"string sensor\nfloat64 value\n"),
+        lambda _, cell: b"\x00\x01\x00\x00" + struct.pack("<I4sd", 4, b"oil", cell),
+    ),
+}
 
 
-def write_mcap(**options: Any) -> Callable[[Path, Sequence[Row], Sequence[str]], None]:
+def write_mcap(
+    encoding: str = "json", **options: Any
+) -> Callable[[Path, Sequence[Row], Sequence[str]], None]:
+    schema, encode = ENCODINGS[encoding]
+
     def write(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
         # Without messages mcap 1.6 leaves the channels out of the checksum of the data section.
         data_crcs = options.get("enable_data_crcs", False) and bool(rows)
         with path.open("wb") as file:
             writer = Writer(file, chunk_size=2000, **options | {"enable_data_crcs": data_crcs})
             writer.start()
-            schema = writer.register_schema("Value", "jsonschema", b'{"type": "object"}')
-            ids = {name: writer.register_channel(name, "json", schema) for name in names}
+            number = writer.register_schema(*schema)
+            ids = {name: writer.register_channel(name, encoding, number) for name in names}
             for row in rows:
                 for name in names:
                     if name in row.cells:
-                        message = json.dumps({"sensor": name, "value": row.cells[name]}).encode()
                         time_ns = row.time_us * 1000 + 999
+                        message = encode(name, row.cells[name])
                         writer.add_message(ids[name], time_ns, message, time_ns + 1000)
             writer.finish()
 
@@ -121,16 +153,8 @@ FORMATS = (
         has_whole_rows=True,
     ),
     Format("parquet", "parquet", write_parquet, holds_text=False),
-    Format(
-        "parquet-other",
-        "parquet",
-        write_other_parquet,
-        keys={"time_zone": "Europe/Berlin"},
-        holds_text=False,
-    ),
     _mcap("mcap-zstd", compression=CompressionType.ZSTD),
     _mcap("mcap-lz4", compression=CompressionType.LZ4),
-    _mcap("mcap-none", compression=CompressionType.NONE),
     _mcap("mcap-not-chunked", use_chunking=False, enable_data_crcs=True),
     _mcap(
         "mcap-bare",

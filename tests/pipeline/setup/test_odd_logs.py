@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.pipeline.calling import Call, Called
@@ -69,37 +67,24 @@ def said(called: Called) -> str:
     return out + err
 
 
-@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    odd=st.fixed_dictionaries({name: st.sampled_from(list(ODD)) for name in CANONICAL}),
-    rows=st.sampled_from([1, 2, 3, 29, 31, 1200]),
-    times=st.sampled_from(list(TIMES)),
-    counted=st.booleans(),
+@pytest.mark.parametrize(
+    ("kind", "rows", "times", "counted"),
+    [
+        *((kind, 1200, "sound", False) for kind in ODD),
+        ("infinite", 1200, "sound", True),
+        *(("sound", rows, "sound", True) for rows in (1, 2, 29, 31)),
+        *(("sound", 1200, times, False) for times in TIMES),
+    ],
 )
-@example(odd=dict.fromkeys(CANONICAL, "constant"), rows=1200, times="sound", counted=False)
-@example(odd=dict.fromkeys(CANONICAL, "largest"), rows=1200, times="sound", counted=False)
-@example(odd=dict.fromkeys(CANONICAL, "infinite"), rows=1200, times="sound", counted=True)
 def test_check_of_any_log(
-    workshop: Workshop,
-    call: Call,
-    odd: Mapping[str, str],
-    rows: int,
-    times: str,
-    counted: bool,
+    workshop: Workshop, call: Call, kind: str, rows: int, times: str, counted: bool
 ) -> None:
     motor = motor_toml("M1", "MINI")
     workshop.take(motor.replace('unit = "l/min"', COUNTED) if counted else motor)
-    log = write(workshop, odd, rows, times)
+    log = write(workshop, dict.fromkeys(CANONICAL, kind), rows, times)
     text = said(call("check", workshop.fleet))
     assert all(f"\n{name}\t" in text for name in CANONICAL)
     assert "M1\tspeed\tspeed\t" in said(call("init", log)).replace("log\t", "M1\t")
-
-
-def check_unknown(workshop: Workshop, call: Call) -> None:
-    """Check that `status` knows of a motor that it knows nothing."""
-    shown = said(call("status", workshop.fleet)).splitlines()[1].split("\t")
-    unknown = ["M1", "insufficient", "unknown", "unknown", "", "never"]
-    assert shown[:6] == unknown
 
 
 @pytest.mark.parametrize("kind", ["constant", "nan", "one sample"])
@@ -109,16 +94,9 @@ def test_every_command_over_a_night_of_nothing(tmp_path: Path, call: Call, kind:
     assert "M1: insufficient_data" in said(call("fit-fleet", workshop.fleet))
     assert "insufficient_data" in said(call("fit", workshop.fleet, "M1", LABEL))
     assert "insufficient_data" in said(call("explain", workshop.fleet, "M1", LABEL))
-    check_unknown(workshop, call)
+    # `status` knows of the motor that it knows nothing.
+    shown = said(call("status", workshop.fleet)).splitlines()[1].split("\t")
+    assert shown[:6] == ["M1", "insufficient", "unknown", "unknown", "", "never"]
     found = said(call("check", workshop.fleet))
     assert ("none is kept" in found) == (kind != "one sample")
     assert "e+" not in found
-
-
-def test_every_command_over_a_log_without_a_row(tmp_path: Path, call: Call) -> None:
-    workshop = Workshop.at(tmp_path)
-    log = write(workshop, {}, rows=0)
-    assert "log_empty" in said(call("check", workshop.fleet))
-    assert "M1\tspeed\tspeed\t" in said(call("init", log)).replace("log\t", "M1\t")
-    assert "log_empty" in said(call("fit-fleet", workshop.fleet))
-    check_unknown(workshop, call)

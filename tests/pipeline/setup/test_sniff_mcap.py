@@ -10,23 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
 from pipeline.ingest.conformance import T0_US
 from pipeline.setup.propose import ProposedMotor, propose
-from pipeline.setup.sniff import sniff
-from tests.pipeline.ingest.mcap.protobuf_files import (
-    NAME,
-    Field,
-    class_of,
-    declared,
-    field_of,
-    made_of,
-    set_of,
-)
 from tests.pipeline.setup.proposed import log_in, proposed, read_as_proposed
 
 COUNT = 40
@@ -203,39 +191,6 @@ def test_ros_2_with_the_units_of_its_standard_messages(tmp_path: Path) -> None:
     assert (units["pressure_difference"], units["oil_temperature"]) == ("Pa", "degC")
 
 
-def test_protobuf_with_its_timestamp(tmp_path: Path) -> None:
-    """With numbers, a message within, and a map."""
-    inner = [field_of(name, Field.TYPE_DOUBLE) for name in ("dp_bar", "drain_flow_lpm")]
-    outer = [
-        field_of("at", Field.TYPE_MESSAGE, ".google.protobuf.Timestamp"),
-        field_of("gaps", Field.TYPE_MESSAGE, ".motor.Gaps"),
-        field_of("speed_rpm", Field.TYPE_FLOAT),
-        field_of("oil_temp_degC", Field.TYPE_FLOAT),
-        field_of("running", Field.TYPE_BOOL),
-        field_of("oil", Field.TYPE_DOUBLE, role="map", key=Field.TYPE_STRING),
-    ]
-    kinds = {"Hydraulics": outer, "Gaps": inner}
-    descriptors = set_of("proto3", *(declared(*one, "proto3") for one in kinds.items()))
-    made = class_of(descriptors)
-    messages: list[Message] = []
-    for i, time_us in enumerate(TIMES_US.tolist()):
-        pressure, temperature, speed, flow = (float(values[i]) for values in VALUES.values())
-        content = {
-            "at": {"seconds": time_us // 10**6, "nanos": time_us % 10**6 * 1000},
-            "gaps": {"dp_bar": pressure, "drain_flow_lpm": flow},
-            "speed_rpm": speed,
-            "oil_temp_degC": temperature,
-            "oil": {"temp": 1.0},
-        }
-        messages.append(("/motor", time_us + 5, made_of(made, content)))
-    schema = (NAME, "protobuf", descriptors.SerializeToString())
-    motor = require_it_reads(write(tmp_path, messages, {"/motor": schema}, "protobuf"))
-    assert motor.logs["stamp"] == "at"
-    assert motor.channels["leakage_flow"].column.keys["field"] == "gaps.drain_flow_lpm"
-    # The keys of a map are not in the schema.
-    assert motor.channels["oil_temperature"].column.keys["field"] == "oil_temp_degC"
-
-
 def test_what_is_no_motors(tmp_path: Path) -> None:
     schema = ("Thing", "flatbuffer", b"?")
     path = write(tmp_path, [("/x", T0_US, b"abc")], {"/x": schema}, "flatbuffer")
@@ -243,50 +198,3 @@ def test_what_is_no_motors(tmp_path: Path) -> None:
     fields = {"variance": 0.5, "sensor_id": 7, "x": 1.0}
     path = json_log(tmp_path, {"/drain_flow": lambda i: {"seq": i, **fields}})
     assert not propose(path, {}).motors
-
-
-def test_recordings_of_others(foreign_files: Path) -> None:
-    for path in sorted((foreign_files / "mcap").iterdir()):
-        assert sniff(path).logs["format"] == "mcap"
-    found = sniff(foreign_files / "mcap" / "cdr_test_0.mcap")
-    assert any(one.keys.get("field") == "float64_value" for one in found.columns)
-
-
-@settings(max_examples=25)
-@given(st.data())
-def test_any_layout_reads_back_what_was_written(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
-    """Channels spread over topics at will, under names at will, in any container."""
-    draw = data.draw
-    words = {
-        "pressure_difference": ["dp_bar", "pressure_difference.bar", "delta_p (bar)"],
-        "oil_temperature": ["oil_temp_degC", "t_oil_degC", "temperature [°C]"],
-        "speed": ["speed_rpm", "rpm", "motor.speed_rpm"],
-        "leakage_flow": ["drain_flow_lpm", "leakage [l/min]", "q_lpm"],
-    }
-    names = {channel: draw(st.sampled_from(known)) for channel, known in words.items()}
-    topics = {channel: draw(st.sampled_from(["/a", "/b/c", "d"])) for channel in names}
-    nested = draw(st.booleans())
-    stamped = draw(st.sampled_from(["", "time", "header"]))
-
-    def message(topic: str, i: int) -> dict[str, Any]:
-        inner = {
-            names[channel]: VALUES[channel][i] for channel in names if topics[channel] == topic
-        }
-        content: dict[str, Any] = {"data": {"all": [inner]}} if nested else dict(inner)
-        us = int(TIMES_US[i])
-        pair = {"sec": us // 10**6, "nsec": us % 10**6 * 1000}
-        stamps = {"time": us / 1e6, "header": {"seq": i, "stamp": pair}}
-        return content | ({stamped: stamps[stamped]} if stamped else {})
-
-    path = json_log(
-        tmp_path_factory.mktemp("any"),
-        {topic: lambda i, topic=topic: message(topic, i) for topic in sorted(set(topics.values()))},
-        late_ns=RECORDED_LATER_NS if stamped else 0,
-        compression=draw(st.sampled_from(list(CompressionType))),
-        use_chunking=draw(st.booleans()),
-        use_statistics=draw(st.booleans()),
-        repeat_channels=draw(st.booleans()),
-    )
-    require_it_reads(path)

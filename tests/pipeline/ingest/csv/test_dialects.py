@@ -13,7 +13,6 @@ import zstandard
 from pipeline.ingest import RawLog, time_span
 from pipeline.ingest.conformance import T0_US
 from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, in_pieces, read
-from tests.pipeline.ingest.sources import column
 
 ROWS = "".join(f"{DAY}{i}Z,{i},{10 * i}\n" for i in range(5))
 
@@ -58,13 +57,6 @@ def test_other_packers_are_named(tmp_path: Path, magic: bytes) -> None:
     wrong = error(tmp_path, magic + bytes(100))
     assert wrong.code == "log_not_csv"
     assert "packed with" in wrong.message
-
-
-def test_rows_of_units_are_skipped_where_stated(tmp_path: Path) -> None:
-    source = SOURCE.but(unit_rows=2)
-    log = read(tmp_path, f"time,dp,n\n,bar,rpm\n\n-,mean,mean\n{ROWS}", source)
-    assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0]
-    assert log.notes == ()
 
 
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
@@ -142,14 +134,6 @@ def test_a_date_in_a_column_of_its_own(tmp_path: Path) -> None:
     assert read(tmp_path, "date,time,dp,n\n2025-03-01,06:00:00,1,2\n", iso).first_us == T0_US
 
 
-def test_days_of_a_spreadsheet_with_a_decimal_comma(tmp_path: Path) -> None:
-    source = SOURCE.but(separator=";", decimal=",", time_format="excel_days")
-    for bad in ("", "?;1;2\n"):
-        log = read(tmp_path, f"time;dp;n\n45717,25;1,5;2\n45717,2500115741;3;4\n{bad}", source)
-        assert log.channels["speed"].time_us.tolist() == [T0_US, T0_US + 1_000_000]
-        assert values(log) == [1.5, 3.0]
-
-
 LONG = SOURCE.but(layout="long", channel_column="tag", value_column="v")
 
 
@@ -197,22 +181,6 @@ def test_a_long_table_without_a_channel_says_so(tmp_path: Path) -> None:
     assert read(tmp_path, "time,tag,v\n", LONG).rows == 0
 
 
-def test_a_file_a_channel(tmp_path: Path) -> None:
-    channels = {
-        "pressure_difference": column("*_dp_*.csv", "kPa"),
-        "speed": column("*_n_*.csv", "rpm"),
-    }
-    source = SOURCE.but(layout="file_per_channel", channels=channels)
-    text = f"time,value\n{DAY}0Z,100\n{DAY}1Z,250\n?,7\n"
-    log = read(tmp_path, text, source, "m7_dp_0301.csv")
-    assert values(log) == [1.0, 2.5]
-    assert log.channels["speed"].time_us.size == 0
-    assert values(read(tmp_path, text, source, "m7_n_0301.csv"), "speed") == [100.0, 250.0]
-    wrong = error(tmp_path, text, source, "m7_T_0301.csv")
-    assert wrong.code == "log_column_missing"
-    assert "'*_dp_*.csv'" in wrong.message
-
-
 def test_the_hour_that_comes_twice_is_told_apart_across_pieces(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -237,26 +205,3 @@ def test_the_hour_that_never_comes_costs_its_rows(tmp_path: Path) -> None:
     log = read(tmp_path, f"time,dp,n\n{rows}", source)
     assert values(log) == [0.0, 1.0, 3.0]
     assert log.notes == ("1 row at a local time that the zone's clock change leaves out",)
-
-
-def test_time_in_the_future_is_refused(tmp_path: Path) -> None:
-    ahead = (datetime.now(UTC) + timedelta(days=3)).isoformat()
-    soon = (datetime.now(UTC) + timedelta(hours=3)).isoformat()
-    log = read(tmp_path, f"time,dp,n\n{ROWS}{soon},5,1\n{ahead},6,1\n")
-    assert values(log)[-1] == 5.0
-    assert log.notes == ("1 row with a time more than a day in the future",)
-    wrong = error(tmp_path, f"time,dp,n\n{ahead},6,1\n")
-    assert wrong.code == "log_time"
-    assert "future" in wrong.message
-
-
-@pytest.mark.parametrize(
-    ("data", "code"),
-    [
-        (b"\n\n", "log_empty"),
-        (bytes(range(256)) * 20, "log_not_csv"),
-        (b"\x89PNG\r\n\x1a\n" + bytes(300), "log_encoding"),
-    ],
-)
-def test_what_is_no_table_has_its_code(tmp_path: Path, data: bytes, code: str) -> None:
-    assert error(tmp_path, data).code == code

@@ -8,15 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-import pipeline.ingest.csv.text
+import pipeline.ingest.csv_text
 from pipeline.errors import LogError
-from pipeline.ingest import RawChannel, RawLog, read_log, time_span
+from pipeline.ingest import RawChannel, RawLog, time_span
 from pipeline.ingest.conformance import T0_US
-from pipeline.messages import counted
-from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, in_pieces, read
+from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, read
 from tests.pipeline.ingest.sources import column
 
 
@@ -57,58 +54,6 @@ def test_rows_of_another_width_throughout_are_another_format(tmp_path: Path) -> 
     assert (wrong.code, wrong.place) == ("log_not_csv", "line 2")
     assert "3 cells" in wrong.message
     assert "has 4" in wrong.message
-
-
-def ragged_lines(text: str, width: int) -> list[int]:
-    """Lines, from 1, that have another number of cells; no cell is quoted here."""
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")[:-1]
-    rows = [number for number, line in enumerate(lines, 1) if line and number > 3]
-    return [number for number in rows if lines[number - 1].count(",") != width - 1]
-
-
-@given(
-    rows=st.lists(st.sampled_from(["1,2", "1,2", "1,2", "", "1", "1,2,3", "1,\x0b,"]), max_size=40),
-    line_end=st.sampled_from(["\n", "\r\n", "\r"]),
-    piece=st.sampled_from([150, 400, 2**24]),
-)
-def test_the_first_row_of_another_width_is_named_by_its_line(
-    tmp_path_factory: pytest.TempPathFactory, rows: list[str], line_end: str, piece: int
-) -> None:
-    """Behind two lines of preamble that look like such a row, across pieces and blank lines."""
-    cells = [row and f"{DAY}{i % 10}Z,{row}" for i, row in enumerate(["1,2"] * 45 + rows)]
-    lines = [cells[-1], f"{DAY}0Z,1", "time,dp,n", *cells, ""]
-    text = line_end.join(lines)
-    path = tmp_path_factory.mktemp("ragged") / "log.csv"
-    path.write_text(text, newline="")
-    found = ragged_lines(text, 3)
-    with pytest.MonkeyPatch.context() as patch:
-        in_pieces(patch, piece)
-        log = read_log(path, *SOURCE.but(skip_rows=2))
-    first = lines[found[0] - 1].count(",") + 1 if found else 0
-    rows = counted(len(found), "row")
-    told = f"{rows} with too many or too few cells, the first in line {{}} with {first}"
-    assert log.notes == ((told.format(found[0]),) if found else ())
-
-
-def test_two_rows_torn_into_one_are_left_out(tmp_path: Path) -> None:
-    data = f"time,dp,n\n{DAY}0Z,1,2\n{DAY}1Z,1{DAY}2Z,3,4\n{DAY}3Z,5,6\n"
-    log = read(tmp_path, data)
-    assert pressure(log).value.tolist() == [1.0, 5.0]
-    assert log.refused_rows == 1
-
-
-def test_a_row_of_units_below_the_header_is_left_out(tmp_path: Path) -> None:
-    log = read(tmp_path, f"time,dp,n\nUTC,bar,rpm\n{DAY}0Z,1,2\n{DAY}1Z,3,4\n")
-    assert pressure(log).value.tolist() == [1.0, 3.0]
-    assert pressure(log).unparsed == 0
-    assert log.notes == ("1 row without a readable time",)
-
-
-def test_quoted_cells_are_read(tmp_path: Path) -> None:
-    data = f'"time","dp","n","who, when"\n"{DAY}0Z","1,5","2","A, B"\n'
-    source = SOURCE.but(decimal=",", separator=";")
-    log = read(tmp_path, data.replace('","', '";"'), source)
-    assert pressure(log).value.tolist() == [1.5]
 
 
 @pytest.mark.parametrize(
@@ -159,17 +104,6 @@ def test_utf_16_cut_within_a_character_loses_the_last_row_only(tmp_path: Path) -
     log = read(tmp_path, data, SOURCE.but(encoding="utf-16"))
     assert log.rows == 1
     assert log.refused_rows == 1
-
-
-def test_text_not_in_the_encoding_named_is_an_error(tmp_path: Path) -> None:
-    source = SOURCE.but(encoding="utf-16")
-    data = "time,dp,n\n".encode("utf-16-le") + b"\x00\xd8\x00\x00\n\x00"
-    assert error(tmp_path, data, source).code == "log_encoding"
-
-
-def test_a_byte_order_mark_is_not_part_of_a_name(tmp_path: Path) -> None:
-    log = read(tmp_path, f"time,dp,n\n{DAY}0Z,1,2\n".encode("utf-8-sig"))
-    assert log.rows == 1
 
 
 def test_latin_1_is_read_where_named_and_told_where_not(tmp_path: Path) -> None:
@@ -297,12 +231,6 @@ def test_a_blank_or_bad_time_costs_its_row(tmp_path: Path) -> None:
     assert log.notes == ("3 rows without a readable time",)
 
 
-def test_seconds_with_a_decimal_comma(tmp_path: Path) -> None:
-    source = SOURCE.but(separator=";", decimal=",", time_format="epoch_s")
-    log = read(tmp_path, "time;dp;n\n1740808800,25;1,5;2\n", source)
-    assert log.first_us == T0_US + 250_000
-
-
 @pytest.mark.parametrize("data", [b"\n\n\n", b"   \n", b"\xef\xbb\xbf"])
 def test_a_file_without_a_header_is_empty(tmp_path: Path, data: bytes) -> None:
     assert error(tmp_path, data).code in {"log_empty", "log_column_missing"}
@@ -322,7 +250,7 @@ def test_a_row_longer_than_can_be_told_apart_is_damage(tmp_path: Path) -> None:
 def test_a_file_too_large_for_memory_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline.ingest.csv.text, "LARGEST_TEXT", 20)
+    monkeypatch.setattr(pipeline.ingest.csv_text, "LARGEST_TEXT", 20)
     assert error(tmp_path, f"time,dp,n\n{DAY}0Z,1,2\n").code == "log_too_large"
 
 
@@ -341,17 +269,6 @@ def test_the_span_of_a_long_file_needs_its_ends_only(tmp_path: Path) -> None:
     rows[-5000:] = ["?,1,1\n"] * 5000
     path.write_text("time,dp,n\n" + "".join(rows))
     assert time_span(path, *source) == (T0_US, T0_US + 34_999_000_000)
-
-
-@given(st.lists(st.floats(allow_nan=False), min_size=1, max_size=30), st.booleans())
-def test_every_float_comes_back_as_python_reads_it(
-    tmp_path_factory: pytest.TempPathFactory, values: list[float], bad_cell: bool
-) -> None:
-    folder = tmp_path_factory.mktemp("floats")
-    cells = [repr(value) for value in values] + ["?"] * bad_cell
-    rows = "".join(f"{DAY}0.{i:03d}Z,{cell},1\n" for i, cell in enumerate(cells))
-    channel = pressure(read(folder, f"time,dp,n\n{rows}"))
-    np.testing.assert_array_equal(channel.value[: len(values)], values)
 
 
 @pytest.mark.parametrize(
@@ -376,15 +293,11 @@ def test_a_bomb_is_stopped_long_before_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By what has been unpacked of it so far: rows that are kept until then take memory."""
-    monkeypatch.setattr(pipeline.ingest.csv.text, "_RATIO_FROM", 2**20)
+    monkeypatch.setattr(pipeline.ingest.csv_text, "_RATIO_FROM", 2**20)
     path = tmp_path / "log.csv.gz"
     noise = random.Random(5).randbytes(300_000)  # noqa: S311
     path.write_bytes(gzip.compress(b"1,2\n" * 2**23, 9) + gzip.compress(noise))
     sizes: list[int] = []
     with pytest.raises(LogError, match="expand to more"):
-        sizes.extend(len(data) for data in pipeline.ingest.csv.text.unpacked(path, 2**18))
+        sizes.extend(len(data) for data in pipeline.ingest.csv_text.unpacked(path, 2**18))
     assert sum(sizes) < 2**25
-
-
-def test_a_header_too_long_is_told_with_its_line(tmp_path: Path) -> None:
-    assert error(tmp_path, b"x" * (2**20 + 1) + b"\n").place == "line 1"

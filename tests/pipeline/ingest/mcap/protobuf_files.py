@@ -7,45 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, wrappers_pb2
-from google.protobuf.json_format import MessageToDict
 from google.protobuf.timestamp_pb2 import Timestamp
-from hypothesis import strategies as st
 
-from pipeline.config.field_paths import field_path
-from tests.pipeline.ingest.mcap_files import Value, mcap_of
+from tests.pipeline.ingest.mcap_files import mcap_of
 
 Field = descriptor_pb2.FieldDescriptorProto
 NAME = "motor.Hydraulics"
-
-NUMBERS: Mapping[int, st.SearchStrategy[Any]] = {
-    Field.TYPE_DOUBLE: st.floats(allow_nan=False, allow_infinity=False),
-    # Numbers that a float32 and the shortest text for it have in common.
-    Field.TYPE_FLOAT: st.integers(-(2**20), 2**20).map(lambda i: i / 8),
-    Field.TYPE_INT64: st.integers(-(2**63), 2**63 - 1),
-    Field.TYPE_SFIXED64: st.integers(-(2**63), 2**63 - 1),
-    Field.TYPE_SINT64: st.integers(-(2**63), 2**63 - 1),
-    Field.TYPE_UINT64: st.integers(0, 2**64 - 1),
-    Field.TYPE_FIXED64: st.integers(0, 2**64 - 1),
-    Field.TYPE_INT32: st.integers(-(2**31), 2**31 - 1),
-    Field.TYPE_SFIXED32: st.integers(-(2**31), 2**31 - 1),
-    Field.TYPE_SINT32: st.integers(-(2**31), 2**31 - 1),
-    Field.TYPE_UINT32: st.integers(0, 2**32 - 1),
-    Field.TYPE_FIXED32: st.integers(0, 2**32 - 1),
-    Field.TYPE_BOOL: st.booleans(),
-    Field.TYPE_ENUM: st.sampled_from([0, 1, 7]),
-}
-KEYS: Mapping[int, st.SearchStrategy[Any]] = {
-    **{kind: NUMBERS[kind] for kind in (Field.TYPE_INT32, Field.TYPE_SINT64, Field.TYPE_FIXED64)},
-    Field.TYPE_BOOL: st.booleans(),
-    Field.TYPE_STRING: st.sampled_from(["oil", "Öl", "a.b", "[1]", "7"]),
-}
-WRAPPERS = {
-    "DoubleValue": Field.TYPE_DOUBLE,
-    "FloatValue": Field.TYPE_FLOAT,
-    "Int64Value": Field.TYPE_INT64,
-    "UInt32Value": Field.TYPE_UINT32,
-    "BoolValue": Field.TYPE_BOOL,
-}
 
 
 def imported(message: Any) -> Any:
@@ -86,25 +53,6 @@ def protobuf(payloads: Sequence[bytes], descriptors: Any, **options: Any) -> byt
     return mcap_of(
         payloads, (NAME, "protobuf", descriptors.SerializeToString()), "protobuf", **options
     )
-
-
-def by_its_json(message: Any, path: str) -> Value:
-    """Value at a path by the runtime's own mapping to JSON; None if that has nothing there.
-
-    In this mapping wrappers become their content, keys are text, and unset fields are omitted.
-    """
-    node: Any = MessageToDict(
-        message,
-        preserving_proto_field_name=True,
-        use_integers_for_enums=True,
-        always_print_fields_with_no_presence=True,
-    )
-    for step in field_path(path):
-        if isinstance(node, list):
-            node = node[int(step)] if int(step) < len(node) else None
-        elif node is not None:
-            node = node.get(str(step))
-    return None if node is None else float(node)
 
 
 @dataclass(frozen=True)

@@ -1,26 +1,21 @@
-"""Time stamps within MCAP messages, paths into them, and topics of more than one encoding."""
+"""Time stamps within MCAP messages, paths into them, and topics of two kinds."""
 
 from __future__ import annotations
 
 import io
-import random
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from google.protobuf import descriptor_pb2
-from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import Writer
 
-import pipeline.ingest.mcap.log
 from pipeline.errors import LogError
 from pipeline.ingest import time_span
 from pipeline.ingest.conformance import T0_US
 from tests.pipeline.ingest.mcap_files import (
     JSON,
-    T0_NS,
     TOPIC,
     error_of,
     mcap_of,
@@ -107,7 +102,7 @@ def test_stamps_in_ros_2_messages(tmp_path: Path) -> None:
     assert stamped(tmp_path, data, "at", "epoch_s") == [250_000] * 3
 
 
-# Paths, and topics of more than one encoding
+# Paths, and topics of two kinds
 
 
 def nested_json() -> Iterator[tuple[str, list[bytes], list[float | None]]]:
@@ -144,41 +139,6 @@ def test_a_value_and_a_part_of_it_are_both_read_where_they_are(tmp_path: Path) -
     np.testing.assert_array_equal(log.channels["high_port_pressure"].value, [np.nan, 2.0])
 
 
-def test_a_topic_whose_encoding_changes_keeps_its_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    buffer = io.BytesIO()
-    writer = Writer(buffer, chunk_size=200)
-    writer.start()
-    stamp = descriptor_pb2.FileDescriptorProto()
-    Timestamp.DESCRIPTOR.file.CopyToProto(stamp)
-    schemas = {
-        "protobuf": (
-            "google.protobuf.Timestamp",
-            "protobuf",
-            descriptor_pb2.FileDescriptorSet(file=[stamp]).SerializeToString(),
-        ),
-        "cdr": ("m/H", "ros2msg", b"float64 seconds"),
-    }
-    ids = {"json": writer.register_channel(TOPIC, "json", 0)} | {
-        encoding: writer.register_channel(TOPIC, encoding, writer.register_schema(*schema))
-        for encoding, schema in schemas.items()
-    }
-    rng = random.Random(4)  # noqa: S311
-    for i in range(100):
-        encoding = rng.choice(list(ids))
-        payload = {
-            "json": b'{"seconds": %d}' % i,
-            "protobuf": Timestamp(seconds=i).SerializeToString(),
-            "cdr": struct.pack("<4sd", b"\0\1\0\0", i),
-        }[encoding]
-        writer.add_message(ids[encoding], T0_NS + i, payload, T0_NS)
-    writer.finish()
-    for size in (1, 50, 2**20):
-        monkeypatch.setattr(pipeline.ingest.mcap.log, "_PIECE", size)
-        assert values(tmp_path, buffer.getvalue(), "seconds") == [float(i) for i in range(100)]
-
-
 def test_encodings_that_are_not_read_are_told_with_their_topic(tmp_path: Path) -> None:
     for schema, encoding in (
         (("H", "omgidl", b"struct H {}"), "cdr"),
@@ -193,3 +153,16 @@ def test_encodings_that_are_not_read_are_told_with_their_topic(tmp_path: Path) -
         assert wrong.code == "log_encoding"
         for named in (TOPIC, encoding, schema[1]):
             assert repr(named) in wrong.message
+
+
+def test_a_topic_of_two_kinds_of_messages_is_refused(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    writer.start()
+    number = writer.register_schema("m/H", "ros2msg", b"float64 seconds")
+    writer.register_channel(TOPIC, "json", 0)
+    writer.register_channel(TOPIC, "cdr", number)
+    writer.finish()
+    wrong = error_of(tmp_path, buffer.getvalue(), "seconds")
+    assert (wrong.code, wrong.place) == ("log_encoding", TOPIC)
+    assert "two kinds" in wrong.message

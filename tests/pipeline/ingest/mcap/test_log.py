@@ -98,20 +98,6 @@ def test_what_holds_no_number_is_missing_and_counted(tmp_path: Path, payload: by
     assert channel.unparsed == 1
 
 
-def test_messages_of_many_lines_are_read(tmp_path: Path) -> None:
-    # Three megabytes: longer than what the parser takes at a time, so that it parts some messages.
-    payloads = [json.dumps({"value": i, "unit": "bar"}, indent=16).encode() for i in range(40_000)]
-    channel = pressure(tmp_path, payloads)
-    np.testing.assert_array_equal(channel.value, np.arange(40_000.0))
-
-
-def test_integers_beyond_all_floats_are_not_finite(tmp_path: Path) -> None:
-    for sign, value in (("", np.inf), ("-", -np.inf)):
-        payload = f'{{"value": {sign}{"9" * 400}}}'.encode()
-        for beside in ([], [b"?"]):
-            assert pressure(tmp_path, [payload, *beside]).value[0] == value
-
-
 def test_halves_of_an_object_do_not_make_one_together(tmp_path: Path) -> None:
     for one, other in (
         (b'{"value":', b"1}"),
@@ -163,16 +149,6 @@ def test_two_channels_of_one_topic_are_one(tmp_path: Path) -> None:
     other = message_record(2, T0_NS, b'{"value": 2}')
     log = read(tmp_path, file_of(DP, channel_record(2, "dp"), ONE, other, ONE))
     assert log.channels["pressure_difference"].value.tolist() == [1.0, 2.0, 1.0]
-
-
-def test_other_encodings_are_told_and_only_where_wanted(tmp_path: Path) -> None:
-    data = mcap_bytes(messages([b'{"value": 1}']), encodings={"scan": "cdr", "dq": "protobuf"})
-    assert read(tmp_path, data).rows == 1
-    for topic, encoding in (("scan", "cdr"), ("dq", "protobuf")):
-        source = SOURCE.but({"pressure_difference": column(topic, "bar")})
-        wrong = error(tmp_path, data, source)
-        assert wrong.code == "log_encoding"
-        assert f"'{encoding}'" in wrong.message
 
 
 def test_a_bad_message_among_many_pieces_costs_nothing_else(

@@ -204,12 +204,3 @@ def test_without_the_extra_the_error_says_which(
     wrong = error_of(tmp_path, protobuf([hydraulics(total=1)], DESCRIPTORS), "total")
     assert wrong.code == "log_extra_missing"
     assert "motor-leakage[protobuf]" in wrong.message
-
-
-def test_stamps_in_messages(tmp_path: Path, hydraulics: Callable[..., bytes]) -> None:
-    payloads = [hydraulics(total=i, stamp={"seconds": 1740808800 + i}) for i in range(3)]
-    data = protobuf([*payloads, hydraulics(total=9)], DESCRIPTORS)
-    log = read(tmp_path, data, source_of("total", stamp="stamp"))
-    times = log.channels["pressure_difference"].time_us - 1740808800 * 10**6
-    assert times.tolist() == [0, 1_000_000, 2_000_000]
-    assert log.refused_rows == 1

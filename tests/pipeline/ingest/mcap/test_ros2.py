@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import random
 import struct
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -212,19 +210,3 @@ def test_a_field_that_is_not_there_is_told_with_those_that_are(tmp_path: Path) -
     for there in ("'header.stamp.sec'", "'ports[0].pressure'", "'more[0].side'", "'raw[0]'"):
         assert there in wrong.message
     assert "frame_id" not in wrong.message
-
-
-def test_arrays_too_large_for_any_message_are_not_walked(tmp_path: Path) -> None:
-    inner = "===\nMSG: motor_msgs/A\nB[10000] b\n===\nMSG: motor_msgs/B\nstring s\n"
-    definition = "float64 value\nA[1000] a\n" + inner
-    data = ros2_of(definition, [b"\0\1\0\0" + bytes(100)])
-    assert code(tmp_path, data, "value") == "log_type"
-    longer = definition.replace("A[1000]", "A[100000000]")
-    assert code(tmp_path, ros2_of(longer, [b"\0\1\0\0" + bytes(100)]), "value") == "log_type"
-
-
-def test_nan_in_a_message_is_no_missing_sample(tmp_path: Path) -> None:
-    data = ros2("float32 value", [{"value": math.nan}, {"value": math.inf}])
-    channel = read(tmp_path, data, source_of("value")).channels["pressure_difference"]
-    assert not channel.missing.any()
-    np.testing.assert_array_equal(channel.value, [np.nan, np.inf])

@@ -12,6 +12,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,8 @@ from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import nulls
 from pipeline.ingest.assembly import Readings, readings_of
-from pipeline.ingest.contract import LogFile, Place, RawLog
-from pipeline.ingest.csv.text import Lines, is_packed, is_utf8, read_lines, repaired
+from pipeline.ingest.contract import LogFile, Place, RawLog, Reader
+from pipeline.ingest.csv_text import is_packed, is_utf8, read_lines, repaired
 from pipeline.ingest.table import Columns, RawTable, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written
 
@@ -40,33 +41,34 @@ _SPAN_PIECE = 2**16
 # From so many rows of another width on, most of the rows before must have the header's.
 _MANY_RAGGED = 2**19
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
+_OPEN_QUOTE = "a quotation mark is opened and not closed in its row"
 
 
-def read_csv_log(file: LogFile) -> RawLog:
+def _read(file: LogFile) -> RawLog:
     """Read the wanted columns of a CSV, plain or packed with gzip or Zstandard."""
-    reader = _Reader(file, wanted_columns(file))
-    for lines in read_lines(file.path, file.logs.encoding):
-        reader.read(lines)
+    reader = _Rows(file, wanted_columns(file))
+    for data in read_lines(file.path, file.logs.encoding):
+        reader.read(data)
     return reader.log()
 
 
-def csv_units(file: LogFile) -> dict[str, str]:
+def _units(file: LogFile) -> dict[str, str]:
     """Units in the line below the header, by column; none without such a line."""
     if not file.logs.unit_rows:
         return {}
-    data = next(read_lines(file.path, file.logs.encoding, _SPAN_PIECE)).data
-    header = _first_header(file.path, file.logs, data)
-    below = data[header.size :].splitlines()[:1]
+    data = next(read_lines(file.path, file.logs.encoding, _SPAN_PIECE))
+    names, size = _header(file.path, file.logs, data)
+    below = data[size:].splitlines()[:1]
     units = [_cells(file.path, file.logs, line) for line in below]
-    return dict(zip(header.names, *units, strict=False)) if below else {}
+    return dict(zip(names, *units, strict=False)) if below else {}
 
 
-def csv_can_grow(file: LogFile) -> bool:
+def _can_grow(file: LogFile) -> bool:
     """True for plain text, to which rows are appended."""
     return is_utf8(file.logs.encoding) and not is_packed(file.path)
 
 
-def read_csv_piece(file: LogFile, place: Place, most_bytes: int) -> tuple[RawLog | None, Place]:
+def _piece(file: LogFile, place: Place, most_bytes: int) -> tuple[RawLog | None, Place]:
     """Rows of a growing CSV from a place on, as far as its last line end, and the place behind."""
     with file.path.open("rb") as text_file:
         text_file.seek(place.position)
@@ -74,27 +76,27 @@ def read_csv_piece(file: LogFile, place: Place, most_bytes: int) -> tuple[RawLog
     end = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
     if not end:
         return None, place
-    reader = _Reader(file, wanted_columns(file))
+    reader = _Rows(file, wanted_columns(file))
     if place.columns:
         reader.go_on(place.columns)
     text = data[:end] if place.position else data[:end].removeprefix(codecs.BOM_UTF8)
-    reader.read(Lines(repaired(text)))
+    reader.read(repaired(text))
     if reader.units_left:
         return None, place
     return reader.log(), Place(place.position + end, reader.names)
 
 
-def csv_time_span(file: LogFile) -> tuple[int, int]:
+def _span(file: LogFile) -> tuple[int, int]:
     """First and last time stamp of a CSV, from its first and last rows where these can be read."""
-    times = Columns(wanted_columns(file).time, None, ())
-    if csv_can_grow(file) and file.path.stat().st_size > 4 * _SPAN_PIECE:
+    times = Columns(wanted_columns(file).time)
+    if _can_grow(file) and file.path.stat().st_size > 4 * _SPAN_PIECE:
         try:
             return _span_of_ends(file, times)
         except LogError:
             pass  # The whole file says what is wrong, or has the span.
-    reader = _Reader(file, times)
-    for lines in read_lines(file.path, file.logs.encoding):
-        reader.read(lines)
+    reader = _Rows(file, times)
+    for data in read_lines(file.path, file.logs.encoding):
+        reader.read(data)
     reader.require_rows_of_one_width()
     return reader.table.span()
 
@@ -104,35 +106,30 @@ def _span_of_ends(file: LogFile, times: Columns) -> tuple[int, int]:
         text_file.seek(-_SPAN_PIECE, 2)
         tail = text_file.read()
     begin, end = tail.find(b"\n") + 1, max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
-    reader = _Reader(file, times)
-    reader.read(next(read_lines(file.path, file.logs.encoding, _SPAN_PIECE)))
-    first = reader.table.span()
-    reader.table = RawTable(file)
-    reader.read(Lines(repaired(tail[begin:end])))
-    last = reader.table.span()
+    head, last_rows = _Rows(file, times), _Rows(file, times)
+    head.read(next(read_lines(file.path, file.logs.encoding, _SPAN_PIECE)))
+    last_rows.go_on(head.names)
+    last_rows.read(repaired(tail[begin:end]))
+    first, last = head.table.span(), last_rows.table.span()
     return min(first[0], last[0]), max(first[1], last[1])
 
 
-@dataclass(frozen=True, slots=True)
-class _Header:
-    """The first header of a file."""
-
-    names: tuple[str, ...]
-    line: int  # its number, from 1
-    size: int  # bytes up to its end
+READER = Reader(_read, _span, units=_units, can_grow=_can_grow, piece=_piece)
 
 
-def _first_header(path: Path, logs: Logs, data: bytes) -> _Header:
+def _header(path: Path, logs: Logs, data: bytes) -> tuple[tuple[str, ...], int]:
+    """Names of the first header of a file, and the bytes up to its end."""
     lines = data[:_HEAD].splitlines(keepends=True)
     at = logs.skip_rows
     while at < len(lines) and not lines[at].strip():
         at += 1
-    if at >= len(lines):
+    if at >= len(lines) or not lines[at].endswith((b"\n", b"\r")):
+        if at < len(lines) and len(data) > _HEAD:
+            how = f"the header is longer than {_HEAD} bytes"
+            raise LogError("log_not_csv", path, how, f"line {at + 1}")
+        if data and not data.endswith((b"\n", b"\r")):
+            raise LogError("log_truncated", path, "the header has no line end")
         raise LogError("log_empty", path, f"no header after {logs.skip_rows} skipped lines")
-    where = f"line {at + 1}"
-    if not lines[at].endswith((b"\n", b"\r")):
-        how = f"the header is longer than {_HEAD} bytes"
-        raise LogError("log_not_csv", path, how, where)
     names = _cells(path, logs, lines[at])
     if len(names) > MOST_CELLS:
         how = (
@@ -140,7 +137,7 @@ def _first_header(path: Path, logs: Logs, data: bytes) -> _Header:
             "and skip_rows"
         )
         raise LogError("log_not_csv", path, how)
-    return _Header(names, at + 1, sum(map(len, lines[: at + 1])))
+    return names, sum(map(len, lines[: at + 1]))
 
 
 def _cells(path: Path, logs: Logs, line: bytes) -> tuple[str, ...]:
@@ -159,33 +156,14 @@ def _line_end(data: bytes, at: int) -> int:
     return found.end() if found else len(data)
 
 
-def _positions(
-    path: Path, logs: Logs, names: Sequence[str], wanted: Sequence[str]
-) -> dict[str, int]:
-    """Column of each wanted name, from 0."""
-    for name in wanted:
-        count = names.count(name)
-        if count > 1:
-            how = f"{count} columns are called {name!r}: rename one"
-            raise LogError("log_column_twice", path, how)
-        if not count:
-            there = ", ".join(repr(known[:40]) for known in names[:40])
-            hint = ", not in encoding utf-8: set the right one" if "\ufffd" in there else ""
-            raise LogError(
-                "log_column_missing",
-                path,
-                f"no column {name!r}; separated by {logs.separator!r} there are {there}{hint}",
-            )
-    return {name: names.index(name) for name in wanted}
-
-
-class _Reader:
+class _Rows:
     """Takes the pieces of a file one after the other, and gives the log."""
 
     def __init__(self, file: LogFile, columns: Columns) -> None:
         self.path, self.logs = file.path, file.logs
         self.columns = columns
-        self.table = RawTable(file)
+        numbers = partial(_readings, file.path, file.logs)
+        self.table = RawTable(file, columns, partial(_stamps, file.logs), numbers)
         self.names: tuple[str, ...] = ()
         self.position: Mapping[str, int] = {}
         self.units_left = 0  # lines of units that are still to come
@@ -195,37 +173,35 @@ class _Reader:
 
     def go_on(self, names: tuple[str, ...]) -> None:
         """Read rows below a header of these names."""
-        self.position = _positions(self.path, self.logs, names, self.columns.all)
+        for name in self.columns.all:
+            count = names.count(name)
+            if count > 1:
+                how = f"{count} columns are called {name!r}: rename one"
+                raise LogError("log_column_twice", self.path, how)
+            if not count:
+                there = ", ".join(repr(known[:40]) for known in names[:40])
+                hint = ", not in encoding utf-8: set the right one" if "\ufffd" in there else ""
+                how = f"no column {name!r}; separated by {self.logs.separator!r} there are "
+                raise LogError("log_column_missing", self.path, how + there + hint)
+        self.position = {name: names.index(name) for name in self.columns.all}
         self.names = names
 
-    def read(self, lines: Lines) -> None:
+    def read(self, data: bytes) -> None:
         """Take a piece."""
-        self.torn += bool(lines.torn)
-        if lines.torn or not lines.data:
-            self._require_header(lines.torn)
-            return
-        data, start = lines.data, 0
+        start = 0
         if not self.names:
-            header = _first_header(self.path, self.logs, data)
-            self.go_on(header.names)
-            self.units_left, start = self.logs.unit_rows, header.size
+            names, start = _header(self.path, self.logs, data)
+            self.go_on(names)
+            self.units_left = self.logs.unit_rows
+        if not data.endswith((b"\n", b"\r")):
+            self.torn += bool(data)
+            return
         start = self._below_units(data, start)
         if start < len(data):
             self._read_rows(data, start)
         self.pieces += 1
         if self.ragged > _MANY_RAGGED:
             self.require_rows_of_one_width()
-
-    def _require_header(self, torn: int) -> None:
-        """Refuse a file that has ended without a header, `torn` bytes behind its last line end."""
-        if self.names:
-            return
-        if torn > _HEAD:
-            raise LogError("log_not_csv", self.path, f"no line end in {torn} bytes")
-        if torn:
-            raise LogError("log_truncated", self.path, "the header has no line end")
-        how = f"no header after {self.logs.skip_rows} skipped lines"
-        raise LogError("log_empty", self.path, how)
 
     def _below_units(self, data: bytes, start: int) -> int:
         """Begin of the rows below the lines of units that are still to come."""
@@ -236,36 +212,30 @@ class _Reader:
         return start
 
     def _read_rows(self, data: bytes, start: int) -> None:
-        names = {str(at): name for name, at in self.position.items()}
         types = self._types(data, start)
+        texts = dict.fromkeys(types, pa.string())
         try:
-            found = self._parsed_as(types, data, start)
-            # A header would be no number, and is no other text than any.
-            all_text = all(kind == pa.string() for kind in types.values())
-            if found is None or found[1].count or all_text:
-                data = self._without_headers(data, start)
-                found = self._parsed_as(types, data, start)
-            if found is None:
-                found = self._parsed(dict.fromkeys(types, pa.string()), data, start)
-        except pa.ArrowInvalid as error:
-            how = f"the rows cannot be told apart: {error}"
-            raise LogError("log_damaged", self.path, how) from error
+            found = self._parsed(types, data, start)
+        except pa.ArrowInvalid:
+            found = None
+        # A header would be no number, and is no other text than any.
+        if found is None or found[1].count or types == texts:
+            rows = self._without_headers(data, start)
+            if found is None or rows is not data:
+                data = rows
+                try:
+                    found = self._parsed(texts, data, start)
+                except pa.ArrowInvalid as error:
+                    how = f"the rows cannot be told apart: {error}"
+                    raise LogError("log_damaged", self.path, how) from error
         table, ragged = found
-        self._note_ragged(ragged, data, start)
+        if ragged.count:
+            self._note_ragged(ragged, data, start)
         self.rows += table.num_rows
         # In the parser's own blocks, which need no copy to be arrays.
         for batch in table.to_batches():
-            columns = zip(names.values(), batch.columns, strict=True)
-            self._add({name: pa.chunked_array([column]) for name, column in columns})
-
-    def _parsed_as(
-        self, types: Mapping[str, pa.DataType], data: bytes, start: int
-    ) -> tuple[pa.Table, _Ragged] | None:
-        """Columns by position, as some types; None where some cell is of another one."""
-        try:
-            return self._parsed(types, data, start)
-        except pa.ArrowInvalid:
-            return None
+            columns = zip(self.position, batch.columns, strict=True)
+            self.table.add({name: pa.chunked_array([column]) for name, column in columns})
 
     def _parsed(
         self, types: Mapping[str, pa.DataType], data: bytes, start: int
@@ -292,11 +262,12 @@ class _Reader:
 
     def _types(self, data: bytes, start: int) -> dict[str, pa.DataType]:
         """Types that the wanted columns may be parsed as at once, by their position."""
+        is_plain = not self.logs.thousands
         return {
             str(at): self._time_type(data, start, at)
             if name in self.columns.time
             else pa.float64()
-            if name in self.columns.numbers and not self.logs.thousands
+            if name in self.columns.numbers and is_plain
             else pa.string()
             for name, at in self.position.items()
         }
@@ -328,12 +299,7 @@ class _Reader:
             newline = max(data.rfind(b"\n", start, at), start - 1)
             begin = max(data.rfind(b"\r", newline + 1, at), newline) + 1
             end = _line_end(data, at)
-            is_again = self._is_header(data[begin:end])
-            if is_again is False:
-                how = "another header, with other columns than the first: split the log before it"
-                line = self._lines_above(data, begin) + 1
-                raise LogError("log_not_csv", self.path, how, f"line {line}")
-            if is_again:
+            if self._is_header(data, begin, end):
                 self.headers_again += 1
                 self.units_left = self.logs.unit_rows
                 stop = self._below_units(data, end)
@@ -342,53 +308,37 @@ class _Reader:
             at = data.find(needle, end)
         return b"".join([*parts, data[kept_to:]]) if parts else data
 
-    def _is_header(self, line: bytes) -> bool | None:
-        """True for a line that is the header again, False for another header, None for a row."""
+    def _is_header(self, data: bytes, begin: int, end: int) -> bool:
         try:
-            cells = _cells(self.path, self.logs, line)
+            cells = _cells(self.path, self.logs, data[begin:end])
         except LogError:
-            return None
-        if cells == self.names:
-            return True
+            return False
         time = self.columns.time[0]
         here = cells[self.position[time]] if self.position[time] < len(cells) else None
-        return False if time in cells and here in self.names else None
+        if cells != self.names and time in cells and here in self.names:
+            how = "another header, with other columns than the first: split the log before it"
+            line = self._lines_above(data, begin) + 1
+            raise LogError("log_not_csv", self.path, how, f"line {line}")
+        return cells == self.names
 
     def _note_ragged(self, ragged: _Ragged, data: bytes, start: int) -> None:
         """Count rows of another width; refuse an open quotation mark among them."""
-        if not ragged.count:
-            return
+        row = ragged.swallowed or ragged.row
         # The parser's rows are those that are not blank.
         lines = [i for i, line in enumerate(data[start:].splitlines(), 1) if line]
-
-        def line_of(row: int) -> int:
-            return self._lines_above(data, start) + (lines[row - 1] if row <= len(lines) else 0)
-
+        line = self._lines_above(data, start) + (lines[row - 1] if row <= len(lines) else 0)
         if ragged.swallowed:
-            how = "a quotation mark is opened and not closed in its row"
-            raise LogError("log_damaged", self.path, how, f"line {line_of(ragged.swallowed)}")
+            raise LogError("log_damaged", self.path, _OPEN_QUOTE, f"line {line}")
         if not self.ragged:
-            self.first_ragged = (line_of(ragged.row), ragged.cells)
+            self.first_ragged = (line, ragged.cells)
         self.ragged += ragged.count
 
     def _lines_above(self, data: bytes, start: int) -> int:
         """Lines above a place of the piece, counted where a message names it, and only then."""
         before = islice(read_lines(self.path, self.logs.encoding), self.pieces)
         # A line end of two characters may be cut in two.
-        counts = (lines.data.count(b"\n") or lines.data.count(b"\r") for lines in before)
+        counts = (lines.count(b"\n") or lines.count(b"\r") for lines in before)
         return sum(counts) + len(data[:start].splitlines())
-
-    def _add(self, cells: Mapping[str, pa.ChunkedArray]) -> None:
-        cells = self.table.of_motor(self.columns, cells)
-        self.table.add(
-            stamps(self.logs, [cells[name] for name in self.columns.time]),
-            {
-                name: readings(self.path, self.logs, name, cells[name])
-                for name in self.columns.numbers
-            },
-            self.columns.channel_names(cells),
-            {name: cells[name] for name in self.columns.qualities},
-        )
 
     def log(self) -> RawLog:
         """All that was read."""
@@ -436,7 +386,7 @@ class _Ragged:
         return "skip"
 
 
-def stamps(logs: Logs, columns: list[pa.ChunkedArray]) -> WrittenStamps:
+def _stamps(logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
     """Time stamps of a column of time, or of one of dates and one of times."""
     numeric = logs.time_format in EPOCH_UNITS or logs.time_format == EXCEL_DAYS
     if logs.decimal == "," and numeric and pa.types.is_string(columns[-1].type):
@@ -444,7 +394,7 @@ def stamps(logs: Logs, columns: list[pa.ChunkedArray]) -> WrittenStamps:
     return written(columns, logs.time_format)
 
 
-def readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readings:
+def _readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readings:
     """Numbers of a column of text, or of one that Arrow could parse as float64.
 
     Raises
@@ -454,50 +404,36 @@ def readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readi
     """
     if pa.types.is_floating(cells.type):
         return readings_of(cells)
-    trimmed = cells
-    if logs.thousands:
-        trimmed = _without_groups(logs, cells)
-    elif logs.decimal == ",":
+    plain = _without_groups(logs, cells) if logs.thousands else cells
+    if logs.decimal == ",":
         # A dot is then no decimal sign: 1.234 may be a thousand and more.
-        trimmed = pc.replace_substring(pc.replace_substring(cells, ".", "_"), ",", ".")
+        plain = pc.replace_substring(pc.replace_substring(plain, ".", "_"), ",", ".")
     try:
-        return readings_of(trimmed.cast(pa.float64()))
+        return readings_of(plain.cast(pa.float64()))
     except pa.ArrowInvalid:
-        return _cell_by_cell(path, logs, name, cells, trimmed)
+        pass
+    # Slower, where some cell is no bare number.
+    if pc.any(pc.match_substring_regex(cells, r"[\r\n]")).as_py():
+        raise LogError("log_damaged", path, _OPEN_QUOTE, name)
+    trimmed = pc.utf8_trim_whitespace(plain)
+    is_number = pc.match_substring_regex(trimmed, _NUMBER)
+    # The grammar lets through one sign at most; the cast below knows no plus.
+    unsigned = pc.utf8_ltrim(pc.if_else(is_number, trimmed, None), "+")
+    tokens = pa.array(logs.missing_tokens, pa.string())
+    blank = pc.is_in(pc.utf8_trim_whitespace(cells), value_set=tokens)
+    missing = np.logical_not(pc.fill_null(is_number, False).to_numpy())
+    unparsed = missing & ~nulls(cells) & np.logical_not(blank.to_numpy())
+    example = cells[int(np.argmax(unparsed))].as_py() if unparsed.any() else None
+    return Readings(readings_of(unsigned.cast(pa.float64())).raw, missing, unparsed, example)
 
 
 def _without_groups(logs: Logs, cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Numbers without marks between their thousands; a mark elsewhere stays, and is no number."""
-    mark, decimal = re.escape(logs.thousands), re.escape(logs.decimal)
+    """Numbers without marks between their thousands; a mark elsewhere makes it no number."""
     trimmed = pc.utf8_trim_whitespace(cells)
+    mark, decimal = re.escape(logs.thousands), re.escape(logs.decimal)
     grouped = rf"^[+-]?[0-9]{{1,3}}({mark}[0-9]{{3}})+({decimal}[0-9]*)?$"
-    plain = pc.if_else(
+    return pc.if_else(
         pc.match_substring_regex(trimmed, grouped),
         pc.replace_substring(trimmed, logs.thousands, ""),
         pc.replace_substring(trimmed, logs.thousands, "_"),
     )
-    if logs.decimal == ".":
-        return plain
-    return pc.replace_substring(pc.replace_substring(plain, ".", "_"), ",", ".")
-
-
-def _cell_by_cell(
-    path: Path, logs: Logs, name: str, texts: pa.ChunkedArray, dotted: pa.ChunkedArray
-) -> Readings:
-    """Slower, for a column in which some cell is no bare number."""
-    if pc.any(pc.match_substring_regex(texts, r"[\r\n]")).as_py():
-        raise LogError(
-            "log_damaged", path, "a quotation mark is opened and not closed in its row", name
-        )
-    trimmed = pc.utf8_trim_whitespace(dotted)
-    is_number = pc.match_substring_regex(trimmed, _NUMBER)
-    # The grammar lets through one sign at most; the cast below knows no plus.
-    unsigned = pc.utf8_ltrim(pc.if_else(is_number, trimmed, None), "+")
-    blank = pc.is_in(
-        pc.utf8_trim_whitespace(texts), value_set=pa.array(logs.missing_tokens, pa.string())
-    )
-    missing = np.logical_not(pc.fill_null(is_number, False).to_numpy())
-    unparsed = missing & ~nulls(texts) & np.logical_not(blank.to_numpy())
-    example = texts[int(np.argmax(unparsed))].as_py() if unparsed.any() else None
-    raw = readings_of(unsigned.cast(pa.float64())).raw
-    return Readings(raw, missing, unparsed, example)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import codecs
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -28,9 +27,10 @@ LONGEST_LINE = 2**25
 """Bytes of a line; a file with longer ones is no table."""
 
 _RATIO_FROM = 2**26
-_LOOK = 2**16
-_PACKED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
-_OTHER_PACKERS = {
+_LINE = 2**12
+_UNPACKED_HERE = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
+_PACKERS = {
+    **_UNPACKED_HERE,
     b"PK\x03\x04": "zip",
     b"BZh": "bzip2",
     b"\xfd7zXZ": "xz",
@@ -39,26 +39,25 @@ _OTHER_PACKERS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Lines:
-    """A piece of a text: UTF-8, whole lines only."""
-
-    data: bytes  # without a byte order mark at the file's begin
-    torn: int = 0  # bytes behind the file's last line end; 0 in all pieces but the last
-
-
 def is_utf8(encoding: str) -> bool:
     """True if text in an encoding is UTF-8 as it stands."""
     return codecs.lookup(encoding).name in {"utf-8", "utf-8-sig", "ascii"}
 
 
 def is_packed(path: Path) -> bool:
-    """True if a file is compressed in a way that can be unpacked here, by its first bytes."""
-    return _packing(path) is not None
+    """True if a file is compressed, by its first bytes."""
+    with path.open("rb") as file:
+        return _packer(file.read(8)) is not None
 
 
-def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[Lines]:
-    """Text of a file, plain or packed, as pieces of whole lines, at least one; `piece` in bytes.
+def _packer(head: bytes) -> str | None:
+    return next((name for magic, name in _PACKERS.items() if head.startswith(magic)), None)
+
+
+def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[bytes]:
+    """Text of a file, plain or packed, in UTF-8, as pieces of whole lines; `piece` in bytes.
+
+    There is one piece at least. The last one is what stands behind the last line end, if anything.
 
     Raises
     ------
@@ -66,28 +65,25 @@ def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[Lines]
         ``log_encoding``, ``log_not_csv``, ``log_too_large``; ``log_truncated`` and ``log_damaged``
         for what cannot be unpacked.
     """
-    rest = b""
-    first = True
+    rest, is_first = b"", True
     for text in _decoded(path, unpacked(path, piece), encoding):
         data = rest + text if rest else text
-        if first and len(data) < 4:
+        if is_first and len(data) < 4:
             rest = data
             continue
-        if first:
-            _refuse_binary(path, data[:4096])
-            data = data.removeprefix(codecs.BOM_UTF8)
-            first = False
+        if is_first:
+            data = _first(path, data)
+            is_first = False
         newline = data.rfind(b"\n")
         end = max(newline, data.rfind(b"\r", newline + 1)) + 1
         if not end and len(data) > LONGEST_LINE:
             raise LogError("log_not_csv", path, f"a line is longer than {LONGEST_LINE} bytes")
         whole, rest = data[:end], data[end:]
         if whole:
-            yield Lines(repaired(whole))
-    if first:
-        _refuse_binary(path, rest)
-        rest = rest.removeprefix(codecs.BOM_UTF8)
-    yield Lines(b"", torn=len(rest.strip()))
+            yield repaired(whole)
+    if is_first:
+        rest = _first(path, rest)
+    yield rest if rest.strip() else b""
 
 
 def repaired(data: bytes) -> bytes:
@@ -95,27 +91,18 @@ def repaired(data: bytes) -> bytes:
     return data if data.isascii() else data.decode(errors="replace").encode()
 
 
-def _packing(path: Path) -> str | None:
-    with path.open("rb") as file:
-        head = file.read(8)
-    for magic, name in _OTHER_PACKERS.items():
-        if head.startswith(magic):
-            raise LogError(
-                "log_not_csv", path, f"the file is packed with {name}: unpack it, or use gzip"
-            )
-    return next((name for magic, name in _PACKED.items() if head.startswith(magic)), None)
-
-
 def unpacked(path: Path, piece: int) -> Iterator[bytes]:
     """Bytes of the text in pieces; errors as of `read_lines`."""
-    packing = _packing(path)
-    size = path.stat().st_size
-    total = 0
+    size, total = path.stat().st_size, 0
     with path.open("rb") as file:
-        pieces = (
-            _read_lines(file, piece) if packing is None else _inflated(path, file, packing, piece)
-        )
-        for data in pieces:
+        packer = _packer(file.read(8))
+        file.seek(0)
+        if packer is not None and packer not in _UNPACKED_HERE.values():
+            how = f"the file is packed with {packer}: unpack it, or use gzip"
+            raise LogError("log_not_csv", path, how)
+        # Up to the end of a line, where that is near: it need not be joined to the next piece.
+        plain = iter(lambda: file.read(piece) + file.readline(_LINE), b"")
+        for data in plain if packer is None else _inflated(path, file, packer, piece):
             total += len(data)
             if total > LARGEST_TEXT:
                 raise LogError(
@@ -125,7 +112,7 @@ def unpacked(path: Path, piece: int) -> Iterator[bytes]:
                     "split it, or use Parquet",
                 )
             # By what has been unpacked so far: a bomb shows long before its end.
-            if packing and total > max(_RATIO_FROM, LARGEST_RATIO * file.tell()):
+            if packer and total > max(_RATIO_FROM, LARGEST_RATIO * file.tell()):
                 raise LogError(
                     "log_too_large",
                     path,
@@ -135,37 +122,20 @@ def unpacked(path: Path, piece: int) -> Iterator[bytes]:
             yield data
 
 
-def _read_lines(file: BinaryIO, piece: int) -> Iterator[bytes]:
-    """Pieces that end with a line where that can be seen: they need not be copied to be joined."""
-    look = min(_LOOK, piece)
-    at = 0
-    while True:
-        file.seek(at + piece - look)
-        newline = file.read(look).rfind(b"\n")
-        file.seek(at)
-        data = file.read(piece if newline < 0 else piece - look + newline + 1)
-        if not data:
-            return
-        at += len(data)
-        yield data
-
-
-def _inflated(path: Path, file: BinaryIO, packing: str, piece: int) -> Iterator[bytes]:
+def _inflated(path: Path, file: BinaryIO, packer: str, piece: int) -> Iterator[bytes]:
     # Not the zstandard package's reader: it takes a cut file for a whole one.
     try:
-        with pa.CompressedInputStream(pa.PythonFile(file, "r"), packing) as stream:
+        with pa.CompressedInputStream(pa.PythonFile(file, "r"), packer) as stream:
             # Not `read`: in PyArrow 26 a stream that fails keeps what that has set aside for good.
             while (data := stream.read_buffer(piece)).size:
                 yield data.to_pybytes()
     except (OSError, pa.ArrowException) as error:
         reason = " ".join(str(error).split())
         if "runcated" in reason or "end of" in reason:
-            raise LogError(
-                "log_truncated", path, f"the end of the {packing} file is missing: copy it again"
-            ) from error
-        raise LogError(
-            "log_damaged", path, f"the {packing} file cannot be unpacked: {reason}"
-        ) from error
+            how = f"the end of the {packer} file is missing: copy it again"
+            raise LogError("log_truncated", path, how) from error
+        how = f"the {packer} file cannot be unpacked: {reason}"
+        raise LogError("log_damaged", path, how) from error
 
 
 def _decoded(path: Path, pieces: Iterator[bytes], encoding: str) -> Iterator[bytes]:
@@ -178,17 +148,16 @@ def _decoded(path: Path, pieces: Iterator[bytes], encoding: str) -> Iterator[byt
         try:
             yield decoder.decode(data).encode()
         except (UnicodeError, ValueError) as error:
-            raise LogError(
-                "log_encoding", path, f"the text is not in encoding {encoding}: {error}"
-            ) from error
+            how = f"the text is not in encoding {encoding}: {error}"
+            raise LogError("log_encoding", path, how) from error
 
 
-def _refuse_binary(path: Path, head: bytes) -> None:
-    """Refuse what is no text, or in another encoding, and say what it is."""
-    packers = {**_PACKED, **_OTHER_PACKERS}
-    packed = next((name for magic, name in packers.items() if head.startswith(magic)), None)
-    if packed is not None:
-        raise LogError("log_not_csv", path, f"what is in it is packed again, with {packed}")
+def _first(path: Path, data: bytes) -> bytes:
+    """The first piece without its mark; what is no text, or in another encoding, is refused."""
+    head = data[:4096]
+    packer = _packer(head)
+    if packer is not None:
+        raise LogError("log_not_csv", path, f"what is in it is packed again, with {packer}")
     if head.startswith(b"SQLite format 3\0"):
         how = "this is an SQLite database: export its table as CSV or Parquet"
         raise LogError("log_not_csv", path, how)
@@ -199,9 +168,9 @@ def _refuse_binary(path: Path, head: bytes) -> None:
         how = f'the text looks like {encoding.upper()}: set encoding = "{encoding}" for this log'
         raise LogError("log_encoding", path, how)
     if 0 in head:
-        raise LogError(
-            "log_not_csv", path, "the file is not text: set the format it has, or unpack it first"
-        )
+        how = "the file is not text: set the format it has, or unpack it first"
+        raise LogError("log_not_csv", path, how)
+    return data.removeprefix(codecs.BOM_UTF8)
 
 
 def _wide_encoding(head: bytes) -> str | None:

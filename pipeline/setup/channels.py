@@ -1,0 +1,163 @@
+"""Which column is which channel of a motor; asks where several fit, or none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from pipeline.setup.answers import Asked, without_motor
+from pipeline.setup.cells import Marks, as_number
+from pipeline.setup.names import (
+    PORT_PRESSURES,
+    QUANTITY_OF,
+    Group,
+    likely_units,
+    meaning_of,
+    missing_channels,
+)
+from pipeline.setup.tables import Column
+from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
+
+NONE = "none"
+_DIFFERENCE = "pressure_difference"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a channel is in a log; the unit is None where it has to be asked."""
+
+    column: Column
+    unit: str | None
+    quality: str = ""
+
+    def keys(self) -> dict[str, str]:
+        """Keys of ``[channels.…]``."""
+        own = {"unit": self.unit or "", "quality_source": self.quality}
+        return {**self.column.keys, **{key: value for key, value in own.items() if value}}
+
+
+@dataclass(frozen=True, slots=True)
+class Chooser:
+    """The columns of one motor's group."""
+
+    group: Group
+    columns: Mapping[str, Column]
+    marks: Marks
+    name: str
+    motor_id: str
+    asked: Asked
+
+    def places(self, qualities: Mapping[str, str], quality: str) -> Iterator[tuple[str, Place]]:
+        """Place by channel, without those that are asked for; `quality` is that of the rows."""
+        found = self._found()
+        for channel in CHANNELS:
+            if name := found.get(channel):
+                column = self.columns[name]
+                own = qualities.get(name, quality)
+                yield channel, Place(column, self._unit(channel, column), own)
+
+    def _found(self) -> dict[str, str | None]:
+        """Name of the column by channel."""
+        rivals, bare = self._rivals()
+        found = {channel: self._one(channel, own) for channel, own in rivals.items()}
+        if bare:
+            found |= self._ports(sorted(bare, key=self._size, reverse=True), found)
+        for channel in missing_channels(found):
+            text = f"no {_words(channel)} was found: which is it?"
+            found[channel] = self._which(channel, text, list(self.columns))
+        return found
+
+    def _rivals(self) -> tuple[dict[str, list[str]], list[str]]:
+        """The columns that fit each channel best, and pressures of nobody in particular."""
+        fitting: dict[str, list[tuple[int, str]]] = {}
+        for name, signal in self.group.signals.items():
+            meaning = meaning_of(signal, self.columns[name].unit)
+            if meaning.channel is not None:
+                fitting.setdefault(meaning.channel, []).append((meaning.merit, name))
+        rivals = {
+            channel: [name for merit, name in own if merit == max(own)[0]]
+            for channel, own in fitting.items()
+        }
+        is_bare = max(fitting.get(_DIFFERENCE, [(0, "")]))[0] < 0
+        bare = rivals.pop(_DIFFERENCE) if is_bare else []
+        high, low = (rivals.get(port, []) for port in PORT_PRESSURES)
+        if high and low:
+            rivals.pop(_DIFFERENCE, None)  # it is theirs
+            bare = []
+            if len(high) == len(low) == 1 and self._size(*high) < self._size(*low):
+                bare = [*high, *low]  # the low port's is the higher one
+        if (bare and high and low) or _DIFFERENCE in rivals:
+            for port in PORT_PRESSURES:
+                rivals.pop(port, None)
+        return rivals, bare
+
+    def _one(self, channel: str, names: Sequence[str]) -> str | None:
+        """The one column that fits a channel, or that is answered; None: it is asked."""
+        key = f"{self.motor_id}.{channel}"
+        if len(names) > 1:
+            text = f"{', '.join(names)} may be the {_words(channel)}: which is it?"
+            return self._which(channel, text, names)
+        # An answer has the last word, asked for or not.
+        is_told = key in self.asked.answers
+        return self.asked.ask(key, "", self.columns) if is_told else names[0]
+
+    def _ports(
+        self, names: Sequence[str], found: Mapping[str, str | None]
+    ) -> dict[str, str | None]:
+        """Channels of pressures of which the names do not say whose they are, the highest first."""
+        high, low = PORT_PRESSURES
+        told = " and ".join(f"{name} (typically {self._size(name):.4g})" for name in names)
+
+        def ask(channel: str, places: Sequence[str], more: str = "") -> str | None:
+            text = (
+                f"the log does not say whose pressure {told} is: which is the "
+                f"{_words(channel)}?{more}"
+            )
+            return self._which(channel, text, places)
+
+        if low in found or high in found:
+            other = low if high in found else high
+            return {other: ask(other, names)}
+        if len(names) > 1:
+            more = f" The other is the low port's; {NONE}: they are no ports'"
+            chosen = ask(high, [*names, NONE], more)
+            if chosen != NONE:
+                others = [name for name in names if name != chosen]
+                lower = others[0] if chosen and len(others) == 1 else None
+                return {high: chosen, low: ask(low, others) if chosen and not lower else lower}
+        return {_DIFFERENCE: ask(_DIFFERENCE, names)}
+
+    def _which(self, channel: str, text: str, names: Sequence[str]) -> str | None:
+        own, said = f"{self.motor_id}.{channel}", f"{self.motor_id}, and motors alike: {text}"
+        return self.asked.which(own, self.name, said, names, self.columns)
+
+    def _size(self, name: str) -> float:
+        """Typical magnitude of a pressure, in bar where its unit is said."""
+        own = self.columns[name]
+        sizes = [abs(number) for number in self._numbers(own)]
+        unit = meaning_of(name, own.unit).unit
+        known = unit if QUANTITY_OF.get(unit or "") == "pressure" else None
+        return float(to_canonical(_DIFFERENCE, median(sizes or [0.0]), known or "bar"))
+
+    def _numbers(self, column: Column) -> list[float]:
+        found = (as_number(cell, self.marks) for cell in column.filled)
+        return [number for number in found if number is not None]
+
+    def _unit(self, channel: str, column: Column) -> str | None:
+        """The unit of a column; one answer is for columns called alike, where it is plausible."""
+        said = meaning_of(column.name, column.unit).unit
+        if said is not None and QUANTITY_OF.get(said) == QUANTITIES[channel]:
+            return said
+        shown = "; ".join(column.filled[:3])
+        text = f"unit of {_words(channel)} ({column.name}: {shown}): which is it?"
+        units = tuple(UNITS[QUANTITIES[channel]])
+        likely = likely_units(channel, self._numbers(column)) or units
+        key = f"unit of {without_motor(column.name, self.name) or channel}"
+        if key in self.asked.answers and self.asked.answers[key] not in likely:
+            key = f"{key} in {self.asked.log}"
+        return self.asked.ask(key, text, likely, units)
+
+
+def _words(channel: str) -> str:
+    return channel.replace("_", " ")

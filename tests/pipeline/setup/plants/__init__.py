@@ -1,1 +1,0 @@
-"""Plants' files that `init` has to read."""
