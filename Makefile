@@ -58,7 +58,7 @@ look: $(RUN)   ## new minutes of growing logs, told at once: CONFIG=... EVERY=10
 	$(BIN)/motor-leakage look $(FLEET) $(if $(EVERY),--every $(EVERY)) $(if $(MOTORS),--motors "$(MOTORS)")
 
 report: $(RUN) ## pages of the fleet and its motors: CONFIG=configs/fleet.toml
-	$(BIN)/motor-leakage report $(FLEET) $(if $(JOBS),--jobs $(JOBS))
+	$(BIN)/motor-leakage report $(FLEET)
 
 check: $(RUN)  ## check a fleet's config and the head of its logs: CONFIG=...
 	$(BIN)/motor-leakage check $(FLEET)
@@ -88,9 +88,9 @@ test-full: $(FULL) ## all tests, with the long ones (84 minutes, two tests at a 
 bench: $(FULL)  ## the benchmarks, into benchmarks/results/
 	$(BIN)/python -m benchmarks all
 
-validate: $(DEV) ## figures of docs/real_machines.md: DATA=folder of the pump rig's records
-	$(BIN)/python -m validation pump_rig $(DATA) --page docs/real_machines.md
-	$(BIN)/python -m validation machines --page docs/real_machines.md
+validate: $(DEV) ## figures of docs/evidence.md: DATA=folder of the pump rig's records
+	$(BIN)/python -m validation pump_rig $(DATA) --page docs/evidence.md
+	$(BIN)/python -m validation machines --page docs/evidence.md
 
 bench-guard: $(DEV) ## compare speed with the last committed results
 	$(BIN)/python -m benchmarks guard

@@ -14,8 +14,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import nbformat
-from nbclient import NotebookClient
 from PIL import Image
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -25,6 +23,10 @@ COLOURS = 64
 
 def executed(names: Sequence[str], folder: Path) -> dict[str, Any]:
     """Notebooks by name, executed in a folder one after the other by one kernel."""
+    # Of requirements/full.txt.
+    import nbformat
+    from nbclient import NotebookClient
+
     notebooks = {name: nbformat.read(DOCS / "notebooks" / f"{name}.ipynb", 4) for name in names}
     together = nbformat.v4.new_notebook(
         cells=[cell for one in notebooks.values() for cell in one.cells]
@@ -46,6 +48,8 @@ def main(folder: Path) -> None:
     """Execute the notebooks and write what the docs show of them."""
     kept = folder / "out" / "notebooks"
     kept.mkdir(parents=True, exist_ok=True)
+    import nbformat
+
     for name, notebook in executed(NAMES, folder).items():
         nbformat.write(notebook, kept / f"{name}.ipynb")
         for picture, png in figures(name, notebook):

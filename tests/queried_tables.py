@@ -78,7 +78,12 @@ def slopes(row: WatchRow) -> Rows:
 def write_trends(output: Path) -> None:
     """The trend tables of those motors, and what people said of the first."""
     watch = watch_rows()
-    raised = {"indicator": "leakage", "from_state": "ok", "to_state": "warning", "way": "change"}
+    raised: dict[str, Any] = {
+        "indicator": "leakage",
+        "from_state": "ok",
+        "to_state": "warning",
+        "way": "change",
+    }
     raised |= {"time": dt.datetime(2026, 3, 15, 6, tzinfo=dt.UTC), "night": TOLD_ON}
     reset = {"motor_id": WORN, "night": TOLD_ON, "indicator": "leakage", "n": 8}
     reset |= {"start": SINCE + dt.timedelta(days=3), "reason": "reset: sleeves seen"}

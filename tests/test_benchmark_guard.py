@@ -1,4 +1,4 @@
-"""The list of benchmarks; the guard against growing slow: its words, and all of its parts."""
+"""The guard against growing slow: its words, and all of its parts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 
 import pytest
 
-from benchmarks import __main__ as benchmarks
 from benchmarks import guard
 
 
@@ -28,13 +27,3 @@ def test_it_measures_what_the_committed_results_name() -> None:
     committed = json.loads(guard.RESULTS.read_text("utf-8"))
     assert all(ratio > 0 for ratio in committed.values())
     assert guard.measured().keys() == committed.keys()
-
-
-@pytest.mark.parametrize("asked", [[], ["--help"], ["nowhere"]])
-def test_benchmarks_are_listed(asked: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert benchmarks.main(asked) == (2 if asked == ["nowhere"] else 0)
-    listed = "".join(capsys.readouterr()).splitlines()
-    assert "guard            Is the program slower than it was?" in "\n".join(listed)
-    assert len(listed) >= len(benchmarks.BENCHMARKS)
-    assert benchmarks.main(["coverage", "watch", "--only", "one"]) == 2
-    assert "not coverage, watch" in capsys.readouterr().err

@@ -66,6 +66,18 @@ def test_the_dashboard_asks_for_metrics_that_there_are() -> None:
     queries = [target["expr"] for panel in dashboard["panels"] for target in panel["targets"]]
     named = {name for query in queries for name in re.findall(r"motor_leakage_\w+", query)}
     assert named == set(re.findall(r"^# TYPE (\w+)", metrics(), re.MULTILINE))
+    # The curve of a motor: a figure, and a band between the ends of its interval.
+    (curve,) = (one for one in dashboard["panels"] if one["title"].startswith("Leakage of $motor"))
+    of = "motor_leakage_own_leakage_"
+    assert [one["expr"] for one in curve["targets"]] == [
+        f'{of}{name}{{motor="$motor"}}'
+        for name in ("l_per_min", "lower_l_per_min", "upper_l_per_min")
+    ]
+    bands = {
+        one["matcher"]["options"]: one["properties"] for one in curve["fieldConfig"]["overrides"]
+    }
+    assert {"id": "custom.fillBelowTo", "value": "lower"} in bands["upper"]
+    assert {one["legendFormat"] for one in curve["targets"]} > bands.keys()
 
 
 @pytest.fixture(scope="session")

@@ -1,16 +1,14 @@
-"""The queries of `docs/queries.md`: all engines agree, and their answers are right."""
+"""The queries of `docs/queries.md`: their answers are right."""
 
 from __future__ import annotations
 
 import datetime as dt
-import statistics
 from pathlib import Path
 from typing import Any
 
 import duckdb
 import polars as pl
 import pytest
-from polars.testing import assert_frame_equal
 
 from pipeline.schema import (
     BLOCK_STATISTICS,
@@ -20,7 +18,9 @@ from pipeline.schema import (
     PARAMETERS,
     QUALITY,
     SENSITIVITIES,
+    TABLES,
     TREND_TABLES,
+    Table,
 )
 from pipeline.store.tables import night_file, read_table, table_folder
 from tests.pipeline.written import write_nights
@@ -41,9 +41,9 @@ from tests.queried_tables import (
     with_faults,
     write_trends,
 )
-from tests.query_page import ENGINES, MOST_ROWS, PAGE, answer, questions
+from tests.query_page import PAGE, answer, questions
 
-QUESTIONS = {int(question.title.partition(".")[0]): question for question in questions()}
+QUESTIONS = questions()
 
 
 @pytest.fixture(scope="module")
@@ -92,52 +92,28 @@ def fits(history: Path, **values: object) -> Rows:
 
 @pytest.mark.parametrize("number", QUESTIONS)
 @pytest.mark.parametrize("tables", ["demo", "history"])
-def test_engines_agree_and_the_page_shows_the_columns(
+def test_the_page_shows_the_columns_of_the_answer(
     number: int, tables: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(request.getfixturevalue(tables))
-    answers = {engine: answer(engine, QUESTIONS[number]) for engine in ENGINES}
-    assert tuple(answers["DuckDB"].columns) == QUESTIONS[number].columns
-    if tables == "history":
-        assert answers["DuckDB"].height > 0
-    for engine in ENGINES[1:]:
-        assert_frame_equal(answers[engine], answers["DuckDB"], rel_tol=1e-9)
+    query, columns = QUESTIONS[number]
+    found = answer(query)
+    assert tuple(found.columns) == columns
+    assert tables == "demo" or found.height > 0
 
 
-def test_page_has_the_questions_in_order_and_no_other_code() -> None:
-    assert list(QUESTIONS) == list(range(1, len(QUESTIONS) + 1))
-    assert len(QUESTIONS) >= 10
-    text = PAGE.read_text("utf-8")
-    # For DuckDB, the program's own `views.sql` is all the preparation.
-    assert text.count("```") == 2 * (len(ENGINES) * (len(QUESTIONS) + 1) - 1)
-    longest = max(text.split("On the demo:\n\n")[1:], key=lambda part: part.count("\n| "))
-    assert longest.split("\n\n")[0].count("\n| ") <= MOST_ROWS + 1
+def test_page_has_the_questions_in_order() -> None:
+    assert list(QUESTIONS) == list(range(1, 1 + PAGE.read_text("utf-8").count("\n## ") - 1))
 
 
 @pytest.fixture
 def ask(history: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.chdir(history)
-    return lambda number: answer("DuckDB", QUESTIONS[number]).to_dicts()
+    return lambda number: answer(QUESTIONS[number][0]).to_dicts()
 
 
-def test_1_leakage_has_grown_by_a_quarter(ask: Any, history: Path) -> None:
-    rows = {row["motor_id"]: row for row in ask(1)}
-    known = {row["motor_id"] for row in fits(history, reference_verdict="identified")}
-    assert set(rows) == known
-    steady = rows[STEADY]
-    assert steady["change_percent"] == pytest.approx(25.0)
-    nights = fits(history, motor_id=STEADY)
-    leakages = [row["reference_leakage_l_per_min"] for row in nights]
-    assert steady["now_l_per_min"] == pytest.approx(statistics.median(leakages))
-    assert steady["before_l_per_min"] == pytest.approx(0.8 * statistics.median(leakages))
-    assert steady["nights_now"] == 3
-    widths = [row["reference_leakage_upper"] - row["reference_leakage_lower"] for row in nights]
-    percent = [50 * width / leakage for width, leakage in zip(widths, leakages, strict=True)]
-    assert steady["nightly_percent"] == pytest.approx(statistics.median(percent))
-
-
-def test_2_through_the_ring(ask: Any) -> None:
-    rows = ask(2)
+def test_6_through_the_ring(ask: Any) -> None:
+    rows = ask(6)
     rings = [row for row in rows if row["path"] == "piston_ring"]
     assert len(rings) == 6
     # Twice the K is a gap higher by the cube root of 2.
@@ -149,23 +125,8 @@ def test_2_through_the_ring(ask: Any) -> None:
     assert all(row["leakage_percent"] == pytest.approx(0.0, abs=1e-9) for row in others)
 
 
-def test_3_newest_figures(ask: Any, history: Path) -> None:
-    rows = {row["motor_id"]: row for row in ask(3)}
-    assert rows[FAILED]["night"] == NEWEST - dt.timedelta(days=1)
-    assert rows[STEADY]["night"] == NEWEST
-    (fit,) = fits(history, motor_id=STEADY, night=NEWEST)
-    leakage = fit["reference_leakage_l_per_min"]
-    assert rows[STEADY]["leakage"] == leakage
-    systematic = 100 * fit["reference_leakage_systematic"] / leakage
-    assert rows[STEADY]["systematic_percent"] == pytest.approx(systematic)
-    (other,) = fits(history, motor_id="CB1120-02", night=NEWEST)
-    assert other["reference_leakage_l_per_min"] is None
-    assert rows["CB1120-02"]["conditions"] == "own"
-    assert rows["CB1120-02"]["leakage"] == other["own_conditions_leakage_l_per_min"]
-
-
-def test_4_nights_to_distrust(ask: Any) -> None:
-    rows = [(row["motor_id"], row["night"], row["why"]) for row in ask(4)]
+def test_7_nights_to_distrust(ask: Any) -> None:
+    rows = [(row["motor_id"], row["night"], row["why"]) for row in ask(7)]
     assert rows == sorted(rows)
     assert (FAILED, NEWEST, "failed") in rows
     assert {why for motor, night, why in rows if (motor, night) == (THIN, NEWEST)} == {
@@ -176,23 +137,8 @@ def test_4_nights_to_distrust(ask: Any) -> None:
     assert [why for motor, _, why in rows if motor == FAILED].count("no intervals") == 0
 
 
-def test_5_fit_on_new_data(ask: Any, history: Path) -> None:
-    row = next(row for row in ask(5) if row["motor_id"] == STEADY)
-    nights = fits(history, motor_id=STEADY)
-    for name, column in (
-        ("training", "training_fit_percent"),
-        ("validation", "validation_fit_percent"),
-        ("previous_model", "previous_model_fit_percent"),
-    ):
-        values = [night[column] for night in nights if night[column] is not None]
-        assert row[name] == pytest.approx(statistics.median(values))
-    assert row["nights"] == 3
-    failed = next(row for row in ask(5) if row["motor_id"] == FAILED)
-    assert failed["nights"] == 2
-
-
-def test_6_refused_data(ask: Any, history: Path) -> None:
-    rows = ask(6)
+def test_8_refused_data(ask: Any, history: Path) -> None:
+    rows = ask(8)
     newer = [NEWEST - dt.timedelta(days=day) for day in range(3)]
     path = night_file(history / "out", QUALITY, NEWEST)
     nights = read_table(path, QUALITY, newer).to_dicts()
@@ -208,17 +154,8 @@ def test_6_refused_data(ask: Any, history: Path) -> None:
     assert shares == sorted(shares, reverse=True)
 
 
-def test_7_motors_of_a_type(ask: Any) -> None:
-    rows = {row["motor_id"]: row for row in ask(7)}
-    one, other = rows["CB400-01"], rows["CB400-02"]
-    mean = (one["leakage_l_per_min"] + other["leakage_l_per_min"]) / 2
-    assert one["from_type_percent"] == pytest.approx(100 * (one["leakage_l_per_min"] / mean - 1))
-    assert one["from_type_percent"] == pytest.approx(-other["from_type_percent"])
-    assert rows["CB1120-01"]["from_type_percent"] == 0.0  # the only one whose leakage is known
-
-
-def test_8_error_budget(ask: Any, history: Path) -> None:
-    rows = [row for row in ask(8) if row["motor_id"] == STEADY]
+def test_9_error_budget(ask: Any, history: Path) -> None:
+    rows = [row for row in ask(9) if row["motor_id"] == STEADY]
     assert len(rows) == 3
     (fit,) = fits(history, motor_id=STEADY, night=NEWEST)
     leakage = fit["reference_leakage_l_per_min"]
@@ -235,8 +172,8 @@ def test_8_error_budget(ask: Any, history: Path) -> None:
         assert row["share_percent"] == pytest.approx(100 * (effect / total) ** 2, rel=1e-6)
 
 
-def test_9_excitation(ask: Any) -> None:
-    rows = {row["motor_id"]: row for row in ask(9)}
+def test_10_excitation(ask: Any) -> None:
+    rows = {row["motor_id"]: row for row in ask(10)}
     assert rows[STEADY]["nights"] == 3
     assert rows[FAILED]["nights"] == 2
     assert rows["CB1120-02"]["nights_reference"] == 0
@@ -246,36 +183,13 @@ def test_9_excitation(ask: Any) -> None:
     assert rows[STEADY]["highest_bar"] > 250
 
 
-def test_10_last_fits(ask: Any) -> None:
-    first, *others = ask(10)
+def test_11_last_fits(ask: Any) -> None:
+    first, *others = ask(11)
     expected = {"motor_id": FAILED, "last_fit": NEWEST - dt.timedelta(days=1), "days_behind": 1}
     expected |= {"newest_status": "failed", "error_code": "log_truncated", "nights_failed": 1}
     assert first == expected
     assert {row["days_behind"] for row in others} == {0}
     assert {row["error_code"] for row in others} == {""}
-
-
-def test_11_shares(ask: Any) -> None:
-    rows = [row for row in ask(11) if row["motor_id"] == STEADY]
-    paths = ["balance_piston", "balance_sleeve", "cam_roller", "piston_ring"]
-    assert [row["path"] for row in rows] == paths
-    assert {row["night"] for row in rows} == {NEWEST}
-    known = [row for row in rows if row["verdict"] == "identified"]
-    assert known
-    assert all(row["lower_percent"] < row["share_percent"] < row["upper_percent"] for row in known)
-    if len(known) == len(rows):
-        assert sum(row["share_percent"] for row in rows) == pytest.approx(100.0)
-
-
-def test_12_pressures(ask: Any) -> None:
-    rows = ask(12)
-    for name in {row["motor_id"] for row in rows}:
-        own = {row["from_bar"]: row["share_percent"] for row in rows if row["motor_id"] == name}
-        assert sum(own.values()) == pytest.approx(100.0)
-        assert all(bar % 20 == 0 for bar in own)
-    # Its 180 bar fall into the bins below and above.
-    constant = {row["from_bar"]: row for row in rows if row["motor_id"] == "CB1120-02"}
-    assert sum(constant[bar]["share_percent"] for bar in (160, 180)) > 95
 
 
 def test_plain_reading_of_old_and_new_files_sees_all_columns(
@@ -293,38 +207,46 @@ def test_plain_reading_of_old_and_new_files_sees_all_columns(
         assert relation.columns == list(FITS.schema)
 
 
-def test_13_motors_that_have_changed(ask: Any) -> None:
-    worn, slow = ask(13)
+def test_1_motors_that_have_changed(ask: Any) -> None:
+    worn, slow = ask(1)
     assert (worn["motor_id"], worn["state"], worn["cause"]) == (WORN, "alarm", "balance_sleeve")
     assert worn["tonight_percent"] == pytest.approx(40.0)
     assert (worn["since"], worn["told_on"]) == (SINCE, TOLD_ON)
     assert (slow["motor_id"], slow["cause"]) == (SLOW, "cannot_be_told")
 
 
-def test_14_what_wears(ask: Any) -> None:
-    (ring,) = ask(14)
+def test_4_what_wears(ask: Any) -> None:
+    (ring,) = ask(4)
     assert ring["motor_id"] == SLOW
     assert ring["percent_per_year"] == pytest.approx(PER_YEAR)
     assert ring["lower"] == pytest.approx(0.9 * PER_YEAR)
 
 
-def test_15_days_to_limits(ask: Any) -> None:
-    first, second = ask(15)
+def test_5_days_to_limits(ask: Any) -> None:
+    first, second = ask(5)
     assert (first["motor_id"], first["status"], first["days"]) == (WORN, "already_crossed", None)
     assert (second["motor_id"], second["status"]) == (SLOW, "finite")
     assert second["earliest"] < second["days"] < second["latest"]
 
 
-def test_16_changes_and_what_begins_with_them(ask: Any) -> None:
-    slow, worn = ask(16)
+def test_3_changes_and_what_begins_with_them(ask: Any) -> None:
+    slow, worn = ask(3)
     assert (worn["motor_id"], worn["told_on"], worn["since"]) == (WORN, TOLD_ON, SINCE)
     assert worn["change_percent"] == pytest.approx(38.0)
     assert worn["dated"] == "reset: sleeves seen"
     assert (slow["motor_id"], slow["dated"]) == (SLOW, None)
 
 
-def test_17_findings(ask: Any) -> None:
+def test_12_findings(ask: Any) -> None:
     """Said twice of one alarm, the last word counts."""
-    (row,) = ask(17)
+    (row,) = ask(12)
     assert (row["indicator"], row["raised"]) == ("leakage", 2)
     assert (row["inspected"], row["confirmed"], row["confirmed_percent"]) == (2, 1, 50.0)
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
+def test_published_files_have_the_columns_and_types_that_are_stated(
+    fitted_output: Path, table: Table
+) -> None:
+    for path in table_folder(fitted_output, table).rglob("*.parquet"):
+        assert pl.read_parquet_schema(path) == dict(table.schema)

@@ -39,11 +39,6 @@ def add_motor(fleet: Path, motor_id: str, nights: Sequence[pl.DataFrame], more: 
         shifted.write_parquet(logs / f"{number:03}.parquet")
 
 
-def label(number: int) -> dt.date:
-    """Night of the cut of this number."""
-    return FIRST.date() + (number + 1) * DAY
-
-
 def fitted(fleet: Path) -> Tables:
     """Run `motor-leakage fit-fleet`; its tables."""
     app(["fit-fleet", str(fleet)], standalone_mode=False)

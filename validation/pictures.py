@@ -1,4 +1,4 @@
-"""Pictures of docs/real_machines.md."""
+"""Pictures of docs/evidence.md."""
 
 from __future__ import annotations
 
@@ -17,26 +17,25 @@ from validation.record import FLOW, TIME, Record
 
 SOURCE = (
     "Axial piston pump, valve plate UT3: Silesian University of Technology, Appl. Sci. 2024, "
-    "14(16), 7183. Wear is added to the measured flow."
+    "14(16), 7183."
 )
 WIDTH = 1400
 COLOURS = 64
 SHOWN_MINUTES = (70.0, 80.0)  # of the warm part: a held-out block
 
 
-def draw(record: Record, predicted: pl.Series, cuts: Tables, nights: Tables, folder: Path) -> None:
-    """Write the picture of one record: the fit, its stability, and nights with added wear.
+def draw(record: Record, predicted: pl.Series, cuts: Tables, folder: Path) -> None:
+    """Write the picture of one record: the fit, and its stability.
 
     `predicted` is the flow of each row of the record's warm part.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    figure = Figure(figsize=(13.8, 5.0), layout="constrained")
+    figure = Figure(figsize=(10.0, 4.5), layout="constrained")
     figure.suptitle("A real pump")
     figure.supxlabel(SOURCE, fontsize=8)
-    axes = figure.subplots(1, 3)
+    axes = figure.subplots(1, 2)
     _course(axes[0], record.warm(), predicted)
     _windows(axes[1], cuts, f"{record.name}-windows")
-    _wear(axes[2], nights, record.name)
     path = folder / f"real_machines_{record.name}.png"
     figure.savefig(path, dpi=150)
     picture = Image.open(path).convert("RGB")
@@ -46,10 +45,6 @@ def draw(record: Record, predicted: pl.Series, cuts: Tables, nights: Tables, fol
 
 def line(axes: Axes, x: Array, y: Array, place: int, name: str | None = None) -> None:
     axes.plot(x, y, color=PENS[place], label=name)
-
-
-def dots(axes: Axes, x: Array, y: Array, place: int) -> None:
-    axes.plot(x, y, "o", color=PENS[place])
 
 
 def label(axes: Axes, title: str, x: str, y: str) -> None:
@@ -73,15 +68,3 @@ def _windows(axes: Axes, cuts: Tables, motor_id: str) -> None:
     line(axes, minutes, leakage, 0)
     axes.fill_between(minutes, leakage - total, leakage + total, alpha=0.2)
     label(axes, "Reference leakage of 20-minute windows, total ±", "begin, minutes", "l/min")
-
-
-def _wear(axes: Axes, nights: Tables, record: str) -> None:
-    courses = ("steady", "all-step-20", "all-ramp-30")
-    for place, name in enumerate(courses):
-        course = nights.trend(f"{record}-{name}", "reference_leakage").collect()
-        deviation = course["deviation_percent"].cast(pl.Float64).to_numpy()
-        line(axes, np.arange(len(deviation), dtype=np.float64), deviation, place, name)
-        raised = course["state"].is_in(["warning", "alarm"]).to_numpy()
-        dots(axes, np.flatnonzero(raised).astype(np.float64), deviation[raised], place)
-    label(axes, "Reference leakage, dots: warning or alarm", "night", "% over the baseline")
-    axes.legend()

@@ -1,7 +1,7 @@
-"""The pump rig: what the program finds on its records, in six tables.
+"""The pump rig: what the program finds on its records, in five tables.
 
 `python -m validation pump_rig FOLDER` reads the records of FOLDER, fits cuts of them with the
-program's own command, and writes the tables and the picture of docs/real_machines.md.
+program's own command, and writes the tables and the picture of docs/evidence.md.
 """
 
 from __future__ import annotations
@@ -15,52 +15,39 @@ import polars as pl
 
 from leakage import total_flow_l_per_min
 from pipeline.notebook import Tables
-from pipeline.schema import TRENDS
 from validation.cuts import (
     METER_READS_FROM,
     SHORT,
     STEP,
     VALUE,
     VARIANTS,
-    Plan,
     add_cuts,
-    add_nights,
     conditions,
     fits_of,
-    growth,
     labelled,
     law_of,
 )
-from validation.fleet import DAY, fitted, label, new_fleet
+from validation.fleet import DAY, fitted, new_fleet
 from validation.pictures import draw
-from validation.record import FLOW, PRESSURE, TEMPERATURE, Record, read_records, windows
+from validation.record import FLOW, PRESSURE, TEMPERATURE, Record, read_records
 from validation.tables import NONE, Row, Table
 
 Fit = dict[str, Any]
-RAISED = ("warning", "alarm")
 
 
-def judge(
-    folder: Path, work: Path, plan: Plan | None = None, pictures: Path | None = None
-) -> list[Table]:
+def judge(folder: Path, work: Path, pictures: Path | None = None) -> list[Table]:
     """Fit cuts of every record of a folder, and answer the questions of the page."""
-    plan = plan or Plan()
     records = read_records(folder)
     fleet = new_fleet("pump_rig", work / "cuts")
     for record in records:
         add_cuts(fleet, record)
     cuts = fitted(fleet)
     known = [record for record in records if labelled(cuts, record)]
-    long = [record for record in known if windows(record.warm(), plan.length, plan.nights)]
-    fleet = new_fleet("pump_rig", work / "nights")
-    for record in long:
-        add_nights(fleet, record, cuts, plan)
-    nights = fitted(fleet) if long else cuts
     if pictures:
-        for record in long:
+        for record in known:
             law, coefficients = law_of(fleet, cuts, record)
             flow = total_flow_l_per_min(law, conditions(record.warm()), coefficients)
-            draw(record, pl.Series(flow), cuts, nights, pictures)
+            draw(record, pl.Series(flow), cuts, pictures)
     rising = sorted(known, key=lambda record: float(labelled(cuts, record)[0][VALUE]))
     return [
         Table("records", [_record(record) for record in records]),
@@ -68,7 +55,6 @@ def judge(
         Table("labels", [_label(cuts, record) for record in rising]),
         Table("stability", [row for record in records for row in _quarters(cuts, record)]),
         Table("coverage", [row for record in records for row in _coverage(cuts, record)]),
-        Table("alarms", [row for record in long for row in _alarms(nights, record, plan)]),
     ]
 
 
@@ -124,7 +110,6 @@ def _quarters(tables: Tables, record: Record) -> list[Row]:
             "K, 1e-14 m³": f"{fit['coefficients'][0] * 1e14:.2f}",
             "offset, l/min": f"{fit['coefficients'][1]:.2f}",
             **_leakage(fit),
-            "model": fit["model_verdict"] or NONE,
         }
         for number, fit in quarters
         if fit[VALUE] is not None
@@ -179,45 +164,3 @@ def _slope_percent_per_k(pairs: Sequence[tuple[Fit, Fit]]) -> float:
     temperatures = [then["own_temperature_c"] for then, _ in pairs]
     logarithms = np.log([then[VALUE] for then, _ in pairs])
     return 100.0 * float(np.polyfit(temperatures, logarithms, 1)[0])
-
-
-def _alarms(tables: Tables, record: Record, plan: Plan) -> list[Row]:
-    """First warning or alarm of the nights without wear, and of each course since it began."""
-    raised = tables.alarms().filter(pl.col("to_state").is_in(RAISED)).collect().to_dicts()
-    found: dict[str, list[dict[str, Any]]] = {}
-    for one in raised:
-        found.setdefault(one["motor_id"], []).append(one)
-    told = tables.table(TRENDS.name).filter(pl.col("common_factor").is_not_null())
-    by_motor = told.group_by("motor_id").agg(pl.col("night").n_unique())
-    as_oil = dict(by_motor.collect().iter_rows())
-    cases = [("none", order, 0, None) for order in ("steady", "mixed")] + [
-        (kind, course, plan.healthy, course) for kind in plan.kinds for course in plan.courses
-    ]
-    rows = []
-    for wear, course, begin, grows in cases:
-        name = f"{record.name}-{course}" if grows is None else f"{record.name}-{wear}-{course}"
-        words = course if grows is None else course.replace("-", " +") + " %"
-        rows.append(
-            {
-                "record": record.name,
-                "wear": wear,
-                "course": words,
-                **_told(found.get(name, []), begin, grows, plan),
-                "nights told as oil": str(as_oil.get(name, 0)),
-            }
-        )
-    return rows
-
-
-def _told(raised: Sequence[dict[str, Any]], begin: int, course: str | None, plan: Plan) -> Row:
-    """Night of the first warning or alarm since the first worn night, growth by then, words."""
-    first = next((one for one in raised if one["night"] >= label(begin)), None)
-    if first is None:
-        return {"told in night": "never", "at": NONE, "by": NONE, "in words": NONE}
-    number = (first["night"] - label(begin)).days
-    return {
-        "told in night": str(number + 1),
-        "at": f"+{100 * growth(course, number, plan):.0f} %" if course else NONE,
-        "by": f"{first['indicator']}, {first['way']}",
-        "in words": first["reason"].split(";")[0],
-    }

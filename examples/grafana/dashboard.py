@@ -1,4 +1,4 @@
-"""Make dashboard.json: the metrics of a fleet on a Grafana dashboard.
+"""Make dashboard.json: the metrics of a fleet, and the curve of a motor, on a Grafana dashboard.
 
 Needs grafana-foundation-sdk: ``python dashboard.py``. Not tried in a Grafana.
 """
@@ -7,15 +7,28 @@ from pathlib import Path
 
 from grafana_foundation_sdk.builders import common, dashboard, prometheus, timeseries
 from grafana_foundation_sdk.cog.encoder import JSONEncoder
-from grafana_foundation_sdk.models.dashboard import DataSourceRef
+from grafana_foundation_sdk.models.dashboard import DataSourceRef, DynamicConfigValue
 
 SOURCE = DataSourceRef(type_val="prometheus", uid="${source}")
 OF = "motor_leakage_"
+OF_MOTOR = '{motor="$motor"}'
+# Title, figure and ends of its interval, unit: the curve of the motor that is chosen.
+CURVES = (
+    (
+        "Leakage of $motor at its own conditions",
+        ("own_leakage_l_per_min", "own_leakage_lower_l_per_min", "own_leakage_upper_l_per_min"),
+        "flowlpm",
+    ),
+    (
+        "Change of $motor against its baseline",
+        ("tonight_change_ratio", "tonight_change_lower_ratio", "tonight_change_upper_ratio"),
+        "percentunit",
+    ),
+)
 # Title, query, legend, unit.
 PANELS = (
     ("Motors by state", f"sum by (state) ({OF}motor_state)", "{{state}}", "short"),
     ("Motors in alarm", f'{OF}motor_state{{state="alarm"}} == 1', "{{motor}}", "short"),
-    ("Change tonight", f"{OF}tonight_change_ratio", "{{motor}}", "percentunit"),
     ("Evidence over its limit", f"{OF}evidence / {OF}evidence_limit", "{{motor}}", "percentunit"),
     ("Lack of fit of the model", f"{OF}lack_of_fit_ratio", "{{motor}}", "percentunit"),
     ("Age of the newest data", f"time() - {OF}data_timestamp_seconds", "{{motor}}", "s"),
@@ -26,15 +39,36 @@ PANELS = (
 )
 
 
+def panel(title: str, unit: str, *queries: tuple[str, str]) -> timeseries.Panel:
+    """A panel of queries, each with its legend."""
+    made = timeseries.Panel().title(title).unit(unit).span(12).height(8).datasource(SOURCE)
+    made = made.legend(common.VizLegendOptions().show_legend(True))
+    for place, (query, legend) in enumerate(queries):
+        target = prometheus.Dataquery().expr(query).legend_format(legend).ref_id("ABC"[place])
+        made = made.with_target(target)
+    return made
+
+
+def curve(title: str, names: tuple[str, str, str], unit: str) -> timeseries.Panel:
+    """A figure of the motor that is chosen, with a band between the ends of its interval."""
+    legends = ("figure", "lower", "upper")
+    queries = zip((f"{OF}{name}{OF_MOTOR}" for name in names), legends, strict=True)
+    thin = DynamicConfigValue("custom.lineWidth", 0)
+    band = [DynamicConfigValue("custom.fillBelowTo", "lower"), thin]
+    made = panel(title, unit, *queries)
+    return made.override_by_name("upper", band).override_by_name("lower", [thin])
+
+
 def main() -> None:
     """Write the dashboard beside this file."""
     made = dashboard.Dashboard("Motor leakage").uid("motor-leakage").time("now-90d", "now")
     made = made.with_variable(dashboard.DatasourceVariable("source").type("prometheus"))
+    motors = dashboard.QueryVariable("motor").datasource(SOURCE)
+    made = made.with_variable(motors.query(f"label_values({OF}motor_state, motor)"))
+    for one in CURVES:
+        made = made.with_panel(curve(*one))
     for title, query, legend, unit in PANELS:
-        panel = timeseries.Panel().title(title).unit(unit).span(12).height(8).datasource(SOURCE)
-        panel = panel.legend(common.VizLegendOptions().show_legend(True))
-        target = prometheus.Dataquery().expr(query).legend_format(legend)
-        made = made.with_panel(panel.with_target(target))
+        made = made.with_panel(panel(title, unit, (query, legend)))
     text = JSONEncoder(sort_keys=True, indent=1).encode(made.build())
     Path(__file__).with_suffix(".json").write_text(text + "\n", "utf-8")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import gc
 import os
 import sys
@@ -10,7 +9,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from pipeline.cli import checking, housekeeping, looking, model, publishing, runs, starting, state
+from pipeline.cli import checking, housekeeping, looking, publishing, runs, starting, state
 from pipeline.cli.arguments import (
     EXIT_INTERRUPTED,
     EXIT_LOCKED,
@@ -43,7 +42,7 @@ app.command()(checking.check)
 app.command()(publishing.explain)
 app.command()(runs.fit)
 app.command()(publishing.report)
-app.command()(model.demo)
+app.command()(starting.demo)
 app.command()(publishing.export)
 app.command()(state.status)
 app.command()(state.compare)
@@ -95,34 +94,25 @@ def _call(*, as_json: bool) -> int:
         raise UsageError("usage", error.format_message()) from error
 
 
-def _say(error: MotorLeakageError, code: int, *, as_json: bool) -> None:
-    typer.echo(error_line(error.code, str(error), code, as_json=as_json), err=True)
-
-
-def _keep_all() -> None:
-    """Leave out the last collection, a tenth of a short command; DuckDB would report leaks."""
-    if "duckdb" not in sys.modules:
-        gc.freeze()
-
-
 def main() -> NoReturn:
     """Run the command; every expected error is one message on stderr and a stated exit code."""
     # Pydantic looks for plugins in all packages that are installed; no model here has one.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
-    # A command is short: few collections of garbage, and none as it ends.
+    # A command is short: few collections of garbage.
     gc.set_threshold(10_000)
-    atexit.register(_keep_all)
     # Before anything is parsed: a fault in the arguments is a message, too.
     as_json = "--json" in sys.argv[1:]
     speak(as_json=as_json)
+    error: MotorLeakageError | None = None
     try:
         code = _call(as_json=as_json)
-    except MotorLeakageError as error:
-        code = _exit_code(error)
-        _say(error, code, as_json=as_json)
+    except MotorLeakageError as raised:
+        code, error = _exit_code(raised), raised
     except KeyboardInterrupt:
         code = EXIT_INTERRUPTED
     if code in SIGNALS:
         words = f"stopped by {SIGNALS[code]}; what is written is whole, and the next call goes on"
-        _say(MotorLeakageError("interrupted", words), code, as_json=as_json)
+        error = MotorLeakageError("interrupted", words)
+    if error is not None:
+        typer.echo(error_line(error.code, str(error), code, as_json=as_json), err=True)
     sys.exit(code)

@@ -1,18 +1,20 @@
-"""Options, config and output shared by the commands."""
+"""Options, config and lines shared by the commands."""
 
 from __future__ import annotations
 
 import datetime as dt
+import json
 import os
 import re
 import sys
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.errors import UsageError
+from pipeline.errors import UsageError, one_line
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
@@ -67,11 +69,21 @@ def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = Tr
     return fleet
 
 
-def night_label(text: str | None, option: str) -> dt.date | None:
+def night_label(text: str, option: str) -> dt.date:
+    """The night of a label."""
     try:
-        return None if text is None else dt.date.fromisoformat(text)
+        return dt.date.fromisoformat(text)
     except ValueError:
         raise UsageError("date", f"{option}: got {text!r}; expected YYYY-MM-DD") from None
+
+
+def span(since: str | None, until: str | None) -> tuple[dt.date | None, dt.date | None]:
+    """First and last night of --since and --until, as far as they are stated."""
+    first = None if since is None else night_label(since, "--since")
+    last = None if until is None else night_label(until, "--until")
+    if first and last and first > last:
+        raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
+    return first, last
 
 
 def duration(text: str, option: str) -> dt.timedelta:
@@ -82,11 +94,6 @@ def duration(text: str, option: str) -> dt.timedelta:
     return dt.timedelta(**{UNITS[found[2]]: float(found[1])})
 
 
-def in_order(since: dt.date | None, until: dt.date | None) -> None:
-    if since and until and since > until:
-        raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
-
-
 def say(line: str, *, err: bool = False) -> None:
     """Print a line; a closed pipe must not end a run."""
     try:
@@ -95,3 +102,40 @@ def say(line: str, *, err: bool = False) -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, (sys.stderr if err else sys.stdout).fileno())
         os.close(nowhere)
+
+
+def tell(event: Mapping[str, Any], words: str, *, as_json: bool, err: bool = False) -> None:
+    """Print an event: for programs as one JSON object, else in words, if there are any."""
+    if as_json:
+        say(json.dumps(event, default=str), err=err)
+    elif words:
+        say(words, err=err)
+
+
+def print_table(
+    columns: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    title: str = "",
+    styles: Sequence[str] = (),
+) -> None:
+    """Print rows below their columns, as wide as the terminal is; `styles` has one a row or none.
+
+    Piped, cells are separated by tabs and the title is left out; a cell that would break a line or
+    a column is escaped.
+    """
+    if not sys.stdout.isatty():
+        for cells in (columns, *rows):
+            typer.echo("\t".join(map(one_line, cells)))
+        return
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(one_line(title)) or None, title_justify="left", box=box.SIMPLE_HEAD)
+    for name in columns:
+        table.add_column(name, overflow="fold")
+    for place, cells in enumerate(rows):
+        style = styles[place] if styles else None
+        table.add_row(*(escape(one_line(cell)) for cell in cells), style=style)
+    Console().print(table)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,26 +16,21 @@ from pipeline.cli.arguments import (
     ConfigFile,
     Output,
     load,
-    say,
+    print_table,
+    tell,
 )
-from pipeline.cli.tables import print_table
 from pipeline.errors import UsageError
 from pipeline.messages import counted, error_line
 
 # A rule that refused less than this is not worth its name in a table.
 WORTH_TELLING = 0.0005
 CHANNEL_COLUMNS = (
-    "channel",
-    "rate",
-    "median",
-    "missing",
-    "refused",
-    "refused by",
-    "configured as",
-    "looks",
+    *("channel", "rate", "median", "missing", "refused", "refused by"),
+    *("configured as", "looks"),
 )
 
 if TYPE_CHECKING:
+    from pipeline.config import Fleet
     from pipeline.setup.channel_check import ChannelCheck
     from pipeline.setup.check import MotorCheck
     from pipeline.store.published import TableFault
@@ -60,8 +54,8 @@ def check(
 
     Example: motor-leakage check --repair configs/fleet.toml
 
-    Exit code 0: no fault; 1: a log cannot be read, there is no log, or a file of the output is
-    damaged; 2: a fault in the config.
+    Exit code 0: no fault; 1: a log cannot be read, there is no log, the folder of the metrics is
+    missing, or a file of the output is damaged; 2: a fault in the config.
     """
     from pipeline.setup.check import check_fleet, strays_told, unclaimed
 
@@ -69,25 +63,33 @@ def check(
         raise typer.Exit(_check_tables(config, output, as_json=as_json, is_mended=repair))
     fleet = load(config, None, None)
     checks = check_fleet(fleet)
-    if as_json:
-        for one in checks:
-            typer.echo(json.dumps(asdict(one)))
-        if strays := unclaimed(fleet):
-            typer.echo(json.dumps({"event": "unclaimed", "logs": strays}))
-    else:
-        _print_checks(checks)
-        if told := strays_told(fleet):
-            typer.echo(told)
-    there_are_logs = any(one.n_files for one in checks)
-    if not there_are_logs:
-        message = (
-            f"no log of any motor is below {fleet.log_place}; correct folders.logs, or logs.files"
-        )
-        fault = UsageError("no_logs", message)
+    for one in checks:
+        if as_json:
+            tell(asdict(one), "", as_json=True)
+        else:
+            _print_check(one)
+    placeholders = sorted({name for one in checks for name in one.placeholders})
+    if placeholders and not as_json:
+        names = ", ".join(placeholders)
+        typer.echo(f"placeholders, to be replaced with the manufacturer's values: {names}")
+    if strays := unclaimed(fleet):
+        tell({"event": "unclaimed", "logs": strays}, strays_told(fleet), as_json=as_json)
+    faults = list(_fleet_faults(fleet, checks))
+    for fault in faults:
         line = error_line(fault.code, fault.message, EXIT_MOTORS_FAILED, as_json=as_json)
-        say(line, err=True)
-    faulty = not there_are_logs or any(one.faults for one in checks)
+        typer.echo(line, err=True)
+    faulty = faults or any(one.faults for one in checks)
     raise typer.Exit(EXIT_MOTORS_FAILED if faulty else EXIT_OK)
+
+
+def _fleet_faults(fleet: Fleet, checks: Iterable[MotorCheck]) -> Iterator[UsageError]:
+    """What is wrong with the fleet as a whole."""
+    if not any(one.n_files for one in checks):
+        where = f"no log of any motor is below {fleet.log_place}"
+        yield UsageError("no_logs", f"{where}; correct folders.logs, or logs.files")
+    if fleet.metrics_file is not None and not fleet.metrics_file.parent.is_dir():
+        where = f"{fleet.metrics_file.parent.resolve()} is no folder"
+        yield UsageError("metrics_file", f"{where}; make it, or correct metrics.textfile")
 
 
 def _check_tables(config: Path, output: Path | None, *, as_json: bool, is_mended: bool) -> int:
@@ -116,40 +118,32 @@ def _check_tables(config: Path, output: Path | None, *, as_json: bool, is_mended
     n_files = sum(1 for _ in tables.glob("**/*.parquet"))
     total = {"event": "tables", "n_files": n_files, "n_faults": len(found), "n_left": len(left)}
     words = f"{counted(n_files, 'table file')}, {counted(len(found), 'fault')}"
-    words += f", {len(left)} left" * is_mended
-    say(json.dumps(total) if as_json else words)
+    tell(total, words + f", {len(left)} left" * is_mended, as_json=as_json)
     return EXIT_MOTORS_FAILED if left else EXIT_OK
 
 
 def _say_faults(faults: Iterable[TableFault], event: str, mark: str, *, as_json: bool) -> None:
     for one in faults:
         words = f"motor-leakage: {mark}{one}"
-        say(json.dumps({"event": event, **asdict(one)}) if as_json else words, err=True)
+        tell({"event": event, **asdict(one)}, words, as_json=as_json, err=True)
 
 
-def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
-    for one in checks:
-        span = f", {one.first} to {one.last}" if one.first else ""
-        typer.echo(
-            f"{one.motor_id}: {one.motor_type}, {one.log_format}, {counted(one.n_files, 'file')}, "
-            f"{counted(one.n_nights, 'night')}{span}, {counted(len(one.faults), 'fault')}"
-        )
-        if one.channels:
-            print_table(CHANNEL_COLUMNS, map(_channel_cells, one.channels))
-        for channel in one.channels:
-            for remark in channel.remarks:
-                typer.echo(f"LOOK: {channel.channel}: {remark}")
-        for note in one.notes:
-            typer.echo(note)
-        for fault in one.faults:
-            typer.echo(f"{one.motor_id}: {fault}", err=True)
-        typer.echo()
-    placeholders = sorted({name for one in checks for name in one.placeholders})
-    if placeholders:
-        typer.echo(
-            "placeholders, to be replaced with the manufacturer's values: "
-            f"{', '.join(placeholders)}"
-        )
+def _print_check(one: MotorCheck) -> None:
+    span = f", {one.first} to {one.last}" if one.first else ""
+    typer.echo(
+        f"{one.motor_id}: {one.motor_type}, {one.log_format}, {counted(one.n_files, 'file')}, "
+        f"{counted(one.n_nights, 'night')}{span}, {counted(len(one.faults), 'fault')}"
+    )
+    if one.channels:
+        print_table(CHANNEL_COLUMNS, map(_channel_cells, one.channels))
+    for channel in one.channels:
+        for remark in channel.remarks:
+            typer.echo(f"LOOK: {channel.channel}: {remark}")
+    for note in one.notes:
+        typer.echo(note)
+    for fault in one.faults:
+        typer.echo(f"{one.motor_id}: {fault}", err=True)
+    typer.echo()
 
 
 def _channel_cells(channel: ChannelCheck) -> tuple[str, ...]:

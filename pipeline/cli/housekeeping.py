@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from pipeline.cli.arguments import AsJson, ConfigFile, Output, absolute_folder, load, say
+from pipeline.cli.arguments import AsJson, ConfigFile, Output, absolute_folder, load, say, tell
 from pipeline.clock import now
 from pipeline.messages import counted
 
@@ -54,23 +53,21 @@ def prune(
                 remove(state, old)
     word = "removed" if yes else "can be removed"
     for one in old:
-        if as_json:
-            line = {
-                "event": "prune",
-                "table": one.table,
-                "n_files": len(one.names),
-                "size_bytes": one.size_bytes,
-                "first_night": one.first.isoformat(),
-                "last_night": one.last.isoformat(),
-                "removed": yes,
-                "loss": one.loss,
-            }
-            say(json.dumps(line))
-            continue
-        say(
+        event = {
+            "event": "prune",
+            "table": one.table,
+            "n_files": len(one.names),
+            "size_bytes": one.size_bytes,
+            "first_night": one.first,
+            "last_night": one.last,
+            "removed": yes,
+            "loss": one.loss,
+        }
+        words = (
             f"{one.table}: {counted(len(one.names), 'file')}, {one.first} to {one.last}, "
             f"{one.size_bytes / 1024**2:.1f} MiB {word}; with them goes: {one.loss}"
         )
+        tell(event, words, as_json=as_json)
     if not as_json:
         size = sum(one.size_bytes for one in old) / 1024**2
         say(f"{size:.1f} MiB {word}" + ("" if yes or not old else "; say --yes to remove them"))

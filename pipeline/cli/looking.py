@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import time
+from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +19,7 @@ from pipeline.cli.arguments import (
     duration,
     load,
     say,
+    tell,
 )
 from pipeline.cli.runs import stoppable
 from pipeline.errors import LockedError, StoreError, UsageError
@@ -53,24 +54,48 @@ def look(
         raise UsageError("usage", "--every and --once exclude each other")
     pause_s = duration(every, "--every").total_seconds() if every else 0.0
     with stoppable():
-        from pipeline.look.look import look_at_fleet
-
         fleet = load(config, output, None)
         wanted = fleet.known_motors(motors.split())
         _require_files(fleet, wanted)
         due = time.monotonic()
         while pause_s:
             try:
-                _print(look_at_fleet(fleet, wanted), as_json=as_json)
-                _measure(fleet)
+                _look(fleet, wanted, as_json=as_json)
             except (StoreError, LockedError) as error:
                 say(f"{error.code}: {error}; the next look tries again", err=True)
             due = max(due + pause_s, time.monotonic())
             time.sleep(max(due - time.monotonic(), 0.0))
-        found = look_at_fleet(fleet, wanted)
-        _print(found, as_json=as_json)
-        _measure(fleet)
+        found = _look(fleet, wanted, as_json=as_json)
     raise typer.Exit(EXIT_MOTORS_FAILED if any(one.fault for one in found) else EXIT_OK)
+
+
+def _look(fleet: Fleet, wanted: Sequence[str], *, as_json: bool) -> Sequence[MotorLook]:
+    """Look once, print changes of state and faults, and write the metrics."""
+    from pipeline.look.look import look_at_fleet
+
+    found = look_at_fleet(fleet, wanted)
+    for one in found:
+        event = {
+            "event": "look",
+            "motor_id": one.motor_id,
+            "state": one.state.state,
+            "reason": one.state.reason,
+            "changes": one.rows,
+            "fault": one.fault,
+        }
+        lines = (
+            f"{row['time']:%Y-%m-%d %H:%M} {one.motor_id}: {row['to_state']}: {row['reason']}"
+            for row in one.rows
+        )
+        tell(event, "\n".join(lines), as_json=as_json)
+        if one.fault and not as_json:
+            say(f"{one.motor_id}: {one.fault}", err=True)
+    if not as_json:
+        states = Counter(one.state.state for one in found)
+        counts = ", ".join(f"{n} {name}" for name, n in sorted(states.items()))
+        say(f"{counted(len(found), 'motor')} looked at: {counts}")
+    _measure(fleet)
+    return found
 
 
 def _require_files(fleet: Fleet, wanted: Sequence[str]) -> None:
@@ -98,27 +123,3 @@ def _measure(fleet: Fleet) -> None:
         write_metrics(look_metrics_file(fleet.metrics_file), look_metrics_text(fleet, looks))
     except StoreError as error:
         say(f"{error.code}: {error}; there are no metrics of this look", err=True)
-
-
-def _print(found: Sequence[MotorLook], *, as_json: bool) -> None:
-    """Print changes of state and faults; the states of all motors as JSON."""
-    for one in found:
-        if as_json:
-            document = {
-                "event": "look",
-                "motor_id": one.motor_id,
-                "state": one.state.state,
-                "reason": one.state.reason,
-                "changes": one.rows,
-                "fault": one.fault,
-            }
-            say(json.dumps(document, default=str))
-            continue
-        for row in one.rows:
-            say(f"{row['time']:%Y-%m-%d %H:%M} {one.motor_id}: {row['to_state']}: {row['reason']}")
-        if one.fault:
-            say(f"{one.motor_id}: {one.fault}", err=True)
-    if not as_json:
-        states = [one.state.state for one in found]
-        counts = ", ".join(f"{states.count(name)} {name}" for name in sorted(set(states)))
-        say(f"{counted(len(found), 'motor')} looked at: {counts}")

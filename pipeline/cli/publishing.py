@@ -14,15 +14,15 @@ from pipeline.cli.arguments import (
     Motors,
     Output,
     absolute_folder,
-    in_order,
     load,
     night_label,
+    span,
 )
 from pipeline.errors import UsageError
 from pipeline.messages import counted
 
 if TYPE_CHECKING:
-    from pipeline.config import Execution, Fleet
+    from pipeline.config import Fleet
     from pipeline.report.build import ReportRequest
 
 
@@ -40,9 +40,7 @@ def explain(
 
     fleet = load(config, output, None)
     fleet.known_motors([motor])
-    label = night_label(night, "NIGHT")
-    assert label is not None
-    for line in explained(fleet.output, motor, label):
+    for line in explained(fleet.output, motor, night_label(night, "NIGHT")):
         typer.echo(line)
 
 
@@ -63,9 +61,6 @@ def report(
     ] = "",
     nights: Annotated[
         int | None, typer.Option(min=1, help="Newest nights with their own file; default: all.")
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Nights processed in parallel; default: the config's.")
     ] = None,
     pdf: Annotated[
         str,
@@ -98,7 +93,6 @@ def report(
         folder=to or tables / "report",
         motors=tuple(motors.split()),
         nights=nights,
-        execution=_execution(fleet, jobs),
         made=now(),
     )
     request = _of_a_fleet(request, fleet) if fleet else request
@@ -165,20 +159,11 @@ def export(
         written = export_delta(root, delta, named)
     else:
         assert csv is not None
-        first, last = night_label(since, "--since"), night_label(until, "--until")
-        in_order(first, last)
-        selection = Selection(named, fleet.known_motors(motors.split()), first, last)
+        selection = Selection(named, fleet.known_motors(motors.split()), *span(since, until))
         written = export_csv(root, csv, selection, dialect)
     for one in written:
         version = "" if one.version is None else f"version {one.version}, "
         typer.echo(f"{one.place}: {version}{counted(one.n_rows, 'row')}")
-
-
-def _execution(fleet: Fleet | None, jobs: int | None) -> Execution:
-    from pipeline.config import Execution
-
-    execution = fleet.execution if fleet else Execution()
-    return execution.model_copy(update={} if jobs is None else {"workers": jobs})
 
 
 def _of_a_fleet(request: ReportRequest, fleet: Fleet) -> ReportRequest:

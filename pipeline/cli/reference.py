@@ -8,39 +8,39 @@ from __future__ import annotations
 
 import argparse
 import ast
+import datetime as dt
 import inspect
 import json
+import re
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args, get_origin
 
-import polars as pl
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
-from pydantic_core.core_schema import ModelSchema
+from pydantic import AwareDatetime
+from pydantic.fields import FieldInfo
 
 from pipeline.config import MotorFile, Settings
 from pipeline.config.channels import FALLBACK_VALID_RANGE
-from pipeline.config.motor_types import MotorTypeFile, OilFile
+from pipeline.config.motor_types import MotorTypeFile, OilFile, Unknown
 from pipeline.config.oil_samples import OilCircuitFile
 from pipeline.config.section import Section
 from pipeline.config.settings import FleetFile
 from pipeline.schema import (
-    LOOKS,
-    NIGHT_TABLES,
+    LATEST,
+    NIGHTLY_TABLES,
+    NO_LONGER_FILLED,
     QUALITY,
     QUALITY_REASONS,
     SCHEMA_VERSION,
     TABLES,
-    TREND_TABLES,
+    TYPES,
     WHOLE_TABLES,
+    Column,
     Table,
-    data_dictionary,
 )
-from pipeline.store.tables import table_folder
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit
-
-Schema = Mapping[str, Any]
 
 NOTE: Final = "<!-- Made by `make docs` from the code; edit that, not this page. -->"
 FILES: Final[Mapping[str, type[Section]]] = {
@@ -50,30 +50,95 @@ FILES: Final[Mapping[str, type[Section]]] = {
     "motors/<name>.toml": MotorFile,
     "oil_circuits/<name>.toml": OilCircuitFile,
 }
-LIMITS: Final[Mapping[str, str]] = {
-    "minimum": ">=",
-    "exclusiveMinimum": ">",
-    "maximum": "<=",
-    "exclusiveMaximum": "<",
+KINDS: Final[Mapping[Any, str]] = {
+    str: "text",
+    float: "number",
+    int: "count",
+    bool: "flag",
+    dt.date: "day",
+    AwareDatetime: "moment",
 }
-KINDS: Final[Mapping[str, str]] = {
-    "boolean": "true or false",
-    "integer": "whole number",
-    "number": "number",
-    "object": "table",
-    "string": "text",
-}
+INTERVAL_END: Final = re.compile(r".+(_lower|_upper)")
+UNIT_IN_NAME: Final = ("_percent", "_per_min", "_bar", "_c", "_rpm", "_s", "_hours", "_mib")
+# A column with the same type, unit and meaning in so many tables is described once.
+MANY: Final = 3
 
 
-class WithMeanings(GenerateJsonSchema):
-    """Schema of a model in which each key is described by the text below it."""
+def config_reference() -> str:
+    """The page `config.md`: every key of every config file, from the models that read them."""
+    lines = [
+        "# Config files",
+        NOTE,
+        "Config is TOML. A fleet file names the folders of motors, motor types, oils and oil "
+        "circuits, one file each; others call a file by its name without the ending. Behind a key "
+        "is its default, which shows its type; the end of its name is its unit. Other keys are "
+        "errors. A whole fleet lies in [docs/example/](example/fleet.toml).",
+    ]
+    for file, model in FILES.items():
+        own = {name: one for name, one in model.model_fields.items() if not _tables_of(one)}
+        lines += [f"## `{file}`", "\n".join(_key_lines(model, own))]
+        for name, field in model.model_fields.items():
+            for heading, words, table, fields in _tables(name, field):
+                text = "\n".join(_key_lines(table, fields))
+                known = "Keys as above." if text in lines else text
+                lines += [f"### `{heading}`", words, known]
+        if model is MotorFile:
+            lines += [_channel_lines(), "### `[override.<section>]`", _overrides()]
+    return "\n\n".join(filter(None, lines)) + "\n"
 
-    def model_schema(self, schema: ModelSchema) -> JsonSchemaValue:
-        """Schema of a model, or of one below it."""
-        found = super().model_schema(schema)
-        for name, words in _meanings(schema["cls"]).items():
-            found["properties"][name]["description"] = words
-        return found
+
+def _tables_of(field: FieldInfo) -> list[type[Section]]:
+    """Kinds of TOML table that a key can hold."""
+
+    def found(annotation: Any) -> Iterator[type[Section]]:
+        if inspect.isclass(annotation) and issubclass(annotation, Section):
+            yield annotation
+        for one in get_args(annotation):
+            yield from found(one)
+
+    return list(found(field.annotation))
+
+
+def _tables(
+    name: str, field: FieldInfo
+) -> Iterator[tuple[str, str, type[Section], Mapping[str, FieldInfo]]]:
+    """Heading, words, model and keys of the tables of a key; first what all of several have."""
+    tables = _tables_of(field)
+    headings: dict[Any, str] = {tuple: f"[[{name}]]", dict: f"[{name}.<name>]"}
+    heading = headings.get(get_origin(field.annotation), f"[{name}]")
+    if len(tables) < 2:
+        yield from ((heading, _words(one), one, one.model_fields) for one in tables)
+        return
+    shared = set.intersection(*(set(one.model_fields) for one in tables)) - {"law"}
+    words = (
+        "Keys of all; `law` says which a path has besides. A key with four defaults is a table of "
+        "`value` (where not `fixed`, the first starting point), `minimum`, `maximum` and `fixed`."
+    )
+    first = tables[0].model_fields
+    yield heading, words, tables[0], {key: first[key] for key in first if key in shared}
+    for table in tables:
+        own = {key: one for key, one in table.model_fields.items() if key not in {*shared, "law"}}
+        (law,) = get_args(table.model_fields["law"].annotation)
+        yield f'{heading} with law = "{law}"', _words(table), table, own
+
+
+def _key_lines(
+    model: type[Section], fields: Mapping[str, FieldInfo], prefix: str = ""
+) -> Iterator[str]:
+    """A line on each key, those of a table in a table behind it."""
+    meanings = _meanings(model)
+    for name, field in fields.items():
+        table = next(iter(_tables_of(field)), Section)
+        words = meanings.get(name) or field.description or _words(table)
+        words = " ".join(words.split()).removesuffix(".")
+        how = [f"`{text}`"] if (text := _default(field, table)) else [_kind(field.annotation)]
+        told = ["", field.default, *words.split("`")]
+        choices = [f"`{one}`" for one in _choices(field.annotation) if one not in told]
+        how += [" ".join(choices)] * bool(choices)
+        how += ["required"] * field.is_required()
+        yield f"- `{prefix}{name}` ({', '.join(how)}): {words}"
+        if not issubclass(table, Unknown):
+            yield from _key_lines(table, table.model_fields, f"{prefix}{name}.")
 
 
 def _meanings(model: type) -> dict[str, str]:
@@ -86,69 +151,142 @@ def _meanings(model: type) -> dict[str, str]:
     for key, text in pairwise(definition.body):
         match key, text:
             case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(words))):
-                found[name] = words.removesuffix(".")
+                found[name] = words
     return found
 
 
-def config_reference() -> str:
-    """The page `config.md`: every key of every config file, from the models that read them."""
-    lines = [
-        "# Config files",
-        NOTE,
-        "Config is TOML. A fleet file names the folders in which motors, motor types, oils and oil "
-        "circuits lie, one file each; a file's name without its ending is the name by which others "
-        "call it. A key that is not listed here is an error, and so is a value of another type; "
-        "the end of a key's name is its unit. `motor-leakage check` reports every fault of every "
-        "file at once.",
-        "A whole fleet as an example lies in [docs/example/](example/fleet.toml).",
-    ]
-    for file, model in FILES.items():
-        schema = model.model_json_schema(schema_generator=WithMeanings)
-        lines += [f"## `{file}`", *_model_lines(schema)]
-        if model is MotorFile:
-            lines += [*_channel_lines(), *_override_lines()]
-    return "\n\n".join(lines) + "\n"
+def _default(field: FieldInfo, table: type[Section]) -> str:
+    """The default as in TOML; of a parameter, value, bounds and whether it is fixed."""
+    value = field.get_default()
+    if issubclass(table, Unknown):
+        values = [one.get_default() for one in table.model_fields.values()]
+        return "" if field.is_required() else json.dumps(values)[1:-1]
+    nothing = field.is_required() or value is None or value in ("", {}, ())
+    return "" if nothing else json.dumps(value, ensure_ascii=False)
+
+
+def _kind(annotation: Any) -> str:
+    """A type in words."""
+    kind, parts = get_origin(annotation), [one for one in get_args(annotation) if one]
+    if kind is tuple and Ellipsis in parts:
+        return f"list of {_kind(parts[0])}"
+    if kind is tuple:
+        return f"[{', '.join(map(_kind, parts))}]"
+    if kind in (dict, Mapping) or _is_table(annotation):
+        return "table"
+    if kind is Literal:
+        return "text"
+    return _kind(parts[0]) if parts else KINDS[annotation]
+
+
+def _is_table(annotation: Any) -> bool:
+    return inspect.isclass(annotation) and issubclass(annotation, Section)
+
+
+def _choices(annotation: Any) -> Sequence[str]:
+    """Values that a key, or an element of its list, can have, where they are listed."""
+    if get_origin(annotation) is Literal:
+        return get_args(annotation)
+    return [one for part in get_args(annotation) for one in _choices(part)]
+
+
+def _words(table: type[Section]) -> str:
+    return " ".join((table.__doc__ or "").split())
+
+
+def _channel_lines() -> str:
+    """Units of each quantity in a log, and the valid ranges of its channels unless stated."""
+    lines = ["Units in a log, and the usual valid range of a channel:\n"]
+    for quantity, units in UNITS.items():
+        ranges = []
+        for name in (one for one in CHANNELS if QUANTITIES[one] == quantity):
+            low, high = FALLBACK_VALID_RANGE[name]
+            ranges.append(f"`{name}` {low:g} to {high:g} {canonical_unit(name)}")
+        lines.append(f"- {' '.join(f'`{unit}`' for unit in units)}: {', '.join(ranges)}")
+    return "\n".join(lines)
+
+
+def _overrides() -> str:
+    names = ", ".join(f"`{name}`" for name in Settings.model_fields)
+    return f"Sections that a motor may override: {names}. Other keys keep the fleet's value."
 
 
 def table_reference() -> str:
     """The page `tables.md`: every column of every table, from `pipeline.schema`."""
+    every = [one for table in TABLES for one in table.columns]
+    common = [one for one, n in Counter(every).items() if n >= MANY]
     lines = [
         "# Tables",
         NOTE,
-        f"Schema version {SCHEMA_VERSION}. All tables are Parquet below `<output>/tables/`, where "
-        "`<output>` is `out` in the folder from which the run was started, unless the config or "
-        "`--output` says otherwise. Rows are sorted by night and key, and no two share a key. "
-        "Times are UTC. Null means that there is no such figure, never 0. The table "
-        "`data_dictionary` holds what this page says. A month is one file, "
-        "`month=YYYY-MM/YYYY-MM.parquet`; of `predictions`, `block_statistics` and "
-        "`residual_tests` a night is one, `month=YYYY-MM/YYYY-MM-DD.parquet` "
-        "([operations.md](operations.md#months)).",
-        "Columns are added at the end and never removed, renamed or given another meaning. Files "
-        "that an older version wrote lack what came later: have a reader match columns by name. "
-        "[queries.md](queries.md) does so for DuckDB, Polars and pandas and answers common "
-        "questions; [powerbi.md](powerbi.md) is for Power BI; `motor-leakage export` writes CSV "
-        "([operations.md](operations.md)). The last column names what some readers cannot hold.",
-        _grid(("Table", "One row is", "Columns that are lists"), map(_index_row, TABLES)),
+        f"Schema version {SCHEMA_VERSION}. All tables are Parquet below `<output>/tables/`. "
+        f"{_list(WHOLE_TABLES)} are a file each, such as `latest/latest.parquet`. Of the others a "
+        "month is one file, such as `fits/month=2026-03/2026-03.parquet`; of "
+        f"{_list(NIGHTLY_TABLES)} a night is one, such as "
+        "`predictions/month=2026-03/2026-03-01.parquet` "
+        "([operations](operations.md#what-a-run-leaves-behind)). "
+        "Rows are sorted by night and key, and no two share a key. Times are UTC. Null means that "
+        "there is no such figure, never 0. Columns are added at the end and never removed, renamed "
+        "or given another meaning: have a reader match them by name ([queries.md](queries.md)).",
+        "A column without a type is a number. Its unit stands behind the type, unless its name "
+        "ends on it; a number without one is relative. A star says that columns `_lower` and "
+        "`_upper` are the ends of its 95 % interval. These columns are of several tables:",
+        "\n".join(map(_shared_line, common)),
     ]
-    columns = data_dictionary()
     for table in TABLES:
-        rows = columns.filter(pl.col("table") == table.name).iter_rows(named=True)
-        lines += [
-            f"## {table.name}",
-            f"One row is {table.row}. Key: {', '.join(f'`{name}`' for name in table.key)}. "
-            f"File: `{_place(table)}`.",
-            _grid(
-                ("Column", "Type", "Unit", "Meaning"),
-                (
-                    (f"`{row['column']}`", _short(row["type"]), row["unit"], row["description"])
-                    for row in rows
-                ),
-            ),
-        ]
+        lines += [f"## {table.name}", *_table_lines(table, common)]
         if table is QUALITY:
             reasons = (f"- `{name}`: {one.meaning}." for name, one in QUALITY_REASONS.items())
             lines += ["What each reason refuses:", "\n".join(reasons)]
     return "\n\n".join(lines) + "\n"
+
+
+def _shared_line(column: Column) -> str:
+    having = [table for table in TABLES if column in table.columns]
+    others = [table for table in TABLES if table not in having]
+    where = f"all but {_list(others)}" if len(others) < len(having) else _list(having)
+    return f"{_column_lines([column])}; in {where}"
+
+
+def _list(tables: Iterable[Table]) -> str:
+    return ", ".join(f"`{table.name}`" for table in tables)
+
+
+def _table_lines(table: Table, common: Sequence[Column]) -> Iterator[str]:
+    left = [one for one in table.columns if one not in common]
+    key = ", ".join(f"`{name}`" for name in table.key)
+    words = f"One row is {table.row}. Key: {key}."
+    if table is LATEST:
+        left = [one for one in left if one.description != "As in `watch`"]
+        words += " All other columns of `watch` are here, too."
+    if gone := [one for one in left if one.description.startswith(NO_LONGER_FILLED)]:
+        left = [one for one in left if one not in gone]
+        words += f" No longer filled: {', '.join(f'`{one.name}`' for one in gone)}."
+    yield words
+    if left:
+        yield _column_lines(left)
+
+
+def _column_lines(columns: Sequence[Column]) -> str:
+    """A line on each column, or on several that mean the same."""
+    kinds = {str(kind): word for word, kind in TYPES.items()} | {"Float64": ""}
+    alike: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+    for one, name in _names(columns).items():
+        unit = "" if one.name.endswith(UNIT_IN_NAME) or one.unit in ("1", "UTC") else one.unit
+        how = ", ".join(filter(None, (kinds[str(one.type)], unit)))
+        alike[how and f" ({how})", one.description].append(name)
+    return "\n".join(f"- {', '.join(names)}{how}: {words}" for (how, words), names in alike.items())
+
+
+def _names(columns: Sequence[Column]) -> dict[Column, str]:
+    """Names of columns but the ends of an interval, whose figure has a star."""
+    found: dict[Column, str] = {}
+    for one in columns:
+        end = INTERVAL_END.fullmatch(one.name)
+        if end is None:
+            found[one] = f"`{one.name}`"
+        elif end[1] == "_lower":
+            found[next(reversed(found))] += r"\*"
+    return found
 
 
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
@@ -157,170 +295,19 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
 }
 
 
-def _index_row(table: Table) -> Sequence[str]:
-    lists = [name for name, kind in table.schema.items() if isinstance(kind, pl.List)]
-    return f"[{table.name}](#{table.name})", table.row, ", ".join(f"`{name}`" for name in lists)
-
-
-def _place(table: Table) -> str:
-    folder = table_folder(Path("<output>"), table).as_posix()
-    if table in WHOLE_TABLES:
-        return f"{folder}/{table.name}.parquet"
-    name = "<night>" if table in (*NIGHT_TABLES, *TREND_TABLES) else "<start of the run>"
-    if table is LOOKS:
-        name = "looks-<day>"
-    return f"{folder}/month=YYYY-MM/{name}.parquet"
-
-
-def _short(kind: str) -> str:
-    """A column's type; all times are of one kind."""
-    return "Datetime" if kind.startswith("Datetime") else kind
-
-
-def _grid(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    cells = [head, ["---"] * len(head), *rows]
-    return "\n".join(
-        "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in cells
-    )
-
-
-def _model_lines(schema: Schema) -> Iterator[str]:
-    """A file's own keys first, then a part for each of its tables."""
-    tables = {name: list(_tables(name, field, schema)) for name, field in _fields(schema).items()}
-    own = [name for name, parts in tables.items() if not parts]
-    if own:
-        yield _key_grid(
-            {**schema, "properties": {name: _fields(schema)[name] for name in own}}, schema
-        )
-    for heading, prefix, part in (one for parts in tables.values() for one in parts):
-        yield f"### {heading}"
-        yield _paragraph(part["description"])
-        yield _key_grid(part, schema, prefix)
-
-
-def _tables(name: str, field: Schema, root: Schema) -> Iterator[tuple[str, str, Schema]]:
-    """Heading, prefix of its keys, and schema of each kind of TOML table that a key can hold."""
-    target = _resolved(field, root)
-    named, items = target.get("additionalProperties"), _resolved(target.get("items", {}), root)
-    if "properties" in target:
-        yield f"`[{name}]`", f"{name}.", target
-    elif isinstance(named, Mapping):
-        yield f"`[{name}.<name>]`", f"{name}.<name>.", _resolved(named, root)
-    elif "oneOf" in items:
-        tag = items["discriminator"]["propertyName"]
-        for one in (_resolved(option, root) for option in items["oneOf"]):
-            yield f'`[[{name}]]` with `{tag} = "{_fields(one)[tag]["const"]}"`', f"{name}.", one
-    elif "properties" in items:
-        yield f"`[[{name}]]`", f"{name}.", items
-
-
-def _key_grid(part: Schema, root: Schema, prefix: str = "") -> str:
-    return _grid(("Key", "Type", "Default", "Meaning"), _key_rows(part, root, prefix))
-
-
-def _key_rows(part: Schema, root: Schema, prefix: str) -> Iterator[Sequence[str]]:
-    for name, field in _fields(part).items():
-        target = _resolved(field, root)
-        yield (
-            f"`{prefix}{name}`",
-            _kind(target, root),
-            "required" if name in part.get("required", ()) else _default(field, target),
-            _paragraph(field.get("description") or target["description"]),
-        )
-        if "properties" in target:
-            yield from _key_rows(target, root, f"{prefix}{name}.")
-
-
-def _kind(field: Schema, root: Schema) -> str:
-    if "enum" in field or "const" in field:
-        return " or ".join(f'`"{value}"`' for value in field.get("enum", [field.get("const")]))
-    if "prefixItems" in field:
-        return f"[{', '.join(_kind(_resolved(one, root), root) for one in field['prefixItems'])}]"
-    if field.get("type") == "array":
-        kinds = [_kind(_resolved(one, root), root) for one in _options(field["items"])]
-        return f"list of {', '.join(kinds)}"
-    if isinstance(field.get("additionalProperties"), Mapping):
-        return f"table of {_kind(field['additionalProperties'], root)}"
-    if "pattern" in field:
-        return f"text as `{field['pattern']}`"
-    # An exclusive limit takes the place of an inclusive one on the same side.
-    limits = {sign[:1]: f"{sign} {field[key]:g}" for key, sign in LIMITS.items() if key in field}
-    kind = "date" if field.get("format") == "date" else KINDS[field["type"]]
-    return f"{kind} {', '.join(limits.values())}".strip()
-
-
-def _default(field: Schema, target: Schema) -> str:
-    """The default; nothing for a table, whose keys have theirs."""
-    value = field.get("default")
-    if "default" not in field or (value == {} and "properties" in target):
-        return ""
-    return "none" if value is None else f"`{json.dumps(value, ensure_ascii=False)}`"
-
-
-def _fields(schema: Schema) -> Mapping[str, Schema]:
-    fields: Mapping[str, Schema] = schema["properties"]
-    return fields
-
-
-def _resolved(field: Schema, root: Schema) -> Schema:
-    """Type of a field without references and "or null"; a table has its own words."""
-    options = [one for one in field.get("anyOf", ()) if one.get("type") != "null"]
-    plain: Schema = {**field, **options[0]} if options else field
-    reference = plain.get("$ref", "").rpartition("/")[2]
-    return {**plain, **root["$defs"][reference]} if reference else plain
-
-
-def _options(items: Schema) -> Sequence[Schema]:
-    """Type of an element of a list."""
-    options: Sequence[Schema] = items.get("anyOf", [items])
-    return options
-
-
-def _paragraph(text: str) -> str:
-    return " ".join(text.split())
-
-
-def _channel_lines() -> Iterator[str]:
-    yield "### Channels, their units in a log, and their usual valid ranges"
-    yield _grid(
-        ("Channel", "Units", "Valid range unless stated"),
-        (
-            (
-                f"`{name}`",
-                ", ".join(f"`{unit}`" for unit in UNITS[QUANTITIES[name]]),
-                " to ".join(f"{end:g}" for end in FALLBACK_VALID_RANGE[name])
-                + f" {canonical_unit(name)}",
-            )
-            for name in CHANNELS
-        ),
-    )
-
-
-def _override_lines() -> Iterator[str]:
-    sections = ", ".join(f"`{name}`" for name in Settings.model_fields)
-    yield "### `[override.<section>]`"
-    yield (
-        f"Sections that a motor may override: {sections}. Keys as in the fleet file; those that "
-        "are not named keep the fleet's value."
-    )
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write the pages into a folder, or check that those in it are what the code says."""
     parser = argparse.ArgumentParser(prog="python -m pipeline.cli.reference", description=__doc__)
     parser.add_argument("folder", type=Path, help="folder of the pages, such as docs")
     parser.add_argument("--check", action="store_true", help="write nothing, compare")
     options = parser.parse_args(arguments)
-    paths = {options.folder / name: page() for name, page in PAGES.items()}
-    if not options.check:
-        for path, text in paths.items():
+    stale = []
+    for name, page in PAGES.items():
+        path, text = options.folder / name, page()
+        if not options.check:
             path.write_text(text, "utf-8")
-        return
-    stale = [
-        path.as_posix()
-        for path, text in paths.items()
-        if not path.is_file() or path.read_text("utf-8") != text
-    ]
+        elif not path.is_file() or path.read_text("utf-8") != text:
+            stale.append(path.as_posix())
     if stale:
         parser.exit(1, f"{', '.join(stale)}: out of date; run `make docs`\n")
 

@@ -2,186 +2,168 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.cli.arguments import say
+from pipeline.cli.arguments import say, tell
 from pipeline.messages import counted
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from pipeline.run.fleet import RunRequest, RunResult
     from pipeline.run.tasks import MotorOutcome
 
 # Reasons of a plan that are listed.
 PLAN_REASONS = 8
+STAGES_IN_WORDS = {"motors_s": "all motors", "publish_s": "publishing", "store_s": "staging"}
+# Logs of a motor of which it is said what was left out.
+LEFT_OUT = 3
 
 
-def print_plan(request: RunRequest, as_json: bool) -> None:
+def print_plan(request: RunRequest, *, as_json: bool) -> None:
     """Print the nights that a run would do by motor, with the reasons."""
-    from collections import Counter
-
     from pipeline.run.plans import plan_fleet, plan_trends
     from pipeline.store.published import faults_of
 
     total = 0
     for motor_id, plan in plan_fleet(request):
         total += len(plan)
-        if as_json:
-            nights = {
-                str(label): {"work": step.work.value, "reason": step.reason}
-                for label, step in plan.items()
-            }
-            say(json.dumps({"event": "plan", "motor_id": motor_id, "nights": nights}))
-            continue
+        steps = {str(label): (step.work.value, step.reason) for label, step in plan.items()}
+        nights = {label: {"work": work, "reason": why} for label, (work, why) in steps.items()}
         span = f", {min(plan)} to {max(plan)}" if plan else ""
-        say(f"{motor_id}: {counted(len(plan), 'night')}{span}")
-        reasons = Counter((step.work.value, step.reason) for step in plan.values())
-        for (work, reason), count in reasons.most_common(PLAN_REASONS):
-            say(f"  {count} to {work}: {reason}")
-        if len(reasons) > PLAN_REASONS:
-            others = counted(len(reasons) - PLAN_REASONS, "other reason")
-            say(f"  and {others}; all of them with --json")
-    for motor_id, reason in plan_trends(request):
-        if as_json:
-            say(json.dumps({"event": "plan_trends", "motor_id": motor_id, "reason": reason}))
-        else:
-            say(f"{motor_id}: all trends redone: {reason}")
-    output = request.fleet.output
-    for fault in faults_of(output):
-        line = {"event": "table_fault", **asdict(fault)}
-        words = f"motor-leakage: {fault}"
-        say(json.dumps(line) if as_json else words, err=True)
+        reasons = Counter(steps.values()).most_common()
+        lines = [f"{motor_id}: {counted(len(plan), 'night')}{span}"]
+        lines += [f"  {n} to {work}: {why}" for (work, why), n in reasons[:PLAN_REASONS]]
+        if left := len(reasons[PLAN_REASONS:]):
+            lines.append(f"  and {counted(left, 'other reason')}; all of them with --json")
+        event = {"event": "plan", "motor_id": motor_id, "nights": nights}
+        tell(event, "\n".join(lines), as_json=as_json)
+    for motor_id, why in plan_trends(request):
+        event = {"event": "plan_trends", "motor_id": motor_id, "reason": why}
+        tell(event, f"{motor_id}: all trends redone: {why}", as_json=as_json)
+    for fault in faults_of(request.fleet.output):
+        event = {"event": "table_fault", **asdict(fault)}
+        tell(event, f"motor-leakage: {fault}", as_json=as_json, err=True)
     if not as_json:
         say(f"to be done: {counted(total, 'night')}")
 
 
-class Reporter:
-    """Progress of a run: a bar on a terminal, plain lines elsewhere, JSON if asked for."""
-
-    def __init__(self, as_json: bool, n_motors: int) -> None:
-        self.as_json = as_json
-        # A caller may have closed it.
-        on_terminal = sys.stderr is not None and sys.stderr.isatty()
-        self.bar = _bar(n_motors) if on_terminal and not as_json else None
-
-    def __enter__(self) -> Reporter:
-        if self.bar:
-            self.bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar:
-            self.bar.stop()
-
-    def motor(self, outcome: MotorOutcome) -> None:
-        """A motor has finished."""
-        if self.bar:
-            self.bar.update(self.bar.task_ids[0], advance=1, description=outcome.motor_id)
-        counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.counts.items()))
-        if self.as_json:
-            line = {
-                "event": "motor",
-                "motor_id": outcome.motor_id,
-                "status": outcome.status,
-                "error_code": outcome.error_code,
-                "message": outcome.message,
-                "nights": dict(outcome.counts),
-                "files": _by_fate(outcome.files),
-                "growing": outcome.growing,
-            }
-            say(json.dumps(line))
-            return
-        why = f": {outcome.message}" if outcome.message and not outcome.error_code else ""
-        say(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'}){why}")
-        if outcome.error_code:
-            say(f"{outcome.motor_id}: {outcome.error_code}: {outcome.message}", err=True)
-        for message in outcome.growing:
-            say(f"{outcome.motor_id}: log_growing: {message}", err=True)
-
-    def summary(self, result: RunResult, output: Path) -> None:
-        """The run has finished."""
-        if self.as_json:
-            line = {
-                "event": "run",
-                "run_id": result.run_id,
-                "n_motors": len(result.outcomes),
-                "n_failed": len(result.failed),
-                "n_standing": result.n_standing,
-                "n_nights": result.n_nights,
-                "files": _by_fate(result.files),
-                "interrupted": result.interrupted,
-                "seconds": round(result.seconds, 3),
-                "seconds_by_stage": {
-                    name: round(seconds, 3) for name, seconds in _by_stage(result).items()
-                },
-                "errors": _by_code(result),
-                "damage": [asdict(fault) for fault in result.damage],
-                "damage_left": [asdict(fault) for fault in result.damage_left],
-                "alarms": [
-                    {name: row[name] for name in ("motor_id", "indicator", "to_state", "reason")}
-                    for row in result.alarms
-                ],
-            }
-            say(json.dumps(line))
-            return
-        state = "interrupted; " if result.interrupted else ""
-        files = ", ".join(f"{n} {fate}" for fate, n in _by_fate(result.files).items())
-        say(
-            f"{state}{counted(result.n_nights, 'night')} of "
-            f"{counted(len(result.outcomes), 'motor')} in {result.seconds:.1f} s, "
-            f"{counted(len(result.failed), 'motor')} failed; logs: {files}; "
-            f"tables in {output / 'tables'}"
-        )
-        taken = [(name, seconds) for name, seconds in _by_stage(result).items() if seconds >= 0.05]
-        if taken:
-            stages = ", ".join(f"{_words(name)} {seconds:.1f}" for name, seconds in taken)
-            say(f"seconds by stage, summed over motors: {stages}")
-        for code, count in _by_code(result).items():
-            say(f"{code}: {counted(count, 'motor')}")
-        if result.n_standing:
-            stand = "failure stands" if result.n_standing == 1 else "failures stand"
-            say(f"{result.n_standing} {stand}: mend or remove the logs, then fit-fleet --retry")
-        for fault in result.damage_left:
-            say(f"motor-leakage: {fault}", err=True)
-        if result.damage:
-            n, left = counted(len(result.damage), "file"), len(result.damage_left)
-            say(f"damaged or missing: {n}, of which not repaired: {left}")
-        for row in result.alarms:
-            # A new baseline needs no attention; `alarms` has it.
-            if row["way"] != "baseline":
-                rules = f" (change of rules: {row['rules']})" if row["rules"] else ""
-                say(
-                    f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}"
-                    f"{rules}"
-                )
-
-
-def _bar(n_motors: int) -> Progress:
+@contextmanager
+def progress(n_motors: int, *, as_json: bool) -> Iterator[Callable[[MotorOutcome], None]]:
+    """Print each motor as it finishes; on a terminal below a bar."""
+    # A caller may have closed it.
+    if as_json or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda outcome: _print_motor(outcome, as_json=as_json)
+        return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    words = (
-        TextColumn("motors"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.description}"),
+    words = (TextColumn("motors"), BarColumn(), MofNCompleteColumn())
+    with Progress(*words, TextColumn("{task.description}"), console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=n_motors)
+
+        def finished(outcome: MotorOutcome) -> None:
+            bar.update(task, advance=1, description=outcome.motor_id)
+            _print_motor(outcome, as_json=False)
+
+        yield finished
+
+
+def _print_motor(outcome: MotorOutcome, *, as_json: bool) -> None:
+    motor_id, code, message = outcome.motor_id, outcome.error_code, outcome.message
+    counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.counts.items()))
+    why = f": {message}" if message and not code else ""
+    event = {
+        "event": "motor",
+        "motor_id": motor_id,
+        "status": outcome.status,
+        "error_code": code,
+        "message": message,
+        "nights": dict(outcome.counts),
+        "files": _by_fate(outcome.files),
+        "growing": outcome.growing,
+        "left_out": outcome.left_out,
+    }
+    words = f"{motor_id}: {outcome.status} ({counts or 'nothing to do'}){why}"
+    tell(event, words, as_json=as_json)
+    if as_json:
+        return
+    if code:
+        say(f"{motor_id}: {code}: {message}", err=True)
+    for growing in outcome.growing:
+        say(f"{motor_id}: log_growing: {growing}", err=True)
+    for left in outcome.left_out[:LEFT_OUT]:
+        say(f"{motor_id}: left out of {left}", err=True)
+    if len(outcome.left_out) > LEFT_OUT:
+        others = counted(len(outcome.left_out) - LEFT_OUT, "other log")
+        say(f"{motor_id}: and of {others}; `explain` says it of a night", err=True)
+
+
+def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> None:
+    """Print what a run has done."""
+    stages, errors, files = _by_stage(result), _by_code(result), _by_fate(result.files)
+    if as_json:
+        event = {
+            "event": "run",
+            "run_id": result.run_id,
+            "n_motors": len(result.outcomes),
+            "n_failed": len(result.failed),
+            "n_standing": result.n_standing,
+            "n_nights": result.n_nights,
+            "files": files,
+            "interrupted": result.interrupted,
+            "seconds": round(result.seconds, 3),
+            "seconds_by_stage": {name: round(seconds, 3) for name, seconds in stages.items()},
+            "errors": errors,
+            "damage": [asdict(fault) for fault in result.damage],
+            "damage_left": [asdict(fault) for fault in result.damage_left],
+            "alarms": [
+                {name: row[name] for name in ("motor_id", "indicator", "to_state", "reason")}
+                for row in result.alarms
+            ],
+        }
+        tell(event, "", as_json=True)
+        return
+    say(
+        f"{'interrupted; ' * result.interrupted}{counted(result.n_nights, 'night')} of "
+        f"{counted(len(result.outcomes), 'motor')} in {result.seconds:.1f} s, "
+        f"{counted(len(result.failed), 'motor')} failed; "
+        f"logs: {', '.join(f'{n} {fate}' for fate, n in files.items())}; "
+        f"tables in {request.fleet.output / 'tables'}"
     )
-    bar = Progress(*words, console=Console(stderr=True))
-    bar.add_task("", total=n_motors)
-    return bar
+    taken = (
+        f"{STAGES_IN_WORDS.get(name, name.removesuffix('_s'))} {seconds:.1f}"
+        for name, seconds in stages.items()
+        if seconds >= 0.05
+    )
+    if words := ", ".join(taken):
+        say(f"seconds by stage, summed over motors: {words}")
+    for code, count in errors.items():
+        say(f"{code}: {counted(count, 'motor')}")
+    if n := result.n_standing:
+        stand = "failure stands" if n == 1 else "failures stand"
+        say(f"{n} {stand}: mend or remove the logs, then fit-fleet --retry")
+    for fault in result.damage_left:
+        say(f"motor-leakage: {fault}", err=True)
+    if result.damage:
+        n_files, left = counted(len(result.damage), "file"), len(result.damage_left)
+        say(f"damaged or missing: {n_files}, of which not repaired: {left}")
+    for row in result.alarms:
+        # A new baseline needs no attention; `alarms` has it.
+        if row["way"] != "baseline":
+            rules = f" (change of rules: {row['rules']})" if row["rules"] else ""
+            what = f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}"
+            say(f"{what}{rules}")
 
 
 def _by_stage(result: RunResult) -> dict[str, float]:
     """Seconds by stage: those of the motors' tasks added up, then those of the run."""
     from collections import Counter
 
-    from pipeline.run.run_rows import MOTOR_STAGES
+    from pipeline.run.publishing import MOTOR_STAGES
 
     spent = Counter[str]()
     for outcome in result.outcomes:
@@ -189,16 +171,8 @@ def _by_stage(result: RunResult) -> dict[str, float]:
     return {name: spent[name] for name in MOTOR_STAGES} | dict(result.seconds_by_stage)
 
 
-def _words(stage: str) -> str:
-    """Name of a stage for people."""
-    names = {"motors_s": "all motors", "publish_s": "publishing", "store_s": "staging"}
-    return names.get(stage, stage.removesuffix("_s"))
-
-
 def _by_code(result: RunResult) -> dict[str, int]:
     """Motors that failed by the code of their first failure."""
-    from collections import Counter
-
     return dict(sorted(Counter(one.error_code or "" for one in result.failed).items()))
 
 

@@ -23,12 +23,12 @@ from pipeline.cli.arguments import (
     Jobs,
     Motors,
     Output,
-    in_order,
     load,
     night_label,
     say,
+    span,
 )
-from pipeline.cli.reporter import Reporter, print_plan
+from pipeline.cli.reporter import print_plan, print_summary, progress
 from pipeline.errors import MotorLeakageError, UsageError
 
 if TYPE_CHECKING:
@@ -72,38 +72,46 @@ def fit_fleet(
         from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
+        first, last = span(since, until)
         request = RunRequest(
             fleet=fleet,
             motors=fleet.known_motors(motors.split()),
-            since=night_label(since, "--since"),
-            until=night_label(until, "--until"),
+            since=first,
+            until=last,
             force=force,
             retry=retry,
         )
-        in_order(request.since, request.until)
         if dry_run:
-            print_plan(request, as_json)
+            print_plan(request, as_json=as_json)
         else:
             _repeat_check(fleet, as_json=as_json)
-            _run(request, as_json, fail_on_alarm=fail_on_alarm)
+            _run(request, as_json=as_json, fail_on_alarm=fail_on_alarm)
 
 
 def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
-    """Say what `check` says of the config's logs, as far as no log has to be opened for it."""
-    from pipeline.setup.check import strays_told
+    """Say what `check` says of the logs: those without a motor, and before the first run, which
+    opens them all, faults of units and columns. What cannot be read the run says itself."""
+    from pipeline.setup.check import check_motor, strays_told
 
-    if not as_json and (strays := strays_told(fleet)):
+    if as_json:
+        return
+    if strays := strays_told(fleet):
         say(strays, err=True)
+    if (fleet.output / "tables").is_dir() or fleet.log_url:
+        return
+    for spec in (one for one in fleet.motors if one.file.logs.database is None):
+        for fault in check_motor(spec).faults:
+            if fault.startswith(("unit_", "column")):
+                say(f"{spec.motor_id}: {fault}", err=True)
 
 
-def _run(request: RunRequest, as_json: bool, *, fail_on_alarm: bool = False) -> NoReturn:
+def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn:
     """Run a fleet, say how it goes, and end with the exit code."""
     from pipeline.run.fleet import run_fleet
 
-    fleet = request.fleet
-    with Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
-        result = run_fleet(request, reporter.motor)
-        reporter.summary(result, fleet.output)
+    with progress(len(request.specs), as_json=as_json) as finished:
+        result = run_fleet(request, finished)
+    print_summary(request, result, as_json=as_json)
     if result.interrupted:
         raise KeyboardInterrupt
     alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)
@@ -148,7 +156,6 @@ def fit(
     from pipeline.run.fleet import RunRequest, run_fleet
 
     label = night_label(night, "NIGHT")
-    assert label is not None
     with TemporaryDirectory() as folder:
         fleet = replace(load(config, Path(folder), None), object_store="")
         request = RunRequest(fleet, fleet.known_motors([motor]), since=label, until=label)
@@ -167,7 +174,7 @@ def fit(
 def _fit_periods(config: Path, motor: str, train: str, validate: str | None) -> None:
     """Fit a motor to a period, and say what came of it."""
     from leakage.errors import LeakageError
-    from pipeline.notebook.periods import fit_periods
+    from pipeline.notebook.preparing import fit_periods
 
     try:
         found, prepared = fit_periods(load(config, None, None), motor, train, validate)

@@ -1,25 +1,49 @@
-"""`motor-leakage init`: a fleet's config from a plant's logs."""
+"""Commands for a first day: a simulated fleet, and a config from a plant's own logs."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, load
-from pipeline.cli.tables import print_table
+from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, load, print_table
 from pipeline.errors import UsageError
 from pipeline.messages import counted
 
 if TYPE_CHECKING:
     from pipeline.setup.observe import Observed
-    from pipeline.setup.propose import Proposal, ProposedMotor, Question
+    from pipeline.setup.propose import Proposal, ProposedMotor
+    from pipeline.setup.tables import Question
 
 COLUMNS = ("motor", "channel", "in the log", "unit", "quality", "first values")
 _MOST_UNUSED = 40
+
+
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Gets demo/, and configs/ where it has none.")],
+    nights: Annotated[int, typer.Option(min=1, max=3650, help="Nights of logs.")] = 75,
+    minutes: Annotated[
+        float, typer.Option(min=1.0, max=1440.0, help="Minutes of log a night.")
+    ] = 90.0,
+    rate: Annotated[float, typer.Option(min=0.1, max=100.0, help="Samples a second.")] = 5.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Worker processes.")] = 2,
+) -> None:
+    """Write logs of a simulated fleet in three formats to demo/, and the truth beside them.
+
+    Example: motor-leakage demo . --nights 3
+
+    They are the logs of the fleet configs/fleet.toml, which the examples of the other commands
+    name. Its tables go to out/.
+    """
+    from pipeline.demo import write_demo
+
+    write_demo(folder, nights=nights, minutes=minutes, rate_hz=rate, seed=seed, workers=jobs)
+    config = folder / "configs" / "fleet.toml"
+    typer.echo(f"logs written to {folder / 'demo' / 'logs'}; the fleet's config is {config}")
 
 
 def init(
@@ -77,12 +101,15 @@ def init(
     while questions := [*proposal.questions, *_of_the_machine(configs, answers)]:
         if not sys.stdin.isatty():
             break
-        answers |= dict(map(_asked, questions))
+        answers |= {one.key: str(typer.prompt(_text(one))) for one in questions}
         proposal = _proposed(source, query, answers, root)
     observed = observed_of(proposal)
     _print(proposal, observed)
     faults = (*proposal.faults, *(one.fault for one in observed.values() if one.fault))
-    _print_questions(questions, faults)
+    for one in questions:
+        typer.echo(f"--answer '{one.key}=…': {_text(one)}")
+    for fault in faults:
+        typer.echo(fault, err=True)
     if questions or not proposal.motors:
         raise typer.Exit(EXIT_MOTORS_FAILED)
     machine = (answers["motor_type"], answers["oil"])
@@ -100,19 +127,14 @@ def _say_files(files: Mapping[str, str], to: Path, *, is_written: bool) -> None:
     if not files:
         typer.echo(f"{to / 'fleet.toml'} has all of these motors")
     for name, text in files.items():
-        typer.echo(
-            f"written: {to / name}" if is_written else f"\n# {to / name}\n{text}", nl=is_written
-        )
+        typer.echo(f"written: {to / name}" if is_written else f"\n# {to / name}\n{text}".rstrip())
     then = f"next: motor-leakage check {to / 'fleet.toml'}"
     typer.echo(then if is_written else "\nnothing is written without --write")
 
 
-def _print_questions(questions: Iterable[Question], faults: Iterable[str]) -> None:
-    for one in questions:
-        choices = f" ({', '.join(one.choices)})" if one.choices else ""
-        typer.echo(f"--answer '{one.key}=…': {one.text}{choices}")
-    for fault in faults:
-        typer.echo(fault, err=True)
+def _text(question: Question) -> str:
+    choices = f" ({', '.join(question.choices)})" if question.choices else ""
+    return f"{question.text}{choices}"
 
 
 def _proposed(source: Path, query: str, answers: dict[str, str], root: Path | None) -> Proposal:
@@ -145,14 +167,9 @@ def _answer(text: str) -> tuple[str, str]:
     return key.strip(), value.strip()
 
 
-def _asked(question: Question) -> tuple[str, str]:
-    choices = f" ({', '.join(question.choices)})" if question.choices else ""
-    return question.key, str(typer.prompt(f"{question.text}{choices}"))
-
-
 def _of_the_machine(configs: Path, answers: dict[str, str]) -> Iterator[Question]:
     """Questions that no log answers."""
-    from pipeline.setup.propose import Question
+    from pipeline.setup.tables import Question
 
     for key, folder in (("motor_type", "motor_types"), ("oil", "oils")):
         known = tuple(path.stem for path in sorted((configs / folder).glob("*.toml")))
@@ -164,21 +181,13 @@ def _of_the_machine(configs: Path, answers: dict[str, str]) -> Iterator[Question
 
 
 def _print(proposal: Proposal, observed: Mapping[str, Observed]) -> None:
-    print_table(
-        COLUMNS,
-        [
-            (
-                motor.motor_id,
-                channel,
-                place.column.name,
-                place.unit or "to be asked",
-                place.quality,
-                "; ".join(place.column.filled[:3]),
-            )
-            for motor in proposal.motors
-            for channel, place in motor.channels.items()
-        ],
-    )
+    rows = []
+    for motor in proposal.motors:
+        for channel, place in motor.channels.items():
+            column, unit = place.column, place.unit or "to be asked"
+            values = "; ".join(column.filled[:3])
+            rows.append((motor.motor_id, channel, column.name, unit, place.quality, values))
+    print_table(COLUMNS, rows)
     for motor in proposal.motors:
         typer.echo(f"{motor.motor_id}: {_logs_of(motor, observed.get(motor.motor_id))}")
     if proposal.unused:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -18,12 +17,14 @@ from pipeline.cli.arguments import (
     duration,
     load,
     night_label,
+    tell,
 )
+from pipeline.clock import now
 from pipeline.errors import UsageError
 
 if TYPE_CHECKING:
     from pipeline.config import MotorSpec
-    from pipeline.trends.nights.decisions import Decision
+    from pipeline.trends.nights.decisions import Decision, Finding, Kind
 
 
 def status(
@@ -50,7 +51,7 @@ def status(
     motor_ids = [spec.motor_id for spec in fleet.motors]
     found = fleet_status(fleet.output, motor_ids, receivers)
     ended = found.last_good_run
-    too_old = limit is not None and (ended is None or dt.datetime.now(dt.UTC) - ended > limit)
+    too_old = limit is not None and (ended is None or now() - ended > limit)
     print_status(fleet.name, found, too_old=too_old, as_json=as_json)
     raise typer.Exit(EXIT_MOTORS_FAILED if too_old else EXIT_OK)
 
@@ -73,14 +74,9 @@ def compare(
     from pipeline.trends.comparing import compare_nights
 
     label = night_label(at, "--at")
-    assert label is not None
     fleet = load(config, output, None, logs=False)
     found = compare_nights(fleet.output, fleet.motor(motor), label, nights)
-    if as_json:
-        typer.echo(json.dumps(found.record))
-        return
-    for line in found.lines:
-        typer.echo(line)
+    tell(found.record, "\n".join(found.lines), as_json=as_json)
 
 
 def ack(
@@ -121,66 +117,57 @@ def ack(
     if finding not in ("", *FINDINGS):
         raise UsageError("finding", f"got {finding!r}; expected {' or '.join(FINDINGS)}")
     fleet = load(config, output, None, logs=False)
-    spec = fleet.motor(motor)
-    parts = (_parts(spec, worn or ()), _parts(spec, sound or ()))
+    parts = [_parts(fleet.motor(motor), one or ()) for one in (worn, sound)]
     if opened or any(parts):
-        found = _opened(motor, opened, parts, note, is_alone=not finding)
-        record_decision(fleet.output, found)
-        said = (f"worn: {found.worn or 'none'}", f"sound: {found.sound or 'none'}")
-        typer.echo(f"{motor}: opened on {found.night}; {'; '.join(said)}")
-        return
-    night = last_alarm(fleet.output, motor, indicator, CHANGED if finding else TOLD)
-    decision = Decision(
-        motor_id=motor,
-        indicator=indicator,
-        time=dt.datetime.now(dt.UTC),
-        kind="finding" if finding else "acknowledged",
-        night=night,
-        finding="confirmed" if finding == "confirmed" else "not_confirmed" if finding else None,
-        note=note,
-    )
+        if not opened or not any(parts) or finding:
+            message = "expected --opened with --worn or --sound, and no --finding"
+            raise UsageError("finding", message)
+        decision = _opened(motor, opened, parts, note)
+        said = f"opened on {decision.night}; "
+        said += f"worn: {decision.worn or 'none'}; sound: {decision.sound or 'none'}"
+    else:
+        night = last_alarm(fleet.output, motor, indicator, CHANGED if finding else TOLD)
+        kind: Kind = "finding" if finding else "acknowledged"
+        found = cast("Finding | None", finding or None)
+        decision = Decision(motor, indicator, now(), kind, night, found, note)
+        said = f"{indicator}, raised last on {night}: {kind}"
     record_decision(fleet.output, decision)
-    typer.echo(f"{motor}: {indicator}, raised last on {night}: {decision.kind}")
+    typer.echo(f"{motor}: {said}")
 
 
-def _parts(spec: MotorSpec, names: Sequence[str]) -> tuple[str, ...]:
+def _parts(spec: MotorSpec, names: Sequence[str]) -> list[str]:
     """Parts of a motor by name or in words; raises UsageError (``finding_part``)."""
     known = {path.name for path in spec.motor_type.path}
-    parts = [name.strip().lower().removeprefix("the ").replace(" ", "_") for name in names]
-    for name, part in zip(names, parts, strict=True):
+    parts = {name: name.strip().lower().removeprefix("the ").replace(" ", "_") for name in names}
+    for name, part in parts.items():
         if part not in known:
-            raise UsageError(
-                "finding_part",
-                f"{spec.motor_id} has no part {name!r}; it has {', '.join(sorted(known))}",
-            )
-    return tuple(dict.fromkeys(parts))
+            there = ", ".join(sorted(known))
+            message = f"{spec.motor_id} has no part {name!r}; it has {there}"
+            raise UsageError("finding_part", message)
+    return list(dict.fromkeys(parts.values()))
 
 
-def _opened(
-    motor_id: str,
-    opened: str,
-    parts: tuple[Sequence[str], Sequence[str]],
-    note: str,
-    *,
-    is_alone: bool,
-) -> Decision:
+def _opened(motor_id: str, opened: str, parts: Sequence[Sequence[str]], note: str) -> Decision:
     """Finding on the parts of a motor that was opened.
 
-    Raises UsageError (``finding``, ``date``, ``finding_part``).
+    Raises UsageError (``date``, ``finding_part``).
     """
     from pipeline.trends.nights.decisions import Decision
 
-    now, day = dt.datetime.now(dt.UTC), night_label(opened or None, "--opened")
-    if day is None or not any(parts) or not is_alone:
-        message = "expected --opened with --worn or --sound, and no --finding"
-        raise UsageError("finding", message)
-    if day > now.date() + dt.timedelta(days=1):
-        raise UsageError("finding", f"--opened: got {day}, which has not come")
+    day = _past_day(opened, "--opened")
     worn, sound = parts
     if both := sorted({*worn} & {*sound}):
         raise UsageError("finding_part", f"{', '.join(both)}: expected worn or sound, not both")
     named = (", ".join(one) or None for one in parts)
-    return Decision(motor_id, "", now, "finding", day, None, note, *named)
+    return Decision(motor_id, "", now(), "finding", day, None, note, *named)
+
+
+def _past_day(text: str, option: str) -> dt.date:
+    """A day that has come, in whatever zone."""
+    day = night_label(text, option)
+    if day > now().date() + dt.timedelta(days=1):
+        raise UsageError("date", f"{option}: got {day}, which has not come")
+    return day
 
 
 def baseline_reset(
@@ -199,12 +186,8 @@ def baseline_reset(
     """
     from pipeline.trends.nights.decisions import Decision, record_decision
 
-    label = night_label(night, "NIGHT")
-    assert label is not None
-    if label > dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1):
-        raise UsageError("date", f"NIGHT: got {label}, which has not come")
+    label = _past_day(night, "NIGHT")
     fleet = load(config, output, None, logs=False)
     fleet.known_motors([motor])
-    now = dt.datetime.now(dt.UTC)
-    record_decision(fleet.output, Decision(motor, "", now, "baseline_reset", label, None, note))
+    record_decision(fleet.output, Decision(motor, "", now(), "baseline_reset", label, None, note))
     typer.echo(f"{motor}: its baseline starts with the night {label}")

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import datetime as dt
 import json
-import shutil
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 
 import typer
 
-from pipeline.cli.arguments import say
-from pipeline.cli.tables import print_table
+from pipeline.cli.arguments import print_table, say
 from pipeline.messages import counted
-from pipeline.report.findings import total
 from pipeline.report.status import FleetStatus
 from pipeline.store.heartbeat import FINISHED, RUNNING
 from pipeline.trends.rows.motor_states import MotorState, latest_rows
@@ -28,9 +25,8 @@ COLOURS = {
     "stale": "blue",
 }
 COLUMNS = ("motor", "state", "tonight", "leakage l/min", "since", "last good night", "what")
-# On a terminal the last column has these, too, and needs the room; on a narrow one all that it can.
+# On a terminal the last column needs the room, and has these in words.
 IN_WORDS = {"since", "tonight"}
-NARROW, MORE_IN_WORDS = 110, {"leakage l/min", "last good night"}
 
 
 def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool) -> None:
@@ -41,12 +37,9 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
     if as_json:
         _print_json(found, too_old=too_old)
         return
-    rows = [dict(zip(COLUMNS, _cells(motor), strict=True)) for motor in found.motors]
     on_terminal = sys.stdout.isatty()
-    left_out = IN_WORDS if on_terminal else set()
-    if on_terminal and shutil.get_terminal_size().columns < NARROW:
-        left_out = IN_WORDS | MORE_IN_WORDS
-    columns = [one for one in COLUMNS if one not in left_out]
+    columns = [one for one in COLUMNS if not (on_terminal and one in IN_WORDS)]
+    rows = [dict(zip(COLUMNS, _cells(motor), strict=True)) for motor in found.motors]
     styles = [COLOURS.get(motor.state, "") for motor in found.motors]
     print_table(columns, ([row[one] for one in columns] for row in rows), name, styles)
     for line in _fleet_lines(found, too_old=too_old):
@@ -107,10 +100,12 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
             f"{found.findings} ({share:.0f} %)"
         )
     if found.parts:
-        one = total(found.parts.values())
+        right, wrong, unknown, missed = (
+            sum(column) for column in zip(*map(astuple, found.parts.values()), strict=True)
+        )
         yield (
-            f"parts named by alarms, after inspections: {one.named_right} right, {one.named_wrong} "
-            f"wrong, {one.cannot_be_told} cannot be told, {one.missed} missed"
+            f"parts named by alarms, after inspections: {right} right, {wrong} wrong, {unknown} "
+            f"cannot be told, {missed} missed"
         )
 
 

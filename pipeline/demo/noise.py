@@ -1,8 +1,4 @@
-"""Noise with a memory, for the simulated sensors.
-
-Pure functions along the first axis, which is time; series side by side share a call. Randomness
-comes as white noise of unit variance or as a generator.
-"""
+"""Noise with a memory, along the first axis, which is time."""
 
 from __future__ import annotations
 
@@ -19,11 +15,9 @@ def phi_of(step_s: float, time_constant_s: float) -> float:
 
 
 def autoregression(white: FloatArray, phi: float) -> FloatArray:
-    r"""First-order autoregression in its stationary state, of the variance of its white noise.
+    r"""First-order autoregression of independent values, shape (n, ...), in its stationary state.
 
     .. math:: x_0 = w_0, \quad x_k = \varphi x_{k-1} + \sqrt{1 - \varphi^2}\,w_k
-
-    `white` are independent values of zero mean, shape (n, ...); the correlation at lag k is φ^k.
     """
     driven = white * np.sqrt(1.0 - phi**2)
     driven[:1] = white[:1]

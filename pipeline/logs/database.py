@@ -5,15 +5,13 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from types import TracebackType
 from typing import Any, TypeVar
-from urllib.parse import unquote
 
 import pyarrow as pa
 
-from pipeline.config.databases import Database
+from pipeline.config.logs import Database
 from pipeline.config.receivers import VARIABLE
 from pipeline.errors import StoreError, one_line
 from pipeline.workers.process import still_alive
@@ -26,10 +24,9 @@ SLOW = "database_slow"
 WAITS_S = (1.0, 4.0, 15.0)
 # Of a batch: what a task holds of a result, however large that is.
 BATCH_BYTES = 4 << 20
-# A server whose machine vanished is noticed within a minute.
-KEEPALIVE = {"keepalives_idle": 30, "keepalives_interval": 10, "keepalives_count": 3}
 # SQLSTATE of a lost connection, a server that goes down or comes up, and one that is full.
 OF_CONNECTION = re.compile(r"08|57P|53300")
+CODES = {"57014": SLOW, "42501": "database_denied", "42703": "log_column_missing"}
 # Said by a server that refuses now and may not later.
 REFUSED_NOW = re.compile(r"too many|starting up|shutting down|recovery mode|not yet accepting")
 REFUSED = re.compile(r"FATAL|password|pg_hba")
@@ -56,12 +53,7 @@ class Connection:
     def __enter__(self) -> Connection:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     def ask(self, sql: str, take: Callable[[Iterator[pa.RecordBatch], pa.Schema], Taken]) -> Taken:
@@ -144,9 +136,9 @@ class Connection:
                 "database_missing",
                 f"a database needs the extra `sql` ({error}): pip install 'motor-leakage[sql]'",
             ) from error
-        options = KEEPALIVE | {"connect_timeout": self._database.connect_timeout_s}
+        os.environ.setdefault("PGCONNECT_TIMEOUT", str(self._database.connect_timeout_s))
         try:
-            connection = dbapi.connect(with_options(self._address(), options), autocommit=True)
+            connection = dbapi.connect(self._address(), autocommit=True)
         except dbapi.Error as error:
             raise self._refusal(_words(str(error))) from None
         self._open = connection
@@ -174,10 +166,10 @@ class Connection:
             code = "database_refused"
         else:
             code = "database_unreachable" if NO_SERVER.search(words) else "database_address"
-        if any(word in words for word in secrets_of(self._address())):
+        if code == "database_address" or self._address().count("@") > 1:
             words = (
-                "no connection; the reason is not shown, as it quotes a part of the password: "
-                "write special characters in it as %XX"
+                "the address is not understood; expected postgresql://user:password@host/database, "
+                "with special characters of the password as %XX"
             )
         return DatabaseError(code, one_line(f"{self._name}: {words}"))
 
@@ -211,54 +203,12 @@ class Connection:
                 cursor.close()
 
 
-def with_options(address: str, options: Mapping[str, int]) -> str:
-    """An address with options of libpq that it does not have yet.
-
-    Examples
-    --------
-    >>> with_options("postgresql://host/db?connect_timeout=3", {"connect_timeout": 9, "x": 1})
-    'postgresql://host/db?connect_timeout=3&x=1'
-    >>> with_options("host=h dbname=d", {"x": 1})
-    'host=h dbname=d x=1'
-    """
-    for name, value in options.items():
-        if f"{name}=" not in address:
-            mark = " " if "://" not in address else "&" if "?" in address else "?"
-            address += f"{mark}{name}={value}"
-    return address
-
-
-def secrets_of(address: str) -> set[str]:
-    """Words of an address that may be of its password, however it is to be read.
-
-    Examples
-    --------
-    >>> sorted(secrets_of("postgresql://me:se/cr%40t@host/db"))
-    ['40t', 'cr', 'se', 't']
-    >>> secrets_of("host=h user=me password='s3 cret'") == {"s3", "cret"}
-    True
-    >>> secrets_of("postgresql://me@host/db")
-    set()
-    """
-    user = address.partition("://")[2].rpartition("@")[0]
-    found = re.findall(r"password\s*=\s*('(?:[^'\\]|\\.)*'|[^\s&]+)", address)
-    found.append(user.partition(":")[2])
-    forms = (form for one in found for form in (one, unquote(one)))
-    return {word for form in forms for word in re.split(r"[\s/:?#&'\\@%]+", form)} - {""}
-
-
 def _code_of(state: str) -> str:
     """Code of an error by the server's SQLSTATE; class 22 is of values that cannot be converted."""
-    code = "database_rows" if state.startswith("22") else "database_query"
     if OF_CONNECTION.match(state):
-        code = "database_unreachable"
-    elif state == "57014":
-        code = "database_slow"
-    elif state == "42501":
-        code = "database_denied"
-    elif state == "42703":
-        code = "log_column_missing"
-    return code
+        return UNREACHABLE
+    other = "database_rows" if state.startswith("22") else "database_query"
+    return CODES.get(state, other)
 
 
 def _words(text: str) -> str:

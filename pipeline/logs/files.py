@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import stat
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -18,26 +18,16 @@ from pipeline.config import MotorSpec
 from pipeline.config.nights import Night, night_of, nights_between, nights_of
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
-from pipeline.logs.finding import find, legible
+from pipeline.logs.finding import legible
 from pipeline.logs.ledger import FileRecord, content_hash
 from pipeline.messages import counted
-from pipeline.workers.process import asking, reading
+from pipeline.workers.process import reading
 
 # Stamps this far from the middle of their log come from a wrong clock; a log that covers more has
 # a wrong time format.
 LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
-# Part of a task in which its one new log is read before any night is known.
-NEW_LOG = "the new log"
 NO_REACH: Mapping[str, int] = MappingProxyType({})
-
-FindEnds = Callable[[Path], tuple[int, int] | None]
-"""Gives the first and last time of a log that is read at once; None where it cannot be."""
-
-
-def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
-    """The log files of a motor that there are, and those that are named but absent."""
-    return find(spec.log_root, spec.file.logs.files, silent)
 
 
 def inspect_log(
@@ -46,66 +36,35 @@ def inspect_log(
     before: FileRecord | None,
     spec: MotorSpec,
     latest_us: int | None = None,
-    ends: FindEnds | None = None,
 ) -> FileRecord:
-    """The record of a file: that of before while its content is the same, else a new one.
+    """The record of a file: that of the run before while its content is the same, else a new one.
 
-    Parameters
-    ----------
-    name, path
-        Path relative to the log root, and where it is.
-    before
-        Its record in the run before; None for a new file.
-    spec
-        The motor.
-    latest_us
-        Samples after this time are refused [µs since 1970]; None: those a day after now.
-    ends
-        Gives the first and last time of a new log; None, or where it gives none: `time_span`.
+    `name` is its path relative to the log root. Samples after `latest_us` are refused [µs since
+    1970]; None: those a day after now.
     """
     record = look_at(name, path)
     if record.status == "failed":
         return record
     # An unreadable file has no hash: its permissions may have changed.
-    if before and before.sha256 and _is_same(before, record):
-        return _now(before, record)
-    found = _inspected(record, path, before, spec, latest_us, ends)
-    why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
-    return found if why is None else growing(found, why)
-
-
-def _is_same(before: FileRecord, now: FileRecord) -> bool:
-    """True if nobody has written to a file, or put another one of its time into its place."""
-    stamps = (before.size, before.modified_ns, before.changed_ns or now.changed_ns)
-    return stamps == (now.size, now.modified_ns, now.changed_ns)
-
-
-def _now(before: FileRecord, now: FileRecord) -> FileRecord:
-    """The record of a file with the same content, as the file is now."""
-    stamps = (now.modified_ns, now.inode, now.changed_ns)
-    if stamps == (before.modified_ns, before.inode, before.changed_ns):
+    if before and before.sha256 and record.state == before.state:
         return before
-    return replace(before, modified_ns=now.modified_ns, inode=now.inode, changed_ns=now.changed_ns)
-
-
-def _inspected(
-    record: FileRecord,
-    path: Path,
-    before: FileRecord | None,
-    spec: MotorSpec,
-    latest_us: int | None,
-    ends: FindEnds | None,
-) -> FileRecord:
-    """The record of a file whose size or time has changed."""
     try:
-        with asking(record.path):
+        with reading(name, is_asked=True):
             record = replace(record, sha256=content_hash(path))
     except OSError as error:
         return failed(record, _not_readable(path, error))
     if before and before.sha256 == record.sha256:
-        return _now(before, record)
-    with reading(record.path):
-        return spanned(record, path, spec, latest_us, ends)
+        found = replace(
+            before,
+            modified_ns=record.modified_ns,
+            inode=record.inode,
+            changed_ns=record.changed_ns,
+        )
+    else:
+        with reading(name):
+            found = spanned(record, path, spec, latest_us)
+    why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
+    return found if why is None else growing(found, why)
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
@@ -143,9 +102,7 @@ def look_at(name: str, path: Path) -> FileRecord:
     try:
         state = path.stat()
     except OSError as error:
-        return failed(
-            FileRecord(name, 0, _link_modified_ns(path), None), _not_readable(path, error)
-        )
+        return failed(FileRecord(name, 0, 0, None), _not_readable(path, error))
     record = FileRecord(
         name,
         state.st_size,
@@ -161,14 +118,6 @@ def look_at(name: str, path: Path) -> FileRecord:
     return record
 
 
-def _link_modified_ns(path: Path) -> int:
-    """Time of a link that leads nowhere; 0 if it is gone, too."""
-    try:
-        return path.lstat().st_mtime_ns
-    except OSError:
-        return 0
-
-
 def _not_readable(path: Path, error: OSError) -> LogError:
     return LogError("log_not_readable", path, f"{error.strerror}; check that it may be read")
 
@@ -178,13 +127,11 @@ def spanned(
     path: Path,
     spec: MotorSpec,
     latest_us: int | None = None,
-    ends: FindEnds | None = None,
 ) -> FileRecord:
     """The record of a file with the nights between its ends; ``failed`` if these cannot be read."""
     file = spec.file
     try:
-        found = None if ends is None else ends(path)
-        first, last = found or time_span(path, file.logs, file.channels, latest_us)
+        first, last = time_span(path, file.logs, file.channels, latest_us)
         if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
             # The ends of the file are no measure of it, so all of it is.
             return covered(record, read_log(path, file.logs, file.channels, latest_us), spec)
@@ -274,16 +221,9 @@ def labels_of(record: FileRecord) -> set[dt.date]:
 def slice_night(
     logs: Iterable[RawLog], night: Night, reach_us: Mapping[str, int] = NO_REACH
 ) -> dict[str, RawChannel]:
-    """The samples of a night from all files that have some, file after file.
+    """The samples of a night from the contents of all files that have some, file after file.
 
-    Parameters
-    ----------
-    logs
-        The files' content.
-    night
-        The night.
-    reach_us
-        By channel, from how long before the night samples carry over into it [µs].
+    `reach_us` is, by channel, from how long before the night samples carry over into it [µs].
     """
     parts: dict[str, list[RawChannel]] = {}
     for log in logs:

@@ -1,43 +1,37 @@
-"""Log files of motors: found by the patterns of a config, and asked for size and time."""
+"""Log files of motors, found by the patterns of a config."""
 
 from __future__ import annotations
 
-import os
 import re
-import stat
-import time
 from bisect import bisect_left
 from collections.abc import Collection, Iterable
 from contextlib import suppress
-from fnmatch import fnmatchcase
+from fnmatch import filter as fitting
 from functools import lru_cache
-from itertools import islice, takewhile
 from pathlib import Path
 
+from pipeline.config import MotorSpec
 from pipeline.errors import one_line
-from pipeline.workers.process import asking, told_alive
-
-# Size, time of the last change [ns] and inode.
-FileState = tuple[int, int, int, int]
+from pipeline.workers.process import reading, told_alive
 
 LONGEST_PATH = 4096
 GLOB_CHARACTERS = frozenset("*?[")
-# A folder that was changed so lately may be changed again at the same time of its clock [ns].
-JUST_NOW_NS = 2_000_000_000
 
 
-def find(
-    root: Path, patterns: Iterable[str], silent: Collection[str] = ()
-) -> tuple[dict[str, Path], list[str]]:
-    """Log files below a root, by relative path, and those that are named but absent."""
+def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
+    """A motor's log files by path below the log root, and those that are named but absent.
+
+    The `silent` files and patterns did not answer, and are not looked at.
+    """
+    root = spec.log_root
     found: set[Path] = set()
     absent: list[str] = []
-    for pattern in patterns:
+    for pattern in spec.file.logs.files:
         named, is_glob = root / pattern, bool(GLOB_CHARACTERS & set(pattern))
         if pattern in silent:
             found |= set() if is_glob else {named}
             continue
-        with asking(pattern):
+        with reading(pattern, is_asked=True):
             # A file may be called `a[1].csv`: a pattern that exists as a file is no glob.
             if named.exists():
                 found.add(named)
@@ -58,30 +52,22 @@ def find(
 def _matching(root: Path, pattern: str) -> Iterable[Path]:
     """Paths that a glob names, as `Path.glob`; a folder of many motors is listed once."""
     place, _, last = pattern.rpartition("/")
+    folder = root / place
     if GLOB_CHARACTERS & set(place) or "**" in last:
         return root.glob(pattern)
-    folder = root / place
-    names = _names_in(folder)
-    beginning = re.split(r"[*?\[]", last)[0]
-    begun = islice(names, bisect_left(names, beginning), None)
-    alike = takewhile(lambda name: name.startswith(beginning), begun)
-    return (folder / name for name in alike if fnmatchcase(name, last))
-
-
-def _names_in(folder: Path) -> tuple[str, ...]:
-    """Names in a folder, sorted; none where it cannot be listed."""
     try:
-        changed_ns = folder.stat().st_mtime_ns
-        if time.time_ns() - changed_ns < JUST_NOW_NS:
-            return tuple(sorted(one.name for one in os.scandir(folder)))
-        return _names_as_of(folder, changed_ns)
+        names = _names_as_of(folder, folder.stat().st_mtime_ns)
     except OSError:
         return ()
+    beginning = re.split(r"[*?\[]", last)[0]
+    first, end = (bisect_left(names, beginning + more) for more in ("", "\U0010ffff"))
+    return (folder / name for name in fitting(names[first:end], last))
 
 
 @lru_cache(maxsize=64)
-def _names_as_of(folder: Path, _: int) -> tuple[str, ...]:
-    return tuple(sorted(one.name for one in os.scandir(folder)))
+def _names_as_of(folder: Path, _: int) -> list[str]:
+    """Names in a folder that was last changed at a time, sorted."""
+    return sorted(one.name for one in folder.iterdir())
 
 
 def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
@@ -90,13 +76,13 @@ def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
         return path.is_dir()
     name = legible(path.relative_to(root).as_posix())
     # A link may lead to a mount that hangs.
-    with asking(name):
+    with reading(name, is_asked=True):
         return name not in silent and path.is_dir()
 
 
 def require_answer(name: str, path: Path) -> None:
     """Open a log that is about to be read: if that hangs, the log is named."""
-    with asking(name), suppress(OSError):  # which its reader tells
+    with reading(name, is_asked=True), suppress(OSError):  # which its reader tells
         if path.is_file():
             with path.open("rb", buffering=0) as log:
                 log.read(1)
@@ -116,18 +102,3 @@ def without_match(root: Path, patterns: Iterable[str]) -> tuple[str, ...]:
 def legible(text: str) -> str:
     """Text for tables, terminals and pages: characters that do not print become escapes."""
     return one_line(text, LONGEST_PATH)
-
-
-def states_of(root: Path, patterns: Iterable[str]) -> dict[str, FileState] | None:
-    """State of each log, by relative path; None where one is absent or no readable file."""
-    found = {}
-    try:
-        paths, absent = find(root, patterns)
-        for name, path in told_alive(paths.items()):
-            state = path.stat()
-            if not stat.S_ISREG(state.st_mode):
-                return None
-            found[name] = (state.st_size, state.st_mtime_ns, state.st_ino, state.st_ctime_ns)
-    except OSError:
-        return None
-    return None if absent else found

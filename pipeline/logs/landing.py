@@ -11,18 +11,17 @@ import filecmp
 import json
 import logging
 from bisect import bisect_left
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.clock import FARTHEST_AHEAD, MICROSECOND, latest_us, utc
 from pipeline.config import MotorSpec
-from pipeline.config.databases import END, START, Database
-from pipeline.config.logs import Logs
+from pipeline.config.hashes import hash_of
+from pipeline.config.logs import END, START, Database, Logs
 from pipeline.config.nights import DAY, Night, night, night_of, nights_between
 from pipeline.errors import LogError
 from pipeline.ingest import LogFile
@@ -38,97 +37,59 @@ RECORD = "landed.json"
 OF_A_NIGHT = (SLOW, "database_rows")
 
 
-@dataclass(frozen=True, slots=True)
-class _Landed:
-    """Nights of a motor that were asked for.
-
-    Attributes
-    ----------
-    source
-        What they came of; that of another source is asked for again.
-    until
-        Label of the newest.
-    left
-        Labels up to it that had no answer.
-    """
-
-    source: Mapping[str, Any]
-    until: str = ""
-    left: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, folder: Path, source: Mapping[str, Any]) -> _Landed:
-        """The record in a folder; an empty one where there is none of the source."""
-        try:
-            found = json.loads((folder / RECORD).read_bytes())
-            if found["source"] == source:
-                return cls(source, found["until"], tuple(found["left"]))
-        except (OSError, ValueError, TypeError, KeyError):
-            pass  # without one all nights are asked for, and files with the same rows stay
-        return cls(source)
-
-    def due(self, database: Database, last: dt.date) -> list[dt.date]:
-        """Nights to ask for, up to the last one: those without an answer so far come first."""
-        first = database.begin
-        if self.until:
-            known = dt.date.fromisoformat(self.until)
-            first = max(first, min(known + DAY, last - database.look_back_days * DAY))
-        left = {label for label in map(dt.date.fromisoformat, self.left) if label < first}
-        labels = left.union(nights_between(first, last))
-        return sorted(labels, key=lambda label: (self.knows(label), label))
-
-    def knows(self, label: dt.date) -> bool:
-        """True for a night that had an answer."""
-        day = label.isoformat()
-        return day <= self.until and day not in self.left
-
-    def asked(self, label: dt.date, *, has_answer: bool) -> _Landed:
-        """The record after a night was asked for."""
-        day = label.isoformat()
-        left = set(self.left) - {day} if has_answer else {*self.left, day}
-        return replace(self, until=max(self.until, day), left=tuple(sorted(left)))
-
-    def keep(self, folder: Path) -> None:
-        """Write it."""
-        record = {"source": self.source, "until": self.until, "left": self.left}
-        put(folder / RECORD, json.dumps(record, indent=1).encode())
-
-
-def land_nights(
-    spec: MotorSpec, latest: int | None = None, silent: Collection[str] = ()
-) -> dict[str, LogError]:
+def land_nights(spec: MotorSpec, latest: int, silent: Collection[str] = ()) -> dict[str, LogError]:
     """Ask for the nights of a motor that are over and due, and write each to a file.
 
     Returns the errors of nights that had no answer yet, by name of the file that is missing. The
     queries of the `silent` files did not end in time; they end the asking.
 
-    Raises
-    ------
-    StoreError
-        ``store_write``: a file cannot be written.
+    Raises StoreError (``store_write``) if a file cannot be written.
     """
-    database = _database(spec)
-    record = _Landed.of(spec.log_root, _source(spec))
-    labels = record.due(database, _last_over(spec, latest))
-    if not labels:
-        return {}
+    database, record = _database(spec), spec.log_root / RECORD
+    last = night_of(latest - FARTHEST_AHEAD // MICROSECOND, spec.settings.nights) - DAY
+    source = _source(spec)
+    answered = _answered(record, source)
+    again = last - database.look_back_days * DAY
+    due = [
+        label
+        for label in nights_between(database.begin, last)
+        if label >= again or str(label) not in answered
+    ]
     faults: dict[str, LogError] = {}
     with Connection(database, spec.file.logs.time_zone) as connection:
-        for label in labels:
+        for label in sorted(due, key=lambda label: (str(label) in answered, label)):
             fault = _fault_of(connection, spec, label, silent)
-            if fault is not None and record.knows(label):
+            if fault is None:
+                if str(label) not in answered:
+                    answered.add(str(label))
+                    found = {"source": source, "answered": sorted(answered)}
+                    put(record, json.dumps(found, indent=0).encode())
+            elif str(label) in answered:
                 words = "%s: %s; what was read of this night before stays"
                 log.warning(words, spec.motor_id, fault.message)
                 break
-            if fault is not None:
+            else:
                 faults[file_name(label)] = fault
                 if fault.code not in OF_A_NIGHT:
                     break
-            after = record.asked(label, has_answer=fault is None)
-            if after != record:
-                after.keep(spec.log_root)
-            record = after
     return faults
+
+
+def _answered(record: Path, source: str) -> set[str]:
+    """Nights that had an answer from a source."""
+    try:
+        found = json.loads(record.read_bytes())
+        if found["source"] == source:
+            return set(found["answered"])
+    except (OSError, ValueError, TypeError, KeyError):
+        pass  # without a record all nights are asked for, and files with the same rows stay
+    return set()
+
+
+def _source(spec: MotorSpec) -> str:
+    """Hash of all that says which rows are those of a night."""
+    nights = spec.settings.nights.model_dump(mode="json")
+    return hash_of({"query": nightly_query(spec), "zone": spec.file.logs.time_zone, **nights})
 
 
 def _fault_of(
@@ -238,22 +199,6 @@ def _database(spec: MotorSpec) -> Database:
     database = spec.file.logs.database
     assert database is not None
     return database
-
-
-def _source(spec: MotorSpec) -> dict[str, Any]:
-    """All that says which rows are those of a night."""
-    return {
-        "query": nightly_query(spec),
-        "begin": _database(spec).begin.isoformat(),
-        "time_zone": spec.file.logs.time_zone,
-        "nights": spec.settings.nights.model_dump(mode="json"),
-    }
-
-
-def _last_over(spec: MotorSpec, latest: int | None) -> dt.date:
-    """Label of the newest night that is over by the run's clock."""
-    now_us = (latest_us() if latest is None else latest) - FARTHEST_AHEAD // MICROSECOND
-    return night_of(now_us, spec.settings.nights) - DAY
 
 
 def _land(connection: Connection, spec: MotorSpec, label: dt.date) -> None:

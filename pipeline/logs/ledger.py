@@ -1,6 +1,6 @@
 """Ledger of a motor: the files that were read, and the outcome of each night.
 
-It stands in the state file. A task gets its motor's ledger with it, and stages what has changed.
+It stands in the state file. A task gets its motor's ledger with it, and returns what has changed.
 It only saves work: without it all logs are read again and give the same tables.
 """
 
@@ -9,15 +9,13 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-import pickle
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import ROLLER
-from pipeline.store.atomic_files import scratch, store_errors
 from pipeline.store.state import State
 from pipeline.workers.process import still_alive
 
@@ -33,7 +31,6 @@ class FileRecord:
     """Record of a log file."""
 
     path: str
-    # size, modified_ns: while both stay, the content counts as unchanged.
     size: int
     modified_ns: int
     sha256: str | None  # hash of the content; None where it could not be read
@@ -49,18 +46,15 @@ class FileRecord:
     status: str = "ok"
     error_code: str | None = None
     message: str | None = None
-    # inode, changed_ns: of the file; one of them differs if another one has taken its name and
-    # time. 0 where they are not known.
+    # inode, changed_ns: of the file, or of the tag of an object; one of them differs if another one
+    # has taken its name and time. 0 where they are not known.
     inode: int = 0
     changed_ns: int = 0
 
-
-@dataclass(frozen=True, slots=True)
-class SeenLogs:
-    """A motor's log files as they were looked at, and those that are named and absent."""
-
-    files: Mapping[str, FileRecord]
-    absent: Sequence[str] = ()
+    @property
+    def state(self) -> tuple[int, int, int]:
+        """Size and times; while they stay, the content counts as unchanged."""
+        return self.size, self.modified_ns, self.changed_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +92,9 @@ class Ledger:
 class LedgerChange:
     """What a run changes in a motor's ledger; None for what goes."""
 
-    files: Mapping[str, FileRecord | None]
-    nights: Mapping[dt.date, NightRecord | None]
-    settings: Mapping[str, Any] | None  # None where they stay
+    files: Mapping[str, FileRecord | None] = field(default_factory=dict)
+    nights: Mapping[dt.date, NightRecord | None] = field(default_factory=dict)
+    settings: Mapping[str, Any] | None = None  # None where they stay
 
     @classmethod
     def between(cls, before: Ledger, after: Ledger) -> LedgerChange:
@@ -110,9 +104,6 @@ class LedgerChange:
             _changed(before.nights, after.nights),
             None if after.settings == before.settings else after.settings,
         )
-
-    def __bool__(self) -> bool:
-        return bool(self.files or self.nights or self.settings is not None)
 
 
 def _changed(before: Mapping[Key, Value], after: Mapping[Key, Value]) -> dict[Key, Value | None]:
@@ -159,6 +150,8 @@ def _night_record(row: dict[str, Any]) -> NightRecord:
 
 def write_change(state: State, motor_id: str, change: LedgerChange) -> None:
     """Change a motor's ledger; raises StoreError."""
+    if change == LedgerChange():
+        return
     with state.transaction():
         state.write("INSERT OR IGNORE INTO motors VALUES (?, '{}')", motor_id)
         if change.settings is not None:
@@ -189,30 +182,6 @@ def _file_row(record: FileRecord) -> list[Any]:
 def _night_row(night: dt.date, record: NightRecord) -> list[Any]:
     row = {name: getattr(record, name) for name in _NIGHT_COLUMNS}
     return [str(night), *(row | {"model": json.dumps(dict(record.model))}).values()]
-
-
-def stage_change(staging: Path, motor_id: str, change: LedgerChange) -> None:
-    """Leave a change for the run to write, when the motor's nights are published.
-
-    Raises StoreError if it cannot be written.
-    """
-    path = _staged_file(staging, motor_id)
-    if not change:
-        path.unlink(missing_ok=True)  # of a task that was lost and is done again
-        return
-    with store_errors(path), scratch(path) as stream:
-        pickle.dump(change, stream)
-
-
-def staged_change(staging: Path, motor_id: str) -> LedgerChange | None:
-    """The change that a motor's task has staged; None where nothing has changed."""
-    path = _staged_file(staging, motor_id)
-    # Written by this run, in a folder of its own.
-    return pickle.loads(path.read_bytes()) if path.exists() else None  # noqa: S301
-
-
-def _staged_file(staging: Path, motor_id: str) -> Path:
-    return staging / "ledger" / motor_id
 
 
 def as_published(spec: MotorSpec, settings: Mapping[str, Any] | None) -> MotorSpec:

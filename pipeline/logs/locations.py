@@ -1,8 +1,7 @@
-"""Sources of a motor's logs: a folder, a database, or an object store.
+"""Places of a motor's logs: a folder, or an object store.
 
-The nights of a database are files of a folder once they are landed. Of an object store each log
-that is read is copied; a listing gives size, tag and last change of every object: a known one is
-not opened.
+Of an object store each log that is read is copied; a listing gives size, tag and last change of
+every object: a known one is not opened.
 """
 
 from __future__ import annotations
@@ -12,17 +11,16 @@ import re
 import tempfile
 import weakref
 from collections import OrderedDict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from hashlib import sha256
 from pathlib import Path
-from typing import Protocol
 
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
-from pipeline.logs.files import FindEnds, change_of, failed, find_logs, growing, inspect_log
-from pipeline.logs.finding import GLOB_CHARACTERS, legible, without_match
-from pipeline.logs.landing import land_nights
+from pipeline.logs.files import change_of, failed, growing, inspect_log
+from pipeline.logs.finding import GLOB_CHARACTERS, find_logs, legible, without_match
 from pipeline.logs.ledger import FileRecord
 from pipeline.store.atomic_files import remove_all, scratch
 from pipeline.store.object_store import ObjectChangedError, ObjectStore, StoredObject
@@ -32,32 +30,8 @@ from pipeline.workers.process import reading
 COPIES = 3
 
 
-class LogSource(Protocol):
-    """A motor's logs, by path relative to the log root."""
-
-    names: tuple[str, ...]  # those that there are, sorted
-    absent: list[str]  # those that are named in the config and absent
-
-    def look_at(
-        self, name: str, before: FileRecord | None, ends: FindEnds | None = None
-    ) -> FileRecord:
-        """The record of a log, as `inspect_log`; an unchanged one is not opened."""
-
-    def path(self, name: str) -> Path:
-        """A file with its content.
-
-        Raises LogError: ``log_growing``: it is no more as it was when the source was made.
-        """
-
-    def change_of(self, record: FileRecord) -> LogError | None:
-        """The change of a log since it was looked at; None without one."""
-
-    def unmatched(self) -> tuple[str, ...]:
-        """Messages about globs that match no log."""
-
-
 class FolderLogs:
-    """Logs in a folder.
+    """Logs in a folder, by path relative to the log root.
 
     Parameters
     ----------
@@ -65,6 +39,13 @@ class FolderLogs:
         The motor, and its logs' latest time, as `inspect_log` takes them.
     silent
         Files and patterns that are not looked at, as of `find_logs`.
+
+    Attributes
+    ----------
+    names
+        Those that there are, sorted.
+    absent
+        Those that are named in the config and absent.
     """
 
     def __init__(
@@ -75,78 +56,31 @@ class FolderLogs:
         self._paths, self.absent = find_logs(spec, silent)
         self.names = tuple(self._paths)
 
-    def look_at(
-        self, name: str, before: FileRecord | None, ends: FindEnds | None = None
-    ) -> FileRecord:
-        """As `LogSource`."""
-        return inspect_log(name, self._paths[name], before, self._spec, self._latest_us, ends)
+    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
+        """The record of a log, as `inspect_log`; an unchanged one is not opened."""
+        return inspect_log(name, self._paths[name], before, self._spec, self._latest_us)
 
     def path(self, name: str) -> Path:
-        """As `LogSource`; of one that is gone, where it was."""
+        """A file with the content of a log; of one that is gone, where it was.
+
+        Raises LogError: ``log_growing``: it is no more as it was when it was listed.
+        """
         return self._paths.get(name, self._spec.log_root / name)
 
     def change_of(self, record: FileRecord) -> LogError | None:
-        """As `LogSource`."""
+        """The change of a log since it was looked at; None without one."""
         return change_of(record, self.path(record.path))
 
     def unmatched(self) -> tuple[str, ...]:
-        """As `LogSource`."""
-        return without_match(self._spec.log_root, self._spec.file.logs.files)
+        """Messages about globs that match no log; a database may have no rows yet."""
+        logs = self._spec.file.logs
+        return () if logs.database else without_match(self._spec.log_root, logs.files)
 
 
-class DatabaseLogs(FolderLogs):
-    """Nights of a database, landed as files.
-
-    Parameters
-    ----------
-    spec, latest_us, silent
-        As of `FolderLogs`.
-    ask
-        False for what another task of the run has asked for.
-
-    Raises
-    ------
-    StoreError
-        ``store_write``: a night cannot be written.
-    """
-
-    def __init__(
-        self,
-        spec: MotorSpec,
-        latest_us: int | None = None,
-        silent: Collection[str] = (),
-        *,
-        ask: bool = True,
-    ) -> None:
-        self._faults = land_nights(spec, latest_us, silent) if ask else {}
-        super().__init__(spec, latest_us, silent)
-        self.names = tuple(sorted({*self.names, *self._faults}))
-
-    def look_at(
-        self, name: str, before: FileRecord | None, ends: FindEnds | None = None
-    ) -> FileRecord:
-        """As `LogSource`; of a night without an answer, its error."""
-        if name in self._faults:
-            return failed(FileRecord(name, 0, 0, None), self._faults[name])
-        return super().look_at(name, before, ends)
-
-    def unmatched(self) -> tuple[str, ...]:
-        """Nothing: a database may have no rows yet."""
-        return ()
-
-
-class StoredLogs:
+class StoredLogs(FolderLogs):
     """Logs in an object store, each copied to a scratch folder while it is read.
 
-    Parameters
-    ----------
-    spec, latest_us
-        As of `FolderLogs`.
-
-    Raises
-    ------
-    StoreError
-        If they cannot be listed.
+    Raises StoreError if they cannot be listed.
     """
 
     def __init__(self, spec: MotorSpec, latest_us: int | None = None) -> None:
@@ -159,10 +93,8 @@ class StoredLogs:
         weakref.finalize(self, remove_all, self._folder)
         self._copies: OrderedDict[str, Path] = OrderedDict()
 
-    def look_at(
-        self, name: str, before: FileRecord | None, ends: FindEnds | None = None
-    ) -> FileRecord:
-        """As `LogSource`."""
+    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
+        """As `FolderLogs`; a listing tells of each object whether it is known."""
         found = self._found[name]
         if before is not None and before.sha256 and _is_known(before, found):
             return before
@@ -171,7 +103,7 @@ class StoredLogs:
         except LogError as error:
             became = failed if error.code == "log_missing" else growing
             return became(_record(name, found), error)
-        record = inspect_log(name, path, None, self._spec, self._latest_us, ends)
+        record = inspect_log(name, path, None, self._spec, self._latest_us)
         record = replace(
             record, modified_ns=_modified_ns(found), inode=_number(found.tag), changed_ns=0
         )
@@ -180,7 +112,7 @@ class StoredLogs:
         return record
 
     def path(self, name: str) -> Path:
-        """As `LogSource`."""
+        """As `FolderLogs`."""
         if name in self._copies:
             self._copies.move_to_end(name)
             return self._copies[name]
@@ -206,14 +138,14 @@ class StoredLogs:
         return path
 
     def change_of(self, record: FileRecord) -> LogError | None:
-        """As `LogSource`: a copy never changes, so the object is asked for its tag."""
+        """As `FolderLogs`: a copy never changes, so the object is asked for its tag."""
         found = self._found.get(record.path)
         if found is None or self._store.tag_of(found.key) in (found.tag, None):
             return None
         return _changed(Path(record.path))
 
     def unmatched(self) -> tuple[str, ...]:
-        """As `LogSource`."""
+        """As `FolderLogs`."""
         url = self._spec.log_url
         return tuple(f"no object matches {pattern} below {url}" for pattern in self._unmatched)
 
@@ -250,67 +182,37 @@ def _matching(
     found: dict[str, StoredObject] = {}
     absent: list[str] = []
     unmatched: list[str] = []
-    listed: dict[str, Mapping[str, StoredObject]] = {}
     for pattern in patterns:
-        plain = re.split(r"[*?\[]", pattern)[0]
-        folder = plain.rpartition("/")[0]
-        if folder not in listed:
-            listed[folder] = {one.key: one for one in store.list(folder)}
-        here = listed[folder]
+        folder = re.split(r"[*?\[]", pattern)[0].rpartition("/")[0]
+        here = {one.key: one for one in store.list(folder)}
+        parts = pattern.split("/")
         if pattern in here:
-            found[legible(pattern)] = here[pattern]
-        elif GLOB_CHARACTERS & set(pattern):
-            fits = _as_path_glob(pattern)
-            matches = {legible(key): one for key, one in here.items() if fits.fullmatch(key)}
-            found |= matches
-            if not matches:
-                unmatched.append(pattern)
+            matches = [pattern]
         else:
-            absent.append(pattern)
+            matches = [key for key in here if _fits(key.split("/"), parts)]
+        found |= {legible(key): here[key] for key in matches}
+        if not matches:
+            (unmatched if GLOB_CHARACTERS & set(pattern) else absent).append(pattern)
     return found, absent, unmatched
 
 
-def _as_path_glob(pattern: str) -> re.Pattern[str]:
-    """A glob as `Path.glob` takes it: a star stays within a folder, two of them do not.
+def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:
+    """Whether a key fits a glob as `Path.glob` takes it: a star stays within a folder.
 
     Examples
     --------
-    >>> bool(_as_path_glob("M1/*.csv").fullmatch("M1/a.csv"))
-    True
-    >>> bool(_as_path_glob("M1/*.csv").fullmatch("M1/old/a.csv"))
-    False
-    >>> bool(_as_path_glob("**/a.csv").fullmatch("M1/old/a.csv"))
-    True
+    >>> [_fits(["M1", "old", "a.csv"], one.split("/")) for one in ("M1/*.csv", "**/a.csv")]
+    [False, True]
     """
-    parts = []
-    for part in pattern.split("/"):
-        if part == "**":
-            parts.append("(?:[^/]+/)*")
-        else:
-            parts.append(_translated(part) + "/")
-    return re.compile("".join(parts).removesuffix("/"))
-
-
-def _translated(part: str) -> str:
-    """One name of a glob as a regular expression."""
-    wild = {"*": "[^/]*", "?": "[^/]"}
-    found = []
-    for token in re.findall(r"\[!?[^\]]+\]|.", part, re.DOTALL):
-        if len(token) > 1:
-            found.append(token.replace("[!", "[^", 1))
-        else:
-            found.append(wild.get(token) or re.escape(token))
-    return "".join(found)
+    if not pattern:
+        return not parts
+    if pattern[0] == "**":
+        return _fits(parts, pattern[1:]) or (bool(parts) and _fits(parts[1:], pattern))
+    return bool(parts) and fnmatchcase(parts[0], pattern[0]) and _fits(parts[1:], pattern[1:])
 
 
 def logs_of(
-    spec: MotorSpec,
-    latest_us: int | None = None,
-    silent: Collection[str] = (),
-    *,
-    ask: bool = True,
-) -> LogSource:
-    """A motor's logs at the place in its config; a database is asked only if that is wanted."""
-    if spec.file.logs.database is not None:
-        return DatabaseLogs(spec, latest_us, silent, ask=ask)
+    spec: MotorSpec, latest_us: int | None = None, silent: Collection[str] = ()
+) -> FolderLogs:
+    """A motor's logs at the place in its config; nights of a database are files once landed."""
     return StoredLogs(spec, latest_us) if spec.log_url else FolderLogs(spec, latest_us, silent)

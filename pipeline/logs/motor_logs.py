@@ -1,8 +1,9 @@
-"""A motor's log files during its task: the record of each, and its news."""
+"""A motor's log files during its task: the record of each, its news, and its content."""
 
 from __future__ import annotations
 
 import datetime as dt
+import re
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -10,28 +11,81 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from polars.exceptions import PanicException
-
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import reading_hash
-from pipeline.config.nights import Night, night_of, nights_between
+from pipeline.config.nights import DAY, Night, night_of, nights_between
 from pipeline.errors import LogError
-from pipeline.ingest import RawLog, header_units, read_log
-from pipeline.logs.files import NEW_LOG, covered, failed, growing, labels_of, reaches_us
+from pipeline.ingest import RawLog, read_log
+from pipeline.logs.files import covered, failed, growing, labels_of, reaches_us
 from pipeline.logs.finding import require_answer
-from pipeline.logs.ledger import FileRecord, SeenLogs
-from pipeline.logs.locations import LogSource, logs_of
-from pipeline.logs.told_nights import PlausibleNights, is_newly_told, place_failed
-from pipeline.workers.process import Loss, reading, sign_of_life, told_alive
+from pipeline.logs.landing import land_nights
+from pipeline.logs.ledger import FileRecord
+from pipeline.logs.locations import FolderLogs, logs_of
+from pipeline.workers.process import Loss, reading, told_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
 # Outcomes of a file in a run: left is left to another run, as one of its nights was not done.
 FATES = ("read", "unchanged", "growing", "failed", "left")
+# A night known from a file's name alone lies this near to those of the motor's other logs.
+FARTHEST_NIGHT = 31 * DAY
+_DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 
 
-class LogShelf:
+def date_in(name: str) -> dt.date | None:
+    """The last date in a file's name; None without one."""
+    found = _DATE_IN_NAME.findall(name)
+    try:
+        return dt.date(*map(int, found[-1])) if found else None
+    except ValueError:
+        return None
+
+
+def _has_no_span(record: FileRecord) -> bool:
+    """True for a file that cannot be read: its nights, if any, are told from elsewhere."""
+    return record.status != "ok" and record.first_us is None
+
+
+def with_told_nights(
+    records: Mapping[str, FileRecord], before: Mapping[str, FileRecord], latest: dt.date
+) -> dict[str, FileRecord]:
+    """Give each unreadable file the nights that it held before, or that of the date in its name.
+
+    A date means the night that it does in the names of the readable files. A night after the
+    latest, or far from those of the motor's other logs, is none.
+    """
+    if not any(_has_no_span(one) and not one.nights for one in records.values()):
+        return dict(records)
+    readable = [one for one in records.values() if one.status == "ok" and one.nights]
+    dated = ((date_in(one.path), min(labels_of(one))) for one in readable)
+    lags = Counter(night - date for date, night in dated if date is not None)
+    lag = lags.most_common(1)[0][0] if lags else 0 * DAY
+    earlier = [one for one in before.values() if one.status == "ok"]
+    known = {label for one in (*readable, *earlier) for label in labels_of(one)}
+
+    def told(record: FileRecord) -> FileRecord:
+        held, named = before.get(record.path), date_in(record.path)
+        if held is not None and held.nights:
+            nights, how = labels_of(held), "by what it held before"
+        elif named is not None:
+            nights, how = {named + lag}, "by its name"
+        else:
+            return record
+        first, last = min(known or nights) - FARTHEST_NIGHT, max(known or nights) + FARTHEST_NIGHT
+        kept = sorted(map(str, (one for one in nights if first <= one <= min(last, latest))))
+        if not kept:
+            return record
+        message = f"{record.message} (night told {how})"
+        return replace(record, nights=tuple(kept), message=message)
+
+    return {
+        name: told(one) if _has_no_span(one) and not one.nights else one
+        for name, one in records.items()
+    }
+
+
+class MotorLogs:
     """The log files of a motor, each read once while it is needed.
 
     Parameters
@@ -45,22 +99,18 @@ class LogShelf:
     silent
         Those that did not answer: none is opened.
     looked_at
-        What another task of this run has seen of them; none is then looked at again.
-    reads_new
-        Read a log at once where it is the only new one: its ends are then those of its samples.
+        Records of the files as they are; None: they are looked at.
 
     Attributes
     ----------
     files
         Present record of each file, by path relative to the log root.
     before
-        Former records, without nights that are no longer plausible.
+        Former records.
     absent
         Those that are named in the config and absent.
     read
         Paths of those whose content was read.
-    plausible
-        Nights that the name or time of an unreadable one may tell.
     """
 
     def __init__(
@@ -69,30 +119,24 @@ class LogShelf:
         before: Mapping[str, FileRecord],
         latest_us: int,
         silent: Mapping[str, Loss],
-        looked_at: SeenLogs | None = None,
-        *,
-        reads_new: bool = False,
+        looked_at: Mapping[str, FileRecord] | None = None,
     ) -> None:
         self._spec = spec
-        self.before: Mapping[str, FileRecord] = before
+        self.before = before
         self._read_with = reading_hash(spec)
         self._latest_us = latest_us
         self._silent = silent
-        self._read_ahead: dict[Path, RawLog] = {}
-        seen = looked_at or SeenLogs(self._look(reads_new), self._source.absent)
-        found, self.absent = seen.files, seen.absent
+        self.absent: list[str] = []
+        found = self._look() if looked_at is None else looked_at
         latest = night_of(latest_us, spec.settings.nights)
-        self.plausible = PlausibleNights.of((*found.values(), *before.values()), latest)
-        self.before = {name: self.plausible.only_plausible(one) for name, one in before.items()}
-        self.files = place_failed(found, self.before, spec, self.plausible)
+        self.files = with_told_nights(found, before, latest)
         self.read: set[str] = set()
         self._open: OrderedDict[str, RawLog] = OrderedDict()
-        self._units: dict[str, Mapping[str, str]] = {}
         # How long the last sample of an on-change channel may hold into the next night.
         self._reach_us = max(reaches_us(spec).values(), default=0)
 
     @cached_property
-    def _source(self) -> LogSource:
+    def _source(self) -> FolderLogs:
         """The logs themselves: not asked for anything while nothing of them is needed."""
         return logs_of(self._spec, self._latest_us, self._silent)
 
@@ -100,37 +144,23 @@ class LogShelf:
         """Messages about globs that match no log."""
         return self._source.unmatched()
 
-    def _look(self, reads_new: bool) -> dict[str, FileRecord]:
-        """Each file as its ends tell it."""
-        new = [name for name in self._source.names if name not in self.before]
-        alone = new if reads_new and len(new) == 1 else []
-        return {
-            name: replace(self._look_at(name, name in alone), read_with=self._read_with)
-            for name in told_alive(self._source.names)
-        }
+    def _look(self) -> dict[str, FileRecord]:
+        """Each file as its ends tell it; those of a database are landed before."""
+        faults: Mapping[str, LogError] = {}
+        if self._spec.file.logs.database is not None:
+            faults = land_nights(self._spec, self._latest_us, self._silent)
+        self.absent = self._source.absent
+        found = {name: self._look_at(name) for name in told_alive(self._source.names)}
+        found |= {name: failed(FileRecord(name, 0, 0, None), one) for name, one in faults.items()}
+        return {name: replace(one, read_with=self._read_with) for name, one in found.items()}
 
-    def _look_at(self, name: str, is_read: bool) -> FileRecord:
+    def _look_at(self, name: str) -> FileRecord:
         known = self._known(name)
-        if name not in self._silent and is_read:
-            sign_of_life(NEW_LOG)
-            found = self._source.look_at(name, None, self._ends_of_content)
-            sign_of_life("")
-            return found
         if name not in self._silent:
             return self._source.look_at(name, known)
         if known is not None and known.status == "ok":
             return known  # as far as anybody can tell, it is as it was
         return self._unanswered(FileRecord(name, 0, 0, None))
-
-    def _ends_of_content(self, path: Path) -> tuple[int, int] | None:
-        """First and last sample of a log, whose content is kept for its nights."""
-        file = self._spec.file
-        try:
-            log = read_log(path, file.logs, file.channels, self._latest_us)
-        except (Exception, PanicException):  # which its night is to tell
-            return None
-        self._read_ahead[path] = log
-        return None if log.first_us is None or log.last_us is None else (log.first_us, log.last_us)
 
     def _unanswered(self, record: FileRecord) -> FileRecord:
         """The record of a file that is to be tried again by the next run."""
@@ -153,7 +183,8 @@ class LogShelf:
         # An unreadable file has no hash: it may be readable by now.
         if now.sha256 is None or known.sha256 != now.sha256:
             return f"changed file {name}"
-        return f"the night of {name} is told now" if is_newly_told(known, now) else None
+        is_newly_told = _has_no_span(now) and not labels_of(now) <= labels_of(known)
+        return f"the night of {name} is told now" if is_newly_told else None
 
     def touched(self, name: str) -> set[dt.date]:
         """Nights in which a file has samples, or had them before it was changed."""
@@ -223,16 +254,12 @@ class LogShelf:
         content: RawLog | None = None
         try:
             file, path = self._spec.file, self._source.path(name)
-            content = self._read_ahead.pop(path, None)
-            if content is None:
-                require_answer(name, path)
-                with reading(name):
-                    content = read_log(path, file.logs, file.channels, self._latest_us)
-            found = self._with_change_of_units(covered(record, content, self._spec))
+            require_answer(name, path)
+            with reading(name):
+                content = read_log(path, file.logs, file.channels, self._latest_us)
+            found = covered(record, content, self._spec)
         except LogError as error:
             found, content = failed(record, error), None
-            if error.code == "log_column_missing":
-                found = replace(found, message=f"{found.message}{self._last_read(record)}")
         why = self._source.change_of(record)
         if why is not None:
             found, content = growing(record, why), None
@@ -245,56 +272,6 @@ class LogShelf:
         if len(self._open) > LOGS_IN_MEMORY:
             self._open.popitem(last=False)
         return content
-
-    def _with_change_of_units(self, record: FileRecord) -> FileRecord:
-        """The record of a log, with a remark where its header has other units than the one before.
-
-        Logs of an object store, which would have to be copied for it, have none.
-        """
-        before = self._log_before(record)
-        if before is None or self._spec.log_url:
-            return record
-        now, then = self._header_units(record.path), self._header_units(before.path)
-        label = max(labels_of(before))
-        changes = [
-            f"the header gives {name} in {unit!r}, that of {before.path}, of {label.day} "
-            f"{label:%B %Y}, in {then[name]!r}"
-            for name, unit in now.items()
-            if then.get(name, unit) != unit
-        ]
-        words = "; ".join(filter(None, [record.message, *changes]))
-        return replace(record, message=words or None)
-
-    def _header_units(self, name: str) -> Mapping[str, str]:
-        """Units in a log's header; none where it cannot be read."""
-        if name not in self._units and name not in self._silent:
-            file = self._spec.file
-            try:
-                with reading(name):
-                    path = self._source.path(name)
-                    self._units[name] = header_units(path, file.logs, file.channels)
-            except LogError:
-                self._units[name] = {}
-        return self._units.get(name, {})
-
-    def _log_before(self, record: FileRecord) -> FileRecord | None:
-        """The last log that ends before this one begins and can be read."""
-        first_us = record.first_us
-        earlier = [
-            (one.last_us, name)
-            for name, one in self.files.items()
-            if one.status == "ok" and one.last_us is not None
-            if first_us is not None and one.last_us < first_us
-        ]
-        return self.files[max(earlier)[1]] if earlier else None
-
-    def _last_read(self, record: FileRecord) -> str:
-        """The last log before this one that was read, which had all columns, in words."""
-        last = self._log_before(record)
-        if last is None or last.rows is None:
-            return ""
-        label = max(labels_of(last))
-        return f"; {last.path}, of {label.day} {label:%B %Y}, was the last log that had them all"
 
     def let_go_until(self, label: dt.date) -> None:
         """Give up contents that no night after this one needs."""
@@ -331,6 +308,14 @@ class LogShelf:
         """Messages about files that change while they are read."""
         records = (record for _, record in sorted(self.files.items()))
         return [record.message or "" for record in records if record.status == "growing"]
+
+    def left_out(self) -> list[str]:
+        """Messages about files that were read, and of which rows were left out."""
+        return [
+            f"{name}: {self.files[name].message}"
+            for name in sorted(self.read)
+            if self.files[name].status == "ok" and self.files[name].message
+        ]
 
     def rows(self) -> list[dict[str, Any]]:
         """Rows of `input_files`: each file once, with its first night, or none if it is of none."""

@@ -18,21 +18,18 @@ from pipeline.clock import latest_us, microseconds, now, utc
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash, hash_of, own_version
 from pipeline.errors import MotorLeakageError, StoreError
-from pipeline.look.before import nights_before
-from pipeline.look.motor import Change, looked_at, without_watch
+from pipeline.look.comparison import nights_before
+from pipeline.look.motor import Change, looked_at, verdicts, without_watch
 from pipeline.look.state import LookState, Rise, read_states, write_state
-from pipeline.look.verdicts import verdicts
 from pipeline.schema import LOOKS
 from pipeline.store.locks import locked
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import State, open_state
-from pipeline.telling.delivering import deliver
-from pipeline.telling.delivery import Receiver
-from pipeline.telling.outbox import TOLD_LOOKS, open_outbox, take_up
-from pipeline.telling.receivers import receivers_of
-from pipeline.trends.circuits import circuits_of, decisions_of
+from pipeline.telling.outbox import TOLD_LOOKS, deliver, open_outbox, take_up
+from pipeline.telling.receivers import Receiver, receivers_of
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.trend_record import read_kept
+from pipeline.trends.tasks import circuits_of, decisions_of
 from pipeline.workers.process import one_thread
 
 log = logging.getLogger(__name__)

@@ -1,12 +1,14 @@
-"""One motor's look: new samples to blocks, blocks to changes of state."""
+"""One motor's look: new samples to blocks, blocks to changes of state, and the nights' verdicts."""
 
 from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+import polars as pl
 
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
@@ -14,10 +16,11 @@ from pipeline.config.nights import night as night_labelled
 from pipeline.config.nights import night_of
 from pipeline.ingest import RawLog
 from pipeline.logs.files import reaches_us, slice_night
-from pipeline.look.before import NightsBefore
-from pipeline.look.blocks import Blocks, block_us, blocks_within
-from pipeline.look.reading import PASS_BYTES, News, newest_us_of, read_news
+from pipeline.look.comparison import Blocks, NightsBefore, block_us, blocks_within
+from pipeline.look.reading import News, newest_us_of, read_news
 from pipeline.look.state import BLIND, NOT_READY, LookState, Rise
+from pipeline.schema import WATCH
+from pipeline.store.tables import read_rows
 from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW
 
 # Blocks before the first new one whose samples are cleaned with it, and the wait for the samples
@@ -58,15 +61,10 @@ def looked_at(
     A first look begins behind the last published night; samples after `latest_us` are refused.
     """
     state, changes = _begun(spec, before, state, now_us)
-    most_bytes = PASS_BYTES
-    while (news := _news(spec, state, latest_us, most_bytes)) is not None:
-        next_us = state.next_us
+    news = _news(spec, state, latest_us)
+    if news is not None:
         state, found = _taken_up(spec, before, state, news)
         changes += found
-        if news.is_all:
-            break
-        # A step that is not longer than what has to be read again leads nowhere.
-        most_bytes = most_bytes if state.next_us > next_us else 2 * most_bytes
     return _silent(spec, state, now_us, changes), changes
 
 
@@ -80,10 +78,10 @@ def _begun(spec: MotorSpec, before: NightsBefore, state: LookState, now_us: int)
     return moved(replace(state, next_us=begin_us), begin_us, BLIND, "nothing was judged yet")
 
 
-def _news(spec: MotorSpec, state: LookState, latest_us: int, most_bytes: int) -> News | None:
+def _news(spec: MotorSpec, state: LookState, latest_us: int) -> News | None:
     reach_us = max(reaches_us(spec).values(), default=0)
     needed_us = state.next_us - BLOCKS_BEFORE * block_us(spec) - reach_us
-    return read_news(spec, state.files, needed_us, latest_us, most_bytes)
+    return read_news(spec, state.files, needed_us, latest_us)
 
 
 def _taken_up(spec: MotorSpec, before: NightsBefore, state: LookState, news: News) -> Looked:
@@ -126,9 +124,7 @@ def _ready_us(spec: MotorSpec, news: News, next_us: int) -> int:
     channels = spec.file.channels.items()
     periodic = [lasts.get(name, 0) for name, one in channels if one.sampling != "on_change"]
     first = min(periodic, default=0)
-    if news.is_all:
-        first = max(first, max(lasts.values()) - block_us(spec))
-    return first - SETTLE_US
+    return max(first, max(lasts.values()) - block_us(spec)) - SETTLE_US
 
 
 def _blocks(
@@ -234,3 +230,68 @@ def without_watch(state: LookState, why: str) -> Looked:
         return replace(state, reason=why), []
     state, changes = moved(state, max(state.judged_us, state.since_us), NOT_READY, why, state.rise)
     return replace(state, next_us=0, blocks=()), changes
+
+
+# Nights that are waited for one that says something.
+MOST_NIGHTS = 7
+
+
+def verdicts(output: Path, spec: MotorSpec, nights: NightsBefore, state: LookState) -> Looked:
+    """Let published nights confirm or withdraw what was told.
+
+    Raises StoreError if a published table is damaged.
+    """
+    changes = []
+    for rise in state.waiting:
+        first = night_of(rise.told_us, spec.settings.nights)
+        found = _found(output, spec, nights, rise, first)
+        if found is not None:
+            state, change = _by_night(spec, state, rise, *found)
+            changes.append(change)
+        elif first + dt.timedelta(days=MOST_NIGHTS) <= nights.last_night:
+            state = _scored(state, rise)
+    return state, changes
+
+
+def _found(
+    output: Path, spec: MotorSpec, nights: NightsBefore, rise: Rise, first: dt.date
+) -> tuple[dt.date, float] | None:
+    """A night that shows whether a rise was one, and how much; its own where it goes on in it."""
+    if first == nights.last_night:
+        flow = nights.flow_since(rise.began_us)
+        return None if flow is None else (first, flow / (1.0 + rise.level) - 1.0)
+    labels = [first + dt.timedelta(days=day) for day in range(1, MOST_NIGHTS + 1)]
+    labels = [one for one in labels if one <= nights.last_night]
+    if not labels:
+        return None
+    rows = read_rows(output, WATCH, [spec.motor_id], nights=labels)
+    told = rows.filter(pl.col("night").is_in(labels), pl.col("n_blocks") > 0)
+    for label, change in told.sort("night").select("night", "tonight_change").iter_rows():
+        if change is not None:
+            return label, (1.0 + change) / (1.0 + rise.level) - 1.0
+    return None
+
+
+def _by_night(
+    spec: MotorSpec, state: LookState, rise: Rise, label: dt.date, found: float
+) -> tuple[LookState, Change]:
+    is_so = found >= SHARE_OF_END * rise.change
+    verdict = "confirmed" if is_so else "withdrawn"
+    end_us = night_labelled(label, spec.settings.nights).end_us
+    words = (
+        f"{verdict} by the night of {label}: drain flow {100 * found:+.0f} % against before, told "
+        f"was {100 * rise.change:+.0f} %"
+    )
+    before = state.state
+    after = CLEAR if not is_so and before == LOOK_NOW and state.rise == rise else before
+    state = _scored(state, rise, confirmed=int(is_so), withdrawn=int(not is_so))
+    if after != before:
+        state = replace(state, state=after, since_us=end_us, reason=words, rise=None)
+    return state, Change(end_us, before, after, words, rise, verdict, label)
+
+
+def _scored(state: LookState, rise: Rise, confirmed: int = 0, withdrawn: int = 0) -> LookState:
+    """The state after the verdict of a night on a rise, or without one."""
+    old = state.scores
+    scores = replace(old, confirmed=old.confirmed + confirmed, withdrawn=old.withdrawn + withdrawn)
+    return replace(state, scores=scores, waiting=tuple(one for one in state.waiting if one != rise))

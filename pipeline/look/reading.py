@@ -13,11 +13,11 @@ from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
 from pipeline.ingest import Place, RawChannel, RawLog, can_grow, read_log, read_piece
-from pipeline.logs.files import find_logs
-from pipeline.look.state import End, FileSeen
+from pipeline.logs.finding import find_logs
+from pipeline.look.state import FileSeen
 
-# Bytes of a growing file read at once, and in one go before its blocks are made.
-PIECE_BYTES, PASS_BYTES = 2**20, 2**23
+# Bytes of a growing file read at once.
+PIECE_BYTES = 2**20
 # A file last written to so long before the samples that are wanted holds none of them.
 OLD_US = 86_400 * SECOND_US
 # Latest samples of a channel that say how far it goes.
@@ -35,23 +35,17 @@ class News:
     files: Mapping[str, FileSeen]
     fault: str = ""  # why a file could not be read; empty without one
 
-    @property
-    def is_all(self) -> bool:
-        """False if a growing file has more."""
-        return all(one.is_read for one in self.files.values())
-
 
 def read_news(
     spec: MotorSpec,
     seen: Mapping[str, FileSeen],
     needed_us: int,
     latest_us: int,
-    most_bytes: int = PASS_BYTES,
 ) -> News | None:
     """Read what is new; None: nothing is.
 
     Of the files, samples from `needed_us` on are still needed, and those after `latest_us` refused
-    [µs since 1970]. Of a growing file at most so many bytes are read.
+    [µs since 1970].
     """
     paths, _ = find_logs(spec)
     present = {
@@ -60,9 +54,7 @@ def read_news(
         if (one := _look_at(path)) is not None and one.modified_ns // 1000 >= needed_us - OLD_US
     }
     news = {
-        name
-        for name, one in present.items()
-        if name not in seen or not (seen[name].is_same(one) and seen[name].is_read)
+        name for name, one in present.items() if name not in seen or not seen[name].is_same(one)
     }
     if not news:
         return None
@@ -73,9 +65,7 @@ def read_news(
             files[name] = before
         else:
             try:
-                read, files[name] = _read(
-                    spec, paths[name], now, before, needed_us, latest_us, most_bytes
-                )
+                read, files[name] = _read(spec, paths[name], now, before, needed_us, latest_us)
                 logs += read
             except OSError as error:  # rotated away in between, or out of reach
                 fault = f"{name}: {error.strerror}"
@@ -89,7 +79,6 @@ def read_news(
                         size=now.size,
                         modified_ns=now.modified_ns,
                         inode=now.inode,
-                        is_read=True,
                     )
                 elif before is not None:
                     files[name] = before
@@ -113,34 +102,32 @@ def _read(
     before: FileSeen | None,
     needed_us: int,
     latest_us: int,
-    most_bytes: int,
 ) -> tuple[list[RawLog], FileSeen]:
     file = spec.file
     if not can_grow(path, file.logs):
         whole = read_log(path, file.logs, file.channels, latest_us)
-        return _still_needed([whole], needed_us), replace(now, newest_us=_newest_us(whole))
-    known = before.ends if before is not None and _is_continued(path, before) else ()
-    ends = [*[one for one in known if one.newest_us < needed_us][-1:]]
-    place = Place(ends[-1].position, ends[-1].columns) if ends else Place()
-    logs, last = list[RawLog](), place.position + most_bytes
-    log: RawLog | None = None
-    while place.position < last:
+        return _still_needed(whole, needed_us), replace(now, newest_us=_newest_us(whole))
+    place, logs, newest_us = Place(), list[RawLog](), 0
+    if before is not None and before.digest == _digest(path, before.position):
+        place = Place(before.position, before.columns)
+    # Reading goes on behind the last piece before all samples still needed.
+    kept = place
+    while True:
         log, place = read_piece(path, file.logs, file.channels, latest_us, place, PIECE_BYTES)
         if log is None:
             break
-        logs += _still_needed([log], needed_us)
-        newest_us = max(_newest_us(log), ends[-1].newest_us if ends else 0)
-        ends.append(End(place.position, tuple(place.columns), newest_us))
-    kept = [*[one for one in ends if one.newest_us < needed_us][-1:]]
-    kept += [one for one in ends if one.newest_us >= needed_us]
-    found = replace(
+        newest_us = max(newest_us, _newest_us(log))
+        if newest_us < needed_us:
+            kept = place
+        logs += _still_needed(log, needed_us)
+    newest_us = max(newest_us, 0 if before is None else before.newest_us)
+    return logs, replace(
         now,
-        newest_us=ends[-1].newest_us if ends else 0,
-        ends=tuple(kept),
-        digest=_digest(path, kept[0].position) if kept else "",
-        is_read=log is None,
+        newest_us=newest_us,
+        position=kept.position,
+        columns=tuple(kept.columns),
+        digest=_digest(path, kept.position),
     )
-    return logs, found
 
 
 def newest_us_of(channel: RawChannel) -> int:
@@ -153,13 +140,8 @@ def _newest_us(log: RawLog) -> int:
     return max(map(newest_us_of, channels), default=0)
 
 
-def _still_needed(logs: list[RawLog], needed_us: int) -> list[RawLog]:
-    return [one for one in logs if (one.last_us or 0) >= needed_us]
-
-
-def _is_continued(path: Path, before: FileSeen) -> bool:
-    """False for a file that was cut, or written anew, since it was read."""
-    return bool(before.ends) and _digest(path, before.ends[0].position) == before.digest
+def _still_needed(log: RawLog, needed_us: int) -> list[RawLog]:
+    return [log] if (log.last_us or 0) >= needed_us else []
 
 
 def _digest(path: Path, position: int) -> str:

@@ -18,16 +18,6 @@ BLIND, NOT_READY = "blind", "not_ready"
 
 
 @dataclass(frozen=True, slots=True)
-class End:
-    """End of a piece of a growing file, and the newest sample up to there [µs since 1970]."""
-
-    # position, columns: as of `Place`.
-    position: int
-    columns: tuple[str, ...]
-    newest_us: int
-
-
-@dataclass(frozen=True, slots=True)
 class FileSeen:
     """A log file as it was read last."""
 
@@ -36,10 +26,11 @@ class FileSeen:
     modified_ns: int
     inode: int
     newest_us: int = 0  # newest sample [µs since 1970]; 0 without one
-    # Of a growing file: reading goes on behind the last one before all samples still needed.
-    ends: tuple[End, ...] = ()
-    digest: str = ""  # of what stands at the file's begin and before the first of them
-    is_read: bool = True  # False where a growing file was left before its end
+    # position, columns, digest: of a growing file, from where reading goes on, as of `Place`, and
+    # what stands at its begin and before that.
+    position: int = 0
+    columns: tuple[str, ...] = ()
+    digest: str = ""
 
     def is_same(self, other: FileSeen) -> bool:
         """True if a file was not written to in between."""

@@ -15,10 +15,22 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
 from pipeline.ingest import RawChannel
-from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.channel_rules import (
+    PERIODIC,
+    ChannelRules,
+    Sampling,
+    flow_from_counts,
+    step_of_readings,
+)
 from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
-from pipeline.night.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
-from pipeline.night.time_order import Disorder, Stamps, carried_over, in_order, samples_of
+from pipeline.night.time_order import (
+    carried_over,
+    corrected,
+    n_jittered,
+    order_of,
+    samples_of,
+    typical_period_us,
+)
 
 Places = NDArray[np.intp]
 
@@ -43,29 +55,6 @@ class CleanChannel:
     ends: Mask | None = None
     # Samples at the front that are from before the night, 0 or 1; no count has them.
     n_carried: int = 0
-    # Places of the steps that are not one period long; None where these may be most.
-    other_steps: NDArray[np.intp] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Ordered:
-    """A channel's cells of a night in strict order of time, before any rule has judged them."""
-
-    cells: RawChannel  # of the night
-    disorder: Disorder  # what it took
-    early: RawChannel | None  # cells from before the night, as they came; None: there are none
-    night_start_us: int | None  # where the night begins; None: all cells are of it
-
-
-def ordered_channel(
-    raw: RawChannel, rules: ChannelRules, night_start_us: int | None, stamps: Stamps
-) -> Ordered:
-    """Put a channel's cells in order; parameters as of `clean_channel`."""
-    early, here = None, raw
-    if night_start_us is not None and stamps.earliest_us(raw.time_us) < night_start_us:
-        before = raw.time_us < night_start_us
-        early, here = raw.rows(before), raw.rows(chosen_rows(~before))
-    return Ordered(*in_order(here, rules, stamps), early, night_start_us)
 
 
 def clean_channel(
@@ -76,31 +65,33 @@ def clean_channel(
     Of what lies before `night_start_us`, the last sample of an on-change channel carries over, and
     no rule counts it; None: all samples are of the night.
     """
-    stamps = Stamps()
-    return judged_channel(ordered_channel(raw, rules, night_start_us, stamps), rules, stamps)
-
-
-def judged_channel(ordered: Ordered, rules: ChannelRules, stamps: Stamps) -> CleanChannel:
-    """Apply every rule to cells in order."""
-    cells, disorder = ordered.cells, ordered.disorder
-    period = stamps.period_us(cells.time_us, cells.missing)
+    early, here = None, raw
+    if night_start_us is not None and raw.time_us.min(initial=night_start_us) < night_start_us:
+        before = raw.time_us < night_start_us
+        early, here = raw.rows(before), raw.rows(chosen_rows(~before))
+    order = order_of(here.time_us, puts_in_order=rules.puts_in_order)
+    n_put_back, n_backward, n_duplicate = (
+        int(np.count_nonzero(~here.missing[rows]))
+        for rows in (order.late, order.backward, order.repeated)
+    )
+    cells = corrected(here.rows(order.rows), rules)
+    period = typical_period_us(cells.time_us[~cells.missing])
     longest_gap_us = _longest_gap_us(period, rules)
-    samples = samples_of(cells, rules, period, stamps)
-    noted = {"backward_time": disorder.n_put_back}
+    samples = samples_of(cells, rules, period)
+    noted = {"backward_time": n_put_back}
     if not rules.sampling.on_change:
-        noted["jitter"] = stamps.n_jittered(samples.time_us, period)
+        noted["jitter"] = n_jittered(samples.time_us, period)
     n_carried = 0
-    if ordered.early is not None and ordered.night_start_us is not None:
-        earliest_us = ordered.night_start_us - longest_gap_us
-        carried = carried_over(ordered.early, rules, earliest_us)
+    if early is not None and night_start_us is not None:
+        carried = carried_over(early, rules, night_start_us - longest_gap_us)
         n_carried = len(carried.time_us)
         if n_carried:
             samples = RawChannel.joined([carried, samples])
-    time, value, masks = _judged(samples, rules, period, longest_gap_us, stamps)
+    time, value, masks = _judged(samples, rules, period, longest_gap_us)
     refused = reduce(np.logical_or, masks.values())
     counts = {reason: int(np.count_nonzero(mask[n_carried:])) for reason, mask in masks.items()}
-    counts |= {"backward_time": disorder.n_backward, "duplicate_time": disorder.n_duplicate}
-    out_of_order = disorder.n_backward + disorder.n_duplicate
+    counts |= {"backward_time": n_backward, "duplicate_time": n_duplicate}
+    out_of_order = n_backward + n_duplicate
     return CleanChannel(
         time_us=time,
         value=value,
@@ -114,7 +105,6 @@ def judged_channel(ordered: Ordered, rules: ChannelRules, stamps: Stamps) -> Cle
         sampling=rules.sampling,
         ends=_ends(masks) if rules.sampling.on_change else None,
         n_carried=n_carried,
-        other_steps=stamps.other_steps(time, period),
     )
 
 
@@ -129,7 +119,6 @@ def _judged(
     rules: ChannelRules,
     period_us: float | None,
     longest_gap_us: float,
-    stamps: Stamps,
 ) -> tuple[Times, Values, dict[str, Mask]]:
     """Times and values, of a counter as a flow, and which samples each rule refuses."""
     time, value, sampling = samples.time_us, samples.value, rules.sampling
@@ -150,7 +139,7 @@ def _judged(
     credible = ~reduce(np.logical_or, masks.values())
     rows = chosen_rows(credible)
     kept_us, readings = time[rows], value[rows]
-    long_steps = stamps.steps_over(time, longest_gap_us)
+    long_steps = np.flatnonzero(np.diff(time) > longest_gap_us)
     borders = _borders(kept_us, long_steps, np.flatnonzero(~credible), longest_gap_us)
     stated = max(rules.resolution, sampling.resolution_l_per_min(period_us))
     course = Course(kept_us, readings, borders, rules, stated or step_of_readings(readings))

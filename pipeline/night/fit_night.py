@@ -22,19 +22,15 @@ from pipeline.arrays import chosen_rows
 from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
 from pipeline.ingest import RawChannel
-from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.cleaning import CleanChannel, judged_channel, ordered_channel
+from pipeline.night.channel_rules import ChannelRules, means_too_long
+from pipeline.night.cleaning import clean_channel
 from pipeline.night.fit import fit_modes, with_residuals
-from pipeline.night.operation_rows import operation_row
 from pipeline.night.rows import Rows, fit_rows, unfitted_row
-from pipeline.night.sample_rows import prediction_rows, quality_rows, statistics_rows
-from pipeline.night.sampling import means_too_long
-from pipeline.night.statistics import NightStatistics, night_statistics
+from pipeline.night.sample_rows import operation_row, prediction_rows, quality_rows, statistics_rows
+from pipeline.night.statistics import NightStatistics, left_out, night_statistics, too_uniform
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples, bring_together
-from pipeline.night.time_order import Stamps
 from pipeline.night.viscosity import SensorRatio, sensor_ratio
-from pipeline.night.windows import left_out, too_uniform
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
 from pipeline.units import RUNNING_HOURS
 
@@ -78,16 +74,12 @@ def fit_night(
 ) -> NightOutcome:
     """Fit one motor's night; whatever happens short of a fault in the code is its outcome.
 
-    Parameters
-    ----------
-    spec, night
-        The motor with its resolved config, in the form in which it is fitted, and the night.
-    channels
-        Raw samples of the night by channel; of an on-change one also some from before it, of
-        which the last carries over. Each is taken out when it is its turn: a day at 100 Hz is
-        not to be in memory twice.
-    previous
-        The motor's model before, by flushing mode; empty where there is none.
+    `spec, night`: The motor with its resolved config, in the form in which it is fitted, and the
+    night.
+    `channels`: Raw samples of the night by channel; of an on-change one also some from before it,
+    of which the last carries over. Each is taken out when it is its turn: a day at 100 Hz is not to
+    be in memory twice.
+    `previous`: The motor's model before, by flushing mode; empty where there is none.
     """
     seconds: dict[str, float] = {}
     rows: Rows = {}
@@ -182,7 +174,10 @@ def clean_channels(
         for name, channel in file.channels.items()
         if name != RUNNING_HOURS
     }
-    cleaned = _cleaned(channels, rules, night.start_us)
+    # Each is taken out when it is its turn.
+    cleaned = {
+        name: clean_channel(channels.pop(name), one, night.start_us) for name, one in rules.items()
+    }
     counted = tuple(
         Quality(
             name,
@@ -209,20 +204,6 @@ def clean_channels(
         settings.sensor_health,
     )
     return samples, counted + joint
-
-
-def _cleaned(
-    channels: MutableMapping[str, RawChannel], rules: Mapping[str, ChannelRules], start_us: int
-) -> dict[str, CleanChannel]:
-    """All channels cleaned, each taken out as soon as it is in order."""
-    # All of them are in order before one is judged: until then, one needs the stamps as read.
-    stamps = Stamps()
-    ordered = {
-        name: ordered_channel(channels.pop(name), one, start_us, stamps)
-        for name, one in rules.items()
-    }
-    stamps = Stamps()
-    return {name: judged_channel(ordered.pop(name), one, stamps) for name, one in rules.items()}
 
 
 def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSpec) -> None:

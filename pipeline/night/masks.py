@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
@@ -38,17 +36,6 @@ def stretches(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     framed[1:-1] = mask
     edges = np.flatnonzero(framed[1:] != framed[:-1])
     return edges[::2], edges[1::2]
-
-
-def steps_where(chosen: Callable[[Times], Mask], time_us: Times) -> NDArray[np.intp]:
-    """Places of the chosen ones of the steps between stamps; their lengths stay in the cache."""
-    blocks = range(0, max(len(time_us) - 1, 1), CACHED)
-    return np.concatenate(
-        [
-            begin + np.flatnonzero(chosen(np.diff(time_us[begin : begin + CACHED + 1])))
-            for begin in blocks
-        ]
-    )
 
 
 def missing_sample(

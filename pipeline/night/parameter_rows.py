@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor, regressors
+from leakage.estimation.certificate import Fit
 from leakage.estimation.identifiability import Judgement
-from leakage.estimation.least_squares import Fit
-from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.sensitivities import Effect, ErrorBudget
 from leakage.physics.motor import path_flows_l_per_min
 from leakage.physics.paths import LeakagePath
@@ -47,7 +46,7 @@ def _why_fixed(mode: BlockFit) -> str:
 
 
 def _columns(fit: Fit) -> tuple[LeakagePath | None, ...]:
-    return Parametrisation.of(fit.motor).paths
+    return fit.motor.coefficient_paths
 
 
 def _coefficient_row(mode: BlockFit, path: LeakagePath, place: int | None) -> Row:
@@ -165,7 +164,7 @@ def _effect_rows(motor: Motor, effect: Effect) -> list[Row]:
     rows: list[Row] = [
         {"indicator": path.coefficient_name, "unit": path.coefficient_unit}
         | {"effect": float(effect.coefficients[place])}
-        for place, path in enumerate(Parametrisation.of(motor).paths)
+        for place, path in enumerate(motor.coefficient_paths)
         if path is not None and path.is_free
     ]
     leakages = effect.leakages_l_per_min.tolist()

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from leakage import EstimationError, Motor, OperatingConditions
 from leakage.estimation.block_statistics import merge, with_free_known, with_path_known
-from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.sensitivities import effects_elsewhere
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import (
@@ -236,7 +235,7 @@ def _sensitivities(
     by_source: dict[str, dict[str, float]] = {}
     for row in known:
         by_source.setdefault(row["source"], {})[row["indicator"]] = row["effect"]
-    paths = Parametrisation.of(motor).paths
+    paths = motor.coefficient_paths
     names = [path.coefficient_name if path else "" for path in paths]
     found = effects_elsewhere(
         motor,

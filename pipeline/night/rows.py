@@ -17,7 +17,7 @@ from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit, in_form
 from pipeline.night.parameter_rows import parameter_rows
-from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
+from pipeline.night.residuals import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
 from pipeline.night.time_base import Samples
 from pipeline.night.viscosity import mean_ratio

@@ -1,4 +1,4 @@
-"""Rows of a night's samples: what was refused, statistics by block, points for the plots."""
+"""Rows of a night's samples: how the motor was run, what was refused, blocks, points for plots."""
 
 from __future__ import annotations
 
@@ -13,16 +13,88 @@ from numpy.typing import NDArray
 from leakage import Motor
 from leakage.physics.motor import speed_beyond_curve
 from pipeline.clock import utc
+from pipeline.config import MotorSpec
+from pipeline.config.nights import Night
+from pipeline.ingest import RawChannel
 from pipeline.night.block_fit import BlockFit
-from pipeline.night.operation_rows import coarse_histogram
 from pipeline.night.statistics import NightStatistics
-from pipeline.night.time_base import Quality
+from pipeline.night.time_base import Quality, Samples
 from pipeline.night.viscosity import SensorRatio
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.thinning import keep_extremes
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
+
+HOUR_US = 3_600_000_000
+
+
+def operation_row(
+    spec: MotorSpec, night: Night, samples: Samples, counter: RawChannel | None
+) -> Row:
+    """The row of a night with samples, fitted or not."""
+    hours = (night.end_us - night.start_us) / HOUR_US
+    share = samples.n_turning / samples.n_logged if samples.n_logged else None
+    counted = hours_counted(counter)
+    row: Row = {
+        "motor_id": spec.motor_id,
+        "night": night.date,
+        "logged_hours": samples.n_logged * samples.period_us / HOUR_US,
+        "kept_hours": len(samples.index) * samples.period_us / HOUR_US,
+        "running_share": share,
+        "oil": spec.file.oil_on(night.date),
+        "n_halts": samples.halts.n,
+    }
+    if counted is not None:
+        row |= {"running_hours": counted, "running_hours_source": "counter"}
+    elif share is not None:
+        row |= {"running_hours": share * hours, "running_hours_source": "share"}
+    for name, unit, zero in (
+        ("pressure_zero", "bar", samples.halts.pressure_bar),
+        ("flow_zero", "l_per_min", samples.halts.flow_l_per_min),
+    ):
+        if zero is not None:
+            row[f"{name}_{unit}"] = zero.value
+            row[f"{name}_standard_error_{unit}"] = zero.standard_error
+    if len(samples.index):
+        row |= _conditions(samples)
+    return row
+
+
+def hours_counted(counter: RawChannel | None) -> float | None:
+    """Hours that a counter of running hours went on in a night; None where it cannot tell."""
+    if counter is None:
+        return None
+    reading = counter.value[np.argsort(counter.time_us, kind="stable")]
+    reading = reading[np.isfinite(reading)]
+    # A counter that goes back was exchanged or misread.
+    if len(reading) < 2 or (np.diff(reading) < 0).any():
+        return None
+    return float(reading[-1] - reading[0])
+
+
+def _conditions(samples: Samples) -> Row:
+    pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
+    temperature = samples.oil_temperature_c
+    return {
+        "mean_pressure_bar": float(pressure.mean()),
+        "mean_temperature_c": float(temperature.mean()),
+        "mean_speed_rpm": float(speed.mean()),
+        "mean_flow_l_per_min": float(samples.leakage_l_per_min.mean()),
+        "share_reversed": np.count_nonzero(samples.speed_rpm < 0) / len(speed),
+        "pressure_histogram": coarse_histogram(pressure, PRESSURE_EDGES_BAR),
+        "temperature_histogram": coarse_histogram(temperature, TEMPERATURE_EDGES_C),
+        "speed_histogram": coarse_histogram(speed, SPEED_EDGES_RPM),
+    }
+
+
+def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
+    """Samples in each bin; the end bins hold all beyond."""
+    bins = np.searchsorted(edges[1:-1], values, side="right")
+    counts: list[int] = np.bincount(bins, minlength=len(edges) - 1).tolist()
+    return counts
+
+
 Columns = dict[str, Sequence[Any]]
 
 # Points a night in the table of predictions: enough for a plot, not for an analysis.
@@ -75,13 +147,8 @@ def statistics_rows(
         ("speed", "rpm", (speed[one] for one in rows), SPEED_EDGES_RPM),
     ):
         columns |= _spread(name, unit, parts, edges)
-    # Only where the slowest or the fastest sample is beyond the curve can others be.
-    slowest, fastest = (
-        speed_beyond_curve(motor, columns[f"{limit}_speed_rpm"]) for limit in ("minimum", "maximum")
-    )
     columns["n_beyond_curve"] = [
-        int(np.count_nonzero(speed_beyond_curve(motor, speed[one]))) if beyond else 0
-        for one, beyond in zip(rows, slowest | fastest, strict=True)
+        int(np.count_nonzero(speed_beyond_curve(motor, speed[one]))) for one in rows
     ]
     if viscosity is not None:
         columns["viscosity_ratio"] = [viscosity.at(one) for one in columns["mean_temperature_c"]]

@@ -1,10 +1,13 @@
-"""Cells of a channel in the order of time, and which of them are samples."""
+"""Cells of a channel in the order of time, which of them are samples, and how regular they are.
+
+A sample written late has the right stamp in the wrong row; a clock that was set back has the wrong
+stamp. The two are told apart by whether the stamp falls into a free place among the others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from bisect import bisect_right
 from dataclasses import dataclass, replace
-from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,98 +15,26 @@ from numpy.typing import NDArray
 from pipeline.arrays import Mask, Times
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.clocks import (
-    LikelyStep,
-    backward_time,
-    likely_step,
-    n_jittered,
-    typical_period_us,
-    written_late,
-)
-from pipeline.night.masks import missing_sample, steps_where
+from pipeline.night.masks import missing_sample
 
-Found = TypeVar("Found")
-LATEST_US = np.iinfo(np.int64).max
-
-
-@dataclass(frozen=True, slots=True)
-class Disorder:
-    """Samples, blank cells aside, that were out of order."""
-
-    n_put_back: int
-    n_backward: int
-    n_duplicate: int
+# A place is free where no other sample lies nearer than this share of a period, and belongs to the
+# log where one lies within this many periods.
+FREE_SHARE = 0.75
+NEAR_PERIODS = 5.0
+# A step further than this share of a period from a whole number of periods is jitter.
+JITTER_SHARE = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Order:
     """Rows in strict order of time."""
 
-    time_us: Times  # stamps of the rows that are kept, in order
-    rows: NDArray[np.intp] | Mask | None  # which these are; None: all, as they are
+    rows: NDArray[np.intp] | slice  # those that are kept, in order
     # late, backward, repeated: rows put back in order, and those left out as backward and as
     # duplicates.
     late: NDArray[np.intp]
     backward: NDArray[np.intp]
     repeated: NDArray[np.intp]
-
-
-class Stamps:
-    """Findings about arrays of stamps: channels of one table share one, looked through once.
-
-    Nobody changes an array that it was asked of.
-    """
-
-    def __init__(self) -> None:
-        # With the stamps themselves: while they are here, nothing else has their address.
-        self._known: dict[Hashable, tuple[Times, object]] = {}
-
-    def order(self, time_us: Times, *, puts_in_order: bool) -> Order:
-        """As `order_of`."""
-        return self.once(
-            time_us, puts_in_order, lambda: order_of(time_us, puts_in_order=puts_in_order)
-        )
-
-    def earliest_us(self, time_us: Times) -> int:
-        """The smallest stamp; the largest number there is where there is none."""
-        return self.once(time_us, "earliest", lambda: int(time_us.min(initial=LATEST_US)))
-
-    def period_us(self, time_us: Times, blank: Mask | None = None) -> float | None:
-        """As `typical_period_us`, of the stamps whose cells are not blank."""
-        likely = self._likely_step(time_us)
-        if blank is not None and blank.any():
-            return typical_period_us(time_us, blank, likely)
-        return self.once(time_us, "period", lambda: typical_period_us(time_us, None, likely))
-
-    def other_steps(self, time_us: Times, period_us: float | None) -> NDArray[np.intp] | None:
-        """Places of the steps that are not one period long; None where these may be most."""
-        step, others = self._likely_step(time_us)
-        return others if step == period_us else None
-
-    def n_jittered(self, time_us: Times, period_us: float | None) -> int:
-        """As `n_jittered`."""
-        others = self.other_steps(time_us, period_us)
-        return self.once(
-            time_us, ("jitter", period_us), lambda: n_jittered(time_us, period_us, others)
-        )
-
-    def _likely_step(self, time_us: Times) -> LikelyStep:
-        return self.once(time_us, "likely step", lambda: likely_step(time_us))
-
-    def steps_over(self, time_us: Times, limit_us: float) -> NDArray[np.intp]:
-        """Places of the steps that are longer than a limit."""
-        # In whole microseconds, as the steps are: else all of them would be converted.
-        whole = int(min(limit_us, LATEST_US))
-        return self.once(
-            time_us, ("over", whole), lambda: steps_where(lambda steps: steps > whole, time_us)
-        )
-
-    def once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
-        """Result of `find` for some stamps, under a name; `find` is called once."""
-        key = (time_us.ctypes.data, len(time_us), what)
-        if key not in self._known:
-            self._known[key] = time_us, find()
-        return cast(Found, self._known[key][1])
 
 
 def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
@@ -115,55 +46,134 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     >>> found.rows.tolist(), found.late.tolist(), found.repeated.tolist()
     ([0, 1, 2, 5, 3, 4], [5], [6])
     """
-    if bool((time_us[1:] > time_us[:-1]).all()):
-        return Order(time_us, None, *[np.empty(0, dtype=np.intp)] * 3)
-    chosen = ~backward_time(time_us)
-    rows, ordered = np.flatnonzero(chosen), time_us[chosen]
     late = np.empty(0, dtype=np.intp)
+    if bool((time_us[1:] > time_us[:-1]).all()):
+        return Order(slice(None), late, late, late)
+    chosen = ~backward_time(time_us)
     if puts_in_order:
-        late, stray = written_late(time_us, ~chosen, ordered)
-    if len(late):
-        chosen[late], chosen[stray] = True, False
-        rows = np.flatnonzero(chosen)
-        rows = rows[np.argsort(time_us[rows], kind="stable")]
-        ordered = time_us[rows]
-    backward = np.flatnonzero(~chosen)
-    again = steps_where(lambda steps: steps == 0, ordered) + 1
-    repeated = rows[again]
-    # As marks where they may be, which take an eighth of the memory.
-    chosen[repeated] = False
-    kept = np.delete(rows, again) if len(late) else chosen
-    return Order(np.delete(ordered, again), kept, late, backward, repeated)
+        late, stray = written_late(time_us, ~chosen, time_us[chosen])
+        if len(late):
+            chosen[late], chosen[stray] = True, False
+    rows = np.flatnonzero(chosen)
+    rows = rows[np.argsort(time_us[rows], kind="stable")]
+    again = np.flatnonzero(np.diff(time_us[rows]) == 0) + 1
+    return Order(np.delete(rows, again), late, np.flatnonzero(~chosen), rows[again])
 
 
-def in_order(raw: RawChannel, rules: ChannelRules, stamps: Stamps) -> tuple[RawChannel, Disorder]:
-    """Cells in strict order of their corrected time, and what it took."""
-    order = stamps.order(raw.time_us, puts_in_order=rules.puts_in_order)
-    disorder = Disorder(
-        *(
-            int(np.count_nonzero(~raw.missing[rows]))
-            for rows in (order.late, order.backward, order.repeated)
-        )
+def backward_time(time_us: Times) -> Mask:
+    """Samples whose time does not fit an increasing clock.
+
+    The fewest possible are named (all but a longest non-decreasing subsequence), so that a single
+    stamp in the future does not refuse all that follow it.
+    """
+    mask = np.zeros(len(time_us), dtype=np.bool_)
+    falls = np.flatnonzero(np.diff(time_us) < 0) + 1
+    if not len(falls):
+        return mask
+    # Between two falls stamps are in order: the latest before, and the earliest after each fall.
+    latest = np.maximum.accumulate(time_us[falls - 1])
+    earliest = np.minimum.accumulate(time_us[falls][::-1])[::-1]
+    # A stamp in order with all others belongs to any longest subsequence: few are left to search.
+    edges = [0, *falls.tolist(), len(time_us)]
+    for begin, end, high in zip(edges[1:-1], edges[2:], latest, strict=True):
+        mask[begin : begin + time_us[begin:end].searchsorted(high)] = True
+    for begin, end, low in zip(edges[:-2], edges[1:-1], earliest, strict=True):
+        mask[begin + time_us[begin:end].searchsorted(low, "right") : end] = True
+    doubtful = np.flatnonzero(mask)
+    mask[doubtful[_longest_increasing(time_us[doubtful].tolist())]] = False
+    return mask
+
+
+def _longest_increasing(stamps: list[int]) -> list[int]:
+    """Places of a longest non-decreasing subsequence (patience sorting)."""
+    tails: list[int] = []
+    ends: list[int] = []
+    previous: list[int] = []
+    for index, stamp in enumerate(stamps):
+        pile = bisect_right(tails, stamp)
+        previous.append(ends[pile - 1] if pile else -1)
+        tails[pile : pile + 1] = [stamp]
+        ends[pile : pile + 1] = [index]
+    places: list[int] = []
+    index = ends[-1]
+    while index >= 0:
+        places.append(index)
+        index = previous[index]
+    return places[::-1]
+
+
+def written_late(
+    time_us: Times, backward: Mask, in_order: Times
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Backward samples that can be put back in order, and rows that only seemed to be in it.
+
+    Those are put back whose place among the others is free: rows that a logger flushed late, and
+    files whose names do not sort as their times do. A clock that was set back runs over times that
+    are taken, and a row of samples of which one does so is no late one; a lone wrong stamp lies
+    near nothing. Neither is restored. `in_order` are the stamps of all samples but the backward.
+    """
+    rows = np.flatnonzero(backward)
+    period = typical_period_us(in_order) if len(rows) else None
+    if period is None:
+        return rows[:0], rows[:0]
+    out_of_order = np.sort(time_us[rows])
+    nearest = np.minimum(
+        _distance_of_nearest(in_order, time_us[rows], own=0),
+        _distance_of_nearest(out_of_order, time_us[rows], own=1),
     )
-    cells = raw if order.rows is None else raw.rows(order.rows, order.time_us)
-    return _corrected(cells, rules), disorder
+    fits = (nearest >= FREE_SHARE * period) & (nearest <= NEAR_PERIODS * period)
+    first = np.flatnonzero(np.diff(rows, prepend=-2) > 1)
+    fits = np.logical_and.reduceat(fits, first).repeat(np.diff(first, append=len(rows)))
+    late = rows[fits]
+    # Of two rows that contradict each other either may be named backward; where that one goes back
+    # in order and the one beside it lies near nothing, the latter has the wrong stamp.
+    beside = np.union1d(late - 1, late + 1)
+    beside = beside[(beside >= 0) & (beside < len(time_us))]
+    beside = beside[~backward[beside]]
+    nearest = np.minimum(
+        _distance_of_nearest(in_order, time_us[beside], own=1),
+        _distance_of_nearest(out_of_order, time_us[beside], own=0),
+    )
+    return late, beside[nearest > NEAR_PERIODS * period]
 
 
-def _corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
+def _distance_of_nearest(ordered: Times, stamps: Times, *, own: int) -> NDArray[np.float64]:
+    """Distance of some stamps from the nearest of others, among which each is `own` times."""
+    before = np.searchsorted(ordered, stamps, side="left") - 1
+    after = np.searchsorted(ordered, stamps, side="right")
+    last = len(ordered) - 1
+    earlier_us = np.where(before < 0, np.inf, stamps - ordered[np.maximum(before, 0)])
+    later_us = np.where(after > last, np.inf, ordered[np.minimum(after, last)] - stamps)
+    return np.where(after - before > 1 + own, 0.0, np.minimum(earlier_us, later_us))
+
+
+def typical_period_us(time_us: Times) -> float | None:
+    """Median distance of consecutive samples [µs]; None for fewer than two."""
+    return float(np.median(np.diff(time_us))) if len(time_us) > 1 else None
+
+
+def n_jittered(time_us: Times, period_us: float | None) -> int:
+    """Number of samples that come neither one nor several periods after the one before."""
+    if not period_us:
+        return 0
+    steps = np.diff(time_us)
+    whole = np.maximum(np.round(steps / period_us), 1.0)
+    return int(np.count_nonzero(np.abs(steps - whole * period_us) > JITTER_SHARE * period_us))
+
+
+def corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
     """Samples at the times at which they hold."""
     if not rules.sampling.shift_us:
         return raw
     return replace(raw, time_us=raw.time_us + rules.sampling.shift_us)
 
 
-def samples_of(
-    cells: RawChannel, rules: ChannelRules, period_us: float | None, stamps: Stamps
-) -> RawChannel:
+def samples_of(cells: RawChannel, rules: ChannelRules, period_us: float | None) -> RawChannel:
     """Cells in order without the blank ones that are no sample."""
     if rules.sampling.on_change:
         samples = _says_something(cells, rules)
     elif cells.missing.any():
-        row_us = stamps.period_us(cells.time_us)
+        row_us = typical_period_us(cells.time_us)
         samples = ~cells.missing
         samples |= missing_sample(cells.time_us, cells.missing, period_us, row_us)
     else:
@@ -185,4 +195,4 @@ def carried_over(early: RawChannel, rules: ChannelRules, earliest_us: float) -> 
     rows = np.flatnonzero(says) if rules.sampling.on_change else np.empty(0, np.intp)
     # Of two at one time the first one counts, as within the night.
     last = rows[[np.argmax(early.time_us[rows])]] if len(rows) else rows
-    return _corrected(early.rows(last), rules)
+    return corrected(early.rows(last), rules)

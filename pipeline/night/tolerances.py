@@ -6,7 +6,7 @@ import datetime as dt
 
 import numpy as np
 
-from leakage.estimation.error_sources import ChannelTolerance, Tolerances
+from leakage.estimation.sensitivities import ChannelTolerance, Tolerances
 from pipeline.config import MotorSpec
 from pipeline.config.channels import Channel
 

@@ -1,11 +1,9 @@
-"""For notebooks: samples cleaned as the nightly run does, published tables, a plot of a course.
+"""For notebooks: samples cleaned as the nightly run does, and published tables.
 
 Imports `leakage`, `logs`, `store`, `night`, `ingest`'s contract, `config` and `schema`.
 """
 
-from pipeline.notebook.course import plot_course
-from pipeline.notebook.periods import fit_periods
-from pipeline.notebook.preparing import Prepared, prepare, prepare_log
+from pipeline.notebook.preparing import Prepared, fit_periods, prepare, prepare_log
 from pipeline.notebook.results import Tables, open_tables
 
 __all__ = [
@@ -13,7 +11,6 @@ __all__ = [
     "Tables",
     "fit_periods",
     "open_tables",
-    "plot_course",
     "prepare",
     "prepare_log",
 ]

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Iterable, Mapping, MutableMapping, Sequence
+from collections.abc import Collection, Mapping, MutableMapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import polars as pl
 
-from leakage.estimation.error_sources import Tolerances
+from leakage.estimation.sensitivities import Tolerances
 from leakage.frame.fit import fit_frame
 from leakage.frame.result import FrameFit
-from leakage.frame.samples import CHARGE, FLOW, FrameTable, Period
+from leakage.frame.samples import CHARGE, FLOW, FrameTable
 from leakage.physics.motor import Motor
-from pipeline.clock import latest_us
-from pipeline.config import Fleet, MotorFile, MotorSpec, Settings, load_fleet
-from pipeline.config.nights import night, nights_between, nights_of
+from pipeline.clock import latest_us, microseconds, utc
+from pipeline.config import Fleet, MotorFile, MotorSpec, Nights, Settings, load_fleet
+from pipeline.config.nights import night, night_of, nights_between, nights_of
 from pipeline.errors import UsageError
 from pipeline.ingest import RawChannel
 from pipeline.logs.files import reaches_us, slice_night
-from pipeline.logs.motor_logs import LogShelf
+from pipeline.logs.motor_logs import MotorLogs
 from pipeline.night.fit_night import Insufficient, choose_parts, clean_channels
 from pipeline.night.statistics import charge_over_case_bar
-from pipeline.night.time_base import Quality, Samples
+from pipeline.night.time_base import Samples
 from pipeline.night.tolerances import tolerances
 from pipeline.schema import QUALITY_REASONS, TIMESTAMP
 from pipeline.units import canonical_unit
@@ -37,7 +37,9 @@ CHANNELS = {
     "leakage_flow": FLOW,
     "charge_pressure": CHARGE,
 }
-FRAME = {"time": TIMESTAMP} | dict.fromkeys(CHANNELS.values(), pl.Float64)
+EMPTY = pl.DataFrame(
+    schema={"time": TIMESTAMP} | {name: pl.Float64 for name in CHANNELS.values() if name != CHARGE}
+)
 REFUSED = {
     "night": pl.Date,
     "channel": pl.String,
@@ -46,56 +48,27 @@ REFUSED = {
     "n_samples": pl.Int64,
     "n_refused": pl.Int64,
 }
+Part = tuple[pl.DataFrame, pl.DataFrame]  # kept samples, and counts of what was refused
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prepared:
-    """Samples that are good enough to fit.
+    """Samples that are good enough to fit."""
 
-    Attributes
-    ----------
-    frame
-        Kept samples on one time base, as :func:`leakage.fit_frame` takes them.
-    refused
-        By night, channel and rule: samples that it looked at, and those that it refused.
-    motor
-        The motor with its oil and its primary flushing, as its files state it; None without files.
-    tolerances
-        Of its sensors, stated or assumed by their kind; None without files.
-    settings
-        What they were prepared with.
-    """
-
-    frame: pl.DataFrame
+    frame: pl.DataFrame  # kept samples on one time base, as `leakage.fit_frame` takes them
+    # By night, channel and rule: samples that it looked at, and those that it refused.
     refused: pl.DataFrame
     settings: Settings
+    # The motor with its oil and its primary flushing, and the tolerances of its sensors, as its
+    # files state them; None without files.
     motor: Motor | None = None
     tolerances: Tolerances | None = None
 
-    def fit(
-        self,
-        motor: Motor | None = None,
-        *,
-        flushing: float | Literal["none", "estimated"] | None = None,
-        train: Period | Sequence[Period] | None = None,
-        validate: Period | Sequence[Period] | None = None,
-    ) -> FrameFit:
-        """Fit a motor to the samples, with blocks, smoothing and loss as the settings state them.
+    def fit(self, motor: Motor | None = None, **options: Any) -> FrameFit:
+        """Fit a motor (None: that of the files) with blocks, smoothing and loss of the settings.
 
-        Parameters
-        ----------
-        motor
-            None: the motor of the files.
-        flushing, train, validate
-            As of :func:`leakage.fit_frame`.
-
-        Raises
-        ------
-        UsageError
-            ``no_motor``: there is none of files, and none is given; ``no_samples``: all were
-            refused.
-        LeakageError
-            As of :func:`leakage.fit_frame`.
+        Options are flushing, train and validate of `leakage.fit_frame`. Raises UsageError
+        (``no_motor``, ``no_samples``), and as `leakage.fit_frame`.
         """
         motor = motor or self.motor
         if motor is None:
@@ -106,14 +79,12 @@ class Prepared:
         return fit_frame(
             self.frame,
             motor,
-            flushing=flushing,
-            train=train,
-            validate=validate,
             tolerances=self.tolerances,
             windows=self.settings.windows,
             smoothing_s=self.settings.smoothing.window_s,
             smoothing_of=self.settings.smoothing.apply_to,
             loss=self.settings.estimation.loss,
+            **options,
         )
 
     def __repr__(self) -> str:
@@ -126,45 +97,27 @@ def prepare(
 ) -> Prepared:
     """Clean and resample a raw frame as the nightly run does a log.
 
-    Parameters
-    ----------
-    frame
-        As of :func:`leakage.fit_frame`; times may fall or repeat, values be absent or wrong.
-    settings
-        As of a fleet's config; None: the defaults.
-    columns
-        Names of the columns in the frame, where they differ.
-
-    Returns
-    -------
-    Prepared
-
-    Raises
-    ------
-    ShapeError
-        If a column is missing, or in another unit by its name.
-    UsageError
-        ``no_samples``: the frame has no rows.
+    The frame is as of `leakage.fit_frame`; times may fall or repeat, values be absent or wrong.
+    `columns` are names in the frame, where they differ; `settings` as of a fleet's config.
+    Raises ShapeError if a column is missing, or in another unit by its name; UsageError
+    (``no_samples``) if the frame has no rows.
     """
     table = FrameTable(frame, columns or {})
     time_us, _ = table.times()
     if not len(time_us):
         raise UsageError("no_samples", "the frame has no rows")
-    names = dict(CHANNELS)
-    if not table.has(CHARGE):
-        del names["charge_pressure"]
+    has_charge = table.has(CHARGE)
+    names = {channel: name for channel, name in CHANNELS.items() if has_charge or name != CHARGE}
     settings = settings or Settings()
-    model = settings.model.model_copy(update={"two_sided": "charge_pressure" in names})
+    model = settings.model.model_copy(update={"two_sided": has_charge})
     settings = settings.model_copy(update={"model": model})
-    channels = {}
-    for channel, name in names.items():
-        value = table.numbers(name)
-        channels[channel] = RawChannel(time_us, value, np.isnan(value), 0)
+    values = {channel: table.numbers(name) for channel, name in names.items()}
+    channels = {
+        channel: RawChannel(time_us, value, np.isnan(value), 0) for channel, value in values.items()
+    }
     file = MotorFile.model_validate(
         {
-            "motor_id": "frame",
-            "motor_type": "frame",
-            "oil": "frame",
+            **dict.fromkeys(("motor_id", "motor_type", "oil"), "frame"),
             "logs": {"format": "parquet", "files": ("frame",)},
             "channels": {
                 channel: {"source": name, "unit": canonical_unit(channel)}
@@ -189,97 +142,110 @@ def prepare_log(
 ) -> Prepared:
     """Read the logs of a motor of a fleet, and clean them as the nightly run does.
 
-    Parameters
-    ----------
-    config
-        The fleet, or its file.
-    motor_id
-        The motor.
-    since, until
-        First and last night, as dates or such as "2026-01-02"; one night without the last.
-
-    Returns
-    -------
-    Prepared
-        With the motor, its oil as on the data sheet.
-
-    Raises
-    ------
-    ConfigError
-        If the config has a fault.
-    UsageError
-        ``unknown_motor``; ``unknown_night``: no log covers a night; ``oil_changed`` between them;
-        ``period``: a night is no date.
+    `since` and `until` are the first and the last night, as dates or such as "2026-01-02"; one
+    night without the last. Raises ConfigError if the config has a fault; UsageError
+    (``unknown_motor``, ``unknown_night``, ``oil_changed``, ``period``).
     """
-    spec = motor_of(config, motor_id)
-    return prepare_nights(spec, nights_between(_date(since), _date(until or since)))
+    try:
+        first, last = (
+            one if isinstance(one, dt.date) else dt.date.fromisoformat(one)
+            for one in (since, until or since)
+        )
+    except ValueError as error:
+        raise UsageError("period", f"{error}: write a night as 2026-01-02") from error
+    return _of_nights(_motor_of(config, motor_id), nights_between(first, last))
 
 
-def motor_of(config: Fleet | Path | str, motor_id: str) -> MotorSpec:
-    """A motor of a fleet; raises as `Fleet.motor`."""
+def fit_periods(
+    config: Fleet | Path | str, motor_id: str, train: str, validate: str | None = None
+) -> tuple[FrameFit, Prepared]:
+    """Fit a motor to one period of its logs, and judge it on another.
+
+    A period is ``A..B``: nights, both included, or moments such as 2026-01-02T22:00, in UTC where
+    they state no zone. Raises as `prepare_log` and `leakage.fit_frame`.
+    """
+    spec = _motor_of(config, motor_id)
+    nights = spec.settings.nights
+    periods = [_period(text, nights) for text in (train, validate) if text]
+    edges = [(microseconds(first), microseconds(last) - 1) for first, last in periods]
+    labels = [
+        nights_between(night_of(first, nights), night_of(last, nights)) for first, last in edges
+    ]
+    prepared = _of_nights(spec, {label for of_period in labels for label in of_period})
+    return prepared.fit(train=periods[0], validate=periods[1] if validate else None), prepared
+
+
+def _period(text: str, nights: Nights) -> tuple[dt.datetime, dt.datetime]:
+    """Begin and end of a period, half open."""
+    begin, _, end = text.partition("..")
+    try:
+        if "T" in text:
+            first, last = map(dt.datetime.fromisoformat, (begin, end))
+            begins = first if first.tzinfo else first.replace(tzinfo=dt.UTC)
+            ends = last if last.tzinfo else last.replace(tzinfo=dt.UTC)
+        else:
+            labels = [night(dt.date.fromisoformat(one), nights) for one in (begin, end)]
+            begins, ends = utc(labels[0].start_us), utc(labels[1].end_us)
+    except ValueError as error:
+        said = f"{text!r}: write a period as 2026-01-02..2026-01-08, or with times"
+        raise UsageError("period", said) from error
+    if not begins < ends:
+        raise UsageError("period", f"{text!r} ends before it begins")
+    return begins, ends
+
+
+def _motor_of(config: Fleet | Path | str, motor_id: str) -> MotorSpec:
     fleet = config if isinstance(config, Fleet) else load_fleet(Path(config))
     return fleet.motor(motor_id)
 
 
-def prepare_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
+def _of_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
     """Samples of some nights of a motor from its logs, in order of time."""
-    logs = LogShelf(spec, {}, latest_us(), {})
+    logs = MotorLogs(spec, {}, latest_us(), {})
     labels = sorted(logs.present() & set(nights))
     if not labels:
         told = f"{min(nights)} to {max(nights)}"
         raise UsageError("unknown_night", f"no log of {spec.motor_id} covers {told}")
     if len({spec.file.oil_on(label) for label in labels}) > 1:
-        raise UsageError(
-            "oil_changed", f"{spec.motor_id} has another oil in some of these nights: choose less"
-        )
+        said = f"{spec.motor_id} has another oil in some of these nights: choose less"
+        raise UsageError("oil_changed", said)
     prepared = _joined([_of_logs(spec, logs, label) for label in labels])
     motor = spec.motor(labels[-1], spec.file.flushing.mode)
     return Prepared(*prepared, spec.settings, motor, tolerances(spec, labels[-1]))
 
 
-def _date(night: dt.date | str) -> dt.date:
-    try:
-        return night if isinstance(night, dt.date) else dt.date.fromisoformat(night)
-    except ValueError as error:
-        raise UsageError("period", f"{night!r} is no night: write 2026-01-02") from error
-
-
-Part = tuple[pl.DataFrame, pl.DataFrame]
-
-
-def _of_logs(spec: MotorSpec, logs: LogShelf, label: dt.date) -> Part:
-    channels = raw_channels(spec, logs, label)
-    if isinstance(channels, str):
-        return _empty(), _refused(label, [], "log", channels)
-    return _cleaned(spec.file, spec.settings, label, channels)
-
-
-def raw_channels(
-    spec: MotorSpec, logs: LogShelf, label: dt.date
-) -> MutableMapping[str, RawChannel] | str:
-    """Channels of a night as logged, or the fault of a log that cannot be read."""
-    here = night(label, spec.settings.nights)
-    names = logs.of_night(label)
+def _of_logs(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> Part:
+    here, names = night(label, spec.settings.nights), logs.of_night(label)
     read = [logs.content(name) for name in (*logs.before_night(here), *names)]
-    broken = [one for name in names if (one := logs.files[name]).status != "ok"]
-    if broken:
-        return broken[0].message or ""
+    for name in names:
+        if logs.files[name].status != "ok":
+            return _nothing(label, "log", logs.files[name].message or "")
     channels = slice_night([one for one in read if one is not None], here, reaches_us(spec))
     logs.let_go_until(label)
-    return channels
+    return _cleaned(spec.file, spec.settings, label, channels)
 
 
 def _cleaned(
     file: MotorFile, settings: Settings, label: dt.date, channels: MutableMapping[str, RawChannel]
 ) -> Part:
-    """Kept samples of a night, and what was refused."""
+    """Kept samples of a night, and counts of each rule that refused anything."""
     here = night(label, settings.nights)
     try:
         samples, quality = clean_channels(file, settings, here, channels)
         samples, outside = choose_parts(file, settings, here, samples)
     except Insufficient as outcome:
-        return _empty(), _refused(label, [], "night", outcome.reason)
-    return _frame(settings, samples), _refused(label, (*quality, *outside))
+        return _nothing(label, "night", outcome.reason)
+    rows = [
+        (label, one.channel, one.reason, _meaning(one.reason), one.n_samples, one.n_refused)
+        for one in (*quality, *outside)
+        if one.n_refused
+    ]
+    return _frame(settings, samples), pl.DataFrame(rows, schema=REFUSED, orient="row")
+
+
+def _nothing(label: dt.date, channel: str, why: str) -> Part:
+    row = (label, channel, "unusable", why, 0, 0)
+    return EMPTY, pl.DataFrame([row], schema=REFUSED, orient="row")
 
 
 def _frame(settings: Settings, samples: Samples) -> pl.DataFrame:
@@ -295,25 +261,8 @@ def _frame(settings: Settings, samples: Samples) -> pl.DataFrame:
     return pl.DataFrame(columns).with_columns(pl.col("time").cast(TIMESTAMP))
 
 
-def _refused(
-    label: dt.date, quality: Iterable[Quality], channel: str = "", why: str = ""
-) -> pl.DataFrame:
-    """Counts of each rule that refused anything, or the reason why there is nothing of a night."""
-    rows = [
-        (label, one.channel, one.reason, _meaning(one.reason), one.n_samples, one.n_refused)
-        for one in quality
-        if one.n_refused
-    ]
-    rows += [(label, channel, "unusable", why, 0, 0)] if why else []
-    return pl.DataFrame(rows, schema=REFUSED, orient="row")
-
-
 def _meaning(reason: str) -> str:
     return QUALITY_REASONS[reason].meaning if reason in QUALITY_REASONS else reason
-
-
-def _empty() -> pl.DataFrame:
-    return pl.DataFrame(schema={name: kind for name, kind in FRAME.items() if name != CHARGE})
 
 
 def _joined(parts: list[Part]) -> Part:

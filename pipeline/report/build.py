@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import datetime as dt
 import hashlib
-from collections.abc import Mapping, Sequence
+import json
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -13,51 +17,32 @@ from zoneinfo import ZoneInfo
 
 import polars as pl
 
-from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
-from pipeline.report.charts import conditions_chart, watch_chart
-from pipeline.report.findings import scores
+from pipeline.report.charts import conditions_chart, night_chart, watch_chart
+from pipeline.report.explain import EXPLAINED, paragraphs
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
-from pipeline.report.history import MotorHistory, motor_histories
-from pipeline.report.manifest import (
-    Entry,
-    ReportManifest,
-    close_report,
-    is_as_left,
-    open_report,
-    short_hash,
-    write_changed,
-)
-from pipeline.report.names import file_names
-from pipeline.report.night import night_payloads
-from pipeline.report.pages import (
-    ASSETS,
-    UTC,
-    FleetFacts,
-    fleet_html,
-    glossary_html,
-    motor_html,
-)
-from pipeline.report.plotly_json import script_json
-from pipeline.report.status import changed_by_rules, standing_states
-from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
+from pipeline.report.pages import FOLDER, page_of
+from pipeline.report.plotly_json import figure, script_json
+from pipeline.report.status import changed_by_rules, current_states, read_scores
+from pipeline.report.tables import MotorHistory, TableReader, by_motor, motor_histories
 from pipeline.report.words import STATUSES
-from pipeline.schema import ALARMS, FITS, NIGHTLY_TABLES, SCHEMA_VERSION, WATCH, Table
-from pipeline.store.atomic_files import remove_leftovers
-from pipeline.store.tables import days_of, files_of, read_table, table_folder
-from pipeline.telling.delivery import Receiver
+from pipeline.schema import ALARMS, FIT_KEY_NAMES, FITS, PREDICTIONS, RUNS, frame
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, read, remove_leftovers
+from pipeline.store.tables import files_of, table_folder
 from pipeline.telling.outbox import backlogs
-from pipeline.workers.engine import open_workers
-from pipeline.workers.process import Loss
+from pipeline.telling.receivers import Receiver
+from pipeline.trends.nights.decisions import read_decisions
+from pipeline.trends.rows.motor_states import ORDER
 
-INDEX = "index.html"
+MANIFEST = "manifest.json"
 CHART_LIBRARY = "assets/plotly.min.js"
-# Fewer nights than this are made in this very process: starting others takes longer.
-WORTH_WORKERS = 8
+UTC = ZoneInfo("UTC")
 # Of changes of state a page lists the newest.
 SHOWN_CHANGES = 200
-
-Entries = dict[str, Entry]
+# What every file system takes; the ids of a config match it, those of a stranger's table may not.
+PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}[A-Za-z0-9_-]|[A-Za-z0-9]")
+# Names of devices on Windows, whatever their ending.
+DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +66,6 @@ class ReportRequest:
     known: Mapping[str, KnownMotor] = field(default_factory=dict)
     motors: tuple[str, ...] = ()  # ids of the motors to show; empty for all
     nights: int | None = None  # newest nights that get a file of their own; None for all
-    # How many nights are made at the same time, and within which limits.
-    execution: Execution = field(default_factory=lambda: Execution(backend="sequential"))
     # Time of making, which the fleet's page tells; None: it tells none.
     made: dt.datetime | None = None
     zone: ZoneInfo = UTC  # time zone of the fleet
@@ -105,15 +88,64 @@ class ReportResult:
     faults: tuple[str, ...]  # table files that could not be read, in words
 
 
-@dataclass(frozen=True, slots=True)
-class NightTask:
-    """A night to make: plain data, small enough to send to a worker."""
+class Folder:
+    """The report's folder: a file is written when its content has changed, and ours alone go."""
 
-    output: Path
-    folder: Path
-    night: dt.date
-    names: Mapping[str, str]  # names of the motors' folders; other motors are left out
-    before: Mapping[str, Entry]  # entries of the night's files in the manifest, by path
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.files: set[str] = set()  # that the report has now
+        self.n_written = 0
+        # What the last report left: hash of the program, states of the nights, names of the files.
+        self.program = ""
+        self.nights: dict[str, str] = {}
+        self.before: set[str] = set()
+        manifest = path / MANIFEST
+        if manifest.exists():
+            # Without a sound one all files are made anew, over the present ones.
+            with suppress(OSError, ValueError, KeyError, TypeError):
+                last = json.loads(read(manifest))
+                found = str(last["program"]), dict(last["nights"]), set(last["files"])
+                self.program, self.nights, self.before = found
+            return
+        if path.exists() and not path.is_dir():
+            raise StoreError("report_folder", f"{path} is no folder; name another")
+        for one in sorted(path.iterdir()) if path.exists() else ():
+            if not one.name.startswith(TEMPORARY_PREFIX):
+                said = f"{path} holds {one.name} and no report; name an empty or new folder"
+                raise StoreError("report_folder", said)
+        put(manifest, b"{}")
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file unless it is there with that content."""
+        self.files.add(name)
+        path = self.path / name
+        if not (path.exists() and read(path) == content):
+            put(path, content, durable=False)
+            self.n_written += 1
+
+    def keep(self, names: Iterable[str]) -> bool:
+        """Keep files of the last report as they are; False if one is gone."""
+        wanted = set(names)
+        is_there = wanted <= self.before and all((self.path / one).is_file() for one in wanted)
+        self.files |= wanted if is_there else set()
+        return is_there
+
+    def close(self, program: str, nights: Mapping[str, str]) -> int:
+        """Remove files that the report has no more, and remember the others; how many went."""
+        gone = sorted(self.before - self.files)
+        for name in gone:
+            path = self.path / name
+            # Nothing outside the report is removed, whatever the manifest lists.
+            if path.resolve().is_relative_to(self.path.resolve()):
+                with suppress(OSError):
+                    path.unlink()
+                    path.parent.rmdir()
+        flush_disk(self.path)  # one flush for all pages, not one for each
+        manifest = {"program": program, "nights": nights, "files": sorted(self.files)}
+        content = json.dumps(manifest, separators=(",", ":"), sort_keys=True).encode()
+        if read(self.path / MANIFEST) != content:
+            put(self.path / MANIFEST, content)
+        return len(gone)
 
 
 def build_report(request: ReportRequest) -> ReportResult:
@@ -129,34 +161,47 @@ def build_report(request: ReportRequest) -> ReportResult:
             f"{request.output} holds no table of fits; run fit-fleet first; if it found no log, "
             "run check",
         )
-    before = open_report(request.folder)
+    folder = Folder(request.folder)
     remove_leftovers([request.folder])
-    history = read_tables(request.output)
-    names = _names(request, history)
-    nights = _motors_by_night(history.fits, names, request.nights)
-    now = ReportManifest(_program_hash())
-    made, faults = _make_nights(request, nights, names, before, now)
-    n_motors = _make_pages(request, history, names, faults, before, now)
-    n_written = sum(1 for name, entry in now.files.items() if before.files.get(name) != entry)
-    n_removed = close_report(request.folder, before, now)
+    reader = TableReader(request.output)
+    fits = reader.rows(FITS).filter("is_primary")
+    names = _names(request, fits["motor_id"].unique())
+    nights = _motors_by_night(fits, names, request.nights)
+    program = _program_hash()
+    states, n_nights = _make_nights(reader, folder, nights, names, program)
+    n_motors = _make_pages(request, reader, folder, names, program)
+    n_removed = folder.close(program, states)
     return ReportResult(
-        index=request.folder / INDEX,
+        index=request.folder / "index.html",
         n_motors=n_motors,
-        n_nights=made,
-        n_written=n_written,
+        n_nights=n_nights,
+        n_written=folder.n_written,
         n_removed=n_removed,
-        faults=(*history.faults, *faults),
+        faults=tuple(sorted(set(reader.faults))),
     )
 
 
-def _names(request: ReportRequest, history: ReportTables) -> dict[str, str]:
+def _names(request: ReportRequest, in_tables: Iterable[str]) -> dict[str, str]:
     """File names of all motors that are shown."""
-    ids = {*request.known, *history.fits["motor_id"].unique()}
+    ids = {*request.known, *in_tables}
     if strangers := sorted(set(request.motors) - ids):
         there = ", ".join(sorted(ids))
         raise UsageError("unknown_motor", f"no motor {', '.join(strangers)}; there are {there}")
     names = file_names(ids)
     return {one: names[one] for one in sorted(ids) if not request.motors or one in request.motors}
+
+
+def file_names(motor_ids: Iterable[str]) -> dict[str, str]:
+    """A name without ending for each motor: its id, wherever any file system takes it."""
+    ids = list(motor_ids)
+    sharing = Counter(motor_id.casefold() for motor_id in ids)
+
+    def is_safe(name: str) -> bool:
+        is_plain = PLAIN.fullmatch(name) and not DEVICES.match(name)
+        return bool(is_plain) and sharing[name.casefold()] == 1
+
+    hashes = {one: hashlib.sha256(one.encode()).hexdigest()[:12] for one in ids}
+    return {one: one if is_safe(one) else f"motor-{hashes[one]}" for one in ids}
 
 
 def _motors_by_night(
@@ -174,178 +219,175 @@ def night_file_name(motor_name: str, night: dt.date) -> str:
 
 
 def _make_nights(
-    request: ReportRequest,
+    reader: TableReader,
+    folder: Folder,
     nights: Mapping[dt.date, list[str]],
     names: Mapping[str, str],
-    before: ReportManifest,
-    now: ReportManifest,
-) -> tuple[int, list[str]]:
-    """Make the files of nights that are new or changed; enter all into the new manifest."""
-    states = _table_states(request.output, nights)
-    tasks = []
-    for night, motors in nights.items():
-        files = [night_file_name(names[motor_id], night) for motor_id in motors]
-        kept = {name: before.files[name] for name in files if name in before.files}
-        label = night.isoformat()
-        is_current = (
-            before.program == now.program
-            and before.nights.get(label) == states[night]
-            and len(kept) == len(files)
-            and all(is_as_left(request.folder, name, entry) for name, entry in kept.items())
+    program: str,
+) -> tuple[dict[str, str], int]:
+    """Make the files of nights that are new or changed; states of the nights, and how many."""
+    states: dict[str, str] = {}
+    n_made = 0
+    for month in sorted({night.replace(day=1) for night in nights}):
+        labels = [night for night in nights if night.replace(day=1) == month]
+        read = TableReader(reader.output)
+        of_month = {
+            table: read.rows(table, labels).partition_by("night", as_dict=True)
+            for table in EXPLAINED
+        }
+        for night in labels:
+            rows = {
+                table.name: of_month[table].get((night,), frame(table, [])) for table in EXPLAINED
+            }
+            state = _state_of(rows, files_of(reader.output, PREDICTIONS, [night]))
+            files = [night_file_name(names[motor_id], night) for motor_id in nights[night]]
+            is_current = (folder.program, folder.nights.get(str(night))) == (program, state)
+            if not (is_current and folder.keep(files)):
+                n_made += 1
+                of_night = TableReader(reader.output, list(read.faults))
+                rows["predictions"] = of_night.rows(PREDICTIONS, [night])
+                reader.faults += of_night.faults
+                for motor_id, payload in night_payloads(night, rows, of_night.faults).items():
+                    if motor_id in names:
+                        content = f"motorLeakage.night({script_json(payload)});\n".encode()
+                        folder.write(night_file_name(names[motor_id], night), content)
+                if of_night.faults:
+                    continue  # it is tried again
+            states[str(night)] = state
+    return states, n_made
+
+
+def _state_of(rows: Mapping[str, pl.DataFrame], samples: Iterable[Path]) -> str:
+    """What a night is made from: its rows, and the files of its samples."""
+    sums = [(name, int(of.hash_rows().sum()) if of.height else 0) for name, of in rows.items()]
+    stamps = [(one.stat().st_size, one.stat().st_mtime_ns) for one in samples]
+    return hashlib.sha256(f"{sums} {stamps}".encode()).hexdigest()[:16]
+
+
+def night_payloads(
+    night: dt.date, tables: Mapping[str, pl.DataFrame], faults: Sequence[str]
+) -> dict[str, dict[str, Any]]:
+    """What the page of each motor shows of a night: words as of `explain`, and a chart."""
+    primary = tables["fits"].filter("is_primary").select(FIT_KEY_NAMES)
+    grouped = {
+        name: by_motor(
+            rows.join(primary, on=FIT_KEY_NAMES, how="semi", maintain_order="left")
+            if name != "fits" and set(FIT_KEY_NAMES) <= set(rows.columns)
+            else rows
         )
-        if is_current:
-            now.files |= kept
-            now.nights[label] = states[night]
-        else:
-            tasks.append(NightTask(request.output, request.folder, night, names, kept))
-    faults = []
-    is_small = len(tasks) < WORTH_WORKERS or request.execution.backend == "sequential"
-    # Not over a cluster: pages are written where they belong.
-    backend = "sequential" if is_small else "loky"
-    execution = request.execution.model_copy(update={"backend": backend})
-    with open_workers(execution) as workers:
-        for night, entries, found in workers.run(make_night, tasks, _lost_night):
-            now.files |= entries
-            faults += found
-            if not found:
-                now.nights[night.isoformat()] = states[night]
-    return len(tasks), sorted(faults)
-
-
-def _table_states(output: Path, nights: Mapping[dt.date, object]) -> dict[dt.date, str]:
-    """Hash of what each night is made from, taken before it is read."""
-    states = {night: hashlib.sha256() for night in nights}
-    for table in SHOWN_TABLES:
-        for path in files_of(output, table, nights):
-            for night, state in _states_in(path, table).items():
-                if night in states:
-                    states[night].update(f"{table.name} {state};".encode())
-    return {night: state.hexdigest()[:16] for night, state in states.items()}
-
-
-def _states_in(path: Path, table: Table) -> dict[dt.date, str]:
-    """What tells whether a night's rows have changed: its file, or its rows in that of a month."""
-    status = path.stat()
-    stamp = f"{status.st_size} {status.st_mtime_ns}"
-    if table in NIGHTLY_TABLES:
-        return dict.fromkeys(days_of(path.stem), stamp)
-    try:
-        rows = read_table(path, table)
-    except StoreError:
-        return dict.fromkeys(days_of(path.stem), stamp)
-    sums = rows.select("night", state=rows.hash_rows()).group_by("night").agg(pl.sum("state"))
-    return {night: str(state) for night, state in sums.iter_rows()}
-
-
-def _lost_night(task: NightTask, loss: Loss) -> tuple[dt.date, Entries, list[str]]:
-    """Its files stay as they were, until the next report makes them."""
-    return task.night, dict(task.before), [f"night {task.night}: {loss.code}: {loss.how}"]
-
-
-def make_night(task: NightTask) -> tuple[dt.date, Entries, list[str]]:
-    """Make the files of one night for all its motors."""
-    read = read_night(task.output, task.night)
-    entries: Entries = {}
-    for motor_id, payload in night_payloads(task.night, read):
-        if motor_id in task.names:
-            name = night_file_name(task.names[motor_id], task.night)
-            content = f"motorLeakage.night({script_json(payload)});\n".encode()
-            entries[name] = write_changed(task.folder, name, content, task.before.get(name))
-    return task.night, entries, [fault for part in read.values() for fault in part.faults]
+        for name, rows in tables.items()
+    }
+    payloads = {}
+    for motor_id in sorted(primary["motor_id"]):
+        own = {name: found.get(motor_id, tables[name].clear()) for name, found in grouped.items()}
+        samples = own.pop("predictions")
+        words = paragraphs({name: rows.to_dicts() for name, rows in own.items()})
+        words += [("Not read", list(faults))] if faults else []
+        chart = figure(night_chart(samples))
+        payloads[motor_id] = {"night": str(night), "words": words, "figure": chart}
+    return payloads
 
 
 def _make_pages(
     request: ReportRequest,
-    history: ReportTables,
+    reader: TableReader,
+    folder: Folder,
     names: Mapping[str, str],
-    faults: Sequence[str],
-    before: ReportManifest,
-    now: ReportManifest,
+    program: str,
 ) -> int:
-    """Make the fleet's page, the motors' pages, and what they share."""
-
-    def write(name: str, content: bytes) -> None:
-        now.files[name] = write_changed(request.folder, name, content, before.files.get(name))
-
-    motors = list(motor_histories(history, list(names)))
-    span = fleet_span(motors)
+    """Make the fleet's page, the motors' pages, and what they share; how many motors."""
+    output, ids = request.output, list(names)
+    motors = motor_histories(reader, ids)
     types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
-    states = {one.motor_id: one for one in standing_states(request.output, list(names))}
+    states = {one.motor_id: one for one in current_states(output, ids)}
     rows = fleet_rows(motors, names, types, states)
-    name = request.fleet or history.fleet or "Fleet"
-    waiting = backlogs(request.output, request.receivers)
-    facts = FleetFacts(
-        name=name,
-        first=span[0] if span else None,
-        newest=span[1] if span else None,
-        faults=(*history.faults, *faults),
-        undelivered=tuple(one.words for one in waiting if one.undelivered),
-        made=request.made,
-        zone=request.zone,
-        old_after_nights=request.old_after_nights,
-    )
-    for asset in ASSETS:
-        write(f"assets/{asset.name}", asset.read_bytes())
-    _write_chart_library(request.folder, before, now)
-    by_rules = changed_by_rules(history.rows(ALARMS)).filter(pl.col("motor_id").is_in(list(names)))
-    told = by_rules.sort(ALARMS.key).with_columns(page=pl.col("motor_id").replace(names))
     by_id = {row.state.motor_id: row for row in rows}
-    by_type = {motor_id: row.motor_type for motor_id, row in by_id.items()}
-    parts = scores(history.decisions, history.rows(WATCH), by_type)
-    write(INDEX, fleet_html(facts, rows, told.to_dicts(), parts).encode())
-    write("glossary.html", glossary_html(facts).encode())
+    alarms = reader.rows(ALARMS).filter(pl.col("motor_id").is_in(ids))
+    by_rules = changed_by_rules(alarms).sort(ALARMS.key)
+    decisions = read_decisions(output)
+    found = Counter(row.state.state for row in rows)
+    first, newest = fleet_span(motors) or (None, None)
+    facts = {
+        "name": request.fleet or fleet_name(reader) or "Fleet",
+        "first": first,
+        "newest": newest,
+        "made": request.made,
+        "zone": request.zone,
+        "old_after_nights": request.old_after_nights,
+        "undelivered": [
+            one.words for one in backlogs(output, request.receivers) if one.undelivered
+        ],
+        "faults": sorted(set(reader.faults)),
+    }
     for motor in motors:
-        name = names[motor.motor_id]
-        page = _motor_page(request, history, motor, name, by_id[motor.motor_id], facts, now)
-        write(f"motors/{name}.html", page.encode())
+        known = request.known.get(motor.motor_id, KnownMotor(""))
+        changes = alarms.filter(motor_id=motor.motor_id)
+        values = _motor_values(motor, by_id[motor.motor_id], known, changes, folder)
+        said = [one for one in decisions if one.motor_id == motor.motor_id]
+        page = page_of("motor.html", facts=facts, decisions=said, **values)
+        folder.write(f"motors/{names[motor.motor_id]}.html", page.encode())
+    index = page_of(
+        "fleet.html",
+        facts=facts,
+        rows=rows,
+        by_rules=by_rules.with_columns(page=pl.col("motor_id").replace(names)).to_dicts(),
+        counts=[(code, found[code]) for code in ORDER if found[code]],
+        parts=read_scores(output, ids, decisions),
+    )
+    folder.write("index.html", index.encode())
+    folder.write("glossary.html", page_of("glossary.html", facts=facts).encode())
+    for asset in (FOLDER / "assets").iterdir():
+        folder.write(f"assets/{asset.name}", asset.read_bytes())
+    # One copy for all pages; it is read only where it has to be written.
+    if folder.program != program or not folder.keep([CHART_LIBRARY]):
+        from plotly.offline import get_plotlyjs
+
+        folder.write(CHART_LIBRARY, get_plotlyjs().encode())
     return len(motors)
 
 
-def _motor_page(
-    request: ReportRequest,
-    history: ReportTables,
-    motor: MotorHistory,
-    name: str,
-    row: FleetRow,
-    facts: FleetFacts,
-    now: ReportManifest,
-) -> str:
-    known = request.known.get(motor.motor_id, KnownMotor(""))
-    changes = changes_of_state(motor.motor_id, history)
-    nights = {
-        "file": name,
+def _motor_values(
+    motor: MotorHistory, row: FleetRow, known: KnownMotor, alarms: pl.DataFrame, folder: Folder
+) -> dict[str, Any]:
+    """What the template of a motor's page names, besides facts and decisions."""
+    changes = newest_changes(alarms)
+    course = watch_chart(motor, known.paths, known.events, changes)
+    statuses = motor.fits["status"].to_list()
+    payload = {
+        "file": row.page,
         "nights": [str(night) for night in motor.nights],
-        "statuses": [STATUSES.get(status, status) for status in motor.statuses],
-        "detailed": [int(night_file_name(name, night) in now.files) for night in motor.nights],
+        "statuses": [STATUSES.get(status, status) for status in statuses],
+        "detailed": [
+            int(night_file_name(row.page, night) in folder.files) for night in motor.nights
+        ],
+        "figures": {"course": figure(course), "conditions": figure(conditions_chart(motor))},
     }
-    charts = {
-        "course": watch_chart(motor, known.paths, known.events, changes),
-        "conditions": conditions_chart(motor),
+    return {
+        "row": row,
+        "last": motor.fits.row(-1, named=True) if motor.nights else None,
+        "marks": course.marks,
+        "payload": script_json(payload),
+        "changes": changes,
     }
-    said = [one for one in history.decisions if one.motor_id == motor.motor_id]
-    return motor_html(facts, row, motor, charts, nights, changes, said)
 
 
-def changes_of_state(motor_id: str, history: ReportTables) -> list[dict[str, Any]]:
+def newest_changes(alarms: pl.DataFrame) -> list[dict[str, Any]]:
     """A motor's newest rows of `alarms`, the newest first."""
-    rows = history.rows(ALARMS).filter(motor_id=motor_id)
-    return rows.sort("time", "indicator", descending=[True, False]).head(SHOWN_CHANGES).to_dicts()
+    rows = alarms.sort("time", "indicator", descending=[True, False])
+    return rows.head(SHOWN_CHANGES).to_dicts()
 
 
-def _write_chart_library(folder: Path, before: ReportManifest, now: ReportManifest) -> None:
-    """One copy of the chart library for all pages; it is read only where it has to be written."""
-    entry = before.files.get(CHART_LIBRARY)
-    if before.program == now.program and entry and is_as_left(folder, CHART_LIBRARY, entry):
-        now.files[CHART_LIBRARY] = entry
-        return
-    from plotly.offline import get_plotlyjs
-
-    now.files[CHART_LIBRARY] = write_changed(folder, CHART_LIBRARY, get_plotlyjs().encode(), entry)
+def fleet_name(reader: TableReader) -> str:
+    """Name of the fleet in its newest run; empty where there is none."""
+    names = reader.rows(RUNS).sort("started_at")["fleet"].drop_nulls()
+    return str(names[-1]) if len(names) else ""
 
 
 def _program_hash() -> str:
-    """Hash of the report's own files and of what else shapes its content."""
-    sources = sorted(path for path in Path(__file__).parent.rglob("*") if path.is_file())
-    own = [path.read_bytes() for path in sources if "__pycache__" not in path.parts]
-    packages = [version(name).encode() for name in ("motor-leakage", "jinja2", "plotly")]
-    return short_hash(b"|".join((*own, *packages, str(SCHEMA_VERSION).encode())))
+    """Hash of the program's own files: any of them may shape what pages say."""
+    package = FOLDER.parent
+    files = sorted(one for one in package.rglob("*") if one.is_file() and one.suffix != ".pyc")
+    found = hashlib.sha256("".join(map(version, ("jinja2", "plotly"))).encode())
+    for file in files:
+        found.update(file.read_bytes())
+    return found.hexdigest()[:16]

@@ -18,9 +18,8 @@ from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from pipeline.arrays import Array
 from pipeline.messages import plain
 from pipeline.palette import COLOURS, path_places
-from pipeline.report.history import Course, MotorHistory
+from pipeline.report.tables import Course, MotorHistory
 from pipeline.report.words import EVENTS, STATUSES
-from pipeline.thinning import keep_extremes
 from pipeline.trends.nights.decisions import LEAKAGE
 from pipeline.trends.sentences import cause_words
 
@@ -29,8 +28,6 @@ Row = Mapping[str, Any]
 
 BLUE, VERMILION, ORANGE = COLOURS[0], COLOURS[1], COLOURS[4]
 GREY: Final = "#8a949e"
-# More nights than a chart has pixels are thinned, so that a page stays small for decades.
-PLOTTED_NIGHTS = 1500
 GAP = "gap_change_"
 # Evidence that far beyond its limit says nothing more, and would hide how it came there.
 SHOWN_EVIDENCE = 2.5
@@ -96,15 +93,11 @@ def watch_chart(
     `declared` are the motor's leakage paths in the config's order, `events` its dated events,
     `changes` its rows of `alarms`.
     """
-    evidence = motor.watched("evidence")
-    evidence[~np.isfinite(evidence)] = np.nan
-    gaps = gap_courses(motor, declared)
-    keep = _plotted(motor, [evidence, *(one.value for _, _, one in gaps)])
     panels = (
-        _leakage_panel(motor, keep),
+        _leakage_panel(motor),
         _outcomes(motor),
-        _evidence_panel(motor, evidence, keep),
-        gap_panel(motor.stamps[keep], [(path, place, one[keep]) for path, place, one in gaps]),
+        _evidence_panel(motor),
+        _gap_panel(motor, declared),
     )
     marks = [*_events(events), *_detected(motor, changes)]
     return Chart(
@@ -121,20 +114,22 @@ def conditions_chart(motor: MotorHistory) -> Chart:
         "validation_fit_percent": "on validation data",
         "previous_model_fit_percent": "of the night before's model",
     }
-    fits = [(name, motor.fitted(column)) for column, name in columns.items()]
+    lines = [
+        _styled(name, motor.stamps, motor.fitted(column), place)
+        for place, (column, name) in enumerate(columns.items())
+    ]
+    # A poor fit may lie far below the others; the axis ends at −50 %.
+    lowest = min((float(np.nanmin(one.value)) for one in _known(lines)), default=60.0)
+    ends = max(min(lowest - 3.0, 60.0), -50.0), 101.0
+    panels = [Panel("Fit of the model", "%", _known(lines), ends)]
     single = (
-        ("Drain flow as measured, mean of the night", "l/min", "mean_flow_l_per_min"),
+        ("Drain flow, mean of the night", "l/min", "mean_flow_l_per_min"),
         ("Pressure difference", "bar", "own_pressure_bar"),
         ("Oil temperature", "°C", "own_temperature_c"),
         ("Speed", "rpm", "own_speed_rpm"),
     )
-    courses = [motor.fitted(column) for *_, column in single]
-    keep = _plotted(motor, [*(one for _, one in fits), *courses])
-    time = motor.stamps[keep]
-    lines = tuple(_styled(name, time, one[keep], place) for place, (name, one) in enumerate(fits))
-    panels = [Panel("Fit of the model", "%", _known(lines), _fit_ends(lines))]
-    for (title, unit, _), course in zip(single, courses, strict=True):
-        line = Line(title, time, course[keep], BLUE, symbol="circle")
+    for title, unit, column in single:
+        line = Line(title, motor.stamps, motor.fitted(column), BLUE, symbol="circle")
         panels.append(Panel(title, unit, _known([line]), height=90))
     return Chart(tuple(one for one in panels if one.lines))
 
@@ -180,30 +175,27 @@ def gap_courses(motor: MotorHistory, declared: Iterable[str]) -> list[tuple[str,
     return sorted((one for one in found if one[2].is_known.any()), key=lambda one: one[1])
 
 
-def gap_panel(time: Times, gaps: Sequence[tuple[str, int, Course]]) -> Panel | None:
+def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel | None:
     """Changes of the gaps; None where no gap is known."""
-    if not gaps:
-        return None
     lines = tuple(
-        _styled(plain(path), time, one.value, place, one.lower, one.upper)
-        for path, place, one in gaps
+        _styled(plain(path), motor.stamps, one.value, place, one.lower, one.upper)
+        for path, place, one in gap_courses(motor, declared)
     )
     ends = _ends([np.zeros(1), *(one.value for one in lines)], 5.0)
-    return Panel("Change of the gap by each night's own fit", "%", lines, ends, 150)
+    return Panel("Change of the gap, night by night", "%", lines, ends, 150) if lines else None
 
 
-def _leakage_panel(motor: MotorHistory, keep: NDArray[np.int64]) -> Panel:
+def _leakage_panel(motor: MotorHistory) -> Panel:
     """The leakage; without any, the drain flow as measured, under its own name."""
-    time, leakage = motor.stamps[keep], motor.leakage[keep]
+    leakage = motor.leakage
     if not leakage.is_known.any():
-        flow = motor.fitted("mean_flow_l_per_min")[keep]
-        line = Line("drain flow", time, flow, GREY, symbol="circle")
-        return Panel("Drain flow as measured, mean of the night", "l/min", _known([line]))
-    own = _styled("leakage", time, leakage.value, 0, leakage.lower, leakage.upper)
-    level = Line("baseline", time, motor.level[keep], GREY, dash="dash")
+        flow = motor.fitted("mean_flow_l_per_min")
+        line = Line("drain flow", motor.stamps, flow, GREY, symbol="circle")
+        return Panel("Drain flow, mean of the night", "l/min", _known([line]))
+    own = _styled("leakage", motor.stamps, leakage.value, 0, leakage.lower, leakage.upper)
+    level = Line("baseline", motor.stamps, motor.level, GREY, dash="dash")
     ends = _ends([own.value, level.value], LEAST_REACH * float(np.nanmedian(own.value)))
-    title = "Leakage at the motor's own conditions"
-    return Panel(title, "l/min", _known([own, level]), ends, 210)
+    return Panel("Leakage at its own conditions", "l/min", _known([own, level]), ends, 210)
 
 
 def _outcomes(motor: MotorHistory) -> Panel | None:
@@ -212,23 +204,22 @@ def _outcomes(motor: MotorHistory) -> Panel | None:
     quiet = (("stood_still", GREY, "circle-open"), ("no_new_data", GREY, "line-ns-open"))
     lines = []
     for status, colour, symbol in (*kinds, *quiet):
-        places = [at for at, one in enumerate(motor.statuses) if one == status]
-        if places:
-            time = motor.stamps[np.array(places)]
-            words = tuple((motor.fits["reason"][at] or "")[:120] for at in places)
-            level = np.full(len(places), 0.5)
-            name = STATUSES[status]
-            lines.append(Line(name, time, level, colour, dash="", symbol=symbol, words=words))
+        places = np.flatnonzero((motor.fits["status"] == status).fill_null(value=False))
+        if len(places):
+            words = tuple((motor.fits["reason"][int(at)] or "")[:120] for at in places)
+            time, level = motor.stamps[places], np.full(len(places), 0.5)
+            line = Line(STATUSES[status], time, level, colour, dash="", symbol=symbol, words=words)
+            lines.append(line)
     panel = Panel("Nights without a fit", "", tuple(lines), (0.0, 1.0), 16, has_axis=False)
     return panel if lines else None
 
 
-def _evidence_panel(motor: MotorHistory, evidence: Array, keep: NDArray[np.int64]) -> Panel | None:
-    time, limit = motor.stamps[keep], motor.watched("evidence_limit")[keep]
+def _evidence_panel(motor: MotorHistory) -> Panel | None:
+    time, limit, whole = motor.stamps, motor.watched("evidence_limit"), motor.watched("evidence")
     if not np.isfinite(limit).any():
         return None
+    whole[~np.isfinite(whole)] = np.nan
     top = SHOWN_EVIDENCE * float(np.nanmax(limit))
-    whole = evidence[keep]
     words = tuple("" if np.isnan(one) else f"{one:.1f}" for one in whole.tolist())
     lines = (
         Line("evidence", time, np.minimum(whole, top), BLUE, symbol="circle", words=words),
@@ -271,11 +262,6 @@ def _styled(
     return Line(name, time, value, colour, lower, upper, dash, symbol)
 
 
-def _plotted(motor: MotorHistory, columns: Sequence[Array]) -> NDArray[np.int64]:
-    """Places of the nights that charts show: all, or those with the extremes among them."""
-    return keep_extremes([motor.leakage.value, *columns], PLOTTED_NIGHTS)
-
-
 def _known(lines: Iterable[Line]) -> tuple[Line, ...]:
     return tuple(one for one in lines if np.isfinite(one.value).any())
 
@@ -287,9 +273,3 @@ def _ends(values: Sequence[Array], reach: float) -> tuple[float, float]:
     middle = float(np.median(known))
     low, high = min(known.min(), middle - reach), max(known.max(), middle + reach)
     return float(low - 0.05 * (high - low)), float(high + 0.05 * (high - low))
-
-
-def _fit_ends(lines: Iterable[Line]) -> tuple[float, float]:
-    """A poor fit may lie far below the others; the axis ends at −50 %."""
-    lowest = min((float(np.nanmin(one.value)) for one in _known(lines)), default=60.0)
-    return max(min(lowest - 3.0, 60.0), -50.0), 101.0

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,20 +27,11 @@ from pipeline.trends.rows.motor_states import FITS_OF_A_NIGHT, fit_words
 
 Row = dict[str, Any]
 
+Paragraph = tuple[str, list[str]]  # a title and its lines; the headline has none
 # Tables that the words on a night are made from.
 EXPLAINED = (*(FITS, WATCH, PARAMETERS, SENSITIVITIES, RESIDUAL_VERDICTS, QUALITY, INPUT_FILES),)
-
-
-@dataclass(frozen=True, slots=True)
-class Paragraph:
-    """A title and its lines; the headline has none."""
-
-    title: str
-    lines: list[str]
-
-
 # A rule that refused less than this is not worth a line.
-WORTH_TELLING = 0.005
+LEAST_REFUSED = 0.005
 LARGEST_EFFECTS = 5
 NAMES = {
     "pressure_difference": "pressure",
@@ -66,9 +56,9 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
         raise UsageError(
             "unknown_night", f"no row of motor {motor_id} in the night of {night}; run fit-fleet"
         )
-    first, *others = paragraphs(rows)
-    lines = [line for one in others for line in ("", one.title, *(f"  {x}" for x in one.lines))]
-    return [*first.lines, *lines]
+    (_, headline), *others = paragraphs(rows)
+    lines = [line for title, of in others for line in ("", title, *(f"  {one}" for one in of))]
+    return [*headline, *lines]
 
 
 def paragraphs(rows: Mapping[str, list[Row]]) -> list[Paragraph]:
@@ -82,23 +72,27 @@ def paragraphs(rows: Mapping[str, list[Row]]) -> list[Paragraph]:
     if fit["status"] != "ok":
         # Without a baseline it would but repeat why there is no fit.
         known = list(_watched(watch)) if watch and watch[0]["evidence_limit"] is not None else []
-        found = [Paragraph("", [_headline(fit)]), Paragraph("State", known)]
-        return [one for one in (*found, Paragraph("Data", data)) if one.lines]
+        found = [("", [_headline(fit)]), ("State", known), ("Data", data)]
+        return [one for one in found if one[1]]
     parameters, effects, tests = (
         [row for row in rows[table.name] if row["flushing_mode"] == fit["flushing_mode"]]
         for table in (PARAMETERS, SENSITIVITIES, RESIDUAL_VERDICTS)
     )
+    kept = (
+        f"kept {100 * fit['kept_share']:.0f} % of the running motor's samples; "
+        f"{fit['n_training']} train, {fit['n_validation']} validate"
+    )
     found = [
-        Paragraph("", [_headline(fit)]),
-        Paragraph("Leakage", list(_leakages(fit, watch))),
-        Paragraph("State", list(_watched(watch))),
-        Paragraph("Paths", list(_verdicts(parameters))),
-        Paragraph("Systematic errors", list(_budget(fit, effects))),
-        Paragraph("Fit", [*_fit(fit), *_modes(fits)]),
-        Paragraph("Errors of the fit", list(explain_residuals(fit, tests))),
-        Paragraph("Data", [*_kept(fit), *data]),
+        ("", [_headline(fit)]),
+        ("Leakage", list(_leakages(fit, watch))),
+        ("State", list(_watched(watch))),
+        ("Paths", list(_verdicts(parameters))),
+        ("Systematic errors", list(_budget(fit, effects))),
+        ("Fit", list(_fit(fit, fits))),
+        ("Errors of the fit", list(explain_residuals(fit, tests))),
+        ("Data", [kept, *data]),
     ]
-    return [one for one in found if one.lines]
+    return [one for one in found if one[1]]
 
 
 def _headline(fit: Row) -> str:
@@ -124,7 +118,7 @@ def _refusals(rows: list[Row]) -> Iterator[str]:
         row
         for row in rows
         if row["reason"] not in ("any", "incomplete")
-        and row["n_refused"] > WORTH_TELLING * max(row["n_samples"], 1)
+        and row["n_refused"] > LEAST_REFUSED * max(row["n_samples"], 1)
     ]
     of_channel: dict[str, list[str]] = {}
     for row in sorted(told, key=lambda row: -row["n_refused"] / row["n_samples"]):
@@ -146,17 +140,11 @@ def _watched(rows: list[Row]) -> Iterator[str]:
             )
         if row["evidence_limit"] is not None:
             evidence = "none" if row["evidence"] is None else f"ln R {row['evidence']:.1f}"
-            yield f"evidence of a change: {evidence}; told from {row['evidence_limit']:.1f} on"
+            limit = f"a change is detected above {row['evidence_limit']:.1f}"
+            yield f"evidence of a change: {evidence}; {limit}"
 
 
-def _kept(fit: Row) -> Iterator[str]:
-    yield (
-        f"kept {100 * fit['kept_share']:.0f} % of the running motor's samples; "
-        f"{fit['n_training']} train, {fit['n_validation']} validate"
-    )
-
-
-def _fit(fit: Row) -> Iterator[str]:
+def _fit(fit: Row, fits: list[Row]) -> Iterator[str]:
     parts = [
         fit_words(name, fit[column])
         for column, name in FITS_OF_A_NIGHT.items()
@@ -164,29 +152,39 @@ def _fit(fit: Row) -> Iterator[str]:
     ]
     yield f"fit: {', '.join(parts) or 'the flow has no shape to fit'}"
     status = fit["interval_status"]
-    if status.startswith("ok: "):
-        yield status.removeprefix("ok: ")
-    elif status != "ok":
-        yield f"no intervals: {status}"
+    if status != "ok":
+        is_ok = status.startswith("ok: ")
+        yield status.removeprefix("ok: ") if is_ok else f"no intervals: {status}"
+    if len(fits) > 1:
+        best = [row["flushing_mode"] for row in fits if row["is_best_on_validation"]]
+        told = ", ".join(
+            fit_words(row["flushing_mode"], row["validation_fit_percent"])
+            for row in fits
+            if row["validation_fit_percent"] is not None
+        )
+        yield f"modes of flushing on validation: {told}; best: {', '.join(best) or 'none'}"
 
 
 def _leakages(fit: Row, watch: list[Row]) -> Iterator[str]:
-    """The two leakages with their conditions, or why there is none."""
-    at = _conditions(fit, "reference")
-    if fit["reference_leakage_l_per_min"] is None:
-        yield f"at the reference ({at}): none, {fit['reference_reason']}"
-    else:
-        yield f"at the reference ({at}): {_figure(fit)}"
+    """The two leakages of the watch with their conditions, or why there is none."""
     row = watch[0] if watch else None
-    if row is None or row["own_leakage_l_per_min"] is None:
-        why = f": {row['sentence']}" if row else ""
-        yield f"at the motor's own conditions: none without a baseline{why}"
+    why = ": ".join(["none without a baseline", *([row["sentence"]] if row else [])])
+    own = f", {_conditions(row, 'own')}" if row and row["own_pressure_bar"] is not None else ""
+    places = {
+        "own": f"at the motor's own conditions (those of its baseline{own})",
+        "reference": f"at the reference ({_conditions(fit, 'reference')})",
+    }
+    for name, place in places.items():
+        if row is None or row[f"{name}_leakage_l_per_min"] is None:
+            yield f"{place}: {why}"
+        else:
+            ends = ("l_per_min", "lower", "upper")
+            value, lower, upper = (row[f"{name}_leakage_{end}"] for end in ends)
+            yield f"{place}: {value:.4g} l/min [{lower:.4g}, {upper:.4g}]"
+    if fit["reference_leakage_l_per_min"] is None:
+        yield f"at the reference by the night's own fit: none, {fit['reference_reason']}"
     else:
-        ends = [f"{row[f'own_leakage_{end}']:.4g}" for end in ("l_per_min", "lower", "upper")]
-        yield (
-            f"at the motor's own conditions ({_conditions(row, 'own')}, those of its baseline): "
-            f"{ends[0]} l/min [{ends[1]}, {ends[2]}]"
-        )
+        yield f"at the reference by the night's own fit: {_figure(fit)}"
 
 
 def _conditions(row: Row, kind: str) -> str:
@@ -247,78 +245,47 @@ def _tolerance(row: Row) -> str:
     return f"{row['tolerance']:g} {unit}{assumed}"
 
 
-def _modes(fits: list[Row]) -> Iterator[str]:
-    if len(fits) < 2:
-        return
-    best = [row["flushing_mode"] for row in fits if row["is_best_on_validation"]]
-    told = ", ".join(
-        fit_words(row["flushing_mode"], row["validation_fit_percent"])
-        for row in fits
-        if row["validation_fit_percent"] is not None
-    )
-    yield f"modes of flushing on validation: {told}; best: {', '.join(best) or 'none'}"
-
-
 def explain_residuals(fit: Row, verdicts: list[Row]) -> Iterator[str]:
     """Lines on the errors before smoothing, of training and of validation."""
     for part in ("training", "validation"):
         rows = [row for row in verdicts if row["part"] == part and not row["smoothed"]]
-        if not rows:
-            continue
-        yield _size(fit, part)
-        yield from (f"{part} errors: {text}" for text in _whiteness(rows))
-        yield from (f"{part} errors: {text}" for text in _independence(rows))
+        if rows:
+            yield f"{part} errors: {_size(fit, part)}"
+            yield from (f"{part} errors: {text}" for text in _tests(rows))
 
 
 def _size(fit: Row, part: str) -> str:
     rmse, mean = fit[f"{part}_rmse_l_per_min"], fit[f"{part}_mean_error_l_per_min"]
     if rmse is None or mean is None:
-        return f"{part} errors: no samples"
-    text = f"{part} errors: {rmse:.3g} l/min (root mean square), {mean:+.2g} on average"
+        return "no samples"
     summed = "n_effective_summed" if part == "training" else "validation_n_effective_summed"
-    count = fit[f"n_{part}"]
-    if fit[summed] is not None:
-        text += f"; {count} samples tell as much as {fit[summed]:.0f} independent ones"
-    return text
+    text = f"{rmse:.3g} l/min (root mean square), {mean:+.2g} on average"
+    if fit[summed] is None:
+        return text
+    return f"{text}; {fit[f'n_{part}']} samples tell as much as {fit[summed]:.0f} independent ones"
 
 
-def _whiteness(rows: list[Row]) -> Iterator[str]:
-    for row in rows:
-        if row["test"] != "whiteness":
-            continue
-        if row["verdict"] == "not_tested":
-            yield f"not tested: {row['reason']}"
-        elif row["verdict"] == "passed":
-            yield "white; none tells of a later one"
-        else:
-            yield (
-                f"not white ({row['n_outside']} of {row['n_lags']} lags outside the 99 % band), "
-                "as is usual of a model without memory"
-            )
-
-
-def _independence(rows: list[Row]) -> Iterator[str]:
-    tests = [row for row in rows if row["test"] == "independence"]
-    passed = [NAMES[row["input"]] for row in tests if row["verdict"] == "passed"]
+def _tests(rows: list[Row]) -> Iterator[str]:
+    """What the tests of whiteness and of independence from each input say."""
+    (white,) = [row for row in rows if row["test"] == "whiteness"]
+    if white["verdict"] == "not_tested":
+        yield f"not tested: {white['reason']}"
+    elif white["verdict"] == "passed":
+        yield "white; none tells of a later one"
+    else:
+        outside = f"{white['n_outside']} of {white['n_lags']} lags outside the 99 % band"
+        yield f"not white ({outside}), as is usual of a model without memory"
+    inputs = [row for row in rows if row["test"] == "independence"]
+    passed = [NAMES[row["input"]] for row in inputs if row["verdict"] == "passed"]
     if passed:
         yield f"independent of {' and '.join(passed) if len(passed) < 3 else 'all inputs'}"
-    for row in tests:
+    for row in inputs:
+        name = NAMES[row["input"]]
         if row["verdict"] == "failed":
-            yield _dependence(row)
-    reasons = {row["reason"] for row in rows if row["test"] == "whiteness"}
-    for row in tests:
-        if row["verdict"] == "not_tested" and row["reason"] not in reasons:
-            yield f"independence of {NAMES[row['input']]} not tested: {row['reason']}"
-
-
-def _dependence(row: Row) -> str:
-    name, lag = NAMES[row["input"]], row["largest_lag_s"]
-    place = "at once" if not lag else f"{abs(lag):g} s {'earlier' if lag > 0 else 'later'}"
-    text = (
-        f"depend on {name} (p = {row['p_value']:.2g}, {row['n_outside']} of {row['n_lags']} lags "
-        f"outside the 99 % band); the largest correlation is {row['largest_value']:+.2g}, with the "
-        f"{name} {place}"
-    )
-    if not row["n_outside"]:
-        text += "; it is in how the correlation changes with the lag, as a delay makes it"
-    return text
+            yield (
+                f"depend on {name} (p = {row['p_value']:.2g}, {row['n_outside']} of "
+                f"{row['n_lags']} lags outside the 99 % band); the largest correlation is "
+                f"{row['largest_value']:+.2g}, at {row['largest_lag_s']:+g} s"
+            )
+        elif row["verdict"] == "not_tested" and row["reason"] != white["reason"]:
+            yield f"independence of {name} not tested: {row['reason']}"

@@ -3,16 +3,38 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pipeline.report.history import MotorHistory
-from pipeline.report.sparkline import Sparkline, sparkline
+import numpy as np
+
+from pipeline.arrays import Array
+from pipeline.report.tables import MotorHistory
 from pipeline.report.words import SENSORS
+from pipeline.thinning import keep_extremes
 from pipeline.trends.rows.motor_states import MotorState, urgency
 
 Span = tuple[dt.date, dt.date]
 RECENT_NIGHTS = 30
+# Of the small picture of a motor's leakage.
+WIDTH, HEIGHT, MARGIN = 120.0, 28.0, 2.5
+POINTS = 90
+# It is at least this share of the median high each way, so that noise looks like noise.
+LEAST_REACH = 0.15
+# Days without a value over which no line is drawn.
+LONGEST_GAP = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Sparkline:
+    """A motor's leakage over the nights as SVG paths in a box of `WIDTH` by `HEIGHT`."""
+
+    line: str  # broken where nights have no value
+    baseline: str  # level of the newest baseline; empty without one
+    last: tuple[float, float]  # place of the newest value
+    # smallest, largest: of the values, l/min.
+    smallest: float
+    largest: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +65,10 @@ def fleet_rows(
     return sorted(rows, key=lambda row: urgency(row.state))
 
 
-def fleet_span(motors: Iterable[MotorHistory]) -> Span | None:
+def fleet_span(motors: Sequence[MotorHistory]) -> Span | None:
     """The first and the newest night of all motors; None where there is none."""
-    ends = [(motor.nights[0], motor.nights[-1]) for motor in motors if motor.nights]
-    return (min(first for first, _ in ends), max(last for _, last in ends)) if ends else None
+    nights = [night for motor in motors for night in (*motor.nights[:1], *motor.nights[-1:])]
+    return (min(nights), max(nights)) if nights else None
 
 
 def _row(
@@ -59,14 +81,10 @@ def _row(
     newest = motor.fits["window_end"].max()
     assert newest is None or isinstance(newest, dt.datetime)
     named = motor.fits["motor_type"].drop_nulls()
-    recent = [
-        status
-        for night, status in zip(motor.nights, motor.statuses, strict=True)
-        if span and night > span[1] - dt.timedelta(days=RECENT_NIGHTS)
-    ]
-    at = motor.fits.select(
-        "reference_pressure_bar", "reference_temperature_c", "reference_speed_rpm"
-    ).drop_nulls()
+    first = span[1] - dt.timedelta(days=RECENT_NIGHTS) if span else dt.date.max
+    recent = motor.fits.filter(motor.fits["night"] > first)["status"].to_list()
+    names = (f"reference_{one}" for one in ("pressure_bar", "temperature_c", "speed_rpm"))
+    at = motor.fits.select(names).drop_nulls()
     return FleetRow(
         state=state,
         page=page,
@@ -77,4 +95,40 @@ def _row(
         n_recent_good=recent.count("ok"),
         n_recent=len(recent),
         sensors=SENSORS.get(state.sensor_health or "", ""),
+    )
+
+
+def sparkline(motor: MotorHistory, span: Span) -> Sparkline | None:
+    """A motor's leakage at its own conditions; None without a value.
+
+    `span` are the nights at the edges of the picture, the same for all motors of a fleet.
+    """
+    known = np.flatnonzero(motor.leakage.is_known)
+    if not len(known):
+        return None
+    value = motor.leakage.value[known]
+    first, newest = (np.datetime64(one) for one in span)
+    days = (motor.stamps[known] - first).astype(float)
+    kept = keep_extremes([value], POINTS)
+    median = float(np.median(value))
+    reach = max(float(np.abs(value - median).max()), LEAST_REACH * abs(median), 1e-9)
+
+    def height(flow: Array) -> Array:
+        inside: Array = np.clip((flow - median) / reach, -1.0, 1.0)
+        return HEIGHT / 2 - inside * (HEIGHT / 2 - MARGIN)
+
+    length = max(float((newest - first).astype(float)), 1.0)
+    x = MARGIN + days[kept] / length * (WIDTH - 2 * MARGIN)
+    y = height(value[kept])
+    longest = max(LONGEST_GAP, 3 * length / POINTS)
+    letters = np.where(np.diff(days[kept], prepend=-np.inf) > longest, "M", "L")
+    level = motor.level[np.isfinite(motor.level)]
+    return Sparkline(
+        line="".join(
+            f"{letter}{a:.1f} {b:.1f}" for letter, a, b in zip(letters, x, y, strict=True)
+        ),
+        baseline=f"M{MARGIN:g} {height(level)[-1]:.1f}H{WIDTH - MARGIN:g}" if len(level) else "",
+        last=(round(float(x[-1]), 1), round(float(y[-1]), 1)),
+        smallest=float(value.min()),
+        largest=float(value.max()),
     )

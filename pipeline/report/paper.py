@@ -20,12 +20,17 @@ from matplotlib.patches import Rectangle
 
 from pipeline.errors import UsageError
 from pipeline.messages import as_sentence, plain
-from pipeline.report.build import KnownMotor, ReportRequest, changes_of_state
+from pipeline.report.build import (
+    KnownMotor,
+    ReportRequest,
+    file_names,
+    fleet_name,
+    newest_changes,
+)
 from pipeline.report.charts import Chart, Panel, gap_courses, watch_chart
-from pipeline.report.history import MotorHistory, motor_histories
-from pipeline.report.names import file_names
-from pipeline.report.status import standing_states
-from pipeline.report.tables import read_tables
+from pipeline.report.status import current_states
+from pipeline.report.tables import MotorHistory, TableReader, motor_histories
+from pipeline.schema import ALARMS
 from pipeline.store.atomic_files import put
 from pipeline.trends.rows.motor_states import MotorState
 from pipeline.trends.sentences import day
@@ -56,16 +61,18 @@ def write_paper(request: ReportRequest, motor_id: str, folder: Path) -> Path:
     Raises UsageError if no table has a night of the motor, StoreError if a table is damaged or the
     file cannot be written.
     """
-    history = read_tables(request.output)
-    (motor,) = motor_histories(history, [motor_id])
+    reader = TableReader(request.output)
+    (motor,) = motor_histories(reader, [motor_id])
     if not motor.nights:
         raise UsageError("unknown_motor", f"no night of motor {motor_id!r} is in the tables")
-    (state,) = standing_states(request.output, [motor_id])
+    (state,) = current_states(request.output, [motor_id])
     known = request.known.get(motor_id, KnownMotor(""))
-    changes = changes_of_state(motor_id, history)
+    changes = newest_changes(reader.rows(ALARMS).filter(motor_id=motor_id))
     chart = watch_chart(motor, known.paths, known.events, changes)
     path = folder / f"{file_names([motor_id])[motor_id]}.pdf"
-    title = " · ".join(part for part in (request.fleet or history.fleet, known.motor_type) if part)
+    title = " · ".join(
+        part for part in (request.fleet or fleet_name(reader), known.motor_type) if part
+    )
     with mpl.rc_context(STYLE):
         page = page_of(motor, state, chart, replace(known, motor_type=title))
         # By default the file holds the date and the version of matplotlib.
@@ -81,18 +88,23 @@ def page_of(motor: MotorHistory, state: MotorState, chart: Chart, known: KnownMo
     page.text(LEFT, 0.955, motor.motor_id, fontsize=20, weight="bold")
     page.text(RIGHT, 0.955, known.motor_type, ha="right", color="0.35")
     page.text(LEFT, 0.935, f"{plain(state.state)}; data up to {day(motor.nights[-1])}")
-    said = _wrapped(as_sentence(state.sentence), 80)
-    page.text(LEFT, 0.915, said, fontsize=11, va="top", linespacing=1.4)
-    below = 0.915 - 0.021 * (said.count("\n") + 1)
-    page.text(LEFT, below, _wrapped(state.advice, 80), fontsize=11, weight="bold", va="top")
-    notes = _wrapped(as_sentence("; ".join(state.notes)))
-    page.text(LEFT, below - 0.024, notes, va="top", color="0.35")
-    _charts(page, chart)
+    top = 0.915
+    notes = as_sentence("; ".join(state.notes))
+    for words, letters, look in (
+        (as_sentence(state.sentence), 90, {"fontsize": 11}),
+        (state.advice, 82, {"fontsize": 11, "weight": "bold"}),
+        (notes, LETTERS, {"color": "0.35"}),
+    ):
+        if words:
+            text = _wrapped(words, letters)
+            page.text(LEFT, top, text, va="top", linespacing=1.4, **look)
+            top -= 0.021 * (text.count("\n") + 1) + 0.003
+    _charts(page, chart, min(top - 0.045, 0.82))
     _finding(page, known.paths or [path for path, _, _ in gap_courses(motor, ())])
     return page
 
 
-def _charts(page: Figure, chart: Chart) -> None:
+def _charts(page: Figure, chart: Chart, top: float) -> None:
     """The panels of the motor's page, and below them what their numbers mean."""
     panels = [one for one in chart.panels if one.has_axis]
     marks = "    ".join(
@@ -100,13 +112,15 @@ def _charts(page: Figure, chart: Chart) -> None:
     )
     page.text(LEFT, 0.248, _wrapped(textwrap.shorten(marks, 3 * LETTERS)), va="top", color="0.35")
     grid = page.add_gridspec(
-        len(panels), 1, left=LEFT, right=RIGHT, top=0.80, bottom=0.29, hspace=0.35,
+        len(panels), 1, left=LEFT, right=RIGHT, top=top, bottom=0.29, hspace=0.35,
         height_ratios=[one.height for one in panels],
     )  # fmt: skip
     first: Axes | None = None
     for place, panel in enumerate(panels):
         axes = page.add_subplot(grid[place], sharex=first)
-        _panel(axes, panel, chart)
+        # Above the first panel is room for the numbers.
+        lift = 0.016 / axes.get_position().height if chart.marks and first is None else 0.0
+        _panel(axes, panel, chart, lift)
         if first is None:
             for number, mark in enumerate(chart.marks, 1):
                 axes.annotate(
@@ -128,7 +142,7 @@ def _place(night: dt.date) -> float:
     return float(matplotlib.dates.date2num(night))  # type: ignore[no-untyped-call]
 
 
-def _panel(axes: Axes, panel: Panel, chart: Chart) -> None:
+def _panel(axes: Axes, panel: Panel, chart: Chart, lift: float) -> None:
     for ends in chart.shaded:
         axes.axvspan(*map(_place, ends), color="0.5", alpha=0.15, lw=0)
     for mark in chart.marks:
@@ -144,9 +158,9 @@ def _panel(axes: Axes, panel: Panel, chart: Chart) -> None:
         axes.set_ylim(panel.ends)
     if len(panel.lines) > 1:
         axes.legend(
-            frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=4
+            frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98 + lift), ncols=4
         )
-    axes.set_title(panel.title, loc="left", fontsize=10, weight="bold")
+    axes.set_title(panel.title, loc="left", fontsize=10, weight="bold", y=1.02 + lift)
     axes.set_ylabel(panel.unit)
     axes.grid(axis="y", color="0.9")
 
@@ -167,4 +181,5 @@ def _finding(page: Figure, paths: Sequence[str]) -> None:
 
 
 def _wrapped(text: str, letters: int = LETTERS) -> str:
-    return textwrap.fill(text, letters)
+    # No line begins with a unit.
+    return textwrap.fill(text.replace(" %", "\N{NO-BREAK SPACE}%"), letters)

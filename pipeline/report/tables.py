@@ -9,123 +9,41 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
+from pipeline.arrays import Array
 from pipeline.errors import StoreError
-from pipeline.report.explain import EXPLAINED
-from pipeline.schema import (
-    FIT_KEY_NAMES,
-    FITS,
-    PREDICTIONS,
-    RUNS,
-    TREND_TABLES,
-    Table,
-    frame,
-)
+from pipeline.schema import BASELINES, FITS, TRENDS, WATCH, Table, frame
 from pipeline.store.tables import files_of, read_table
-from pipeline.trends.nights.decisions import Decision, read_decisions
-
-# Tables of a night that its page shows.
-SHOWN_TABLES = (*EXPLAINED, PREDICTIONS)
+from pipeline.trends.nights.decisions import LEAKAGE
 
 
-@dataclass(frozen=True, slots=True)
-class Read:
-    """Rows, and in words which files could not be read."""
+@dataclass(slots=True)
+class TableReader:
+    """Reads tables of an output folder; damaged files are left out and listed, in words."""
 
-    rows: pl.DataFrame
-    faults: tuple[str, ...] = ()
+    output: Path
+    faults: list[str] = field(default_factory=list)
 
+    def rows(self, table: Table, nights: Sequence[dt.date] | None = None) -> pl.DataFrame:
+        """Rows of a table, or of some nights in it.
 
-@dataclass(frozen=True, slots=True)
-class ReportTables:
-    """All nights of all motors."""
-
-    fits: pl.DataFrame  # the primary fit of each motor and night, sorted by motor and night
-    # Tables of trends and alarms by name, as far as they are there.
-    trends: Mapping[str, pl.DataFrame] = field(default_factory=dict)
-    decisions: tuple[Decision, ...] = ()  # acknowledgements, findings and resets, the oldest first
-    fleet: str = ""  # name of the fleet in the newest run; empty where there is none
-    faults: tuple[str, ...] = ()  # files that could not be read, in words
-
-    def rows(self, table: Table) -> pl.DataFrame:
-        """All rows of a table of trends or alarms; none where it is not there."""
-        return self.trends.get(table.name, frame(table, []))
-
-
-def read_night(output: Path, night: dt.date) -> dict[str, Read]:
-    """Rows of one night by table, sorted by key; of fits' child tables those of primary fits.
-
-    Raises StoreError if a file is of a newer version of the program.
-    """
-    found: dict[str, Read] = {}
-    for table in SHOWN_TABLES:
-        found[table.name] = _read(output, table, nights=[night])
-    fits = found["fits"].rows
-    if fits["is_primary"].all():
-        return found
-    primary = fits.filter("is_primary").select(FIT_KEY_NAMES)
-    return {
-        name: Read(_children(read.rows, primary), read.faults) if name != "fits" else read
-        for name, read in found.items()
-    }
-
-
-def _children(rows: pl.DataFrame, fits: pl.DataFrame) -> pl.DataFrame:
-    """Rows that belong to some fits; all rows of a table that has no key of fits."""
-    if not set(FIT_KEY_NAMES) <= set(rows.columns):
-        return rows
-    return rows.join(fits, on=FIT_KEY_NAMES, how="semi", maintain_order="left")
-
-
-def read_tables(output: Path) -> ReportTables:
-    """All that is known of all nights, but for what only one night's figures need.
-
-    Raises StoreError if a file is of a newer version of the program.
-    """
-    fits = _read(output, FITS)
-    runs = _read(output, RUNS, ["started_at", "fleet"])
-    trends = {table.name: _read(output, table) for table in TREND_TABLES}
-    newest = runs.rows.sort("started_at").get_column("fleet").drop_nulls()
-    return ReportTables(
-        fits=fits.rows.filter("is_primary").sort("motor_id", "night"),
-        trends={name: read.rows for name, read in trends.items() if read.rows.height},
-        decisions=read_decisions(output),
-        fleet=newest[-1] if len(newest) else "",
-        faults=tuple(fault for read in (fits, runs, *trends.values()) for fault in read.faults),
-    )
-
-
-def by_motor(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
-    """Rows of a table by motor."""
-    return {part["motor_id"][0]: part for part in rows.partition_by("motor_id")}
-
-
-def _read(
-    output: Path,
-    table: Table,
-    columns: Sequence[str] | None = None,
-    nights: Sequence[dt.date] | None = None,
-) -> Read:
-    """Rows of a table one below the other; damaged files are left out and named."""
-    paths = files_of(output, table, nights)
-    columns = list(table.schema) if columns is None else columns
-
-    def part(path: Path) -> pl.DataFrame | str:
-        try:
-            return read_table(path, table, nights, columns)
-        except StoreError as error:
-            if error.code != "store_read":
-                raise
-            return error.message
-
-    parts = [part(path) for path in paths]
-    empty = pl.DataFrame(schema=table.schema).select(columns)
-    frames = [found for found in parts if isinstance(found, pl.DataFrame)]
-    faults = tuple(found for found in parts if isinstance(found, str))
-    return Read(_finite(pl.concat([empty, *frames])), faults)
+        Raises StoreError if a file is of a newer version of the program.
+        """
+        parts = [frame(table, [])]
+        for path in files_of(self.output, table, nights):
+            try:
+                parts.append(read_table(path, table, nights))
+            except StoreError as error:
+                if error.code != "store_read":
+                    raise
+                self.faults.append(error.message)
+        return _finite(pl.concat(parts))
 
 
 def _finite(rows: pl.DataFrame) -> pl.DataFrame:
@@ -136,3 +54,105 @@ def _finite(rows: pl.DataFrame) -> pl.DataFrame:
         for name in floats
         if not rows[name].is_finite().all()
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """A figure over a motor's nights with its 95 % interval; NaN where there is none."""
+
+    # value, lower, upper: shape (n,), one a night.
+    value: Array
+    lower: Array
+    upper: Array
+
+    @property
+    def is_known(self) -> NDArray[np.bool_]:
+        """Nights that have a value, shape (n,)."""
+        known: NDArray[np.bool_] = np.isfinite(self.value)
+        return known
+
+
+@dataclass(frozen=True)
+class MotorHistory:
+    """All nights of a motor."""
+
+    motor_id: str
+    fits: pl.DataFrame  # its primary fits in time order, one row a night, n of them
+    watch: pl.DataFrame  # its rows of `watch` in time order
+    # Its rows of `trends` by indicator, in time order; empty where no run has made trends.
+    trends: Mapping[str, pl.DataFrame]
+    baselines: pl.DataFrame  # its rows of `baselines` of the leakage, in time order
+
+    @cached_property
+    def nights(self) -> list[dt.date]:
+        """Labels of its nights."""
+        return self.fits["night"].to_list()
+
+    @cached_property
+    def stamps(self) -> NDArray[np.datetime64]:
+        """The same, shape (n,)."""
+        return np.array(self.nights, dtype="datetime64[D]")
+
+    @cached_property
+    def leakage(self) -> Course:
+        """Leakage at the motor's own conditions by the watch, l/min."""
+        ends = ("l_per_min", "lower", "upper")
+        return Course(*(self.watched(f"own_leakage_{end}") for end in ends))
+
+    @cached_property
+    def level(self) -> Array:
+        """The same of each night's baseline, l/min, shape (n,); NaN before there is one."""
+        level = np.full(len(self.nights), np.nan)
+        for start, mean in self.baselines.select("start", "mean").drop_nulls().iter_rows():
+            level[self.stamps >= np.datetime64(start)] = mean
+        return level
+
+    def fitted(self, name: str) -> Array:
+        """A column of `fits`, shape (n,); NaN where a night has none."""
+        return self.fits[name].cast(pl.Float64).to_numpy()
+
+    def watched(self, name: str) -> Array:
+        """A column of `watch`, shape (n,); NaN in nights without a row."""
+        return self._placed(self.watch, name)
+
+    def course(self, indicator: str) -> Course:
+        """Figures of a night's own indicator in the nights that count."""
+        rows = self.trends[indicator].filter(pl.col("gated_reason").is_null())
+        return Course(*(self._placed(rows, name) for name in ("value", "lower", "upper")))
+
+    def _placed(self, rows: pl.DataFrame, name: str) -> Array:
+        """Figures of some nights among all nights of the motor."""
+        figures = np.full(len(self.nights), np.nan)
+        labels = rows["night"].to_numpy().astype("datetime64[D]")
+        is_there = np.isin(labels, self.stamps)
+        place = np.searchsorted(self.stamps, labels[is_there])
+        figures[place] = rows[name].cast(pl.Float64).to_numpy()[is_there]
+        return figures
+
+
+def motor_histories(reader: TableReader, motor_ids: Sequence[str]) -> list[MotorHistory]:
+    """The history of each motor."""
+    read = [
+        (table, by_motor(reader.rows(table).sort("night")))
+        for table in (FITS, WATCH, TRENDS, BASELINES)
+    ]
+    histories = []
+    for motor_id in motor_ids:
+        own = [found.get(motor_id, frame(table, [])) for table, found in read]
+        fits, watch, trends, baselines = own
+        parts = trends.partition_by("indicator", maintain_order=True)
+        histories.append(
+            MotorHistory(
+                motor_id,
+                fits.filter("is_primary"),
+                watch,
+                {part["indicator"][0]: part for part in parts},
+                baselines.filter(indicator=LEAKAGE),
+            )
+        )
+    return histories
+
+
+def by_motor(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    """Rows of a table by motor, in their order."""
+    return {part["motor_id"][0]: part for part in rows.partition_by("motor_id")}

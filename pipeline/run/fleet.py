@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 import secrets
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,17 +20,27 @@ from pipeline.config import Fleet
 from pipeline.config.fleet import LANDED_FOLDER
 from pipeline.errors import StoreError
 from pipeline.logs.finding import legible
-from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions
 from pipeline.run.motors import motor_outcomes
-from pipeline.run.plans import task_of
-from pipeline.run.publishing import PublishedTrends, publish_latest, publish_motors, publish_trends
-from pipeline.run.request import RunRequest, RunResult
-from pipeline.run.run_rows import STAGES, config_hash_of, publish_run, run_id_of
-from pipeline.run.tasks import MotorOutcome
-from pipeline.run.telling import deliver_alarms, measure, queue_alarms
+from pipeline.run.publishing import (
+    STAGES,
+    config_hash_of,
+    make_trends,
+    publish_motors,
+    publish_run,
+    publish_trends,
+    publish_whole_tables,
+    run_id_of,
+)
+from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
+from pipeline.run.telling import deliver_alarms, measure, queue_summary
 from pipeline.schema.fits import FAILED
-from pipeline.store.atomic_files import make_private_folder, remove_all, remove_leftovers
+from pipeline.store.atomic_files import (
+    make_private_folder,
+    remove_all,
+    remove_leftovers,
+    store_errors,
+)
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.locks import locked
@@ -41,6 +52,7 @@ from pipeline.store.state import make_ready, open_state
 from pipeline.store.working_copy import pull, working_copy
 from pipeline.telling.outbox import open_outbox
 from pipeline.telling.receivers import receivers_of
+from pipeline.trends.tasks import TrendOutcome
 from pipeline.workers.engine import Workers, open_workers
 from pipeline.workers.process import Loss
 
@@ -65,10 +77,6 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     progress
         Called with the outcome of each motor as it finishes.
 
-    Returns
-    -------
-    RunResult
-
     Raises
     ------
     LockedError
@@ -81,9 +89,9 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     """
     fleet, output = request.fleet, request.fleet.output
     receivers = receivers_of(fleet.settings.alarms)
-    if fleet.log_url:
-        _require_logs(fleet.log_url)
-    require_space(output, fleet.execution.minimum_free_mib)
+    if fleet.log_url:  # otherwise each of the motors would fail of it
+        next(ObjectStore.at(fleet.log_url).list(), None)
+    _require_space(output, fleet.execution.minimum_free_mib)
     with (
         locked(output),
         Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
@@ -94,7 +102,6 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
             if fleet.object_store:
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (fleet.log_root, staging) if fleet.has_log_folder else (staging,)
-            stores = (fleet.log_url,) if fleet.log_url else ()
             is_new = make_ready(output)
             with open_state(output) as state:
                 damage = Damage(state, restore)
@@ -103,9 +110,9 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
                     restore_decisions(state)
                     damage.take_stock()
                 open_outbox(state, [one.name for one in receivers], fleet.name)
-                with open_workers(fleet.execution, folders, stores) as workers:
+                with open_workers(fleet.execution, folders) as workers:
                     result = _run(request, staging, progress, heartbeat, workers, damage)
-                queue_alarms(fleet, state)
+                queue_summary(fleet, state)
                 write_manifest(state)
         # A motor without an outcome of its own has its own words.
         if not any(one.files or not one.finished for one in result.outcomes):
@@ -118,28 +125,25 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     return result
 
 
-def _require_logs(url: str) -> None:
-    """Refuse a run whose logs nobody can list: each of its motors would fail of it."""
-    next(ObjectStore.at(url).list(), None)
-
-
 def refresh(fleet: Fleet) -> int:
-    """Bring the working copy of what is published in an object store up to date.
+    """Bring the working copy of an object store up to date; returns how many files there are.
 
-    Returns
-    -------
-    int
-        How many files are published.
-
-    Raises
-    ------
-    LockedError
-        If a run works in it.
-    StoreError
-        If it cannot be read.
+    Raises LockedError if a run works in it, StoreError if it cannot be read.
     """
     with locked(fleet.output):
         return len(pull(ObjectStore.at(fleet.object_store), fleet.output).files)
+
+
+def _require_space(output: Path, minimum_mib: float) -> None:
+    """Refuse a run with little room on the disk, which would end it half way."""
+    there = next(one for one in (output, *output.parents) if one.exists())
+    free_mib = shutil.disk_usage(there).free / 1024**2
+    if free_mib < minimum_mib:
+        raise StoreError(
+            "disk_space",
+            f"{output} has {free_mib:.0f} MiB free, and execution.minimum_free_mib is "
+            f"{minimum_mib:g}; nothing was done: free space, or prune",
+        )
 
 
 def _last_good_run(output: Path) -> dt.datetime | None:
@@ -162,61 +166,60 @@ def _run(
     fleet, state = request.fleet, damage.state
     damage.look_around(share_due(state, fleet.execution.prove_within_days, started))
     state.set_meta("share proven", f"{started:%Y-%m-%d}")
-    tasks = [task_of(request, spec, staging) for spec in request.specs]
-    outcomes: dict[str, MotorOutcome] = {}
-    interrupted = False
+    tasks = [request.task(spec, staging) for spec in request.specs]
+    outcomes: list[MotorOutcome] = []
+    is_stopped = False
     try:
         for outcome in motor_outcomes(workers, tasks, fleet.execution, state):
-            outcomes[outcome.motor_id] = outcome
+            outcomes.append(outcome)
             heartbeat.motor_done(is_news=bool(outcome.nights))
             progress(outcome)
     except KeyboardInterrupt:
-        interrupted = True
+        is_stopped = True
     ends = [time.perf_counter()]
-    finished = [outcomes[motor_id] for motor_id in sorted(outcomes)]
-    config_hash = config_hash_of(tasks)
-    run_id = run_id_of(finished, config_hash)
+    outcomes.sort(key=lambda one: one.motor_id)
+    config_hash = config_hash_of(request.specs)
+    run_id = run_id_of(outcomes, config_hash)
     heartbeat.say(stage="publishing", run_id=run_id)
     publisher = Publisher(state, staging, run_id, fleet.execution.workers)
     with interrupts_held() as came:
-        n_nights = publish_motors(publisher, state, finished)
-    interrupted = interrupted or bool(came)
+        n_nights = publish_motors(publisher, outcomes)
+    is_stopped = is_stopped or bool(came)
     ends.append(time.perf_counter())
     heartbeat.say(stage="trends")
-    trends = PublishedTrends()
-    if not interrupted:
+    trends: list[TrendOutcome] = []
+    if not is_stopped:
+        changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
         try:
-            trends = publish_trends(fleet, request.clock, publisher, state, finished, workers)
-            interrupted = trends.interrupted
+            trends = make_trends(fleet, request.clock, publisher, workers, changed)
         except KeyboardInterrupt:
-            interrupted = True
+            is_stopped = True
     with interrupts_held() as came:
-        publish_latest(publisher, state, fleet)
-    interrupted = interrupted or bool(came)
-    finished = [_with_trends(one, trends.failures.get(one.motor_id)) for one in finished]
-    codes = {one.error_code for one in finished} | {one.code for one in trends.failures.values()}
-    if "store_read" in codes:
-        # What a task could not read is found and named; the next run makes it anew.
-        damage.look_again()
-    for name in publisher.damaged:  # the publisher has said so
-        damage.found.setdefault(name, TableFault(name, "table_altered", PUT_ASIDE_LATE))
-    ends.append(time.perf_counter())
-    stages = zip(STAGES, [begin, *ends], ends, strict=False)
-    result = RunResult(
-        run_id,
-        tuple(finished),
-        n_nights,
-        interrupted,
-        seconds=ends[-1] - begin,
-        alarms=tuple(trends.alarms),
-        seconds_by_stage={name: end - start for name, start, end in stages},
-        damage=tuple(damage.found.values()),
-        damage_left=tuple(damage.left({one.motor_id: one.nights for one in finished})),
-    )
-    heartbeat.say(stage="recording")
-    with interrupts_held() as came:
+        alarms = publish_trends(publisher, fleet, trends)
+        publish_whole_tables(publisher, fleet)
+        failures = {motor_id: loss for one in trends for motor_id, loss in one.failures.items()}
+        outcomes = [_with_trends(one, failures.get(one.motor_id)) for one in outcomes]
+        if any(one.error_code == "store_read" for one in outcomes):
+            # What a task could not read is found and named; the next run makes it anew.
+            damage.look_around(None)
+        for name in publisher.damaged:  # the publisher has said so
+            damage.found.setdefault(name, TableFault(name, "table_altered", PUT_ASIDE_LATE))
+        ends.append(time.perf_counter())
+        stages = zip(STAGES, [begin, *ends], ends, strict=False)
+        result = RunResult(
+            run_id,
+            tuple(outcomes),
+            n_nights,
+            is_stopped or bool(came),
+            seconds=ends[-1] - begin,
+            alarms=tuple(alarms),
+            seconds_by_stage={name: end - start for name, start, end in stages},
+            damage=tuple(damage.found.values()),
+            damage_left=tuple(damage.left({one.motor_id: one.nights for one in outcomes})),
+        )
+        heartbeat.say(stage="recording")
         publish_run(publisher, request, result, started, config_hash)
-    return replace(result, interrupted=interrupted or bool(came))
+    return replace(result, interrupted=result.interrupted or bool(came))
 
 
 @contextmanager
@@ -230,13 +233,8 @@ def staging_folder(output: Path) -> Iterator[Path]:
     # A name of its own: a worker of a killed run may still write into the folder of that one.
     folder = root / secrets.token_hex(8)
     try:
-        make_private_folder(folder)
-    except OSError as error:
-        remove_all(root)
-        raise StoreError(
-            "store_write", f"{root} cannot be written: {error.strerror}; look what is there"
-        ) from error
-    try:
+        with store_errors(root):
+            make_private_folder(folder)
         yield folder
     finally:
         remove_all(root)

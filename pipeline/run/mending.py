@@ -10,7 +10,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
@@ -23,7 +23,6 @@ from pipeline.store.published import (
     OF_MOTORS,
     OF_TRENDS,
     TABLE_OF,
-    Looked,
     TableFault,
     files_there,
     is_called_as_ours,
@@ -45,10 +44,10 @@ Restore = Callable[[str], bool]
 # Rows of these are made anew from the night's stored blocks if its log is gone.
 FROM_BLOCKS = {"parameters"}
 LOST = ("table_altered", "table_missing")
-NEXT_RUN = "the next run makes it anew where the logs of that night are there"
-NO_LOGS = "the logs of that night are gone, or were not asked for"
-# Faults that are logged one by one.
-FAULTS_TOLD = 20
+NO_LOGS = (
+    "the logs of that night are gone, or were not asked for; the next run makes it anew where they "
+    "are there, and `check --repair` gives it up"
+)
 
 
 @dataclass(slots=True)
@@ -71,10 +70,8 @@ class Damage:
     state: State
     restore: Restore = lambda _: False
     found: dict[str, TableFault] = field(default_factory=dict)
-    # By motor, the nights with a fit of which rows were lost; and faults found when the motors
-    # had their turn.
+    # By motor, the nights with a fit of which rows were lost.
     _fitted: defaultdict[str, set[dt.date]] = field(default_factory=lambda: defaultdict(set))
-    _late: set[str] = field(default_factory=set)
 
     @property
     def output(self) -> Path:
@@ -82,22 +79,13 @@ class Damage:
         return self.state.output
 
     def look_around(self, due: Collection[str] | None) -> None:
-        """Before the motors: prove the files that are due (None: all), or were written to since.
+        """Prove the files that are due (None: all), or were written to since.
 
         Raises StoreError if something cannot be read or written; what was done before then holds.
         """
-        self._settle(look_at_files(self.state, due))
-
-    def look_again(self) -> None:
-        """After the motors: prove all files; raises as `look_around`."""
-        before = set(self.found)
-        self._settle(look_at_files(self.state, None))
-        self._late |= self.found.keys() - before
-
-    def _settle(self, files: Iterable[Looked]) -> None:
-        looked = list(files)
+        looked = list(look_at_files(self.state, due))
         note(self.state, {one.name: one.sha256 for one in looked if one.fault is None})
-        self.mend(self.named(one.fault for one in looked if one.fault is not None))
+        self.mend([one.fault for one in looked if one.fault is not None])
 
     def take_stock(self) -> None:
         """List what is there and proves itself, where the state file was lost or is new.
@@ -118,24 +106,18 @@ class Damage:
                 message = "it is not listed, and is damaged or not what a run publishes"
                 faults.append(TableFault(name, "table_altered", message))
         note(self.state, proven)
-        self.mend(self.named(faults))
+        self.mend(faults)
 
-    def named(self, faults: Iterable[TableFault]) -> list[TableFault]:
-        """Log faults that are new, and return them."""
-        new = [one for one in faults if one.path not in self.found]
-        for one in new[:FAULTS_TOLD]:
-            log.warning("%s", one)
-        if len(new) > FAULTS_TOLD:
-            log.warning("and %d more; `check --tables` names all", len(new) - FAULTS_TOLD)
-        self.found |= {one.path: one for one in new}
-        return new
-
-    def mend(self, faults: Sequence[TableFault]) -> None:
-        """Let damaged and missing files be made anew.
+    def mend(self, faults: Iterable[TableFault]) -> None:
+        """Name faults that are new, and let damaged and missing files be made anew.
 
         Raises StoreError if something cannot be written.
         """
-        lost = [one for one in faults if one.code in LOST and MONTH_PREFIX in one.path]
+        new = [one for one in faults if one.path not in self.found]
+        for one in new:
+            log.warning("%s", one)
+        self.found |= {one.path: one for one in new}
+        lost = [one for one in new if one.code in LOST and MONTH_PREFIX in one.path]
         lost = [one for one in lost if not self.restore(f"tables/{one.path}")]
         self.forget([one.path for one in lost])
         for one in lost:
@@ -173,8 +155,10 @@ class Damage:
             if table not in TABLE_OF or not is_made_anew:
                 continue
             now = look_at(self.state, path).fault
-            if now is not None or not (self.output / "tables" / path).exists():
-                yield self._not_made(now or fault)
+            if now is not None and now.code == "table_unreadable":
+                yield now
+            elif now is not None or not (self.output / "tables" / path).exists():
+                yield replace(now or fault, message=f"not made anew: {NO_LOGS}")
             elif table in OF_MOTORS:
                 for night in days_of(PurePosixPath(path).stem):
                     mended.setdefault(night, path)
@@ -185,15 +169,8 @@ class Damage:
                 if night in some and night not in made.get(motor_id, ())
             ]
             if lost:
-                why = NEXT_RUN if path in self._late else NO_LOGS
-                message = f"rows of {', '.join(lost)} are not made anew: {why}"
+                message = f"rows of {', '.join(lost)} are not made anew: {NO_LOGS}"
                 yield TableFault(path, "rows_lost", message)
-
-    def _not_made(self, fault: TableFault) -> TableFault:
-        if fault.code == "table_unreadable":
-            return fault
-        gives_up = f"not made anew: {NO_LOGS}; `check --repair` gives it up"
-        return replace(fault, message=NEXT_RUN if fault.path in self._late else gives_up)
 
 
 def restore_decisions(state: State) -> None:

@@ -11,7 +11,7 @@ from pipeline.config.nights import night
 from pipeline.errors import StoreError
 from pipeline.look.state import BLIND, NOT_READY
 from pipeline.run.tasks import MotorOutcome
-from pipeline.store.atomic_files import put, read, remove_leftovers
+from pipeline.store.atomic_files import put, remove_leftovers
 from pipeline.telling.outbox import Backlog
 from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW, ORDER, LookStanding, MotorState
 
@@ -19,6 +19,11 @@ HEAD = "# Made by motor-leakage"
 # Name of a metric, its column of `watch`, and what it is.
 WATCHED = (
     ("tonight_change_ratio", "tonight_change", "Change of the newest night against the baseline"),
+    ("tonight_change_lower_ratio", "tonight_change_lower", "Lower end of the interval of that"),
+    ("tonight_change_upper_ratio", "tonight_change_upper", "Upper end of the interval of that"),
+    ("own_leakage_l_per_min", "own_leakage_l_per_min", "Leakage at the motor's own conditions"),
+    ("own_leakage_lower_l_per_min", "own_leakage_lower", "Lower end of the interval of that"),
+    ("own_leakage_upper_l_per_min", "own_leakage_upper", "Upper end of the interval of that"),
     ("evidence", "evidence", "Evidence of a change, ln R"),
     ("evidence_limit", "evidence_limit", "Evidence beyond which a change is told"),
     ("lack_of_fit_ratio", "lack_of_fit", "Lack of fit of the model over the baseline"),
@@ -28,15 +33,13 @@ Sample = tuple[Mapping[str, str], float]
 
 
 def write_metrics(path: Path, text: str) -> None:
-    """Replace a text file whole; its folder is not made, and a file of others stays.
+    """Replace a text file whole; its folder is not made.
 
     Raises StoreError (``metrics_file``) if it cannot be written.
     """
     try:
         if not path.parent.is_dir():
             raise StoreError("metrics_file", f"{path.parent} is no folder; make it")
-        if path.exists() and not read(path).startswith(HEAD.encode()):
-            raise StoreError("metrics_file", f"{path} is not of this program; choose another name")
         remove_leftovers([path.parent], below=False)
         put(path, text.encode(), durable=False)
     except OSError as error:

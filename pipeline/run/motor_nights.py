@@ -9,7 +9,7 @@ import datetime as dt
 import resource
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Set
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
@@ -20,14 +20,11 @@ from typing import TYPE_CHECKING
 from pipeline.config.hashes import ROLLER, SettingsHashes, hash_of, settings_of, why_anew
 from pipeline.config.nights import nights_between
 from pipeline.logs.files import labels_of
-from pipeline.logs.ledger import Ledger, LedgerChange, NightRecord, stage_change
-from pipeline.logs.motor_logs import LogShelf
-from pipeline.logs.told_nights import is_guess
+from pipeline.logs.ledger import Ledger, LedgerChange, NightRecord
+from pipeline.logs.motor_logs import MotorLogs
 from pipeline.night.roller import is_roller_free
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
-from pipeline.schema import FITS
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
-from pipeline.store.tables import nights_back, read_rows
 
 if TYPE_CHECKING:
     from pipeline.night.fit_night import NightOutcome, PreviousModel
@@ -37,14 +34,6 @@ if TYPE_CHECKING:
 LONGEST_HOLE = dt.timedelta(days=366)
 # Nights that decide on the scale of the rollers.
 FIRST_NIGHTS = 15
-
-
-def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
-    """The plan of a motor, night by night, with reasons; of logs only the ends are read.
-
-    Raises StoreError if a published table that it needs is damaged.
-    """
-    return MotorNights(replace(task, looks_first=True)).plan()
 
 
 def peak_memory_mib() -> float:
@@ -64,15 +53,6 @@ def _hash_of_items(items: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
     return hash_of(dict(items))
 
 
-def _still_published(ledger: Ledger, published: Set[dt.date]) -> Ledger:
-    """A ledger without the nights whose tables somebody removed: they are to be made anew."""
-    gone = ledger.nights.keys() - published
-    return Ledger(
-        files={name: one for name, one in ledger.files.items() if not labels_of(one) & gone},
-        nights={label: one for label, one in ledger.nights.items() if label not in gone},
-    )
-
-
 def _without_failures(ledger: Ledger) -> Ledger:
     """A ledger that knows nothing of the logs and nights that failed."""
     nights = {label: one for label, one in ledger.nights.items() if one.status != FAILED}
@@ -86,58 +66,30 @@ def _without_failures(ledger: Ledger) -> Ledger:
 
 
 class MotorNights:
-    """The nights of a motor during its task.
+    """The nights of a motor during its task."""
 
-    Parameters
-    ----------
-    task
-        The task.
-    published
-        Nights of the table `fits`; None: they are listed.
-    """
-
-    def __init__(self, task: MotorTask, published: Set[dt.date] | None = None) -> None:
+    def __init__(self, task: MotorTask) -> None:
         self.task = task
         self.spec = task.spec
         self.seconds: defaultdict[str, float] = defaultdict(float)
-        self.remembered = task.ledger
         self.settings_before = task.ledger.settings or {}
-        if published is None:
-            published = set(nights_back(task.output, FITS))
-        self.before = _still_published(self.remembered, published)
-        if task.retry:
-            self.before = _without_failures(self.before)
+        before = _without_failures(task.ledger) if task.retry else task.ledger
         with self.timed("read_s"):
-            self.logs = LogShelf(
-                self.spec,
-                self.before.files,
-                task.latest_us,
-                task.silent,
-                task.looked_at,
-                reads_new=not (task.looks_first or task.since or task.until),
+            self.logs = MotorLogs(
+                self.spec, before.files, task.latest_us, task.silent, task.looked_at
             )
-        self.withdrawn = self._no_longer_told()
         self.abandoned = self._without_log()
-        self.before = Ledger(
-            {
-                name: one
-                for name, one in self.logs.before.items()
-                if not labels_of(one) & self.abandoned
-            },
-            {
-                label: one
-                for label, one in self.before.nights.items()
-                if label not in self.withdrawn
-            },
-        )
+        self.logs.before = {
+            name: one for name, one in before.files.items() if not labels_of(one) & self.abandoned
+        }
+        self.nights_before = before.nights
         self.form = replace(self.spec, roller_is_free=ROLLER in self.settings_before)
         self.hashes = SettingsHashes(self.form)
         # Nights whose form this run changed: as they told the scale before.
         self.first_told: dict[dt.date, bool | None] = {}
         self.done: dict[dt.date, NightOutcome] = {}
-        self.records: dict[dt.date, NightRecord] = dict(self.before.nights)
+        self.records: dict[dt.date, NightRecord] = dict(before.nights)
         self.kept: set[dt.date] = set()
-        self.reasons: dict[dt.date, str] = {}
         self.by_settings = self._outdated_by_settings()
 
     @contextmanager
@@ -150,23 +102,15 @@ class MotorNights:
 
     @property
     def is_quiet(self) -> bool:
-        """True where no night is to be made, nothing withdrawn, and no form of the fits changed."""
-        return not (
-            self.open_nights()
-            or self.withdrawn
-            or self.is_roller_free() != self.form.roller_is_free
-        )
-
-    def plan(self) -> dict[dt.date, Step]:
-        """Nights that a run would do now, and why; reading may add some."""
-        return dict(sorted(self.open_nights().items()))
+        """True where no night is to be made, and no form of the fits changed."""
+        return not self.open_nights() and self.is_roller_free() == self.form.roller_is_free
 
     def _outdated_by_settings(self) -> dict[dt.date, Step]:
         """Nights that were made with other settings, and how far they have to be made anew."""
         present, found = self.logs.present(), {}
         if self.task.force:
             return dict.fromkeys(present, Step(Work.READ, "asked for"))
-        for label, record in self.before.nights.items():
+        for label, record in self.nights_before.items():
             if not record.statistics_hash:
                 continue
             if record.statistics_hash != self.hashes.statistics(label):
@@ -242,19 +186,6 @@ class MotorNights:
         begins = [event.date for event in self.spec.file.baseline_events]
         return is_roller_free(told, begins, FIRST_NIGHTS)
 
-    def _no_longer_told(self) -> set[dt.date]:
-        """Published nights that only the name or time of an unreadable log told, and may not."""
-        files = self.remembered.files.values()
-        told = {label for one in files if is_guess(one) for label in labels_of(one)}
-        if self.remembered.settings is None:
-            # Without its ledger the tables alone say which nights failed.
-            columns = ("motor_id", "night", "status")
-            rows = read_rows(self.task.output, FITS, [self.spec.motor_id], columns)
-            told |= set(rows.filter(status=FAILED)["night"])
-        sure = {label for one in files if not is_guess(one) for label in labels_of(one)}
-        none = {label for label in told if self.logs.plausible.why_not(label) is not None}
-        return none - sure - self.logs.present()
-
     def _without_log(self) -> set[dt.date]:
         """Failed nights whose log somebody has removed: there is nothing to fail any more."""
         # Nobody can say so where a folder is not mounted, or does not answer.
@@ -262,10 +193,10 @@ class MotorNights:
             return set()
         failed = {
             label
-            for label, one in self.remembered.nights.items()
+            for label, one in self.task.ledger.nights.items()
             if one.status == FAILED and self.task.wants(label)
         }
-        return failed - self.logs.present() - self.withdrawn
+        return failed - self.logs.present()
 
     def _n_standing(self) -> int:
         """Failures that stand after this run: nights, logs of no night, and absent logs."""
@@ -283,13 +214,6 @@ class MotorNights:
             return None
         label = min(label for label, one in self.done.items() if one.status == status)
         return f"night {label}: {self.done[label].reason}"
-
-    def stage_ledger(self) -> None:
-        """Stage what of the ledger and the settings has changed; raises as `stage_change`."""
-        files = {**self.before.files, **self.logs.finished(self.done)}
-        after = Ledger(files, self.records, settings_of(self.form))
-        change = LedgerChange.between(self.remembered, after)
-        stage_change(self.task.staging, self.spec.motor_id, change)
 
     def outcome(self) -> MotorOutcome:
         counts = Counter(outcome.status for outcome in self.done.values())
@@ -320,23 +244,21 @@ class MotorNights:
         else:
             status = counts.most_common(1)[0][0] if counts else NO_NEW_DATA
         code, message = errors[0] if errors else (None, self._why_nothing(status))
-        if self.withdrawn:
-            nights = ", ".join(map(str, sorted(self.withdrawn)))
-            gone = f"withdrawn, as no log has samples of them: {nights}"
-            message = "; ".join(one for one in (message, gone) if one)
+        files = {**self.logs.before, **self.logs.finished(self.done)}
+        after = Ledger(files, self.records, settings_of(self.form))
         return MotorOutcome(
             motor_id=self.spec.motor_id,
             status=status,
             error_code=code,
             message=message,
             counts=counts,
-            nights=tuple(sorted({*self.done, *self.withdrawn})),
-            withdrawn=tuple(sorted(self.withdrawn)),
-            reasons=Counter(self.reasons[label] for label in self.done if label in self.reasons),
+            nights=tuple(sorted(self.done)),
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
             files=self.logs.counts(self.done),
             growing=tuple(self.logs.growing()),
+            left_out=tuple(self.logs.left_out()),
             n_standing=self._n_standing(),
             seconds=dict(self.seconds),
             peak_memory_mib=peak_memory_mib(),
+            change=LedgerChange.between(self.task.ledger, after),
         )

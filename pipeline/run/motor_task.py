@@ -9,8 +9,9 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
+from statistics import median
 
 import polars as pl
 from polars.exceptions import PanicException
@@ -22,19 +23,23 @@ from pipeline.logs.files import labels_of, reaches_us, slice_night
 from pipeline.logs.finding import legible
 from pipeline.logs.ledger import FileRecord, Ledger, NightRecord
 from pipeline.messages import speak_as_told
+from pipeline.night.column_change import COLUMNS, column_change
 from pipeline.night.fit_night import NightOutcome, PreviousModel, fit_night, unfitted
-from pipeline.night.refit import is_refit
+from pipeline.night.refit import is_refit, judge_again, refit, refit_in_form
 from pipeline.night.rows import Row
 from pipeline.run.motor_nights import MotorNights, hash_of_model
 from pipeline.run.stored_nights import StoredNights
 from pipeline.run.tasks import MotorOutcome, MotorTask, Work, lost
-from pipeline.schema import INPUT_FILES, NIGHT_TABLES
+from pipeline.schema import INPUT_FILES, NIGHT_TABLES, OPERATION
 from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK
 from pipeline.store.night_files import stage
 from pipeline.store.tables import read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
+
+# Nights before that say what is usual, and how many of them are needed.
+USUAL_NIGHTS, FEWEST_USUAL = 7, 3
 
 
 def run_motor(task: MotorTask) -> MotorOutcome:
@@ -66,6 +71,16 @@ def _place_of(record: FileRecord, nights: Collection[dt.date]) -> dt.date | None
     return min(labels_of(record) or nights, default=None)
 
 
+def _means(rows: Iterable[Row]) -> list[dict[str, float]]:
+    """Means of the channels in rows of `operation`, of those that have all."""
+    found = [{name: row.get(column) for name, column in COLUMNS.items()} for row in rows]
+    return [
+        {name: mean for name, mean in one.items() if mean is not None}
+        for one in found
+        if None not in one.values()
+    ]
+
+
 class _Making(MotorNights):
     """A motor's nights while its task makes them."""
 
@@ -80,7 +95,6 @@ class _Making(MotorNights):
             label = min(plan)
             before = self._model_before(label)
             outcome = self._night(label, plan[label].work, before)
-            self.reasons[label] = plan[label].reason
             if outcome is None:
                 self.kept.add(label)
                 continue
@@ -90,7 +104,7 @@ class _Making(MotorNights):
             for waiting in self.logs.waiting() & self.done.keys():
                 self._take_back(waiting)
             # Of a first load: the nights to come are then fitted once.
-            if not self.before.nights:
+            if not self.nights_before:
                 self._decide_form()
         self._decide_form()
         for label in self.holes():
@@ -100,7 +114,6 @@ class _Making(MotorNights):
         sign_of_life("")
         with self.timed("store_s"):
             self._stage()
-            self.stage_ledger()
         n_refitted = sum(map(is_refit, self.done.values()))
         return replace(self.outcome(), n_refitted=n_refitted)
 
@@ -111,8 +124,8 @@ class _Making(MotorNights):
     def _take_back(self, label: dt.date) -> None:
         """Leave a night to the next run, as if it had not been done in this one."""
         del self.done[label]
-        if label in self.before.nights:
-            self.records[label] = self.before.nights[label]
+        if label in self.nights_before:
+            self.records[label] = self.nights_before[label]
         else:
             del self.records[label]
 
@@ -135,9 +148,10 @@ class _Making(MotorNights):
         sign_of_life(label.isoformat())
         try:
             if work is not Work.READ:
-                make = self.stored.refit if work is Work.REFIT else self.stored.judge
+                make = refit if work is Work.REFIT else judge_again
                 with self.timed("refit_s"):
-                    outcome = make(self.form, label, before)
+                    published = self.stored.night(label, with_blocks=work is Work.REFIT)
+                    outcome = make(self.form, published, before)
                 if outcome is not None or label not in self.logs.present():
                     return outcome
             return self._in_form(self._read_and_fit(label, before), before)
@@ -154,7 +168,9 @@ class _Making(MotorNights):
         if outcome.status != OK or all(row["roller_is_free"] is is_free for row in fits):
             return outcome
         with self.timed("refit_s"):
-            return self.stored.in_form(self.form, outcome, before) or outcome
+            # Of a night just read, all rows are in the outcome.
+            published = None if outcome.tables is None else self.stored.night(outcome.night)
+            return refit_in_form(self.form, outcome, published, before) or outcome
 
     def _decide_form(self) -> None:
         """All nights with a fit in the other form, in order: each is judged with the one before."""
@@ -166,7 +182,6 @@ class _Making(MotorNights):
             before = self._model_before(label)
             outcome = self.done.get(label) or self.stored.outcome(label)
             if outcome.rows["fits"]:
-                self.reasons.setdefault(label, "the scale of its rollers is estimated, or no more")
                 self.first_told.setdefault(label, self.records[label].tells_roller)
                 self._remember(self._in_form(outcome, before), before)
 
@@ -187,7 +202,41 @@ class _Making(MotorNights):
         self.logs.let_go_until(label)
         if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
             return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
-        return fit_night(self.form, here, channels, before)
+        return self._unless_changed(fit_night(self.form, here, channels, before))
+
+    def _unless_changed(self, outcome: NightOutcome) -> NightOutcome:
+        """A night's outcome; it fails where its columns or units are others than before."""
+        means = _means(outcome.rows.get("operation", []))
+        why = None
+        if means and (usual := self._usual(outcome.night)):
+            why = column_change(self.spec, usual, means[0])
+        if why is None:
+            return outcome
+        why += "; mend the log or the motor's file, or enter a dated event if the motor runs so now"
+        rows = {"quality": outcome.rows["quality"]}
+        return unfitted(self.spec, outcome.night, FAILED, why, code="columns_changed", rows=rows)
+
+    def _usual(self, label: dt.date) -> dict[str, float]:
+        """Medians of the last fitted nights of the baseline period; empty where they are few."""
+        begins = (one.date for one in self.spec.file.baseline_events if one.date <= label)
+        since = max(begins, default=dt.date.min)
+        nights = [
+            one
+            for one, record in sorted(self.records.items())
+            if since <= one < label and record.status == OK
+        ][-USUAL_NIGHTS:]
+        made = [one for one in nights if one in self.done and self.done[one].tables is None]
+        rows = [row for one in made for row in self.done[one].rows["operation"]]
+        if published := set(nights).difference(made):
+            columns = ("night", *COLUMNS.values())
+            stored = read_rows(
+                self.task.output, OPERATION, [self.spec.motor_id], columns, nights=published
+            )
+            rows += stored.to_dicts()
+        means = _means(rows)
+        if len(means) < FEWEST_USUAL:
+            return {}
+        return {name: median(one[name] for one in means) for name in COLUMNS}
 
     def _model_before(self, label: dt.date) -> PreviousModel:
         return Ledger(nights=self.records).model_before(label)
@@ -199,9 +248,6 @@ class _Making(MotorNights):
                 # A night made anew in part keeps what only its samples tell.
                 if outcome.tables is None or table.name in outcome.tables:
                     by_table[table.name][label] = outcome.rows.get(table.name, [])
-        for label in self.withdrawn:
-            for table in NIGHT_TABLES:
-                by_table[table.name][label] = []
         by_table["input_files"] = self._file_rows(by_table["input_files"].keys())
         staged = {table: by_table[table.name] for table in NIGHT_TABLES if by_table[table.name]}
         if staged:
@@ -216,9 +262,9 @@ class _Making(MotorNights):
         moved: defaultdict[dt.date, set[str]] = defaultdict(set)
         for row in self.logs.rows():
             name = row["path"]
-            now, known = self.logs.files[name], self.remembered.files.get(name)
+            now, known = self.logs.files[name], self.task.ledger.files.get(name)
             here = _place_of(now, self.records)
-            there = None if known is None else _place_of(known, self.remembered.nights)
+            there = None if known is None else _place_of(known, self.task.ledger.nights)
             is_new = row["night"] is None and now != known
             if here is None or not (here in staged or is_new):
                 continue

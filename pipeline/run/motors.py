@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import stat
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from queue import Empty, SimpleQueue
+from threading import Thread
 
-from pipeline.config import Execution
+from polars.exceptions import PanicException
+
+from pipeline.config import Execution, MotorSpec
+from pipeline.logs.finding import find_logs
 from pipeline.logs.ledger import read_ledger
+from pipeline.run.motor_nights import MotorNights
 from pipeline.run.tasks import MotorOutcome, MotorTask, lost, without_lost_part
-from pipeline.run.unchanged import unchanged_motors
 from pipeline.store.state import State
 from pipeline.workers.engine import Workers
+
+# Size and times of each log of a motor, as `FileRecord.state`; None where one is no file.
+LogStates = Mapping[str, tuple[int, int, int]] | None
 
 
 def motor_outcomes(
@@ -20,8 +30,6 @@ def motor_outcomes(
 
     A night that workers are lost in is given up, and so is a log that does not answer; a motor of
     which more are lost, or of which it is not known in what, has failed.
-
-    Raises EngineError if there is nothing that tasks can run on.
     """
     done = set()
     for outcome in unchanged_motors(tasks, execution, state):
@@ -41,3 +49,56 @@ def run_motor(task: MotorTask) -> MotorOutcome:
     from pipeline.run import motor_task
 
     return motor_task.run_motor(task)
+
+
+def unchanged_motors(
+    tasks: Sequence[MotorTask], execution: Execution, state: State
+) -> Iterator[MotorOutcome]:
+    """Outcomes of the motors with nothing to be done, without workers and without the science.
+
+    A thread asks the logs for size and time, as their folders may be on a mount that hangs; what it
+    does not tell in time is left to the motors' tasks.
+    """
+    if execution.backend == "dask":  # the logs may be seen by its workers alone
+        return
+    asked = [
+        task
+        for task in tasks
+        if not (task.force or task.retry or task.spec.log_url or task.spec.file.logs.database)
+    ]
+    answers: SimpleQueue[LogStates] = SimpleQueue()
+
+    def look() -> None:
+        for task in asked:
+            answers.put(_states_of(task.spec))
+
+    Thread(target=look, daemon=True, name="look at logs").start()
+    for task in asked:
+        try:
+            states = answers.get(timeout=execution.answer_s)
+        except Empty:
+            return
+        ledger = read_ledger(state, task.spec.motor_id)
+        known = {name: one for name, one in ledger.files.items() if name in (states or {})}
+        if not states or {name: one.state for name, one in known.items()} != states:
+            continue
+        if any(one.sha256 is None for one in known.values()):
+            continue
+        with suppress(Exception, PanicException):  # which the motor's task tells
+            nights = MotorNights(replace(task, ledger=ledger, looked_at=known))
+            if nights.is_quiet:
+                yield nights.outcome()
+
+
+def _states_of(spec: MotorSpec) -> LogStates:
+    found = {}
+    try:
+        paths, absent = find_logs(spec)
+        for name, path in paths.items():
+            here = path.stat()
+            if not stat.S_ISREG(here.st_mode):
+                return None
+            found[name] = (here.st_size, here.st_mtime_ns, here.st_ctime_ns)
+    except OSError:
+        return None
+    return None if absent else found

@@ -4,47 +4,27 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
-from pathlib import Path
 
-from pipeline.clock import latest_us
-from pipeline.config import MotorSpec
 from pipeline.config.hashes import settings_of, why_anew
 from pipeline.logs.ledger import as_published, read_ledger, read_settings
-from pipeline.run.motor_nights import plan_motor
-from pipeline.run.request import RunRequest
-from pipeline.run.tasks import MotorTask, Step
+from pipeline.run.motor_nights import MotorNights
+from pipeline.run.tasks import RunRequest, Step
 from pipeline.store.state import read_state_file
-from pipeline.trends.circuits import decisions_of
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.nights.trend_record import read_records, trend_hash
-
-
-def task_of(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
-    """The task of a motor."""
-    return MotorTask(
-        spec=spec,
-        output=request.fleet.output,
-        staging=staging,
-        since=request.since,
-        until=request.until,
-        force=request.force,
-        retry=request.retry,
-        latest_us=latest_us(request.clock),
-    )
+from pipeline.trends.tasks import decisions_of
 
 
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
-    """The plan of a run, motor by motor; of logs only the ends are read, and nothing is written.
+    """Nights that a run would do, motor by motor, and why; of logs only the ends are read.
 
     Raises StoreError if a published table that is needed is damaged.
     """
-    output = request.fleet.output
-    with read_state_file(output) as state:
+    with read_state_file(request.fleet.output) as state:
         for spec in request.specs:
-            task = task_of(request, spec, output / "staging")
             ledger = read_ledger(state, spec.motor_id)
-            yield spec.motor_id, plan_motor(replace(task, ledger=ledger))
+            task = request.task(spec, request.fleet.output / "staging", ledger)
+            yield spec.motor_id, dict(sorted(MotorNights(task).open_nights().items()))
 
 
 def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:

@@ -1,11 +1,14 @@
-"""Publishing of a run: nights of its motors, then their trends."""
+"""Publishing of a run: nights of its motors, their trends, and the rows of the run itself."""
 
 from __future__ import annotations
 
 import datetime as dt
+import hashlib
 import logging
+import platform
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
+from importlib.metadata import version
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -13,36 +16,41 @@ from typing import Any
 import polars as pl
 
 from pipeline.clock import latest_us
-from pipeline.config import Fleet
+from pipeline.config import Fleet, MotorSpec
+from pipeline.config.hashes import config_hash as hash_of_config
+from pipeline.config.hashes import hash_of, own_version
 from pipeline.config.nights import night_of
-from pipeline.errors import EngineError, StoreError
-from pipeline.logs.ledger import forget_nights, staged_change, write_change
-from pipeline.run.tasks import MotorOutcome
+from pipeline.errors import StoreError
+from pipeline.logs.ledger import forget_nights, write_change
+from pipeline.logs.motor_logs import FATES
+from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
 from pipeline.schema import (
     ALARMS,
     DATA_DICTIONARY,
     DECISIONS,
     LATEST,
+    MOTOR_OUTCOMES,
     NIGHT_TABLES,
+    RUNS,
+    SCHEMA_VERSION,
     TREND_TABLES,
     data_dictionary,
     frame,
 )
-from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
-from pipeline.store.state import State
 from pipeline.store.tables import read_table, whole_file
+from pipeline.store.views import write_views
 from pipeline.telling.outbox import take_up
 from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.nights.tonight import Tonight, tonight_of
 from pipeline.trends.nights.trend_record import forget_records, note_touched, write_record
-from pipeline.trends.rows.latest_states import latest_states
-from pipeline.trends.rows.motor_states import latest_rows
+from pipeline.trends.rows.motor_states import latest_rows, latest_states
 from pipeline.trends.tasks import (
+    Tonight,
     TrendOutcome,
     TrendTask,
     kept_file,
     lost_trends,
+    tonight_of,
     trend_tasks,
     without_lost_motor,
 )
@@ -51,12 +59,29 @@ from pipeline.workers.process import Loss
 
 log = logging.getLogger(__name__)
 
+# First night with new rows by motor; None without one.
+Changed = Mapping[str, dt.date | None]
+
+# Seconds of a motor's task by stage, as `motor_outcomes` names them, and of a run, as `runs` does.
+MOTOR_STAGES = (
+    "read_s",
+    "clean_s",
+    "statistics_s",
+    "fit_s",
+    "residuals_s",
+    "refit_s",
+    "store_s",
+)
+STAGES = ("motors_s", "publish_s", "trends_s")
+# Packages whose versions `runs` has.
+DEPENDENCIES = ("polars", "pyarrow", "numpy", "scipy")
 # A task of trends reads the tables of all its motors at once; it has fewer where workers wait.
 MOTORS_A_TREND_TASK = 32
 
 
-def publish_motors(publisher: Publisher, state: State, outcomes: Sequence[MotorOutcome]) -> int:
-    """Publish the rows that the motors' tasks have staged, then their ledgers."""
+def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> int:
+    """Publish what the motors' tasks have staged, and their ledgers; returns how many nights."""
+    state = publisher.state
     forgotten: list[tuple[Collection[dt.date], Collection[str]]] = []
 
     def forget(nights: Collection[dt.date], keep: Collection[str]) -> None:
@@ -64,103 +89,45 @@ def publish_motors(publisher: Publisher, state: State, outcomes: Sequence[MotorO
         forget_nights(state, nights, keep)
 
     note_touched(state, ((one.motor_id, min(one.nights)) for one in outcomes if one.nights))
-    # Of a motor without a new night there may be the row of a log that is of none.
-    staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
 
     def published() -> None:
-        for motor_id in staged:
-            change = staged_change(publisher.staging, motor_id)
-            if change is not None:
-                write_change(state, motor_id, change)
-        _note_published(state, any(outcome.nights for outcome in outcomes))
+        for one in outcomes:
+            write_change(state, one.motor_id, one.change)
+        if any(one.nights for one in outcomes):
+            state.set_meta("latest", "")
         for nights, keep in forgotten:  # what a task has found unchanged is to be read again
             forget_nights(state, nights, keep)
 
+    # Of a motor without a new night there may be the row of a log that is of none.
+    staged = [one.motor_id for one in outcomes if one.finished]
     publisher.nights("nights", NIGHT_TABLES, staged, forget, published)
-    publisher.whole(DATA_DICTIONARY, data_dictionary())
-    return sum(len(outcome.nights) for outcome in outcomes)
+    return sum(len(one.nights) for one in outcomes)
 
 
-@dataclass(frozen=True, slots=True)
-class PublishedTrends:
-    """Failures by motor, new rows of `alarms`, and whether an interrupt came while publishing.
-
-    `tonight` is None where the tables have none, or could not be read.
-    """
-
-    tonight: Tonight | None = None
-    failures: Mapping[str, Loss] = field(default_factory=dict)
-    alarms: Sequence[Mapping[str, Any]] = ()
-    interrupted: bool = False
-
-
-def publish_trends(
-    fleet: Fleet,
-    clock: dt.datetime,
-    publisher: Publisher,
-    state: State,
-    outcomes: Sequence[MotorOutcome],
-    workers: Workers,
-) -> PublishedTrends:
-    """Make and publish the trends of the run's motors."""
-    decisions = read_decisions(fleet.output)
-    said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
-    publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
-    changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
+def make_trends(
+    fleet: Fleet, clock: dt.datetime, publisher: Publisher, workers: Workers, changed: Changed
+) -> list[TrendOutcome]:
+    """Stage the trends of a run's motors, given the first night with new rows of each, or None."""
     try:
         tonight = fleets_tonight(fleet, clock)
     except StoreError as error:
-        return PublishedTrends(failures=dict.fromkeys(changed, Loss(error.code, error.message)))
+        loss = Loss(error.code, error.message)
+        return [TrendOutcome(failures=dict.fromkeys(changed, loss))]
     if tonight is None:
-        return PublishedTrends()
+        return []
     # As many tasks for each worker, as far as circuits allow.
     n_workers = fleet.execution.workers
     n_tasks = n_workers * ceil(len(changed) / (n_workers * MOTORS_A_TREND_TASK))
     tasks = trend_tasks(
         fleet.motors,
-        state,
+        publisher.state,
         publisher.staging,
         changed,
         tonight,
-        decisions,
+        read_decisions(fleet.output),
         ceil(len(changed) / max(n_tasks, 1)),
     )
-    made: list[TrendOutcome] = []
-    try:
-        made += workers.run(run_trends, tasks, lost_trends, without_lost_motor)
-    except EngineError as error:  # the nights are published: the next run makes the trends
-        log.warning("%s; the next run makes the trends", error)
-        made = [lost_trends(task, Loss(error.code, error.message)) for task in tasks]
-    failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
-    with interrupts_held() as came:
-        alarms = _publish_trend_rows(publisher, fleet, made)
-    return PublishedTrends(tonight, failures, alarms, bool(came))
-
-
-def _note_published(state: State, has_changed: bool) -> None:
-    """Count what was published: `latest` is made again where there is more since."""
-    if has_changed:
-        state.set_meta("revision", str(int(state.meta("revision") or 0) + 1))
-
-
-def publish_latest(publisher: Publisher, state: State, fleet: Fleet) -> None:
-    """Publish the state of each motor; where a table is damaged, that of the run before stays."""
-    output, motor_ids = publisher.output, sorted(spec.motor_id for spec in fleet.motors)
-    published = _published_latest(output)
-    is_of_all = published["motor_id"].to_list() == motor_ids
-    ((n_decisions,),) = state.rows("SELECT count(*) FROM decisions")
-    made_of = f"revision {state.meta('revision')}, {n_decisions} decisions"
-    if is_of_all and state.meta("latest") == made_of:
-        return
-    try:
-        states = latest_states(output, motor_ids)
-    except StoreError as error:
-        log.warning("%s; the table `latest` stays as it was", error)
-        return
-    rows = frame(LATEST, latest_rows(states, publisher.run_id)).sort(LATEST.key)
-    if not rows.drop("run_id").equals(published.drop("run_id")):
-        publisher.whole(LATEST, rows)
-    state.set_meta("latest", made_of)
+    return list(workers.run(run_trends, tasks, lost_trends, without_lost_motor))
 
 
 def run_trends(task: TrendTask) -> TrendOutcome:
@@ -170,29 +137,17 @@ def run_trends(task: TrendTask) -> TrendOutcome:
     return stage.run_trends(task)
 
 
-def _published_latest(output: Path) -> pl.DataFrame:
-    """The table `latest` of the run before; empty where there is none that is whole."""
-    try:
-        return read_table(whole_file(output, LATEST), LATEST)
-    except StoreError as error:
-        if error.code != "store_read":
-            raise
-        return frame(LATEST, [])
-
-
 def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:
     """Tonight, as `tonight_of`, by the clock of a run."""
     latest = night_of(latest_us(clock), fleet.settings.nights)
     return tonight_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
 
 
-def _publish_trend_rows(
+def publish_trends(
     publisher: Publisher, fleet: Fleet, made: Sequence[TrendOutcome]
 ) -> list[Mapping[str, Any]]:
     """Publish what the tasks have staged, and queue it; returns the new rows of `alarms`."""
     state = publisher.state
-    if not made:
-        return []
     records = {motor_id: one for some in made for motor_id, one in sorted(some.records.items())}
     lost: list[Collection[str]] = []
 
@@ -205,9 +160,115 @@ def _publish_trend_rows(
             if all(motor_id in keep for keep in lost):
                 kept = kept_file(publisher.staging, motor_id).read_bytes()
                 write_record(state, motor_id, record, kept)
-        _note_published(state, bool(records))
+        if records:
+            state.set_meta("latest", "")
         take_up(state, fleet.name)
 
     publisher.nights("trends", TREND_TABLES, sorted(records), forget, published)
     new = [row for one in made for row in one.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))
+
+
+def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:
+    """Publish the columns, what people decided, and the state of each motor.
+
+    Where a table is damaged, `latest` stays as it was.
+    """
+    state, output = publisher.state, publisher.output
+    publisher.whole(DATA_DICTIONARY, data_dictionary())
+    decisions = read_decisions(output)
+    said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
+    publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
+    motor_ids = sorted(spec.motor_id for spec in fleet.motors)
+    published = _published_latest(output)
+    made_of = f"{len(decisions)} decisions"
+    if published["motor_id"].to_list() == motor_ids and state.meta("latest") == made_of:
+        return
+    try:
+        states = latest_states(output, motor_ids)
+    except StoreError as error:
+        log.warning("%s; the table `latest` stays as it was", error)
+        return
+    rows = frame(LATEST, latest_rows(states, publisher.run_id)).sort(LATEST.key)
+    if not rows.drop("run_id").equals(published.drop("run_id")):
+        publisher.whole(LATEST, rows)
+    state.set_meta("latest", made_of)
+
+
+def _published_latest(output: Path) -> pl.DataFrame:
+    """The table `latest` of the run before; empty where there is none that is whole."""
+    try:
+        return read_table(whole_file(output, LATEST), LATEST)
+    except StoreError as error:
+        if error.code != "store_read":
+            raise
+        return frame(LATEST, [])
+
+
+def config_hash_of(specs: Sequence[MotorSpec]) -> str:
+    """Hash of the settings of all motors."""
+    return hash_of({spec.motor_id: hash_of_config(spec) for spec in specs})
+
+
+def run_id_of(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
+    """Hash of the code, the settings and the contents that were read."""
+    inputs = [one for outcome in outcomes for one in (outcome.motor_id, *outcome.inputs)]
+    text = "|".join((own_version(), str(SCHEMA_VERSION), config_hash, *inputs))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def publish_run(
+    publisher: Publisher,
+    request: RunRequest,
+    result: RunResult,
+    started: dt.datetime,
+    config_hash: str,
+) -> None:
+    """Publish the rows of `runs` and `motor_outcomes`, and the views of all tables."""
+    fleet = request.fleet
+    seeds = {spec.settings.estimation.seed for spec in fleet.motors}
+    run = {
+        "run_id": result.run_id,
+        "started_at": started,
+        "finished_at": dt.datetime.now(dt.UTC),
+        "status": "interrupted"
+        if result.interrupted
+        else "motors_failed"
+        if not result.is_good
+        else "ok",
+        "fleet": fleet.name,
+        "version": own_version(),
+        "python_version": platform.python_version(),
+        **{f"{name}_version": version(name) for name in DEPENDENCIES},
+        "schema_version": SCHEMA_VERSION,
+        "config_hash": config_hash,
+        "seed": min(seeds),
+        "workers": fleet.execution.workers,
+        "n_motors": len(result.outcomes),
+        "n_motors_failed": len(result.failed),
+        "n_nights": result.n_nights,
+        "seconds": result.seconds,
+        **result.seconds_by_stage,
+        "damage": [str(one) for one in result.damage],
+    }
+    rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
+    publisher.add(f"{started:%Y-%m}", {RUNS: [run], MOTOR_OUTCOMES: rows})
+    write_views(fleet.output)
+
+
+def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Mapping[str, object]:
+    statuses = ("ok", "stood_still", "insufficient_data", "no_new_data", "failed")
+    return {
+        "run_id": run_id,
+        "started_at": started,
+        "motor_id": outcome.motor_id,
+        "status": outcome.status,
+        "error_code": outcome.error_code,
+        "message": outcome.message,
+        "peak_memory_mib": outcome.peak_memory_mib,
+        "n_refitted": outcome.n_refitted,
+        **{stage: outcome.seconds.get(stage, 0.0) for stage in MOTOR_STAGES},
+        **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
+        **{f"n_files_{fate}": outcome.files.get(fate, 0) for fate in FATES},
+        "growing": list(outcome.growing),
+    }

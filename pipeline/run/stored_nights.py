@@ -9,19 +9,13 @@ from typing import Any
 
 import polars as pl
 
-from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
-from pipeline.night.fit_night import NightOutcome, PreviousModel
-from pipeline.night.refit import PublishedNight, judge_again, refit, refit_in_form
+from pipeline.night.fit_night import NightOutcome
+from pipeline.night.refit import PublishedNight
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, SENSITIVITIES, Table
 from pipeline.schema.fits import OK
 from pipeline.store.tables import read_rows
-
-# Columns that a fit without a log takes; all of the other tables.
-NEEDED = {
-    "block_statistics": BLOCK_COLUMNS,
-}
 
 log = logging.getLogger(__name__)
 
@@ -35,33 +29,15 @@ class StoredNights:
         self._month = ""
         self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
 
-    def refit(
-        self, spec: MotorSpec, label: dt.date, previous: PreviousModel
-    ) -> NightOutcome | None:
-        """Fit a night anew; None where the log has to be read."""
-        return refit(spec, self._published(label), previous)
-
     def outcome(self, label: dt.date) -> NightOutcome:
         """A fitted night as published: what another form of its fits replaces."""
         rows = {table.name: self._rows(table, label) for table in (FITS, PARAMETERS)}
         return NightOutcome(label, OK, None, None, rows, tables=tuple(rows))
 
-    def in_form(
-        self, spec: MotorSpec, outcome: NightOutcome, previous: PreviousModel
-    ) -> NightOutcome | None:
-        """A night's outcome in another form; None where its rows do not suffice."""
-        # Of a night just read, all rows are in the outcome.
-        published = None if outcome.tables is None else self._published(outcome.night)
-        return refit_in_form(spec, outcome, published, previous)
-
-    def judge(
-        self, spec: MotorSpec, label: dt.date, previous: PreviousModel
-    ) -> NightOutcome | None:
-        """Judge another model before on a night; None where the log has to be read."""
-        night = PublishedNight(label, self._rows(FITS, label), (), None)
-        return judge_again(spec, night, previous)
-
-    def _published(self, label: dt.date) -> PublishedNight:
+    def night(self, label: dt.date, *, with_blocks: bool = True) -> PublishedNight:
+        """Rows of a night; those of its blocks are the most of them."""
+        if not with_blocks:
+            return PublishedNight(label, self._rows(FITS, label), (), None)
         return PublishedNight(
             label,
             self._rows(FITS, label),
@@ -83,7 +59,8 @@ class StoredNights:
         return self._nights[table.name].get(label)
 
     def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
-        columns = NEEDED.get(table.name) or tuple(name for name in table.schema if name != "run_id")
+        every = tuple(name for name in table.schema if name != "run_id")
+        columns = BLOCK_COLUMNS if table is BLOCK_STATISTICS else every
         try:
             rows = read_rows(self._output, table, [self._motor_id], columns, month)
         except StoreError as error:

@@ -1,24 +1,62 @@
-"""Task and outcome records: plain data that processes exchange."""
+"""Requests, tasks and their outcomes: plain data that processes exchange."""
 
 from __future__ import annotations
 
 import datetime as dt
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
-from pipeline.clock import latest_us
-from pipeline.config import MotorSpec
-from pipeline.logs.files import NEW_LOG
+from pipeline.clock import latest_us, now
+from pipeline.config import Fleet, MotorSpec
 from pipeline.logs.finding import legible
-from pipeline.logs.ledger import Ledger, SeenLogs
+from pipeline.logs.ledger import FileRecord, Ledger, LedgerChange
 from pipeline.schema.fits import FAILED
+from pipeline.store.published import TableFault
 from pipeline.workers.process import Loss
 
 # A motor of which more nights than this take their worker with them, or more logs than this do not
 # answer, is given up as a whole.
 MOST_GIVEN_UP = 3
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """Request of a run."""
+
+    fleet: Fleet  # the config
+    motors: tuple[str, ...] = ()  # ids of the motors to do; empty for all
+    # since, until: labels of the first and last night to do; None: no limit.
+    since: dt.date | None = None
+    until: dt.date | None = None
+    force: bool = False  # whether to make nights anew from their logs that nothing has changed of
+    retry: bool = False  # whether to try nights and logs again that failed
+    # The time of the run, by which logs lie in the future.
+    clock: dt.datetime = field(default_factory=now)
+
+    @property
+    def specs(self) -> tuple[MotorSpec, ...]:
+        """The motors that are asked for."""
+        return tuple(
+            spec for spec in self.fleet.motors if not self.motors or spec.motor_id in self.motors
+        )
+
+    def task(self, spec: MotorSpec, staging: Path, ledger: Ledger | None = None) -> MotorTask:
+        """The task of a motor."""
+        return MotorTask(
+            spec=spec,
+            output=self.fleet.output,
+            staging=staging,
+            ledger=ledger or Ledger(),
+            since=self.since,
+            until=self.until,
+            force=self.force,
+            retry=self.retry,
+            latest_us=latest_us(self.clock),
+        )
 
 
 class Work(Enum):
@@ -50,12 +88,10 @@ class MotorTask:
     until: dt.date | None = None
     force: bool = False  # whether to make nights anew from their logs that nothing has changed of
     retry: bool = False  # whether to try nights and logs again that failed
-    # Whether to look at a log before it is read, though it is the only new one: its worker died.
-    looks_first: bool = False
     # Losses of this run, each in a night that is not made, or at a log that is not opened.
     given_up: tuple[Loss, ...] = ()
-    # The motor's logs as they were looked at before in this run; None: not yet.
-    looked_at: SeenLogs | None = None
+    # The motor's logs where they are known to be as they were; None: they are to be looked at.
+    looked_at: Mapping[str, FileRecord] | None = None
     # Samples after this time are refused [µs since 1970]: a day after the run's clock.
     latest_us: int = field(default_factory=latest_us)
 
@@ -88,20 +124,18 @@ class MotorOutcome:
     message: str | None = None
     counts: Mapping[str, int] = field(default_factory=dict)  # nights by outcome
     nights: tuple[dt.date, ...] = ()  # labels of the nights whose rows are staged
-    # Those of them that are no nights, as only the name or time of an unreadable log told them:
-    # their rows go.
-    withdrawn: tuple[dt.date, ...] = ()
     inputs: tuple[str, ...] = ()  # hashes of the contents that were read, in the order of the files
     # Log files by what came of them: read, unchanged, growing, failed or left.
     files: Mapping[str, int] = field(default_factory=dict)
     # What there is to say of each file that is changed while it is read.
     growing: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # what is said of files of which rows were left out
     # Nights and logs that failed, in this run or in one before, and are as they were.
     n_standing: int = 0
     n_refitted: int = 0  # nights that were fitted anew from their stored statistics, without a log
-    reasons: Mapping[str, int] = field(default_factory=dict)  # nights by why they were made anew
     seconds: Mapping[str, float] = field(default_factory=dict)  # time by stage
     peak_memory_mib: float | None = None  # largest memory of the worker so far
+    change: LedgerChange = field(default_factory=LedgerChange)  # of the motor's ledger
 
     @property
     def finished(self) -> bool:
@@ -115,12 +149,44 @@ def lost(task: MotorTask, loss: Loss) -> MotorOutcome:
 
 
 def without_lost_part(task: MotorTask, loss: Loss) -> MotorTask | None:
-    """The task that gives up the log or night it was lost in; None: unknown, or too many.
-
-    Of a log that was read before any night was known, the night is found out first.
-    """
-    if loss.part == NEW_LOG and not loss.log:
-        return replace(task, looks_first=True)
+    """The task that gives up the log or night it was lost in; None: unknown, or too many."""
     if MOST_GIVEN_UP in (len(task.lost_nights), len(task.silent)) or not (loss.log or loss.part):
         return None
     return replace(task, given_up=(*task.given_up, loss))
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """Result of a run."""
+
+    run_id: str  # hash of the inputs' contents, the code's version and the config
+    outcomes: tuple[MotorOutcome, ...]  # one a motor, sorted by id
+    n_nights: int  # nights of motors that were written
+    # Whether the run was stopped before all motors were done; what was finished is published.
+    interrupted: bool
+    seconds: float  # wall-clock time
+    alarms: tuple[Mapping[str, Any], ...] = ()  # new rows of `alarms`
+    # Of these: `motors_s` until all tasks were done, `publish_s` and `trends_s`.
+    seconds_by_stage: Mapping[str, float] = field(default_factory=dict)
+    damage: tuple[TableFault, ...] = ()  # published files that were found damaged or gone
+    damage_left: tuple[TableFault, ...] = ()  # what of it could not be made anew
+
+    @property
+    def files(self) -> Counter[str]:
+        """Log files of all motors by what came of them: read, unchanged, growing, failed, left."""
+        return sum((Counter(outcome.files) for outcome in self.outcomes), Counter())
+
+    @property
+    def n_standing(self) -> int:
+        """Failures of nights and logs that stand, of this run or of one before."""
+        return sum(outcome.n_standing for outcome in self.outcomes)
+
+    @property
+    def is_good(self) -> bool:
+        """True where it went through all motors, and no failure stands."""
+        return not (self.interrupted or self.failed or self.n_standing)
+
+    @property
+    def failed(self) -> tuple[MotorOutcome, ...]:
+        """Motors with at least one failed night."""
+        return tuple(outcome for outcome in self.outcomes if outcome.status == FAILED)

@@ -9,30 +9,27 @@ from collections.abc import Sequence
 from pipeline.config import Fleet
 from pipeline.errors import StoreError
 from pipeline.run.metrics import metrics_text, write_metrics
-from pipeline.run.request import RunResult
+from pipeline.run.tasks import RunResult
 from pipeline.store.heartbeat import last_good_run
 from pipeline.store.state import State, open_state
 from pipeline.store.working_copy import working_copy
-from pipeline.telling.delivering import deliver
-from pipeline.telling.delivery import Receiver
 from pipeline.telling.mail import EMAIL
-from pipeline.telling.outbox import add_summary, backlogs, take_up, waiting
-from pipeline.trends.rows.latest_states import published_states
-from pipeline.trends.rows.motor_states import urgency
+from pipeline.telling.outbox import add_summary, backlogs, deliver, waiting
+from pipeline.telling.receivers import Receiver
+from pipeline.trends.rows.motor_states import published_states, urgency
 
 log = logging.getLogger(__name__)
 
 
-def queue_alarms(fleet: Fleet, state: State) -> None:
-    """Queue what was published; where that fails, the next run does it."""
+def queue_summary(fleet: Fleet, state: State) -> None:
+    """Queue the summary that is due; where that fails, the next run does it."""
     today = dt.datetime.now(fleet.settings.nights.zone).date()
     due = fleet.settings.alarms.email.summary_due(today)
     try:
-        take_up(state, fleet.name)
         if due is not None:
             add_summary(state, EMAIL, fleet.name, due, lambda: _states(fleet))
     except StoreError as error:
-        log.warning("alarms: %s; the next run tells of them", error)
+        log.warning("summary: %s; the next run tells it", error)
 
 
 def _states(fleet: Fleet) -> list[dict[str, str]]:

@@ -19,6 +19,8 @@ import polars as pl
 import pyarrow as pa
 
 SCHEMA_VERSION = 7
+NO_LONGER_FILLED = "No longer filled"
+"""How the meaning of a column begins that is null: what filled it is gone."""
 
 Type = pl.DataType | type[pl.DataType]
 TIMESTAMP = pl.Datetime("us", "UTC")
@@ -100,7 +102,6 @@ def _table(name: str, row: str) -> Table:
     """The table of a name, of which one row is `row`."""
     key, columns = [], []
     for _, column, in_key, kind, unit, meaning in _COLUMNS[name]:
-        meaning = meaning.replace("{quality_reasons}", ", ".join(QUALITY_REASONS))
         columns.append(Column(column, TYPES[kind], unit, meaning))
         key += [column] * bool(in_key)
     return Table(name, row, tuple(key), tuple(columns))
@@ -109,13 +110,10 @@ def _table(name: str, row: str) -> Table:
 FITS = _table("fits", "a motor, a night, a flushing mode")
 PARAMETERS = _table("parameters", "a fit, a parameter")
 SENSITIVITIES = _table("sensitivities", "a fit, an indicator, a source of systematic error")
-STARTS = _table("starts", "a fit, a start: no longer filled")
+STARTS = _table("starts", "a fit, a start")
 RESIDUAL_TESTS = _table("residual_tests", "a fit, a part, a test (and input), a lag")
 RESIDUAL_VERDICTS = _table("residual_verdicts", "a fit, a part, a test (and input)")
-PREDICTIONS = _table(
-    "predictions",
-    "a fit, a point in time (thinned for plots: extremes are kept, so means are not the night's)",
-)
+PREDICTIONS = _table("predictions", "a fit, a time, thinned for plots by its extremes")
 QUALITY = _table("quality", "a motor, a night, a channel, a reason")
 OPERATION = _table("operation", "a motor, a night with samples")
 BLOCK_STATISTICS = _table("block_statistics", "a motor, a block")
@@ -124,9 +122,7 @@ TRENDS = _table("trends", "a motor, a night, an indicator")
 WATCH = _table("watch", "a motor, a night")
 ALARMS = _table("alarms", "a change of state")
 BASELINES = _table("baselines", "a motor, a baseline as it was frozen in a night")
-CHANGE_POINTS = _table(
-    "change_points", "a motor, an indicator, a change as it was seen from a night: no longer filled"
-)
+CHANGE_POINTS = _table("change_points", "a motor, a night, an indicator, a change seen from it")
 LOOKS = _table("looks", "a change of state of the look within the day")
 DECISIONS = _table("decisions", "what people said of a motor")
 LATEST = _table("latest", "a motor, as of the last run")

@@ -6,27 +6,30 @@ import json
 import smtplib
 import ssl
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from email.message import EmailMessage
 from email.utils import formatdate
 from typing import Any
 
 from pipeline.config.receivers import mail_server
-from pipeline.config.watching import Email
+from pipeline.config.settings import Email
 from pipeline.errors import one_line
-from pipeline.messages import plain, statement
-from pipeline.telling.delivery import DEADLINE_S, Delivery, fault_words, filled, talk
+from pipeline.messages import as_sentence, plain
 from pipeline.telling.outbox import SUMMARY
+from pipeline.telling.receivers import DEADLINE_S, Delivery, fault_words, filled, talk
 
 # Name of the receiver in the outbox.
 EMAIL = "email"
 PORTS = {"starttls": 587, "tls": 465, "none": 25}
 # Characters of a subject at most; the rest stands in the text.
 LONGEST_SUBJECT = 150
-RISING = ("stale", "common_cause", "warning", "alarm", "look_now")
+LEAKAGE = "leakage"
+URGENCY = {"look_now": -5, "alarm": -4, "warning": -3, "common_cause": -2, "stale": -1}
 
 Row = Mapping[str, Any]
+# A motor, and lines on it.
+Paragraph = tuple[str, list[str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,51 +42,41 @@ class Mail:
 
     @property
     def label(self) -> str:
-        """Host and port of the server."""
-        return "alarms.email ({}:{})".format(*self._place())
+        """The server as the config states it."""
+        return f"alarms.email ({self.settings.server})"
 
     def take(self, delivery: Delivery) -> None:
         """Send it; refused if the server refuses one of the addresses."""
         message = message_of(delivery, self.settings)
         password = filled("email.password", self.settings.password)
-        talk(lambda: self._sent(message, password), _words, self.deadline_s)
+        talk(lambda: self._send(message, password), _words, self.deadline_s)
 
-    def _sent(self, message: EmailMessage, password: str) -> str:
-        """Send; returns a fault or an empty text."""
+    def _send(self, message: EmailMessage, password: str) -> None:
         with self._connected() as server:
+            if self.settings.security == "starttls":
+                server.starttls(context=ssl.create_default_context())
             if self.settings.user:
                 server.login(self.settings.user, password)
-            refused = server.send_message(message)
-        return f"refused for {', '.join(sorted(refused))}" if refused else ""
+            if refused := server.send_message(message):
+                raise smtplib.SMTPRecipientsRefused(refused)
 
     def _connected(self) -> smtplib.SMTP:
-        host, port = self._place()
-        context = ssl.create_default_context()
-        if self.settings.security == "tls":
-            return smtplib.SMTP_SSL(host, port, timeout=self.deadline_s, context=context)
-        server = smtplib.SMTP(host, port, timeout=self.deadline_s)
-        if self.settings.security == "starttls":
-            try:
-                server.starttls(context=context)
-            except BaseException:
-                server.close()
-                raise
-        return server
-
-    def _place(self) -> tuple[str, int]:
         place = mail_server(self.settings.server)
         assert place is not None, "the config has refused it"
-        host, port = place
-        return host, port or PORTS[self.settings.security]
+        host, port = place[0], place[1] or PORTS[self.settings.security]
+        # Longer than the deadline, which alone decides: smtplib words its own as a closed connection.
+        timeout = 2 * self.deadline_s
+        if self.settings.security == "tls":
+            context = ssl.create_default_context()
+            return smtplib.SMTP_SSL(host, port, timeout=timeout, context=context)
+        return smtplib.SMTP(host, port, timeout=timeout)
 
 
 def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
     """The message of a delivery; a repeated one has the same `Message-ID`."""
     document = json.loads(delivery.content)
-    if document["type"] == SUMMARY:
-        subject, lines = _summary(document["changes"])
-    else:
-        subject, lines = _changes(document["changes"])
+    said = _summary if document["type"] == SUMMARY else _changes
+    subject, paragraphs = said(document["changes"])
     message = EmailMessage()
     message["Subject"] = one_line(f"{document['fleet']}: {subject}", LONGEST_SUBJECT)
     message["From"] = settings.sender
@@ -91,26 +84,37 @@ def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
     message["Date"] = formatdate()
     message["Message-ID"] = f"<{delivery.id}@motor-leakage>"
     message["Auto-Submitted"] = "auto-generated"
-    message.set_content("\n".join(lines))
+    pages = f"{settings.report_url.rstrip('/')}/motors"
+    for motor, lines in paragraphs:
+        if settings.report_url:
+            lines.append(f"{pages}/{motor}.html")
+    message.set_content("\n\n".join("\n  ".join(lines) for _, lines in paragraphs))
     return message
 
 
-def _summary(motors: Sequence[Row]) -> tuple[str, list[str]]:
-    """Subject and lines on the states of all motors."""
+def _summary(motors: Sequence[Row]) -> tuple[str, list[Paragraph]]:
+    """Subject and paragraphs on the states of all motors."""
     counts = Counter(row["state"] for row in motors)
     subject = ", ".join(f"{n} {plain(state)}" for state, n in counts.items())
-    lines = []
+    paragraphs = []
     for row in motors:
-        said = statement(row["sentence"], row.get("advice", ""))
-        lines += [f"{row['motor_id']}, {plain(row['state'])}", f"  {said}", ""]
-    return f"week: {subject}", lines
+        said = [row["sentence"], row.get("advice", "")]
+        lines = [f"{row['motor_id']}: {plain(row['state'])}", *map(as_sentence, filter(None, said))]
+        paragraphs.append((row["motor_id"], lines))
+    return f"week: {subject}", paragraphs
 
 
-def _changes(changes: Sequence[Row]) -> tuple[str, list[str]]:
-    """Subject and lines on changes of state."""
-    of_motors = _by_motor(changes)
-    subject = "; ".join(f"{motor} {plain(rows[-1]['to_state'])}" for motor, rows in of_motors)
-    return subject, [line for one in of_motors for line in _paragraph(*one)]
+def _changes(changes: Sequence[Row]) -> tuple[str, list[Paragraph]]:
+    """Subject and paragraphs on changes of state, the motor that needs attention most first."""
+    courses: dict[str, list[Row]] = {}
+    for row in sorted(changes, key=_when):
+        # A row of `looks` has no indicator.
+        sensor = row.get("indicator", LEAKAGE).removeprefix(LEAKAGE)
+        courses.setdefault(plain(f"{row['motor_id']} {sensor}").strip(), []).append(row)
+    last = {name: rows[-1]["to_state"] for name, rows in courses.items()}
+    names = sorted(courses, key=lambda name: (URGENCY.get(last[name], 0), name))
+    subject = "; ".join(f"{name} {plain(last[name])}" for name in names)
+    return subject, [_paragraph(name, courses[name]) for name in names]
 
 
 def _when(row: Row) -> str:
@@ -118,25 +122,14 @@ def _when(row: Row) -> str:
     return str(row.get("night") or row["time"])
 
 
-def _by_motor(changes: Sequence[Row]) -> list[tuple[str, list[Row]]]:
-    """Rows of each motor by night, the motor that needs attention most first."""
-    of_motor: dict[str, list[Row]] = {}
-    for row in sorted(changes, key=lambda row: (_when(row), _urgency(row))):
-        of_motor.setdefault(row["motor_id"], []).append(row)
-    return sorted(of_motor.items(), key=lambda one: (-_urgency(one[1][-1]), one[0]))
-
-
-def _urgency(row: Row) -> int:
-    state = row["to_state"]
-    return RISING.index(state) if state in RISING else -1
-
-
-def _paragraph(motor: str, rows: Sequence[Row]) -> Iterator[str]:
-    yield motor
-    for row in rows:
-        before, after = plain(row["from_state"]), plain(row["to_state"])
-        yield f"  {_when(row)}, {before} to {after}: {row['reason']}"
-    yield ""
+def _paragraph(name: str, course: Sequence[Row]) -> Paragraph:
+    """The last state with its reason, which ends on what to do, and those before it."""
+    last = course[-1]
+    states = [f"{plain(row['to_state'])} since {_when(row)}" for row in reversed(course)]
+    before = ", ".join([*states[1:], plain(course[0]["from_state"])])
+    rules = f" (change of rules: {last['rules']})" if last.get("rules") else ""
+    sentences = as_sentence(last["reason"]).replace(". ", ".\n").splitlines()
+    return last["motor_id"], [f"{name}: {states[0]}{rules}; before that {before}", *sentences]
 
 
 def _words(error: Exception) -> str:

@@ -1,9 +1,11 @@
-"""The outbox: rows of `alarms` that wait for each receiver, and the keys of those queued so far.
+"""The outbox: changes of state that wait for each receiver, and their delivery.
 
-Rows come from the published table alone, and each is known by its key and its content: a run may be
-broken off anywhere, and a row that is made anew is delivered again only if it has changed. A failed
-delivery waits, unchanged, for the next run; of one that was taken only the keys of its rows stay.
-Rows of `looks` are a topic of their own: a look never waits for a run.
+Rows come from the published tables alone, and each is known by its key and its content: a run may
+be broken off anywhere, and a row that is made anew is delivered again only if it has changed. A
+failed delivery waits, unchanged, for the next run; of one that was taken only the keys of its rows
+stay. Rows of `looks` are a topic of their own: a look never waits for a run.
+
+All raise StoreError if the state file cannot be read or written.
 """
 
 from __future__ import annotations
@@ -12,27 +14,38 @@ import datetime as dt
 import hashlib
 import json
 import logging
-import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline.clock import now
 from pipeline.errors import StoreError
 from pipeline.messages import counted
 from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
 from pipeline.store.state import State, read_state_file
 from pipeline.store.tables import read_table
-from pipeline.telling.delivery import Receiver
+from pipeline.telling.receivers import Delivery, Receiver, UndeliveredError
 
 log = logging.getLogger(__name__)
 
 # Rows of one delivery at most.
 MOST_CHANGES = 500
+# Waits before a delivery is tried again in the same run [s].
+PAUSES_S = (1.0, 4.0)
+# After so many failed deliveries the rest waits for the next run.
+MOST_FAILURES = 2
 # Kind of a delivery with the state of every motor.
 SUMMARY = "summary"
+OF_RECEIVER = "WHERE topic = ? AND receiver = ?"
+NOT_TAKEN_UP = (
+    "SELECT files.name, files.sha256 FROM files LEFT JOIN taken_up"
+    " ON files.name = taken_up.name AND topic = ? WHERE files.name LIKE ?"
+    " AND files.sha256 NOT IN ('', coalesce(taken_up.sha256, '')) ORDER BY files.name"
+)
 
-Change = dict[str, Any]
+Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,29 +54,28 @@ class Told:
 
     table: Table
     said: tuple[str, ...]  # columns with a row's content; others are its key or follow from it
-    states: frozenset[str] = frozenset()  # states into or out of which a row is told; empty: all
-
-    @property
-    def topic(self) -> str:
-        """Name of the topic."""
-        return self.table.name
-
-    def tells(self, row: Mapping[str, Any]) -> bool:
-        """True for a row that is told."""
-        return not self.states or not self.states.isdisjoint((row["from_state"], row["to_state"]))
+    tells: Callable[[Row], bool]  # true for a row that is told
 
 
-TOLD_ALARMS = Told(ALARMS, ALARM_CONTENT)
-TOLD_LOOKS = Told(LOOKS, ("from_state", "to_state", "reason", "verdict"), frozenset({"look_now"}))
+def _tells_alarm(row: Row) -> bool:
+    """False for a baseline that begins or is taken, unless that ends what was told before."""
+    return row["way"] != "baseline" or row["from_state"] not in ("insufficient", "ok")
+
+
+TOLD_ALARMS = Told(ALARMS, ALARM_CONTENT, _tells_alarm)
+TOLD_LOOKS = Told(
+    LOOKS,
+    ("from_state", "to_state", "reason", "verdict"),
+    lambda row: "look_now" in (row["from_state"], row["to_state"]),
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Waiting:
-    """A delivery that waits: its id, since when (UTC), its rows, and its kind if not changes."""
+    """A delivery that waits: its id, its rows, and its kind if not changes."""
 
     id: str
-    since: dt.datetime
-    changes: Sequence[Change]
+    changes: Sequence[Row]
     kind: str = ""
 
 
@@ -92,211 +104,172 @@ def open_outbox(state: State, names: Sequence[str], fleet: str, told: Told = TOL
 
     Rows that the run before has published and not taken up go to the receivers of that time. A new
     receiver gets none of them; the queue of one that the config names no more is dropped.
-
-    Raises StoreError if the outbox cannot be read or written.
     """
-    before = _receivers(state, told)
-    if not names and not before:
-        return
     with state.transaction():
-        _take_up(state, before, fleet, told)
-        for name in sorted(set(before) - set(names)):
+        take_up(state, fleet, told)
+        before = _receivers(state, told)
+        for name in before - set(names):
             if n := sum(len(one.changes) for one in waiting(state, name, told)):
                 words = "alarms: there is no %s any more; not delivered: %s"
                 log.warning(words, name, counted(n, "change"))
-            where = "WHERE topic = ? AND receiver = ?"
-            state.write(f"DELETE FROM queues {where}", told.topic, name)
-        ((n,),) = state.rows("SELECT count(*) FROM queued WHERE topic = ?", told.topic)
-        for name in sorted(set(names) - set(before)):
-            if n:
-                log.warning(
-                    "alarms: the %s is told from now on; the %d rows of `%s` so far are not sent",
-                    name,
-                    n,
-                    told.topic,
-                )
+            state.write(f"DELETE FROM queues {OF_RECEIVER}", told.table.name, name)
+        for name in set(names) - before:
             state.write(
                 "INSERT INTO queues (topic, receiver, told_since) VALUES (?, ?, ?)",
-                told.topic,
-                name,
-                dt.datetime.now(dt.UTC).isoformat(),
+                *(told.table.name, name, now().isoformat()),
             )
 
 
 def take_up(state: State, fleet: str, told: Told = TOLD_ALARMS) -> None:
-    """Put new rows into all queues.
+    """Put the new rows of the files that were published since into all queues."""
+    with state.transaction():
+        changes: list[Row] = []
+        for name, sha256 in state.rows(NOT_TAKEN_UP, told.table.name, f"{told.table.name}/%"):
+            try:
+                rows = read_table(state.output / "tables" / name, told.table)
+            except StoreError as error:
+                log.warning("alarms: %s; its rows wait until it is whole", error)
+                continue
+            # JSON has no NaN.
+            changes += _new_among(state, rows.fill_nan(None).to_dicts(), told)
+            done = "INSERT OR REPLACE INTO taken_up VALUES (?, ?, ?)"
+            state.write(done, told.table.name, name, sha256)
+        for receiver in _receivers(state, told):
+            for first in range(0, len(changes), MOST_CHANGES):
+                some = changes[first : first + MOST_CHANGES]
+                key = _digest([fleet, receiver, *(one["id"] for one in some)])
+                _queue(state, receiver, told, Waiting(f"msg_{key}", some))
 
-    Raises StoreError if the outbox cannot be read or written.
-    """
-    receivers = _receivers(state, told)
-    if receivers:
-        with state.transaction():
-            _take_up(state, receivers, fleet, told)
 
-
-def _receivers(state: State, told: Told) -> list[str]:
-    rows = state.rows("SELECT receiver FROM queues WHERE topic = ? ORDER BY receiver", told.topic)
-    return [name for (name,) in rows]
+def add_summary(
+    state: State, name: str, fleet: str, due: dt.date, rows: Callable[[], Iterable[Row]]
+) -> None:
+    """Queue a summary for a receiver, once for each date that it is due on."""
+    mine = ALARMS.name, name
+    last = state.rows(f"SELECT summarised FROM queues {OF_RECEIVER}", *mine)
+    if not last or last[0][0] >= due.isoformat():
+        return
+    key = _digest([fleet, name, SUMMARY, due.isoformat()])
+    summary = Waiting(f"msg_{key}", list(rows()), SUMMARY)
+    with state.transaction():
+        _queue(state, name, TOLD_ALARMS, summary)
+        state.write(f"UPDATE queues SET summarised = ? {OF_RECEIVER}", due.isoformat(), *mine)
 
 
 def waiting(state: State, name: str, told: Told = TOLD_ALARMS) -> list[Waiting]:
-    """Deliveries that a receiver has not taken, in order.
+    """Deliveries that a receiver has not taken, in order."""
+    query = f"SELECT id, changes, kind FROM outbox {OF_RECEIVER} ORDER BY place"
+    rows = state.rows(query, told.table.name, name)
+    return [Waiting(key, json.loads(changes), kind) for key, changes, kind in rows]
 
-    Raises StoreError if the outbox cannot be read.
+
+def deliver(
+    state: State, receivers: Sequence[Receiver], fleet: str, told: Told = TOLD_ALARMS
+) -> tuple[str, ...]:
+    """Deliver what waits in the outbox, where each delivery is noted at once; faults, as text.
+
+    A dead receiver costs a run little, and a delivery that one never takes does not hold up others.
+    After a StoreError deliveries may be repeated.
     """
-    rows = state.rows(
-        "SELECT id, since, changes, kind FROM outbox WHERE topic = ? AND receiver = ?"
-        " ORDER BY place",
-        told.topic,
-        name,
+    faults = []
+    for receiver in receivers:
+        fault, failures = "", 0
+        for one in waiting(state, receiver.name, told):
+            try:
+                _hand_over(receiver, one, fleet, told, () if failures else PAUSES_S)
+            except UndeliveredError as error:
+                fault, failures = error.why, failures + 1
+                _note(state, receiver.name, one, fault, told)
+                if error.hung or failures == MOST_FAILURES:
+                    break
+            else:
+                _note(state, receiver.name, one, "", told)
+        if fault:
+            faults.append(f"{receiver.label}: {fault}; the next run tries again")
+    return tuple(faults)
+
+
+def backlogs(output: Path, receivers: Sequence[Receiver]) -> tuple[Backlog, ...]:
+    """Undelivered rows of each receiver."""
+    if not receivers:
+        return ()
+    query = (
+        "SELECT told_since, fault, coalesce(sum(json_array_length(changes)), 0), min(since)"
+        f" FROM queues LEFT JOIN outbox USING (topic, receiver) {OF_RECEIVER} GROUP BY receiver"
     )
-    return [
-        Waiting(key, dt.datetime.fromisoformat(since), json.loads(changes), kind)
-        for key, since, changes, kind in rows
-    ]
+    moment = dt.datetime.fromisoformat
+    with read_state_file(output) as state:
+        return tuple(
+            Backlog(one.label, moment(told_since), n, since and moment(since), fault or None)
+            for one in receivers
+            for told_since, fault, n, since in state.rows(query, ALARMS.name, one.name)
+        )
+
+
+def _receivers(state: State, told: Told) -> set[str]:
+    rows = state.rows("SELECT receiver FROM queues WHERE topic = ?", told.table.name)
+    return {name for (name,) in rows}
 
 
 def _queue(state: State, name: str, told: Told, one: Waiting) -> None:
     state.write(
         "INSERT INTO outbox (topic, receiver, id, since, kind, changes) VALUES (?, ?, ?, ?, ?, ?)",
-        *(told.topic, name, one.id, one.since.isoformat(), one.kind, json.dumps(one.changes)),
+        *(
+            told.table.name,
+            name,
+            one.id,
+            now().isoformat(),
+            one.kind,
+            json.dumps(one.changes, default=str),
+        ),
     )
 
 
-def was_taken(state: State, name: str, one: Waiting, told: Told = TOLD_ALARMS) -> None:
-    """A receiver has taken a delivery: its rows are known by their keys alone."""
-    with state.transaction():
-        where, values = "WHERE topic = ? AND receiver = ?", (told.topic, name)
-        state.write(f"DELETE FROM outbox {where} AND id = ?", *values, one.id)
-        if not state.rows(f"SELECT 1 FROM outbox {where} LIMIT 1", *values):
-            state.write(f"UPDATE queues SET fault = '' {where}", *values)
-
-
-def was_refused(
-    state: State, name: str, one: Waiting, fault: str, told: Told = TOLD_ALARMS
+def _hand_over(
+    receiver: Receiver, one: Waiting, fleet: str, told: Told, pauses: Sequence[float]
 ) -> None:
-    """A receiver has not taken a delivery, which goes to the end of its queue."""
-    with state.transaction():
-        where, values = "WHERE topic = ? AND receiver = ?", (told.topic, name)
-        last = "(SELECT max(place) + 1 FROM outbox)"
-        state.write(f"UPDATE outbox SET place = {last} {where} AND id = ?", *values, one.id)
-        state.write(f"UPDATE queues SET fault = ? {where}", fault, *values)
-
-
-def add_summary(
-    state: State, name: str, fleet: str, due: dt.date, rows: Callable[[], Iterable[Change]]
-) -> None:
-    """Queue a summary for a receiver, once for each date that it is due on.
-
-    Raises StoreError if the outbox, or what the rows are made from, cannot be read or written.
-    """
-    where, values = "WHERE topic = ? AND receiver = ?", (TOLD_ALARMS.topic, name)
-    last = state.rows(f"SELECT summarised FROM queues {where}", *values)
-    if not last or last[0][0] >= due.isoformat():
-        return
-    key = f"msg_{_digest([fleet, name, SUMMARY, due.isoformat()])}"
-    summary = Waiting(key, dt.datetime.now(dt.UTC), list(rows()), SUMMARY)
-    with state.transaction():
-        _queue(state, name, TOLD_ALARMS, summary)
-        state.write(f"UPDATE queues SET summarised = ? {where}", due.isoformat(), *values)
-
-
-def _take_up(state: State, receivers: Sequence[str], fleet: str, told: Told) -> None:
-    """Queue the new rows of the files that were published since, in a transaction."""
-    taken = dict(state.rows("SELECT name, sha256 FROM taken_up WHERE topic = ?", told.topic))
-    changes: list[Change] = []
-    for name, sha256 in state.rows(
-        "SELECT name, sha256 FROM files WHERE name LIKE ? AND sha256 != '' ORDER BY name",
-        f"{told.table.name}/%",
-    ):
-        if taken.get(name) == sha256:
-            continue
+    """Have a receiver take a delivery, and try again after each pause; raises UndeliveredError."""
+    kind = one.kind or told.table.name
+    document = {"id": one.id, "type": kind, "fleet": fleet, "changes": one.changes}
+    delivery = Delivery(one.id, json.dumps(document, sort_keys=True).encode())
+    for seconds in pauses:
         try:
-            rows = read_table(state.output / "tables" / name, told.table).to_dicts()
-        except StoreError as error:
-            log.warning("alarms: %s; its rows wait until it is whole", error)
-            continue
-        changes += _new_among(state, filter(told.tells, rows), told)
-        state.write("INSERT OR REPLACE INTO taken_up VALUES (?, ?, ?)", told.topic, name, sha256)
-    now = dt.datetime.now(dt.UTC)
-    for name in receivers:
-        for one in _deliveries(fleet, name, now, changes):
-            _queue(state, name, told, one)
+            return receiver.take(delivery)
+        except UndeliveredError as error:
+            if error.hung:
+                raise
+        time.sleep(seconds)
+    return receiver.take(delivery)
 
 
-def _new_among(state: State, rows: Iterable[Mapping[str, Any]], told: Told) -> Iterator[Change]:
+def _note(state: State, name: str, one: Waiting, fault: str, told: Told) -> None:
+    """A receiver has taken a delivery, or not: then it goes to the end of its queue."""
+    mine = told.table.name, name
+    last = "UPDATE outbox SET place = (SELECT max(place) + 1 FROM outbox)"
+    change = last if fault else "DELETE FROM outbox"
+    with state.transaction():
+        state.write(f"{change} {OF_RECEIVER} AND id = ?", *mine, one.id)
+        state.write(f"UPDATE queues SET fault = ? {OF_RECEIVER}", fault, *mine)
+
+
+def _new_among(state: State, rows: Iterable[Row], told: Told) -> Iterator[Row]:
     """Rows that say something that was not queued before; from now on they are known."""
-    for row in rows:
+    for row in filter(told.tells, rows):
         key = _digest([str(row[name]) for name in told.table.key])
         said = _digest([row[name] for name in told.said])
         where = "WHERE topic = ? AND key = ?"
-        known = state.rows(f"SELECT said, times FROM queued {where}", told.topic, key)
+        known = state.rows(f"SELECT said, times FROM queued {where}", told.table.name, key)
         if known and known[0][0] == said:
             continue
         # Counted: a row that changes back is delivered again.
         times = known[0][1] + 1 if known else 0
         state.write(
-            "INSERT OR REPLACE INTO queued VALUES (?, ?, ?, ?)", told.topic, key, said, times
+            "INSERT OR REPLACE INTO queued VALUES (?, ?, ?, ?)", told.table.name, key, said, times
         )
         if not row.get("is_silent"):
             what = "rules" if row.get("rules") else "changed" if known else "new"
-            yield {"id": f"{key}-{said}-{times}", "change": what, **_plain(row)}
+            yield {"id": f"{key}-{said}-{times}", "change": what, **row}
 
 
 def _digest(parts: object) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
-
-
-def _plain(row: Mapping[str, Any]) -> Change:
-    """A row with values of JSON."""
-    return {
-        name: value if value is None or isinstance(value, int | str) else _plain_value(value)
-        for name, value in row.items()
-    }
-
-
-def _plain_value(value: object) -> float | str | None:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return str(value)
-
-
-def _deliveries(
-    fleet: str, name: str, since: dt.datetime, changes: Sequence[Change]
-) -> Iterator[Waiting]:
-    by_rules = [one for one in changes if one["change"] == "rules"]
-    others = [one for one in changes if one["change"] != "rules"]
-    for kind in (by_rules, others):
-        for first in range(0, len(kind), MOST_CHANGES):
-            some = tuple(kind[first : first + MOST_CHANGES])
-            parts = [fleet, name, *(one["id"] for one in some)]
-            yield Waiting(f"msg_{_digest(parts)}", since, some)
-
-
-def backlogs(output: Path, receivers: Sequence[Receiver]) -> tuple[Backlog, ...]:
-    """Undelivered rows of each receiver.
-
-    Raises StoreError if the outbox cannot be read.
-    """
-    if not receivers:
-        return ()
-    found = []
-    with read_state_file(output) as state:
-        rows = state.rows(
-            "SELECT receiver, told_since, fault FROM queues WHERE topic = ?", TOLD_ALARMS.topic
-        )
-        queues = {name: more for name, *more in rows}
-        for receiver in receivers:
-            if receiver.name in queues:
-                told_since, fault = queues[receiver.name]
-                left = waiting(state, receiver.name)
-                found.append(
-                    Backlog(
-                        receiver.label,
-                        dt.datetime.fromisoformat(told_since),
-                        sum(len(one.changes) for one in left),
-                        min((one.since for one in left), default=None),
-                        fault or None,
-                    )
-                )
-    return tuple(found)

@@ -1,17 +1,66 @@
-"""The receivers that a config names."""
+"""Receivers of deliveries: what all of them share, and a command of the user's own."""
 
 from __future__ import annotations
 
+import os
+import re
+import signal
+import ssl
+import subprocess
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from tempfile import TemporaryFile
+from typing import BinaryIO, Protocol
+
 from pipeline.config import Alarms
-from pipeline.telling.delivery import Receiver
+from pipeline.config.receivers import HEADER_VALUE, VARIABLE
+from pipeline.errors import one_line
+
+# Longest time for one delivery to one receiver [s].
+DEADLINE_S = 30.0
+# Bytes at the end of a command's stderr that are quoted.
+LAST_BYTES = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """Content of one delivery to a receiver."""
+
+    id: str  # the same at each try
+    content: bytes  # JSON
+
+
+class UndeliveredError(Exception):
+    """A receiver has not taken a delivery: why, without secrets, and if the deadline passed."""
+
+    def __init__(self, why: str, *, hung: bool = False) -> None:
+        super().__init__(why)
+        self.why = why
+        self.hung = hung
+
+
+class Receiver(Protocol):
+    """A receiver: its name in the outbox, which stays, and a label for people without secrets."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def label(self) -> str: ...
+
+    def take(self, delivery: Delivery) -> None:
+        """Take a delivery, within a deadline.
+
+        Raises UndeliveredError if it was not taken, or that is not known.
+        """
 
 
 def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
     """All that `[alarms]` names; none by default."""
     found: list[Receiver] = []
     if settings.command:
-        from pipeline.telling.command import Command
-
         found.append(Command(settings.command))
     if settings.webhook_url:
         from pipeline.telling.web_hook import WebHook
@@ -24,3 +73,102 @@ def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
 
         found.append(Mail(settings.email))
     return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A program that gets each delivery on its standard input, and takes it with exit code 0."""
+
+    # The program and its arguments; no shell, and nothing of a log is among them.
+    arguments: tuple[str, ...]
+    deadline_s: float = DEADLINE_S
+    name: str = "command"
+    label: str = "alarms.command"
+
+    def take(self, delivery: Delivery) -> None:
+        """Run the program; processes that it started are not waited for."""
+        try:
+            # Files, not pipes: a child that holds a pipe open would hold up the run.
+            with TemporaryFile() as stdin, TemporaryFile() as stderr:
+                stdin.write(delivery.content)
+                stdin.seek(0)
+                code = self._run(stdin, stderr)
+                stderr.seek(max(0, stderr.seek(0, os.SEEK_END) - LAST_BYTES))
+                words = one_line(stderr.read().decode("utf-8", "replace").strip())
+        except (OSError, ValueError) as error:
+            raise UndeliveredError(one_line(str(error))) from error
+        if code:
+            raise UndeliveredError(f"ended with {code}{': ' if words else ''}{words}")
+
+    def _run(self, stdin: BinaryIO, stderr: BinaryIO) -> int:
+        with subprocess.Popen(  # noqa: S603 - the config names the program
+            self.arguments,
+            stdin=stdin,
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            start_new_session=True,
+        ) as process:
+            try:
+                return process.wait(self.deadline_s)
+            except BaseException as error:
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                if isinstance(error, subprocess.TimeoutExpired):
+                    why = f"did not end within {self.deadline_s:g} s and was killed"
+                    raise UndeliveredError(why, hung=True) from None
+                raise
+
+
+def talk(
+    to_server: Callable[[], None], words: Callable[[Exception], str], deadline_s: float
+) -> None:
+    """Talk to a server within a deadline; what that raises is told in the words given.
+
+    A thread does that and is abandoned at the deadline: neither the look-up of a name nor an
+    answer that comes byte by byte has a time limit of its own.
+
+    Raises UndeliveredError with those words, or at the deadline.
+    """
+    answers: list[str] = []
+
+    def ask() -> None:
+        try:
+            to_server()
+            answers.append("")
+        except Exception as error:  # the edge of the thread
+            answers.append(words(error))
+
+    thread = threading.Thread(target=ask, daemon=True)
+    thread.start()
+    thread.join(deadline_s)
+    if not answers:
+        raise UndeliveredError(f"no answer within {deadline_s:g} s", hung=True)
+    if answers[0]:
+        raise UndeliveredError(one_line(answers[0]))
+
+
+def fault_words(reason: object) -> str:
+    """A fault of a connection in words that quote nothing, as addresses may hold secrets."""
+    if isinstance(reason, ssl.SSLCertVerificationError):
+        return f"its certificate: {reason.verify_message}"
+    if isinstance(reason, OSError) and reason.strerror:
+        return reason.strerror
+    return type(reason).__name__
+
+
+def filled(setting: str, text: str) -> str:
+    """A value of `[alarms]` with its environment variables.
+
+    Raises UndeliveredError if one is not set, or holds characters that no header may; its content
+    is not quoted.
+    """
+
+    def content(match: re.Match[str]) -> str:
+        name = match[1]
+        found = os.environ.get(name, "")
+        if not HEADER_VALUE.fullmatch(found):
+            what = "holds characters that no header may have" if found else "is not set"
+            raise UndeliveredError(f"environment variable {name} of alarms.{setting} {what}")
+        return found
+
+    return VARIABLE.sub(content, text)

@@ -13,14 +13,12 @@ import http.client
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from email.message import Message
-from http import HTTPStatus
-from typing import IO
+from functools import partial
 from urllib.error import HTTPError, URLError
 from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
-from pipeline.telling.delivery import (
+from pipeline.telling.receivers import (
     DEADLINE_S,
     Delivery,
     UndeliveredError,
@@ -30,9 +28,6 @@ from pipeline.telling.delivery import (
 )
 
 SECRET_PREFIX = "whsec_"  # noqa: S105 - how the specification marks one
-DEFAULT_PORTS = {"http": 80, "https": 443}
-# Those that keep method and body.
-FOLLOWED = (HTTPStatus.TEMPORARY_REDIRECT, HTTPStatus.PERMANENT_REDIRECT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,29 +43,26 @@ class WebHook:
 
     @property
     def label(self) -> str:
-        """Scheme, host and port: a path or query may hold a token."""
-        scheme, host, port = _place(self.url)
-        shown = f"[{host}]" if ":" in host else host
-        return f"alarms.webhook_url ({scheme}://{shown}:{port})"
+        """Scheme and host: a path or query may hold a token."""
+        parts = urlsplit(self.url)
+        return f"alarms.webhook_url ({parts.scheme}://{parts.netloc})"
 
     def take(self, delivery: Delivery) -> None:
         """Post it."""
+        now = int(time.time())
         headers = {
             "User-Agent": "motor-leakage",
             **{name: filled("webhook_headers", text) for name, text in self.headers.items()},
             "Content-Type": "application/json",
-            **self._of_standard(delivery, int(time.time())),
+            "webhook-id": delivery.id,
+            "webhook-timestamp": str(now),
         }
-        request = Request(self.url, delivery.content, headers, method="POST")  # noqa: S310
-        talk(lambda: _post(request, 2 * self.deadline_s), _words, self.deadline_s)
-
-    def _of_standard(self, delivery: Delivery, now: int) -> dict[str, str]:
-        """The headers of the specification."""
-        headers = {"webhook-id": delivery.id, "webhook-timestamp": str(now)}
         if self.secret:
             key = signing_key(filled("webhook_secret", self.secret))
             headers["webhook-signature"] = signature(key, delivery.id, now, delivery.content)
-        return headers
+        request = Request(self.url, delivery.content, headers, method="POST")  # noqa: S310
+        post = partial(build_opener(_Nowhere).open, request, timeout=2 * self.deadline_s)
+        talk(lambda: post().close(), _words, self.deadline_s)
 
 
 def signature(key: bytes, delivery_id: str, timestamp: int, content: bytes) -> str:
@@ -89,10 +81,7 @@ def signature(key: bytes, delivery_id: str, timestamp: int, content: bytes) -> s
 
 
 def signing_key(secret: str) -> bytes:
-    """The key in a secret.
-
-    Raises UndeliveredError if it is no Base64.
-    """
+    """The key in a secret; raises UndeliveredError if it is no Base64."""
     text = secret.removeprefix(SECRET_PREFIX)
     try:
         key = base64.b64decode(text + "=" * (-len(text) % 4), validate=True)
@@ -103,48 +92,19 @@ def signing_key(secret: str) -> bytes:
     return key
 
 
-class _SamePlace(HTTPRedirectHandler):
-    """Follows a redirect that keeps method and body and leads to the same scheme, host and port."""
+class _Nowhere(HTTPRedirectHandler):
+    """Follows no redirect: nobody but the address in the config gets headers and alarms."""
 
-    def redirect_request(
-        self,
-        req: Request,
-        fp: IO[bytes],
-        code: int,
-        msg: str,  # noqa: ARG002
-        headers: Message,  # noqa: ARG002
-        newurl: str,
-    ) -> Request | None:
-        """The request again, for the new address; None: the redirect is an answer like others."""
-        if code not in FOLLOWED or _place(newurl) != _place(req.full_url):
-            return None
-        fp.close()  # or else all that comes with it is read
-        return Request(newurl, req.data, req.headers, method="POST")  # noqa: S310
-
-
-def _place(url: str) -> tuple[str, str, int | None]:
-    """Scheme, host and port."""
-    parts = urlsplit(url)
-    return parts.scheme, parts.hostname or "", parts.port or DEFAULT_PORTS.get(parts.scheme)
-
-
-def _post(request: Request, timeout_s: float) -> str:
-    with build_opener(_SamePlace).open(request, timeout=timeout_s):
-        return ""
-
-
-def _status_words(code: int) -> str:
-    known = code in {status.value for status in HTTPStatus}
-    words = f"HTTP {code} {HTTPStatus(code).phrase}" if known else f"HTTP {code}"
-    if code // 100 == 3:
-        words += "; only 307 and 308 are followed, within scheme, host and port"
-    return words
+    def redirect_request(self, *_: object) -> None:
+        """None: a redirect is an answer like others."""
 
 
 def _words(error: Exception) -> str:
     if isinstance(error, HTTPError):
         error.close()
-        return _status_words(error.code)
+        phrase = http.client.responses.get(error.code, "")
+        followed = "; redirects are not followed" if error.code // 100 == 3 else ""
+        return f"HTTP {error.code} {phrase}".rstrip() + followed
     reason = error.reason if isinstance(error, URLError) else error
     if isinstance(reason, http.client.HTTPException):
         return f"the answer is no HTTP ({type(reason).__name__})"

@@ -49,6 +49,7 @@ CAUSES = {
     "back_as_before": "back as before",
     "odd_nights": "single odd nights",
     "tank": "the oil circuit",
+    "a_part": "a part of the motor",
 }
 FALL = "Check oil, sensors and flushing, or enter the overhaul that was made: a fall is no wear."
 ADVICE = {
@@ -137,14 +138,8 @@ def _date_ahead(night: dt.date, days: float) -> str:
 def sentence(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[str]) -> str:
     """What is told of a motor in a night: what, how much, since when, and what else it could be.
 
-    Parameters
-    ----------
-    night
-        The night.
-    quiet_since
-        Since when no change has been told; None without a baseline.
-    drifts
-        Zeros of sensors that have moved, in words.
+    `quiet_since`: since when no change has been told, None without a baseline; `drifts`: zeros of
+    sensors that have moved, in words.
     """
     parts = [_limit_words(night)] if night.way == "limit" else []
     if night.state == "stale":
@@ -197,10 +192,12 @@ def _what_would_tell(change: Change) -> str:
     left = change.candidates.keys()
     steps = []
     if left & OF_OIL_AND_SENSORS:
-        steps.append("an oil sample, the meter's zero at a halt and a second thermometer")
+        steps += ["an oil sample", "the meter's zero at a halt", "a second thermometer"]
     if not left <= OF_OIL_AND_SENSORS:
         steps.append("nights at other pressures and speeds")
-    return as_sentence(f"{' and '.join(steps)} would tell")
+    *first, last = steps
+    both = f"{', '.join(first)} and {last}" if first else last
+    return as_sentence(f"{both} would tell")
 
 
 def _limit_words(night: JudgedNight) -> str:
@@ -222,7 +219,7 @@ def _stale(night: JudgedNight) -> str:
 def _insufficient(night: JudgedNight) -> str:
     watched = night.watched
     begin = "" if watched.era.reason == "first nights" else f" since {watched.era.reason}"
-    none = f"; tonight none: {night.why_no_blocks}" if night.why_no_blocks else ""
+    none = f"; {day(watched.night)} is none: {night.why_no_blocks}" if night.why_no_blocks else ""
     return f"{watched.n_waiting} of {night.needed} nights of a baseline{begin}{none}"
 
 
@@ -275,8 +272,8 @@ def _others(change: Change) -> str:
 def _tonight(night: JudgedNight) -> str:
     verdict = night.watched.verdict
     assert verdict is not None
-    when = "tonight" if night.watched.n_blocks else "in its last night with blocks"
-    return f"case drain flow {relative_change(verdict.tonight)} {when}"
+    newest = night.watched.night - dt.timedelta(days=night.watched.silent)
+    return f"case drain flow {relative_change(verdict.tonight)} on {day(newest)}"
 
 
 def relative_change(size: Estimate) -> str:

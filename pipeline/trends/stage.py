@@ -9,19 +9,16 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
-from leakage.watch import Watch
 from pipeline.errors import StoreError
 from pipeline.schema import ALARMS, WATCH, Table
 from pipeline.store.atomic_files import scratch, store_errors
 from pipeline.store.night_files import stage
 from pipeline.store.tables import nights_back, read_rows
-from pipeline.trends.circuits import Circuit
 from pipeline.trends.nights.from_tables import MotorNights, Wanted, read_nights
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.kept import decoded, key_of
@@ -29,7 +26,7 @@ from pipeline.trends.nights.trend_record import Record
 from pipeline.trends.rows.alarm_rows import new_alarms, rules_now
 from pipeline.trends.rows.made_trends import MadeTrends
 from pipeline.trends.states.course import Course
-from pipeline.trends.tasks import Row, TrendOutcome, TrendTask, kept_file
+from pipeline.trends.tasks import Circuit, Row, TrendOutcome, TrendTask, kept_file
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -40,7 +37,7 @@ Made = TypeVar("Made")
 def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
     with one_thread():
-        done = _Done(dict(task.given_up))
+        done = TrendOutcome(failures=dict(task.given_up))
         try:
             nights = read_nights(task.output, [_wanted(task, one) for one in task.circuits])
         except StoreError as error:
@@ -49,12 +46,12 @@ def run_trends(task: TrendTask) -> TrendOutcome:
         for circuit in task.circuits:
             own = {name: nights[name] for name in sorted(circuit.records) if name in nights}
             _run_circuit(task, circuit, own, done)
-        return TrendOutcome(done.nights, done.failures, done.records, tuple(done.alarms))
+        return done
 
 
 def _wanted(task: TrendTask, circuit: Circuit) -> list[Wanted]:
     """What is needed of the motors of a circuit."""
-    first = circuit.first_nights(task.changed_from, task.tonight)
+    spans = circuit.spans(task.changed_from, task.tonight)
     found = []
     for spec in circuit.specs:
         motor_id, record = spec.motor_id, circuit.records[spec.motor_id]
@@ -63,36 +60,24 @@ def _wanted(task: TrendTask, circuit: Circuit) -> list[Wanted]:
             kept = decoded(task.kept.get(motor_id))
             if kept and (kept.key, kept.last_night) != (key_of(spec, said), record.last_night):
                 kept = None
-        until = circuit.last_night(motor_id, task.changed_from, task.tonight)
-        night = first.get(motor_id)
-        is_due = night is not None and night <= until
-        found.append(Wanted(spec, said, kept, night if is_due else None, until))
+        found.append(Wanted(spec, said, kept, *spans[motor_id]))
     return found
 
 
-@dataclass(slots=True)
-class _Done:
-    """Results of a task so far."""
-
-    failures: dict[str, Loss]
-    nights: dict[str, int] = field(default_factory=dict)
-    records: dict[str, Record] = field(default_factory=dict)
-    alarms: list[Row] = field(default_factory=list)
-
-    def guarded(self, motor_id: str, make: Callable[[], Made]) -> Made | None:
-        """Do something of a motor that has not failed: it must not take others down."""
-        if motor_id in self.failures:
-            return None
-        sign_of_life(motor_id)
-        try:
-            return make()
-        except Exception as error:  # the edge of a motor's trends
-            if not isinstance(error, StoreError):
-                log.exception("trends of motor %s failed", motor_id)
-            self.failures[motor_id] = _failure(error)
-        finally:
-            sign_of_life("")
+def _guarded(done: TrendOutcome, motor_id: str, make: Callable[[], Made]) -> Made | None:
+    """Do something of a motor that has not failed: it must not take others down."""
+    if motor_id in done.failures:
         return None
+    sign_of_life(motor_id)
+    try:
+        return make()
+    except Exception as error:  # the edge of a motor's trends
+        if not isinstance(error, StoreError):
+            log.exception("trends of motor %s failed", motor_id)
+        done.failures[motor_id] = _failure(error)
+    finally:
+        sign_of_life("")
+    return None
 
 
 def _failure(error: Exception) -> Loss:
@@ -102,54 +87,44 @@ def _failure(error: Exception) -> Loss:
 
 
 def _run_circuit(
-    task: TrendTask, circuit: Circuit, nights: Mapping[str, MotorNights], done: _Done
+    task: TrendTask, circuit: Circuit, nights: Mapping[str, MotorNights], done: TrendOutcome
 ) -> None:
     """Make and stage the trends of a circuit's motors."""
+    courses: dict[str, Course] = {}
     made: dict[str, MadeTrends] = {}
-    seen: dict[str, Course] = {}
     for name, motor in nights.items():
-        if motor.beginning is not None:
-            trends = done.guarded(name, partial(MadeTrends.of, task.output, motor))
+        course = _guarded(done, name, partial(Course.of, task.output, motor))
+        if course is None:
+            continue
+        courses[name] = course
+        if motor.wanted.first is not None:
+            trends = _guarded(done, name, partial(MadeTrends.of, course, motor.wanted.first))
             made |= {} if trends is None else {name: trends}
-        if motor.seen_from is not None:
-            course = done.guarded(name, partial(Course.of, task.output, motor, motor.seen_from))
-            seen |= {} if course is None else {name: course}
-    _tell(seen, made, done)
+    _tell(courses, made, done)
     for name, trends in made.items():
-        found = done.guarded(name, partial(_stage_motor, task, circuit, trends))
+        found = _guarded(done, name, partial(_stage_motor, task, circuit, trends))
         if found is not None:
             done.nights[name], done.records[name], new = found
-            done.alarms += new
+            done.alarms.extend(new)
 
 
-def _tell(seen: Mapping[str, Course], made: Mapping[str, MadeTrends], done: _Done) -> None:
-    """Tell the watches of a circuit's motors their nights, to all the same before the next.
-
-    `seen` are those of motors whose nights are made later or not at all, for the others to see.
-    """
-    courses = [*seen.items(), *((name, one.course) for name, one in made.items())]
-    for night in sorted({label for _, one in courses for label in one.nights_to_come}):
-        for name, course in courses:
+def _tell(
+    courses: Mapping[str, Course], made: Mapping[str, MadeTrends], done: TrendOutcome
+) -> None:
+    """Tell the watches of a circuit's motors their nights, to all the same before the next."""
+    for night in sorted({label for one in courses.values() for label in one.nights_to_come}):
+        for name, course in courses.items():
             if course.next_night == night:
-                done.guarded(name, course.step)
-        watches = _watches(seen, made, night)
+                _guarded(done, name, course.step)
+        watches = {
+            name: course.watch
+            for name, course in courses.items()
+            if course.night == night and course.watch is not None
+        }
         for name, trends in made.items():
             if trends.course.night == night:
                 others = [watch for other, watch in watches.items() if other != name]
-                done.guarded(name, partial(trends.judge, others))
-
-
-def _watches(
-    seen: Mapping[str, Course], made: Mapping[str, MadeTrends], night: dt.date
-) -> dict[str, Watch]:
-    """Watches of a circuit's motors as of a night."""
-    own = {name: one.course for name, one in made.items()}
-    as_of = [*seen.items(), *own.items()]
-    return {
-        name: course.watch
-        for name, course in as_of
-        if course.night == night and course.watch is not None
-    }
+                _guarded(done, name, partial(trends.judge, others))
 
 
 def _stage_motor(
@@ -170,10 +145,8 @@ def _stage_motor(
         for row in some:
             nights[row["night"]].append(row)
     stage(task.staging / "trends" / f"{motor_id}.arrow", staged)
-    kept, path = (
-        trends.course.kept(key_of(spec, history.decisions)),
-        kept_file(task.staging, motor_id),
-    )
+    kept = trends.course.kept(key_of(spec, history.decisions))
+    path = kept_file(task.staging, motor_id)
     with store_errors(path), scratch(path) as stream:
         stream.write(kept.encoded())
     return len(labels), record, new_alarms(rows[ALARMS], trends.course.nights.alarms)

@@ -3,21 +3,141 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from pipeline.config import MotorSpec
-from pipeline.logs.ledger import read_settings
+from pipeline.logs.ledger import as_published, read_settings
+from pipeline.schema import FITS, OPERATION
+from pipeline.schema.fits import WITH_SAMPLES
 from pipeline.store.state import State
-from pipeline.trends.circuits import Circuit, circuits_of
+from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.nights.tonight import Tonight
-from pipeline.trends.nights.trend_record import Record, read_kept, read_records
+from pipeline.trends.nights.trend_record import Record, read_kept, read_records, trend_hash
 from pipeline.workers.process import Loss
 
 Row = dict[str, Any]
+
+DAY = dt.timedelta(days=1)
+
+
+def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
+    """Motors by oil circuit; one without a circuit is a group of its own."""
+    circuits: defaultdict[str, list[MotorSpec]] = defaultdict(list)
+    for spec in specs:
+        circuits[spec.file.oil_circuit or f"\0{spec.motor_id}"].append(spec)
+    return [group for _, group in sorted(circuits.items())]
+
+
+@dataclass(frozen=True, slots=True)
+class Circuit:
+    """Motors of one oil circuit, and what is known of each before its nights are read.
+
+    By motor: what people said of it, what is remembered of its trends, and the hash of all that
+    shapes them beyond the tables.
+    """
+
+    specs: tuple[MotorSpec, ...]
+    decisions: Mapping[str, tuple[Decision, ...]]
+    records: Mapping[str, Record | None]
+    hashes: Mapping[str, str]
+
+    @classmethod
+    def of(
+        cls,
+        specs: Sequence[MotorSpec],
+        decisions: Iterable[Decision],
+        records: Mapping[str, Record],
+        settings: Mapping[str, Mapping[str, Any]],
+    ) -> Circuit:
+        """A circuit with its motors as their fits are published, and what is remembered of them."""
+        specs = [as_published(one, settings.get(one.motor_id)) for one in specs]
+        said = decisions_of(specs, decisions)
+        return cls(
+            tuple(specs),
+            said,
+            {one.motor_id: records.get(one.motor_id) for one in specs},
+            {one.motor_id: trend_hash(one, said[one.motor_id]) for one in specs},
+        )
+
+    def spans(
+        self, changed_from: Mapping[str, dt.date | None], tonight: Tonight
+    ) -> dict[str, tuple[dt.date | None, dt.date]]:
+        """First and last night of each motor whose trends are to be made; the first None: none are.
+
+        New nights, and those from the first on that a late log of any motor has touched: what one
+        does says what moves all. All of them where a motor's own settings, events or resets
+        changed; that touches no other. Where nights after a motor's last are published, its last:
+        it says that they are withdrawn. A motor that was not asked for gets no new nights.
+        """
+        touched = [
+            night
+            for motor_id, record in self.records.items()
+            if record is not None and record.trend_hash == self.hashes[motor_id]
+            for night in (changed_from.get(motor_id), record.redo_from)
+            if night is not None
+        ]
+        found: dict[str, tuple[dt.date | None, dt.date]] = {}
+        for motor_id, record in self.records.items():
+            last, first = tonight.of(motor_id), None
+            if record is None:
+                first = dt.date.min if motor_id in changed_from else None
+            elif record.trend_hash != self.hashes[motor_id]:
+                first = dt.date.min
+            else:
+                after = last if record.last_night > last else record.last_night + DAY
+                first = min([after, *touched])
+            if record is not None and motor_id not in changed_from:
+                last = min(last, record.last_night)
+            found[motor_id] = (first if first is not None and first <= last else None, last)
+        return found
+
+
+def decisions_of(
+    specs: Iterable[MotorSpec], decisions: Iterable[Decision]
+) -> dict[str, tuple[Decision, ...]]:
+    """Decisions of people on some motors, by motor."""
+    found: dict[str, list[Decision]] = {one.motor_id: [] for one in specs}
+    for one in decisions:
+        if one.motor_id in found:
+            found[one.motor_id].append(one)
+    return {motor_id: tuple(said) for motor_id, said in found.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Tonight:
+    """The fleet's newest night with kept samples, since which motors without a log are silent.
+
+    `further` has by motor its newest night with samples after that, of which it kept none.
+    """
+
+    night: dt.date
+    further: Mapping[str, dt.date] = field(default_factory=dict)
+
+    def of(self, motor_id: str) -> dt.date:
+        """The last night of a motor of which something is said."""
+        return self.further.get(motor_id, self.night)
+
+
+def tonight_of(output: Path, motor_ids: Sequence[str], latest: dt.date) -> Tonight | None:
+    """Tonight by the published tables; None where no motor has kept a sample.
+
+    A night that only an unreadable log tells, or that lies in the future, after `latest`, is not
+    tonight: it would make every other motor silent since."""
+    further: dict[str, dt.date] = {}
+    for night in nights_back(output, FITS):
+        fits = read_rows(output, FITS, motor_ids, ("motor_id", "status"), nights=[night])
+        for motor_id in fits.filter(pl.col("status").is_in(WITH_SAMPLES))["motor_id"]:
+            further.setdefault(motor_id, night)
+        kept = read_rows(output, OPERATION, motor_ids, ("kept_hours",), nights=[night])
+        if night <= latest and (kept["kept_hours"] > 0).any():
+            return Tonight(night, further)
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +172,10 @@ class TrendOutcome:
     `alarms` are the staged rows of `alarms` that were not published before.
     """
 
-    nights: Mapping[str, int] = field(default_factory=dict)
-    failures: Mapping[str, Loss] = field(default_factory=dict)
-    records: Mapping[str, Record] = field(default_factory=dict)
-    alarms: tuple[Row, ...] = ()
+    nights: dict[str, int] = field(default_factory=dict)
+    failures: dict[str, Loss] = field(default_factory=dict)
+    records: dict[str, Record] = field(default_factory=dict)
+    alarms: list[Row] = field(default_factory=list)
 
 
 def trend_tasks(
@@ -74,7 +194,7 @@ def trend_tasks(
         if not any(one.motor_id in changed_from for one in group):
             continue
         circuit = Circuit.of(group, decisions, records, settings)
-        if circuit.is_due(changed_from, tonight):
+        if any(first for first, _ in circuit.spans(changed_from, tonight).values()):
             if sum(len(one.specs) for one in batches[-1]) >= motors_a_task:
                 batches.append([])
             batches[-1].append(circuit)

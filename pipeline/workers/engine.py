@@ -1,34 +1,76 @@
-"""Tasks of a run over worker processes of this machine, a Dask cluster, or none of them."""
+"""Tasks of a run over worker processes of this machine, a Dask cluster, or none of them.
+
+On this machine joblib starts and feeds the workers. One that dies takes joblib's whole pool with
+it: marks tell which tasks were under way, and the others go on in a new call.
+"""
 
 from __future__ import annotations
 
+import json
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
+import os
+import re
+import signal
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from itertools import chain, islice
+from pathlib import Path, PurePath
+from threading import Event, Thread
 from typing import Any, TypeVar
 
 from pipeline.config import Execution
-from pipeline.workers.process import Done, Loss, attempt
+from pipeline.workers.process import Loss, Mark, attempt, begin_worker, do
 
 log = logging.getLogger(__name__)
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-# Gives each task with what came of it, as they finish, with at most so many under way.
-Tried = Callable[[Callable[[Any], Any], Iterable[Any], int], Iterator[tuple[Any, Done[Any] | Loss]]]
+# Gives each task with its result or loss, as they finish, with at most so many under way.
+Tried = Callable[[Callable[[Any], Any], Iterable[Any], int], Iterator[tuple[Any, Any]]]
+
+# Read by the libraries as a worker loads them. With all threads each, workers would fight for the
+# cores; Arrow's own allocator reserves a gibibyte at once, which would count as used. The C library
+# (glibc; others ignore it) keeps the pages of arrays of up to 64 MiB, as fresh ones take 8 % of a
+# motor-day at 10 Hz, and asks for huge ones, with which two workers hinder each other less.
+ENVIRONMENT: Mapping[str, str] = {
+    "POLARS_MAX_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+    "MALLOC_MMAP_THRESHOLD_": str(1 << 26),
+    "MALLOC_TRIM_THRESHOLD_": str(1 << 27),
+}
+HUGE_PAGES = "glibc.malloc.hugetlb=1"
+# So often the run looks at the marks [s].
+LOOK_S = 0.25
+# A worker that has not ended by itself so long after its time is killed [s].
+GRACE_S = 2.0
+# What allocators in C, C++ and Rust say before they abort.
+NO_MEMORY = re.compile(
+    r"^.*(memory allocation|bad_alloc|out of memory|cannot allocate|MemoryError).*$",
+    re.IGNORECASE | re.MULTILINE,
+)
+# Of `faulthandler`: the first line where the time was up, and one of the stack, innermost first.
+TIME_UP = re.compile(r"^Timeout \(.+\)!$", re.MULTILINE)
+FRAME = re.compile(r'^  File "(.+)", line (\d+) in (.+)$', re.MULTILINE)
+# Of joblib: the end of a process.
+END = re.compile(r"(SIG\w+|EXIT)\(-?\d+\)")
 
 
 @contextmanager
-def open_workers(
-    execution: Execution, folders: Sequence[Path] = (), stores: Sequence[str] = ()
-) -> Iterator[Workers]:
+def open_workers(execution: Execution, folders: Sequence[Path] = ()) -> Iterator[Workers]:
     """The configured workers, for all tasks of a run.
 
-    `folders` and `stores` are what those of a cluster must see: logs and output, and URLs of object
-    stores. Raises EngineError if there are none: see `cluster.open_cluster`.
+    `folders` are what those of a cluster must see: logs and output. Raises EngineError if there are
+    none: see `cluster.open_cluster`.
     """
     if execution.backend == "sequential":
         # In the run's own process: a task that hangs or dies takes the run with it.
@@ -36,11 +78,9 @@ def open_workers(
     elif execution.backend == "dask":
         from pipeline.workers.cluster import open_cluster
 
-        with open_cluster(execution, folders, stores) as cluster:
-            yield Workers(cluster.tried, execution.tasks_in_flight)
+        with open_cluster(execution, folders) as tried:
+            yield Workers(tried, execution.tasks_in_flight)
     else:
-        from pipeline.workers.local import open_pool
-
         with open_pool(execution) as pool:
             yield Workers(pool.tried, execution.workers)
 
@@ -64,29 +104,16 @@ class Workers:
         One that was lost may have been so by its neighbour: it is tried again when all others are
         done, with nothing beside it. If it is lost again, what it was lost in is left out.
 
-        Parameters
-        ----------
-        function
-            Does a task; what it is made of must be importable, as workers are fresh processes.
-        tasks
-            Plain data, small enough to send; drawn one by one, and not always by this thread.
-        lost
-            The result of a task that was lost.
-        without
-            The task without the part that it was lost in; None where that is not known, or too
-            much.
-
-        Raises
-        ------
-        EngineError
-            If there is nothing that tasks could run on, before any was done.
+        Tasks are plain data, drawn one by one, and not always by this thread. `lost` gives the
+        result of a lost task, `without` the task without the part that it was lost in; None where
+        that is not known, or too much.
         """
         losses: list[tuple[Task, Loss]] = []
         for task, outcome in self.tried(function, tasks, self.at_a_time):
-            if isinstance(outcome, Done):
-                yield outcome.result
-            else:
+            if isinstance(outcome, Loss):
                 losses.append((task, outcome))
+            else:
+                yield outcome
         for task, loss in losses:
             # A log that does not answer is not asked twice.
             again = without(task, loss) if loss.log else task
@@ -94,9 +121,147 @@ class Workers:
                 log.warning("a task is tried again, alone: %s", loss.how)
                 task = again
                 ((_, outcome),) = self.tried(function, [task], 1)
-                if isinstance(outcome, Done):
-                    yield outcome.result
+                if not isinstance(outcome, Loss):
+                    yield outcome
                     break
                 loss, again = outcome, without(task, outcome)
             else:
                 yield lost(task, loss)
+
+
+@contextmanager
+def open_pool(execution: Execution) -> Iterator[Pool]:
+    """Worker processes for all tasks of a run, started when there are tasks for them."""
+    before = dict(os.environ)
+    # Tunables of the C library are added to those that are set.
+    tunables = ":".join(filter(None, (os.environ.get("GLIBC_TUNABLES"), HUGE_PAGES)))
+    os.environ.update(ENVIRONMENT, GLIBC_TUNABLES=tunables)
+    with tempfile.TemporaryDirectory(prefix="motor-leakage-") as folder:
+        pool = Pool(execution, Path(folder))
+        try:
+            yield pool
+        finally:
+            pool.end()
+            for name in (*ENVIRONMENT, "GLIBC_TUNABLES"):
+                del os.environ[name]
+            os.environ.update(before)
+
+
+@dataclass(slots=True)
+class Pool:
+    """Workers, and the folder of their marks and last words."""
+
+    execution: Execution
+    folder: Path
+    killed: set[int] = field(default_factory=set)
+    left: Event = field(default_factory=Event)
+    watch: Thread | None = None
+
+    def tried(
+        self, function: Callable[[Any], Any], tasks: Iterable[Any], n_workers: int
+    ) -> Iterator[tuple[Any, Any]]:
+        """Each task with what came of it, as they finish; never more than so many under way.
+
+        Of several that were under way when a worker died it is not known whose fault it was.
+        """
+        waiting: Iterator[tuple[int, Any]] = enumerate(tasks)
+        under_way: dict[int, Any] = {}
+
+        def calls(first: tuple[int, Any]) -> Iterator[Any]:
+            for number, task in chain([first], waiting):
+                under_way[number] = task
+                yield delayed(do)(function, task, self.execution, number)
+
+        while (first := next(waiting, None)) is not None:
+            from joblib import Parallel, delayed  # which takes its time, and is not always needed
+
+            if self.watch is None:
+                self.watch = Thread(target=self._watch, daemon=True, name="watch over workers")
+                self.watch.start()
+            parallel = Parallel(
+                # One would be the run's own process.
+                n_jobs=max(2, self.execution.workers),
+                pre_dispatch=n_workers,
+                batch_size=1,
+                return_as="generator_unordered",
+                # Otherwise arrays go through shared memory, which may be small.
+                max_nbytes=None,
+                initializer=begin_worker,
+                initargs=(os.getpid(), str(self.folder), self.execution.memory_limit_mib << 20),
+            )
+            results: Generator[tuple[int, Any, str]] = parallel(calls(first))
+            lost: dict[int, Loss] = {}
+            try:
+                for number, outcome, words in results:
+                    sys.stderr.write(words)
+                    yield under_way.pop(number), outcome
+            except BrokenProcessPool as error:
+                lost = self._losses(under_way, n_workers, str(error))
+            finally:
+                with warnings.catch_warnings():  # that it is not at its end
+                    warnings.simplefilter("ignore")
+                    results.close()
+            yield from ((under_way.pop(number), loss) for number, loss in lost.items())
+            waiting, under_way = chain(list(under_way.items()), waiting), {}
+
+    def _losses(
+        self, under_way: Mapping[int, object], n_workers: int, error: str
+    ) -> dict[int, Loss]:
+        """Losses by task; the pool and what its workers left are gone."""
+        end = END.search(error)
+        ended = f"its worker process ended with {end.group() if end else 'no word'}"
+        lost = {}
+        for place, mark in self._marks():
+            words = place.with_suffix(".words").read_text("utf-8", "replace")
+            sys.stderr.write(words)
+            if mark.number in under_way:
+                is_late = int(place.stem) in self.killed
+                lost[mark.number] = _loss(mark, words, is_late, ended)
+        self.killed.clear()
+        for place in self.folder.iterdir():
+            place.unlink()
+        # Without a mark: none of them could be begun.
+        return lost or dict.fromkeys(islice(under_way, n_workers), Loss("worker_died", ended))
+
+    def _marks(self) -> Iterator[tuple[Path, Mark]]:
+        for place in self.folder.glob("*.mark"):
+            with suppress(ValueError, OSError):
+                yield place, Mark(*json.loads(place.read_bytes().partition(b"\n")[0]))
+
+    def _watch(self) -> None:
+        """Kill workers that cannot end by themselves."""
+        while not self.left.wait(LOOK_S):
+            for place, mark in self._marks():
+                if mark.number >= 0 and time.monotonic() > mark.until_s + GRACE_S:
+                    self.killed.add(int(place.stem))
+                    with suppress(ProcessLookupError):
+                        os.kill(int(place.stem), signal.SIGKILL)
+
+    def end(self) -> None:
+        """End all workers; a task under way is dropped, and has published nothing."""
+        if self.watch is None:
+            return
+        from joblib.externals.loky import get_reusable_executor
+
+        get_reusable_executor(reuse=True).shutdown(kill_workers=True)
+        self.left.set()
+        self.watch.join()
+
+
+def _loss(mark: Mark, words: str, is_late: bool, ended: str) -> Loss:
+    """The loss of the task of a worker that is dead, by its mark and its last words."""
+    no_memory = NO_MEMORY.search(words)
+    is_late = is_late or TIME_UP.search(words) is not None
+    if is_late and mark.log:
+        how = f"{mark.log} did not answer within {mark.limit_s:g} s"
+        return Loss("log_no_answer", how, mark.part, mark.log)
+    if is_late:
+        how = f"not done within {mark.limit_s:g} s"
+    else:
+        how = f"{ended}: {no_memory.group().strip()}" if no_memory else ended
+    how += f", at {mark.part}" if mark.part else ""
+    if frame := FRAME.search(words):
+        file, line, function = frame.groups()
+        how += f", in {function} ({PurePath(file).name}, line {line})"
+    code = "task_timeout" if is_late else "task_memory" if no_memory else "worker_died"
+    return Loss(code, how, mark.part)

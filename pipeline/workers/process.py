@@ -1,4 +1,4 @@
-"""Inside a worker: the marks by which a run knows how far a task is, and its limits.
+"""Inside a worker: the mark by which a run knows how far a task is, and its limits.
 
 Whatever a task does to its process, the run goes on: the process ends when the run's does, when its
 time is up, and when it asks for more memory than it may have.
@@ -17,12 +17,14 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from threadpoolctl import ThreadpoolController
+
+from pipeline.config import Execution
 
 log = logging.getLogger(__name__)
 
@@ -36,13 +38,6 @@ AGAIN_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Done(Generic[Result]):
-    """A task has come to its end."""
-
-    result: Result
-
-
-@dataclass(frozen=True, slots=True)
 class Loss:
     """A task that was lost."""
 
@@ -53,30 +48,20 @@ class Loss:
     log: str = ""
 
 
-class Limits(NamedTuple):
-    """Limits of a task [s]."""
-
-    timeout_s: float  # longest time for a part of its work
-    answer_s: float  # longest time that a log may take to open
-
-
-@dataclass(frozen=True, slots=True)
-class Mark:
+class Mark(NamedTuple):
     """How far a task is."""
 
     number: int = -1  # of the task; -1: none is under way
     part: str = ""  # of its work
     log: str = ""  # the log that it waits for or reads; empty without one
-    is_asked: bool = False  # whether that is to answer at once: it is being opened
     limit_s: float = 0.0  # the time that it has for it
     until_s: float = 0.0  # the end of that time, by the machine's monotonic clock
-    said: int = 0  # of what its process has said, what was said before the task [bytes]
 
 
-# What was marked last; the file that it goes to, and the limits, where there are any.
+# What was marked last, the file that it goes to, and the limits of a task, where there are any.
 _mark = Mark()
 _file: int | None = None
-_limits: Limits | None = None
+_limits: Execution | None = None
 
 
 def begin_worker(run_pid: int, folder: str, memory_limit: int) -> None:
@@ -86,12 +71,15 @@ def begin_worker(run_pid: int, folder: str, memory_limit: int) -> None:
     that of its data [bytes], within what the system lets it have.
     """
     global _file
+    # What a terminal sends to all processes is for the run, which decides what ends.
+    for one in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(one, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != run_pid:  # it has died already
             os._exit(0)
     place = Path(folder) / str(os.getpid())
-    words = os.open(place.with_suffix(".words"), os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    words = os.open(place.with_suffix(".words"), os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o600)
     os.dup2(words, 2)
     os.close(words)
     # Told from C, without the interpreter, which may hang.
@@ -103,24 +91,24 @@ def begin_worker(run_pid: int, folder: str, memory_limit: int) -> None:
 
 
 def do(
-    function: Callable[[Task], Result], task: Task, limits: Limits, number: int = 0
-) -> tuple[int, Done[Result] | Loss]:
-    """Do a task within its limits; its number, and what came of it."""
+    function: Callable[[Task], Result], task: Task, limits: Execution, number: int = 0
+) -> tuple[int, Result | Loss, str]:
+    """Do a task within its limits; its number, what came of it, and what its process has said."""
     global _limits
     _limits = limits
     try:
-        _say(Mark(number, said=os.fstat(2).st_size))
-        return number, attempt(function, task)
+        _say(Mark(number), limits.timeout_s)
+        return number, attempt(function, task), _words()
     finally:
         faulthandler.cancel_dump_traceback_later()
         _limits = None
         _write(Mark())
 
 
-def attempt(function: Callable[[Task], Result], task: Task) -> Done[Result] | Loss:
+def attempt(function: Callable[[Task], Result], task: Task) -> Result | Loss:
     """Do a task; what it raises is a loss and no exception."""
     try:
-        return Done(function(task))
+        return function(task)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a panic in Polars is no Exception
@@ -136,13 +124,14 @@ def loss_of(error: BaseException) -> Loss:
 
 def sign_of_life(part: str) -> None:
     """Mark that a task begins with a part of its work, which has the whole time limit again."""
-    _say(replace(_mark, part=part, log="", is_asked=False))
+    if _limits:
+        _say(_mark._replace(part=part, log=""), _limits.timeout_s)
 
 
 def still_alive() -> None:
     """Have the time of what was marked last begin anew."""
     if _limits and _mark.until_s - _mark.limit_s + AGAIN_S < time.monotonic():
-        _say(_mark)
+        _say(_mark, _mark.limit_s)
 
 
 def told_alive(items: Iterable[Item]) -> Iterator[Item]:
@@ -152,32 +141,24 @@ def told_alive(items: Iterable[Item]) -> Iterator[Item]:
         yield item
 
 
-def asking(log: str) -> AbstractContextManager[None]:
-    """Mark that a log is being opened, which may be on a mount that hangs."""
-    return _at(log, is_asked=True)
-
-
-def reading(log: str) -> AbstractContextManager[None]:
-    """Mark that a log which has answered is being read."""
-    return _at(log, is_asked=False)
-
-
 @contextmanager
-def _at(log: str, *, is_asked: bool) -> Iterator[None]:
+def reading(log: str, *, is_asked: bool = False) -> Iterator[None]:
+    """Mark that a log is being read, or opened (asked), which may be on a mount that hangs."""
+    if _limits is None:
+        yield
+        return
     before = _mark
-    _say(replace(before, log=log, is_asked=is_asked))
+    _say(before._replace(log=log), _limits.answer_s if is_asked else _limits.timeout_s)
     try:
         yield
     finally:
-        _say(before)
+        _say(before, before.limit_s)
 
 
-def _say(mark: Mark) -> None:
+def _say(mark: Mark, limit_s: float) -> None:
     """Mark what is under way, and have the process end where that takes too long."""
-    if _limits is not None:
-        limit_s = _limits.answer_s if mark.is_asked else _limits.timeout_s
-        faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
-        _write(replace(mark, limit_s=limit_s, until_s=time.monotonic() + limit_s))
+    faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
+    _write(mark._replace(limit_s=limit_s, until_s=time.monotonic() + limit_s))
 
 
 def _write(mark: Mark) -> None:
@@ -185,7 +166,16 @@ def _write(mark: Mark) -> None:
     _mark = mark
     if _file is not None:
         # One line: what is left of a longer one comes after it.
-        os.pwrite(_file, json.dumps(asdict(mark)).encode() + b"\n", 0)
+        os.pwrite(_file, json.dumps(mark).encode() + b"\n", 0)
+
+
+def _words() -> str:
+    """What a worker has said since it was asked last."""
+    if _file is None:
+        return ""
+    words = os.pread(2, os.fstat(2).st_size, 0)
+    os.ftruncate(2, 0)
+    return words.decode("utf-8", "replace")
 
 
 @cache

@@ -69,12 +69,17 @@ def read_table(output: Path, name: str) -> pl.DataFrame:
 
 
 def _columns(table: Table) -> list[str]:
+    """Those that hold one value a row; lists are what these follow from."""
     left_out = OF_THE_RUN.union(table.key)
-    return [name for name in table.schema if name not in left_out]
+    return [
+        name
+        for name, kind in table.schema.items()
+        if name not in left_out and not isinstance(kind, pl.List)
+    ]
 
 
 def _is_float(table: Table, name: str) -> bool:
-    return table.schema[name] in (pl.Float64, pl.List(pl.Float64))
+    return table.schema[name] == pl.Float64
 
 
 def _paired(
@@ -92,13 +97,6 @@ def _paired(
 def _relative(table: Table, pairs: pl.DataFrame, name: str) -> Array:
     """Difference of each row; infinite where one is null or nan and the other is not."""
     one, two = pairs[name], pairs[f"{name}_other"]
-    if table.schema[name] == pl.List(pl.Float64):
-        scale = LISTS.get(name)
-        cells = [
-            _apart(x, y, scale(x) if scale and x.size else None)
-            for x, y in ((_array(a), _array(b)) for a, b in zip(one, two, strict=True))
-        ]
-        return np.array([cell.max(initial=0.0) for cell in cells])
     a, b = _array(one), _array(two)
     return _apart(a, b, _scale(table, pairs, name, a, b))
 
@@ -116,62 +114,11 @@ def _scale(table: Table, pairs: pl.DataFrame, name: str, a: Array, b: Array) -> 
     return None
 
 
-def _column_norms(upper: Array) -> Array:
-    """Norm of the column of each element of a triangular factor."""
-    matrix, places = _matrix(upper)
-    norms: Array = np.linalg.norm(matrix, axis=0)[places[1]]
-    return norms
-
-
-def _deviations(upper: Array) -> Array:
-    """Product of the standard deviations that each element of a covariance belongs to."""
-    matrix, places = _matrix(upper)
-    deviation = np.sqrt(np.diag(matrix))
-    return np.maximum(deviation[places[0]] * deviation[places[1]], np.finfo(np.float64).tiny)
-
-
-def _matrix(upper: Array) -> tuple[Array, tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    size = (np.sqrt(8 * upper.size + 1) - 1) / 2
-    places = np.triu_indices(round(size))
-    matrix = np.zeros((round(size),) * 2)
-    matrix[places] = upper
-    return matrix, places
-
-
-def _largest_of_paths(coefficients: Array) -> Array:
-    """Largest of the loss factors for each: what is not identified is only known beside it."""
-    scale = np.full(coefficients.size, np.abs(coefficients[:-1]).max(initial=0.0))
-    scale[-1:] = np.maximum(np.abs(coefficients[-1:]), 1e-3)
-    return scale
-
-
-def _largest_of_part(statistics: Array) -> Array:
-    """Largest of its part for each: samples, flow, score of γ (k), three triangles over γ."""
-    k = next(k for k in range(statistics.size) if 2 + k + 3 * k * (k + 1) // 2 == statistics.size)
-    sizes = (1, 1, k, *[k * (k + 1) // 2] * 3)
-    parts = np.split(np.abs(statistics), np.cumsum(sizes)[:-1])
-    return np.concatenate([np.full(part.size, part.max(initial=0.0)) for part in parts])
-
-
-LISTS = {
-    "night_factor": _column_norms,
-    "coefficient_covariance": _deviations,
-    "coefficient_covariance_root": _column_norms,
-    "coefficients": _largest_of_paths,
-    "model_misfit_statistics": _largest_of_part,
-}
-"""Triangles of matrices: an element that nearly cancels is as exact as what it is made of."""
-
-
-def _array(values: pl.Series | None) -> Array:
-    if values is None:
-        return np.empty(0)
+def _array(values: pl.Series) -> Array:
     return values.cast(pl.Float64).to_numpy().astype(np.float64)
 
 
 def _apart(a: Array, b: Array, scale: Array | None = None) -> Array:
-    if a.size != b.size:
-        return np.array([np.inf])
     same = (a == b) | (np.isnan(a) & np.isnan(b))
     scale = np.maximum(np.abs(a), np.abs(b)) if scale is None else scale
     with np.errstate(invalid="ignore", divide="ignore"):

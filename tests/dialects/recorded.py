@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.config import MotorFile
-from pipeline.demo.log_writers import as_logged
-from pipeline.demo.mcap_writer import RECORDING_DELAY_NS
-from pipeline.demo.sensors import Recording
+from pipeline.demo.log_writers import RECORDING_DELAY_US, as_logged
+from pipeline.demo.recording import Recording
 from pipeline.units import to_canonical
 
 Times = NDArray[np.int64]
@@ -64,7 +63,7 @@ def recorded(recording: Recording, motor: MotorFile) -> Recorded:
     values: dict[str, Values] = {}
     own: dict[str, Times] = {}
     recorded_late = motor.logs.format == "mcap" and motor.logs.time == "log_time"
-    late_us = RECORDING_DELAY_NS // 1000 if recorded_late else 0
+    late_us = RECORDING_DELAY_US if recorded_late else 0
     for name, channel in motor.channels.items():
         raw = as_logged(name, recording.values[name], channel)
         values[name] = to_canonical(name, raw * channel.scale + channel.offset, channel.unit)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline.workers.process import asking, reading, sign_of_life, told_alive
+from pipeline.workers.process import reading, sign_of_life, told_alive
 
 GIB = 1 << 30
 
@@ -53,7 +53,7 @@ def hang_in_python() -> None:
 def hang_at_a_log(asked: bool) -> None:
     """Hangs in the call that opens a log, or while it is read."""
     sign_of_life("a night")
-    with asking("a.csv") if asked else reading("a.csv"):
+    with reading("a.csv", is_asked=asked):
         time.sleep(1000)
 
 

@@ -52,28 +52,19 @@ class Decision:
 
 
 def record_decision(output: Path, decision: Decision) -> None:
-    """Write a decision, which is then on the disk; a run may be under way.
-
-    Raises StoreError if it cannot be written.
-    """
+    """Write a decision, which is then on the disk; a run may be under way."""
     with open_state(output) as state:
         _write(state, [decision])
 
 
 def read_decisions(output: Path) -> tuple[Decision, ...]:
-    """All decisions, the oldest first.
-
-    Raises StoreError if they cannot be read.
-    """
+    """All decisions, the oldest first."""
     with read_state_file(output) as state:
         return _read(state)
 
 
 def put_back(state: State, known: Iterable[Decision]) -> int:
-    """Write known decisions that a restored state file lacks; returns their number.
-
-    Raises StoreError if it cannot be read or written.
-    """
+    """Write known decisions that a restored state file lacks; returns their number."""
     present = set(_read(state))
     lost = [one for one in known if one not in present]
     _write(state, lost)

@@ -20,13 +20,14 @@ from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETER
 from pipeline.schema.fits import NO_NEW_DATA, OK
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.nights.eras import era_at, eras_of
 from pipeline.trends.nights.history import (
     OF_FIT,
     OPERATED,
     History,
     Records,
     blank_records,
+    era_at,
+    eras_of,
     every_night,
 )
 from pipeline.trends.nights.kept import Kept
@@ -73,26 +74,18 @@ class Wanted:
         return after if self.first is None else min(self.first, after)
 
 
-@dataclass(frozen=True, slots=True)
-class Beginning:
-    """First night that a watch is told in this run, and whether it goes on from what is kept."""
-
-    night: dt.date
-    resumes: bool
-
-
 @dataclass(slots=True)
 class MotorNights:
     """A motor's nights as the tables have them.
 
-    `beginning` is that of the watch whose nights are made; `seen_from` that of the one which the
-    other motors of its oil circuit see in nights before. Both may be absent.
+    The watch is told the nights from `beginning` on, be it for the other motors of its oil circuit
+    alone; None where nobody needs it. `resumes`: it goes on from what is kept.
     """
 
     wanted: Wanted
     history: History
-    beginning: Beginning | None
-    seen_from: Beginning | None
+    beginning: dt.date | None
+    resumes: bool
     # By night: rows of `fits`, and of `parameters` by name, of the nights that were read.
     fits: Mapping[dt.date, Row]
     parameters: Mapping[dt.date, Mapping[str, Row]]
@@ -103,8 +96,7 @@ class MotorNights:
     @property
     def blocks_from(self) -> dt.date:
         """First night whose blocks are needed."""
-        known = (one.night for one in (self.beginning, self.seen_from) if one is not None)
-        return min(known, default=dt.date.max)
+        return self.beginning or dt.date.max
 
     def why_no_blocks(self, night: dt.date) -> str:
         """Why a night has no blocks that count, in words."""
@@ -118,27 +110,25 @@ class MotorNights:
 
 
 def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str, MotorNights]:
-    """The published nights of the motors of some oil circuits; of those without a night nothing.
-
-    Raises StoreError if a table file is damaged.
-    """
+    """The published nights of the motors of some oil circuits; of those without a night nothing."""
     read = _Rows.of(output, [one for circuit in circuits for one in circuit])
     found: dict[str, MotorNights] = {}
     for circuit in circuits:
         told = [(one, history) for one in circuit if (history := _history(one, read)) is not None]
-        own = [
-            None if one.first is None else _beginning(one, history, one.first)
-            for one, history in told
+        begins = [
+            _beginning(one, history, one.first)[0] for one, history in told if one.first is not None
         ]
-        since = min((one.night for one in own if one is not None), default=dt.date.max)
-        for (one, history), beginning in zip(told, own, strict=True):
+        since = min(begins, default=None)
+        for one, history in told:
             motor_id = one.spec.motor_id
-            is_seen = len(told) > 1 and (beginning is None or beginning.night > since)
+            beginning: tuple[dt.date | None, bool] = None, False
+            if since is not None:
+                # The others see it from the first night on that any of them is told.
+                beginning = _beginning(one, history, min(since, one.first or since))
             found[motor_id] = MotorNights(
                 one,
                 history,
-                beginning,
-                _beginning(one, history, since) if is_seen else None,
+                *beginning,
                 read.fits[motor_id],
                 read.parameters[motor_id],
                 {},
@@ -152,10 +142,7 @@ def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str,
 def read_blocks(
     output: Path, spec: MotorSpec, layout: Layout, nights: Collection[dt.date]
 ) -> list[NightBlocks]:
-    """Blocks of some of a motor's nights, in order of time; those that do not count are left out.
-
-    Raises StoreError if a table file is damaged.
-    """
+    """Blocks of some of a motor's nights, in order of time, without those that do not count."""
     rows = read_rows(output, BLOCK_STATISTICS, [spec.motor_id], BLOCK_COLUMNS, nights=nights)
     parts = rows.sort("night").partition_by("night", maintain_order=True)
     found = (_night_blocks(spec, layout, part) for part in parts)
@@ -235,17 +222,20 @@ def _fill(record: np.void, fit: Row, operation: Row) -> None:
             record[name] = np.nan if value is None else value
 
 
-def _beginning(wanted: Wanted, history: History, first: dt.date) -> Beginning:
-    """From which night on a watch has to be told the nights, to tell one and those after it."""
+def _beginning(wanted: Wanted, history: History, first: dt.date) -> tuple[dt.date, bool]:
+    """From which night on a watch has to be told the nights, to tell one and those after it.
+
+    And whether it goes on from what is kept.
+    """
     if wanted.kept is None:
-        return Beginning(history.nights[0], resumes=False)
+        return history.nights[0], False
     # The nights to come may begin an era of their own: that of the night before decides.
     place = max(history.place_from(first) - 1, 0)
     era = history.nights[era_at(eras_of(history), place).first]
     watch = wanted.kept.watch
     if watch is not None and watch.era == era and watch.day < first.toordinal():
-        return Beginning(min(first, wanted.kept.last_night), resumes=True)
-    return Beginning(era, resumes=False)
+        return min(first, wanted.kept.last_night), True
+    return era, False
 
 
 def _add_blocks(output: Path, motors: Mapping[str, MotorNights]) -> None:

@@ -7,11 +7,10 @@ and the same trends come out.
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
+import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import Any
 
 import lz4.frame
@@ -25,8 +24,6 @@ from pipeline.config.hashes import hash_of, own_version
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import RECORD, Records
 from pipeline.trends.nights.trend_record import trend_hash
-
-DIGEST_SIZE = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,46 +46,34 @@ class Kept:
     watch: KeptWatch | None
 
     def encoded(self) -> bytes:
-        """As bytes: a digest, and compressed a line of JSON and the bytes of arrays."""
-        arrays: dict[str, NDArray[Any]] = {} if self.watch is None else dict(self.watch.arrays)
-        head: dict[str, Any] = {
-            "key": self.key,
-            "last_night": self.last_night.isoformat(),
-            "watch": None
-            if self.watch is None
-            else [self.watch.era.isoformat(), self.watch.own, self.watch.day],
-            "arrays": [[name, one.dtype.str, one.shape] for name, one in arrays.items()],
-        }
-        parts = [one.tobytes() for one in (self.records, *arrays.values())]
-        head["sizes"] = [len(part) for part in parts]
-        packed: bytes = lz4.frame.compress(json.dumps(head).encode() + b"\n" + b"".join(parts))
-        return hashlib.sha256(packed).digest() + packed
+        """As bytes, which prove themselves when they are decoded."""
+        watch = self.watch
+        era = None if watch is None else [watch.era.isoformat(), watch.own, watch.day]
+        arrays = {"records": self.records} | ({} if watch is None else dict(watch.arrays))
+        forms = [(name, one.dtype.str, one.shape, one.nbytes) for name, one in arrays.items()]
+        head = json.dumps([self.key, self.last_night.isoformat(), era, forms]).encode()
+        content = b"".join([head, b"\n", *(one.tobytes() for one in arrays.values())])
+        packed: bytes = lz4.frame.compress(content, content_checksum=True)
+        return packed
 
 
 def decoded(content: bytes | None) -> Kept | None:
     """What is kept, from its bytes; None where there are none, or not as they were written."""
-    if content is None:
-        return None
-    digest, packed = content[:DIGEST_SIZE], content[DIGEST_SIZE:]
-    if hashlib.sha256(packed).digest() != digest:
-        return None
-    line, rest = lz4.frame.decompress(packed).split(b"\n", 1)
-    head = json.loads(line)
-    ends = np.cumsum([0, *head["sizes"]]).tolist()
-    parts = [rest[begin:end] for begin, end in pairwise(ends)]
-    watch = None
-    if head["watch"] is not None:
-        era, own, day = head["watch"]
+    try:
+        stream = io.BytesIO(lz4.frame.decompress(content or b""))
+        key, last_night, watch, forms = json.loads(stream.readline())
         arrays = {
-            name: np.frombuffer(part, kind).reshape(shape)
-            for (name, kind, shape), part in zip(head["arrays"], parts[1:], strict=True)
+            name: np.frombuffer(stream.read(size), kind).reshape(shape)
+            for name, kind, shape, size in forms
         }
-        watch = KeptWatch(dt.date.fromisoformat(era), own, day, arrays)
-    # One of an older version has another key, and need not be read any further.
-    if len(parts[0]) % RECORD.itemsize:
+        records = arrays.pop("records").view(RECORD)
+    except (RuntimeError, ValueError):  # damaged, or of another version
         return None
-    last_night = dt.date.fromisoformat(head["last_night"])
-    return Kept(head["key"], last_night, np.frombuffer(parts[0], RECORD), watch)
+    kept = Kept(key, dt.date.fromisoformat(last_night), records, None)
+    if watch is None:
+        return kept
+    era, own, day = watch
+    return replace(kept, watch=KeptWatch(dt.date.fromisoformat(era), own, day, arrays))
 
 
 def key_of(spec: MotorSpec, decisions: Sequence[Decision]) -> str:

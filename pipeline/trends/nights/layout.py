@@ -14,7 +14,7 @@ from leakage.estimation.block_statistics import with_free_known
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from leakage.watch import Machine, NightBlocks
 from pipeline.config import MotorSpec
-from pipeline.config.fitting import Conditions
+from pipeline.config.settings import Conditions
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import VISCOSITIES
 

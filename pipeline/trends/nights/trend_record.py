@@ -87,10 +87,7 @@ def write_record(state: State, motor_id: str, record: Record, kept: bytes | None
 def note_touched(state: State, touched: Iterable[tuple[str, dt.date]]) -> None:
     """Mark motors' trends from a night on as out of date, before their rows change.
 
-    If the run is broken off before its trends, the next one makes them.
-
-    Raises StoreError if it cannot be written.
-    """
+    If the run is broken off before its trends, the next one makes them."""
     state.write_all(
         "UPDATE trends SET redo_from = min(coalesce(redo_from, ?2), ?2)"
         " WHERE motor_id = ?1 AND last_night >= ?2",
@@ -99,9 +96,6 @@ def note_touched(state: State, touched: Iterable[tuple[str, dt.date]]) -> None:
 
 
 def forget_records(state: State, keep: Collection[str]) -> None:
-    """Let the next run make the trends of all motors but some anew.
-
-    Raises StoreError if a record cannot be written.
-    """
+    """Let the next run make the trends of all motors but some anew."""
     others = [(one,) for (one,) in state.rows("SELECT motor_id FROM trends") if one not in keep]
     state.write_all("UPDATE trends SET trend_hash = '' WHERE motor_id = ?", others)

@@ -50,14 +50,8 @@ def alarm_rows(
 ) -> list[Row]:
     """Changes of state in some nights, together with what had been raised in them before.
 
-    Parameters
-    ----------
-    motor_id
-        The motor.
-    states
-        By indicator, its states in nights in a row, up to the motor's last.
-    published
-        The motor's rows so far: those of the nights before say which state was told last.
+    `states` has by indicator its states in nights in a row, up to the motor's last; `published` all
+    rows of the motor so far: those of the nights before say which state was told last.
     """
     by_indicator: dict[str, dict[dt.date, Row]] = {}
     for row in published:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from leakage.estimation.identifiability import TOLD
@@ -14,14 +13,11 @@ from pipeline.clock import utc
 from pipeline.config.nights import night as night_labelled
 from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TRENDS, WATCH, Table
 from pipeline.trends.nights.decisions import LEAKAGE
-from pipeline.trends.nights.from_tables import MotorNights
 from pipeline.trends.nights.trend_record import Record
 from pipeline.trends.rows.alarm_rows import NightState, alarm_rows, marked
-from pipeline.trends.rows.baseline_rows import baseline_rows
 from pipeline.trends.rows.motor_states import CHANGED
 from pipeline.trends.rows.trend_rows import trend_rows
-from pipeline.trends.rows.watch_figures import watch_row
-from pipeline.trends.rows.watch_rows import WatchRow
+from pipeline.trends.rows.watch_rows import WatchRow, watch_row
 from pipeline.trends.sentences import CHECK_ZERO
 from pipeline.trends.states.course import Course, WatchedNight
 from pipeline.trends.states.judged import JudgedNight, judged
@@ -48,16 +44,13 @@ class MadeTrends:
     states: dict[str, list[NightState]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, output: Path, motor: MotorNights) -> MadeTrends:
+    def of(cls, course: Course, first: dt.date) -> MadeTrends:
         """A motor of which no night is made yet."""
-        first = motor.wanted.first
-        assert first is not None
-        assert motor.beginning is not None
         return cls(
-            Course.of(output, motor, motor.beginning),
+            course,
             first,
-            sensor_zeros(motor.history),
-            _last_changed(motor.alarms, first),
+            sensor_zeros(course.nights.history),
+            _last_changed(course.nights.alarms, first),
             {WATCH: [], TRENDS: [], BASELINES: []},
         )
 
@@ -82,7 +75,7 @@ class MadeTrends:
             self.changed = watched.night
         self.rows[WATCH].append(row.row)
         self.rows[TRENDS] += trend_rows(self.course, night, self.zeros, row.sentence)
-        self.rows[BASELINES] += baseline_rows([night])
+        self.rows[BASELINES] += _baseline_rows(watched, self.course.spec.motor_id)
         self._note_states(night, row)
 
     def _quiet_since(self, watched: WatchedNight) -> dt.date | None:
@@ -94,33 +87,25 @@ class MadeTrends:
         return self.changed + DAY
 
     def _note_states(self, night: JudgedNight, row: WatchRow) -> None:
-        label = night.watched.night
+        label, place = night.watched.night, night.watched.place
         time = utc(night_labelled(label, night.spec.settings.nights).end_us)
         tonight = row.tonight_change
-        of_leakage = NightState(
-            label,
-            time,
-            night.state,
-            night.way,
-            row.sentence,
-            row.path,
-            None if tonight is None else 100.0 * tonight,
-            is_news=row.told_on == label and not row.goes_on,
-            advice=row.advice if night.state in (*CHANGED, "stale") else "",
-        )
-        self.states.setdefault(LEAKAGE, []).append(of_leakage)
-        for name, zero in self.zeros.items():
-            state, words = zero.state[night.watched.place], zero.words(night.watched.place)
-            way = "drift" if state == "warning" else "baseline"
-            known = NightState(
-                label,
-                time,
-                state,
-                way,
-                words or "its zero is known",
-                advice=CHECK_ZERO if state == "warning" else "",
+        percent = None if tonight is None else 100.0 * tonight
+        is_news = row.told_on == label and not row.goes_on
+        advice = row.advice if night.state in (*CHANGED, "stale") else ""
+        found = {
+            LEAKAGE: NightState(
+                *(label, time, night.state, night.way, row.sentence),
+                *(row.path, percent, is_news, advice),
             )
-            self.states.setdefault(name, []).append(known)
+        }
+        for name, zero in self.zeros.items():
+            words = zero.words(place) or "its zero is known"
+            drifts = zero.state[place] == "warning"
+            way, advice = ("drift", CHECK_ZERO) if drifts else ("baseline", "")
+            found[name] = NightState(label, time, zero.state[place], way, words, advice=advice)
+        for name, state in found.items():
+            self.states.setdefault(name, []).append(state)
 
     def by_table(self, before: Record | None, record: Record) -> dict[Table, list[Row]]:
         """The rows of all tables, with the changes of state."""
@@ -148,3 +133,28 @@ def _of_fit(fit: Row) -> Estimate | None:
         return None
     value, upper = fit["reference_leakage_l_per_min"], fit["reference_leakage_upper"]
     return Estimate(value, (upper - value) / HALF)
+
+
+def _baseline_rows(watched: WatchedNight, motor_id: str) -> list[Row]:
+    """The row of a baseline, in the night in which it was frozen."""
+    baseline, watch, verdict = watched.baseline, watched.watch, watched.verdict
+    if baseline is None or watch is None or verdict is None or baseline.end != watched.night:
+        return []
+    own = watched.own
+    row = {
+        "motor_id": motor_id,
+        "night": watched.night,
+        "indicator": LEAKAGE,
+        "start": baseline.start,
+        "end": baseline.end,
+        "n": baseline.n,
+        "mean": own.value if isinstance(own, Estimate) else None,
+        "unit": "l/min",
+        "phi": watch.state.wander.serial,
+        "reason": watched.era.reason,
+        "own_pressure_bar": baseline.own.pressure_bar,
+        "own_temperature_c": baseline.own.temperature_c,
+        "own_speed_rpm": baseline.own.speed_rpm,
+        "lack_of_fit": verdict.lack_of_fit,
+    }
+    return [row]

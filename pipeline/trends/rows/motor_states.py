@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from itertools import islice
+from pathlib import Path
+from statistics import median
 from typing import Any
 
+import polars as pl
+
 from leakage.estimation.validation import is_poor
-from pipeline.trends.nights.decisions import LEAKAGE, SENSORS, Decision
+from pipeline.errors import StoreError
+from pipeline.schema import (
+    ALARMS,
+    FITS,
+    INPUT_FILES,
+    LATEST,
+    OPERATION,
+    TRENDS,
+    WATCH,
+)
+from pipeline.schema.fits import FAILED, OK, WITH_SAMPLES
+from pipeline.store.tables import nights_back, read_rows, read_table, whole_file
+from pipeline.trends.nights.decisions import LEAKAGE, SENSORS, Decision, read_decisions
 from pipeline.trends.rows.watch_rows import WATCH_COLUMNS, WatchRow
+from pipeline.trends.sentences import limit_dates
 
 Row = dict[str, Any]
 
@@ -20,7 +38,7 @@ TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 FITS_OF_A_NIGHT = {
     "training_fit_percent": "training",
     "validation_fit_percent": "validation",
-    "previous_model_fit_percent": "the model before, on tonight",
+    "previous_model_fit_percent": "the model before, on that night",
 }
 LIMITS = ("days_to_limit", "days_to_limit_lower", "days_to_limit_upper", "days_to_limit_status")
 # States that ask for something.
@@ -85,6 +103,8 @@ class MotorState:
     # failed; else empty.
     poor_fit: str = ""
     failure: str = ""
+    # What the log of the newest night with samples lacks, in words; empty where it is as usual.
+    log_note: str = ""
     oil: str = ""  # the oil as measured, in words; empty where its data sheet holds
     # As in `trends`, of the leakage: when it reaches its limit; the same as dates, in words.
     days_to_limit: float | None = None
@@ -110,7 +130,7 @@ class MotorState:
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
         is_told = self.look is not None and not self.is_sudden and self.look.state != CLEAR
         look = self.look.words if self.look is not None and is_told else ""
-        every = (dates, self.failure, self.poor_fit, self.oil, look)
+        every = (dates, self.failure, self.log_note, self.poor_fit, self.oil, look)
         return tuple(note for note in every if note)
 
     @property
@@ -142,11 +162,7 @@ class MotorState:
 
 
 # Fields of a state that are columns of `latest` as they are.
-STORED = (
-    *("motor_id", "state", "reason", "advice", "state_since", "sensor_health", "last_night"),
-    *("last_good_night", "data_night", "data_age_nights", "poor_fit", "failure", "oil", *LIMITS),
-    *("limit_dates", "acknowledged"),
-)
+STORED = tuple(one.name for one in fields(MotorState) if one.name not in ("watch", "look"))
 
 
 def latest_rows(states: Iterable[MotorState], run_id: str) -> list[Row]:
@@ -192,6 +208,7 @@ def _latest_row(state: MotorState) -> Row:
 def state_of_row(row: Mapping[str, Any]) -> MotorState:
     """The state of a row of `latest`; of a version without a watch, that it is to be made."""
     known: Row = {name: row[name] for name in STORED}
+    known["log_note"] = known["log_note"] or ""
     if row["watch_night"] is not None:
         watch = {**row, "night": row["watch_night"], "sentence": row["reason"]}
         known["watch"] = WatchRow.of(watch)
@@ -226,14 +243,174 @@ def urgency(motor: MotorState) -> tuple[int, float, str]:
 
 
 def with_acknowledgement(state: MotorState, decisions: Sequence[Decision]) -> MotorState:
-    """A state with the last acknowledgement since it began, of a motor's decisions."""
+    """A state with the last acknowledgement since it began."""
     if state.state_since is None:
         return state
     said = [
         one.note or one.kind
         for one in decisions
-        if one.indicator not in SENSORS
+        if one.motor_id == state.motor_id
+        and one.indicator not in SENSORS
         and one.kind in ("acknowledged", "finding")
         and one.night >= state.state_since
     ]
     return replace(state, acknowledged=said[-1]) if said else state
+
+
+# Columns that a state is made from.
+FIT_COLUMNS = ("motor_id", "night", "status", "reason", "is_primary", *TONIGHTS_FITS)
+TREND_COLUMNS = (
+    *("motor_id", "night", "indicator", "value", "state_reason", "sensor_health", *LIMITS),
+)
+# Of the leakage that is told: the fleet's reference conditions, or the motor's own.
+LEAKAGES = ("reference_leakage", "own_reference_leakage")
+HOURS_COLUMNS = ("motor_id", "night", "logged_hours")
+FILE_COLUMNS = ("motor_id", "night", "message")
+# A night is short that has less than this share of the short ones of the last nights before.
+SHORT, NIGHTS_COMPARED, FEWEST_COMPARED = 0.8, 15, 5
+
+
+def latest_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
+    """States of some motors by the tables; raises StoreError if one is damaged."""
+    fits = read_rows(output, FITS, motor_ids, FIT_COLUMNS).sort("night", "is_primary")
+    last, good, data = (
+        _by_motor(some)
+        for some in (
+            fits,
+            fits.filter(status=OK),
+            fits.filter(pl.col("status").is_in(WITH_SAMPLES)),
+        )
+    )
+    newest = max((row["night"] for row in data.values()), default=None)
+    notes = _log_notes(output, data)
+    watch = _by_motor(read_rows(output, WATCH, motor_ids).sort("night"))
+    nights = {row["night"] for row in watch.values()}
+    trends: dict[str, dict[str, Row]] = {name: {} for name in watch}
+    for row in read_rows(output, TRENDS, motor_ids, TREND_COLUMNS, nights=nights).to_dicts():
+        if row["night"] == watch[row["motor_id"]]["night"]:
+            trends[row["motor_id"]][row["indicator"]] = row
+    alarms: dict[str, list[Row]] = {}
+    for row in read_rows(output, ALARMS, motor_ids).filter(indicator=LEAKAGE).to_dicts():
+        alarms.setdefault(row["motor_id"], []).append(row)
+    decisions = read_decisions(output)
+    found = []
+    for name in motor_ids:
+        night = data.get(name, {}).get("night")
+        state = replace(
+            _unknown(name),
+            reason="no trends yet" if name in last else "no night yet",
+            last_night=last.get(name, {}).get("night"),
+            last_good_night=good.get(name, {}).get("night"),
+            data_night=night,
+            data_age_nights=(newest - night).days if newest and night else None,
+            poor_fit=_poor_fit(good.get(name, {})),
+            failure=_failure(last.get(name, {})),
+            log_note=notes.get(name, ""),
+        )
+        if name in watch:
+            told = WatchRow.of(watch[name])
+            since = _since(alarms.get(name, ()), told.state)
+            state = _with_watch(state, told, trends[name], since)
+        found.append(with_acknowledgement(state, decisions))
+    return found
+
+
+def published_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
+    """States of some motors as the last run left them, with what was said of them since.
+
+    Without a table `latest` that is whole they are made from the other tables; raises StoreError if
+    one of these is damaged.
+    """
+    try:
+        rows = read_table(whole_file(output, LATEST), LATEST)
+    except StoreError as error:
+        if error.code != "store_read":
+            raise
+        return latest_states(output, motor_ids)
+    known = {row["motor_id"]: state_of_row(row) for row in rows.to_dicts()}
+    decisions = read_decisions(output)
+    return [with_acknowledgement(known.get(one, _unknown(one)), decisions) for one in motor_ids]
+
+
+def _unknown(motor_id: str) -> MotorState:
+    return MotorState(motor_id, "insufficient", "no night yet", "Wait for more nights.")
+
+
+def _with_watch(
+    state: MotorState, told: WatchRow, trends: Mapping[str, Row], since: dt.date | None
+) -> MotorState:
+    """A state with what the watch says of the motor's newest night."""
+    at_reference = told.reference_leakage_l_per_min is not None
+    limit = trends.get(LEAKAGES[0] if at_reference else LEAKAGES[1], {})
+    is_changed = told.state in CHANGED
+    mends = state.failure and not is_changed
+    limits: dict[str, Any] = {name: limit.get(name) for name in LIMITS}
+    return replace(
+        state,
+        state=told.state,
+        reason=told.sentence,
+        advice="Mend what failed in the last night." if mends else told.advice,
+        watch=told,
+        state_since=since,
+        sensor_health=limit.get("sensor_health"),
+        oil=trends.get("oil_viscosity", {}).get("state_reason") or "",
+        limit_dates=limit_dates(limit) if limit and is_changed else "",
+        **limits,
+    )
+
+
+def _since(alarms: Iterable[Row], state: str) -> dt.date | None:
+    """First night of a state that stands, by the changes of state; None where it is ok."""
+    first = None
+    for row in sorted(alarms, key=lambda row: row["night"]):
+        if row["to_state"] != state:
+            first = None
+        elif first is None:
+            first = row["night"]
+    return None if state == "ok" else first
+
+
+def _by_motor(rows: pl.DataFrame) -> dict[str, Row]:
+    """The last of each motor's rows, by motor."""
+    last = rows.unique("motor_id", keep="last", maintain_order=True)
+    return {row["motor_id"]: row for row in last.iter_rows(named=True)}
+
+
+def _failure(last: Row) -> str:
+    """Sentence on a motor's last night if it failed; else empty."""
+    is_failed = last.get("status") == FAILED
+    return f"night of {last['night']} failed: {last['reason']}" if is_failed else ""
+
+
+def _log_notes(output: Path, data: Mapping[str, Row]) -> dict[str, str]:
+    """What the log of each motor's newest night lacks: it is shorter than before, or cut."""
+    nights = list(islice(nights_back(output, OPERATION), NIGHTS_COMPARED))
+    logged = read_rows(output, OPERATION, list(data), HOURS_COLUMNS, nights=nights)
+    files = read_rows(output, INPUT_FILES, list(data), FILE_COLUMNS, nights=nights)
+    hours: dict[str, list[float]] = {name: [] for name in data}
+    for row in logged.sort("night").drop_nulls().to_dicts():
+        if row["night"] <= data[row["motor_id"]]["night"]:
+            hours[row["motor_id"]].append(row["logged_hours"])
+    said: dict[str, list[str]] = {name: [] for name in data}
+    for row in files.drop_nulls().to_dicts():
+        if row["night"] == data[row["motor_id"]]["night"]:
+            said[row["motor_id"]].append(row["message"])
+    found = {}
+    for name, parts in said.items():
+        before, last = sorted(hours[name][:-1]), hours[name][-1:]
+        # Nights before that are short, too, one in five, are no measure.
+        if len(before) >= FEWEST_COMPARED and last[0] < SHORT * before[len(before) // 5]:
+            parts.insert(0, f"{last[0]:.1f} h of log, {median(before):.1f} h in the nights before")
+        if parts:
+            found[name] = f"night of {data[name]['night']}: {'; '.join(parts)}"
+    return found
+
+
+def _poor_fit(last: Row) -> str:
+    """Sentence on the fit of a motor's last good night if it is poor; else empty."""
+    poor = [
+        fit_words(FITS_OF_A_NIGHT[name], last[name])
+        for name in TONIGHTS_FITS
+        if last and is_poor(last[name])
+    ]
+    return f"fit of {last['night']}: {', '.join(poor)}" if poor else ""

@@ -15,9 +15,10 @@ from leakage.course.time_to_limit import time_to_limit
 from leakage.estimation.identifiability import TOLD
 from leakage.physics.annular_gap import gap_ratio
 from leakage.watch import Estimate
-from pipeline.trends.nights.history import NIGHTS_BEFORE, WATCHED
+from pipeline.night.time_base import VISCOSITIES
+from pipeline.trends.nights.history import NIGHTS_BEFORE, WATCHED, History
 from pipeline.trends.nights.layout import LOSS_FACTOR
-from pipeline.trends.rows.oil_as_measured import oil_as_measured, viscosity_ratio
+from pipeline.trends.sentences import day
 from pipeline.trends.states.course import Course, WatchedNight
 from pipeline.trends.states.judged import JudgedNight
 from pipeline.trends.states.zeros import HALF, Zero, health
@@ -249,3 +250,27 @@ def _zero_row(zero: Zero, place: int) -> Row:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def oil_as_measured(history: History, place: int) -> str:
+    """Measured viscosity of a night's oil in words, and its water; empty if not measured."""
+    ratio, night = viscosity_ratio(history, place), history.nights[place]
+    if ratio is None:
+        return ""
+    percent = 100.0 * (ratio - 1.0)
+    size = f"{abs(percent):.0f} % {'thinner' if percent < 0 else 'thicker'} than its data sheet"
+    words = "as its data sheet" if abs(percent) < 0.5 else size
+    samples = [one for one in history.spec.samples_of(night) if one.date <= night]
+    measured = [one.date for one in samples if one.viscosity_40_c_mm2_per_s is not None]
+    water = [one.water_mg_per_kg for one in samples if one.water_mg_per_kg is not None]
+    by_log = any(name in history.spec.file.channels for name in VISCOSITIES)
+    source = "by the log" if by_log or not measured else f"on {day(measured[-1])}"
+    wet = f", water {water[-1]:g} mg/kg" if water else ""
+    return f"oil as measured {source}: {words}{wet}"
+
+
+def viscosity_ratio(history: History, place: int) -> float | None:
+    """Measured viscosity over the data sheet's, of the last night that has it."""
+    ratios = history.records["viscosity"][: place + 1]
+    known = ratios[np.isfinite(ratios)]
+    return float(known[-1]) if len(known) else None

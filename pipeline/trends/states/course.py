@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from leakage.watch import Estimate, NightBlocks, Verdict, Watch, WatchSettings
 from pipeline.config import MotorSpec
-from pipeline.config.fitting import Conditions
-from pipeline.trends.nights.eras import Era, era_at, eras_of
-from pipeline.trends.nights.from_tables import Beginning, MotorNights, read_blocks
-from pipeline.trends.nights.history import WATCHED, Array, Records
+from pipeline.config.settings import Conditions
+from pipeline.trends.nights.from_tables import MotorNights, read_blocks
+from pipeline.trends.nights.history import WATCHED, Array, Era, Records, era_at, eras_of
 from pipeline.trends.nights.kept import Kept, KeptWatch
 
 # A leakage is told at conditions as far beyond those of the era's blocks [°C, bar, rpm].
@@ -58,18 +58,9 @@ class Baseline:
         theta = watch.state.baseline.columns.theta
         return cls(first, last, len(nights), own, tuple(theta.tolist()))
 
-    @classmethod
-    def of_kept(cls, numbers: Mapping[str, Any]) -> Baseline:
-        """A baseline from what is kept of it."""
-        start, end = (dt.date.fromisoformat(numbers[name]) for name in ("start", "end"))
-        own, coefficients = Conditions(**numbers["own"]), tuple(numbers["coefficients"])
-        leakages = numbers["own_leakage"], numbers["reference_leakage"]
-        return cls(start, end, numbers["n"], own, coefficients, *leakages)
 
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """What is kept of it."""
-        return asdict(self) | {"start": self.start.isoformat(), "end": self.end.isoformat()}
+# To and from what is kept of a baseline.
+KEPT_BASELINE = TypeAdapter(Baseline)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,18 +109,20 @@ class Course:
     drives: dict[tuple[str, Conditions], Array | str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, output: Path, nights: MotorNights, beginning: Beginning) -> Course:
-        """A motor whose watch goes on from what is kept, or begins with its era."""
+    def of(cls, output: Path, nights: MotorNights) -> Course | None:
+        """A motor whose watch goes on from what is kept, or begins with its era; None: neither."""
         history = nights.history
-        eras, place = eras_of(history), history.place_from(beginning.night)
+        if nights.beginning is None:
+            return None
+        eras, place = eras_of(history), history.place_from(nights.beginning)
         figures = np.column_stack([history.records[name] for name in WATCHED])
         course = cls(output, nights, eras, place, era_at(eras, max(place - 1, 0)), figures)
         kept = nights.wanted.kept
-        if beginning.resumes and kept is not None and kept.watch is not None:
+        if nights.resumes and kept is not None and kept.watch is not None:
             machine = history.layout.machine(history.spec, kept.watch.era)
             settings = watch_settings(history.spec)
             course.watch = Watch.of_arrays(machine, settings, kept.watch.arrays)
-            course.baseline = Baseline.of_kept(kept.watch.own["baseline"])
+            course.baseline = KEPT_BASELINE.validate_python(kept.watch.own["baseline"])
             course.seen = np.array(kept.watch.own["seen"])
         return course
 
@@ -158,7 +151,8 @@ class Course:
         history = self.nights.history
         self.before = None
         if self.watch is not None and self.baseline is not None:
-            own = {"baseline": self.baseline.numbers, "seen": self.seen.tolist()}
+            numbers = KEPT_BASELINE.dump_python(self.baseline, mode="json")
+            own = {"baseline": numbers, "seen": self.seen.tolist()}
             self.before = self.era, own, self.watch
         if self.place in (self.era.first, self.era.end):
             self.era = era_at(self.eras, self.place)

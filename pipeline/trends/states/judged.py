@@ -16,6 +16,8 @@ from pipeline.trends.states.course import WatchedNight
 SURE = 0.975
 # Lack of fit up to which a model is supported, and up to which it is doubtful (model.md, 7b).
 SUPPORTED, DOUBTFUL = 0.02, 0.05
+# What the candidates are together that are parts.
+A_PART = "a_part"
 ModelVerdict = Literal["supported", "doubtful", "disproved"]
 
 
@@ -95,9 +97,17 @@ def _unnamed(change: Change, night: WatchedNight) -> Change:
     """A change of a motor that the model does not describe: it names no part."""
     assert night.watch is not None
     parts = {*night.watch.state.machine.paths, "all_gaps"} - {FLUSHING, KNOWN}
-    if parts.isdisjoint(change.cause.split(AND)):
-        return change
-    return replace(change, cause=CANNOT_BE_TOLD, path_growth=None)
+
+    def is_part(cause: str) -> bool:
+        return not parts.isdisjoint(cause.split(AND))
+
+    left = {name: p for name, p in change.candidates.items() if not is_part(name)}
+    if share := sum(p for name, p in change.candidates.items() if is_part(name)):
+        left[A_PART] = share
+    change = replace(change, candidates=left)
+    if is_part(change.cause):
+        change = replace(change, cause=CANNOT_BE_TOLD, path_growth=None)
+    return change
 
 
 def _is_beyond(leakage: Estimate | None, limit: float) -> bool:

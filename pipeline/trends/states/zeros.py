@@ -12,8 +12,7 @@ from scipy.special import ndtri
 from leakage.course.sensor_zero import zero_course
 from pipeline.config import MotorSpec
 from pipeline.trends.nights.decisions import FLOW_ZERO, PRESSURE_ZERO, SENSORS
-from pipeline.trends.nights.eras import Era, eras_of
-from pipeline.trends.nights.history import History
+from pipeline.trends.nights.history import Era, History, eras_of
 
 Array = NDArray[np.float64]
 
@@ -86,7 +85,6 @@ def _zero(history: History, name: str) -> Zero:
     for era in eras if np.isfinite(value).any() else ():
         here = slice(era.first, era.end)
         found = zero_course(
-            history.numbers[here],
             value[here],
             np.nan_to_num(error[here]),
             tolerance(history.spec, name),

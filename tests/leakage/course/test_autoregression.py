@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from leakage.course.autoregression import (
+from leakage.course.slope import (
     correlation_to_previous,
     estimated_phi,
     variance_of_mean,

@@ -96,16 +96,6 @@ def test_sets_hold_the_truth_whatever_the_course(course: str) -> None:
     assert held >= told - 15
 
 
-def test_jumps_have_an_earliest_time_alone() -> None:
-    generator = np.random.default_rng(2)
-    jumps = np.repeat([1.0, 1.08, 1.11, 1.2], 90)
-    found = found_of(jumps * (1.0 + 0.005 * generator.standard_normal(360)), 1.3)
-    smooth = found_of(np.linspace(1.0, 1.2, 360) + 0.005 * generator.standard_normal(360), 1.3)
-    assert (found.status, found.time, found.upper) == ("not_before", None, None)
-    assert 0.0 < found.lower < 180.0
-    assert smooth.status == "finite"
-
-
 def test_a_range_ends_no_further_ahead_than_the_nights_reach_back() -> None:
     generator = np.random.default_rng(3)
     noise = 0.003 * generator.standard_normal(100)
@@ -130,27 +120,3 @@ def test_the_other_statuses() -> None:
     assert found_of(np.where(np.arange(100) < 81, np.nan, rising), 1.3).status == "insufficient"
     stands = time_to_limit(np.arange(100), np.full(100, 8.0), rising, 1.3, FAR)
     assert stands.status == "insufficient"
-
-
-def test_units_and_nights_that_do_not_count_change_nothing_else() -> None:
-    generator = np.random.default_rng(6)
-    nights = np.arange(120)
-    values = np.linspace(1.0, 1.2, 120) + 0.004 * generator.standard_normal(120)
-    one = found_of(values, 1.3)
-    in_hours = time_to_limit(nights, 7.0 * nights, 1e-14 * values, 1.3e-14, 7.0 * FAR)
-    assert in_hours.status == one.status == "finite"
-    assert [in_hours.lower / 7, in_hours.time / 7, in_hours.upper / 7] == pytest.approx(
-        [one.lower, one.time, one.upper]
-    )
-    later = nights[20:] + 1000
-    gated = np.where(nights < 20, np.nan, values)
-    assert time_to_limit(nights, 1.0 * nights, gated, 1.3, FAR) == time_to_limit(
-        later, 1.0 * later, values[20:], 1.3, FAR
-    )
-
-
-def test_nights_without_scatter_have_the_time_of_their_course() -> None:
-    found = found_of((1.0 + 0.001 * np.arange(100.0)) ** 3, 1.15**3)
-    assert found.status == "finite"
-    assert found.lower <= 51.0 <= found.upper
-    assert found.time == pytest.approx(51.0, rel=0.06)

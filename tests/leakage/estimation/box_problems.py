@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from leakage.estimation.block_statistics import Array
-from leakage.estimation.multi_start import Parametrisation
 from tests.leakage.placeholders import placeholder_motor
 
 MOTOR = placeholder_motor(flushing="estimated", flushing_l_per_min=2.0)
-LOWER, UPPER = Parametrisation.of(MOTOR).coefficient_bounds()
+LOWER, UPPER = MOTOR.coefficient_bounds()
 WIDE = np.full(4, 1e3)
 
 

@@ -8,13 +8,12 @@ import pytest
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
 from leakage.estimation.block_statistics import factors
 from leakage.estimation.identifiability import Excitation, judge_leakage
-from leakage.estimation.multi_start import Parametrisation
 from leakage.physics.motor import OperatingConditions, regressors
 from tests.leakage.placeholders import placeholder_motor
 
 BLOCK, N_BLOCKS = 120, 45
 MODEL = placeholder_motor()
-PATHS = Parametrisation.of(MODEL).paths
+PATHS = MODEL.coefficient_paths
 THETA = np.array([path.configured_coefficient if path else 0.0 for path in PATHS])
 REFERENCE = OperatingConditions.from_bar(200.0, 50.0, 30.0)
 

@@ -42,20 +42,6 @@ def test_the_time_of_an_autoregression_is_known_with_white_noise_on_top_too(
     assert np.median(times) == pytest.approx(-1 / math.log(phi), rel=0.1)
 
 
-def test_white_errors_have_no_memory() -> None:
-    generator = np.random.default_rng(3)
-    times = [
-        correlation_time(generator.normal(size=5000), np.arange(5000), 500) for _ in range(100)
-    ]
-    # The band at lag one is one-sided 99.5 %.
-    assert np.mean(np.array(times) > 0) <= 0.03
-
-
-def test_a_memory_longer_than_looked_at_has_no_end() -> None:
-    drift = np.linspace(-1, 1, 2000)
-    assert math.isinf(correlation_time(drift, np.arange(2000), 100))
-
-
 def test_every_second_sample_remembers_as_long() -> None:
     generator = np.random.default_rng(4)
     slow = lfilter([1.0], [1.0, -0.98], generator.normal(size=41_000))[1000:]

@@ -123,12 +123,6 @@ def test_a_wrong_model_leaves_much(truth: Truth) -> None:
     assert sum(one.is_clear for one in found) >= 8
 
 
-def test_a_temperature_that_lags_shows_as_a_misfit_or_as_slow_errors() -> None:
-    """Its errors scale with the flow and drift: the intervals of one night allow for either."""
-    for one in misfits(Truth(temperature_lag_s=600.0), 10):
-        assert max(one.share, one.noise_share) > 0.01
-
-
 def test_the_size_is_that_of_the_flow_which_the_fit_cannot_follow() -> None:
     """Without noise, τ² is at most V at the minimum, and most of it for a wrong roller."""
     truth = Truth(with_roller(0.6), error=0.0)

@@ -46,29 +46,6 @@ def example(request: pytest.FixtureRequest) -> tuple[Array, Array, NDArray[np.in
     return error, u, index
 
 
-def test_autocorrelation_is_that_of_the_definition(
-    example: tuple[Array, Array, NDArray[np.int64]],
-) -> None:
-    error, _, index = example
-    found = analyse_residuals(error, {}, index)
-    assert found.mean_l_per_min == pytest.approx(sum(error) / len(error), rel=1e-12)
-    centred = error - error.mean()
-    variance = float(np.mean(centred**2))
-    statistic = 0.0
-    n, test = len(error), found.whiteness
-    assert test.lags.tolist() == list(range(26))
-    assert test.values[0] == pytest.approx(1.0, rel=1e-12)
-    assert np.isnan(test.bounds[0])
-    for lag in range(1, 26):
-        value, pairs = covariance(centred, centred, lag, segments_of(index))
-        assert test.values[lag] == pytest.approx(value / variance, abs=1e-12)
-        assert test.bounds[lag] == pytest.approx(2.576 / math.sqrt(pairs), rel=1e-12)
-        statistic += (n + 2) / n * pairs * (value / variance) ** 2
-    assert test.statistic == pytest.approx(statistic, rel=1e-11)
-    assert test.degrees_of_freedom == 25
-    assert test.p_value == pytest.approx(float(chi2.sf(statistic, 25)), rel=1e-9)
-
-
 def test_without_gaps_the_figure_is_that_of_ljung_and_box() -> None:
     """n (n + 2) Σ r²/(n − k), r(k) = Σ ε(t) ε(t − k) / Σ ε², as in their paper."""
     series = np.random.default_rng(3).normal(size=1500)

@@ -98,12 +98,6 @@ def test_the_level_keeps_its_weight_and_what_differs_from_it_is_whitened() -> No
     np.testing.assert_allclose(made.T @ made, expected, rtol=1e-9)
 
 
-def test_errors_that_are_not_slow_leave_the_factors_as_they_are() -> None:
-    blocks = blocks_of(made_night(6, np.zeros(1000)))
-    for errors in (replace(ADDS, evidence=3.9), replace(ADDS, memory=0.0)):
-        assert whitened(blocks, np.arange(6), errors) is blocks
-
-
 @pytest.mark.parametrize("scales", [False, True])
 def test_the_likelihood_tells_errors_that_scale_from_errors_that_add(scales: bool) -> None:
     found = []

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from leakage import OperatingConditions, regressors
-from leakage.estimation.smoothing import smooth
+from leakage.estimation.compression import smooth
 from pipeline.config import load_fleet
 from pipeline.demo import shipped_configs
 
@@ -51,86 +51,6 @@ def test_as_the_slow_definition(seed: int, window_s: float) -> None:
     got = smooth(z, index, block, STEP, window_s)
     half = round(window_s * 1e6) // 2 // STEP
     np.testing.assert_allclose(got, slow_average(z, index, block, half), rtol=1e-12, atol=1e-13)
-
-
-def test_centred() -> None:
-    """An impulse spreads to both sides alike: 51 samples of 1/51."""
-    z = np.zeros((201, 1))
-    z[100] = 1.0
-    index = np.arange(201)
-    got = smooth(z, index, np.zeros(201, np.int64), STEP, FIVE_SECONDS)[:, 0]
-    np.testing.assert_allclose(got[75:126], 1 / 51, rtol=1e-12)
-    np.testing.assert_allclose(np.delete(got, range(75, 126)), 0.0, atol=1e-15)
-
-
-def test_no_shift_of_a_ramp_away_from_the_borders() -> None:
-    z = np.arange(300.0)[:, None]
-    got = smooth(z, np.arange(300), np.zeros(300, np.int64), STEP, FIVE_SECONDS)
-    np.testing.assert_allclose(got[25:-25], z[25:-25], rtol=1e-13)
-
-
-@pytest.mark.parametrize("window_s", [0.0, 0.1, 0.19])
-def test_a_window_of_one_sample_changes_nothing(window_s: float) -> None:
-    z, index, block = some_samples(1)
-    np.testing.assert_array_equal(smooth(z, index, block, STEP, window_s), z)
-
-
-@pytest.mark.parametrize("rate_hz", [1, 5, 10])
-def test_window_is_a_time(rate_hz: int) -> None:
-    z = np.zeros((200, 1))
-    z[100] = 1.0
-    got = smooth(z, np.arange(200), np.zeros(200, np.int64), 1_000_000 // rate_hz, FIVE_SECONDS)
-    assert np.count_nonzero(np.abs(got) > 1e-9) == 2 * (5 * rate_hz // 2) + 1
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_ones_stay_ones(seed: int) -> None:
-    """The number of samples behind a factor is read from its column of ones."""
-    z, index, block = some_samples(seed)
-    z[:, 1] = 1.0
-    got = smooth(z, index, block, STEP, FIVE_SECONDS)
-    np.testing.assert_array_equal(got[:, 1], 1.0)
-
-
-class TestBorders:
-    @given(st.integers(0, 2**32 - 1), st.integers(2, 10**9))
-    def test_data_before_a_gap_changes_nothing_after_it(self, seed: int, gap: int) -> None:
-        z, index, block = some_samples(seed)
-        index[40:] += gap
-        block[40:] = block[:40].max()  # one block on both sides: the gap alone cuts
-        other = z.copy()
-        other[:40] = 1e12 * np.random.default_rng(seed).normal(0, 1, (40, 4))
-        one, two = (smooth(some, index, block, STEP, FIVE_SECONDS) for some in (z, other))
-        np.testing.assert_array_equal(one[40:], two[40:])
-        alone = smooth(z[40:], index[40:], block[40:], STEP, FIVE_SECONDS)
-        np.testing.assert_array_equal(alone, one[40:])
-
-    @given(st.integers(0, 2**32 - 1))
-    def test_nor_does_the_block_before(self, seed: int) -> None:
-        z, index, block = some_samples(seed)
-        second = block == 1
-        other = np.where(second[:, None], z, 1e12)
-        one, two = (smooth(some, index, block, STEP, FIVE_SECONDS) for some in (z, other))
-        np.testing.assert_array_equal(one[second], two[second])
-
-    def test_lone_samples_stay(self) -> None:
-        z = np.arange(10.0)[:, None]
-        got = smooth(z, 2 * np.arange(10), np.zeros(10, np.int64), STEP, FIVE_SECONDS)
-        np.testing.assert_array_equal(got, z)
-
-    def test_no_samples(self) -> None:
-        none = np.zeros(0, np.int64)
-        assert smooth(np.zeros((0, 6)), none, none, STEP, FIVE_SECONDS).shape == (0, 6)
-
-
-def test_arguments_are_left_alone() -> None:
-    z, index, block = some_samples(5)
-    for array in (z, index, block):
-        array.flags.writeable = False
-    before = z.copy()
-    smooth(z, index, block, STEP, 1.0, "all")
-    smooth(z, index, block, STEP, 1.0, "leakage")
-    np.testing.assert_array_equal(z, before)
 
 
 @pytest.fixture(scope="module")

@@ -110,29 +110,6 @@ def test_the_root_tells_what_is_known_where_columns_look_alike() -> None:
     assert error == pytest.approx(interval.standard_error, rel=1e-5)
 
 
-def test_two_blocks_have_a_root_of_all_coefficients() -> None:
-    z, borders, _ = made_blocks(7, (40, 40))
-    distribution = cluster_robust(factors(z, borders), least_squares(z), np.ones(4, dtype=bool))
-    assert distribution is not None
-    root = distribution.covariance_root()
-    assert root.T @ root == pytest.approx(distribution.covariance(), rel=1e-6, abs=1e-30)
-
-
-def test_inactive_coefficients_do_not_count() -> None:
-    z, borders, _ = made_blocks(3, (40,) * 9)
-    z[:, 1] = 0.0
-    theta = least_squares(z[:, [0, 2, 3, 4, 5]])
-    whole = np.insert(theta, 1, 0.0)
-    active = np.array([True, False, True, True])
-    distribution = cluster_robust(factors(z, borders), whole, active)
-    smaller = z[:, [0, 2, 3, 4, 5]]
-    error, _ = sandwich_over_samples(smaller, borders, theta, np.array([1.0, 0, 0]))
-    assert distribution is not None
-    interval = distribution.interval(np.array([1.0, 5.0, 0, 0]))
-    assert interval is not None
-    assert interval.standard_error == pytest.approx(error, rel=1e-7)
-
-
 def test_only_what_dependent_columns_span_has_an_interval() -> None:
     z, borders, _ = made_blocks(4, (40,) * 9)
     z[:, 1] = 3.0 * z[:, 0]
@@ -148,25 +125,6 @@ def test_only_what_dependent_columns_span_has_an_interval() -> None:
     )
     assert together.standard_error == pytest.approx(error, rel=1e-6)
     assert np.isinf(distribution.variance_inflation()[:2]).all()
-
-
-@pytest.mark.parametrize("blocks", [0, 1])
-def test_fewer_than_two_blocks_have_no_distribution(blocks: int) -> None:
-    z, borders, theta = made_blocks(5, (40, 40))
-    some = factors(z, borders)[:blocks]
-    assert cluster_robust(some, theta, np.ones(4, dtype=bool)) is None
-
-
-def test_empty_blocks_change_nothing() -> None:
-    z, borders, _ = made_blocks(6, (40,) * 6)
-    theta = least_squares(z)
-    blocks = factors(z, borders)
-    padded = np.concatenate([np.zeros((1, 6, 6)), blocks, np.zeros((2, 6, 6))])
-    one = cluster_robust(blocks, theta, np.ones(4, dtype=bool))
-    other = cluster_robust(padded, theta, np.ones(4, dtype=bool))
-    assert one is not None
-    assert other is not None
-    assert one.interval(np.eye(4)[0]) == other.interval(np.eye(4)[0])
 
 
 def test_intervals_of_strongly_correlated_errors_hold_the_truth() -> None:
@@ -187,25 +145,3 @@ def test_intervals_of_strongly_correlated_errors_hold_the_truth() -> None:
         assert interval is not None
         held += abs(found.coefficients[0] - 2.0) <= interval.half_width
     assert 0.92 <= held / 400 <= 0.98
-
-
-def test_an_inflation_widens_every_interval_and_a_share_is_a_share() -> None:
-    z, borders, _ = made_blocks(12, (40,) * 9)
-    theta, active = least_squares(z), np.ones(4, dtype=bool)
-    blocks = factors(z, borders)
-    plain = cluster_robust(blocks, theta, active)
-    wide = cluster_robust(blocks, theta, active, inflation=1.2)
-    assert plain is not None
-    assert wide is not None
-    for unit in np.eye(4):
-        one, other = plain.interval(unit), wide.interval(unit)
-        assert one is not None
-        assert other is not None
-        assert other.half_width == pytest.approx(1.2 * one.half_width)
-        assert 1 / 9 <= one.largest_block_share < 0.5
-    z[: borders[8], 0] = 0.0
-    alone = cluster_robust(factors(z, borders), least_squares(z), active)
-    assert alone is not None
-    rests_on_one = alone.interval(np.eye(4)[0])
-    assert rests_on_one is not None
-    assert rests_on_one.largest_block_share > 0.9

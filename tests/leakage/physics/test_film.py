@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
 from leakage.errors import ParameterError
-from leakage.physics.film import REGIMES, film_thickness_ratio
+from leakage.physics.annular_gap import REGIMES, film_thickness_ratio
 
 LENGTHS_M = st.floats(1e-8, 1e-4)
 
@@ -17,19 +16,6 @@ LENGTHS_M = st.floats(1e-8, 1e-4)
 def test_ratio_by_hand() -> None:
     # h(1 - e) = 12 µm · 0.75 = 9 µm; √(0.3² + 0.4²) = 0.5 µm.
     assert float(film_thickness_ratio(12e-6, 0.25, 0.3e-6, 0.4e-6)) == pytest.approx(18.0)
-
-
-@given(gap_m=LENGTHS_M, roughness_m=LENGTHS_M, scale=st.floats(0.1, 10.0), e=st.floats(0.0, 0.99))
-def test_ratio_has_no_dimension(gap_m: float, roughness_m: float, scale: float, e: float) -> None:
-    ratio = film_thickness_ratio(gap_m, e, roughness_m, 0.0)
-    larger = film_thickness_ratio(scale * gap_m, e, scale * roughness_m, 0.0)
-    assert float(larger) == pytest.approx(float(ratio), rel=1e-12)
-
-
-@given(gap_m=LENGTHS_M, e=st.floats(0.0, 0.9), step=st.floats(0.01, 0.1))
-def test_ratio_falls_with_eccentricity_to_0_at_touch(gap_m: float, e: float, step: float) -> None:
-    at_e, further, touching = film_thickness_ratio(gap_m, [e, e + step, 1.0], 0.2e-6, 0.2e-6)
-    assert at_e > further >= touching == 0.0
 
 
 def test_regimes_leave_no_ratio_out() -> None:

@@ -39,12 +39,6 @@ def test_walther_constants_themselves_are_those_of_decimal_logarithms() -> None:
     assert b == pytest.approx(3.6844, abs=5e-5)
 
 
-def test_walther_constants_do_not_depend_on_the_order_of_the_points() -> None:
-    assert walther_coefficients(100.0, 6.8, 40.0, 46.0) == pytest.approx(
-        walther_coefficients(40.0, 46.0, 100.0, 6.8), rel=1e-14
-    )
-
-
 @pytest.mark.parametrize(
     ("grade", "temperature_c", "expected", "digit"),
     [
@@ -60,26 +54,6 @@ def test_kinematic_viscosity_worked_values(
     grade: str, temperature_c: float, expected: float, digit: float
 ) -> None:
     assert viscosity(grade, temperature_c) == pytest.approx(expected, abs=digit)
-
-
-@pytest.mark.parametrize(("grade", "data_sheet"), [("VG 46", 580.0), ("VG 32", 338.0)])
-def test_kinematic_viscosity_at_0_c_is_near_the_data_sheets(grade: str, data_sheet: float) -> None:
-    assert viscosity(grade, 0.0) == pytest.approx(data_sheet, rel=0.01)
-
-
-@pytest.mark.parametrize("grade", sorted(REFERENCE_VISCOSITIES))
-def test_kinematic_viscosity_at_both_reference_points(grade: str) -> None:
-    at_40_c, at_100_c = REFERENCE_VISCOSITIES[grade]
-    assert viscosity(grade, 40.0) == pytest.approx(at_40_c, rel=1e-12)
-    assert viscosity(grade, 100.0) == pytest.approx(at_100_c, rel=1e-12)
-
-
-@given(thick=st.floats(2.5, 5000.0), ratio=st.floats(1.05, 50.0))
-def test_reference_viscosities_come_back(thick: float, ratio: float) -> None:
-    thin = max(2.0 + 1e-9, thick / ratio)
-    a, b = walther_coefficients(40.0, thick, 100.0, thin)
-    again = kinematic_viscosity_mm2_per_s(np.array([40.0, 100.0]), a, b)
-    np.testing.assert_allclose(again, [thick, thin], rtol=1e-9)
 
 
 @given(thick=st.floats(1.2, 4.0), thin=st.floats(0.35, 1.1))
@@ -98,22 +72,6 @@ def test_full_form_worked_by_hand() -> None:
     assert [10.0**10.0**x for x in double_logs] == pytest.approx([4.7, 1.721928], rel=1e-6)
 
 
-def test_step_to_the_full_form_is_small_and_downward() -> None:
-    a, b = walther_coefficients(40.0, 4.0, 100.0, 1.0)
-    temperature = np.linspace(40.0, 100.0, 20_001)
-    values = kinematic_viscosity_mm2_per_s(temperature, a, b)
-    below = int(np.argmax(values < 2.0))
-    assert values[below - 1] >= 2.0 > values[below] > 2.0 * (1.0 - 6e-4)
-    assert (np.diff(values) < 0.0).all()
-
-
-@given(grade=GRADES, low=TEMPERATURES_C, step=st.floats(0.01, 100.0))
-def test_viscosity_and_density_fall_with_temperature(grade: str, low: float, step: float) -> None:
-    oil = placeholder_oil(grade)
-    assert viscosity(grade, low + step) < viscosity(grade, low)
-    assert density_kg_per_m3(low + step, oil) < density_kg_per_m3(low, oil)
-
-
 @pytest.mark.parametrize("temperature_c", [-71.0, 371.0, -273.15, -500.0])
 def test_temperature_outside_d341_is_refused(temperature_c: float) -> None:
     with pytest.raises(ValidityError, match="outside ASTM D341") as caught:
@@ -126,16 +84,6 @@ def test_viscosity_below_the_full_form_is_refused_even_beside_nan() -> None:
     with pytest.raises(ValidityError, match=r"below the 0\.21") as caught:
         kinematic_viscosity_mm2_per_s(np.array([math.nan, 300.0]), a, b)
     assert caught.value.code == "oil_viscosity_range"
-
-
-def test_nan_stays_nan_and_nothing_else_changes() -> None:
-    oil = placeholder_oil()
-    temperature = np.array([math.nan, 50.0])
-    before = temperature.copy()
-    values = dynamic_viscosity_pa_s(temperature, 200e5, oil)
-    assert math.isnan(values[0])
-    assert values[1] == pytest.approx(0.055055, abs=5e-7)
-    np.testing.assert_array_equal(temperature, before)
 
 
 @pytest.mark.parametrize(
@@ -174,36 +122,6 @@ def test_dynamic_viscosity_worked_values(
     assert float(value) == pytest.approx(expected_pa_s, abs=5e-7)
 
 
-def test_one_square_millimetre_a_second_is_one_millipascal_second_at_density_1000() -> None:
-    # Dimensions: 1 mm²/s · 1000 kg/m³ = 1e-3 Pa·s.
-    a, b = walther_coefficients(40.0, 46.0, 100.0, 6.8)
-    oil = Oil("heavy", a, b, 1000.0, 0.0, 0.0)
-    assert float(dynamic_viscosity_pa_s(40.0, 0.0, oil)) == pytest.approx(46e-3, rel=1e-12)
-
-
-@given(temperature_c=TEMPERATURES_C, pressure_pa=PRESSURES_PA, step=st.floats(1e3, 1e7))
-def test_barus_is_exponential_in_pressure(
-    temperature_c: float, pressure_pa: float, step: float
-) -> None:
-    oil = placeholder_oil()
-    low = dynamic_viscosity_pa_s(temperature_c, pressure_pa, oil)
-    high = dynamic_viscosity_pa_s(temperature_c, pressure_pa + step, oil)
-    assert high > low
-    assert float(high / low) == pytest.approx(math.exp(2e-8 * step), rel=1e-9)
-
-
-@given(pressure_pa=st.floats(1e5, 350e5), temperature_c=TEMPERATURES_C)
-def test_slot_equals_the_thesis_at_the_equivalent_share(
-    pressure_pa: float, temperature_c: float
-) -> None:
-    oil = placeholder_oil()
-    x = oil.pressure_viscosity_per_pa * pressure_pa
-    share = math.log(x / -math.expm1(-x)) / x
-    slot = flow_drive_per_s(pressure_pa, temperature_c, oil, FilmPressure("slot"))
-    thesis = flow_drive_per_s(pressure_pa, temperature_c, oil, FilmPressure("thesis", share))
-    assert float(slot) == pytest.approx(float(thesis), rel=1e-9)
-
-
 def test_share_1_understates_the_slot_by_19_percent_at_200_bar() -> None:
     oil = placeholder_oil()
     thesis = flow_drive_per_s(200e5, 50.0, oil)
@@ -223,47 +141,6 @@ def test_slot_is_the_integral_of_the_fluidity_over_the_pressure_drop(pressure_ba
     )
     slot = flow_drive_per_s(pressure_bar * 1e5, 50.0, oil, FilmPressure("slot"))
     assert float(slot) == pytest.approx(integral, rel=1e-10)
-
-
-@given(pressure_pa=PRESSURES_PA, temperature_c=TEMPERATURES_C)
-def test_without_pressure_viscosity_all_film_pressures_agree(
-    pressure_pa: float, temperature_c: float
-) -> None:
-    oil = placeholder_oil(pressure_viscosity_per_pa=0.0)
-    plain = pressure_pa / float(dynamic_viscosity_pa_s(temperature_c, 0.0, oil))
-    for film_pressure in (FilmPressure(), FilmPressure(share=0.5), FilmPressure("slot")):
-        drive = flow_drive_per_s(pressure_pa, temperature_c, oil, film_pressure)
-        assert float(drive) == pytest.approx(plain, rel=1e-12)
-
-
-@pytest.mark.parametrize("film_pressure", [FilmPressure(), FilmPressure("slot")])
-@given(pressure_pa=PRESSURES_PA, temperature_c=TEMPERATURES_C, step=st.floats(1e4, 1e7))
-def test_drive_is_even_and_grows_with_pressure(
-    film_pressure: FilmPressure, pressure_pa: float, temperature_c: float, step: float
-) -> None:
-    # ΔP·exp(-αΔP) grows up to 1/α = 500 bar, beyond every motor's pressure.
-    oil = placeholder_oil()
-    drive, reverse, more = (
-        float(flow_drive_per_s(pressure, temperature_c, oil, film_pressure))
-        for pressure in (pressure_pa, -pressure_pa, pressure_pa + step)
-    )
-    assert drive == reverse
-    assert 0.0 <= drive < more
-
-
-def test_no_samples_give_no_values() -> None:
-    assert flow_drive_per_s(np.empty(0), np.empty(0), placeholder_oil()).shape == (0,)
-
-
-@pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])
-def test_film_pressure_share_outside_0_to_1_is_refused(share: float) -> None:
-    with pytest.raises(ParameterError, match="share"):
-        FilmPressure("thesis", share)
-
-
-def test_unknown_film_pressure_model_is_refused() -> None:
-    with pytest.raises(ParameterError, match="use 'thesis' or 'slot'"):
-        FilmPressure("mean")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("density", [0.0, -1.0, math.nan, math.inf])

@@ -1,4 +1,4 @@
-"""Constants fitted to points of a simulated curve: recovery, residual figures, nonsense."""
+"""Constants fitted to points of a simulated curve: recovery, nonsense."""
 
 from __future__ import annotations
 
@@ -27,10 +27,8 @@ def simulated_flow(deformation_pressure_pa: float, amplitude: float = 1e7) -> np
 def test_deformation_pressure_is_recovered(deformation_bar: float, amplitude: float) -> None:
     # 120 bar, the ring, and 900 bar, the sleeve, lie in this range.
     flow = simulated_flow(deformation_bar * 1e5, amplitude)
-    fit = fit_deformation_pressure(PRESSURE_PA, GAP_M, flow)
-    assert fit.deformation_pressure_pa == pytest.approx(deformation_bar * 1e5, rel=1e-6)
-    assert fit.amplitude == pytest.approx(amplitude, rel=1e-6)
-    assert fit.largest_residual_l_per_min < 1e-6 * flow.max()
+    found = fit_deformation_pressure(PRESSURE_PA, GAP_M, flow)
+    assert found == pytest.approx(deformation_bar * 1e5, rel=1e-6)
 
 
 def test_deformation_pressure_from_read_off_points_peaks_where_they_do() -> None:
@@ -39,11 +37,7 @@ def test_deformation_pressure_from_read_off_points_peaks_where_they_do() -> None
     pressure = np.linspace(5e5, 200e5, 40)
     exact = pressure / 40e5 * np.exp(1.0 - pressure / 40e5)
     read = np.maximum(exact + 0.01 * generator.standard_normal(40), 1e-4)
-    fit = fit_deformation_pressure(pressure, 8e-6, read)
-    assert fit.deformation_pressure_pa == pytest.approx(120e5, rel=0.02)
-    assert fit.rms_residual_l_per_min == pytest.approx(0.01, rel=0.3)
-    assert fit.largest_residual_l_per_min >= fit.rms_residual_l_per_min
-    assert fit.n_points == 40
+    assert fit_deformation_pressure(pressure, 8e-6, read) == pytest.approx(120e5, rel=0.02)
 
 
 @pytest.mark.parametrize("rigid", [math.inf, -500e5])
@@ -77,10 +71,7 @@ def test_nonsensical_points_of_a_gap_are_refused(
 def test_quintic_is_recovered_from_its_points() -> None:
     speed = np.linspace(0.0, 125.0, 26)
     flow = cam_roller().curve_l_per_min(speed)
-    fit = fit_speed_curve(speed, flow)
-    assert fit.coefficients == pytest.approx(ROLLER_QUINTIC, rel=1e-8)
-    assert (fit.speed_minimum_rpm, fit.speed_maximum_rpm, fit.n_points) == (0.0, 125.0, 26)
-    assert fit.largest_residual_l_per_min < 1e-14
+    assert fit_speed_curve(speed, flow) == pytest.approx(ROLLER_QUINTIC, rel=1e-8)
 
 
 @given(seed=st.integers(0, 1000), degree=st.integers(0, 6))
@@ -88,19 +79,9 @@ def test_polynomials_of_any_degree_are_recovered(seed: int, degree: int) -> None
     generator = np.random.default_rng(seed)
     per_range = generator.uniform(0.1, 1.0, degree + 1)  # at ω/125 rpm, so that all terms count
     speed = np.linspace(0.0, 125.0, 30)
-    fit = fit_speed_curve(speed, np.polyval(per_range, speed / 125.0), degree)
-    scaled = np.array(fit.coefficients) * 125.0 ** np.arange(degree, -1, -1)
+    found = fit_speed_curve(speed, np.polyval(per_range, speed / 125.0), degree)
+    scaled = np.array(found) * 125.0 ** np.arange(degree, -1, -1)
     np.testing.assert_allclose(scaled, per_range, rtol=1e-7)
-
-
-def test_read_off_error_shows_in_the_residual_figures() -> None:
-    generator = np.random.default_rng(5)
-    speed = np.linspace(0.0, 125.0, 200)
-    flow = cam_roller().curve_l_per_min(speed) + 1e-3 * generator.standard_normal(200)
-    fit = fit_speed_curve(speed, np.abs(flow))
-    assert fit.rms_residual_l_per_min == pytest.approx(1e-3, rel=0.15)
-    middle = np.polyval(fit.coefficients, 60.0) - np.polyval(ROLLER_QUINTIC, 60.0)
-    assert abs(middle) < 5e-4
 
 
 def test_curve_that_turns_negative_between_its_points_is_refused() -> None:

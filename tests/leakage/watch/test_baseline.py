@@ -72,16 +72,6 @@ def test_a_path_that_does_not_leak_has_a_coefficient_of_zero_and_costs_nothing()
     assert abs(mean_residual(baseline, pulling)) < 0.01
 
 
-def test_a_drive_that_counts_backwards_is_turned() -> None:
-    nights = Plant().nights(15, 4)
-    backwards = with_paths(nights, [one.drives * [1.0, 1.0, -1.0, 1.0] for one in nights])
-    ours, theirs = baseline_of(CB560, nights), baseline_of(CB560, backwards)
-    assert theirs.columns.sign.tolist() == [1.0, 1.0, -1.0, 1.0]
-    assert theirs.columns.theta == pytest.approx(ours.columns.theta, rel=1e-9)
-    for one, other in zip(nights, backwards, strict=True):
-        assert theirs.information(other)[1] == pytest.approx(ours.information(one)[1], rel=1e-6)
-
-
 def test_low_flow_has_a_floor_in_the_scale_only() -> None:
     """Half of the blocks nearly still: their expectation stays theirs."""
     nights = []
@@ -101,14 +91,6 @@ def test_one_pressure_tells_no_gap_from_another() -> None:
     )
     assert (still.tells_gaps, still.tells_speed) == (False, False)
     assert (varied.tells_gaps, varied.tells_speed) == (True, True)
-
-
-def test_duty_is_near_its_own_and_far_from_another() -> None:
-    nights = Plant().nights(15, 8)
-    baseline = baseline_of(CB560, nights)
-    lighter = Plant(load=lambda _: 0.5).nights(3, 9)
-    assert max(baseline.distance(night) for night in nights) < 4.0
-    assert min(baseline.distance(night) for night in lighter) > 6.0
 
 
 def test_information_of_a_night_is_about_what_is_left_of_the_baseline() -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from leakage.watch import NightBlocks
-from leakage.watch.columns import Columns, knots_at
+from leakage.watch.baseline import Columns, knots_at
 
 COLUMNS = Columns(
     sign=np.array([1.0, -1.0]),
@@ -51,22 +49,8 @@ def test_design_is_by_hand() -> None:
     )
 
 
-def test_one_pressure_and_one_speed_have_no_surface() -> None:
-    one = np.array([180.0])
-    flat = replace(COLUMNS, pressure_knots=one, speed_knots=one, has_zero=False)
-    assert flat.n == 4
-    assert flat.of_night(NIGHT)[0].shape == (3, 4)
-
-
 def test_knots_that_are_near_are_merged() -> None:
     values = np.concatenate([np.full(500, 100.0), np.linspace(101.0, 300.0, 500)])
     knots = knots_at(values, (0.02, 0.35, 0.65, 0.98), 0.10)
     assert len(knots) == 3
     assert np.all(np.diff(knots) > 0.1 * 300.0)
-
-
-def test_priors_are_those_of_the_model() -> None:
-    """Paths ± 100 %, temperature ± 20 and 5 % in 10 K, each knot ± 3 %, zero 2 %."""
-    assert np.diag(COLUMNS.prior()) ** -0.5 == pytest.approx(
-        [1.0, 1.0, 0.2, 0.05, 0.03, 0.03, 0.02]
-    )

@@ -17,9 +17,8 @@ from scipy.linalg import block_diag
 from scipy.stats import halfnorm, multivariate_normal, norm
 
 from leakage.watch.causes import Cause
-from leakage.watch.evidence import RAMP, STEP, Causes, Evidence, starts_of
+from leakage.watch.evidence import RAMP, STEP, Causes, Evidence, Sums, Window, starts_of
 from leakage.watch.wander import PHI, SHARE, Wander
-from leakage.watch.window import Sums, Window
 
 Array = NDArray[np.float64]
 

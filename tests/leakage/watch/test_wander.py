@@ -121,19 +121,6 @@ def test_what_forgets_does_not_hide_a_long_memory() -> None:
     assert found == pytest.approx(wanted + 0.5, rel=0.25)
 
 
-def test_slow_wear_is_no_memory() -> None:
-    white = 0.005 * np.random.default_rng(5).standard_normal(300)
-    worn = white + np.linspace(0.0, 0.2, 300)
-    assert one_path(worn).serial == pytest.approx(one_path(white).serial, abs=0.02)
-    assert one_path(worn).serial < 0.2
-
-
-def test_extremes_of_memory() -> None:
-    walk = autoregression(400, 0.99, np.random.default_rng(6))
-    assert one_path(0.01 * walk).serial > 0.9
-    assert one_path(0.01 * np.cos(np.pi * np.arange(400))).serial < 0.15
-
-
 def test_mean_of_correlated_nights_varies_by_more() -> None:
     wander = Wander(np.eye(1), USUAL_MEMORY)
     for n in (1, 2, 7, 40):

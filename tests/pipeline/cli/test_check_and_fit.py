@@ -61,6 +61,18 @@ def test_check_is_1_where_there_is_no_log_at_all(call: Call, own_fleet: OwnFleet
     assert (code, json.loads(err)["code"]) == (1, "no_logs")
 
 
+def test_check_is_1_where_the_folder_of_the_metrics_is_missing(call: Call, fleet: Path) -> None:
+    with fleet.open("a") as config:
+        config.write('[metrics]\ntextfile = "../metrics/fleet.prom"\n')
+    folder = fleet.parent.parent / "metrics"
+    code, _, err = call("check", fleet)
+    assert code == 1
+    assert err.startswith("motor-leakage: metrics_file: ")
+    assert "/metrics is no folder; make it" in err
+    folder.mkdir()
+    assert call("check", fleet)[0] == 0
+
+
 @pytest.mark.parametrize(
     "command", [("check", "--tables"), ("prune", "--tables", "starts", "--keep", "1")]
 )
@@ -108,15 +120,6 @@ def test_fit_of_a_night_without_a_log_is_wrong_usage(call: Call, fleet: Path) ->
     code, out, err = call("fit", fleet, CSV, "2020-01-03")
     assert (code, out) == (2, "")
     assert f"no log of {CSV} covers the night of 2020-01-03: they cover 2026-01-02 to" in err
-    assert "fit-fleet" not in err
-    for path in (fleet.parent.parent / "demo" / "logs" / CSV).iterdir():
-        path.unlink()
-    code, _, err = call("fit", fleet, CSV, "2026-01-03")
-    assert code == 2
-    assert f"covers the night of 2026-01-03: no file matches {CSV}/*.csv below" in err
-
-
-def test_fit_of_a_named_log_that_is_absent_says_so(call: Call, fleet: Path) -> None:
     change(fleet, f"motors/{CSV}.toml", f'"{CSV}/*.csv"', '"gone.csv"')
     code, out, err = call("fit", fleet, CSV, "2026-01-03")
     assert (code, out) == (1, "")

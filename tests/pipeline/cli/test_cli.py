@@ -18,8 +18,6 @@ import pytest
 import pipeline.cli
 import pipeline.run.fleet
 import pipeline.store.publishing
-from pipeline.config.fleet import OWN_FOLDERS
-from pipeline.errors import StoreError
 from pipeline.store.night_files import NewFile, prepare_file
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change, without_workers
@@ -90,15 +88,6 @@ def test_2_for_wrong_usage(call: Call, fleet: Path, arguments: list[str], words:
     assert words in err
 
 
-def test_2_for_no_config_no_command_and_no_such_file(call: Call, tmp_path: Path) -> None:
-    assert call("fit-fleet")[0] == 2
-    assert call("fit-feet", "x")[0] == 2
-    assert call()[0] == 2
-    code, _, err = call("fit-fleet", tmp_path / "none.toml")
-    assert code == 2
-    assert "none.toml: cannot be read: No such file or directory" in err
-
-
 def test_2_where_the_output_would_be_the_root_of_the_logs_or_that_is_not_there(
     call: Call, fleet: Path
 ) -> None:
@@ -113,19 +102,6 @@ def test_2_where_the_output_would_be_the_root_of_the_logs_or_that_is_not_there(
         code, _, err = call(command, fleet)
         assert code == 2
         assert f"fleet.toml: folders.logs: expected a folder at {logs}" in err
-
-
-def test_the_output_of_a_run_has_no_folders_but_those_that_are_known(fitted_output: Path) -> None:
-    assert {path.name for path in fitted_output.iterdir() if path.is_dir()} <= set(OWN_FOLDERS)
-
-
-def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
-    fleet = without_workers(own_fleet(CSV, PARQUET))
-    for path in (fleet.parent.parent / "demo" / "logs").rglob("*.*"):
-        path.unlink()
-    code, out, err = call("fit-fleet", fleet)
-    assert (code, err) == (0, "")
-    assert out.count("no_new_data (nothing to do): no file matches CB400-0") == 2
 
 
 def test_3_while_another_run_holds_the_output(call: Call, fleet: Path) -> None:
@@ -145,19 +121,6 @@ def test_4_where_nothing_can_be_published(call: Call, own_fleet: OwnFleet, tmp_p
     assert (code, out) == (4, "")
     assert err.startswith("motor-leakage: ")
     assert str(tmp_path / "file") in err
-    assert call("fit-fleet", fleet, "--output", tmp_path / "file" / "below")[0] == 4
-
-
-def test_4_where_the_disk_is_full(
-    call: Call, own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: Any) -> None:
-        raise StoreError("store_write", "x.parquet cannot be written: No space left on device")
-
-    monkeypatch.setattr(pipeline.store.publishing, "prepare_file", full)
-    code, _, err = call("fit-fleet", without_workers(own_fleet(PARQUET)))
-    assert code == 4
-    assert "No space left on device" in err
     assert "Traceback" not in err
 
 
@@ -225,16 +188,6 @@ def test_options_reach_the_run(call: Call, own_fleet: OwnFleet, tmp_path: Path) 
     assert pl.read_parquet(run)["workers"].to_list() == [1]
 
 
-def test_without_an_output_tables_go_where_the_command_was_started(
-    call: Call, fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    change(fleet, "fleet.toml", 'output = "../out"', "")
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    assert call("fit-fleet", fleet, "--motors", PARQUET)[0] == 0
-    assert (tmp_path / "here" / "out" / "tables" / "fits").is_dir()
-
-
 def test_a_reader_that_goes_away_does_not_end_the_run(own_fleet: OwnFleet) -> None:
     fleet = without_workers(own_fleet(PARQUET))
     code = "import sys; from pipeline.cli import main; main()"
@@ -261,7 +214,8 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     assert [one["event"] for one in motors] == ["motor", "motor"]
     told = {"event": "motor", "motor_id": CSV, "status": "ok", "error_code": None, "message": None}
     files = {"read": 3, "unchanged": 0, "growing": 0, "failed": 0, "left": 0}
-    assert motors[0] == told | {"nights": {"ok": 3}, "files": files, "growing": []}
+    told |= {"nights": {"ok": 3}, "files": files, "growing": [], "left_out": []}
+    assert motors[0] == told
     assert (motors[1]["status"], motors[1]["error_code"]) == ("failed", "log_not_parquet")
     assert motors[1]["nights"] == {"ok": 2, "failed": 1}
     assert run["event"] == "run"

@@ -12,15 +12,12 @@ import numpy as np
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, SeekingReader
 
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.demo import write_demo
 from pipeline.demo.fleet import DemoNight
 from pipeline.demo.log_writers import as_logged, write_log
-from pipeline.demo.mcap_writer import fixed_width_numbers
 from pipeline.demo.recording import record_night
 from pipeline.errors import UsageError
 from pipeline.ingest import read_log
@@ -46,17 +43,6 @@ def test_reader_gets_back_what_was_recorded(
         )  # MCAP has three decimals
         stamps = recording.time_us + recording.own_delay_us.get(name, 0) + since_measured_us
         np.testing.assert_array_equal(read.time_us[~read.missing], stamps[there])
-
-
-def test_csv_is_text_as_loggers_write_it(specs: dict[str, MotorSpec], tmp_path: Path) -> None:
-    night = night_of(specs, "CB560-02")
-    write_log(tmp_path / "log.csv", record_night(night), night.spec.file)
-    header, first, second, *_ = (tmp_path / "log.csv").read_text(encoding="utf-8").splitlines()
-    assert header == "time;p_high;p_low;t_oil;n;q_drain"
-    assert first.startswith("2026-01-01T21:30:00.000Z;")
-    assert second.startswith("2026-01-01T21:30:00.200Z;")
-    assert "," in first
-    assert second.split(";")[3] == ""
 
 
 def test_parquet_has_time_stamps_or_milliseconds_and_nulls(
@@ -96,6 +82,10 @@ def test_official_reader_agrees_with_the_mcap_file(
         messages = list(reader.iter_messages(log_time_order=False))
         channels = {number: channel.topic for number, channel in summary.channels.items()}
         counts = summary.statistics.channel_message_counts
+        start = messages[-1][2].log_time - 10_000_000_000
+        late = list(reader.iter_messages(starting_at=start))
+    assert {message.log_time >= start for _, _, message in late} == {True}
+    assert 100 < len(late) < 300
     assert len(summary.chunk_indexes) == summary.statistics.chunk_count > 1
     assert {channels[number]: count for number, count in counts.items()} == {
         topic: values.size for topic, values in expected.items()
@@ -108,35 +98,6 @@ def test_official_reader_agrees_with_the_mcap_file(
     with path.open("rb") as stream:
         streamed = list(NonSeekingReader(stream, validate_crcs=True).iter_messages())
     assert len(streamed) == summary.statistics.message_count == len(messages)
-
-
-def test_seeking_in_the_mcap_file_finds_a_time(specs: dict[str, MotorSpec], tmp_path: Path) -> None:
-    night = DemoNight(MOTORS["CB560-01"], specs["CB560-01"], replace(PLAN, minutes=20.0), 1)
-    write_log(tmp_path / "log.mcap", record_night(night), night.spec.file)
-    start = dt.datetime(2026, 1, 1, 21, 40, tzinfo=dt.UTC)
-    first_ns = int(start.timestamp()) * 1_000_000_000
-    with (tmp_path / "log.mcap").open("rb") as stream:
-        reader = SeekingReader(stream, validate_crcs=True)
-        topic = "/mill/motor_1/oil_temperature"
-        found = [
-            message.log_time
-            for _, _, message in reader.iter_messages(
-                topics=[topic], starting_at=first_ns, ending_before=first_ns + 10_000_000_000
-            )
-        ]
-    assert 5 <= len(found) <= 11
-    assert all(first_ns <= log_time < first_ns + 10_000_000_000 for log_time in found)
-
-
-@given(st.lists(st.floats(-99_999.0, 99_999.0), min_size=1))
-def test_fixed_width_numbers_are_python_s(values: list[float]) -> None:
-    whole = np.rint(np.array(values) * 1000.0).astype(int).tolist()
-    expected = [
-        f"{'-' if number < 0 else ''}{abs(number) // 1000}.{abs(number) % 1000:03d}".rjust(10)
-        for number in whole
-    ]
-    written = [bytes(row).decode() for row in fixed_width_numbers(np.array(values))]
-    assert written == expected
 
 
 def small_demo(folder: Path, **arguments: Any) -> None:
@@ -163,32 +124,27 @@ def test_demo_is_whole(demo: Path) -> None:
     assert not list(demo.rglob("*.partial"))
 
 
-def test_two_workers_write_the_same_bytes(demo: Path, tmp_path: Path) -> None:
-    small_demo(tmp_path, workers=2)
-    assert contents(tmp_path) == contents(demo)
-
-
-def test_another_seed_makes_other_logs(demo: Path, tmp_path: Path) -> None:
-    small_demo(tmp_path, nights=1, seed=2)
-    before = contents(demo / "demo" / "logs")
-    assert all(before[name] != log for name, log in contents(tmp_path / "demo" / "logs").items())
-
-
-def test_a_night_does_not_depend_on_how_many_are_made(demo: Path, tmp_path: Path) -> None:
-    small_demo(tmp_path, nights=1)
-    assert contents(tmp_path / "demo" / "logs").items() <= contents(demo / "demo" / "logs").items()
+def test_two_workers_and_fewer_nights_write_the_same_bytes(demo: Path, tmp_path: Path) -> None:
+    small_demo(tmp_path / "two", workers=2)
+    assert contents(tmp_path / "two") == contents(demo)
+    whole = contents(demo / "demo" / "logs").items()
+    small_demo(tmp_path / "one", nights=1)
+    assert contents(tmp_path / "one" / "demo" / "logs").items() <= whole
+    small_demo(tmp_path / "other", nights=1, seed=2)
+    assert contents(tmp_path / "other" / "demo" / "logs").items().isdisjoint(whole)
 
 
 def test_a_demo_is_replaced_and_other_files_in_it_are_not(tmp_path: Path) -> None:
     small_demo(tmp_path, nights=2)
     (tmp_path / "demo" / "truth.json").unlink()  # as if interrupted
     (tmp_path / "notes.txt").write_text("mine")
-    (tmp_path / "demo" / "logs" / "CB400-01" / "mine.csv").write_text("mine")
+    (tmp_path / "demo" / "notes.txt").write_text("mine")
     small_demo(tmp_path, nights=1)
     assert (tmp_path / "demo" / "truth.json").is_file()
     assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "demo" / "notes.txt").read_text() == "mine"
     names = {path.name for path in (tmp_path / "demo" / "logs" / "CB400-01").iterdir()}
-    assert names == {"CB400-01_2026-01-02.csv", "mine.csv"}
+    assert names == {"CB400-01_2026-01-02.csv"}
 
 
 def test_the_fleet_s_own_config_is_used_and_left_alone(tmp_path: Path) -> None:
@@ -202,7 +158,7 @@ def test_the_fleet_s_own_config_is_used_and_left_alone(tmp_path: Path) -> None:
     (log,) = (tmp_path / "demo" / "logs" / "CB400-01").iterdir()
     assert "case_drain" in log.read_text().splitlines()[0]
     (motors / "CB560-01.toml").unlink()
-    with pytest.raises(UsageError, match="needs motor CB560-01"):
+    with pytest.raises(UsageError, match="no motor CB560-01"):
         small_demo(tmp_path, nights=1)
     assert (tmp_path / "demo" / "truth.json").is_file()
 
@@ -221,19 +177,6 @@ def test_something_else_in_the_folder_or_in_its_place_is_refused(tmp_path: Path)
         small_demo(tmp_path / "demo")
     assert contents(tmp_path / "one" / "demo") == {"thesis.txt": b"mine"}
     assert (tmp_path / "demo").read_text() == "mine"
-
-
-NONSENSE = {"nights": (0,), "minutes": (0.5, float("nan"), 1441.0), "rate_hz": (0.05, float("inf"))}
-NONSENSE |= {"seed": (-1,), "workers": (0,), "slow_errors_min": (-1.0,)}
-NONSENSE |= {"first_night": (dt.date(1960, 1, 1),)}
-
-
-@pytest.mark.parametrize("name", NONSENSE)
-def test_nonsense_is_refused_before_anything_is_written(tmp_path: Path, name: str) -> None:
-    for value in NONSENSE[name]:
-        with refused("demo_arguments"):
-            small_demo(tmp_path / "demo", **{name: value})
-    assert not (tmp_path / "demo").exists()
 
 
 def test_a_long_log_stays_within_its_night(specs: dict[str, MotorSpec]) -> None:

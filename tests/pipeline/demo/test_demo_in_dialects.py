@@ -72,31 +72,18 @@ def assert_the_same(
     assert set(found.rows.values()) == {0}, found.rows
 
 
-def writable(fitted: Fitted, dialect: Dialect) -> list[str]:
-    """Motors whose logs a dialect can hold."""
-    return [
-        motor
-        for motor, logs in sorted(fitted.nights.items())
-        if all(map(dialect.holds, logs.values()))
-    ]
-
-
 # Sample by sample, any dialect is read in `tests/pipeline/ingest/test_any_dialect.py`.
 @each(DIALECTS[1::2])
 def test_a_motor_in_some_dialects_comes_to_the_same_tables(
     fitted: Fitted, dialect: Dialect, tmp_path: Path
 ) -> None:
-    motors = writable(fitted, dialect)
+    motors = [
+        motor
+        for motor, logs in sorted(fitted.nights.items())
+        if all(map(dialect.holds, logs.values()))
+    ]
     turn = DIALECTS.index(dialect) // 2 % len(motors)
     assert_the_same(fitted, dialect, motors[turn : turn + 1], tmp_path)
-
-
-@pytest.mark.full
-@each(DIALECTS)
-def test_all_motors_in_each_dialect_come_to_the_same_tables(
-    fitted: Fitted, dialect: Dialect, tmp_path: Path
-) -> None:
-    assert_the_same(fitted, dialect, writable(fitted, dialect), tmp_path)
 
 
 @pytest.fixture(scope="module")

@@ -28,22 +28,6 @@ def test_autoregression_has_variance_one_from_the_start_and_forgets_by_phi_a_ste
     assert phi_of(0.1, -0.1 / math.log(0.95)) == pytest.approx(0.95)
 
 
-def test_autoregression_has_its_spectrum() -> None:
-    phi, n = 0.8, 512
-    power = np.mean(np.abs(np.fft.rfft(autoregression(white(n, 2000), phi), axis=0)) ** 2, axis=1)
-    angle = 2 * np.pi * np.arange(len(power)) / n
-    density = (1 - phi**2) / (1 + phi**2 - 2 * phi * np.cos(angle))
-    # The ends leak some per cent into a series of finite length.
-    assert power[1:-1] / n == pytest.approx(density[1:-1], rel=0.15)
-
-
 def test_correlated_noise_falls_to_1_over_e_in_its_time_constant() -> None:
     noise = correlated_noise(np.random.default_rng(3), 400_000, 0.5, 5.0)
     assert np.mean(noise[10:] * noise[:-10]) == pytest.approx(1 / math.e, abs=0.03)
-
-
-def test_arguments_stay_as_they_are() -> None:
-    given = white(50, 3)
-    before = given.copy()
-    autoregression(given, 0.9)
-    assert np.array_equal(given, before)

@@ -46,16 +46,6 @@ def test_a_connection_lost_in_a_result_is_made_anew_and_nothing_is_half_read(
 LARGE = 200_000
 
 
-def test_an_error_in_the_middle_of_a_result_is_told(
-    database: PostgresServer, tmp_path: Path
-) -> None:
-    plant = large(Plant.at(tmp_path, database, nights=1), flow=f"1 / ({LARGE - 1} - n)")
-    (fault,) = plant.land(CLOCK - 2 * DAY).values()
-    assert fault.code == "database_query"
-    assert fault.message.endswith("division by zero")
-    assert not plant.files()
-
-
 def large(plant: Plant, flow: str = "n") -> Plant:
     """A night of more rows than a connection holds on their way."""
     plant.configure(
@@ -156,19 +146,6 @@ def test_a_query_that_is_refused_is_told_with_the_night(
     assert words in fault.message
     assert NIGHTS[2].isoformat() in fault.message
     assert "LINE 1" not in fault.message
-
-
-def test_a_table_that_may_not_be_read_is_told(
-    database: PostgresServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plant = Plant.at(tmp_path, database, nights=1)
-    database.run("GRANT USAGE ON SCHEMA public TO reader")
-    monkeypatch.setenv(VARIABLE, database.address("reader"))
-    (fault,) = plant.land().values()
-    assert (fault.code, SECRET in fault.message) == ("database_denied", False)
-    assert "permission denied for table log" in fault.message
-    database.run("GRANT SELECT ON log TO reader")
-    assert plant.land() == {}
 
 
 def test_a_query_cannot_write(database: PostgresServer, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import json
 import logging
 from concurrent.futures import ProcessPoolExecutor
@@ -11,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -92,19 +90,6 @@ def test_files_stay_where_the_same_rows_come_in_another_order(
     assert len(before) == 3
 
 
-def test_another_query_is_asked_for_all_nights(database: PostgresServer, tmp_path: Path) -> None:
-    plant = Plant.at(tmp_path, database)
-    plant.land()
-    rows = plant.rows(FIRST)
-    half = "SELECT time, pressure_difference / 2 AS pressure_difference, oil_temperature, speed, "
-    plant.configure(
-        logs_toml(f"{half} leakage_flow FROM log WHERE time >= {{start}} AND time < {{end}}")
-    )
-    plant.land()
-    halved = pc.divide(rows["pressure_difference"], 2.0)
-    assert plant.rows(FIRST)["pressure_difference"].equals(halved)
-
-
 def test_an_empty_night_has_no_file_and_is_not_asked_for_for_good(
     database: PostgresServer, tmp_path: Path
 ) -> None:
@@ -125,12 +110,6 @@ def test_a_night_that_lost_all_its_rows_keeps_what_was_read(
     database.run("TRUNCATE log")
     plant.land()
     assert plant.files() == before
-
-
-def test_a_night_is_asked_for_when_it_is_over(database: PostgresServer, tmp_path: Path) -> None:
-    plant = Plant.at(tmp_path, database)
-    plant.land(CLOCK - dt.timedelta(hours=3))
-    assert sorted(plant.files()) == [f"{label}.parquet" for label in NIGHTS[:2]]
 
 
 def test_a_motor_takes_its_own_rows_and_tags_of_a_long_table(

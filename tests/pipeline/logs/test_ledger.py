@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.logs.ledger import (
@@ -16,11 +15,8 @@ from pipeline.logs.ledger import (
     Ledger,
     LedgerChange,
     NightRecord,
-    content_hash,
     forget_nights,
     read_ledger,
-    stage_change,
-    staged_change,
     write_change,
 )
 from pipeline.store.state import open_state
@@ -94,22 +90,6 @@ def test_round_trip(
     assert read(output, "B") == TWO_MONTHS
 
 
-def test_only_what_has_changed_is_staged(tmp_path: Path) -> None:
-    night = dt.date(2026, 2, 2)
-    later = Ledger({}, {**TWO_MONTHS.nights, night: NightRecord("failed")}, {})
-    change = LedgerChange.between(TWO_MONTHS, later)
-    assert change == LedgerChange({"A/1.csv": None}, {night: NightRecord("failed")}, None)
-    stage_change(tmp_path, "A", change)
-    assert staged_change(tmp_path, "A") == change
-    # The task was lost, and done again: there is nothing that it changes.
-    stage_change(tmp_path, "A", LedgerChange.between(later, later))
-    assert staged_change(tmp_path, "A") is None
-
-
-def test_none_there(tmp_path: Path) -> None:
-    assert read(tmp_path, "A") == Ledger()
-
-
 def test_a_forgotten_night_is_forgotten_with_its_files(tmp_path: Path) -> None:
     for motor in "AB":
         write_whole(tmp_path, motor, TWO_MONTHS)
@@ -151,17 +131,3 @@ def test_the_model_before_is_that_of_the_last_fitted_night(
     ledger = Ledger(nights={dt.date(2026, 1, one): record for one, record in nights.items()})
     expected = {} if found is None else models[found]
     assert ledger.model_before(dt.date(2026, 1, day)) == expected
-
-
-@settings(max_examples=20)
-@given(st.binary(max_size=100))
-def test_content_hash(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
-    path = tmp_path_factory.mktemp("hash") / "log"
-    path.write_bytes(content)
-    assert content_hash(path) == hashlib.sha256(content).hexdigest()
-
-
-def test_content_hash_of_what_cannot_be_read(tmp_path: Path) -> None:
-    for path in (tmp_path, tmp_path / "absent"):
-        with pytest.raises((FileNotFoundError, IsADirectoryError)):
-            content_hash(path)

@@ -8,11 +8,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from polars.testing import assert_frame_equal
 
 from pipeline.config import Channel, Cleaning, TimeBase, load_fleet
 from pipeline.ingest import RawChannel
@@ -57,70 +55,43 @@ def at(channel: CleanChannel, *seconds: int) -> list[float]:
     return np.where(present, value, np.nan)[chosen].tolist()
 
 
-def same(found: list[float], *expected: float) -> None:
-    np.testing.assert_allclose(found, expected)
-
-
 NONE = float("nan")
 
 
-class TestCarried:
-    def test_the_last_sample_before_the_night_is_held_until_the_first_of_the_night(self) -> None:
-        found = cleaned([-300, -50, -20, 30], [1.0, 2.0, 3.0, 4.0], between="hold")
-        same(at(found, 0, 29, 30, 31), 3.0, 3.0, 4.0, 4.0)
-        assert (found.n_carried, found.n_samples) == (1, 1)
+METER = {"counts": "cumulative", "volume_per_count_cm3": 1000.0, "unit": "count"}
+HOLD = {"between": "hold"}
 
-    def test_or_interpolated(self) -> None:
-        same(at(cleaned([-20, 30], [3.0, 8.0]), 0, 10, 30), 5.0, 6.0, 8.0)
 
-    def test_as_long_as_silence_may_be(self) -> None:
-        found = cleaned([-90, 30], [3.0, 8.0], between="hold")
-        same(at(found, 0, 10, 11, 30), 3.0, 3.0, NONE, 8.0)
-        same(at(cleaned([-80, 30], [3.0, 8.0]), 0, 29, 30), NONE, NONE, 8.0)  # 110 s apart
-        assert cleaned([-101, 30], [3.0, 8.0]).n_carried == 0
-
-    def test_without_a_sample_in_the_night_it_is_held_all_the_same(self) -> None:
-        found = cleaned([-10], [3.0], between="hold")
-        same(at(found, 0, 90, 91), 3.0, 3.0, NONE)
-        assert (found.n_carried, found.n_samples, found.counts["any"]) == (1, 0, 0)
-
-    def test_blank_cells_of_a_wide_log_are_passed_over(self) -> None:
-        found = cleaned([-30, -20, -10, 30], [3.0, NONE, NONE, 4.0], between="hold")
-        same(at(found, 0), 3.0)
-
-    def test_one_that_is_bad_or_refused_is_none_and_nothing_before_it_either(self) -> None:
-        bad = cleaned([-30, -20, 30], [3.0, 5.0, 4.0], bad=[5.0], between="hold")
-        same(at(bad, 0, 29, 30), NONE, NONE, 4.0)
-        out_of_range = cleaned([-30, -20, 30], [3.0, 5000.0, 4.0], between="hold")
-        same(at(out_of_range, 0, 29, 30), NONE, NONE, 4.0)
-
-    def test_no_count_has_it(self) -> None:
-        """It belongs to the night before, which has counted it."""
-        found = cleaned([-20, 30, 40], [5000.0, 5000.0, 5.0])
-        assert found.n_samples == 2
-        assert {r: n for r, n in found.counts.items() if n} == {"out_of_range": 1, "any": 1}
-
-    def test_the_latest_by_its_time_wherever_it_stands(self) -> None:
-        """Samples of the night in order, those before it as two files have them."""
-        found = cleaned([-20, -60, -40, 30], [3.0, 1.0, 2.0, 4.0], between="hold")
-        same(at(found, 0), 3.0)
-        assert found.counts["backward_time"] == 0
-        assert found.noted["backward_time"] == 0
-
-    def test_its_clock_is_put_right_as_that_of_all(self) -> None:
-        found = cleaned([-20, 30], [3.0, 8.0], time_offset_s=10.0)
-        same(at(found, 0, 40), 3.0 + 5.0 * 10 / 50, 8.0)
-
-    def test_the_count_of_a_meter_carries_over(self) -> None:
-        meter: dict[str, Any] = {"counts": "cumulative", "volume_per_count_cm3": 1000.0}
-        found = cleaned([-20, 40, 60], [100.0, 103.0, 104.0], unit="count", **meter)
-        # 3 l in 60 s, then 1 l in 20 s; known from the first interval on.
-        same(at(found, 10, 50), 3.0, 3.0)
-        assert found.counts["no_interval"] == 0
-
-    def test_a_periodic_channel_has_nothing_to_carry(self) -> None:
-        found = cleaned([-2, -1, 0, 1], [1.0, 2.0, 3.0, 4.0], sampling="periodic")
-        assert (found.n_carried, found.n_samples) == (0, 2)
+@pytest.mark.parametrize(
+    ("seconds", "values", "keys", "expected"),
+    [
+        # Held until the first of the night, or interpolated.
+        ([-300, -50, -20, 30], [1.0, 2.0, 3.0, 4.0], HOLD, {0: 3.0, 29: 3.0, 30: 4.0, 31: 4.0}),
+        ([-20, 30], [3.0, 8.0], {}, {0: 5.0, 10: 6.0, 30: 8.0}),
+        # As long as silence may be: 100 s.
+        ([-90, 30], [3.0, 8.0], HOLD, {0: 3.0, 10: 3.0, 11: NONE, 30: 8.0}),
+        ([-80, 30], [3.0, 8.0], {}, {0: NONE, 29: NONE, 30: 8.0}),  # 110 s apart
+        ([-101, 30], [3.0, 8.0], HOLD, {0: NONE, 30: 8.0}),
+        ([-10], [3.0], HOLD, {0: 3.0, 90: 3.0, 91: NONE}),  # without a sample in the night, too
+        # Blank cells are passed over; of bad or refused ones nothing before them counts either.
+        ([-30, -20, -10, 30], [3.0, NONE, NONE, 4.0], HOLD, {0: 3.0}),
+        ([-30, -20, 30], [3.0, 5.0, 4.0], {"bad": [5.0], **HOLD}, {0: NONE, 29: NONE, 30: 4.0}),
+        ([-30, -20, 30], [3.0, 5000.0, 4.0], HOLD, {0: NONE, 29: NONE, 30: 4.0}),
+        # The latest by its time, as two files have them.
+        ([-20, -60, -40, 30], [3.0, 1.0, 2.0, 4.0], HOLD, {0: 3.0}),
+        ([-20, 30], [3.0, 8.0], {"time_offset_s": 10.0}, {0: 4.0, 40: 8.0}),
+        # Of a meter: 3 l in 60 s, then 1 l in 20 s.
+        ([-20, 40, 60], [100.0, 103.0, 104.0], METER, {10: 3.0, 50: 3.0}),
+    ],
+)
+def test_a_sample_before_the_night_carries_over(
+    seconds: list[int], values: list[float], keys: dict[str, Any], expected: dict[int, float]
+) -> None:
+    found = cleaned(seconds, values, **keys)
+    np.testing.assert_allclose(at(found, *expected), list(expected.values()))
+    # It belongs to the night before, which has counted it.
+    assert found.n_samples == sum(one >= 0 for one in seconds)
+    assert found.counts["backward_time"] == found.counts.get("no_interval", 0) == 0
 
 
 def together(**channels: CleanChannel) -> Samples:
@@ -240,20 +211,6 @@ class TestFiles:
         for workshop in (at_once, early_first, late_first):
             assert workshop.run().nights == ()
 
-    def test_a_night_that_is_asked_for_alone_has_it_too(self, make: Make, log: Log) -> None:
-        at_once, alone = make(), make()
-        for workshop in (at_once, alone):
-            for name, rows in {"a": slice(0, BORDER), "b": slice(BORDER, None)}.items():
-                write(workshop, name, rows, log)
-        at_once.run()
-        assert alone.run(since=NIGHT + DAY).nights == (NIGHT + DAY,)
-        night_2 = pl.col("night") == NIGHT + DAY
-        assert_frame_equal(
-            alone.rows("quality").filter(night_2), at_once.rows("quality").filter(night_2)
-        )
-        alone.run()
-        check_same_figures(at_once, alone, "input_files")
-
     def test_a_correction_of_the_night_before_that_reaches_over_the_border_redoes_both(
         self, make: Make, log: Log
     ) -> None:
@@ -267,24 +224,3 @@ class TestFiles:
         write(corrected, "a", slice(0, BORDER), log)
         assert corrected.run().nights == (NIGHT, NIGHT + DAY)
         check_same_figures(at_once, corrected, "input_files")
-
-    def test_a_broken_file_before_it_fails_its_own_night_alone(self, make: Make, log: Log) -> None:
-        workshop = make()
-        write(workshop, str(NIGHT), slice(0, BORDER), log)
-        write(workshop, str(NIGHT + DAY), slice(BORDER, None), log)
-        broken = workshop.logs / f"{NIGHT}.parquet"
-        broken.write_bytes(broken.read_bytes()[:-50])
-        assert dict(workshop.run().counts) == {"failed": 1, "ok": 1}
-
-    def test_channels_sent_at_a_period_are_as_they_were(self, make: Make, log: Log) -> None:
-        """No other file is read for them."""
-        workshop = make()
-        text = motor_toml("M1", "MINI")
-        write_configs(workshop.folder, {"M1": text}, {"MINI": MINI}, QUICK)
-        sent = log | {"oil_temperature": pa.array(np.full(3600, 50.0) + np.arange(3600) % 2)}
-        write(workshop, "a", slice(0, BORDER), sent)
-        workshop.run()
-        write(workshop, "b", slice(BORDER, None), sent)
-        outcome = workshop.run()
-        assert outcome.files["read"] == 1
-        assert outcome.files["unchanged"] == 1

@@ -91,26 +91,6 @@ def test_globs_and_names_are_those_of_folders(server: Server, tmp_path: Path) ->
     assert StoredLogs(stored(shop).spec).absent == ["M1/absent.csv"]
 
 
-def test_a_log_that_is_removed_after_it_was_listed_is_missing(
-    server: Server, tmp_path: Path
-) -> None:
-    shop = with_nights(tmp_path, 2)
-    upload(tmp_path / "logs", URL)
-    store, key = ObjectStore.at(URL), f"M1/{FIRST}.parquet"
-
-    def take_away(asked: Request) -> None:
-        if asked.method == "GET" and asked.path.endswith(key):
-            server.before = never
-            store.remove([key])
-
-    server.before = take_away
-    outcome = pipeline.run.motor_task.run_motor(stored(shop))
-    assert outcome.files == {"failed": 1, "read": 1}
-    assert outcome.counts == {"ok": 1, "failed": 1}
-    assert outcome.error_code == "log_missing"
-    assert f"{FIRST}.parquet" in (outcome.message or "")
-
-
 @pytest.mark.parametrize(
     ("url", "key_id", "code"),
     [(URL, "", "object_store_credentials"), ("s3://absent/logs", "a", "object_store_bucket")],
@@ -174,21 +154,3 @@ def test_check_opens_the_first_and_the_newest_objects_alone(server: Server, tmp_
     assert ended.exit_code == 0
     assert "M1: MINI, parquet, 5 files" in ended.output
     assert note in ended.output
-
-
-def test_check_tells_of_globs_without_a_match_and_of_names_that_are_absent(
-    server: Server, tmp_path: Path
-) -> None:
-    shop = Workshop.at(tmp_path)
-    shop.log(FIRST)
-    upload(tmp_path / "logs", URL)
-    files = '"M1/*.parquet", "M1/*.csv", "M1/named.parquet"'
-    shop.configure(files=files, fleet=QUICK.replace("../logs", URL))
-    (spec,) = load_fleet(shop.fleet).motors
-    one = check_motor(spec)
-    ran, *_, note = one.notes
-    assert ran.startswith("the motor ran ")
-    assert note == f"no object matches M1/*.csv below {URL}"
-    absent, unusual = one.faults
-    assert absent == "log_missing: M1/named.parquet: named in the config and absent"
-    assert unusual.startswith("unit_unusual: leakage_flow: ")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.look import look as module
-from pipeline.look.before import NightsBefore
+from pipeline.look.comparison import NightsBefore
 from tests.pipeline.look.fleet import Growing, configured, made_watch
 
 

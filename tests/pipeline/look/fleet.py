@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from leakage.watch import NightBlocks, Watch
 from pipeline.clock import utc
 from pipeline.config import Fleet, MotorSpec, load_fleet
-from pipeline.look.before import NightsBefore, night_blocks
-from pipeline.look.blocks import blocks_within
+from pipeline.look.comparison import NightsBefore, blocks_within, night_blocks
 from pipeline.look.look import MotorLook, look_at_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import LOOKS

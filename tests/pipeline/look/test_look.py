@@ -140,18 +140,6 @@ def test_a_log_written_anew_under_the_reader_is_told_once(fleet: Growing, tmp_pa
     np.testing.assert_allclose(ours, theirs, rtol=1e-9)
 
 
-def test_a_clock_that_is_set_back_repeats_nothing(fleet: Growing) -> None:
-    rows = day(fleet)
-    fleet.append(rows)
-    fleet.look()
-    before = fleet.rows()
-    fleet.append(rows[10 * SECONDS :])
-    (found,) = fleet.look(MINUTES + 5)
-    assert not found.fault
-    assert fleet.rows() == before
-    assert len(fleet.told()) == 1
-
-
 def test_neither_a_single_stamp_far_ahead_nor_a_nightly_run_blinds_and_a_second_look_is_refused(
     fleet: Growing,
 ) -> None:

@@ -29,11 +29,9 @@ def rows(minutes: float = 10.0) -> list[str]:
     return rows_of(operation, operation.pressure_bar)
 
 
-def read(
-    spec: MotorSpec, seen: Mapping[str, FileSeen], from_second: int, most_bytes: int = 2**23
-) -> News:
+def read(spec: MotorSpec, seen: Mapping[str, FileSeen], from_second: int) -> News:
     needed_us = FIRST_US + from_second * 1_000_000
-    return read_news(spec, seen, needed_us, LATEST_US, most_bytes)
+    return read_news(spec, seen, needed_us, LATEST_US)
 
 
 def seconds(news: News) -> list[int]:
@@ -44,7 +42,10 @@ def seconds(news: News) -> list[int]:
     ]
 
 
-def test_only_what_follows_the_last_piece_before_what_is_needed_is_read(place: Growing) -> None:
+def test_reading_goes_on_behind_the_last_piece_before_what_is_needed(
+    place: Growing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "PIECE_BYTES", 1_000)
     (spec,), text = place.fleet.motors, rows()
     place.append(text[:100])
     first = read(spec, {}, 0)
@@ -52,11 +53,15 @@ def test_only_what_follows_the_last_piece_before_what_is_needed_is_read(place: G
     assert read_news(spec, first.files, FIRST_US, LATEST_US) is None
     place.append(text[100:200])
     # All of the first piece is still needed, then none of it is.
-    assert seconds(read(spec, first.files, 50)) == list(range(200))
+    assert seconds(read(spec, first.files, 50))[-150:] == list(range(50, 200))
     second = read(spec, first.files, 100)
-    assert seconds(second) == list(range(100, 200))
+    assert seconds(second)[-100:] == list(range(100, 200))
+    (known,) = second.files.values()
+    assert 80 * len(text[0]) < known.position < 101 * (len(text[0]) + 5)
     place.append(text[200:300])
-    assert seconds(read(spec, second.files, 150)) == list(range(100, 300))
+    third = seconds(read(spec, second.files, 150))
+    assert third == list(range(third[0], 300))
+    assert 120 < third[0] <= 150
 
 
 def test_a_torn_row_waits_for_its_end(place: Growing) -> None:
@@ -65,7 +70,7 @@ def test_a_torn_row_waits_for_its_end(place: Growing) -> None:
     first = read(spec, {}, 0)
     assert seconds(first) == list(range(10))
     place.append([text[10][30:], *text[11:20]])
-    assert seconds(read(spec, first.files, 10)) == list(range(10, 20))
+    assert seconds(read(spec, first.files, 10)) == list(range(20))
 
 
 def test_a_file_that_is_cut_or_replaced_is_read_from_its_begin(place: Growing) -> None:
@@ -91,21 +96,6 @@ def test_a_rotated_file_loses_no_row(place: Growing) -> None:
     found = seconds(read(spec, seen, 100))
     assert set(range(100, 150)) <= set(found)
     assert len(found) == len(set(found))
-
-
-def test_a_long_file_is_read_in_passes(place: Growing, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "PIECE_BYTES", 2_000)
-    (spec,), text = place.fleet.motors, rows()
-    place.append(text[:300])
-    seen: Mapping[str, FileSeen] = {}
-    found: list[int] = []
-    for _ in range(50):
-        news = read(spec, seen, max(found, default=-1) + 1, most_bytes=5_000)
-        found += [one for one in seconds(news) if one not in found]
-        seen = news.files
-        if news.is_all:
-            break
-    assert found == list(range(300))
 
 
 def test_an_old_file_is_not_opened_and_a_damaged_one_is_tried_when_it_has_changed(

@@ -70,18 +70,6 @@ class TestPeriodic:
         assert np.flatnonzero(found.refused).tolist() == [10, 11, 50]
         assert found.n_samples == 100
 
-    def test_several_rules_count_it_each_and_once_in_total(self) -> None:
-        value = lively(100)
-        value[10], value[20] = 900.0, np.inf
-        found = cleaned(seconds(100), value, [10, 20])
-        expected = {"bad_quality": 2, "out_of_range": 2, "not_finite": 1, "any": 2}
-        assert {reason: refused_by(found)[reason] for reason in expected} == expected
-
-    def test_a_channel_without_a_quality_has_no_such_rule(self) -> None:
-        channel = RawChannel(seconds(9), lively(9), np.zeros(9, np.bool_), 0)
-        rules = ChannelRules.of("speed", Channel(source="n", unit="rpm"), Cleaning())
-        assert "bad_quality" not in clean_channel(channel, rules).counts
-
     def test_bad_samples_judge_no_others(self) -> None:
         """Zeros of a broken sensor, flagged as such, make no spikes of what lies between them."""
         value = lively(200)
@@ -127,14 +115,6 @@ class TestOnChange:
         # At its own time a bad sample is refused; from there on there is none.
         assert np.flatnonzero(silent).tolist() == [5, 6, 11]
 
-    def test_interpolated(self) -> None:
-        found = cleaned(self.TIME, self.VALUE, [2], **ON_CHANGE)
-        value, present, silent = at_times(found, self.GRID)
-        # Neither towards a value that is none, nor from it.
-        np.testing.assert_allclose(value[present], [10, 19.9, 20, 40, 40 + 10 * 239 / 240, 50])
-        assert np.flatnonzero(~present).tolist() == [3, 4, 5, 6, 10, 11]
-        assert np.flatnonzero(silent).tolist() == [5, 6, 10, 11]
-
     @pytest.mark.parametrize("between", ["hold", "interpolate"])
     def test_a_bad_row_without_a_value_ends_it_too(self, between: str) -> None:
         """As a historian marks that its source was lost."""
@@ -161,16 +141,6 @@ class TestOnChange:
         _, present, silent = at_times(own, np.array([199, 250, 260]) * SECOND)
         assert present.tolist() == [True, False, True]
         assert silent.tolist() == [False, True, False]
-
-    def test_a_reading_that_is_not_finite_ends_it(self) -> None:
-        value = self.VALUE.copy()
-        value[2] = np.nan
-        channel = RawChannel(self.TIME, value, np.zeros(5, np.bool_), 0)
-        stated = Channel(source="x", unit="bar", between="hold", **ON_CHANGE)
-        found = clean_channel(channel, ChannelRules.of("speed", stated, Cleaning()))
-        _, present, silent = at_times(found, self.GRID)
-        assert np.flatnonzero(~present).tolist() == [4, 5, 6, 11]
-        assert np.flatnonzero(silent).tolist() == [5, 6, 11]
 
     @given(
         st.lists(st.tuples(st.integers(1, 400), st.booleans()), min_size=1, max_size=30),
@@ -228,14 +198,3 @@ def test_a_night_with_bad_samples_is_the_night_without_them(tmp_path: Any) -> No
         (row["channel"], row["reason"]): row["n_refused"] for row in with_flags.rows["quality"]
     }
     assert {counted[name, "bad_quality"] for name in CANONICAL} == {130}
-
-
-def test_a_night_all_of_which_is_bad_says_so(tmp_path: Any) -> None:
-    spec = load_motor(tmp_path, motor_toml("M1"))
-    moving = operate(minutes=30.0)
-    channels = raw(moving.time_us, moving.channels(moving.flow(spec.motor(NIGHT, "none"))))
-    speed = channels["speed"]
-    channels["speed"] = replace(speed, bad_quality=np.ones(len(speed.value), np.bool_))
-    outcome = fit_night(spec, night_of(), channels, {})
-    assert outcome.status == "insufficient_data"
-    assert "speed bad_quality 100 %" in (outcome.reason or "")

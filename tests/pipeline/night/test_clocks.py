@@ -14,13 +14,8 @@ from pipeline.config import Channel, Cleaning, TimeBase
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
-from pipeline.night.clocks import (
-    _distance_of_nearest,
-    backward_time,
-    n_jittered,
-    written_late,
-)
 from pipeline.night.time_base import bring_together
+from pipeline.night.time_order import backward_time, n_jittered, written_late
 from tests.pipeline.night.channels import SECOND, Floats, Times, as_read, lively, stamps
 
 STEP = 100_000
@@ -62,12 +57,6 @@ class TestWrittenLate:
             assert found.noted["backward_time"] == 0
             assert found.counts["backward_time"] + found.counts["duplicate_time"] in (30, 31)
 
-    def test_a_hole_in_what_it_runs_over_changes_nothing(self) -> None:
-        time = np.delete(stamps(300), np.arange(130, 140))
-        time[140:] -= 30 * STEP
-        found = cleaned(time, lively(290))
-        assert found.noted["backward_time"] == 0
-
     def test_a_lone_stamp_far_from_all_others_is_wrong(self) -> None:
         time = np.append(stamps(100), stamps(100) + 3600 * SECOND)
         time[150] -= 1800 * SECOND
@@ -85,32 +74,6 @@ class TestWrittenLate:
         assert found.counts["backward_time"] == 1
         np.testing.assert_array_equal(found.value, np.delete(lively(100), 1))
 
-    def test_may_be_asked_to_refuse_them(self) -> None:
-        rows = np.concatenate([np.arange(40, 100), np.arange(40)])
-        found = cleaned(stamps(100)[rows], lively(100)[rows], Cleaning(out_of_order="refuse"))
-        assert found.counts["backward_time"] == 40
-        assert found.noted["backward_time"] == 0
-
-    @given(st.lists(st.integers(0, 10**6), max_size=60))
-    def test_every_sample_is_counted_once(self, times: list[int]) -> None:
-        time = np.array(times, dtype=np.int64)
-        found = cleaned(time, np.random.default_rng(1).uniform(40, 60, len(time)))
-        refused = found.counts["backward_time"] + found.counts["duplicate_time"]
-        assert (np.diff(found.time_us) > 0).all()
-        assert len(found.time_us) + refused == found.n_samples == len(time)
-
-
-class TestNearest:
-    @given(st.lists(st.integers(0, 200), min_size=1, max_size=60), st.data())
-    def test_as_compared_with_each_other_stamp(self, times: list[int], data: st.DataObject) -> None:
-        time = np.array(times, dtype=np.int64)
-        rows = np.array(data.draw(st.lists(st.integers(0, len(times) - 1))), dtype=np.intp)
-        expected = [
-            min((abs(time[row] - one) for one in np.delete(time, row)), default=np.inf)
-            for row in rows
-        ]
-        assert _distance_of_nearest(np.sort(time), time[rows], own=1).tolist() == expected
-
 
 class TestJitter:
     def test_is_counted_and_refuses_nothing(self) -> None:
@@ -123,19 +86,6 @@ class TestJitter:
     def test_samples_left_out_are_none(self) -> None:
         time = np.delete(stamps(1000), [5, 70, 71, 72])
         assert n_jittered(time, float(STEP)) == n_jittered(time, None) == 0
-
-    def test_interpolation_goes_by_the_stamps(self) -> None:
-        """A ramp sampled at jittering times is still that ramp on the time base."""
-        rng = np.random.default_rng(2)
-        night = 1_767_333_600 * SECOND
-        time = night + stamps(3000) + rng.integers(-30_000, 30_001, 3000)
-        samples, _ = bring_together(
-            {name: on_a_ramp(time, night) for name in NAMES}, night, night + 3600 * SECOND,
-            TimeBase(), Cleaning(),
-        )  # fmt: skip
-        expected = 20.0 + (samples.time_us - night) / SECOND / 10
-        np.testing.assert_allclose(samples.pressure_difference_bar, expected, rtol=1e-9)
-        assert len(samples.index) > 2990
 
 
 NAMES = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
@@ -160,19 +110,3 @@ class TestOffset:
         np.testing.assert_allclose(
             samples.leakage_l_per_min, samples.pressure_difference_bar, rtol=1e-9
         )
-
-    def test_it_is_stated_a_channel(self) -> None:
-        found = cleaned(stamps(50), lively(50), time_offset_s=2.5)
-        np.testing.assert_array_equal(found.time_us, stamps(50) + 2_500_000)
-
-
-def test_channels_that_start_and_end_at_different_times_are_gaps_at_the_ends() -> None:
-    night = 1_767_333_600 * SECOND
-    time = night + stamps(3000)
-    channels = {name: on_a_ramp(time, night) for name in NAMES}
-    channels["leakage_flow"] = on_a_ramp(time[600:2500], night)
-    samples, found = bring_together(channels, night, night + 3600 * SECOND, TimeBase(), Cleaning())
-    gaps = {one.channel: one.n_refused for one in found if one.reason == "gap"}
-    assert gaps["leakage_flow"] == 600 + 500
-    assert gaps["speed"] == 0
-    assert len(samples.index) == 1900

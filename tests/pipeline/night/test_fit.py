@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.demo import shipped_configs
 from pipeline.night.fit_night import NightOutcome, fit_night
-from pipeline.night.tolerances import tolerances
 from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (
     NIGHT,
@@ -116,60 +114,6 @@ def test_shares_sum_to_one_and_have_intervals(spec: MotorSpec) -> None:
         assert row["lower"] < row["value"] < row["upper"]
 
 
-def test_eight_minutes_tell_a_leakage_and_no_loss_factor(spec: MotorSpec) -> None:
-    operation = operate(minutes=8.0)
-    flow = configured_flow(spec, operation) + noise(len(operation.time_us))
-    outcome = fitted(spec, operation, flow)
-    row = primary(outcome)
-    # Its pressures and temperatures come near the reference conditions.
-    assert row["reference_verdict"] == "extrapolated"
-    assert row["outside_fitted_range"]
-    assert row["reference_leakage_lower"] < 1.371423 < row["reference_leakage_upper"]
-    assert 2 <= row["reference_degrees_of_freedom"] < 4
-    for name in true_k(spec):
-        assert parameters(outcome)[name]["verdict"] != "identified"
-        assert "lower" not in parameters(outcome)[name]
-    # Its total ± has 1 % of the gaps' leakage for each kelvin to the reference (model.md, 5).
-    gaps = row["reference_leakage_l_per_min"] - 32 * 1.660281e-2
-    apart = 0.01 * abs(50.0 - row["own_temperature_c"]) * gaps
-    parts = [
-        row[f"reference_leakage_{part}_half_width"] or 0.0
-        for part in ("statistical", "sensor", "model")
-    ]
-    assert apart > 0.0
-    assert row["reference_leakage_total_half_width"] >= math.hypot(apart, *parts) * (1 - 1e-9)
-
-
-def test_an_hour_of_steps_identifies_every_loss_factor(spec: MotorSpec) -> None:
-    operation = operate(minutes=60.0)
-    flow = configured_flow(spec, operation) + noise(len(operation.time_us))
-    outcome = fitted(spec, operation, flow)
-    row = primary(outcome)
-    assert row["reference_verdict"] == "identified"
-    assert row["reference_degrees_of_freedom"] >= 4
-    assert row["reference_block_share"] <= 0.5
-    # All of the samples stand behind the estimates, and 80 % behind the fit that is validated.
-    assert row["n_interval_blocks"] == 30
-    assert row["n_training"] == pytest.approx(0.8 * row["n_kept"], rel=0.05)
-    for name in true_k(spec):
-        found = parameters(outcome)[name]
-        assert found["verdict"] == "identified"
-        assert found["interval_degrees_of_freedom"] >= 4
-        assert found["largest_block_share"] <= 0.5
-
-
-def test_errors_that_outlast_the_log_are_told_so(spec: MotorSpec) -> None:
-    operation = operate(minutes=90.0)
-    n = len(operation.time_us)
-    walk = np.cumsum(np.random.default_rng(5).normal(size=n))
-    flow = configured_flow(spec, operation) + noise(n) + 0.05 * walk / walk.std()
-    row = primary(fitted(spec, operation, flow))
-    # Blocks of two minutes: at 0.98 the errors remember for 99 minutes.
-    assert row["slow_error_memory"] >= 0.98
-    expected = "ok: the errors remember for longer than the log; the intervals allow for it"
-    assert row["interval_status"] == expected
-
-
 def test_slow_errors_are_found_told_and_allowed_for(spec: MotorSpec) -> None:
     operation = operate(minutes=90.0)
     n = len(operation.time_us)
@@ -187,17 +131,6 @@ def test_slow_errors_are_found_told_and_allowed_for(spec: MotorSpec) -> None:
         one["reference_leakage_upper"] - one["reference_leakage_lower"] for one in (row, quiet)
     ]
     assert widths[0] > 3 * widths[1]
-
-
-def test_a_short_night_pays_for_the_parameters_that_it_estimates(tmp_path: Path) -> None:
-    """d of the criteria counts what was fitted, whatever the night can say of it."""
-    more = '[flushing]\nmode = "none"\nalso = ["estimated"]\nflow_l_per_min = 1.0\n'
-    spec = load_motor(tmp_path, motor_toml("M1", more=more))
-    operation = operate(minutes=30.0)
-    for flushing, n_estimated in ((0.5, 4), (-0.02, 3)):
-        flow = configured_flow(spec, operation) + flushing + noise(len(operation.time_us))
-        none, estimated = fitted(spec, operation, flow).rows["fits"]
-        assert (none["n_parameters"], estimated["n_parameters"]) == (3, n_estimated)
 
 
 def test_one_pressure_all_night_leaves_the_leakage_at_own_conditions(spec: MotorSpec) -> None:
@@ -247,32 +180,6 @@ def test_stated_tolerances_become_a_budget_whose_squares_add(tmp_path: Path) -> 
     assert by_source["oil_temperature offset"]["effect"] / leakage == pytest.approx(
         -0.048, abs=0.004
     )
-
-
-def test_tolerances_of_two_ports_add_by_squares(tmp_path: Path) -> None:
-    channels = {
-        "high_port_pressure": "bar",
-        "low_port_pressure": "bar",
-        "oil_temperature": "degC",
-        "speed": "rpm",
-        "leakage_flow": "l/min",
-    }
-    text = motor_toml("M1", units=channels)
-    for port, bar in (("high", 0.3), ("low", 0.4)):
-        table = f"[channels.{port}_port_pressure]\n"
-        text = text.replace(table, f"{table}offset_tolerance = {bar}\n")
-    spec = load_motor(tmp_path, text)
-    assert tolerances(spec, NIGHT).pressure_bar.offset == pytest.approx(0.5)
-
-
-def test_modes_are_compared_on_validation(tmp_path: Path) -> None:
-    more = '[flushing]\nmode = "none"\nalso = ["estimated"]\nflow_l_per_min = 1.0\n'
-    spec = load_motor(tmp_path, motor_toml("M1", more=more))
-    operation = operate(minutes=TWO_HOURS)
-    flow = configured_flow(spec, operation) + 1.0 + noise(len(operation.time_us))
-    rows = {row["flushing_mode"]: row for row in fitted(spec, operation, flow).rows["fits"]}
-    assert rows["estimated"]["is_best_on_validation"]
-    assert not rows["none"]["is_best_on_validation"]
 
 
 def test_hubers_loss_withstands_what_the_cleaning_lets_through(spec: MotorSpec) -> None:

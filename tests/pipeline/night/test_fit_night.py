@@ -46,14 +46,6 @@ ALL_MODES = '[flushing]\nmode = "estimated"\nalso = ["none", "fixed"]\n'
 # Gaps of the worked values (model.md, sections 3 and 4), in µm, each a little off the configured.
 
 
-def test_readings_are_given_up_as_they_are_cleaned(spec: MotorSpec) -> None:
-    """A day at 100 Hz is not to be in memory twice."""
-    operation = operate(NIGHT)
-    channels = raw(operation.time_us, operation.channels(operation.flow(spec.motor(NIGHT, "none"))))
-    assert fit_night(spec, night_of(), channels, {}).status == OK
-    assert channels == {}
-
-
 def with_flushing(spec: MotorSpec, **keys: Any) -> MotorSpec:
     flushing = spec.file.flushing.model_copy(update=keys)
     return replace(spec, file=spec.file.model_copy(update={"flushing": flushing}))
@@ -81,23 +73,6 @@ def test_noise_free_night_gives_back_k_in_all_modes_side_by_side(tmp_path: Path)
         row = fit_of(outcome.rows, mode)
         for part in ("training", "validation"):
             assert row[f"{part}_fit_percent"] == pytest.approx(100.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("mode", ["fixed", "estimated"])
-def test_noise_free_night_with_flushing(spec: MotorSpec, mode: str) -> None:
-    spec = with_flushing(spec, mode=mode, flow_l_per_min=4.0 if mode == "fixed" else 1.0)
-    operation = operate()
-    rows = fit(spec, operation, simulate(spec, operation, flushing=4.0)).rows
-    assert values_of(rows, mode)["C_f"] == pytest.approx(4.0, rel=1e-9)
-    assert max(errors_of_k(spec, rows, mode)) < 1e-6
-
-
-def test_flushing_that_the_mode_denies_shows_in_the_fit(spec: MotorSpec) -> None:
-    spec = with_flushing(spec, mode="none", also=("estimated",))
-    operation = operate()
-    rows = fit(spec, operation, simulate(spec, operation, flushing=4.0)).rows
-    assert fit_of(rows, "none")["validation_fit_percent"] < 80.0
-    assert fit_of(rows, "estimated")["validation_fit_percent"] > 99.999
 
 
 def test_four_litres_more_move_the_flushing_alone(spec: MotorSpec) -> None:
@@ -131,40 +106,10 @@ def test_matched_smoothing_leaves_k_as_it_is_and_the_thesis_s_does_not(spec: Mot
     assert largest["leakage"] > 1e-2
 
 
-def test_reverse_running_is_the_same_as_forward(spec: MotorSpec) -> None:
-    operation = operate()
-    values = simulate(spec, operation)
-    backward = values | {name: -values[name] for name in ("pressure_difference", "speed")}
-    forth, back = fit(spec, operation, values).rows, fit(spec, operation, backward).rows
-    assert [row["share_reversed"] for row in forth["block_statistics"]] == [0.0] * 20
-    assert [row["share_reversed"] for row in back["block_statistics"]] == [1.0] * 20
-    same = [name for name in forth if name not in ("block_statistics", "operation", "quality")]
-    assert {name: forth[name] for name in same} == {name: back[name] for name in same}
-
-
-def test_half_forward_half_backward_is_one_motor(spec: MotorSpec) -> None:
-    operation = operate()
-    values = simulate(spec, operation)
-    sign = np.where(np.arange(len(operation.time_us)) < 1200, 1.0, -1.0)
-    turned = values | {name: sign * values[name] for name in ("pressure_difference", "speed")}
-    assert max(errors_of_k(spec, fit(spec, operation, turned).rows, "none")) < 1e-6
-
-
 def with_ports(folder: Path, more: str = "") -> MotorSpec:
     ports_of = {"high_port_pressure": "bar", "low_port_pressure": "bar"}
     units = ports_of | {name: unit for name, unit in CANONICAL.items() if "pressure" not in name}
     return load_motor(folder, motor_toml("M1", units=units, more=more))
-
-
-def test_two_ports_are_their_difference(tmp_path: Path, spec: MotorSpec) -> None:
-    ports = with_ports(tmp_path / "ports", "[override.model]\ntwo_sided = false\n")
-    operation = operate()
-    values = simulate(spec, operation)
-    # 16ths of a bar: the difference of the ports is then exact.
-    low = np.round(15.0 + 2.0 * np.sin(np.arange(len(operation.time_us)) / 50.0), 4)
-    difference = values.pop("pressure_difference")
-    both = values | {"high_port_pressure": difference + low, "low_port_pressure": low}
-    assert max(errors_of_k(spec, fit(ports, operation, both).rows, "none")) < 1e-6
 
 
 def test_the_low_side_changes_its_port_under_back_drive(tmp_path: Path, spec: MotorSpec) -> None:
@@ -202,54 +147,7 @@ def test_rows_fit_their_tables_and_no_key_stands_twice(tmp_path: Path) -> None:
             assert rows.height, table.name
 
 
-def test_arguments_are_not_changed(spec: MotorSpec) -> None:
-    operation = operate()
-    channels = raw(operation.time_us, simulate(spec, operation))
-    before = {name: channel.value.copy() for name, channel in channels.items()}
-    for channel in channels.values():
-        for array in (channel.time_us, channel.value, channel.missing):
-            array.flags.writeable = False
-    assert fit_night(spec, night_of(), channels, {}).status == OK
-    assert all((channels[name].value == before[name]).all() for name in channels)
-
-
 # The model before
-
-
-def test_the_model_before_is_judged_on_all_of_tonight(spec: MotorSpec) -> None:
-    operation = operate()
-    values = simulate(spec, operation)
-    first = fit(spec, operation, values)
-    assert fit_of(first.rows)["previous_model_fit_percent"] is None
-    again = fit(spec, operation, values, first.model)
-    assert fit_of(again.rows)["previous_model_fit_percent"] == pytest.approx(100.0, abs=1e-6)
-    worn = {mode: tuple(1.3 * k for k in theta) for mode, theta in first.model.items()}
-    poor = fit_of(fit(spec, operation, values, worn).rows)["previous_model_fit_percent"]
-    assert 0.0 < poor < 90.0
-    # By hand (23): the prediction is the truth of the free paths times 1.3.
-    motor = spec.motor(NIGHT, "none")
-    true = true_coefficients(spec)
-    y = values["leakage_flow"]
-    off = operation.flow(motor, {name: 1.3 * k for name, k in true.items()}) - y
-    by_hand = 100.0 * (1.0 - np.linalg.norm(off) / np.linalg.norm(y - y.mean()))
-    assert poor == pytest.approx(by_hand, abs=1e-6)
-
-
-def test_a_model_before_of_another_shape_is_no_model(spec: MotorSpec) -> None:
-    operation = operate()
-    outcome = fit(spec, operation, simulate(spec, operation), {"none": (1e-14, 0.0)})
-    assert outcome.status == OK
-    assert fit_of(outcome.rows)["previous_model_fit_percent"] is None
-
-
-def test_the_model_is_that_of_each_mode(tmp_path: Path) -> None:
-    spec = load_motor(tmp_path, motor_toml("M1", more=ALL_MODES))
-    operation = operate()
-    outcome = fit(spec, operation, simulate(spec, operation))
-    assert outcome.model.keys() == {"none", "fixed", "estimated"}
-    found = values_of(outcome.rows, "estimated")
-    names = [*(f"K_{path.name}" for path in spec.motor(NIGHT, "none").column_paths), "C_f"]
-    assert list(outcome.model["estimated"]) == [found[name] for name in names]
 
 
 OTHER_UNITS = [

@@ -77,20 +77,6 @@ def test_a_halt_that_is_too_short_tells_nothing() -> None:
     assert found(*night((500, 500 + just_too_short + 1))).n == 1
 
 
-def test_fewer_than_three_halts_have_no_error() -> None:
-    seen = found(*night(*THREE[:2]))
-    assert seen.n == 2
-    assert seen.flow_l_per_min is not None
-    assert seen.flow_l_per_min.standard_error is None
-
-
-def test_a_halt_under_load_shows_no_zero() -> None:
-    still, bar, flow = night(*THREE)
-    bar[2000:2300] = 60.0  # the brake holds a load
-    bar[4100] = 40.0  # and here somebody tries
-    assert found(still, bar, flow).n == 1
-
-
 def test_two_ports_at_charge_pressure_have_a_difference_of_zero() -> None:
     still, _, flow = night(*THREE)
     high, low = np.where(still, 15.4, 200.0), np.full(N, 15.0)
@@ -116,16 +102,3 @@ def test_readings_at_the_sensors_maximum_are_no_zero() -> None:
     assert seen.n == 2
     assert seen.flow_l_per_min is not None
     assert seen.flow_l_per_min.value == pytest.approx(ZERO_FLOW, abs=0.001)
-
-
-def test_a_silent_sensor_has_no_zero() -> None:
-    still, bar, flow = night(*THREE)
-    flow[2000:2300] = np.nan
-    assert found(still, bar, flow).n == 2
-    assert found(still, bar, np.full(N, np.nan)) == Halts()
-
-
-def test_a_motor_that_never_halts_or_always_stands() -> None:
-    assert found(*night()) == Halts()
-    seen = found(*night((0, N)))
-    assert seen.n == 1

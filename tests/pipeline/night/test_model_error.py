@@ -11,7 +11,7 @@ import pytest
 
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
-from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, of_stated
+from pipeline.night.block_fit import ErrorParts, of_extrapolation, of_sensors, of_stated
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.tolerances import assumed_sensors, tolerances
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw

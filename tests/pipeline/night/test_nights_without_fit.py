@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 
 from pipeline.config import MotorSpec
 from pipeline.ingest import RawChannel
-from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
-from pipeline.night.rows import Rows
-from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
-from tests.pipeline.night.noise_free import fit, fit_of, simulate, true_coefficients
-from tests.pipeline.simulated import NIGHT, night_of, operate, raw, with_channel
+from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, STOOD_STILL
+from tests.pipeline.night.noise_free import fit, simulate
+from tests.pipeline.simulated import night_of, operate, raw, with_channel
 
 
 def check_unfitted(outcome: NightOutcome, status: str) -> dict[str, Any]:
@@ -62,14 +59,6 @@ def test_a_sensor_without_a_sample(spec: MotorSpec) -> None:
     assert "oil_temperature" in row["reason"]
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 10, 100])
-def test_a_handful_of_samples(spec: MotorSpec, n: int) -> None:
-    operation = operate()
-    values = {name: value[:n] for name, value in simulate(spec, operation).items()}
-    outcome = fit_night(spec, night_of(), raw(operation.time_us[:n], values), {})
-    check_unfitted(outcome, INSUFFICIENT_DATA)
-
-
 def test_too_little_training(spec: MotorSpec) -> None:
     operation = operate(minutes=5.0)
     row = check_unfitted(fit(spec, operation, simulate(spec, operation)), INSUFFICIENT_DATA)
@@ -87,14 +76,6 @@ def test_too_much_refused_names_the_causes(spec: MotorSpec) -> None:
     assert "60 % are needed" in row["reason"]
 
 
-def test_every_value_refused(spec: MotorSpec) -> None:
-    operation = operate()
-    values = {
-        name: np.full(len(value), np.nan) for name, value in simulate(spec, operation).items()
-    }
-    check_unfitted(fit(spec, operation, values), INSUFFICIENT_DATA)
-
-
 def test_temperatures_beyond_walther_are_a_failed_night_with_its_code(spec: MotorSpec) -> None:
     spec = with_channel(spec, "oil_temperature", valid_range=(0.0, 1000.0))
     operation = operate()
@@ -104,26 +85,3 @@ def test_temperatures_beyond_walther_are_a_failed_night_with_its_code(spec: Moto
     row = check_unfitted(outcome, FAILED)
     assert outcome.error_code
     assert row["error_code"] == outcome.error_code
-
-
-def test_a_motor_at_rest_pressure_has_no_certainty_but_an_outcome(spec: MotorSpec) -> None:
-    # One pressure all night: K cannot be told apart, yet nothing falls over.
-    operation = operate()
-    still = replace(operation, pressure_bar=180.0 + 0.05 * np.sin(operation.pressure_bar))
-    outcome = fit(spec, still, simulate(spec, still))
-    assert outcome.status == OK
-    row = fit_of(outcome.rows)
-    assert row["condition_number"] > 1e3
-    assert row["outside_fitted_range"]
-    motor = spec.motor(NIGHT, "none")
-    assert row["own_conditions_leakage_l_per_min"] == pytest.approx(
-        float(still.flow(motor, true_coefficients(spec)).mean()), rel=0.05
-    )
-
-
-def test_unfitted_keeps_what_was_counted_and_nothing_else(spec: MotorSpec) -> None:
-    rows: Rows = {"quality": [{}], "block_statistics": [{}], "starts": [{}], "fits": [{}, {}]}
-    outcome = unfitted(spec, NIGHT, FAILED, "why", code="log_damaged", rows=rows)
-    assert outcome.rows.keys() == {"quality", "block_statistics", "fits"}
-    assert outcome.rows["fits"][0]["error_code"] == "log_damaged"
-    assert rows["fits"] == [{}, {}]

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from pipeline.ingest import RawChannel
-from pipeline.night.halts import Halts, Zero
-from pipeline.night.operation_rows import coarse_histogram, hours_counted, operation_row
+from pipeline.night.sample_rows import hours_counted, operation_row
 from pipeline.night.time_base import Samples
-from pipeline.schema import OPERATION, PRESSURE_EDGES_BAR, frame
+from pipeline.schema import PRESSURE_EDGES_BAR
 from tests.pipeline.simulated import SECOND_US, night_of
 from tests.pipeline.trends.nights import motor
 
@@ -63,21 +62,6 @@ def test_a_counter_that_cannot_tell_does_not(hours: tuple[float, ...]) -> None:
     assert row["running_hours_source"] == "share"
 
 
-def test_a_counter_is_read_in_order_of_time_and_without_its_gaps() -> None:
-    mixed = RawChannel(
-        np.array([2, 0, 1, 3]), np.array([820.0, 812.0, np.nan, 821.0]), np.zeros(4, bool), 0
-    )
-    assert hours_counted(mixed) == 9.0
-
-
-def test_a_night_without_a_sample_has_what_is_known_and_no_more() -> None:
-    row = operation_row(motor(), night_of(), samples(0), None)
-    assert row["kept_hours"] == 0.0
-    assert row["running_share"] is None
-    assert "running_hours" not in row
-    assert "pressure_histogram" not in row
-
-
 def test_conditions_are_magnitudes_and_histograms_hold_every_sample() -> None:
     seen = samples()
     row = operation_row(motor(), night_of(), seen, None)
@@ -89,22 +73,3 @@ def test_conditions_are_magnitudes_and_histograms_hold_every_sample() -> None:
         assert (len(histogram), sum(histogram)) == (bins, N)
     expected, _ = np.histogram(np.abs(seen.pressure_difference_bar), PRESSURE_EDGES_BAR)
     assert row["pressure_histogram"] == expected.tolist()
-
-
-def test_the_end_bins_hold_all_beyond() -> None:
-    assert coarse_histogram(np.array([-5.0, 0.0, 399.9, 400.0, 900.0]), PRESSURE_EDGES_BAR) == [
-        2,
-        *[0] * 18,
-        3,
-    ]
-
-
-def test_zeros_of_the_sensors_are_columns_of_the_table() -> None:
-    halts = Halts(4, Zero(0.5, 0.1), Zero(0.02, None))
-    row = operation_row(motor(), night_of(), samples(halts=halts), None)
-    assert row["n_halts"] == 4
-    assert (row["pressure_zero_bar"], row["pressure_zero_standard_error_bar"]) == (0.5, 0.1)
-    assert row["flow_zero_l_per_min"] == 0.02
-    assert row["flow_zero_standard_error_l_per_min"] is None
-    assert set(row) <= set(OPERATION.schema)
-    assert frame(OPERATION, [{"run_id": "r", **row}]).height == 1

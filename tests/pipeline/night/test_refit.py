@@ -99,17 +99,6 @@ def test_they_give_what_the_logs_would_give(workshop: Workshop) -> None:
     assert_frame_equal(*parameters, rel_tol=1e-9, abs_tol=1e-9)
 
 
-def test_other_verdicts_of_the_same_settings_are_those_of_the_logs(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A new version of the figures: every night is made from its blocks, and nothing moves."""
-    before = {table: figures(workshop, table) for table in ("fits", "parameters")}
-    monkeypatch.setattr(hashes, "FIGURES_VERSION", -1)
-    assert workshop.run().n_refitted == 3
-    for table, rows in before.items():
-        assert_frame_equal(figures(workshop, table), rows, rel_tol=1e-9)
-
-
 def test_a_night_of_merged_blocks_is_made_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -122,19 +111,6 @@ def test_a_night_of_merged_blocks_is_made_anew(
     monkeypatch.setattr(hashes, "FIGURES_VERSION", -1)
     assert workshop.run().n_refitted == 1
     assert_frame_equal(figures(workshop, "fits"), before)
-
-
-def test_another_bound_of_a_gap(workshop: Workshop) -> None:
-    """Below where the gap lies: the fit ends there, and no log is needed to see it."""
-    before = workshop.rows("parameters").filter(parameter="h_gap")["value"]
-    path = workshop.folder / "configs" / "motor_types" / "MINI.toml"
-    path.write_text(path.read_text("utf-8").replace("maximum = 60.0", "maximum = 7.0"), "utf-8")
-    text = path.read_text("utf-8").replace("value = 8.0", "value = 6.0")
-    path.write_text(text, "utf-8")
-    assert (before > 7.0).all()
-    assert workshop.run().n_refitted == 3
-    found = workshop.rows("parameters").filter(parameter="h_gap")
-    assert found["value"].to_list() == pytest.approx([7.0] * 3, rel=1e-9)
 
 
 def test_settings_of_the_statistics_need_the_logs(workshop: Workshop) -> None:
@@ -154,22 +130,6 @@ def test_without_its_logs_a_published_night_stays(workshop: Workshop) -> None:
     assert_frame_equal(workshop.rows("fits"), before, check_exact=True)
 
 
-@pytest.mark.usefixtures("unread")
-def test_without_its_logs_a_night_can_still_be_fitted_anew(workshop: Workshop) -> None:
-    shutil.rmtree(workshop.logs)
-    workshop.configure(fleet=OTHER_REFERENCE)
-    assert workshop.run().n_refitted == 3
-    assert set(workshop.rows("fits")["reference_pressure_bar"]) == {150.0}
-
-
-def test_a_setting_that_is_taken_back_leaves_the_figures_as_they_were(workshop: Workshop) -> None:
-    before = figures(workshop, "fits")
-    for fleet in (OTHER_REFERENCE, QUICK):
-        workshop.configure(fleet=fleet)
-        workshop.run()
-    assert_frame_equal(figures(workshop, "fits"), before, rel_tol=1e-9, abs_tol=1e-9)
-
-
 def test_damaged_statistics_are_made_anew_from_the_log(workshop: Workshop) -> None:
     for path in (workshop.output / "tables" / "block_statistics").rglob("*.parquet"):
         content = bytearray(path.read_bytes())
@@ -181,10 +141,3 @@ def test_damaged_statistics_are_made_anew_from_the_log(workshop: Workshop) -> No
     fresh = from_scratch(workshop)
     for table in ("fits", "parameters"):
         assert_frame_equal(workshop.rows(table), fresh.rows(table), check_exact=True)
-
-
-def test_an_oil_change_is_no_business_of_the_nights_before(workshop: Workshop) -> None:
-    changed = NIGHT + 2 * DAY
-    workshop.configure(more=f'[[events]]\ndate = {changed}\nkind = "oil_change"\noil = "vg46"\n')
-    assert workshop.run().nights == (changed,)
-    assert workshop.rows("fits")["oil"].to_list() == ["vg68", "vg68", "vg46"]

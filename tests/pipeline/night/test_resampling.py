@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.night import resampling
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.resampling import on_grid
 from tests.pipeline.night.channels import SECOND, STEP, Times, cleaned
@@ -56,7 +54,6 @@ class TestInterpolation:
         st.integers(0, 2**32 - 1),
         st.integers(1, 60),
         st.booleans(),
-        st.booleans(),
         st.sampled_from([10.0, 20.0, 30.0, 50.0]),
     )
     def test_as_the_slow_definition(
@@ -65,7 +62,6 @@ class TestInterpolation:
         seed: int,
         longest: int,
         on_change: bool,
-        jitters: bool,
         period_us: float,
     ) -> None:
         rng = np.random.default_rng(seed)
@@ -75,12 +71,8 @@ class TestInterpolation:
         value[refused] = rng.choice([np.nan, np.inf, 1e9], refused.sum())
         channel = cleaned(time, value, refused, period_us=period_us, longest_gap_us=longest)
         channel = replace(channel, ends=rng.random(len(time)) < 0.2) if on_change else channel
-        others = np.flatnonzero(np.diff(time) != period_us)
-        channel = channel if jitters else replace(channel, other_steps=others)
         grid = np.arange(-20, 420, 10, dtype=np.int64)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(resampling, "EVEN_PLACES", 3)
-            got, present, silent = on_grid(channel, grid, 10)
+        got, present, silent = on_grid(channel, grid, 10)
         expected, asleep = slow_interpolation(channel, grid)
         assert present.tolist() == [one is not None for one in expected]
         assert silent.tolist() == asleep
@@ -88,18 +80,6 @@ class TestInterpolation:
             got[present], [one for one in expected if one is not None], rtol=1e-12, atol=1e-9
         )
         assert np.isnan(got[~present]).all()
-
-    @given(st.integers(0, 2**32 - 1))
-    def test_exact_at_samples(self, seed: int) -> None:
-        rng = np.random.default_rng(seed)
-        n = resampling.EVEN_PLACES + 100
-        grid = np.arange(n, dtype=np.int64) * STEP
-        value = rng.normal(0, 1, n) * 10.0 ** rng.integers(-8, 8, n)
-        for others in (None, np.empty(0, np.intp)):
-            channel = replace(cleaned(grid, value), other_steps=others)
-            got, present, _ = on_grid(channel, grid, STEP)
-            assert present.all()
-            np.testing.assert_array_equal(got, value)
 
     def test_never_across_a_refused_sample(self) -> None:
         """One refused temperature sample costs the nineteen points between its neighbours."""
@@ -112,27 +92,6 @@ class TestInterpolation:
         np.testing.assert_array_equal(np.flatnonzero(~present), range(41, 60))
         np.testing.assert_allclose(got[present], 50 + grid[present] / SECOND, rtol=1e-15)
         assert not silent.any()
-
-    def test_a_gap_begins_beyond_the_limit(self) -> None:
-        for distance, is_gap in ((5 * STEP, False), (5 * STEP + 1, True)):
-            time = np.array([0, distance], np.int64)
-            _, present, silent = on_grid(cleaned(time, np.ones(2)), np.array([STEP]), STEP)
-            assert silent.tolist() == [is_gap]
-            assert present.tolist() == [not is_gap]
-
-    def test_never_beyond_the_first_and_last_sample(self) -> None:
-        time = np.arange(5, 10, dtype=np.int64) * STEP
-        grid = np.arange(15, dtype=np.int64) * STEP
-        _, present, silent = on_grid(cleaned(time, np.ones(5)), grid, STEP)
-        np.testing.assert_array_equal(np.flatnonzero(present), range(5, 10))
-        np.testing.assert_array_equal(silent, ~present)
-
-    def test_refused_samples_at_the_end_are_no_silence(self) -> None:
-        """A sensor that is stuck until the log ends was heard; it was not believed."""
-        grid = np.arange(20, dtype=np.int64) * STEP
-        _, present, silent = on_grid(cleaned(grid, np.ones(20), grid >= 10 * STEP), grid, STEP)
-        assert not silent.any()
-        assert present.sum() == 10
 
     def test_channel_without_samples(self) -> None:
         none = np.zeros(0, np.int64)
@@ -160,11 +119,6 @@ class TestAverage:
         ]
         np.testing.assert_allclose(got, expected, rtol=1e-12)
 
-    def test_noise_falls_as_by_averaging(self) -> None:
-        value = np.random.default_rng(1).normal(0, 1, 1000)
-        got, _, _ = on_grid(cleaned(self.TIME, value, period_us=1e4), self.GRID, STEP)
-        assert 0.25 < got.std() < 0.38  # 1 / √10 = 0.316
-
     def test_refused_samples_do_not_count(self) -> None:
         value = np.ones(1000)
         refused = np.arange(1000) % 10 < 5
@@ -182,12 +136,3 @@ class TestAverage:
         assert not present.any()
         assert np.isnan(got).all()
         assert not silent.any()
-
-    def test_a_gap_is_silence(self) -> None:
-        awake = (self.TIME < 3 * SECOND) | (self.TIME > 7 * SECOND)
-        channel = cleaned(self.TIME[awake], np.ones(awake.sum()), period_us=1e4)
-        _, present, silent = on_grid(channel, self.GRID, STEP)
-        asleep = (self.GRID > 3.1 * SECOND) & (self.GRID < 6.9 * SECOND)
-        assert silent[asleep].all()
-        assert not present[asleep].any()
-        assert present[(self.GRID < 2.9 * SECOND) | (self.GRID > 7.1 * SECOND)].all()

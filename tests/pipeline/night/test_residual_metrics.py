@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import datetime as dt
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from leakage import OperatingConditions, regressors
 from pipeline.config import MotorSpec
@@ -64,25 +62,6 @@ def test_the_model_before_has_its_error_on_all_of_tonight(spec: MotorSpec) -> No
     assert row["previous_model_mean_error_l_per_min"] == pytest.approx(error.mean(), rel=1e-9)
     assert row["previous_model_rmse_l_per_min"] == pytest.approx(np.sqrt(np.mean(error**2)))
     assert row["previous_model_mean_error_l_per_min"] < 0  # it predicts too much
-
-
-def test_white_noise_does_not_hide_a_slow_error_from_the_effective_number(
-    spec: MotorSpec,
-) -> None:
-    """Errors of 20 s with as much white noise: lag one tells half of them, all lags the rest."""
-    operation = operate(minutes=8 * 60.0)
-    n = len(operation.time_us)
-    phi = math.exp(-1 / 20)
-    slow, _ = lfilter([math.sqrt(1 - phi**2)], [1, -phi], white(2, 0.01, n), zi=[0.0])
-    flow = true_flow(spec, operation) + slow + white(3, 0.01, n)
-    row = primary(fitted(spec, operation, flow))
-    share = row["n_effective_summed"] / row["n_training"]
-    assert share == pytest.approx(1 / (1 + phi / (1 - phi)), rel=0.2)
-    lag_one = phi / 2
-    assert row["n_effective"] / row["n_training"] == pytest.approx(
-        (1 - lag_one) / (1 + lag_one), rel=0.1
-    )
-    assert row["n_effective"] > 5 * row["n_effective_summed"]
 
 
 # predictions

@@ -16,7 +16,6 @@ from pipeline.report.explain import explain_residuals
 from tests.pipeline.night.residuals_by_hand import (
     MINUTES,
     Array,
-    N,
     Row,
     by_hand,
     fitted,
@@ -27,7 +26,7 @@ from tests.pipeline.night.residuals_by_hand import (
     unchanged,
     white,
 )
-from tests.pipeline.simulated import Operation, operate
+from tests.pipeline.simulated import operate
 
 INPUTS = ("pressure_difference", "oil_temperature", "speed")
 
@@ -116,43 +115,6 @@ def test_every_test_has_its_rows_and_its_verdict(tmp_path: Path) -> None:
         assert row["reason"] is None
 
 
-def test_pairs_across_a_gap_do_not_count(spec: MotorSpec) -> None:
-    """Six stretches of 20 minutes, 30 s apart: bounds count the pairs within them."""
-    operation = operate(minutes=MINUTES)
-    kept = np.arange(N) % 1200 >= 30
-    gappy = Operation(
-        operation.time_us[kept],
-        operation.pressure_bar[kept],
-        operation.temperature_c[kept],
-        operation.speed_rpm[kept],
-    )
-    outcome = fitted(spec, gappy, true_flow(spec, gappy) + white(n=int(kept.sum())))
-    n = primary(outcome)["n_training"]
-    # A sample beside a gap is refused or not by the cleaning; the stretches are the same.
-    stretches = 5 if n > 4680 else 4
-    found = lags(outcome, "training", "whiteness")
-    assert found[1]["bound"] == pytest.approx(2.576 / math.sqrt(n - stretches), rel=1e-9)
-    assert found[25]["bound"] == pytest.approx(2.576 / math.sqrt(n - 25 * stretches), rel=1e-9)
-    assert verdict(outcome, "training", "whiteness")["verdict"] == "passed"
-
-
-def test_smoothing_colours_the_smoothed_errors_alone(tmp_path: Path) -> None:
-    """A mean over five white errors correlates by 0.8, 0.6, 0.4, 0.2 and not beyond."""
-    spec = motor(tmp_path, "[override.smoothing]\nwindow_s = 5.0\n")
-    operation = operate(minutes=MINUTES)
-    outcome = fitted(spec, operation, true_flow(spec, operation) + white())
-    smoothed = lags(outcome, "training", "whiteness", smoothed=True)
-    expected = [0.8, 0.6, 0.4, 0.2, 0.0, 0.0]
-    assert [smoothed[k]["value"] for k in range(1, 7)] == pytest.approx(expected, abs=0.06)
-    assert verdict(outcome, "training", "whiteness", smoothed=True)["verdict"] == "failed"
-    assert verdict(outcome, "training", "whiteness")["verdict"] == "passed"
-    row = primary(outcome)
-    # The table of fits tells of the errors before smoothing, and how much those fitted tell.
-    assert row["training_whiteness"] == "passed"
-    assert row["n_effective_summed"] == pytest.approx(row["n_training"] / 5, rel=0.25)
-    assert row["validation_n_effective_summed"] == pytest.approx(row["n_validation"] / 5, rel=0.4)
-
-
 @pytest.mark.parametrize("apply_to", ["all", "leakage"])
 def test_inputs_are_smoothed_where_the_regressors_are(tmp_path: Path, apply_to: str) -> None:
     more = f'[override.smoothing]\nwindow_s = 61.0\napply_to = "{apply_to}"\n'
@@ -190,60 +152,6 @@ def test_inputs_are_smoothed_where_the_regressors_are(tmp_path: Path, apply_to: 
 # what it finds
 
 
-def test_white_errors_of_the_true_model_pass(spec: MotorSpec) -> None:
-    operation = operate(minutes=MINUTES)
-    outcome = fitted(spec, operation, true_flow(spec, operation) + white())
-    row = primary(outcome)
-    for part in ("training", "validation"):
-        assert row[f"{part}_whiteness"] == "passed"
-        assert row[f"{part}_independence"] == "passed"
-    told = list(explain_residuals(row, outcome.rows["residual_verdicts"]))
-    assert len(told) == 6
-    assert "training errors: white; none tells of a later one" in told
-    assert "validation errors: independent of all inputs" in told
-
-
-def test_a_flow_that_comes_late_depends_on_the_pressure(spec: MotorSpec) -> None:
-    operation = operate(minutes=MINUTES)
-    truth = true_flow(spec, operation)
-    late = np.concatenate([np.full(2, truth[0]), truth[:-2]])
-    outcome = fitted(spec, operation, late + white())
-    row = primary(outcome)
-    assert row["training_independence"] == "failed"
-    found = verdict(outcome, "training", "pressure_difference")
-    assert found["verdict"] == "failed"
-    # Pressure repeats itself every few minutes: errors that do too tell little each time.
-    assert found["p_value"] < 1e-3
-    told = "\n".join(explain_residuals(row, outcome.rows["residual_verdicts"]))
-    assert "training errors: depend on pressure (p = " in told
-
-
-def test_one_input_that_tells_of_the_errors_is_enough_to_fail(spec: MotorSpec) -> None:
-    """A drift with the oil temperature that no regressor can follow."""
-    operation = operate(minutes=MINUTES)
-    bent = 0.02 * np.cos(operation.temperature_c)
-    outcome = fitted(spec, operation, true_flow(spec, operation) + bent + white(sd=0.002))
-    verdicts = {name: verdict(outcome, "training", name)["verdict"] for name in INPUTS}
-    assert "failed" in verdicts.values()
-    assert primary(outcome)["training_independence"] == "failed"
-
-
-def test_a_night_without_errors_has_nothing_to_test(spec: MotorSpec) -> None:
-    operation = operate(minutes=MINUTES)
-    outcome = fitted(spec, operation, true_flow(spec, operation))
-    assert outcome.rows["residual_tests"] == []
-    assert len(outcome.rows["residual_verdicts"]) == 8
-    for row in outcome.rows["residual_verdicts"]:
-        assert row["verdict"] == "not_tested"
-        assert row["reason"] == "the errors are rounding"
-        assert row["p_value"] is row["largest_lag"] is row["statistic"] is None
-        assert row["n_lags"] == row["n_outside"] == 0
-    fit = primary(outcome)
-    assert fit["training_whiteness"] == fit["validation_independence"] == "not_tested"
-    told = list(explain_residuals(fit, outcome.rows["residual_verdicts"]))
-    assert "training errors: not tested: the errors are rounding" in told
-
-
 def test_a_night_without_validation_says_so(spec: MotorSpec) -> None:
     begin = dt.datetime(2026, 3, 1, 22, tzinfo=dt.UTC)
     periods = spec.file.periods.model_copy(
@@ -262,14 +170,3 @@ def test_a_night_without_validation_says_so(spec: MotorSpec) -> None:
     assert found["reason"] == "0 samples, 1000 are needed"
     told = list(explain_residuals(row, outcome.rows["residual_verdicts"]))
     assert "validation errors: no samples" in told
-
-
-def test_an_input_that_stands_still_is_named(spec: MotorSpec) -> None:
-    operation = operate(minutes=MINUTES)
-    steady = replace(operation, speed_rpm=np.full(N, 40.0))
-    outcome = fitted(spec, steady, true_flow(spec, steady) + white())
-    found = verdict(outcome, "training", "speed")
-    assert (found["verdict"], found["reason"]) == ("not_tested", "the input does not vary")
-    told = list(explain_residuals(primary(outcome), outcome.rows["residual_verdicts"]))
-    assert "training errors: independent of pressure and oil temperature" in told
-    assert "training errors: independence of speed not tested: the input does not vary" in told

@@ -12,7 +12,6 @@ from polars.testing import assert_frame_equal
 
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
-from pipeline.config.oil_samples import OilSample
 from pipeline.demo import shipped_configs
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.refit import PublishedNight, refit, refit_in_form
@@ -71,17 +70,6 @@ def test_a_night_read_with_its_scale_free_is_the_night_fitted_anew(spec: MotorSp
         assert_frame_equal(one, two, check_exact=True)
 
 
-def test_its_stated_form_comes_back_from_the_free_one(spec: MotorSpec) -> None:
-    stated = night(spec)
-    back = refit_in_form(spec, night(freed(spec)), None, {})
-    assert back is not None
-    (one,), (two,) = stated.rows["fits"], back.rows["fits"]
-    assert (two["roller_is_free"], two["is_refitted"]) == (False, False)
-    assert two["columns"] == one["columns"]
-    for name in ("coefficients", "night_factor", "reference_leakage_l_per_min", "roller_scale"):
-        assert two[name] == pytest.approx(one[name], rel=1e-9, abs=1e-30), name
-
-
 def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorSpec) -> None:
     """The ± from the sensors as well, which is that of the new conditions."""
     made = night(spec).rows
@@ -104,23 +92,6 @@ def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorS
         assert made_anew[name] == pytest.approx(made_read[name], rel=0.02), name
 
 
-def test_robust_weights_and_a_measured_oil_leave_the_scale_free(spec: MotorSpec) -> None:
-    estimation = spec.settings.estimation.model_copy(update={"loss": "huber"})
-    sample = OilSample(date=NIGHT, viscosity_40_c_mm2_per_s=54.4, viscosity_100_c_mm2_per_s=7.4)
-    robust = replace(
-        spec,
-        settings=spec.settings.model_copy(update={"estimation": estimation}),
-        file=spec.file.model_copy(update={"oil_samples": (sample,)}),
-    )
-    stated = night(robust)
-    free = refit_in_form(freed(robust), stated, None, {})
-    assert free is not None
-    factors = [one.rows["fits"][0]["night_factor"] for one in (stated, free)]
-    drawn, moved = (gram(one, 6 + number) for number, one in enumerate(factors))
-    np.testing.assert_allclose(moved[-1, -1], drawn[-1, -1])
-    np.testing.assert_allclose(moved[3, 3], drawn[-2, -2])
-
-
 def gram(upper: list[float], size: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     factor = np.zeros((size, size))
     factor[np.triu_indices(size)] = upper
@@ -141,14 +112,6 @@ def test_it_is_the_fit_of_a_type_whose_scale_is_free(tmp_path: Path, spec: Motor
         assert one[name] == pytest.approx(two[name], rel=1e-6, abs=1e-30), name
     one_gram, two_gram = (gram(row["night_factor"], 7) for row in (one, two))
     assert one_gram == pytest.approx(two_gram, rel=1e-9, abs=1e-9)
-
-
-def test_one_speed_holds_the_scale_and_says_so(spec: MotorSpec) -> None:
-    (row,) = (one := night(spec, speed_rpm=40.0)).rows["fits"]
-    assert row["roller_verdict"] != "identified"
-    (scale,) = (row for row in one.rows["parameters"] if row["parameter"] == "scale_cam_roller")
-    assert (scale["value"], scale["verdict"]) == (1.0, "fixed")
-    assert scale["reason"].startswith("configured, as speed varies too little: ")
 
 
 @pytest.mark.parametrize(

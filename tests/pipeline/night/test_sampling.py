@@ -13,12 +13,10 @@ from hypothesis import strategies as st
 
 from pipeline.config import Channel, Cleaning, TimeBase
 from pipeline.config.faults import ConfigError
-from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.channel_rules import ChannelRules, Sampling, flow_from_counts
 from pipeline.night.cleaning import CleanChannel, clean_channel
 from pipeline.night.fit_night import NightOutcome, fit_night
-from pipeline.night.masks import spike
 from pipeline.night.resampling import on_grid
-from pipeline.night.sampling import Sampling, flow_from_counts, means_too_long, step_of_readings
 from pipeline.night.time_base import grid_period_us
 from pipeline.schema.fits import FAILED, OK
 from tests.pipeline.night.channels import SECOND, Times, as_read, refused_by
@@ -51,14 +49,6 @@ class TestPulseFlowMeter:
     def kept_mean(self, channel: CleanChannel) -> float:
         return float(channel.value[~channel.refused].mean())
 
-    def test_a_plain_hampel_filter_ruins_it(self) -> None:
-        """The reference that the design states: 42 % refused, a mean 71 % too high."""
-        flow = self.PULSES * 0.6
-        settings = Cleaning()
-        refused = spike(flow, settings.hampel_window, settings.hampel_threshold, resolution=0.0)
-        assert refused.mean() == pytest.approx(0.42, abs=0.005)
-        assert flow[~refused].mean() / self.FLOW - 1 == pytest.approx(0.71, abs=0.01)
-
     def test_as_a_flow_with_its_resolution_stated(self) -> None:
         found = cleaned("leakage_flow", self.TIME, self.PULSES * 0.6, resolution=0.6)
         assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=0.01)
@@ -71,12 +61,6 @@ class TestPulseFlowMeter:
         assert refused_by(found) == {}
         assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=0.01)
 
-    def test_what_the_sensor_measures_is_no_step_of_it(self) -> None:
-        noise = np.random.default_rng(5).normal(1.0, 0.1, 5000)
-        assert step_of_readings(noise) == 0.0
-        assert step_of_readings(np.append(np.full(500, 1.0), [40.0, 1.0, 1.0])) == 0.0
-        assert step_of_readings(np.round(noise / 0.05) * 0.05) == pytest.approx(0.05)
-
     @pytest.mark.parametrize("counts", ["pulses", "cumulative"])
     def test_as_counts_of_a_volume_with_nothing_else_stated(
         self, counts: Literal["pulses", "cumulative"]
@@ -85,24 +69,6 @@ class TestPulseFlowMeter:
         found = cleaned("leakage_flow", self.TIME, logged, counts=counts, volume_per_count_cm3=1.0)
         assert refused_by(found) == {"no_interval": 1, "any": 1}
         assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=1e-3)
-
-    def test_its_spikes_are_found_all_the_same(self) -> None:
-        pulses = self.PULSES.copy()
-        pulses[[500, 900]] = 40.0
-        found = cleaned(
-            "leakage_flow", self.TIME, pulses, counts="pulses", volume_per_count_cm3=1.0
-        )
-        assert found.counts["spike"] == 2
-        assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=1e-3)
-
-    def test_on_the_time_base_its_mean_is_kept(self) -> None:
-        found = cleaned(
-            "leakage_flow", self.TIME, self.PULSES, counts="pulses", volume_per_count_cm3=1.0
-        )
-        for period in (SECOND // 10, SECOND, 10 * SECOND):
-            grid = np.arange(0, 3600 * SECOND, period, dtype=np.int64)
-            value, present, _ = on_grid(found, grid, period)
-            assert value[present].mean() == pytest.approx(self.FLOW, rel=0.01)
 
 
 class TestCounts:
@@ -131,13 +97,6 @@ class TestCounts:
         assert found.no_interval.tolist() == [True] + [False] * (len(fresh) - 1)
         assert not found.counter_reset.any()
         assert (np.diff(found.time_us) > 0).all()
-
-    def test_flow_stands_in_the_middle_of_its_interval(self) -> None:
-        meter = Sampling(counts="cumulative", volume_per_count_cm3=1000.0)
-        time = np.array([0, 10, 20], dtype=np.int64) * SECOND
-        found = flow_from_counts(time, np.array([5.0, 6.0, 8.0]), 50e6, meter)
-        np.testing.assert_array_equal(found.time_us[1:], np.array([5, 15]) * SECOND)
-        np.testing.assert_allclose(found.flow_l_per_min[1:], [6.0, 12.0])
 
     def test_a_reset_costs_one_sample_and_is_counted(self) -> None:
         total = np.arange(100.0) * 3.0
@@ -182,15 +141,6 @@ class TestOnChange:
     def channel(self, **keys: Any) -> CleanChannel:
         return cleaned("pressure_difference", self.TIME, self.VALUE, **(self.STATED | keys))
 
-    def test_nothing_is_refused_neither_as_spike_nor_as_frozen(self) -> None:
-        assert refused_by(self.channel()) == {}
-
-    def test_periodic_rules_would_lose_it(self) -> None:
-        periodic = cleaned("pressure_difference", self.TIME, self.VALUE)
-        grid = np.arange(0, 1002, dtype=np.int64) * SECOND
-        _, present, _ = on_grid(periodic, grid, SECOND)
-        assert present.mean() < 0.4
-
     def test_held_until_the_next_sample_or_the_longest_silence(self) -> None:
         grid = np.array([-1, 0, 39, 40, 299, 300, 600, 601, 999, 1000, 1301, 1302]) * SECOND
         value, present, silent = on_grid(self.channel(between="hold"), grid, SECOND)
@@ -199,32 +149,12 @@ class TestOnChange:
         assert np.flatnonzero(~present).tolist() == [0, 7, 8, 11]
         np.testing.assert_array_equal(silent, ~present)
 
-    def test_interpolated_between_samples_that_are_near_enough(self) -> None:
-        seconds = np.array([20, 40, 170, 301, 1000])
-        grid = np.arange(seconds[-1] + 1) * SECOND
-        value, present, _ = (found[seconds] for found in on_grid(self.channel(), grid, SECOND))
-        np.testing.assert_allclose(value[present], [190.0, 180.0, 120 + 129 / 259, 150.0])
-        assert present.tolist() == [True, True, True, False, True]
-
-    def test_a_refused_sample_is_not_held(self) -> None:
-        found = self.channel(between="hold", valid_range=(0.0, 190.0))
-        _, present, silent = on_grid(found, np.array([0, 20, 40]) * SECOND, SECOND)
-        assert present.tolist() == [False, False, True]
-        assert not silent.any()
-
     def test_the_same_value_for_longer_than_the_longest_silence_is_frozen(self) -> None:
         time = np.array([0, 250, 500, 750], dtype=np.int64) * SECOND
         stuck = cleaned("pressure_difference", time, np.full(4, 80.0), **self.STATED)
         assert stuck.counts["frozen"] == 4
         heartbeat = cleaned("pressure_difference", time[:2], np.full(2, 80.0), **self.STATED)
         assert heartbeat.counts["frozen"] == 0
-
-    def test_blank_cells_of_a_wide_log_miss_nothing(self) -> None:
-        value = np.full(500, np.nan)
-        value[[0, 3, 250]] = 10.0, 20.0, 30.0
-        time = np.arange(500, dtype=np.int64) * SECOND
-        found = cleaned("pressure_difference", time, value, **self.STATED)
-        assert (found.n_samples, refused_by(found)) == (3, {})
 
     def test_it_has_no_rate_to_set_the_time_base_by(self) -> None:
         slow = cleaned("speed", np.arange(50, dtype=np.int64) * SECOND, np.arange(50.0))
@@ -270,24 +200,6 @@ class TestMeans:
         assert "speed is logged as means of 60 s" in (outcome.reason or "")
         (row,) = outcome.rows["fits"]
         assert row["error_code"] == "means_too_long"
-
-    def test_the_limit_is_a_setting(self) -> None:
-        channels: dict[Any, Channel] = {
-            "speed": Channel(source="n", unit="rpm", sampling="mean", mean_of_s=10.0)
-        }
-        assert means_too_long(channels, Cleaning()) is None
-        assert means_too_long(channels, Cleaning(maximum_mean_s=9.9)) is not None
-
-    def test_means_up_to_the_limit_are_fitted_on_their_own_period(self, tmp_path: Path) -> None:
-        outcome = fit_of_means(tmp_path, 10)
-        (row,) = outcome.rows["fits"]
-        assert row["n_training"] + row["n_validation"] > 480
-        temperature = [
-            one["n_refused"]
-            for one in outcome.rows["quality"]
-            if (one["channel"], one["reason"]) == ("oil_temperature", "gap")
-        ]
-        assert temperature[0] < 5
 
     def test_a_mean_holds_over_its_period_and_is_not_averaged_again(self) -> None:
         time = np.arange(5, 100, 10, dtype=np.int64) * SECOND
@@ -336,12 +248,6 @@ def test_keys_that_do_not_go_together_are_faults_by_name(
     with pytest.raises(ConfigError) as caught:
         load_motor(tmp_path, text)
     assert f"channels.leakage_flow.{place}" in {fault.key for fault in caught.value.faults}
-
-
-def test_only_the_drain_flow_is_counted(tmp_path: Path) -> None:
-    text = motor_toml("M1", units=CANONICAL | {"speed": "count"})
-    with pytest.raises(ConfigError, match=r"channels\.speed"):
-        load_motor(tmp_path, text)
 
 
 def test_a_night_of_a_counter_of_litres(tmp_path: Path) -> None:

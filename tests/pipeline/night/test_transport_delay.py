@@ -35,17 +35,6 @@ def test_worked_value_of_the_line_s_volume() -> None:
     assert np.isnan(found[4])
 
 
-@given(st.floats(0.01, 50), st.floats(0.1, 30), st.floats(2, 50), st.floats(1.1, 5))
-def test_dimensions(flow: float, length: float, diameter: float, times: float) -> None:
-    (base,) = drain_line_delay_s(np.array([flow]), length, diameter)
-    (longer,) = drain_line_delay_s(np.array([flow]), length * times, diameter)
-    (wider,) = drain_line_delay_s(np.array([flow]), length, diameter * times)
-    (faster,) = drain_line_delay_s(np.array([flow * times]), length, diameter)
-    np.testing.assert_allclose(
-        [longer, wider, faster], base * np.array([times, times**2, 1 / times])
-    )
-
-
 def test_flow_is_averaged_so_that_a_pulse_meter_has_a_delay() -> None:
     flow = np.tile([0.0, 0.6], 300)
     settings = TransportDelay(mode="flow", leading=("speed",), flow_average_s=10.0, **LINE)
@@ -70,20 +59,6 @@ class TestShifted:
                 assert found[i] == pytest.approx(expected, rel=1e-12, abs=1e-12)
             else:
                 assert np.isnan(found[i])
-
-    def test_leading_inputs_come_from_before_and_lagging_ones_from_after(self) -> None:
-        ramp = np.arange(50.0)
-        values = {"oil_temperature": ramp, "speed": ramp, "leakage_flow": ramp}
-        present = {name: np.ones(50, np.bool_) for name in values}
-        settings = TransportDelay(
-            mode="fixed", fixed_s=4.0, leading=("speed",), lagging=("oil_temperature",)
-        )
-        moved, there, refused, _ = delay_inputs(values, present, 2.0, settings)
-        assert (moved["speed"][10], moved["oil_temperature"][10]) == (8.0, 12.0)
-        assert moved["leakage_flow"] is ramp
-        assert np.flatnonzero(~there["speed"]).tolist() == [0, 1]
-        assert np.flatnonzero(~there["oil_temperature"]).tolist() == [48, 49]
-        assert not refused.any()
 
     def test_above_its_limit_or_without_flow_a_sample_is_refused(self) -> None:
         flow = np.array([1.0, 0.5, 0.1, 0.0, np.nan])
@@ -116,16 +91,6 @@ def fit_of(outcome: NightOutcome) -> dict[str, Any]:
 
 
 ALL = 'leading = ["pressure_difference", "oil_temperature", "speed"]'
-
-
-def test_a_flow_that_follows_late_fits_once_its_delay_is_stated(tmp_path: Path) -> None:
-    late = ("leakage_flow",)
-    without = fit_of(delayed_night(tmp_path / "a", 'mode = "off"', 7, late))
-    assert without["transport_delay_s"] is None
-    assert without["training_fit_percent"] < 90
-    stated = fit_of(delayed_night(tmp_path / "b", f'mode = "fixed"\nfixed_s = 7.0\n{ALL}', 7, late))
-    assert stated["transport_delay_s"] == 7.0
-    assert stated["training_fit_percent"] > 99.9
 
 
 def test_a_temperature_measured_in_the_line_lags_and_pressure_does_not(tmp_path: Path) -> None:

@@ -69,12 +69,6 @@ def off(spec: MotorSpec, found: NightOutcome) -> Array:
     return np.abs(estimates / true - 1.0)
 
 
-def test_thin_oil_is_taken_for_wear_without_a_measurement(spec: MotorSpec) -> None:
-    found = night(spec)
-    assert off(spec, found).min() > 0.1
-    assert found.rows["fits"][0]["viscosity_ratio"] is None
-
-
 def test_with_an_analysis_the_loss_factors_are_the_true_ones(spec: MotorSpec) -> None:
     found = night(with_sample(spec))
     assert off(spec, found).max() < 1e-3
@@ -107,16 +101,6 @@ def test_an_analysis_that_comes_late_needs_no_log(spec: MotorSpec) -> None:
     assert after.rows["block_statistics"] == before.rows["block_statistics"]
 
 
-def test_a_late_analysis_of_robust_blocks_needs_the_log(spec: MotorSpec) -> None:
-    before = night(spec)
-    estimation = spec.settings.estimation.model_copy(update={"loss": "huber"})
-    robust = replace(spec, settings=spec.settings.model_copy(update={"estimation": estimation}))
-    blocks = frame(BLOCK_STATISTICS, before.rows["block_statistics"])
-    fits = frame(FITS, before.rows["fits"]).to_dicts()
-    published = PublishedNight(NIGHT, fits, (), blocks)
-    assert refit(with_sample(robust), published, {}) is None
-
-
 @pytest.mark.parametrize(
     ("reading", "words"),
     [
@@ -142,11 +126,3 @@ def test_a_viscosity_of_another_oil_or_unit_makes_no_figure(spec: MotorSpec) -> 
     assert "times that of ISO VG 68 hydraulic oil: another unit, oil or place" in (
         found.reason or ""
     )
-
-
-def test_samples_without_a_viscosity_are_kept(spec: MotorSpec) -> None:
-    name = "kinematic_viscosity"
-    value = np.where(np.arange(len(OPERATION.time_us)) % 1000 < 500, readings(spec, name), np.nan)
-    found = night(with_sensor(spec, name), **{name: value})
-    assert found.status == "ok"
-    assert found.rows["fits"][0]["kept_share"] == 1.0

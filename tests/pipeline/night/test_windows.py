@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import itertools
 from pathlib import Path
 from typing import Any, Literal
@@ -23,12 +22,9 @@ from leakage.estimation.sample_blocks import (
     merge_neighbours,
     split_into_blocks,
 )
-from pipeline.config import ConfigError, Nights, Windows
-from pipeline.config.hashes import model_hash
-from pipeline.config.motors import Periods
-from pipeline.config.nights import night
+from pipeline.config import ConfigError, Windows
 from pipeline.night.fit_night import NightOutcome, fit_night
-from pipeline.night.windows import left_out, too_uniform
+from pipeline.night.statistics import left_out, too_uniform
 from pipeline.schema.fits import INSUFFICIENT_DATA
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
@@ -103,51 +99,16 @@ def test_blocks_count_from_the_night_s_start() -> None:
     assert [block.n for block in blocks] == [60, 120, 120]
 
 
-def test_blocks_do_not_depend_on_samples_before() -> None:
-    whole = split_into_blocks(minutes(0, 100), START, Windows())
-    late = split_into_blocks(minutes(51, 100), START, Windows())
-    borders = [(block.start_us, block.end_us) for block in whole]
-    assert [(block.start_us, block.end_us) for block in late] == borders[-len(late) :]
-
-
-@pytest.mark.parametrize("split", SPLITS)
-def test_no_samples_no_blocks(split: Split) -> None:
-    assert split_into_blocks(np.zeros(0, np.int64), START, Windows(split=split)) == ()
-    assert merge_neighbours((), 96) == ()
-
-
 class TestChronological:
     def test_four_fifths_train_one_guards_the_rest_validates(self) -> None:
         blocks = split_into_blocks(minutes(0, 100), START, Windows())
         assert parts(blocks) == "t" * 40 + "g" + "v" * 9
-
-    @given(st.lists(st.integers(1, 50), min_size=1, max_size=60), st.floats(0.05, 0.95))
-    def test_share_is_of_samples_to_within_a_block(self, sizes: list[int], share: float) -> None:
-        seconds = [120 * block + second for block, n in enumerate(sizes) for second in range(n)]
-        time = START + np.array(seconds, np.int64) * SECOND
-        blocks = split_into_blocks(time, START, Windows(training_share=share))
-        training = [block.n for block in blocks if block.part == TRAINING]
-        assert sum(training[:-1]) < share * len(time) <= sum(training) + 1e-9
-
-    @pytest.mark.parametrize("guard", [0, 1, 3])
-    def test_order_and_number_of_guard_blocks(self, guard: int) -> None:
-        blocks = split_into_blocks(minutes(0, 100), START, Windows(guard_blocks=guard))
-        expected = [("t", 40), ("g", guard), ("v", 10 - guard)]
-        assert runs(parts(blocks)) == [run for run in expected if run[1]]
 
     def test_a_gap_is_guard_enough(self) -> None:
         """Nothing was logged for the length of a guard block: no samples need to be lost."""
         time = np.concatenate([minutes(0, 80), minutes(82, 102)])
         blocks = split_into_blocks(time, START, Windows())
         assert parts(blocks) == "t" * 40 + "v" * 10
-
-    def test_validation_is_later_by_the_guard_time(self) -> None:
-        time = np.concatenate([minutes(0, 77), minutes(80, 102)])
-        for guard in range(5):
-            blocks = split_into_blocks(time, START, Windows(guard_blocks=guard))
-            end = max(block.end_us for block in blocks if block.part == TRAINING)
-            begin = min(block.start_us for block in blocks if block.part == VALIDATION)
-            assert begin - end >= guard * 2 * MINUTE
 
 
 class TestInterleaved:
@@ -162,9 +123,6 @@ class TestInterleaved:
     def test_seven_train_three_validate_a_guard_at_each_border(self) -> None:
         assert parts(self.blocks(96)) == "tttttttgvvvg" * 4
 
-    def test_without_guard(self) -> None:
-        assert parts(self.blocks(60, guard=0)) == "tttttttvvv" * 3
-
     @pytest.mark.parametrize("hours", [8, 12, 16, 18, 18.5, 20, 23, 24, 25])
     def test_at_most_96_are_stored(self, hours: float) -> None:
         short = self.blocks(int(hours * 60))
@@ -173,13 +131,6 @@ class TestInterleaved:
         validation = sum(block.n for block in short if block.part == VALIDATION)
         assert 0.65 < training / (training + validation) < 0.78
 
-    @given(st.integers(1, 1500), st.integers(0, 12), st.integers(4, 100))
-    def test_limit_holds_for_any_length_of_log(
-        self, n_minutes: int, guard: int, maximum: int
-    ) -> None:
-        short = self.blocks(n_minutes, guard, maximum)
-        assert len(merge_neighbours(short, maximum)) <= maximum
-
     @given(st.integers(60, 1500), st.integers(1, 5))
     def test_training_and_validation_never_touch(self, n_minutes: int, guard: int) -> None:
         letters = runs(parts(self.blocks(n_minutes, guard)))
@@ -187,52 +138,11 @@ class TestInterleaved:
             assert "g" in (one, other)
         assert all(n == guard for letter, n in letters[:-1] if letter == "g")
 
-    def test_turns_do_not_begin_anew_after_a_gap(self) -> None:
-        """The clock goes on: what would have been guarded stays guarded."""
-        settings = Windows(split="interleaved")
-        whole = {
-            block.start_us: block.part
-            for block in split_into_blocks(minutes(0, 96), START, settings)
-        }
-        time = np.concatenate([minutes(0, 13), minutes(35, 96)])
-        for block in split_into_blocks(time, START, settings):
-            assert block.part == whole[block.start_us]
-
-
-class TestMerge:
-    def test_few_blocks_stay_as_they_are(self) -> None:
-        blocks = split_into_blocks(minutes(0, 100), START, Windows())
-        assert merge_neighbours(blocks, 96) == blocks
-
-    def test_a_night_of_24_hours(self) -> None:
-        blocks = split_into_blocks(minutes(0, 1440, 10), START, Windows())
-        stored = merge_neighbours(blocks, 96)
-        assert len(blocks) == 720
-        assert 80 <= len(stored) <= 96
-        lengths = {(block.end_us - block.start_us) // MINUTE for block in stored}
-        # 8 blocks of 2 minutes, the rest of a part, and the lone guard block.
-        assert max(lengths) == 16
-
-    def test_split_is_decided_before_the_merge(self) -> None:
-        short = split_into_blocks(minutes(0, 1440, 10), START, Windows())
-        stored = merge_neighbours(short, 10)
-        for part in (TRAINING, VALIDATION, GUARD):
-            count = [sum(one.n for one in some if one.part == part) for some in (short, stored)]
-            assert count[0] == count[1]
-
-
-# Parts that are good enough
-
 
 def reasons(
     time_us: NDArray[np.int64], chosen_periods: ChosenPeriods = NONE_CHOSEN, **keys: Any
 ) -> dict[str, Any]:
     return left_out(time_us, SECOND, START, Windows(**keys), chosen_periods)
-
-
-def test_by_default_nothing_is_left_out() -> None:
-    time = np.concatenate([minutes(0, 3), minutes(200, 201), minutes(900, 901, step_s=50)])
-    assert not any(mask.any() for mask in reasons(time).values())
 
 
 def test_a_block_that_kept_too_little_is_left_out() -> None:
@@ -251,24 +161,6 @@ def test_stretches_between_long_gaps_must_be_long_enough() -> None:
     assert np.flatnonzero(found).tolist() == list(range(1800, 2040))
     assert not reasons(time, **(keys | {"longest_gap_s": 1200.0}))["short_stretch"].any()
     assert reasons(time, **(keys | {"minimum_stretch_minutes": 50.0}))["short_stretch"].all()
-
-
-def test_a_thin_block_cuts_no_stretch_that_its_samples_had_held_together() -> None:
-    """Samples left out cannot bridge: the stretch is judged by the samples that remain."""
-    time = np.concatenate([minutes(0, 8), minutes(8, 10, step_s=20), minutes(10, 18)])
-    found = reasons(time, minimum_block_share=0.5, longest_gap_s=60.0, minimum_stretch_minutes=10.0)
-    assert (found["thin_block"] | found["short_stretch"]).all()
-
-
-@given(NIGHT_TIMES, st.floats(0, 1), st.floats(1, 4000), st.floats(0, 30))
-def test_rules_name_each_sample_at_most_once(
-    seconds: list[int], share: float, gap: float, shortest: float
-) -> None:
-    time = START + np.array(sorted(seconds), np.int64) * SECOND
-    found = reasons(
-        time, minimum_block_share=share, longest_gap_s=gap, minimum_stretch_minutes=shortest
-    )
-    assert sum(mask.astype(int) for mask in found.values()).max(initial=0) <= 1
 
 
 def test_a_spread_that_is_too_small_is_named() -> None:
@@ -306,17 +198,6 @@ def test_periods_set_chosen_periods_decide_alone() -> None:
     blocks = split_into_blocks(kept, START, Windows(), BY_HAND)
     # The block from 30 to 32 min holds samples of both.
     assert runs(parts(blocks)) == [("t", 10), ("g", 1), ("v", 9)]
-
-
-def test_periods_of_other_nights_do_not_touch_this_one() -> None:
-    periods = Periods(
-        training=(
-            (dt.datetime(2026, 3, 2, 1, tzinfo=dt.UTC), dt.datetime(2026, 3, 2, 2, tzinfo=dt.UTC)),
-        )
-    )
-    nights = Nights()
-    assert periods.within(night(dt.date(2026, 3, 2), nights)).training
-    assert not periods.within(night(dt.date(2026, 3, 3), nights))
 
 
 def night_with(folder: Path, more: str) -> NightOutcome:
@@ -377,16 +258,3 @@ def test_a_night_without_a_window_says_why(tmp_path: Path, more: str, reason: st
 def test_periods_that_make_no_sense_are_faults(tmp_path: Path, period: str) -> None:
     with pytest.raises(ConfigError, match="periods"):
         load_motor(tmp_path, motor_toml("M1", more=f"[periods]\n{period}\n"))
-
-
-def test_only_nights_that_a_period_touches_have_another_hash(tmp_path: Path) -> None:
-    period = "[periods]\ntraining = [[2026-03-01T22:00:00Z, 2026-03-01T23:00:00Z]]\n"
-    plain, chosen_periods = (
-        load_motor(tmp_path / name, motor_toml("M1", more=more))
-        for name, more in (("plain", ""), ("hand", period))
-    )
-    for label, same in ((NIGHT, False), (NIGHT + dt.timedelta(days=1), True)):
-        hashes = {
-            model_hash(one, one.motor(label, "none"), label) for one in (plain, chosen_periods)
-        }
-        assert (len(hashes) == 1) == same

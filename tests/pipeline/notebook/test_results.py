@@ -5,20 +5,17 @@ from __future__ import annotations
 import datetime as dt
 from pathlib import Path
 
-import matplotlib as mpl
 import polars as pl
 import pytest
 
 from pipeline.errors import StoreError, UsageError
-from pipeline.notebook import open_tables, plot_course
+from pipeline.notebook import open_tables
 from pipeline.notebook.results import Tables
-from pipeline.schema import ALARMS, FITS, LATEST, TRENDS, WATCH, frame
-from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file, table_folder
+from pipeline.schema import ALARMS, FITS, TRENDS, frame
+from pipeline.store.tables import night_file
 from tests.pipeline.written import write_nights
 
 FIRST = dt.date(2026, 1, 30)
-DAY = dt.timedelta(days=1)
 NIGHTS = [FIRST + dt.timedelta(days=at) for at in range(4)]
 
 
@@ -53,19 +50,10 @@ def test_fits_are_the_primary_ones_of_all_nights_and_a_trend_is_one_indicator(
     assert tables.alarms().collect().schema == pl.Schema(ALARMS.schema)
 
 
-def test_a_table_without_nights_is_read_whole(tables: Tables) -> None:
-    path = table_folder(tables.output, LATEST) / "latest.parquet"
-    path.parent.mkdir(parents=True)
-    write_table(path, frame(LATEST, [{"motor_id": "M1", "state": "ok"}]))
-    assert tables.latest().collect()["motor_id"].to_list() == ["M1"]
-
-
 def test_what_is_not_there_is_told(tables: Tables, tmp_path: Path) -> None:
     for ask, words in (
         (lambda: tables.table("fit"), "no table fit; there are latest"),
         (lambda: open_tables(tmp_path / "nowhere"), "run fit-fleet first"),
-        (lambda: open_tables("s3://bucket/fleet"), "run fit-fleet first"),
-        (lambda: plot_course(tables, "M2"), "no night of M2"),
     ):
         with pytest.raises(UsageError, match=words):
             ask()
@@ -77,28 +65,3 @@ def test_a_changed_file_is_found_where_that_is_asked_for(tables: Tables) -> None
     path.write_bytes(path.read_bytes()[:-1] + b"?")
     with pytest.raises(StoreError, match=path.name):
         open_tables(tables.output, verify=True)
-
-
-def test_the_course_of_the_leakage_is_plotted_with_its_baseline_and_what_was_told(
-    tables: Tables,
-) -> None:
-    mpl.use("agg")
-    rows = [
-        {
-            "motor_id": "M1",
-            "night": FIRST + n * DAY,
-            "state": "ok",
-            "own_leakage_l_per_min": 2.0 + n,
-        }
-        | {"baseline_start": FIRST, "baseline_end": FIRST + DAY}
-        | {"told_on": FIRST + 2 * DAY if n == 2 else None}
-        for n in range(3)
-    ]
-    for row in rows:
-        write_nights(tables.output, WATCH, frame(WATCH, [row]))
-    axes = plot_course(tables, "M1")
-    leakage, told = axes.get_lines()
-    assert list(leakage.get_ydata()) == [2.0, 3.0, 4.0]
-    assert told.get_xdata()[0] == FIRST + 2 * DAY
-    # The interval, and the nights of the baseline.
-    assert len(axes.collections) + len(axes.patches) == 2

@@ -38,18 +38,10 @@ def judged_report(fitted_output: Path, output: Path) -> Path:
         watch = [watched(WORN, place, "alarm"), watched(HEALTHY, place)]
         write_nights(output, WATCH, frame(WATCH, [one.row for one in watch]))
         rows = [
-            {"motor_id": motor, "indicator": f"{kind}{path}", "night": night, "unit": unit}
+            {"motor_id": motor, "indicator": f"gap_change_{path}", "night": night, "unit": "%"}
             | {"value": value, "lower": value - 1.0, "upper": value + 1.0}
             for motor, path, value in gaps
-            for kind, unit in (("gap_change_", "%"), ("K_", "m3"))
         ]
-        rows[1] |= {"slope_per_year": 4.0, "slope_per_year_lower": 3.0}
-        rows += [
-            {"motor_id": one, "indicator": "own_reference_leakage", "night": night}
-            | {"value": 2.1, "unit": "l/min", "baseline_mean": 2.0}
-            for one in (WORN, HEALTHY)
-        ]
-        rows[1] |= {"slope_per_year_upper": 5.0, "days_to_limit_status": "already_crossed"}
         write_nights(output, TRENDS, frame(TRENDS, rows))
     baseline = {"night": nights[1], "start": nights[0], "end": nights[1], "mean": 2.0}
     rows = [baseline | {"motor_id": one, "indicator": "leakage"} for one in (HEALTHY, WORN)]

@@ -5,9 +5,13 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Sequence
 from typing import Any
+from zoneinfo import ZoneInfo
 
-from pipeline.report.history import MotorHistory, motor_histories
-from pipeline.report.tables import ReportTables
+import polars as pl
+
+from pipeline.report.fleet_page import FleetRow
+from pipeline.report.pages import page_of
+from pipeline.report.tables import MotorHistory
 from pipeline.schema import BASELINES, FITS, TRENDS, WATCH, frame
 
 Row = dict[str, Any]
@@ -53,13 +57,21 @@ def history(
     baselines: Sequence[Row] = (),
 ) -> MotorHistory:
     """The history of the one motor that the rows are of."""
-    tables = ReportTables(
-        fits=frame(FITS, fits).sort("motor_id", "night"),
-        trends={
-            "trends": frame(TRENDS, trends),
-            "watch": frame(WATCH, watches),
-            "baselines": frame(BASELINES, baselines),
-        },
+    indicators = {row["indicator"] for row in trends}
+    courses = frame(TRENDS, trends).sort("night")
+    return MotorHistory(
+        motor_id,
+        frame(FITS, fits).sort("night"),
+        frame(WATCH, watches).sort("night"),
+        {name: courses.filter(pl.col("indicator") == name) for name in indicators},
+        frame(BASELINES, baselines),
     )
-    (motor,) = motor_histories(tables, [motor_id])
-    return motor
+
+
+def fleet_page(rows: Sequence[FleetRow], undelivered: Sequence[str] = (), **more: Any) -> str:
+    """The fleet's page of some rows."""
+    facts = dict.fromkeys(("first", "newest", "made"))
+    facts |= {"name": "F", "zone": ZoneInfo("UTC"), "old_after_nights": 7, "faults": []}
+    facts |= {"undelivered": undelivered}
+    values = {"by_rules": [], "counts": [], "parts": {}} | more
+    return page_of("fleet.html", facts=facts, rows=rows, **values)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import re
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +17,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
 from pipeline.report.build import KnownMotor, ReportRequest, build_report
-from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES, frame
+from pipeline.schema import NIGHT_TABLES, TREND_TABLES
 from tests.pipeline.report.browser import (
     complaints,
     drawn,
@@ -83,7 +82,7 @@ def test_a_state_has_two_lines_and_the_rest_behind_it(browser: Chrome, told: Pat
     why = browser.find_element(By.CSS_SELECTOR, f"tr[data-motor='{WORN}'] .why")
     line = "return parseFloat(getComputedStyle(arguments[0]).lineHeight)"
     assert why.size["height"] < 2.3 * browser.execute_script(line, why)
-    assert "next stop" not in why.text
+    assert why.text == "alarm\nLook at the balance sleeve at the next stop."
     why.find_element(By.TAG_NAME, "summary").click()
     assert REASON[1:] in why.text
     assert "Look at the balance sleeve at the next stop." in why.text
@@ -92,19 +91,6 @@ def test_a_state_has_two_lines_and_the_rest_behind_it(browser: Chrome, told: Pat
     assert old[0].startswith("2026-01-05 12:00 (")
     assert old[0].endswith(" days ago)")
     assert len(old) == 1 + MOTORS
-
-
-def test_a_motor_s_page_and_the_glossary_are_reached_by_keyboard(
-    browser: Chrome, report: Path
-) -> None:
-    visit(browser, report / "index.html")
-    browser.find_element(By.LINK_TEXT, "CB560-01").send_keys(Keys.ENTER)
-    assert wait(browser, NIGHT) == NIGHTS[-1]
-    assert browser.find_element(By.TAG_NAME, "h1").text == "CB560-01"
-    browser.find_element(By.LINK_TEXT, "Glossary").send_keys(Keys.ENTER)
-    assert len(browser.find_elements(By.CSS_SELECTOR, "main > dl:first-child dt")) == 10
-    browser.find_element(By.CSS_SELECTOR, "header nav a").click()
-    assert len(shown(browser)) == MOTORS
 
 
 # A motor
@@ -206,33 +192,6 @@ def test_a_night_whose_file_was_not_copied_says_so(
     visit(browser, page, f"#{NIGHTS[0]}")
     wait(browser, NIGHT)
     assert "was made with fewer nights" in text(browser, "#words")
-
-
-def test_motors_without_a_good_night_or_any_have_pages_that_say_why(
-    browser: Chrome, output: Path
-) -> None:
-    reason = "CB560-01.mcap: the end is missing"
-    known = ("motor_id", "motor_type", "night", "flushing_mode", "is_primary")
-    failed = {"status": "failed", "reason": reason, "error_code": "log_truncated"}
-
-    def fail(rows: pl.DataFrame) -> pl.DataFrame:
-        kept = rows.filter(motor_id="CB560-01").select(known).to_dicts()
-        return frame(FITS, [row | failed for row in kept])
-
-    change_table(output, "fits", fail)
-    for table in (*NIGHT_TABLES, *TREND_TABLES):
-        if table.name not in ("fits", "input_files", "quality"):
-            change_table(output, table.name, lambda rows: rows.clear())
-    shutil.rmtree(output / "tables" / "latest")
-    folder = output / "report"
-    build_report(ReportRequest(output, folder, known={"new": KnownMotor("CB400")}))
-    visit(browser, folder / "motors" / "CB560-01.html")
-    assert drawn(browser) == {"course": "chart", "samples": "absent", "conditions": "absent"}
-    assert reason in browser.find_element(By.ID, "why").text
-    assert reason in text(browser, "#words")
-    assert complaints(browser) == []
-    visit(browser, folder / "motors" / "new.html")
-    assert "No night of this motor" in browser.find_element(By.ID, "why").text
 
 
 # Strangers' words, small and dark screens, paper

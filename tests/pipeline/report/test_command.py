@@ -55,21 +55,18 @@ def test_the_tables_alone_will_do_and_some_motors_go_to_a_folder_of_their_own(
     assert "unknown_motor: no motor X; there are CB1120-01" in err
 
 
-def test_a_damaged_table_ends_with_1_and_is_named(call: Call, output: Path) -> None:
+def test_damaged_tables_end_with_1_and_none_with_4(
+    call: Call, output: Path, tmp_path: Path
+) -> None:
     next((output / "tables" / "parameters").rglob("*.parquet")).write_bytes(b"PAR1")
     code, out, err = call("report", "--output", output)
     assert code == 1
     assert "6 motors, 3 nights" in out
     assert re.search(r"store_read: 2026-01\.parquet of parameters is damaged", err)
-
-
-def test_without_tables_it_ends_with_4(call: Call, own_fleet: OwnFleet, tmp_path: Path) -> None:
-    for place in ([own_fleet(MOTOR)], ["--output", tmp_path]):
-        code, _, err = call("report", *place)
-        assert code == 4
-        assert "report_tables" in err
-        assert "run fit-fleet first" in err
-    assert not (tmp_path / "report").exists()
+    code, _, err = call("report", "--output", tmp_path / "nowhere")
+    assert code == 4
+    assert "run fit-fleet first" in err
+    assert not (tmp_path / "nowhere").exists()
 
 
 def test_templates_scripts_and_styles_are_in_the_wheel(tmp_path: Path) -> None:

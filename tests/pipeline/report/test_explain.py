@@ -25,6 +25,7 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) 
         "of the running motor's samples",
         "validation",
         "at the reference (200 bar, 50.0 °C, 30.0 rpm): 1.4",
+        "at the reference by the night's own fit: 1.4",
         "K_piston_ring: identified, ",
         "training errors: 0.0",
         "l/min (root mean square)",
@@ -47,8 +48,8 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) 
 
 def test_one_pressure_all_night_is_told_with_what_would_help(fitted_output: Path) -> None:
     told = "\n".join(explain(fitted_output, "CB1120-02", FIRST))
-    assert "at the reference (200 bar, 50.0 °C, 30.0 rpm): none, " in told
-    assert "at the motor's own conditions: none without a baseline" in told
+    assert "at the reference by the night's own fit: none, pressure 200 bar lies outside" in told
+    assert "at the motor's own conditions (those of its baseline): none without a baseline" in told
     assert "identified" not in told
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.report.findings import Score, scores
+from pipeline.report.status import Score, scores
 from pipeline.schema import WATCH, frame
 from pipeline.trends.nights.decisions import Decision
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import datetime as dt
-from typing import Any
 
 from pipeline.report.fleet_page import fleet_rows
-from pipeline.report.pages import FleetFacts, fleet_html
-from tests.pipeline.report.nights import fit, history, unfitted, watch
+from tests.pipeline.report.nights import fit, fleet_page, history, unfitted, watch
 from tests.pipeline.report.states import state_of
 
 
@@ -30,24 +28,19 @@ def test_what_needs_attention_comes_first_and_a_failed_night_no_later_than_stale
     assert [one.state.motor_id for one in found] == ["C", "F", "E", "D", "A"]
 
 
-def test_recent_nights_are_counted_by_outcome() -> None:
-    fits: list[dict[str, Any]] = [fit(0), unfitted(1, "failed", "x"), fit(3)]
-    (found,) = fleet_rows([history(fits)], {"M": "M"}, {}, {"M": state_of("M")})
-    assert (found.n_recent, found.n_recent_good) == (3, 2)
-
-
 def test_the_age_of_data_counts_from_their_end() -> None:
     ends = [dt.datetime(2026, 1, day, 5, tzinfo=dt.UTC) for day in (1, 2)]
     fits = [fit(n, window_end=end) for n, end in enumerate(ends)]
     fits.append(unfitted(2, "no_new_data", "no log"))
     (found,) = fleet_rows([history(fits)], {"M": "M"}, {}, {"M": state_of("M")})
     assert found.newest_data == ends[1]
+    assert (found.n_recent, found.n_recent_good) == (3, 2)
 
 
 def test_change_and_leakage_stand_with_their_intervals_and_conditions() -> None:
     state = state_of("M", "alarm")
     rows = fleet_rows([history([fit(0)], [watch(0, 2.42)])], {"M": "M"}, {}, {"M": state})
-    html = fleet_html(FleetFacts("F", None, None), rows)
+    html = fleet_page(rows)
     for words in (
         '+21.0</span> <span class="interval">[+17.0, +25.0]</span>',
         '2.42</span> <span class="interval">[2.34, 2.50]</span>',
@@ -60,5 +53,5 @@ def test_change_and_leakage_stand_with_their_intervals_and_conditions() -> None:
 
 def test_undelivered_alarms_are_shown() -> None:
     waiting = "not delivered to hook: 2 changes of state"
-    html = fleet_html(FleetFacts("F", None, None, undelivered=(waiting,)), [])
+    html = fleet_page([], (waiting,))
     assert f"N{waiting[1:]}." in html

@@ -13,19 +13,17 @@ from pipeline.errors import UsageError
 from pipeline.messages import statement
 from pipeline.report.build import KnownMotor, ReportRequest
 from pipeline.report.charts import watch_chart
-from pipeline.report.history import motor_histories
 from pipeline.report.paper import STYLE, page_of, write_paper
-from pipeline.report.status import standing_states
-from pipeline.report.tables import read_tables
+from pipeline.report.status import current_states
+from pipeline.report.tables import TableReader, motor_histories
 
 PATHS = ("piston_ring", "balance_piston", "balance_sleeve", "cam_roller")
 
 
 def drawn(output: Path, motor_id: str) -> tuple[Figure, str]:
     """The page of a motor, and the words of its state."""
-    history = read_tables(output)
-    (motor,) = motor_histories(history, [motor_id])
-    (state,) = standing_states(output, [motor_id])
+    (motor,) = motor_histories(TableReader(output), [motor_id])
+    (state,) = current_states(output, [motor_id])
     with mpl.rc_context(STYLE):
         page = page_of(motor, state, watch_chart(motor, PATHS), KnownMotor("CB400", paths=PATHS))
         page.canvas.draw()

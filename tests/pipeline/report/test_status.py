@@ -6,7 +6,7 @@ import datetime as dt
 from dataclasses import replace
 
 from pipeline.report.status import last_findings
-from pipeline.report.words import STATES, candidates
+from pipeline.report.words import STATES
 from pipeline.trends.rows.motor_states import ORDER, LookStanding, urgency
 from tests.pipeline.report.states import said, state_of
 
@@ -31,7 +31,3 @@ def test_a_sudden_rise_within_the_day_comes_first_and_a_clear_look_is_not_shown(
     assert min((state_of("M1", "alarm"), quiet, broken), key=urgency).motor_id == "M2"
     assert "look now since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
     assert "clear" not in quiet.why
-
-
-def test_causes_without_any_are_none() -> None:
-    assert candidates(None) == candidates("") == []

@@ -153,16 +153,6 @@ def test_parts_of_an_opened_motor_are_recorded_and_scored(
     assert fleet["parts"]["CB560"]["missed"] == 1
 
 
-def test_a_baseline_is_reset_with_a_night_and_a_reason(
-    output: Path, config: Path, call: Call
-) -> None:
-    code, out, _ = call("baseline", "reset", config, "M1", "2026-01-05", "--note", "new rings")
-    assert (code, out) == (0, "M1: its baseline starts with the night 2026-01-05\n")
-    (found,) = read_decisions(output)
-    told = (found.kind, found.night, found.indicator, found.note)
-    assert told == ("baseline_reset", dt.date(2026, 1, 5), "", "new rings")
-
-
 def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
     row = (
         pl.read_parquet(night_file(output, ALARMS, night_of(4)))

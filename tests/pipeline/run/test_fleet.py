@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import datetime as dt
-import os
 import shutil
 from pathlib import Path
 
 import numpy as np
 import polars as pl
-import pyarrow.parquet as pq
 import pytest
-from polars.testing import assert_frame_equal
 
 from tests.conftest import OwnFleet
-from tests.pipeline.remembered import forget
 from tests.pipeline.run.demo_runs import (
     CSV,
     FIRST,
@@ -67,24 +62,6 @@ def test_a_second_run_finds_nothing_new_and_changes_no_table(own_fleet: OwnFleet
     assert table_files(output_of(fleet)) == before
 
 
-def test_touching_a_file_is_no_news(own_fleet: OwnFleet) -> None:
-    fleet = own_fleet(PARQUET, fitted=True)
-    run(fleet)  # its oil circuit has lost a motor: trends anew
-    before = table_files(output_of(fleet))
-    os.utime(log_file(fleet, PARQUET, NIGHTS[1]), ns=(1, 1))
-    assert run(fleet).n_nights == 0
-    assert table_files(output_of(fleet)) == before
-
-
-def test_a_lost_ledger_costs_work_and_nothing_else(own_fleet: OwnFleet) -> None:
-    fleet = own_fleet(CSV, PARQUET, fitted=True)
-    before = table_files(output_of(fleet))
-    forget(output_of(fleet))
-    assert run(fleet).n_nights == 6
-    check_same_tables(output_of(fleet), output_of(fleet))
-    assert table_files(output_of(fleet)).keys() == before.keys()
-
-
 # New, late, corrected and broken logs
 
 
@@ -107,39 +84,6 @@ def test_a_late_file_fills_its_hole_and_judges_the_night_after_anew(
     check_same_tables(output_of(fleet), fitted_output, PARQUET)
     after = table_files(output_of(fleet))
     assert {k: v for k, v in after.items() if str(FIRST) in k} == untouched
-
-
-def test_a_file_after_the_last_night_is_done_alone(
-    own_fleet: OwnFleet, fitted_output: Path
-) -> None:
-    fleet = own_fleet(PARQUET)
-    new = log_file(fleet, PARQUET, NIGHTS[2])
-    kept = new.rename(fleet.parent / "new")
-    assert nights_of(run(fleet)) == {PARQUET: NIGHTS[:2]}
-    kept.rename(new)
-    assert nights_of(run(fleet)) == {PARQUET: NIGHTS[2:]}
-    check_same_tables(output_of(fleet), fitted_output, PARQUET)
-
-
-def test_a_corrected_file_replaces_its_rows(own_fleet: OwnFleet, fitted_output: Path) -> None:
-    fleet = own_fleet(PARQUET, fitted=True)
-    path = log_file(fleet, PARQUET, FIRST)
-    original, log = path.read_bytes(), pq.read_table(path)
-    pq.write_table(log.slice(0, log.num_rows - 2000), path)
-    # Its own night, and the next, which is judged with its model.
-    assert nights_of(run(fleet)) == {PARQUET: NIGHTS[:2]}
-    fits = rows(output_of(fleet), "fits", PARQUET)
-    before = rows(fitted_output, "fits", PARQUET)
-    assert fits.height == 3
-    assert fits["n_training"][0] < before["n_training"][0]
-    assert fits["previous_model_fit_percent"][1] != before["previous_model_fit_percent"][1]
-    same = ["cost", "n_training", "validation_fit_percent"]
-    assert_frame_equal(fits[1:].select(same), before[1:].select(same), check_exact=True)
-    assert_frame_equal(fits[2:], before[2:], check_exact=True)
-    # And corrected back: the very same tables.
-    path.write_bytes(original)
-    assert nights_of(run(fleet)) == {PARQUET: NIGHTS[:2]}
-    check_same_tables(output_of(fleet), fitted_output, PARQUET)
 
 
 def test_a_deleted_log_leaves_what_is_published(own_fleet: OwnFleet, fitted_output: Path) -> None:
@@ -236,22 +180,3 @@ def test_parts_add_up_to_the_whole(own_fleet: OwnFleet, fitted_output: Path) -> 
     assert nights_of(run(fleet)) == {CSV: [NIGHTS[0], *NIGHTS[1:]], PARQUET: NIGHTS}
     check_same_tables(output_of(fleet), fitted_output, CSV, PARQUET)
     assert run(fleet).n_nights == 0
-
-
-def test_nights_before_all_logs(own_fleet: OwnFleet) -> None:
-    fleet = own_fleet(PARQUET)
-    result = run(fleet, until=FIRST - dt.timedelta(days=1))
-    assert status_of(result) == {PARQUET: "no_new_data"}
-    assert nights_of(run(fleet)) == {PARQUET: NIGHTS}
-
-
-def test_settings_that_shape_figures_make_everything_new(own_fleet: OwnFleet) -> None:
-    fleet = own_fleet(PARQUET, fitted=True)
-    fleet.write_text(fleet.read_text().replace("workers = 2", "workers = 7"), "utf-8")
-    assert run(fleet).n_nights == 0
-    fleet.write_text(
-        fleet.read_text().replace("pressure_bar = 200.0", "pressure_bar = 190.0"), "utf-8"
-    )
-    assert run(fleet).n_nights == 3
-    assert set(rows(output_of(fleet), "fits", PARQUET)["reference_pressure_bar"]) == {190.0}
-    assert set(rows(output_of(fleet), "fits", CSV)["reference_pressure_bar"]) == {200.0}

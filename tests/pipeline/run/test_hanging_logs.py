@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +17,17 @@ import pipeline.run.motors
 from pipeline.cli import main
 from pipeline.clock import latest_us
 from pipeline.config import load_fleet
-from pipeline.ingest import read_log
-from pipeline.logs.files import NEW_LOG, find_logs
-from pipeline.logs.motor_logs import LogShelf
+from pipeline.logs.finding import find_logs
+from pipeline.logs.motor_logs import MotorLogs
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.motor_task import run_motor
-from pipeline.run.tasks import MotorOutcome, MotorTask, without_lost_part
-from pipeline.workers import process
-from pipeline.workers.process import Limits, Loss, do
+from pipeline.run.tasks import MotorTask
+from pipeline.workers.process import Loss
 from tests.pipeline.mini_fleet import FIRST, mini_fleet
 from tests.pipeline.remembered import ledger_of
 from tests.pipeline.workshop import DAY, Workshop
 
 BLOCKS = FIRST + 2 * DAY
-LIMITS = Limits(600.0, 60.0)
 SILENCE = Loss("log_no_answer", "it did not answer within 3 s")
 
 
@@ -101,9 +97,9 @@ def workshop(tmp_path: Path) -> Workshop:
     return made
 
 
-def shelf(workshop: Workshop, *silent: str) -> LogShelf:
+def shelf(workshop: Workshop, *silent: str) -> MotorLogs:
     spec, known = workshop.task().spec, ledger_of(workshop.output).files
-    return LogShelf(spec, known, latest_us(), dict.fromkeys(silent, SILENCE))
+    return MotorLogs(spec, known, latest_us(), dict.fromkeys(silent, SILENCE))
 
 
 def test_one_that_was_read_before_is_as_it_was(workshop: Workshop) -> None:
@@ -116,16 +112,6 @@ def test_one_that_was_read_before_is_as_it_was(workshop: Workshop) -> None:
     record = found.files[name]
     assert (record.error_code, record.nights) == ("log_no_answer", (str(FIRST),))
     assert found.news_of(name) == f"changed file {name}"
-
-
-def test_a_folder_that_does_not_answer_costs_nothing_that_is_published(
-    workshop: Workshop, tmp_path: Path
-) -> None:
-    task = replace(workshop.task(), given_up=(replace(SILENCE, log="M1/*.parquet"),))
-    outcome = run_motor(task)
-    assert isinstance(outcome, MotorOutcome)
-    assert (outcome.status, outcome.error_code) == ("failed", "log_no_answer")
-    assert outcome.nights == ()
 
 
 def test_what_does_not_answer_is_not_looked_at(
@@ -146,29 +132,3 @@ def test_what_does_not_answer_is_not_looked_at(
     found, absent = find_logs(spec, silent)
     assert list(found) == [f"M1/{FIRST}.parquet", "M1/link.parquet", "M1/named"]
     assert absent == []
-
-
-def test_one_new_log_is_read_at_once_unless_its_worker_died_of_it(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Read once, before its night is known; then again, within the night that it may cost."""
-    path = workshop.log(FIRST + DAY)
-    parts, looked, real = [], [], pipeline.logs.files.time_span
-
-    def read(log: Path, *source: Any) -> Any:
-        parts.append((log, process._mark.part))
-        return read_log(log, *source)
-
-    def look(log: Path, *source: Any) -> tuple[int, int]:
-        looked.append(log)
-        return real(log, *source)
-
-    monkeypatch.setattr(pipeline.logs.motor_logs, "read_log", read)
-    monkeypatch.setattr(pipeline.logs.files, "time_span", look)
-    task = workshop.task()
-    assert do(run_motor, task, LIMITS)[1].result.nights == (FIRST + DAY,)  # type: ignore[union-attr]
-    assert (parts, looked) == ([(path, NEW_LOG)], [])
-    again = without_lost_part(task, Loss("worker_died", "it ended with SIGSEGV", NEW_LOG))
-    assert again is not None
-    assert do(run_motor, again, LIMITS)[1].result.nights == (FIRST + DAY,)  # type: ignore[union-attr]
-    assert (parts[1:], looked) == ([(path, str(FIRST + DAY))], [path])

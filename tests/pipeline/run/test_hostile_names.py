@@ -4,29 +4,17 @@ and tables, terminals, spreadsheets and pages show what they are."""
 from __future__ import annotations
 
 import csv
-import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
 import pytest
-from rich.console import Console
 
-from pipeline.cli import status_lines
-from pipeline.config import Channel, ConfigError, load_fleet
-from pipeline.config.field_paths import field_path
-from pipeline.config.time_formats import require_time_format
+from pipeline.config import ConfigError, load_fleet
 from pipeline.export.csv import Selection, export_csv
-from pipeline.ingest.table import is_of_file
-from pipeline.logs.files import find_logs
+from pipeline.logs.finding import find_logs
 from pipeline.report.build import ReportRequest, build_report
-from pipeline.report.status import FleetStatus
 from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.setup.check import check_fleet
-from pipeline.telling.command import Command
-from pipeline.telling.delivery import Delivery, UndeliveredError
-from pipeline.trends.rows.motor_states import MotorState
 from tests.pipeline.simulated import load_motor, motor_toml, write_configs
 
 FILE_NAMES = [
@@ -63,7 +51,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A fleet of one motor, all logs of which have such a name and are no logs, after a run."""
     folder = tmp_path_factory.mktemp("hostile")
     fleet_file = write_configs(folder, {"M1": motor_toml("M1", files='"M1/**/*"')})
-    logs = folder / "logs" / "M1" / "a\n b"
+    logs = folder / "logs" / "M1" / "a\n 2026-01-02"
     logs.mkdir(parents=True)
     for number, name in enumerate(FILE_NAMES):
         (logs / name).write_bytes(
@@ -146,11 +134,6 @@ def test_names_in_pages_are_no_markup(made: Path, tmp_path: Path) -> None:
             assert harm not in text
 
 
-def test_a_look_at_the_logs_shows_what_prints(made: Path) -> None:
-    for one in check_fleet(load_fleet(made / "configs" / "fleet.toml")):
-        assert all(fault.isprintable() for fault in one.faults)
-
-
 def test_faults_of_a_config_show_what_prints(tmp_path: Path) -> None:
     hostile = '"\\u001b[2J\\n\\u202e" = 1\nname = "\\u001b[2J\\n</script>"\n'
     fleet = write_configs(tmp_path, {"M1": hostile + motor_toml("M1")})
@@ -183,67 +166,4 @@ def test_a_config_of_any_depth_or_size_of_number_is_a_fault(
         load_fleet(fleet)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        *("a\\" * 100_000, "\\" * 200_001, "a[1]" * 50_000 + "[", "a." * 100_000),
-        *("a[123456789" * 20_000, "[" * 100_000, "a" * 200_000 + "["),
-    ],
-    ids=lambda text: text[:4],
-)
-def test_a_path_of_a_field_is_judged_at_once(text: str) -> None:
-    with pytest.raises(ValueError, match="is no path"):
-        field_path(text)
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["%Y" * 50_000, "%" * 100_001, "%d.%m.%Y" * 10_000, "%:" * 10_000, "%.f" * 20_000, "x" * 10**6],
-    ids=lambda text: text[:4],
-)
-def test_a_format_of_times_is_judged_at_once(text: str) -> None:
-    with pytest.raises(ValueError, match="time format"):
-        require_time_format(text)
-
-
-def test_a_pattern_of_a_file_s_name_is_judged_at_once() -> None:
-    channel = Channel(source="*?" * 100 + "b", unit="rpm")
-    assert not is_of_file(channel, Path("a" * 255))
-
-
-def test_a_state_is_shown_as_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = Console(force_terminal=True, width=400, record=True, no_color=True)
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    monkeypatch.setattr("rich.console.Console", lambda: shown)
-    motor = MotorState("M1", "alarm", TEXT, "Look at the motor.")
-    found = FleetStatus((motor,), None, 0, 0)
-    status_lines.print_status(TEXT, found, too_old=False, as_json=False)
-    text = shown.export_text()
-    assert "[/red] $(touch harmed)" in text
-    assert r"x\x1b[2J\n=1+1" in text
-
-
 # Those who are told
-
-
-ROW = json.dumps({"motor_id": TEXT, "reason": TEXT, "to_state": "alarm"}).encode()
-
-
-def test_a_command_gets_names_on_its_standard_input_and_no_shell(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    keep = "import sys; open('got', 'wb').write(sys.stdin.buffer.read()); print(sys.argv[1:])"
-    argument = "; touch harmed; $(touch harmed)"
-    Command((sys.executable, "-c", keep, argument)).take(Delivery("msg_1", ROW))
-    assert [path.name for path in tmp_path.iterdir()] == ["got"]
-    assert (tmp_path / "got").read_bytes() == ROW
-
-
-def test_what_a_command_says_is_one_line_that_prints() -> None:
-    say = f"import sys; sys.stderr.write({TEXT!r} * 100); sys.exit(3)"
-    with pytest.raises(UndeliveredError) as caught:
-        Command((sys.executable, "-c", say)).take(Delivery("msg_1", ROW))
-    assert caught.value.why.startswith("ended with 3: ")
-    assert caught.value.why.isprintable()
-    assert len(caught.value.why) < 1000

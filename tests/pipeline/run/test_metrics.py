@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import shutil
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -25,9 +23,9 @@ from pipeline.run.tasks import MotorOutcome
 from pipeline.telling.outbox import Backlog
 from pipeline.trends.rows.motor_states import LookStanding, MotorState
 from pipeline.trends.rows.watch_rows import WatchRow
-from tests.pipeline.faults.disk import Disk, on
 
 WHEN = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
+LEAKAGE = ("l_per_min", "lower", "upper")
 NAME = 'Mill "A"\\ north'
 
 
@@ -46,6 +44,8 @@ class SomeOutcome:
 def metrics() -> str:
     """Metrics of a fleet of one motor."""
     figures = {"tonight_change": 0.21, "evidence": 31.0, "evidence_limit": 9.1}
+    figures |= {"tonight_change_lower": 0.19, "tonight_change_upper": 0.23}
+    figures |= {f"own_leakage_{name}": n for name, n in zip(LEAKAGE, (1.4, 1.3, 1.5), strict=True)}
     watch = WatchRow("M1", WHEN.date(), "alarm", "+21 %", "Look at it.", **figures)
     state = MotorState("M1", "alarm", "+21 %", "Look at it.", watch, data_night=WHEN.date())
     return metrics_text(
@@ -72,6 +72,11 @@ def test_figures() -> None:
         ("tonight_change_ratio", 0.21),
         ("evidence", 31.0),
         ("evidence_limit", 9.1),
+        ("tonight_change_lower_ratio", 0.19),
+        ("tonight_change_upper_ratio", 0.23),
+        ("own_leakage_l_per_min", 1.4),
+        ("own_leakage_lower_l_per_min", 1.3),
+        ("own_leakage_upper_l_per_min", 1.5),
     ):
         assert found[f'motor_leakage_{name}{{{fleet},motor="M1"}}'] == value
     # What is not known has no sample.
@@ -87,52 +92,10 @@ def test_figures() -> None:
     assert found[f'motor_leakage_stage_duration_seconds{{{fleet},stage="trends"}}'] == 0.25
 
 
-@pytest.mark.skipif(shutil.which("promtool") is None, reason="no promtool here")
-def test_promtool_takes_them() -> None:
-    done = subprocess.run(
-        ["promtool", "check", "metrics"],
-        input=metrics(),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-
-
-def test_replaced_whole(tmp_path: Path) -> None:
-    path = tmp_path / "fleet.prom"
-    for text in (f"{HEAD}\nfirst\n", f"{HEAD}\nsecond\n"):
-        write_metrics(path, text)
-        assert path.read_text() == text
-    assert [one.name for one in tmp_path.iterdir()] == ["fleet.prom"]
-
-
 def test_an_absent_folder_is_not_made(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="is no folder"):
         write_metrics(tmp_path / "absent" / "fleet.prom", HEAD)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("kind", ["file", "folder"])
-def test_what_others_wrote_stays(tmp_path: Path, kind: str) -> None:
-    path = tmp_path / "fleet.prom"
-    if kind == "folder":
-        path.mkdir()
-    else:
-        path.write_text("node_time 1\n")
-    with pytest.raises(StoreError) as caught:
-        write_metrics(path, HEAD)
-    assert caught.value.code == "metrics_file"
-    assert path.is_dir() or path.read_text() == "node_time 1\n"
-
-
-def test_a_full_disk_leaves_the_metrics_before(tmp_path: Path) -> None:
-    path = tmp_path / "fleet.prom"
-    write_metrics(path, f"{HEAD}\nfirst\n")
-    with on(Disk("ENOSPC", 2, lasting=True)), pytest.raises(StoreError):
-        write_metrics(path, f"{HEAD}\nsecond\n")
-    assert path.read_text() == f"{HEAD}\nfirst\n"
-    assert [one.name for one in tmp_path.iterdir()] == ["fleet.prom"]
 
 
 def test_looks_have_a_file_of_their_own() -> None:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import datetime as dt
-import os
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +14,11 @@ import pipeline.logs.locations
 import pipeline.logs.motor_logs
 import pipeline.run.motor_task
 from pipeline.config import load_fleet
-from pipeline.config.hashes import config_hash
-from pipeline.ingest import RawLog, read_log
-from pipeline.logs.files import inspect_log, slice_night
-from pipeline.logs.ledger import Ledger, LedgerChange, NightRecord, stage_change
-from pipeline.logs.told_nights import PlausibleNights, place_failed
-from pipeline.run.motor_nights import MotorNights
+from pipeline.ingest import read_log
 from pipeline.run.plans import plan_fleet
-from pipeline.run.request import RunRequest
-from tests.pipeline.remembered import ledger_of
-from tests.pipeline.simulated import NIGHT, SECOND_US, night_of, raw, write_log
-from tests.pipeline.workshop import DAY, MINUTES, QUICK, Workshop, check_same_figures, part
+from pipeline.run.tasks import RunRequest
+from tests.pipeline.simulated import NIGHT, SECOND_US, write_log
+from tests.pipeline.workshop import DAY, MINUTES, Workshop, check_same_figures, part
 
 
 @pytest.fixture
@@ -86,15 +77,6 @@ def test_rows_that_two_files_share_count_once(workshop: Workshop, other: Worksho
     check_same_figures(workshop, other, "input_files", "quality")
 
 
-def test_the_same_content_twice_counts_once(workshop: Workshop, other: Workshop) -> None:
-    workshop.log(NIGHT)
-    workshop.run()
-    other.log(NIGHT, "a.parquet")
-    other.log(NIGHT, "copy of a.parquet")
-    assert other.run().status == "ok"
-    check_same_figures(workshop, other, "input_files", "quality")
-
-
 def test_a_file_over_the_end_of_a_night_is_two_nights_and_one_file(workshop: Workshop) -> None:
     operation, values = workshop.night(NIGHT)
     later = operation.time_us + int((8 * 3600 - MINUTES * 30) * SECOND_US)
@@ -106,13 +88,6 @@ def test_a_file_over_the_end_of_a_night_is_two_nights_and_one_file(workshop: Wor
     assert files.select("path", "night").rows() == [("M1/a.parquet", NIGHT)]
     blocks = workshop.rows("quality").filter(channel="time_base", reason="any")
     assert blocks["n_samples"].to_list() == [720, 720]
-
-
-def test_overlapping_globs_find_a_file_once(workshop: Workshop) -> None:
-    workshop.configure(files='"M1/*.parquet", "**/*.parquet", "M1/2026-03-02.parquet"')
-    workshop.log(NIGHT)
-    assert workshop.run().status == "ok"
-    assert workshop.rows("input_files").height == 1
 
 
 def test_each_file_is_read_once(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,20 +158,6 @@ def test_a_night_that_loses_its_fit_is_no_model_any_more(
     check_same_figures(workshop, other)
 
 
-def test_a_file_that_moves_to_another_night_leaves_the_first(
-    workshop: Workshop, other: Workshop
-) -> None:
-    workshop.log(NIGHT, "log.parquet")
-    workshop.run()
-    workshop.log(NIGHT + DAY, "log.parquet")
-    # Asked for the new night alone, the old one must not be forgotten.
-    assert workshop.run(since=NIGHT + DAY).nights == (NIGHT + DAY,)
-    assert workshop.run().nights == (NIGHT, NIGHT + DAY)
-    assert workshop.statuses() == {NIGHT: "no_new_data", NIGHT + DAY: "ok"}
-    assert workshop.rows("input_files")["night"].to_list() == [NIGHT + DAY]
-    assert workshop.run().nights == ()
-
-
 @pytest.mark.parametrize(
     "order",
     [
@@ -221,39 +182,7 @@ def test_nights_in_any_order_come_to_the_same(
     assert other.run().nights == ()
 
 
-@pytest.mark.parametrize(
-    "order",
-    [
-        (1, 2, 0),
-        pytest.param((0, 1, 2), marks=pytest.mark.full),
-        pytest.param((2, 1, 0), marks=pytest.mark.full),
-    ],
-)
-def test_logs_in_any_order_come_to_the_same(
-    workshop: Workshop, other: Workshop, order: tuple[int, ...]
-) -> None:
-    labels = [NIGHT + day * DAY for day in range(3)]
-    for label in labels:
-        workshop.log(label, seed=label.day)
-    workshop.run()
-    for day in order:
-        other.log(labels[day], seed=labels[day].day)
-        other.run()
-    check_same_figures(workshop, other)
-
-
 # The ledger
-
-
-def test_the_model_before_is_the_last_that_there_is() -> None:
-    nights = {
-        NIGHT: NightRecord("ok", {"none": (1.0,)}),
-        NIGHT + DAY: NightRecord("stood_still"),
-        NIGHT + 3 * DAY: NightRecord("ok", {"none": (2.0,)}),
-    }
-    ledger = Ledger({}, nights)
-    found = [ledger.model_before(NIGHT + day * DAY) for day in range(5)]
-    assert found == [{}, *[{"none": (1.0,)}] * 3, {"none": (2.0,)}]
 
 
 def test_tables_that_somebody_removed_are_made_anew(workshop: Workshop) -> None:
@@ -272,86 +201,4 @@ def test_tables_that_somebody_removed_are_made_anew(workshop: Workshop) -> None:
     assert_frame_equal(workshop.rows("fits"), before, check_exact=True)
 
 
-def test_a_ledger_that_a_lost_task_staged_is_not_taken_over(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It may name nights whose rows the task that did it again has not staged."""
-    stage_ledger = MotorNights.stage_ledger
-
-    def after_a_lost_one(nights: MotorNights) -> None:
-        lost = Ledger(nights={dt.date(2020, 1, 2): NightRecord("ok")})
-        staging, motor_id = nights.task.staging, nights.spec.motor_id
-        stage_change(staging, motor_id, LedgerChange.between(Ledger(), lost))
-        stage_ledger(nights)
-
-    monkeypatch.setattr(MotorNights, "stage_ledger", after_a_lost_one)
-    workshop.log(NIGHT)
-    workshop.run()
-    assert ledger_of(workshop.output).nights.keys() == {NIGHT}
-
-
-def test_settings_hash_is_of_what_shapes_figures(workshop: Workshop) -> None:
-    before = config_hash(workshop.task().spec)
-    (workshop.folder / "configs" / "fleet.toml").write_text(
-        QUICK.replace("Tests", "Others").replace("sequential", "loky"), "utf-8"
-    )
-    assert config_hash(workshop.task().spec) == before
-    moved = replace(workshop.task().spec, log_root=Path("/elsewhere"))
-    assert config_hash(moved) == before
-    for fleet in (QUICK + "[windows]\nblock_s = 60.0\n", QUICK + "[reference]\nspeed_rpm = 31.0\n"):
-        workshop.configure(fleet=fleet)
-        assert config_hash(workshop.task().spec) != before
-
-
-def test_an_override_that_says_what_the_fleet_says_is_no_change(workshop: Workshop) -> None:
-    before = config_hash(workshop.task().spec)
-    workshop.configure(more="[override.windows]\nblock_s = 120.0\n")
-    assert config_hash(workshop.task().spec) == before
-
-
 # Single steps
-
-
-def test_an_unchanged_file_is_not_even_hashed(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, spec = workshop.log(NIGHT), workshop.task().spec
-    record = inspect_log("M1/a", path, None, spec)
-    assert (record.status, record.nights) == ("ok", (NIGHT.isoformat(),))
-
-    def forbidden(_: Path) -> str:
-        raise AssertionError
-
-    monkeypatch.setattr("pipeline.logs.files.content_hash", forbidden)
-    assert inspect_log("M1/a", path, record, spec) is record
-    os.utime(path, ns=(5, 5))
-    with pytest.raises(AssertionError):
-        inspect_log("M1/a", path, record, spec)
-    monkeypatch.undo()
-    found = inspect_log("M1/a", path, record, spec)
-    assert found == replace(record, modified_ns=5, changed_ns=path.stat().st_ctime_ns)
-
-
-def test_failed_files_are_placed_by_what_most_names_say(workshop: Workshop) -> None:
-    spec = workshop.task().spec
-    records = {}
-    for day in range(3):
-        label = NIGHT + day * DAY
-        path = workshop.log(label, f"log-{label - DAY:%Y%m%d}.parquet")
-        records[path.name] = inspect_log(path.name, path, None, spec)
-    name = f"log-{NIGHT + 5 * DAY:%Y%m%d}.parquet"
-    (workshop.logs / name).write_bytes(b"x")
-    records[name] = inspect_log(name, workshop.logs / name, None, spec)
-    placed = place_failed(records, {}, spec, PlausibleNights.of(records.values(), NIGHT + 9 * DAY))[
-        name
-    ]
-    assert placed.nights == ((NIGHT + 6 * DAY).isoformat(),)
-
-
-def test_a_night_is_cut_at_its_very_borders(workshop: Workshop) -> None:
-    here = night_of(NIGHT)
-    time_us = np.array([here.start_us - 1, here.start_us, here.end_us - 1, here.end_us])
-    channel = raw(time_us, {"speed": np.arange(4.0)})
-    log = RawLog(channel, 4, int(time_us[0]), int(time_us[-1]))
-    assert slice_night([log], here)["speed"].value.tolist() == [1.0, 2.0]
-    assert slice_night([log, log], here)["speed"].value.tolist() == [1.0, 2.0, 1.0, 2.0]

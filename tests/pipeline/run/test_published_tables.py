@@ -4,53 +4,19 @@ from __future__ import annotations
 
 import json
 import platform
-import re
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
-import duckdb
 import polars as pl
-import pyarrow.parquet as pq
 import pytest
 
-from pipeline.schema import NIGHT_TABLES, TABLES
-from pipeline.store.tables import days_of
-from tests.pipeline.remembered import LASTING
-from tests.pipeline.run.demo_runs import FIRST, MOTORS, NIGHTS, rows
+from pipeline.schema import TABLES
+from tests.pipeline.run.demo_runs import MOTORS, NIGHTS, rows
 
 EXCITED = [motor for motor in MOTORS if motor != "CB1120-02"]
 
 
-def query(output: Path, sql: str) -> list[Any]:
-    """Rows of a DuckDB query; ``@name`` stands for all files of a table."""
-    found = duckdb.sql(re.sub(r"@(\w+)", rf"'{output}/tables/\1/**/*.parquet'", sql))
-    assert found is not None
-    return found.fetchall()
-
-
 # What a reader of the tables sees
-
-
-def test_each_motor_and_night_once_where_primary(fitted_output: Path) -> None:
-    found = query(
-        fitted_output,
-        "SELECT motor_id, night, status FROM @fits WHERE is_primary ORDER BY motor_id, night",
-    )
-    assert found == [(motor, night, "ok") for motor in MOTORS for night in NIGHTS]
-
-
-def test_three_types_and_three_formats(fitted_output: Path) -> None:
-    types = query(
-        fitted_output,
-        "SELECT motor_type, count(*) FROM @fits WHERE is_primary GROUP BY ALL ORDER BY ALL",
-    )
-    assert types == [("CB1120", 6), ("CB400", 6), ("CB560", 6)]
-    formats = query(
-        fitted_output,
-        "SELECT format, status, count(*) FROM @input_files GROUP BY ALL ORDER BY ALL",
-    )
-    assert formats == [("csv", "ok", 6), ("mcap", "ok", 6), ("parquet", "ok", 6)]
 
 
 def test_input_files_tell_what_was_read(fitted_output: Path, demo_folder: Path) -> None:
@@ -95,21 +61,6 @@ def test_keys_stand_once_and_types_are_those_declared(fitted_output: Path, table
     }
 
 
-def test_the_partition_of_a_month_is_that_of_its_nights(fitted_output: Path) -> None:
-    for table in NIGHT_TABLES:
-        for path in (fitted_output / "tables" / table.name).rglob("*.parquet"):
-            nights = set(pq.read_table(path, partitioning=None)["night"].to_pylist())
-            assert nights <= set(days_of(path.stem))
-            assert path.parent.name == f"month={path.stem[:7]}"
-
-
-def test_nothing_but_tables_and_what_saves_work_is_left(fitted_output: Path) -> None:
-    left = LASTING
-    assert {path.name for path in fitted_output.iterdir()} == left
-    assert not (fitted_output / "staging").exists()
-    assert not list(fitted_output.rglob(".writing-*"))
-
-
 @pytest.mark.parametrize("motor", EXCITED)
 def test_estimates_are_near_the_truth(fitted_output: Path, demo_folder: Path, motor: str) -> None:
     truth = json.loads((demo_folder / "demo" / "truth.json").read_text())["motors"][motor]["nights"]
@@ -136,10 +87,3 @@ def test_a_motor_at_one_pressure_has_its_own_leakage_only(
         fits["mean_flow_l_per_min"].to_list(), rel=0.05
     )
     assert fits["outside_fitted_range"].all()
-
-
-def test_the_first_night_alone_has_no_model_before(fitted_output: Path) -> None:
-    judged = rows(fitted_output, "fits").select("night", "previous_model_fit_percent")
-    assert judged.filter(pl.col("night") == FIRST)["previous_model_fit_percent"].is_null().all()
-    later = judged.filter(pl.col("night") > FIRST)["previous_model_fit_percent"]
-    assert later.is_not_null().all()

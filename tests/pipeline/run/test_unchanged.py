@@ -14,8 +14,8 @@ import pytest
 
 from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.run.motors import unchanged_motors
 from pipeline.run.tasks import MotorTask
-from pipeline.run.unchanged import unchanged_motors
 from pipeline.store.state import open_state
 from tests.pipeline.workshop import DAY, Workshop
 
@@ -88,10 +88,6 @@ def another_setting(workshop: Workshop) -> None:
     workshop.fleet.write_text(text + "[reference]\npressure_bar = 210.0\n", "utf-8")
 
 
-def a_night_without_its_table(workshop: Workshop) -> None:
-    shutil.rmtree(workshop.output / "tables" / "fits")
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -103,7 +99,6 @@ def a_night_without_its_table(workshop: Workshop) -> None:
         one_that_is_named_and_absent,
         no_log_at_all,
         another_setting,
-        a_night_without_its_table,
     ],
 )
 def test_a_motor_with_news_is_left_to_its_task(
@@ -117,18 +112,12 @@ def test_a_motor_with_news_is_left_to_its_task(
     assert unchanged(HERE, other.task()) == 0
 
 
-@pytest.mark.parametrize("asked", ["force", "retry"])
-def test_what_is_asked_for_is_a_task(workshop: Workshop, asked: str) -> None:
-    task: MotorTask = replace(workshop.task(), **{asked: True})
-    assert unchanged(HERE, task) == 0
-
-
 def test_logs_that_do_not_answer_are_left_to_the_tasks(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task, answered = workshop.task(), Event()
     assert unchanged(BESIDE, task, task) == 2
-    monkeypatch.setattr("pipeline.run.unchanged.states_of", lambda *_: answered.wait())
+    monkeypatch.setattr("pipeline.run.motors._states_of", lambda *_: answered.wait())
     hasty = BESIDE.model_copy(update={"answer_s": 0.01})
     assert unchanged(hasty, task, task) == 0
     answered.set()

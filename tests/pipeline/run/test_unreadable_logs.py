@@ -16,13 +16,12 @@ import pipeline.logs.motor_logs
 import pipeline.run.motor_task
 from pipeline.config import load_fleet
 from pipeline.config.hashes import config_hash
-from pipeline.logs.files import find_logs
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.motor_task import run_motor
 from pipeline.store.heartbeat import last_good_run
-from tests.pipeline.simulated import NIGHT, write_log
-from tests.pipeline.workshop import DAY, Workshop, part
+from tests.pipeline.simulated import NIGHT
+from tests.pipeline.workshop import DAY, Workshop
 
 # Holes
 
@@ -48,20 +47,6 @@ def test_a_lost_clock_does_not_make_decades_of_holes(workshop: Workshop) -> None
     assert workshop.run().nights == (NIGHT + DAY,)
 
 
-def test_a_file_placed_by_guess_makes_no_holes(workshop: Workshop) -> None:
-    workshop.log(NIGHT)
-    broken = workshop.logs / "latest.parquet"
-    broken.write_bytes(b"PAR1 nonsense")
-    seconds = dt.datetime(2026, 3, 20, 3, tzinfo=dt.UTC).timestamp()
-    os.utime(broken, (seconds, seconds))
-    outcome = workshop.run()
-    assert outcome.nights == (NIGHT, dt.date(2026, 3, 20))
-    assert "by when it was written" in (outcome.message or "")
-    workshop.log(NIGHT + DAY)
-    assert workshop.run().nights == (NIGHT + DAY,)
-    assert len(workshop.statuses()) == 3
-
-
 # Why there is nothing
 
 
@@ -73,19 +58,6 @@ def test_patterns_that_match_no_file_are_told(workshop: Workshop) -> None:
     assert (outcome.status, outcome.error_code, outcome.message) == ("no_new_data", None, told)
     workshop.log(NIGHT)
     assert workshop.run().message is None
-
-
-def test_the_reason_of_nights_without_enough_data_is_told(workshop: Workshop) -> None:
-    for label in (NIGHT, NIGHT + DAY):
-        operation, values = workshop.night(label)
-        values["speed"][::2] = 9999.0
-        write_log(workshop.logs / f"{label}.parquet", operation.time_us, values)
-    outcome = workshop.run()
-    assert (outcome.status, outcome.error_code) == ("insufficient_data", None)
-    assert (outcome.message or "").startswith(f"night {NIGHT}: only ")
-    workshop.log(NIGHT + 2 * DAY)
-    outcome = workshop.run()
-    assert (outcome.status, outcome.message) == ("ok", None)
 
 
 # Files that cannot be read
@@ -104,14 +76,6 @@ def test_an_unreadable_file_fails_the_night_of_its_name(workshop: Workshop, lag:
     assert (outcome.message or "").count(str(labels[3])) == 1 + (lag == 0)
     assert "(night told by its name)" in (outcome.message or "")
     assert f"M1_{labels[3] + lag * DAY}.parquet" in (outcome.message or "")
-
-
-def test_a_broken_file_fails_its_night_though_another_can_be_read(workshop: Workshop) -> None:
-    workshop.log(NIGHT, f"a_{NIGHT}.parquet")
-    (workshop.logs / f"b_{NIGHT}.parquet").write_bytes(b"nonsense" * 100)
-    assert workshop.run().status == "failed"
-    assert workshop.statuses() == {NIGHT: "failed"}
-    assert workshop.rows("input_files")["status"].to_list() == ["ok", "failed"]
 
 
 def test_a_broken_file_keeps_the_night_as_which_it_was_read_before(workshop: Workshop) -> None:
@@ -179,49 +143,6 @@ def test_a_file_that_could_not_be_opened_is_tried_again(
     assert workshop.statuses() == {NIGHT: "ok"}
 
 
-def test_a_file_that_vanishes_while_it_is_looked_at(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    workshop.log(NIGHT)
-    gone = workshop.logs / "gone.parquet"
-
-    def with_gone(spec: Any, silent: Any) -> tuple[dict[str, Path], list[str]]:
-        paths, absent = find_logs(spec, silent)
-        return paths | {"M1/gone.parquet": gone}, absent
-
-    monkeypatch.setattr(pipeline.logs.locations, "find_logs", with_gone)
-    outcome = workshop.run()
-    assert (outcome.status, outcome.error_code) == ("failed", "log_not_readable")
-    assert outcome.nights == (NIGHT,)
-    monkeypatch.undo()
-    assert workshop.run().status == "no_new_data"
-
-
-@pytest.mark.parametrize("rows", [0, 1])
-def test_a_log_with_hardly_a_row(workshop: Workshop, rows: int) -> None:
-    operation, values = workshop.night(NIGHT)
-    path = workshop.logs / f"{NIGHT}.parquet"
-    write_log(path, operation.time_us[:rows], part(values, slice(0, rows)))
-    workshop.log(NIGHT + DAY)
-    outcome = workshop.run()
-    assert outcome.nights == (NIGHT, NIGHT + DAY)
-    statuses = workshop.statuses()
-    assert statuses[NIGHT + DAY] == "ok"
-    assert statuses[NIGHT] == ("failed" if rows == 0 else "insufficient_data")
-
-
-def test_a_name_that_is_no_utf8_costs_its_night_alone(workshop: Workshop) -> None:
-    workshop.log(NIGHT)
-    broken = workshop.logs / os.fsdecode(b"\xff " + str(NIGHT + DAY).encode() + b".parquet")
-    broken.write_bytes(b"nonsense" * 100)
-    outcome = workshop.run()
-    assert workshop.statuses() == {NIGHT: "ok", NIGHT + DAY: "failed"}
-    assert f"\\udcff {NIGHT + DAY}.parquet" in (outcome.message or "")
-    paths = workshop.rows("input_files")["path"].to_list()
-    assert paths == [f"M1/{NIGHT}.parquet", f"M1/\\udcff {NIGHT + DAY}.parquet"]
-    assert workshop.run().nights == ()
-
-
 # Faults of our own
 
 
@@ -243,16 +164,6 @@ def test_a_fault_of_ours_in_one_night_costs_that_night(
     assert list(workshop.statuses().values()) == ["ok", "failed", "ok"]
 
 
-def test_a_task_that_cannot_stage_is_lost_as_a_whole(workshop: Workshop) -> None:
-    workshop.log(NIGHT)
-    task = workshop.task()
-    task.staging.rmdir()
-    task.staging.write_text("in the way")
-    outcome = run_motor(task)
-    assert (outcome.status, outcome.error_code) == ("failed", "store_write")
-    assert outcome.nights == ()
-
-
 def test_tasks_and_outcomes_are_small_plain_data(workshop: Workshop) -> None:
     workshop.log(NIGHT)
     task = workshop.task()
@@ -261,21 +172,10 @@ def test_tasks_and_outcomes_are_small_plain_data(workshop: Workshop) -> None:
     assert config_hash(pickle.loads(sent).spec) == config_hash(task.spec)  # noqa: S301
     outcome = run_motor(task)
     returned = pickle.dumps(outcome)
-    assert len(returned) < 5_000
+    assert len(returned) < 20_000  # the first also tells the settings
     assert pickle.loads(returned) == outcome  # noqa: S301
     assert outcome.seconds.keys() >= {"read_s", "clean_s", "statistics_s", "fit_s", "store_s"}
     assert all(seconds >= 0.0 for seconds in outcome.seconds.values())
-
-
-def test_a_task_writes_into_its_staging_and_nowhere_else(workshop: Workshop) -> None:
-    workshop.log(NIGHT)
-    before = {path for path in workshop.folder.rglob("*") if path.is_file()}
-    task = workshop.task()
-    run_motor(task)
-    new = {path for path in workshop.folder.rglob("*") if path.is_file()} - before
-    assert new
-    assert all(path.is_relative_to(task.staging) for path in new)
-    assert all("M1" in (path.stem, path.parent.name) for path in new)
 
 
 # What failed stands until it is mended
@@ -324,11 +224,3 @@ def test_a_folder_that_is_not_mounted_heals_no_failure(workshop: Workshop) -> No
     workshop.logs.rename(workshop.logs.with_name("away"))
     assert workshop.run().n_standing == 1
     assert list(workshop.statuses().values()) == ["ok", "failed", "ok"]
-
-
-def test_a_sound_log_of_the_same_size_and_time_is_read(workshop: Workshop) -> None:
-    """As `cp -p` of the copy that was not damaged leaves it."""
-    path = broken_night(workshop)
-    path.with_suffix(".sound").replace(path)
-    assert workshop.run().n_standing == 0
-    assert set(workshop.statuses().values()) == {"ok"}

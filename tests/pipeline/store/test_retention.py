@@ -13,7 +13,7 @@ import pytest
 from pipeline.config import Retention, load_fleet
 from pipeline.errors import UsageError
 from pipeline.run.plans import plan_fleet
-from pipeline.run.request import RunRequest
+from pipeline.run.tasks import RunRequest
 from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES
 from pipeline.store.locks import locked
 from pipeline.store.published import verify_tables

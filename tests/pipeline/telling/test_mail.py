@@ -23,24 +23,27 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from pipeline.config.watching import Email
-from pipeline.telling.delivery import Delivery, UndeliveredError
+from pipeline.config.settings import Email
 from pipeline.telling.mail import Mail
+from pipeline.telling.receivers import Delivery, UndeliveredError
 
 PASSWORD = "correct horse"  # noqa: S105
 
 
-def change(*said: str) -> dict[str, Any]:
-    return dict(zip(("motor_id", "night", "from_state", "to_state", "reason"), said, strict=True))
+def change(motor: str, when: str, *said: str, **more: Any) -> dict[str, Any]:
+    row = dict(zip(("from_state", "to_state", "reason"), said, strict=True))
+    return {"motor_id": motor, "night": when, "indicator": "leakage", **row, **more}
 
 
 RING = change("CB400-02", "2026-02-09", "ok", "warning", "piston ring gap +12 % since 1 February")
-WORSE = change("CB400-02", "2026-02-19", "warning", "alarm", "piston ring gap +17 %, “worn” µm")
-OTHER = change("CB400-01", "2026-02-19", "ok", "stale", "8 nights without a figure")
+RISEN = "leakage of the piston ring has risen: +3.5 % [2.9, 4.1] tonight; 93 % probable"
+WORSE = change("CB400-02", "2026-02-19", "warning", "alarm", f"{RISEN}. Plan a look at it.")
+ZERO = change("CB400-02", "2026-02-20", "warning", "ok", "back at 0 µm", indicator="flow_zero")
+OTHER = change("CB400-01", "2026-02-19", "ok", "stale", "8 nights without a figure", rules="5 to 6")
 
 
-def delivery(*changes: dict[str, Any]) -> Delivery:
-    document = {"id": "msg_1", "type": "alarms", "fleet": "Mill 3", "changes": changes}
+def delivery(*changes: dict[str, Any], kind: str = "alarms") -> Delivery:
+    document = {"id": "msg_1", "type": kind, "fleet": "Mill 3", "changes": changes}
     return Delivery("msg_1", json.dumps(document).encode())
 
 
@@ -133,58 +136,91 @@ def fault_of(settings: Email, deadline_s: float = 30.0) -> UndeliveredError:
     return caught.value
 
 
-def test_a_message_has_the_worst_motor_first_and_each_change_in_words() -> None:
+def mailed(*changes: dict[str, Any], kind: str = "alarms", **settings: Any) -> EmailMessage:
+    """The message of a delivery, as it came."""
     with serving() as server:
-        Mail(server.settings(to=("a@plant.example", "b@plant.example"))).take(
-            delivery(OTHER, WORSE, RING)
-        )
+        Mail(server.settings(**settings)).take(delivery(*changes, kind=kind))
     (mail,) = server.mails
-    assert mail["Subject"] == "Mill 3: CB400-02 alarm; CB400-01 stale"
+    return mail
+
+
+def test_a_message_says_what_since_when_what_to_do_and_where_to_read_on() -> None:
+    to, report = ("a@plant.example", "b@plant.example"), "http://plant/leakage/"
+    mail = mailed(OTHER, ZERO, WORSE, RING, to=to, report_url=report)
+    assert mail["Subject"] == "Mill 3: CB400-02 alarm; CB400-01 stale; CB400-02 flow zero ok"
     assert mail["From"] == "leakage@plant.example"
     assert mail["To"] == "a@plant.example, b@plant.example"
     assert mail["Message-ID"] == "<msg_1@motor-leakage>"
     assert mail.get_content().splitlines() == [
-        "CB400-02",
-        "  2026-02-09, ok to warning: piston ring gap +12 % since 1 February",
-        "  2026-02-19, warning to alarm: piston ring gap +17 %, “worn” µm",
+        "CB400-02: alarm since 2026-02-19; before that warning since 2026-02-09, ok",
+        f"  L{RISEN[1:]}.",
+        "  Plan a look at it.",
+        "  http://plant/leakage/motors/CB400-02.html",
         "",
-        "CB400-01",
-        "  2026-02-19, ok to stale: 8 nights without a figure",
+        "CB400-01: stale since 2026-02-19 (change of rules: 5 to 6); before that ok",
+        "  8 nights without a figure.",
+        "  http://plant/leakage/motors/CB400-01.html",
+        "",
+        "CB400-02 flow zero: ok since 2026-02-20; before that warning",
+        "  Back at 0 µm.",
+        "  http://plant/leakage/motors/CB400-02.html",
+    ]
+
+
+def test_a_rise_within_the_day_is_told_with_its_time() -> None:
+    """A row of `looks` has neither a night nor an indicator."""
+    rise = change("CB400-02", "", "clear", "look_now", "drain flow +82 %")
+    rise["time"] = "2026-03-02 14:34:00+00:00"
+    del rise["night"], rise["indicator"]
+    mail = mailed(rise)
+    assert mail["Subject"] == "Mill 3: CB400-02 look now"
+    first, second = mail.get_content().splitlines()
+    assert first == f"CB400-02: look now since {rise['time']}; before that clear"
+    assert second == "  Drain flow +82 %."
+
+
+def test_a_summary_has_every_motor_and_its_sentence() -> None:
+    motors = [
+        {"motor_id": "CB400-02", "state": "alarm", "sentence": "ring +30 %", "advice": "Look."},
+        # As a version without advice has queued it.
+        {"motor_id": "CB400-01", "state": "ok", "sentence": "no change of more than 3 %"},
+    ]
+    mail = mailed(*motors, kind="summary")
+    assert mail["Subject"] == "Mill 3: week: 1 alarm, 1 ok"
+    assert mail.get_content().splitlines() == [
+        "CB400-02: alarm",
+        "  Ring +30 %.",
+        "  Look.",
+        "",
+        "CB400-01: ok",
+        "  No change of more than 3 %.",
     ]
 
 
 def test_a_name_in_a_log_adds_no_header() -> None:
-    hostile = change("CB\nBcc: x@y.example", "2026-02-09", "ok", "alarm", "\n.\nMAIL FROM:<x>")
-    with serving() as server:
-        Mail(server.settings()).take(delivery(hostile))
-    (mail,) = server.mails
+    mail = mailed(change("CB\nBcc: x@y.example", "2026-02-09", "ok", "alarm", "\n.\nMAIL FROM:<x>"))
     assert mail["Bcc"] is None
     assert "MAIL FROM:<x>" in mail.get_content()
+
+
+LOGIN = {"user": "leakage", "password": "${MAIL_PASSWORD}"}
 
 
 @pytest.mark.parametrize("security", ["starttls", "tls"])
 def test_it_logs_in_over_a_checked_certificate(
     certificate: Path, security: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
     monkeypatch.setenv("MAIL_PASSWORD", PASSWORD)
     with serving(certificate, tls=security == "tls") as server:
-        login = {"user": "leakage", "password": "${MAIL_PASSWORD}", "security": security}
-        Mail(server.settings(**login)).take(delivery(RING))
+        settings = server.settings(**LOGIN, security=security)
+        assert "certificate" in fault_of(settings).why
+        assert server.logins == []
+        monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+        Mail(settings).take(delivery(RING))
         monkeypatch.setenv("MAIL_PASSWORD", "wrong")
-        assert fault_of(server.settings(**login)).why == "SMTP 535"
+        assert fault_of(settings).why == "SMTP 535"
     assert len(server.mails) == 1
     assert server.logins[0] == (b"leakage", PASSWORD.encode())
-
-
-def test_no_password_goes_to_a_server_of_unknown_certificate(
-    certificate: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("MAIL_PASSWORD", PASSWORD)
-    with serving(certificate) as server:
-        login = {"user": "a", "password": "${MAIL_PASSWORD}", "security": "starttls"}
-        assert "certificate" in fault_of(server.settings(**login)).why
-    assert (server.mails, server.logins) == ([], [])
 
 
 def test_a_server_without_tls_and_a_refused_address_get_nothing() -> None:
@@ -196,18 +232,10 @@ def test_a_server_without_tls_and_a_refused_address_get_nothing() -> None:
     assert server.mails == []
 
 
-def test_an_absent_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("MAIL_PASSWORD", raising=False)
-    login = {"user": "a", "password": "${MAIL_PASSWORD}", "security": "tls"}
-    why = "environment variable MAIL_PASSWORD of alarms.email.password is not set"
-    assert fault_of(Server(port=25).settings(**login)).why == why
-
-
 def test_a_server_that_says_nothing_is_left_at_the_deadline() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-        fault = fault_of(Server(port=port).settings(), deadline_s=0.2)
-    assert fault.hung
+        settings = Server(port=server.getsockname()[1]).settings()
+        assert fault_of(settings, deadline_s=0.2).hung
 
 
 @pytest.mark.parametrize(
@@ -227,37 +255,6 @@ def test_settings_that_cannot_work_are_refused(changed: dict[str, Any], words: s
     with pytest.raises(ValueError) as caught:
         Server(port=25).settings(**changed)
     assert words in str(caught.value)
-
-
-def test_a_summary_has_every_motor_and_its_sentence() -> None:
-    motors = [
-        {"motor_id": "CB400-02", "state": "alarm", "sentence": "ring +30 %", "advice": "Look."},
-        # As a version without advice has queued it.
-        {"motor_id": "CB400-01", "state": "ok", "sentence": "no change of more than 3 %"},
-    ]
-    content = json.dumps({"type": "summary", "fleet": "Mill 3", "changes": motors}).encode()
-    with serving() as server:
-        Mail(server.settings()).take(Delivery("msg_2", content))
-    (mail,) = server.mails
-    assert mail["Subject"] == "Mill 3: week: 1 alarm, 1 ok"
-    assert mail.get_content().splitlines() == [
-        "CB400-02, alarm",
-        "  Ring +30 %. Look.",
-        "",
-        "CB400-01, ok",
-        "  No change of more than 3 %.",
-    ]
-
-
-def test_a_rise_within_the_day_is_told_with_its_time() -> None:
-    rise = change("CB400-02", "", "clear", "look_now", "drain flow +82 %")
-    rise["time"] = "2026-03-02 14:34:00+00:00"
-    del rise["night"]
-    with serving() as server:
-        Mail(server.settings()).take(delivery(rise))
-    (mail,) = server.mails
-    assert mail["Subject"] == "Mill 3: CB400-02 look now"
-    assert f"{rise['time']}, clear to look now: drain flow +82 %" in mail.get_content()
 
 
 @pytest.mark.parametrize(("today", "due"), [(16, 16), (17, 16), (22, 16), (23, 23)])

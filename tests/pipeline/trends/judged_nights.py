@@ -10,8 +10,8 @@ from typing import Any
 
 from leakage.watch import Change, Estimate, Verdict
 from pipeline.config import MotorSpec
-from pipeline.config.fitting import Conditions
-from pipeline.trends.nights.eras import Era
+from pipeline.config.settings import Conditions
+from pipeline.trends.nights.history import Era
 from pipeline.trends.states.course import Baseline, WatchedNight
 from pipeline.trends.states.judged import JudgedNight, judged
 from tests.pipeline.trends.nights import motor, night_of

@@ -103,31 +103,10 @@ def reset(place: int, indicator: str = "", note: str = "", motor_id: str = "M1")
 
 @dataclass(frozen=True)
 class Nights:
-    """A motor's nights of known truth.
+    """A motor's nights of known truth; by place, what is otherwise than in a healthy motor.
 
-    Parameters
-    ----------
-    spec
-        The motor.
-    n
-        Nights.
-    wear
-        By path (and C_f), a factor on its coefficient in each night, shape (n,); by `OIL` one on
-        all flows.
-    seed
-        Of the errors.
-    noise
-        Factor on them.
-    changes
-        By place, columns of `fits` that are otherwise.
-    absent, without_blocks
-        Places of nights without any row, and without blocks.
-    operation
-        By column of `operation`, its values, shape (n,); nan for null.
-    pressure_bar
-        Highest pressure of each night; the same in all by default.
-    model
-        By place, another hash of the model.
+    `wear` has by path (and C_f; by `OIL` of all flows) a factor in each night, `operation` values
+    by column, nan for null; both of shape (n,).
     """
 
     spec: MotorSpec
@@ -135,12 +114,9 @@ class Nights:
     wear: Mapping[str, Array] = field(default_factory=dict)
     seed: int = 1
     noise: float = 1.0
-    changes: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
-    absent: frozenset[int] = frozenset()
-    without_blocks: frozenset[int] = frozenset()
+    changes: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)  # of `fits`
+    absent: frozenset[int] = frozenset()  # without any row
     operation: Mapping[str, Array] = field(default_factory=dict)
-    pressure_bar: float = 280.0
-    model: Mapping[int, str] = field(default_factory=dict)
 
     @property
     def mode(self) -> str:
@@ -184,7 +160,7 @@ class Nights:
         rows["fits"].append(fit)
         if fit["status"] in ("ok", "insufficient_data"):
             rows["operation"].append(key | self._operated(place))
-        if fit["status"] != "ok" or place in self.without_blocks:
+        if fit["status"] != "ok":
             return
         rows["block_statistics"] += [key | one for one in self._blocks(place, theta)]
         for name, value in zip(PATHS, theta, strict=False):
@@ -197,7 +173,7 @@ class Nights:
             )
 
     def _hash(self, place: int) -> str:
-        return self.model.get(place, f"hash-{self.spec.file.oil_on(night_of(place))}")
+        return f"hash-{self.spec.file.oil_on(night_of(place))}"
 
     def _blocks(self, place: int, theta: Array) -> list[Row]:
         label = night_of(place)
@@ -205,7 +181,7 @@ class Nights:
         oil = self.wear.get(OIL, np.ones(self.n))[place]
         night = 1.0 + self.noise * NIGHT_ERROR * generator.standard_normal()
         begin = dt.datetime.combine(label - DAY, dt.time(8), dt.UTC)
-        designs = _designs(self.spec, self.spec.file.oil_on(label), self.pressure_bar)
+        designs = _designs(self.spec, self.spec.file.oil_on(label))
         rows = []
         for number, (triangle, means) in enumerate(designs):
             error = 1.0 + self.noise * BLOCK_ERROR * generator.standard_normal()
@@ -246,21 +222,21 @@ TABLES = (FITS, PARAMETERS, OPERATION, BLOCK_STATISTICS)
 _DESIGNS: dict[object, list[tuple[Array, Row]]] = {}
 
 
-def _designs(spec: MotorSpec, oil: str, highest: float) -> list[tuple[Array, Row]]:
+def _designs(spec: MotorSpec, oil: str) -> list[tuple[Array, Row]]:
     """Factor of the columns of each block of a night, and the means of its conditions."""
-    key = (spec.file.motor_type, oil, highest, spec.file.flushing.mode)
+    key = (spec.file.motor_type, oil, spec.file.flushing.mode)
     if key not in _DESIGNS:
         label = next(
             FIRST + n * DAY for n in range(800) if spec.file.oil_on(FIRST + n * DAY) == oil
         )
         made = spec.motor(label, spec.file.flushing.mode)
-        _DESIGNS[key] = [_design(made, number, highest) for number in range(BLOCKS)]
+        _DESIGNS[key] = [_design(made, number) for number in range(BLOCKS)]
     return _DESIGNS[key]
 
 
-def _design(made: Any, number: int, highest: float) -> tuple[Array, Row]:
+def _design(made: Any, number: int) -> tuple[Array, Row]:
     share = number / (BLOCKS - 1)
-    middle = 30.0 + (highest - 40.0) * ((3.0 * share) % 1.0)
+    middle = 30.0 + 240.0 * ((3.0 * share) % 1.0)
     bar = middle + np.linspace(-10.0, 10.0, SAMPLES)
     celsius, rpm = 42.0 + 16.0 * share, 10.0 + 80.0 * ((7.0 * share) % 1.0)
     at = OperatingConditions.from_bar(bar, np.full(SAMPLES, celsius), np.full(SAMPLES, rpm))

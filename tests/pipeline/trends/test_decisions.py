@@ -24,11 +24,6 @@ SAID = Decision(
 )
 
 
-def test_it_comes_back_as_it_was_said(tmp_path: Path) -> None:
-    record_decision(tmp_path / "new" / "out", SAID)
-    assert read_decisions(tmp_path / "new" / "out") == (SAID,)
-
-
 def test_the_oldest_is_first_whoever_wrote_it(tmp_path: Path) -> None:
     later = replace(SAID, time=SAID.time + dt.timedelta(hours=1), kind="acknowledged", finding=None)
     record_decision(tmp_path, later)

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import datetime as dt
 
+import pytest
+
 from pipeline.config import MotorSpec
+from pipeline.config.motors import Event
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.nights.eras import era_at, eras_of
-from pipeline.trends.nights.history import LONGEST_SILENCE, History, blank_records, every_night
+from pipeline.trends.nights.history import (
+    LONGEST_SILENCE,
+    History,
+    blank_records,
+    era_at,
+    eras_of,
+    every_night,
+)
 from pipeline.trends.nights.layout import Layout
 from tests.pipeline.trends.nights import event, motor, named, night_of, reset
 
@@ -30,31 +39,24 @@ def begins(found: History, of_what: str = "leakage") -> list[tuple[int, str]]:
     return [(one.first, one.reason) for one in eras_of(found, of_what)]
 
 
-def test_without_any_event_there_is_one() -> None:
-    assert begins(history()) == [(0, "first nights")]
-
-
-def test_events_begin_one_with_their_words() -> None:
-    spec = named(motor(), "M1", events=[event(9, "overhaul", note="new rings")])
-    expected = f"overhaul on {night_of(9)}: new rings"
-    assert begins(history(spec)) == [(0, "first nights"), (9, expected)]
-    assert era_at(eras_of(history(spec)), 8).reason == "first nights"
-    assert era_at(eras_of(history(spec)), 9).reason == expected
-
-
-def test_an_event_before_the_first_night_or_after_the_last_begins_none() -> None:
-    early = named(motor(), "M1", events=[event(-5, "overhaul"), event(N, "overhaul")])
-    assert begins(history(early)) == [(0, "first nights")]
-
-
-def test_a_note_begins_none() -> None:
-    noted = named(motor(), "M1", events=[event(5, "note", note="filter changed")])
-    assert begins(history(noted)) == [(0, "first nights")]
-
-
-def test_another_oil_begins_one_and_its_other_hash_no_further_one() -> None:
-    spec = named(motor(), "M1", events=[event(9, "oil_change", oil="vg46")])
-    assert begins(history(spec)) == [(0, "first nights"), (9, f"oil change on {night_of(9)}")]
+@pytest.mark.parametrize(
+    ("events", "further"),
+    [
+        ((), []),
+        ((event(9, "overhaul", note="new rings"),), [(9, f"overhaul on {night_of(9)}: new rings")]),
+        # Before the first night, or after the last.
+        ((event(-5, "overhaul"), event(N, "overhaul")), []),
+        ((event(5, "note", note="filter changed"),), []),
+        # Its other hash begins no further one.
+        ((event(9, "oil_change", oil="vg46"),), [(9, f"oil change on {night_of(9)}")]),
+    ],
+)
+def test_what_begins_an_era(events: tuple[Event, ...], further: list[tuple[int, str]]) -> None:
+    found = history(named(motor(), "M1", events=events))
+    assert begins(found) == [(0, "first nights"), *further]
+    for place, reason in further:
+        assert era_at(eras_of(found), place - 1).reason == "first nights"
+        assert era_at(eras_of(found), place).reason == reason
 
 
 def test_other_settings_of_the_statistics_begin_one() -> None:

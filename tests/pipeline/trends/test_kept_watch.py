@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,9 +15,8 @@ import pipeline.trends.nights.from_tables
 from pipeline.schema import ALARMS, BASELINES, TRENDS, WATCH, Table
 from pipeline.store.state import open_state
 from pipeline.store.tables import read_rows
-from pipeline.trends.nights.kept import decoded
 from pipeline.trends.nights.trend_record import note_touched, read_kept
-from tests.pipeline.remembered import change, record_of
+from tests.pipeline.remembered import change
 from tests.pipeline.trends.nights import (
     OIL,
     Frames,
@@ -103,15 +102,6 @@ def test_night_by_night_gives_what_one_run_gives(
     check_same(rows(output), whole)
 
 
-def test_rows_of_the_first_nights_are_the_first_rows(
-    tmp_path: Path, whole: dict[Table, pl.DataFrame]
-) -> None:
-    for end in (9, AT + 1, AT + 3):
-        _, output = fleet_until(tmp_path / str(end), (WORN,), end)
-        known = {table: one.filter(pl.col("night") < night_of(end)) for table, one in whole.items()}
-        check_same(rows(output), known)
-
-
 def test_a_tank_night_by_night_gives_what_one_run_gives(
     tmp_path: Path, whole_tank: dict[str, dict[Table, pl.DataFrame]]
 ) -> None:
@@ -134,34 +124,22 @@ def kept_of(output: Path) -> bytes:
     return found
 
 
-def keep(output: Path, content: bytes | None) -> None:
-    change(output, "UPDATE trends SET kept = ? WHERE motor_id = 'M1'", content)
-
-
 def flip(content: bytes) -> bytes:
     middle = len(content) // 2
     return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
 
 
-@pytest.mark.parametrize("harm", [lambda _: None, lambda kept: kept[:-9], flip, lambda _: b""])
+@pytest.mark.parametrize("harm", ["gone", "cut", "changed", "of an earlier night"])
 def test_without_what_was_kept_it_is_the_same_at_the_cost_of_time(
-    tmp_path: Path, whole: dict[Table, pl.DataFrame], harm: Callable[[bytes], bytes | None]
+    tmp_path: Path, whole: dict[Table, pl.DataFrame], harm: str
 ) -> None:
-    config, output = fleet_until(tmp_path, (WORN,), AT + 3)
-    keep(output, harm(kept_of(output)))
-    publish(output, part_of(WORN.frames(), AT + 3, N))
-    run(config)
-    check_same(rows(output), whole)
-
-
-def test_what_is_kept_of_another_run_is_not_believed(
-    tmp_path: Path, whole: dict[Table, pl.DataFrame]
-) -> None:
-    """A copy from an earlier night, as a backup of one folder leaves it."""
     config, output = fleet_until(tmp_path, (WORN,), AT)
     before = kept_of(output)
     new_night(config, output, WORN.frames(), place=AT)
-    keep(output, before)
+    kept = kept_of(output)
+    # As a backup of one folder leaves it.
+    left = {"gone": None, "cut": kept[:-9], "changed": flip(kept), "of an earlier night": before}
+    change(output, "UPDATE trends SET kept = ? WHERE motor_id = 'M1'", left[harm])
     publish(output, part_of(WORN.frames(), AT + 1, N))
     run(config)
     check_same(rows(output), whole)
@@ -217,14 +195,3 @@ def test_a_late_log_of_one_motor_redoes_the_others_of_its_tank(
     run(config)
     for name, expected in whole_tank.items():
         assert_frame_equal(rows(output, name)[WATCH], expected[WATCH], check_exact=True)
-
-
-def test_what_is_kept_says_up_to_which_night(tmp_path: Path) -> None:
-    _, output = fleet_until(tmp_path, (WORN,), 12)
-    kept, record = decoded(kept_of(output)), record_of(output)
-    assert kept is not None
-    assert record is not None
-    assert kept.last_night == record.last_night == night_of(11)
-    assert kept.watch is not None
-    assert kept.watch.day == night_of(10).toordinal()
-    assert len(kept.records) == 12

@@ -9,8 +9,8 @@ import pytest
 
 from leakage import OperatingConditions, regressors
 from pipeline.config import Channel, MotorSpec
-from pipeline.config.fitting import Conditions
 from pipeline.config.oil_samples import OilSample
+from pipeline.config.settings import Conditions
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.trends.nights.layout import Layout
 from tests.pipeline.trends.nights import BLOCKS, FIRST, PATHS, SAMPLES, Nights, motor, night_of

@@ -12,8 +12,12 @@ import pytest
 from pipeline.schema import ALARMS, LATEST, WATCH, frame
 from pipeline.store.tables import whole_file
 from pipeline.trends.nights.decisions import Decision, record_decision
-from pipeline.trends.rows.latest_states import latest_states, published_states
-from pipeline.trends.rows.motor_states import MotorState, latest_rows
+from pipeline.trends.rows.motor_states import (
+    MotorState,
+    latest_rows,
+    latest_states,
+    published_states,
+)
 from pipeline.trends.rows.watch_rows import WatchRow
 from tests.pipeline.report.states import LAST, output, watched
 from tests.pipeline.report.states import publish as publish_rows
@@ -77,13 +81,6 @@ def test_a_state_begins_where_it_was_told(output: Path, state: str, since: int |
     assert found.state_since == (None if since is None else night_of(since))
 
 
-def test_status_prints_the_table_and_not_the_trends(output: Path) -> None:
-    (made,) = latest_states(output, ["M1"])
-    publish(output, [replace(made, reason="as of the run")])
-    (found,) = published_states(output, ["M1"])
-    assert found.why == "as of the run"
-
-
 def test_what_was_said_since_the_run_counts(output: Path) -> None:
     publish(output, latest_states(output, ["M1"]))
     when = dt.datetime(2026, 1, 8, tzinfo=dt.UTC)
@@ -92,11 +89,6 @@ def test_what_was_said_since_the_run_counts(output: Path) -> None:
     assert published_states(output, ["M1"])[0].acknowledged == ""
     record_decision(output, replace(said, night=night_of(4), note="rings ordered"))
     assert published_states(output, ["M1"])[0].acknowledged == "rings ordered"
-
-
-def test_a_motor_that_is_new_in_the_config(output: Path) -> None:
-    publish(output, latest_states(output, ["M1"]))
-    assert published_states(output, ["M9"])[0].why == "no night yet"
 
 
 @pytest.mark.parametrize("damage", ["absent", "damaged"])

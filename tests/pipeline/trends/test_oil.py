@@ -11,7 +11,7 @@ from pipeline.config import Channel, MotorSpec
 from pipeline.config.oil_samples import OilSample
 from pipeline.trends.nights.history import History, blank_records
 from pipeline.trends.nights.layout import Layout
-from pipeline.trends.rows.oil_as_measured import oil_as_measured, viscosity_ratio
+from pipeline.trends.rows.trend_rows import oil_as_measured, viscosity_ratio
 from tests.pipeline.trends.nights import motor, night_of
 
 N = 20
@@ -38,7 +38,7 @@ def history(spec: MotorSpec, ratio: float | None) -> History:
     [
         ((), None, ""),
         ((sample(0, 54.4),), 0.8, "oil as measured on 2 January 2026: 20 % thinner"),
-        ((sample(5, 75.0),), 1.1, "10 % thicker than its data sheet, by which the nights before "),
+        ((sample(5, 75.0),), 1.1, "10 % thicker than its data sheet"),
         ((sample(0, water=70.0),), None, ""),
     ],
 )

@@ -66,39 +66,35 @@ def test_an_alarm_that_stands_and_was_never_told_is_told_once() -> None:
     assert marked([BASELINE, RAISED], first, OLD, RULES) == first
 
 
-def test_an_alarm_that_was_told_on_another_night_is_not_told_again() -> None:
-    told = row(24, "ok", "warning")
-    early, kept = marked([RAISED, told], [BASELINE, told], OLD, RULES)
-    assert marks(early) == (CHANGE, "ok", True)
-    assert kept == told
+GONE = row(22, "warning", "ok", way="recovered")
+SILENT = (CHANGE, "ok", True)
 
 
-def test_other_words_alone_are_silent() -> None:
-    (found,) = marked([RAISED | {"reason": "more than 10 %"}], [RAISED], OLD, RULES)
-    assert marks(found) == (CHANGE, "warning", True)
-
-
-def test_an_alarm_that_came_and_went_is_silent() -> None:
-    gone = row(22, "warning", "ok", way="recovered")
-    assert [marks(one) for one in marked([RAISED, gone], [BASELINE], OLD, RULES)] == [
-        (CHANGE, "ok", True),
-        (CHANGE, "ok", True),
-    ]
-
-
-def test_a_withdrawn_alarm_is_told() -> None:
-    closed = row(21, "warning", "ok", way="recomputed")
-    kept, found = marked([RAISED, closed], [BASELINE, RAISED], OLD, RULES)
-    assert kept == RAISED
-    assert marks(found) == (CHANGE, "warning", False)
-
-
-@pytest.mark.parametrize("state", ["alarm", "ok"])
-def test_nights_after_the_last_one_are_told_as_ever(state: str) -> None:
-    tonight = row(32, "warning", state)
-    assert marks(marked([RAISED, tonight], [RAISED], OLD, RULES)[1]) == (None,) * 3
-
-
-def test_a_baseline_of_a_new_indicator_is_silent() -> None:
-    new = row(15, "insufficient", "ok", "flow_zero")
-    assert marks(marked([new], [], OLD, RULES)[0]) == (CHANGE, "insufficient", True)
+@pytest.mark.parametrize(
+    ("rows", "published", "expected"),
+    [
+        pytest.param(
+            [RAISED, row(24, "ok", "warning")], [BASELINE, row(24, "ok", "warning")],
+            [SILENT, (None,) * 3], id="told on another night",
+        ),
+        pytest.param(
+            [RAISED | {"reason": "more than 10 %"}], [RAISED], [(CHANGE, "warning", True)],
+            id="other words alone",
+        ),
+        pytest.param([RAISED, GONE], [BASELINE], [SILENT] * 2, id="came and went"),
+        pytest.param(
+            [RAISED, row(21, "warning", "ok", way="recomputed")], [BASELINE, RAISED],
+            [(None,) * 3, (CHANGE, "warning", False)], id="withdrawn: it is told",
+        ),
+        pytest.param(
+            [RAISED, row(32, "warning", "alarm")], [RAISED], [(None,) * 3] * 2,
+            id="nights after the last one: as ever",
+        ),
+        pytest.param(
+            [row(15, "insufficient", "ok", "flow_zero")], [], [(CHANGE, "insufficient", True)],
+            id="a baseline of a new indicator",
+        ),
+    ],
+)  # fmt: skip
+def test_what_of_the_past_is_told(rows: list[Row], published: list[Row], expected: object) -> None:
+    assert [marks(one) for one in marked(rows, published, OLD, RULES)] == expected

@@ -15,9 +15,7 @@ from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TREND_TABLES, TREN
 from pipeline.store.night_files import stage
 from pipeline.store.published import verify_tables
 from pipeline.store.state import open_state
-from pipeline.trends.circuits import Circuit, circuits_of
 from pipeline.trends.nights.decisions import Decision, record_decision
-from pipeline.trends.nights.tonight import Tonight
 from pipeline.trends.nights.trend_record import (
     TRENDS_VERSION,
     Record,
@@ -29,9 +27,9 @@ from pipeline.trends.nights.trend_record import (
 from pipeline.trends.rows.alarm_rows import rules_now
 from pipeline.trends.stage import run_trends
 from pipeline.trends.states.course import Course
-from pipeline.trends.tasks import TrendTask, kept_file, trend_tasks
+from pipeline.trends.tasks import Circuit, Tonight, TrendTask, circuits_of, kept_file, trend_tasks
 from pipeline.workers.process import Loss
-from tests.pipeline.remembered import change, record_of
+from tests.pipeline.remembered import record_of
 from tests.pipeline.trends.nights import (
     HOURS,
     Nights,
@@ -41,7 +39,6 @@ from tests.pipeline.trends.nights import (
     motor,
     named,
     night_of,
-    part_of,
     publish,
     published_trends,
     ramp,
@@ -186,16 +183,6 @@ def test_a_second_run_has_nothing_to_do(fleet: tuple[Path, Path]) -> None:
     assert files(output) == before
 
 
-def test_a_new_night_is_added_and_the_others_stay(fleet: tuple[Path, Path]) -> None:
-    config, output = fleet
-    before = published_trends(output, WATCH)
-    publish(output, part_of(WORN.frames(), N, N + 1))
-    run(config)
-    after = published_trends(output, WATCH)
-    assert_frame_equal(after.filter(pl.col("night") < night_of(N)), before)
-    assert after["night"].max() == night_of(N)
-
-
 @pytest.mark.parametrize("kind", ["reset", "overhaul"])
 def test_a_reset_and_an_event_begin_anew_and_close_what_stood(
     fleet: tuple[Path, Path], kind: str
@@ -328,12 +315,8 @@ def task(changed: dict[str, dt.date | None], output: Path, *said: Decision) -> T
 
 def to_do(one: TrendTask) -> dict[str, tuple[dt.date, dt.date]]:
     (circuit,) = one.circuits
-    first = circuit.first_nights(one.changed_from, one.tonight)
-    spans = {
-        name: (night, circuit.last_night(name, one.changed_from, one.tonight))
-        for name, night in first.items()
-    }
-    return {name: (begin, end) for name, (begin, end) in spans.items() if begin <= end}
+    spans = circuit.spans(one.changed_from, one.tonight)
+    return {name: (begin, end) for name, (begin, end) in spans.items() if begin is not None}
 
 
 def remember(output: Path, last: int) -> None:
@@ -342,42 +325,54 @@ def remember(output: Path, last: int) -> None:
             write_record(state, spec.motor_id, Record(trend_hash(spec, ()), night_of(last)))
 
 
-def test_all_nights_are_to_be_made_at_first(tmp_path: Path) -> None:
-    everything = (dt.date.min, night_of(39))
-    asked = {"A": night_of(0), "B": None}
-    assert to_do(task(asked, tmp_path)) == {"A": everything, "B": everything}
+def span(first: int, last: int = 39) -> tuple[dt.date, dt.date]:
+    return night_of(first), night_of(last)
 
 
-def test_only_new_nights_later(tmp_path: Path) -> None:
-    remember(tmp_path, 37)
-    asked = {"A": night_of(38), "B": None}
-    span = (night_of(38), night_of(39))
-    assert to_do(task(asked, tmp_path)) == {"A": span, "B": span}
+EVERYTHING = (dt.date.min, night_of(39))
+ACKNOWLEDGED = replace(reset(20, motor_id="A"), kind="acknowledged")
 
 
-def test_a_late_log_of_one_motor_redoes_its_circuit_from_there(tmp_path: Path) -> None:
-    remember(tmp_path, 39)
-    asked = {"A": night_of(20), "B": None}
-    span = (night_of(20), night_of(39))
-    assert to_do(task(asked, tmp_path)) == {"A": span, "B": span}
+@pytest.mark.parametrize(
+    ("last", "changed", "said", "expected"),
+    [
+        pytest.param(
+            None, {"A": 0, "B": None}, (), dict.fromkeys("AB", EVERYTHING), id="all at first"
+        ),
+        pytest.param(
+            37, {"A": 38, "B": None}, (), dict.fromkeys("AB", span(38)), id="new nights later"
+        ),
+        pytest.param(
+            39, {"A": 20, "B": None}, (), dict.fromkeys("AB", span(20)), id="a late log: all"
+        ),
+        pytest.param(
+            39, {"A": None, "B": None}, (reset(20, motor_id="A"),), {"A": EVERYTHING},
+            id="what was said of one motor: that motor",
+        ),
+        pytest.param(39, {"A": None, "B": None}, (ACKNOWLEDGED,), {}, id="an acknowledgement"),
+        pytest.param(
+            35, {"A": 30}, (), {"A": span(30), "B": span(30, 35)}, id="one not asked for"
+        ),
+    ],
+)  # fmt: skip
+def test_which_nights_are_to_be_made(
+    tmp_path: Path,
+    last: int | None,
+    changed: dict[str, int | None],
+    said: tuple[Decision, ...],
+    expected: dict[str, tuple[dt.date, dt.date]],
+) -> None:
+    if last is not None:
+        remember(tmp_path, last)
+    asked = {name: None if one is None else night_of(one) for name, one in changed.items()}
+    assert to_do(task(asked, tmp_path, *said)) == expected
 
 
 def test_what_a_broken_run_left_is_done_by_the_next(tmp_path: Path) -> None:
     remember(tmp_path, 39)
     with open_state(tmp_path) as state:
         note_touched(state, [("B", night_of(25)), ("B", night_of(31)), ("C", night_of(0))])
-    span = (night_of(25), night_of(39))
-    assert to_do(task({"A": None, "B": None}, tmp_path)) == {"A": span, "B": span}
-
-
-def test_what_was_said_of_one_motor_redoes_that_motor(tmp_path: Path) -> None:
-    remember(tmp_path, 39)
-    span = (dt.date.min, night_of(39))
-    said = reset(20, motor_id="A")
-    assert to_do(task({"A": None, "B": None}, tmp_path, said)) == {"A": span}
-    # An acknowledgement changes no figure.
-    acknowledged = replace(said, kind="acknowledged")
-    assert to_do(task({"A": None, "B": None}, tmp_path, acknowledged)) == {}
+    assert to_do(task({"A": None, "B": None}, tmp_path)) == dict.fromkeys("AB", span(25))
 
 
 def test_what_its_own_settings_made_anew_redoes_no_other_motor(tmp_path: Path) -> None:
@@ -385,19 +380,7 @@ def test_what_its_own_settings_made_anew_redoes_no_other_motor(tmp_path: Path) -
     remember(tmp_path, 39)
     asked = task({"A": night_of(20), "B": None}, tmp_path)
     other = Circuit.of((OTHER_A, SPECS[1]), (), asked.circuits[0].records, {})
-    changed = replace(asked, circuits=(other,))
-    assert to_do(changed) == {"A": (dt.date.min, night_of(39))}
-    # Nor a motor that joins with nights of its own.
-    change(tmp_path, "DELETE FROM trends WHERE motor_id = 'A'")
-    assert to_do(task({"A": night_of(0), "B": None}, tmp_path)) == {
-        "A": (dt.date.min, night_of(39))
-    }
-
-
-def test_a_motor_that_was_not_asked_for_gets_no_new_nights(tmp_path: Path) -> None:
-    remember(tmp_path, 35)
-    found = to_do(task({"A": night_of(30)}, tmp_path))
-    assert found == {"A": (night_of(30), night_of(39)), "B": (night_of(30), night_of(35))}
+    assert to_do(replace(asked, circuits=(other,))) == {"A": EVERYTHING}
 
 
 def test_tasks_hold_whole_circuits(tmp_path: Path) -> None:

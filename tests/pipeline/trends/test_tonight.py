@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import os
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +12,14 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-import pipeline.run.publishing
 from pipeline.config import load_fleet
-from pipeline.logs import told_nights
-from pipeline.report.explain import explain
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
-from pipeline.run.publishing import fleets_tonight
-from pipeline.schema import ALARMS, FITS, NIGHT_TABLES, OPERATION, TREND_TABLES, WATCH, Table
-from pipeline.store.published import verify_tables
+from pipeline.schema import FITS, NIGHT_TABLES, OPERATION, WATCH, Table
 from pipeline.store.tables import nights_back, read_rows
-from pipeline.trends.nights.tonight import Tonight, tonight_of
-from tests.pipeline.remembered import change, forget
+from pipeline.trends.tasks import Tonight, tonight_of
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.trends.nights import DAY, Nights, night_of, part_of, publish
-from tests.pipeline.workshop import QUICK, Workshop, check_same_figures
+from tests.pipeline.workshop import QUICK, Workshop
 
 MOTORS = ("M1", "M2")
 N = 12
@@ -101,77 +94,6 @@ def test_a_motor_without_logs_is_stale_when_the_others_go_on(fleet: Path) -> Non
     run(fleet)
     tonight = rows(fleet, WATCH).filter(night=LAST + 9 * DAY)
     assert dict(tonight.select("motor_id", "state").iter_rows()) == {"M1": "ok", "M2": "stale"}
-
-
-# What an earlier version has published
-
-
-WRONG = LAST + 10 * DAY
-
-
-@pytest.fixture(scope="module")
-def poisoned(watched: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """After a run as it was before: the junk file's night is published, and everybody's tonight."""
-    folder = tmp_path_factory.mktemp("poisoned") / "fleet"
-    shutil.copytree(watched, folder)
-    junk(folder, f"x_{WRONG}.parquet")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline.run.publishing, "fleets_tonight", lambda *_: Tonight(WRONG))
-        run(folder, clock=at(WRONG))
-    assert rows(folder, FITS).filter(night=WRONG)["status"].to_list() == ["failed"]
-    newest = rows(folder, WATCH).filter(night=WRONG)
-    assert newest["state"].to_list() == ["stale"] * 2
-    return folder
-
-
-@pytest.mark.parametrize(
-    "gone",
-    [
-        (),
-        ("logs/M1", "ledger"),
-        pytest.param(("logs/M1",), marks=pytest.mark.full),
-        pytest.param(("kept",), marks=pytest.mark.full),
-    ],
-)
-def test_a_poisoned_fleet_heals_in_the_next_run(
-    watched: Path, poisoned: Path, tmp_path: Path, gone: Sequence[str]
-) -> None:
-    """And all that somebody may have deleted to heal it makes no difference."""
-    before = {table: rows(watched, table) for table in (*NIGHT_TABLES, *TREND_TABLES)}
-    fleet = tmp_path / "fleet"
-    shutil.copytree(poisoned, fleet)
-    for name in gone:
-        if name == "ledger":
-            forget(fleet / "out")
-        elif name == "kept":
-            change(fleet / "out", "UPDATE trends SET kept = NULL")
-        else:
-            shutil.rmtree(fleet / name)
-    result = run(fleet, clock=at(LAST))
-    (m1, _) = result.outcomes
-    assert (m1.message or "").endswith(f"withdrawn, as no log has samples of them: {WRONG}")
-    for table, told in before.items():
-        if table is not ALARMS:
-            assert_frame_equal(rows(fleet, table), told)
-    # Stale was told: it says what the state is, and that this was none.
-    alarms = rows(fleet, ALARMS)
-    healed = alarms.filter(way="recomputed")
-    assert_frame_equal(alarms.filter(pl.col("way") != "recomputed"), before[ALARMS])
-    assert set(healed["motor_id"]) == set(MOTORS)
-    assert healed.select("night", "from_state", "to_state").unique().rows() == [
-        (LAST, "stale", "ok")
-    ]
-    assert healed["reason"][0] == (
-        f"recomputed: the nights after {LAST} are withdrawn: no log has samples of them"
-    )
-    assert len(result.alarms) == healed.height
-    assert [one for one in verify_tables(fleet / "out") if one.code != "table_unlisted"] == []
-    # Once is enough, and nothing is too old to be kept by the night that was none.
-    again = run(fleet, clock=at(LAST))
-    assert (again.n_nights, again.alarms, again.failed) == (0, (), ())
-    tonight = fleets_tonight(load_fleet(fleet / "configs" / "fleet.toml"), at(LAST))
-    assert tonight is not None
-    assert tonight.night == LAST
 
 
 # Which night
@@ -267,104 +189,15 @@ def test_samples_of_the_future_are_refused_by_the_clock_of_the_run(workshop: Wor
     }
 
 
-def test_the_clock_decides_nothing_else(workshop: Workshop, tmp_path: Path) -> None:
-    """A backfill of many years ago has the figures that a run of the time would have had."""
-    later = Workshop.at(tmp_path / "later")
-    for one in (workshop, later):
-        one.log(NIGHT)
-        one.log(NIGHT + DAY)
-        (one.logs / f"{NIGHT + 2 * DAY}.parquet").write_bytes(JUNK)
-    run_at(workshop, NIGHT + 2 * DAY)
-    run_at(later, dt.date(2050, 1, 1))
-    check_same_figures(workshop, later)
-    assert workshop.statuses()[NIGHT + 2 * DAY] == "failed"
-    for table in ("trends", "alarms", "baselines"):
-        assert_frame_equal(workshop.rows(table), later.rows(table))
-
-
-# Logs of no night
-
-
-def unread(workshop: Workshop) -> dict[str, dt.date | None]:
-    """Night by name of those rows of logs that were not read; each log has one row."""
-    found = workshop.rows("input_files")
-    assert found["path"].is_unique().all()
-    return dict(found.filter(status="failed").select("path", "night").iter_rows())
-
-
-def test_a_log_of_no_night_stands_under_the_motors_first(workshop: Workshop) -> None:
+def test_a_log_of_no_night_is_told_once_and_stands_in_one_row(workshop: Workshop) -> None:
     workshop.log(NIGHT + DAY)
-    path = workshop.logs / "x_2099-01-01.parquet"
-    path.write_bytes(JUNK)
+    (workshop.logs / "x_2099-01-01.parquet").write_bytes(JUNK)
     outcome = workshop.run()
     assert (outcome.status, outcome.error_code) == ("failed", "log_not_parquet")
-    assert "its night would lie more than a day ahead: it is of none" in (outcome.message or "")
-    assert unread(workshop) == {"M1/x_2099-01-01.parquet": None}
-    assert file_of(workshop, "x_2099-01-01.parquet") == f"{NIGHT:%Y-%m}"
-    assert not any("x_2099" in line for line in explain(workshop.output, "M1", NIGHT + DAY))
-    # It is told once, as a night that failed is.
     again = workshop.run()
     assert (again.status, again.files["failed"]) == ("no_new_data", 1)
     # An older log comes: the row goes where the motor begins now.
     workshop.log(NIGHT)
     assert workshop.run().status == "ok"
-    assert unread(workshop) == {"M1/x_2099-01-01.parquet": None}
-    assert file_of(workshop, "x_2099-01-01.parquet") == f"{NIGHT:%Y-%m}"
-    # Other content, still none.
-    path.write_bytes(JUNK + JUNK)
-    assert workshop.run().status == "failed"
-    assert workshop.rows("input_files").filter(status="failed")["size_bytes"].to_list() == [8]
-
-
-def file_of(workshop: Workshop, name: str) -> str:
-    """Label of the table file in which the row of a log stands."""
-    (found,) = (
-        path.stem
-        for path in (workshop.output / "tables" / "input_files").rglob("*.parquet")
-        if f"M1/{name}" in pl.read_parquet(path)["path"]
-    )
-    return found
-
-
-def test_a_motor_of_nothing_but_such_logs_says_so(workshop: Workshop) -> None:
-    (workshop.logs / "x_2099-01-01.parquet").write_bytes(JUNK)
-    outcome = workshop.run()
-    assert (outcome.status, outcome.error_code) == ("failed", "log_not_parquet")
-    assert workshop.statuses() == {}
-    # Its row comes with the motor's first night.
-    workshop.log(NIGHT)
-    assert workshop.run().status == "ok"
-    assert unread(workshop) == {"M1/x_2099-01-01.parquet": None}
-
-
-def test_a_log_is_of_its_night_once_the_motors_logs_reach_there(workshop: Workshop) -> None:
-    far = NIGHT + 40 * DAY
-    workshop.log(NIGHT)
-    (workshop.logs / f"{far}.parquet").write_bytes(JUNK)
-    assert workshop.run().counts == {"ok": 1}
-    assert unread(workshop) == {f"M1/{far}.parquet": None}
-    workshop.log(far - 31 * DAY)
-    outcome = workshop.run()
-    assert outcome.counts["failed"] == 1
-    assert workshop.statuses()[far] == "failed"
-    assert unread(workshop) == {f"M1/{far}.parquet": far}
-    assert workshop.run().nights == ()
-
-
-def test_a_junk_file_long_ago_is_withdrawn_and_no_night_before_the_first(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As published by a version that took it for one."""
-    workshop.log(NIGHT)
-    ago = NIGHT - 40 * DAY
-    (workshop.logs / f"{ago}.parquet").write_bytes(JUNK)
-    with monkeypatch.context() as patch:
-        patch.setattr(told_nights, "FARTHEST_NIGHT", 40_000 * DAY)
-        workshop.run()
-    assert set(workshop.statuses()) == {ago, NIGHT}
-    outcome = workshop.run()
-    assert outcome.withdrawn == (ago,)
-    assert workshop.statuses() == {NIGHT: "ok"}
-    assert workshop.rows("trends")["night"].unique().to_list() == [NIGHT]
-    assert unread(workshop) == {f"M1/{ago}.parquet": None}
-    assert workshop.run().nights == ()
+    found = workshop.rows("input_files").filter(status="failed")
+    assert found.select("path", "night").rows() == [("M1/x_2099-01-01.parquet", None)]

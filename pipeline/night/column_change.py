@@ -1,0 +1,75 @@
+"""Columns that change places, or their unit, from one night on: told as that, not as wear."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import chain, combinations
+
+from pipeline.config import MotorSpec
+from pipeline.messages import plain
+from pipeline.units import UNITS, from_canonical, to_canonical
+
+# Means that are compared, by channel, as the table `operation` has them; and their units.
+COLUMNS = {
+    "pressure_difference": "mean_pressure_bar",
+    "oil_temperature": "mean_temperature_c",
+    "speed": "mean_speed_rpm",
+    "leakage_flow": "mean_flow_l_per_min",
+}
+FLOW = "leakage_flow"
+NAMED = {"pressure_difference": "bar", "oil_temperature": "°C", "speed": "rpm"}
+# A speed may well be ten times another night's, with the flow as before.
+OF_ONE_UNIT = {"pressure_difference": "pressure", "oil_temperature": "temperature"}
+# Factors within which a reading is as usual, and beyond which it is not.
+NEAR, FAR = 1.5, 2.0
+
+
+def column_change(
+    spec: MotorSpec, usual: Mapping[str, float], now: Mapping[str, float]
+) -> str | None:
+    """Why readings look like those of other columns or units than before; None: they do not.
+
+    The drain flow is as before, which it would not be had load or oil changed as far. Both have
+    the channels of `COLUMNS`, in the units of the tables.
+    """
+    if min(*usual.values(), *now.values()) <= 0.0 or _factor(now[FLOW], usual[FLOW]) > FAR:
+        return None
+    return next(chain(_swapped(usual, now), _other_unit(spec, usual, now)), None)
+
+
+def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[str]:
+    for one, other in combinations(NAMED, 2):
+        are_far = all(_factor(now[name], usual[name]) > FAR for name in (one, other))
+        pairs = (now[one], usual[other]), (now[other], usual[one])
+        if are_far and all(_factor(*pair) < NEAR for pair in pairs):
+            yield (
+                f"columns changed? {plain(one)} and {plain(other)} look swapped: "
+                f"{_said(one, now)} and {_said(other, now)}, "
+                f"before {_said(one, usual)} and {_said(other, usual)}"
+            )
+
+
+def _other_unit(
+    spec: MotorSpec, usual: Mapping[str, float], now: Mapping[str, float]
+) -> Iterator[str]:
+    for name, quantity in OF_ONE_UNIT.items():
+        if _factor(now[name], usual[name]) < FAR:
+            continue
+        channels = spec.file.channels
+        configured = channels[name if name in channels else "high_port_pressure"].unit
+        for unit in UNITS[quantity]:
+            in_log = from_canonical(name, now[name], configured)
+            reading = float(to_canonical(name, in_log, unit))
+            if reading > 0.0 and _factor(reading, usual[name]) < NEAR:
+                yield (
+                    f"unit changed? {plain(name)} {_said(name, now)}, before {_said(name, usual)}: "
+                    f"as before if the log is now in {unit} where the config has {configured}"
+                )
+
+
+def _said(name: str, values: Mapping[str, float]) -> str:
+    return f"{values[name]:.3g} {NAMED[name]}"
+
+
+def _factor(one: float, other: float) -> float:
+    return max(one / other, other / one)
