@@ -64,7 +64,7 @@ class Mail:
         place = mail_server(self.settings.server)
         assert place is not None, "the config has refused it"
         host, port = place[0], place[1] or PORTS[self.settings.security]
-        # Longer than the deadline, which alone decides: smtplib words its own as a closed connection.
+        # Longer than the deadline, which decides: smtplib tells its own as a closed connection.
         timeout = 2 * self.deadline_s
         if self.settings.security == "tls":
             context = ssl.create_default_context()
