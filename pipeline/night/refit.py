@@ -186,14 +186,6 @@ def judge_again(
     return NightOutcome(night.label, OK, None, None, {"fits": rows}, model, tables=JUDGED_TABLES)
 
 
-def judged(spec: MotorSpec, outcome: NightOutcome, previous: PreviousModel) -> NightOutcome:
-    """A night just fitted, with the model before judged on it, which its fit did not know."""
-    if outcome.status != OK:
-        return outcome
-    rows = [row | _previous_model(spec, row, previous) for row in outcome.rows["fits"]]
-    return replace(outcome, rows={**outcome.rows, "fits": rows})
-
-
 def is_refit(outcome: NightOutcome) -> bool:
     """Tell a night that was fitted from its published rows, and not only judged."""
     return outcome.tables is not None and set(REFITTED_TABLES) <= set(outcome.tables)

@@ -9,7 +9,6 @@ from tests.leakage.placeholders import placeholder_motor
 
 MOTOR = placeholder_motor(flushing="estimated", flushing_l_per_min=2.0)
 LOWER, UPPER = MOTOR.coefficient_bounds()
-WIDE = np.full(4, 1e3)
 
 
 def column_norms(z: Array) -> Array:

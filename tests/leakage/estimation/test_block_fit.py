@@ -8,7 +8,8 @@ import pytest
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
 from leakage.estimation.block_statistics import factors
 from leakage.estimation.identifiability import Excitation, judge_leakage
-from leakage.physics.motor import OperatingConditions, regressors
+from leakage.physics.conditions import OperatingConditions
+from leakage.physics.motor import regressors
 from tests.leakage.placeholders import placeholder_motor
 
 BLOCK, N_BLOCKS = 120, 45

@@ -17,7 +17,8 @@ from scipy.signal import lfilter
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
 from leakage.estimation.block_statistics import factors
 from leakage.estimation.identifiability import Excitation, judge_leakage
-from leakage.physics.motor import Motor, OperatingConditions, regressors
+from leakage.physics.conditions import OperatingConditions
+from leakage.physics.motor import Motor, regressors
 from tests.leakage.placeholders import placeholder_motor
 
 Array = NDArray[np.float64]

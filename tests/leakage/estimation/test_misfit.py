@@ -13,7 +13,8 @@ from scipy.signal import lfilter
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.certificate import certify
 from leakage.estimation.misfit import Misfit, misfit, model_errors
-from leakage.physics.motor import Motor, OperatingConditions, regressors, total_flow_l_per_min
+from leakage.physics.conditions import OperatingConditions
+from leakage.physics.motor import Motor, regressors, total_flow_l_per_min
 from leakage.physics.oil import FilmPressure
 from leakage.physics.paths import SpeedCurve
 from tests.leakage.placeholders import placeholder_motor, placeholder_oil
