@@ -17,11 +17,14 @@ from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors, total_flow_l_per_min
 from leakage.physics.oil import FilmPressure
 from leakage.physics.paths import SpeedCurve
+from tests.leakage.estimation.made_errors import autoregression
 from tests.leakage.placeholders import placeholder_motor, placeholder_oil
 
 Array = NDArray[np.float64]
 
 BLOCK, MINUTES = 120, 60
+# Errors that are forgotten within 10 s, and within 10 min.
+FAST, SLOW = math.exp(-1.0 / 10.0), math.exp(-1.0 / 600.0)
 MODEL = placeholder_motor()
 FIXED = np.array([False, False, False, True])
 
@@ -46,14 +49,6 @@ def lagged(values: Array, lag_s: float) -> Array:
     return made
 
 
-def autoregression(n: int, memory_s: float, generator: np.random.Generator) -> Array:
-    phi = math.exp(-1.0 / memory_s)
-    start = [phi * generator.standard_normal()]
-    white = math.sqrt(1.0 - phi * phi) * generator.standard_normal(n)
-    made: Array = lfilter([1.0], [1.0, -phi], white, zi=start)[0]
-    return made
-
-
 def night(truth: Truth, generator: np.random.Generator) -> tuple[Array, Array]:
     """Block factors and mean temperature, pressure and speed: a warm-up under steps of load."""
     n = 60 * MINUTES
@@ -61,10 +56,10 @@ def night(truth: Truth, generator: np.random.Generator) -> tuple[Array, Array]:
         lagged(np.repeat(generator.uniform(low, high, n // hold + 1), hold)[:n], 3.0)
         for low, high, hold in ((15.0, 300.0, 60), (3.0, 110.0, 90))
     )
-    temperature = 58.0 - 14.0 * np.exp(-np.arange(n) / 1800.0) + autoregression(n, 600.0, generator)
+    temperature = 58.0 - 14.0 * np.exp(-np.arange(n) / 1800.0) + autoregression(SLOW, n, generator)
     at = OperatingConditions.from_bar(pressure, temperature, speed, truth.charge_bar)
-    noise = 0.015 * autoregression(n, 10.0, generator)
-    noise += truth.error * autoregression(n, truth.error_memory_s, generator)
+    noise = 0.015 * autoregression(FAST, n, generator)
+    noise += truth.error * autoregression(math.exp(-1.0 / truth.error_memory_s), n, generator)
     # The sensors wander from night to night.
     gain = 1.0 + 0.003 * generator.standard_normal()
     flow = gain * total_flow_l_per_min(truth.motor, at) + noise

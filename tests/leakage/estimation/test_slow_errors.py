@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.certificate import certify
 from leakage.estimation.choices import LARGEST_SLOW, MEMORIES, RATIOS, WIDENING
 from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
 from leakage.estimation.uncertainty import cluster_robust
+from tests.leakage.estimation.made_errors import autoregression
 
 Array = NDArray[np.float64]
 
@@ -46,13 +46,9 @@ def blocks_of(z: Array) -> Array:
     return factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
 
 
-def autoregression(n: int, memory_s: float, generator: np.random.Generator) -> Array:
-    """Of unit variance, one sample a second."""
-    phi = math.exp(-1.0 / memory_s)
-    start = [phi * generator.standard_normal()]
-    white = math.sqrt(1.0 - phi * phi) * generator.standard_normal(n)
-    made: Array = lfilter([1.0], [1.0, -phi], white, zi=start)[0]
-    return made
+def slow(n: int, memory_s: float, generator: np.random.Generator) -> Array:
+    """An autoregression of unit variance, one sample a second."""
+    return autoregression(math.exp(-1.0 / memory_s), n, generator)
 
 
 def covariance_of_means(n: Array, number: Array, memory: float, ratio: float) -> Array:
@@ -104,9 +100,9 @@ def test_the_likelihood_tells_errors_that_scale_from_errors_that_add(scales: boo
     for seed in range(20):
         generator = np.random.default_rng(seed)
         clean = made_night(45, np.zeros(45 * PER_BLOCK), seed)[:, -1]
-        slow = 0.02 * autoregression(len(clean), 1200.0, generator)
-        fast = 0.02 * autoregression(len(clean), 10.0, generator)
-        error = slow * (clean if scales else clean.mean()) + fast
+        drift = 0.02 * slow(len(clean), 1200.0, generator)
+        fast = 0.02 * slow(len(clean), 10.0, generator)
+        error = drift * (clean if scales else clean.mean()) + fast
         blocks = blocks_of(made_night(45, error, seed))
         found.append(slow_errors(blocks, np.arange(45), FREE, np.zeros(3)).scales)
     assert np.mean([one == scales for one in found]) >= 0.75
@@ -115,7 +111,7 @@ def test_the_likelihood_tells_errors_that_scale_from_errors_that_add(scales: boo
 def test_memory_and_size_maximise_the_restricted_likelihood_written_out() -> None:
     """Harville's (1977): log|V| + log|X'V⁻¹X| + y'Py, on means and on the samples about them."""
     generator = np.random.default_rng(3)
-    error = generator.standard_normal(2400) + 2 * autoregression(2400, 600.0, generator)
+    error = generator.standard_normal(2400) + 2 * slow(2400, 600.0, generator)
     z = made_night(20, 0.02 * error)
     blocks, number = blocks_of(z), np.arange(20)
     found = slow_errors(blocks, number, FREE, np.zeros(3))
@@ -169,7 +165,7 @@ def test_white_errors_act_as_themselves_and_steady_ones_as_many() -> None:
     for seed in range(10):
         for kept, error in (
             (white, generator.standard_normal(5400)),
-            (steady, autoregression(5400, 10.0, generator)),
+            (steady, slow(5400, 10.0, generator)),
         ):
             blocks = blocks_of(made_night(45, 0.02 * error, seed))
             kept.append(slow_errors(blocks, np.arange(45), FREE, np.zeros(3)))
@@ -192,12 +188,12 @@ def test_too_few_blocks_and_fixed_coefficients_tell_nothing() -> None:
 
 
 def error_of(kind: str, n: int, generator: np.random.Generator) -> Array:
-    fast = autoregression(n, 10.0, generator)
+    fast = slow(n, 10.0, generator)
     if kind == "random walk":
         return fast + np.cumsum(generator.standard_normal(n)) * 5 / math.sqrt(n)
     if kind == "5 minutes":
-        return fast + 2 * autoregression(n, 300.0, generator)
-    return autoregression(n, -1.0 / math.log(float(kind)), generator)
+        return fast + 2 * slow(n, 300.0, generator)
+    return slow(n, -1.0 / math.log(float(kind)), generator)
 
 
 NIGHTS = 120

@@ -6,17 +6,17 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import ErrorParts, of_extrapolation, of_sensors, of_stated
-from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome
 from pipeline.night.tolerances import assumed_sensors, tolerances
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
+from tests.pipeline.night.noise_free import configured_flow, fitted, white
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
 
-MINUTES = 90.0
+OPERATION = operate(minutes=90.0)
 BUDGET = [
     {"indicator": name, "source": source, "effect": effect, "assumed_sensor": assumed}
     for name, source, effect, assumed in (
@@ -30,10 +30,8 @@ BUDGET = [
 
 
 def outcome(spec: MotorSpec, flow_of: MotorSpec | None = None) -> NightOutcome:
-    operation = operate(minutes=MINUTES)
-    flow = operation.flow((flow_of or spec).motor(NIGHT, "none"))
-    flow = flow + 0.01 * np.random.default_rng(1).standard_normal(len(flow))
-    return fit_night(spec, night_of(), raw(operation.time_us, operation.channels(flow)), {})
+    flow = configured_flow(flow_of or spec, OPERATION)
+    return fitted(spec, OPERATION, flow + white(len(flow)))
 
 
 def test_parts_add_by_squares_and_an_unknown_model_adds_nothing() -> None:
@@ -53,23 +51,17 @@ def test_constants_count_in_an_extrapolation_as_far_as_they_differ() -> None:
     assert found == pytest.approx(math.hypot(2.0 - 1.2 * 1.5, 1.0))
 
 
-def test_sensors_without_a_stated_tolerance_have_that_of_their_kind(tmp_path: Path) -> None:
+def test_sensors_have_the_tolerance_stated_or_that_of_their_kind(tmp_path: Path) -> None:
     """EN 837-1 class 1, IEC 60751 class B at 50 °C, and a gear meter's 1 %."""
-    text = motor_toml("M1").replace(
-        "[channels.pressure_difference]\n", "[channels.pressure_difference]\nsensor_maximum = 250\n"
-    )
-    found = tolerances(load_motor(tmp_path, text), NIGHT)
+    pressure = "[channels.pressure_difference]\n"
+    text = motor_toml("M1").replace(pressure, f"{pressure}sensor_maximum = 250\n")
+    found = tolerances(load_motor(tmp_path / "kind", text), NIGHT)
     assert found.pressure_bar.offset == pytest.approx(2.5)
     assert found.temperature_c.offset == pytest.approx(0.3 + 0.005 * 50.0)
     assert found.flow_l_per_min.gain == pytest.approx(0.01)
     assert found.speed_rpm.offset == found.speed_rpm.gain == 0.0
-
-
-def test_a_stated_tolerance_takes_the_place_of_the_assumed_one(tmp_path: Path) -> None:
-    text = motor_toml("M1").replace(
-        "[channels.oil_temperature]\n", "[channels.oil_temperature]\noffset_tolerance = 0.2\n"
-    )
-    spec = load_motor(tmp_path, text)
+    oil = "[channels.oil_temperature]\n"
+    spec = load_motor(tmp_path / "own", text.replace(oil, f"{oil}offset_tolerance = 0.2\n"))
     assert tolerances(spec, NIGHT).temperature_c.offset == pytest.approx(0.2)
     assert set(assumed_sensors(spec)) == {"pressure_difference", "leakage_flow"}
 

@@ -13,22 +13,24 @@ import pytest
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import NightOutcome
 from pipeline.report.explain import explain_residuals
+from tests.pipeline.night.noise_free import configured_flow, fit_of, fitted, white
 from tests.pipeline.night.residuals_by_hand import (
-    MINUTES,
-    Array,
+    LONG,
+    N,
     Row,
     by_hand,
-    fitted,
     lags,
     motor,
-    primary,
-    true_flow,
+    rows_of,
     unchanged,
-    white,
 )
-from tests.pipeline.simulated import operate
+from tests.pipeline.simulated import Array
 
-INPUTS = ("pressure_difference", "oil_temperature", "speed")
+CHANNELS = {
+    "pressure_difference": LONG.pressure_bar,
+    "oil_temperature": LONG.temperature_c,
+    "speed": LONG.speed_rpm,
+}
 
 
 @pytest.fixture
@@ -36,66 +38,47 @@ def spec(tmp_path: Path) -> MotorSpec:
     return motor(tmp_path)
 
 
-def verdict(outcome: NightOutcome, part: str, test: str, smoothed: bool = False) -> Row:
-    (found,) = (
-        row
-        for row in outcome.rows["residual_verdicts"]
-        if (row["part"], row["smoothed"]) == (part, smoothed)
-        and test in (row["input"], row["test"])
-    )
+def whiteness(outcome: NightOutcome, part: str) -> Row:
+    (found,) = rows_of(outcome, "residual_verdicts", part, "whiteness", smoothed=False)
     return found
 
 
-# rows
-
-
-@pytest.mark.parametrize("part", ["training", "validation"])
-def test_rows_are_the_correlations_of_the_errors(spec: MotorSpec, part: str) -> None:
-    operation = operate(minutes=MINUTES)
-    flow = true_flow(spec, operation) + white()
-    outcome = fitted(spec, operation, flow)
-    hand = by_hand(spec, operation, flow, outcome)
-    rows = getattr(hand, part)
-    error = hand.error[rows]
-    e = error - error.mean()
-    channels = {
-        "pressure_difference": operation.pressure_bar,
-        "oil_temperature": operation.temperature_c,
-        "speed": operation.speed_rpm,
-    }
-    n = len(e)
-    found = lags(outcome, part, "whiteness")
-    assert sorted(found) == list(range(26))
-    assert found[0]["value"] == pytest.approx(1.0)
-    assert (found[0]["bound"], found[0]["outside"]) == (None, None)
-    for lag in (1, 7, 25):
-        expected = np.mean(e[lag:] * e[:-lag]) / np.mean(e**2)
-        assert found[lag]["value"] == pytest.approx(expected, rel=1e-8)
-        assert found[lag]["bound"] == pytest.approx(2.576 / math.sqrt(n - lag))
-        assert found[lag]["outside"] == (abs(expected) > 2.576 / math.sqrt(n - lag))
-        assert found[lag]["lag_s"] == float(lag)  # one sample a second
-    for name, values in channels.items():
-        u = values[rows] - values[rows].mean()
-        found = lags(outcome, part, name)
-        assert sorted(found) == list(range(-25, 26))
-        for lag in (-25, -3, 0, 3, 25):
-            later, earlier = (e, u) if lag >= 0 else (u, e)
-            size = abs(lag)
-            products = later[size:] * earlier[: n - size]
-            expected = np.mean(products) / math.sqrt(np.mean(e**2) * np.mean(u**2))
-            assert found[lag]["value"] == pytest.approx(expected, abs=1e-9), (name, lag)
-    assert verdict(outcome, part, "whiteness")["n"] == n
-    assert verdict(outcome, part, "whiteness")["mean_error_l_per_min"] == pytest.approx(
-        error.mean(), abs=1e-12
-    )
+def test_rows_are_the_correlations_of_the_errors(spec: MotorSpec) -> None:
+    flow = configured_flow(spec, LONG) + white(N)
+    outcome = fitted(spec, LONG, flow)
+    hand = by_hand(spec, flow, outcome)
+    for part in ("training", "validation"):
+        rows = getattr(hand, part)
+        error = hand.error[rows]
+        e, n = error - error.mean(), len(error)
+        found = lags(outcome, part, "whiteness")
+        assert sorted(found) == list(range(26))
+        assert found[0]["value"] == pytest.approx(1.0)
+        assert (found[0]["bound"], found[0]["outside"]) == (None, None)
+        for lag in (1, 7, 25):
+            expected = np.mean(e[lag:] * e[:-lag]) / np.mean(e**2)
+            assert found[lag]["value"] == pytest.approx(expected, rel=1e-8)
+            assert found[lag]["bound"] == pytest.approx(2.576 / math.sqrt(n - lag))
+            assert found[lag]["outside"] == (abs(expected) > 2.576 / math.sqrt(n - lag))
+            assert found[lag]["lag_s"] == float(lag)  # one sample a second
+        for name, values in CHANNELS.items():
+            u = values[rows] - values[rows].mean()
+            found = lags(outcome, part, name)
+            assert sorted(found) == list(range(-25, 26))
+            for lag in (-25, -3, 0, 3, 25):
+                later, earlier = (e, u) if lag >= 0 else (u, e)
+                products = later[abs(lag) :] * earlier[: n - abs(lag)]
+                expected = np.mean(products) / math.sqrt(np.mean(e**2) * np.mean(u**2))
+                assert found[lag]["value"] == pytest.approx(expected, abs=1e-9), (name, lag)
+        verdict = whiteness(outcome, part)
+        assert verdict["n"] == n
+        assert verdict["mean_error_l_per_min"] == pytest.approx(error.mean(), abs=1e-12)
 
 
 def test_every_test_has_its_rows_and_its_verdict(tmp_path: Path) -> None:
     more = '[flushing]\nmode = "none"\nalso = ["estimated"]\n'
-    more += "[override.smoothing]\nwindow_s = 5.0\n"
-    spec = motor(tmp_path, more)
-    operation = operate(minutes=MINUTES)
-    outcome = fitted(spec, operation, true_flow(spec, operation) + white())
+    spec = motor(tmp_path, more + "[override.smoothing]\nwindow_s = 5.0\n")
+    outcome = fitted(spec, LONG, configured_flow(spec, LONG) + white(N))
     tests, verdicts = (outcome.rows[f"residual_{name}"] for name in ("tests", "verdicts"))
     # Two modes, two parts, smoothed or not.
     assert len(tests) == 2 * 2 * 2 * (26 + 3 * 51)
@@ -119,37 +102,30 @@ def test_every_test_has_its_rows_and_its_verdict(tmp_path: Path) -> None:
 def test_inputs_are_smoothed_where_the_regressors_are(tmp_path: Path, apply_to: str) -> None:
     more = f'[override.smoothing]\nwindow_s = 61.0\napply_to = "{apply_to}"\n'
     spec = motor(tmp_path, more)
-    operation = operate(minutes=MINUTES)
-    flow = true_flow(spec, operation) + white()
-    outcome = fitted(spec, operation, flow)
+    flow = configured_flow(spec, LONG) + white(N)
+    outcome = fitted(spec, LONG, flow)
 
     def averaged(values: Array) -> Array:
         """Centred over 61 samples, within each block of 120 from the whole hour on."""
-        blocks = values.reshape(-1, 120)
         window = np.ones(61)
-        sums = np.array([np.convolve(one, window, "same") for one in blocks])
+        sums = np.array([np.convolve(one, window, "same") for one in values.reshape(-1, 120)])
         return np.asarray((sums / np.convolve(np.ones(120), window, "same")).ravel())
 
     inputs = averaged if apply_to == "all" else unchanged
-    hand = by_hand(spec, operation, flow, outcome, inputs=inputs, output=averaged)
-    rows = hand.training
-    raw_error = hand.error
-    pressure = operation.pressure_bar
+    hand = by_hand(spec, flow, outcome, inputs=inputs, output=averaged)
+    pressure = LONG.pressure_bar
     if apply_to == "all":
-        error, u = averaged(raw_error), averaged(pressure)
+        error, u = averaged(hand.error), averaged(pressure)
     else:
-        error, u = raw_error - flow + averaged(flow), pressure
-    e, u = error[rows], u[rows]
-    expected = np.corrcoef(e, u)[0, 1]
-    found = lags(outcome, "training", "pressure_difference", smoothed=True)
-    assert found[0]["value"] == pytest.approx(expected, abs=1e-8)
-    unsmoothed = lags(outcome, "training", "pressure_difference")
-    plain = np.corrcoef(raw_error[rows], pressure[rows])[0, 1]
-    assert unsmoothed[0]["value"] == pytest.approx(plain, abs=1e-8)
-    assert abs(plain - expected) > 1e-4
-
-
-# what it finds
+        error, u = hand.error - flow + averaged(flow), pressure
+    smooth, plain = (
+        np.corrcoef(one[hand.training], other[hand.training])[0, 1]
+        for one, other in ((error, u), (hand.error, pressure))
+    )
+    for smoothed, expected in ((True, smooth), (False, plain)):
+        found = lags(outcome, "training", "pressure_difference", smoothed)
+        assert found[0]["value"] == pytest.approx(expected, abs=1e-8)
+    assert abs(plain - smooth) > 1e-4
 
 
 def test_a_night_without_validation_says_so(spec: MotorSpec) -> None:
@@ -157,15 +133,14 @@ def test_a_night_without_validation_says_so(spec: MotorSpec) -> None:
     periods = spec.file.periods.model_copy(
         update={"training": ((begin, begin + dt.timedelta(hours=2)),)}
     )
-    by_hand_set = replace(spec, file=spec.file.model_copy(update={"periods": periods}))
-    operation = operate(minutes=MINUTES)
-    outcome = fitted(by_hand_set, operation, true_flow(spec, operation) + white())
-    row = primary(outcome)
+    set_by_hand = replace(spec, file=spec.file.model_copy(update={"periods": periods}))
+    outcome = fitted(set_by_hand, LONG, configured_flow(spec, LONG) + white(N))
+    row = fit_of(outcome.rows)
     assert row["n_validation"] == 0
     for column in ("fit_percent", "rmse_l_per_min", "mean_error_l_per_min", "n_effective"):
         assert row[f"validation_{column}"] is None
     assert row["validation_n_effective_summed"] is None
-    found = verdict(outcome, "validation", "whiteness")
+    found = whiteness(outcome, "validation")
     assert (found["n"], found["mean_error_l_per_min"]) == (0, None)
     assert found["reason"] == "0 samples, 1000 are needed"
     told = list(explain_residuals(row, outcome.rows["residual_verdicts"]))

@@ -13,25 +13,22 @@ from polars.testing import assert_frame_equal
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.demo import shipped_configs
-from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import PublishedNight, refit, refit_in_form
 from pipeline.night.roller import is_roller_free
 from pipeline.schema import BLOCK_STATISTICS, FITS, NIGHT_TABLES, frame
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
+from tests.pipeline.night.noise_free import fitted, white
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
 
 DAYS = [NIGHT + dt.timedelta(days=number) for number in range(8)]
 TRUE_SCALE = 0.6
 
 
-def night(spec: MotorSpec, speed_rpm: float | None = None) -> NightOutcome:
+def night(spec: MotorSpec) -> NightOutcome:
     """Two hours of a motor whose rollers leak less than their curve says."""
     operation = operate(minutes=120.0)
-    if speed_rpm is not None:
-        operation = replace(operation, speed_rpm=np.full(len(operation.time_us), speed_rpm))
-        operation.speed_rpm[::7] += 0.1
     flow = operation.flow(spec.motor(NIGHT, "none"), {"cam_roller": TRUE_SCALE})
-    flow += np.random.default_rng(5).normal(0.0, 0.02, len(flow))
-    return fit_night(spec, night_of(), raw(operation.time_us, operation.channels(flow)), {})
+    return fitted(spec, operation, flow + white(len(flow), 0.02, seed=5))
 
 
 def freed(spec: MotorSpec) -> MotorSpec:
