@@ -130,17 +130,6 @@ class TestGrid:
 FLEET = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 
 
-def joined(one: CleanChannel, other: CleanChannel, rng: np.random.Generator) -> CleanChannel:
-    refused = rng.random(len(one.time_us)) < 0.2
-    return replace(
-        other,
-        time_us=np.concatenate([one.time_us, other.time_us]),
-        value=np.concatenate([one.value, other.value]),
-        refused=np.concatenate([refused, other.refused]),
-        at_maximum=np.concatenate([one.at_maximum, other.at_maximum]),
-    )
-
-
 def raw_log(time: Times) -> RawLog:
     """A wide log in which the temperature has a sample in the first row of each second."""
     s = (time // STEP).astype(np.float64)
