@@ -51,6 +51,35 @@ def test_feasible_gaps_lie_a_factor_1_357_apart(coefficient_m3: float) -> None:
     assert highest / lowest == pytest.approx(2.5 ** (1.0 / 3.0), rel=1e-12)
 
 
+def test_bounds_of_the_gap_narrow_what_is_feasible() -> None:
+    """K of h = 10 µm and e = 0.4: at h it asks for 1 + 1.5 e² = 1.24 (10/h)³, by hand."""
+    path = replace(balance_piston(), gap=Parameter("h_p", "um", 10.0, 9.0, 10.5))
+    height, e, film = path.derived_figures(1.558230e-14, (1.4e-14, 1.7e-14), (2e-7, 2e-7))
+    assert (height.name, height.lowest, height.highest) == ("h_p", 9.0, 10.5)
+    # √(0.07116/1.5) and √(0.70096/1.5).
+    assert (e.name, e.lowest, e.highest) == ("e_p", *map(near, (0.21781, 0.68361)))
+    # h (1 − e) / √(0.2² + 0.2²), widest where the gap is.
+    assert (film.lowest, film.highest) == (
+        near(9.0 * 0.31639 / 0.28284),
+        near(10.5 * 0.78219 / 0.28284),
+    )
+    assert [one.limits for one in (height, e, film)] == [None] * 3
+    assert {one.combination for one in (height, e, film)} == {"K_p ∝ h³(1 + 1.5e²)"}
+
+
+def test_a_gap_alone_in_its_loss_factor_has_its_interval() -> None:
+    height, film = piston_ring().derived_figures(
+        7.506312e-14, (-1e-15, 8 * 7.506312e-14), (2e-7, 2e-7)
+    )
+    assert (height.lowest, height.highest, height.combination) == (near(8.0), near(8.0), "")
+    assert height.limits == (0.0, near(16.0))
+    assert film.lowest == film.highest == near(8.0 / 0.28284)
+
+
+def near(value: float) -> Any:
+    return pytest.approx(value, rel=1e-4)
+
+
 def test_inverse_map_takes_arrays_and_refuses_what_has_no_gap() -> None:
     piston = balance_piston()
     assert piston.gap_um_from_coefficient([0.0, 1.558230e-14], 0.4) == pytest.approx(

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.night.channel_rules import Sampling
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.resampling import on_grid
 from tests.pipeline.night.channels import SECOND, STEP, Times, cleaned
@@ -41,6 +42,20 @@ def slow_interpolation(channel: CleanChannel, grid: Times) -> tuple[list[float |
     return values, silent
 
 
+def slow_hold(channel: CleanChannel, grid: Times) -> tuple[list[float | None], list[bool]]:
+    """The same of a channel whose last sample holds until it is too old, or says that none is."""
+    values: list[float | None] = []
+    silent = []
+    for point in grid.tolist():
+        last = int(np.searchsorted(channel.time_us, point, side="right")) - 1
+        age = point - int(channel.time_us[last]) if last >= 0 else np.inf
+        ended = last >= 0 and channel.ends is not None and bool(channel.ends[last]) and age > 0
+        silent.append(ended or age > channel.longest_gap_us)
+        good = not silent[-1] and not channel.refused[last]
+        values.append(float(channel.value[last]) if good else None)
+    return values, silent
+
+
 ANY_STAMPS = st.lists(st.integers(0, 400), unique=True, max_size=30).map(sorted)
 # Begin, and stretches of so many equal steps, mostly from one time of the grid to another.
 EVEN_STAMPS = st.tuples(
@@ -55,6 +70,7 @@ class TestInterpolation:
         st.integers(0, 2**32 - 1),
         st.integers(1, 60),
         st.booleans(),
+        st.booleans(),
         st.sampled_from([10.0, 20.0, 30.0, 50.0]),
     )
     def test_as_the_slow_definition(
@@ -63,6 +79,7 @@ class TestInterpolation:
         seed: int,
         longest: int,
         on_change: bool,
+        hold: bool,
         period_us: float,
     ) -> None:
         rng = np.random.default_rng(seed)
@@ -72,9 +89,10 @@ class TestInterpolation:
         value[refused] = rng.choice([np.nan, np.inf, 1e9], refused.sum())
         channel = cleaned(time, value, refused, period_us=period_us, longest_gap_us=longest)
         channel = replace(channel, ends=rng.random(len(time)) < 0.2) if on_change else channel
+        channel = replace(channel, sampling=Sampling(on_change=on_change, hold=hold))
         grid = np.arange(-20, 420, 10, dtype=np.int64)
         got, present, silent = on_grid(channel, grid, 10)
-        expected, asleep = slow_interpolation(channel, grid)
+        expected, asleep = (slow_hold if hold else slow_interpolation)(channel, grid)
         assert present.tolist() == [one is not None for one in expected]
         assert silent.tolist() == asleep
         np.testing.assert_allclose(
