@@ -1,36 +1,92 @@
-"""A night's residual analysis, against the errors as computed by hand."""
+"""A night's metrics, predictions and residual analysis, against errors as computed by hand.
+
+Its samples are all kept, so that its errors can be.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from leakage import OperatingConditions, regressors
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import NightOutcome
 from pipeline.report.explain import explain_residuals
 from tests.pipeline.night.noise_free import configured_flow, fit_of, fitted, white
-from tests.pipeline.night.residuals_by_hand import (
-    LONG,
-    N,
-    Row,
-    by_hand,
-    lags,
-    motor,
-    rows_of,
-    unchanged,
-)
-from tests.pipeline.simulated import Array
+from tests.pipeline.simulated import NIGHT, Array, load_motor, motor_toml, operate
+
+Row = dict[str, Any]
+LONG = operate(minutes=120.0)
+N = len(LONG.time_us)
+AT = OperatingConditions.from_bar(LONG.pressure_bar, LONG.temperature_c, LONG.speed_rpm)
+# Every sample is kept, so that errors can be computed by hand.
+KEEP_ALL = "[override.cleaning]\nhampel_threshold = 1000.0\nfrozen_after_s = 1e6\n"
+
 
 CHANNELS = {
     "pressure_difference": LONG.pressure_bar,
     "oil_temperature": LONG.temperature_c,
     "speed": LONG.speed_rpm,
 }
+
+
+def motor(folder: Path, more: str = "") -> MotorSpec:
+    return load_motor(folder, motor_toml("M1", more=more + KEEP_ALL))
+
+
+def rows_of(outcome: NightOutcome, table: str, part: str, test: str, smoothed: bool) -> list[Row]:
+    """Rows of a test, whiteness or independence of an input."""
+    return [
+        row
+        for row in outcome.rows[table]
+        if (row["part"], row["smoothed"]) == (part, smoothed)
+        and test in (row["input"], row["test"])
+    ]
+
+
+def lags(outcome: NightOutcome, part: str, test: str, smoothed: bool = False) -> dict[int, Row]:
+    rows = rows_of(outcome, "residual_tests", part, test, smoothed)
+    return {row["lag"]: row for row in rows}
+
+
+class ByHand(NamedTuple):
+    """Errors of a fit, and which samples train and validate."""
+
+    error: Array
+    training: slice
+    validation: slice
+
+
+def unchanged(values: Array) -> Array:
+    return values
+
+
+def by_hand(
+    spec: MotorSpec,
+    flow: Array,
+    outcome: NightOutcome,
+    *,
+    inputs: Callable[[Array], Array] = unchanged,
+    output: Callable[[Array], Array] = unchanged,
+) -> ByHand:
+    """Errors of least squares on the training samples, smoothed as said; none may be missing."""
+    row = fit_of(outcome.rows)
+    assert row["n_training"] + row["n_validation"] == N - 120  # a block of guard between them
+    training = slice(0, row["n_training"])
+    columns = regressors(spec.motor(NIGHT, "none"), AT)
+    free, known = columns[:, :-2], columns[:, -1]  # without flushing C_f is 0
+    scale = np.linalg.norm(free, axis=0)
+    smooth = np.column_stack([inputs(column) for column in free.T]) / scale
+    target = output(flow) - inputs(known)
+    theta = np.linalg.lstsq(smooth[training], target[training])[0] / scale
+    return ByHand(flow - known - free @ theta, training, slice(N - row["n_validation"], N))
 
 
 @pytest.fixture
@@ -145,3 +201,59 @@ def test_a_night_without_validation_says_so(spec: MotorSpec) -> None:
     assert found["reason"] == "0 samples, 1000 are needed"
     told = list(explain_residuals(row, outcome.rows["residual_verdicts"]))
     assert "validation errors: no samples" in told
+
+
+def test_mean_errors_and_sizes_are_those_of_the_errors(spec: MotorSpec) -> None:
+    # More flow towards the end, which the training samples do not show.
+    flow = configured_flow(spec, LONG) + white(N) + np.where(np.arange(N) > 6000, 0.05, 0.0)
+    outcome = fitted(spec, LONG, flow)
+    hand, row = by_hand(spec, flow, outcome), fit_of(outcome.rows)
+    for part in ("training", "validation"):
+        error, y = hand.error[getattr(hand, part)], flow[getattr(hand, part)]
+        assert row[f"{part}_mean_error_l_per_min"] == pytest.approx(error.mean(), abs=1e-10)
+        assert row[f"{part}_rmse_l_per_min"] == pytest.approx(np.sqrt(np.mean(error**2)))
+        fit = 100 * (1 - np.linalg.norm(error) / np.linalg.norm(y - y.mean()))
+        assert row[f"{part}_fit_percent"] == pytest.approx(fit, rel=1e-9)
+    assert row["validation_mean_error_l_per_min"] > 0.03
+
+
+def test_the_model_before_has_its_error_on_all_of_tonight(spec: MotorSpec) -> None:
+    flow = configured_flow(spec, LONG) + white(N)
+    first = fitted(spec, LONG, flow)
+    assert fit_of(first.rows)["previous_model_rmse_l_per_min"] is None
+    assert fit_of(first.rows)["previous_model_mean_error_l_per_min"] is None
+    worn = {mode: tuple(1.1 * k for k in theta) for mode, theta in first.model.items()}
+    row = fit_of(fitted(spec, LONG, flow, previous=worn).rows)
+    error = flow - regressors(spec.motor(NIGHT, "none"), AT) @ np.append(worn["none"], 1.0)
+    assert row["previous_model_mean_error_l_per_min"] == pytest.approx(error.mean(), rel=1e-9)
+    assert row["previous_model_rmse_l_per_min"] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert row["previous_model_mean_error_l_per_min"] < 0  # it predicts too much
+
+
+def test_predictions_are_samples_of_the_night_and_the_fit_at_them(spec: MotorSpec) -> None:
+    flow = configured_flow(spec, LONG) + white(N)
+    outcome = fitted(spec, LONG, flow)
+    hand, rows = by_hand(spec, flow, outcome), outcome.rows["predictions"]
+    # Thinned for plots, extremes kept.
+    assert 400 <= len(rows) <= 720
+    epoch, microsecond = dt.datetime(1970, 1, 1, tzinfo=dt.UTC), dt.timedelta(microseconds=1)
+    stamps = [(row["time"] - epoch) // microsecond for row in rows]
+    places = np.searchsorted(LONG.time_us, stamps)
+    # From the first sample to the last, without a stretch left out: lowest and highest of four
+    # figures in each of 90 bins, so that no two bins go without a sample.
+    assert (places[0], places[-1]) == (0, N - 1)
+    assert np.diff(places).max() < 2 * N / 90
+    for column, values in (
+        ("measured_l_per_min", flow),
+        ("pressure_difference_bar", LONG.pressure_bar),
+        ("oil_temperature_c", LONG.temperature_c),
+        ("speed_rpm", LONG.speed_rpm),
+    ):
+        assert [row[column] for row in rows] == values[places].tolist()
+    predicted = [row["predicted_l_per_min"] for row in rows]
+    assert predicted == pytest.approx((flow - hand.error)[places], rel=1e-9)
+    part = np.full(N, "guard", dtype="U10")
+    part[hand.training], part[hand.validation] = "training", "validation"
+    assert [row["part"] for row in rows] == part[places].tolist()
+    shares = [np.mean(part[places] == name) for name in ("training", "validation")]
+    assert shares == pytest.approx([0.80, 0.18], abs=0.02)
