@@ -11,7 +11,7 @@ from leakage.course.slope import (
     variance_of_mean,
     whitened,
 )
-from tests.leakage.made_nights import autoregression
+from tests.leakage.estimation.made_errors import autoregression
 
 UNEVEN = np.array([0, 1, 2, 5, 6, 20, 21, 23])
 
@@ -31,7 +31,7 @@ def test_phi_is_found_without_the_bias_of_a_fitted_line(n: int, phi: float) -> N
     nights = np.arange(n)
     found = []
     for _ in range(400):
-        values = autoregression(n, phi, generator)
+        values = autoregression(phi, n, generator)
         residual = values - np.polyval(np.polyfit(nights, values, 1), nights)
         found.append(estimated_phi(residual, nights))
     # Clipped at 0, which lifts the mean of small ones.
@@ -41,7 +41,7 @@ def test_phi_is_found_without_the_bias_of_a_fitted_line(n: int, phi: float) -> N
 def test_phi_is_one_nights_where_the_motor_runs_every_second() -> None:
     generator = np.random.default_rng(3)
     nights = 2 * np.arange(600)
-    found = [estimated_phi(autoregression(1200, 0.6, generator)[::2], nights) for _ in range(20)]
+    found = [estimated_phi(autoregression(0.6, 1200, generator)[::2], nights) for _ in range(20)]
     assert np.mean(found) == pytest.approx(0.6, abs=0.03)
 
 

@@ -8,7 +8,7 @@ from scipy.stats import t as student_t
 from scipy.stats import theilslopes
 
 from leakage.course.slope import fit_slope, theil_sen
-from tests.leakage.made_nights import autoregression
+from tests.leakage.estimation.made_errors import autoregression
 
 
 def generalised_least_squares(
@@ -27,7 +27,7 @@ def generalised_least_squares(
 def test_it_equals_generalised_least_squares_with_the_whole_covariance(missing: float) -> None:
     generator = np.random.default_rng(1)
     nights = np.flatnonzero(generator.random(150) >= missing)
-    values = 3.0 + 0.02 * nights + autoregression(150, 0.5, generator)[nights]
+    values = 3.0 + 0.02 * nights + autoregression(0.5, 150, generator)[nights]
     found = fit_slope(nights, values)
     line, covariance = generalised_least_squares(nights, values, found.phi)
     assert found.phi > 0.1
@@ -67,7 +67,7 @@ def test_intervals_hold_the_truth(n: int, phi: float, least: float) -> None:
     nights = np.arange(n)
     held = 0
     for _ in range(500):
-        found = fit_slope(nights, 0.01 * nights + autoregression(n, phi, generator))
+        found = fit_slope(nights, 0.01 * nights + autoregression(phi, n, generator))
         held += found.lower <= 0.01 <= found.upper
     assert least <= held / 500 <= 0.985
 
@@ -108,7 +108,7 @@ def test_weeks_without_nights_let_the_memory_fade() -> None:
     """Two clusters of nights half a year apart: the slope rests on their two levels."""
     generator = np.random.default_rng(8)
     nights = np.concatenate([np.arange(30), np.arange(200, 230)])
-    values = 0.5 * (nights >= 200) + 0.1 * autoregression(60, 0.3, generator)
+    values = 0.5 * (nights >= 200) + 0.1 * autoregression(0.3, 60, generator)
     found = fit_slope(nights, values)
     assert found.lower < 0.5 / 200 < found.upper
     assert found.p_value < 1e-6

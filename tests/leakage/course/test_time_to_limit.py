@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from leakage.course.time_to_limit import KAPPAS, POWERS, TimeToLimit, time_to_limit
-from tests.leakage.made_nights import autoregression
+from tests.leakage.estimation.made_errors import autoregression
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def test_the_set_and_the_middle_are_those_of_draws_from_the_mixture() -> None:
 
 
 def with_noise(course: Array, generator: np.random.Generator, phi: float = 0.3) -> Array:
-    return course * (1.0 + 0.015 * autoregression(len(course), phi, generator))
+    return course * (1.0 + 0.015 * autoregression(phi, len(course), generator))
 
 
 COURSES = {

@@ -21,8 +21,7 @@ from pipeline.night.masks import (
     transient,
 )
 from pipeline.night.time_order import backward_time, typical_period_us
-from tests.pipeline.night.channels import SECOND, lively, refused_by, stamps
-from tests.pipeline.night.cleaned import RULES, raw
+from tests.pipeline.night.channels import RULES, SECOND, lively, raw, refused_by, stamps
 
 
 def in_wide_log(rows: NDArray[np.int64], n: int, rate_hz: float = 10.0) -> RawChannel:

@@ -14,8 +14,7 @@ from pipeline.config import Channel, Cleaning
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
 from pipeline.night.masks import STEP_ROUNDING, at_maximum, frozen, out_of_range, spike
-from tests.pipeline.night.channels import SECOND, Floats, lively, refused_by, stamps
-from tests.pipeline.night.cleaned import RULES, raw
+from tests.pipeline.night.channels import RULES, SECOND, Floats, lively, raw, refused_by, stamps
 
 
 class TestValues:
