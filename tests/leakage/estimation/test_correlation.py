@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from leakage.estimation.correlation import (
     autocorrelation,
     correlation_time,
+    memory_s,
     slowest_correlation_time,
 )
 
@@ -73,3 +74,23 @@ def test_a_slow_error_under_a_larger_fast_one_is_found() -> None:
 
 def test_errors_without_spread_have_no_memory() -> None:
     assert correlation_time(np.full(100, 3.0), np.arange(100), 10) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("period_s", "n", "rounding", "expected"),
+    [
+        # A cosine falls to 1/e of itself within 0.190 of its period; looked for up to ten minutes.
+        (1000.0, 14_000, 0.0, 190.0),
+        (3100.0, 15_500, 0.0, 590.0),
+        (3250.0, 16_250, 0.0, math.inf),
+        (2.0, 14_000, 0.0, 0.0),
+        (1000.0, 14_000, 1.01, 0.0),
+        (1000.0, 7, 0.0, 0.0),
+    ],
+)
+def test_memory_in_seconds(period_s: float, n: int, rounding: float, expected: float) -> None:
+    error = np.cos(2.0 * np.pi / period_s * np.arange(n))
+    found = memory_s(error, np.arange(n), 1.0, rounding)
+    # With the removed mean of so many samples taken for a loss of 4/n.
+    corrected = 1.0 / (1.0 / expected - 4.0 / n) if 0.0 < expected < math.inf else expected
+    assert found == pytest.approx(corrected, rel=0.05)

@@ -92,6 +92,11 @@ def with_roller(factor: float) -> Motor:
     return replace(MODEL, paths=paths)
 
 
+def test_a_misfit_is_clear_at_twice_what_noise_explains() -> None:
+    assert not Misfit(0.02, 0.02, 0.01).is_clear
+    assert Misfit(0.02, 0.0201, 0.01).is_clear
+
+
 def test_a_right_model_leaves_little() -> None:
     shares = [one.share for one in misfits(Truth(), 60)]
     assert np.quantile(shares, 0.95) < 0.007
@@ -154,8 +159,10 @@ def test_few_blocks_or_one_steady_state_tell_nothing_false() -> None:
     generator = np.random.default_rng(6)
     blocks, means = night(Truth(), generator)
     theta = np.array([path.configured_coefficient for path in MODEL.column_paths] + [0.0])
-    few = np.arange(8)
-    assert misfit(blocks[:8], few, theta, FIXED, means[:8]) is None
+    # Nine columns, of two blocks each.
+    for n, tells in ((17, False), (18, True)):
+        told = misfit(blocks[:n], np.arange(n), theta, FIXED, means[:n])
+        assert (told is not None) == tells
     one = np.repeat(blocks[:1], 30, axis=0)
     steady = misfit(one, np.arange(30), theta, FIXED, np.repeat(means[:1], 30, 0))
     assert steady is None or steady.share < 0.015

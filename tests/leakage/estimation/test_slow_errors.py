@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.certificate import certify
-from leakage.estimation.choices import LARGEST_SLOW, MEMORIES, RATIOS, WIDENING
 from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
 from leakage.estimation.uncertainty import cluster_robust
 from tests.leakage.estimation.made_errors import autoregression
@@ -20,6 +19,10 @@ from tests.leakage.estimation.made_errors import autoregression
 Array = NDArray[np.float64]
 
 PER_BLOCK = 120
+# model.md, section 5: the grid of ρ and λ, and what makes up for both being estimates.
+MEMORIES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
+RATIOS = [10.0 ** (0.5 * half) for half in range(-2, 10)]
+WIDENING = 1.25
 BOUNDS = np.full(3, 1e9)
 FREE = np.zeros(3, dtype=bool)
 THETA = np.array([2.0, 3.0, 0.5])
@@ -147,7 +150,7 @@ def test_memory_and_size_maximise_the_restricted_likelihood_written_out() -> Non
 
     for scales, (n, means, _) in parts.items():
         left = means[:, 3] - means[:, :3] @ theta
-        largest = LARGEST_SLOW * np.average(left**2, weights=n) * np.median(n) / scale
+        largest = 4.0 * np.average(left**2, weights=n) * np.median(n) / scale
         ratios = [ratio for ratio in RATIOS if ratio <= largest]
         assert 0 < len(ratios) < len(RATIOS)
         least[scales] = min(
@@ -183,8 +186,36 @@ def test_without_noise_nothing_is_slow(scale: float) -> None:
 
 def test_too_few_blocks_and_fixed_coefficients_tell_nothing() -> None:
     blocks = blocks_of(made_night(20, np.random.default_rng(6).standard_normal(3000)))
-    assert slow_errors(blocks[:4], np.arange(4), FREE, np.zeros(3)).evidence == 0.0
-    assert slow_errors(blocks, np.arange(20), ~FREE, np.zeros(3)).evidence == 0.0
+    for n, fixed, tells in ((4, FREE, False), (5, FREE, True), (20, ~FREE, False)):
+        found = slow_errors(blocks[:n], np.arange(n), fixed, np.zeros(3))
+        assert bool(len(found.direction)) == tells
+
+
+def test_samples_of_a_block_act_at_least_as_one_in_three() -> None:
+    error = slow(45 * PER_BLOCK, 60.0, np.random.default_rng(9))
+    blocks = blocks_of(made_night(45, error, hold=60))
+    found = slow_errors(blocks, np.arange(45), FREE, np.zeros(3))
+    assert found.within == pytest.approx(PER_BLOCK / 3, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("memory", "evidence", "slow"),
+    [
+        (
+            0.5,
+            4.0,
+            120.0 / math.log(2.0),
+        ),
+        (0.5, 3.99, 0.0),
+        (0.0, 9.0, 0.0),
+    ],
+)
+def test_errors_are_slow_from_an_evidence_of_four_on(
+    memory: float, evidence: float, slow: float
+) -> None:
+    found = replace(ADDS, memory=memory, evidence=evidence)
+    assert found.are_slow == bool(slow)
+    assert found.memory_s(120.0) == pytest.approx(slow)
 
 
 def error_of(kind: str, n: int, generator: np.random.Generator) -> Array:

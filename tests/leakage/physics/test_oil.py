@@ -130,3 +130,10 @@ def test_slot_is_the_integral_of_the_fluidity_over_the_pressure_drop(pressure_ba
 def test_oil_without_a_physical_constant_is_refused(density: float) -> None:
     with pytest.raises(ParameterError, match="density_15_c_kg_per_m3"):
         Oil("none", 9.4, 3.7, density, 7e-4, 2e-8)
+
+
+def test_a_film_pressure_is_one_of_two_models_and_its_share_one_of_the_whole() -> None:
+    assert [FilmPressure(share=share).share for share in (0.0, 1.0)] == [0.0, 1.0]
+    for nonsense in ({"share": -0.01}, {"share": 1.01}, {"model": "gap"}):
+        with pytest.raises(ParameterError, match="film pressure"):
+            FilmPressure(**nonsense)  # type: ignore[arg-type]
