@@ -6,9 +6,10 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from leakage import OperatingConditions, total_flow_l_per_min
+from leakage import OperatingConditions, regressors, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import ErrorParts, of_extrapolation, of_sensors, of_stated
 from pipeline.night.fit_night import NightOutcome
@@ -100,3 +101,26 @@ def test_another_film_law_is_told_and_widens_the_total(spec: MotorSpec) -> None:
     error = abs(fit["reference_leakage_l_per_min"] - true)
     assert fit["reference_leakage_statistical_half_width"] < error
     assert error < fit["reference_leakage_total_half_width"]
+
+
+def test_a_misfit_widens_leakages_twice_and_loss_factors_two_and_a_half_times(
+    spec: MotorSpec,
+) -> None:
+    """κ τ √(c'(X'X/N)⁻¹c), model.md, section 8, from the night's own factor."""
+    rows = outcome(spec).rows
+    (fit,) = rows["fits"]
+    factor = np.zeros((6, 6))
+    factor[np.triu_indices(6)] = fit["night_factor"]
+    inverse = np.linalg.inv(factor[:3, :3] / np.linalg.norm(factor[:3, :3], axis=0))
+    scale = np.linalg.norm(factor[:3, :3], axis=0)
+    n = float(factor[:, 3] @ factor[:, 3])
+    tau = fit["model_misfit_percent"] / 100.0 * fit["mean_flow_l_per_min"]
+    at = OperatingConditions.from_bar(200.0, 50.0, 30.0)
+    reference = regressors(spec.motor(NIGHT, "none"), at)[0, :3]
+    ring = next(row for row in rows["parameters"] if row["parameter"] == "K_piston_ring")
+    for found, contrast, kappa in (
+        (fit["reference_leakage_model_half_width"], reference, 2.0),
+        (ring["model_half_width"], np.array([1.0, 0.0, 0.0]), 2.5),
+    ):
+        reach = np.linalg.norm((contrast / scale) @ inverse) * np.sqrt(n)
+        assert found == pytest.approx(kappa * tau * reach, rel=0.01)

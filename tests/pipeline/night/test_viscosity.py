@@ -107,7 +107,7 @@ def test_an_analysis_that_comes_late_needs_no_log(spec: MotorSpec) -> None:
         (0.0, np.nan, "is credible in only 0 % of the kept samples"),
         (0.0, 31.0, "is credible in only"),  # frozen
         (0.0, 0.3, "is credible in only 0 %"),  # below any oil
-        (10.0, 0.0, "times that of ISO VG 68 hydraulic oil: another unit, oil or place"),
+        (3.8, 0.0, "times that of ISO VG 68 hydraulic oil: another unit, oil or place"),
     ],
 )
 def test_a_sensor_that_tells_nothing_makes_no_figure(
@@ -119,3 +119,21 @@ def test_a_sensor_that_tells_nothing_makes_no_figure(
     assert found.status == "insufficient_data"
     for one in (name, words, "the data sheet holds"):
         assert one in (found.reason or "")
+
+
+@pytest.mark.parametrize(
+    ("factor", "share", "is_enough"),
+    # Within a factor of three of the data sheet, in a tenth of the samples.
+    [(3.6, 1.0, True), (1.0, 0.11, True), (1.0, 0.09, False)],
+)
+def test_what_a_sensor_has_to_tell(
+    spec: MotorSpec, factor: float, share: float, is_enough: bool
+) -> None:
+    name = "kinematic_viscosity"
+    told = np.arange(len(OPERATION.time_us)) < share * len(OPERATION.time_us)
+    value = np.where(told, factor * readings(spec, name), np.nan)
+    found = night(with_sensor(spec, name), **{name: value})
+    assert (found.status == "ok") == is_enough
+    if is_enough:
+        ratio = found.rows["block_statistics"][0]["viscosity_ratio"]
+        assert ratio == pytest.approx(0.81 * factor, rel=0.02)
