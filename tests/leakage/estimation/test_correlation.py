@@ -68,6 +68,10 @@ def test_a_slow_error_under_a_larger_fast_one_is_found() -> None:
     # Two hours without a sample, in which there is no mean.
     apart = index + np.where(index < n // 2, 0, 72_000)
     assert slowest_correlation_time(mixed, apart, 6000, 150) == pytest.approx(slowest, rel=0.1)
+    # Cells of unlike numbers of samples, about a level.
+    kept = generator.random(n) < 0.8
+    found = slowest_correlation_time(5.0 + mixed[kept], index[kept], 6000, 150)
+    assert found == pytest.approx(slowest, rel=0.1)
     fast = errors(2.0)
     assert slowest_correlation_time(fast, index, 6000, 150) == pytest.approx(20.0, rel=0.15)
 

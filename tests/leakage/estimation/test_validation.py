@@ -93,6 +93,15 @@ def test_worked_values() -> None:
     assert found.bic == pytest.approx(228.2885, abs=5e-5)
 
 
+def test_criteria_just_beyond_what_is_defined() -> None:
+    """N = d + 1: FPE is V (2 d + 1); AICc would divide by 0, and at N = d + 2 adds 2 d (d + 1)."""
+    assert criteria(1e-9, 3, 4).fpe == pytest.approx(7e-9)
+    assert criteria(1e-9, 3, 4).aicc is None
+    told = criteria(1e-9, 3, 5)
+    assert told.aic is not None
+    assert told.aicc == pytest.approx(told.aic + 24.0)
+
+
 @pytest.mark.parametrize(
     ("cost", "d", "n"),
     [(0.0, 3, 100), (-1.0, 3, 100), (math.nan, 3, 100), (0.5, 3, 3), (0.5, 3, 2.5), (0.5, 0, 0)],

@@ -10,6 +10,7 @@ import numpy as np
 from leakage import AnnularGap
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.night.refit import judged
 from pipeline.night.rows import Rows
 from pipeline.schema.fits import OK
 from tests.pipeline.simulated import NIGHT, Array, Operation, night_of, raw
@@ -39,7 +40,8 @@ def fit(
     values: Mapping[str, Any],
     previous: Mapping[str, tuple[float, ...]] | None = None,
 ) -> NightOutcome:
-    return fit_night(spec, night_of(), raw(operation.time_us, values), previous or {})
+    outcome = fit_night(spec, night_of(), raw(operation.time_us, values))
+    return judged(spec, outcome, previous or {})
 
 
 def fitted(

@@ -136,7 +136,7 @@ def test_a_night_with_bad_samples_is_the_night_without_them(spec: MotorSpec) -> 
         nonsense = np.where(bad, 1.0, one.value)
         flagged[name] = RawChannel(one.time_us, nonsense, one.missing, 0, bad)
         without[name] = RawChannel(one.time_us, np.where(bad, np.nan, one.value), bad, 0)
-    outcomes = [fit_night(spec, night_of(), channels, {}) for channels in (flagged, without)]
+    outcomes = [fit_night(spec, night_of(), channels) for channels in (flagged, without)]
     assert outcomes[0].model == outcomes[1].model != {}
     counted = refused_of(outcomes[0])
     assert {counted[name, "bad_quality"] for name in CANONICAL} == {130}

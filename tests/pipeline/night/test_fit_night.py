@@ -177,7 +177,7 @@ def test_the_same_night_in_other_units_is_the_same_fit(
         path = tmp_path / name / "logs" / "M1" / "a.parquet"
         write_log(path, operation.time_us, logged)
         channels = read_log(path, spec.file.logs, spec.file.channels).channels
-        fits.append(fit_night(spec, night_of(), channels, {}))
+        fits.append(fit_night(spec, night_of(), channels))
     plain, other = fits
     assert plain.status == other.status == OK
     found = values_of(plain.rows, "none"), values_of(other.rows, "none")

@@ -92,7 +92,7 @@ def test_an_analysis_that_comes_late_needs_no_log(spec: MotorSpec) -> None:
     blocks = frame(BLOCK_STATISTICS, before.rows["block_statistics"])
     fits = frame(FITS, before.rows["fits"]).to_dicts()
     published = PublishedNight(NIGHT, fits, (), blocks)
-    anew = refit(with_sample(spec), published, {})
+    anew = refit(with_sample(spec), published)
     assert anew is not None
     for column in ("coefficients", "night_factor", "viscosity_ratio", "training_fit_percent"):
         (made,), (read,) = anew.rows["fits"], after.rows["fits"]
