@@ -149,7 +149,7 @@ def _cases(folder: Path) -> list[Case]:
         return lambda: read(logs[name])
 
     def fitting() -> object:
-        return fit_night(spec, night(NIGHT, spec.settings.nights), dict(channels), {})
+        return fit_night(spec, night(NIGHT, spec.settings.nights), dict(channels))
 
     parquet, csv = fastest("pyarrow_parquet", "parquet"), fastest("pyarrow_csv", "csv")
     return [

@@ -30,7 +30,8 @@ from leakage.estimation.choices import (
 )
 from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors
 from leakage.estimation.uncertainty import ClusterRobust, Interval, cluster_robust
-from leakage.physics.motor import OperatingConditions, regressors
+from leakage.physics.conditions import OperatingConditions
+from leakage.physics.motor import regressors
 from leakage.physics.paths import LeakagePath
 
 Array = NDArray[np.float64]

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import criterion, sample_count
 from leakage.estimation.certificate import Certificate, certify
+from leakage.physics.law import Parameter
 from leakage.physics.motor import Motor
-from leakage.physics.paths import Parameter
 
 Array = NDArray[np.float64]
 

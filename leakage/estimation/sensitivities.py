@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import factors
 from leakage.estimation.certificate import certify
-from leakage.physics.motor import Motor, OperatingConditions, regressors
+from leakage.physics.conditions import OperatingConditions
+from leakage.physics.motor import Motor, regressors
 from leakage.physics.paths import LeakagePath
 
 Array = NDArray[np.float64]

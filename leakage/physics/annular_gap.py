@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,18 +21,6 @@ from leakage.physics.law import (
     require_parameter,
     require_positive,
 )
-
-LubricationRegime = Literal["boundary", "mixed", "elastohydrodynamic", "hydrodynamic"]
-
-# Lowest and highest film thickness ratio: section 2.2.4 of the thesis, the table after its
-# reference [12], in which the regimes overlap. It ends hydrodynamic lubrication at 100; a thicker
-# film is no less hydrodynamic.
-REGIMES: Mapping[LubricationRegime, tuple[float, float]] = {
-    "boundary": (0.0, 1.0),
-    "mixed": (1.0, 5.0),
-    "elastohydrodynamic": (3.0, 10.0),
-    "hydrodynamic": (5.0, math.inf),
-}
 
 
 def film_thickness_ratio(

@@ -19,17 +19,6 @@ from leakage.physics.conditions import OperatingConditions
 from leakage.physics.oil import THESIS_FILM_PRESSURE, FilmPressure, Oil, flow_drive_per_s
 from leakage.physics.paths import Constant, LeakagePath, SpeedCurve
 
-__all__ = [
-    "FIXED_COLUMNS",
-    "Motor",
-    "OperatingConditions",
-    "leakage_l_per_min",
-    "path_flows_l_per_min",
-    "regressors",
-    "speed_beyond_curve",
-    "total_flow_l_per_min",
-]
-
 FIXED_COLUMNS = ("one", "known", "measured")
 
 # Chunks whose temporaries stay in the cache take a third off a motor-day (864 000 samples).

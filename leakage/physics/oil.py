@@ -12,18 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from leakage.errors import ParameterError
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
 
-__all__ = [
-    "THESIS_FILM_PRESSURE",
-    "FilmPressure",
-    "FilmPressureModel",
-    "Oil",
-    "density_kg_per_m3",
-    "dynamic_viscosity_pa_s",
-    "flow_drive_per_s",
-    "kinematic_viscosity_mm2_per_s",
-    "walther_coefficients",
-]
-
 REFERENCE_DENSITY_TEMPERATURE_C = 15.0
 _M2_PER_MM2 = 1e-6
 

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.errors import ParameterError
-from leakage.physics.annular_gap import AnnularGap
 from leakage.physics.law import (
     LITRES_PER_MINUTE,
     CoefficientUnit,
@@ -30,20 +29,6 @@ from leakage.physics.law import (
     require_parameter,
     require_positive,
 )
-
-__all__ = [
-    "LITRES_PER_MINUTE",
-    "AnnularGap",
-    "CoefficientUnit",
-    "Constant",
-    "Laminar",
-    "Law",
-    "LeakagePath",
-    "Parameter",
-    "SpeedCurve",
-    "Values",
-]
-
 
 # The motor's flushing is a path beside those of its type: its name, and that of its flow.
 FLUSHING_PATH, FLUSHING_PARAMETER = "flushing", "C_f"

@@ -131,9 +131,8 @@ class AnnularGapPath(PathSection):
 
         deformation_pa = None
         if self.deformation_points is not None:
-            pressure, gap, flow = zip(*self.deformation_points, strict=True)
             deformation_pa = fit_deformation_pressure(
-                [bar * BAR for bar in pressure], [um * 1e-6 for um in gap], flow
+                [(bar * BAR, um * 1e-6, flow) for bar, um, flow in self.deformation_points]
             )
         elif self.deformation_pressure_bar is not None:
             deformation_pa = self.deformation_pressure_bar * BAR
@@ -184,9 +183,8 @@ class SpeedCurvePath(PathSection):
 
         coefficients, speed_range = self.coefficients or (), self.speed_range_rpm or (0.0, 0.0)
         if self.points is not None:
-            speed, flow = zip(*self.points, strict=True)
-            coefficients = fit_speed_curve(speed, flow)
-            speed_range = (min(speed), max(speed))
+            coefficients = fit_speed_curve(self.points)
+            speed_range = (min(self.points)[0], max(self.points)[0])
         return SpeedCurve(
             name=self.name,
             count=self.count,

@@ -311,7 +311,3 @@ def conditions(
         spec.settings.reference.conditions(charge_bar).operating,
         OperatingConditions.from_bar(*blocks.means(), charge_bar),
     )
-
-
-# Part of a baseline's first nights that are to tell the scale: later nights are like most of them.
-MOST = 0.8

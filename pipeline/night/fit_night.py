@@ -70,7 +70,6 @@ def fit_night(
     spec: MotorSpec,
     night: Night,
     channels: MutableMapping[str, RawChannel],
-    previous: PreviousModel,
 ) -> NightOutcome:
     """Fit one motor's night; whatever happens short of a fault in the code is its outcome.
 
@@ -79,7 +78,6 @@ def fit_night(
     `channels`: Raw samples of the night by channel; of an on-change one also some from before it,
     of which the last carries over. Each is taken out when it is its turn: a day at 100 Hz is not to
     be in memory twice.
-    `previous`: The motor's model before, by flushing mode; empty where there is none.
     """
     seconds: dict[str, float] = {}
     rows: Rows = {}
@@ -109,7 +107,7 @@ def fit_night(
             errors = [statistics.error_of(one.stated.training.coefficients) for one in modes]
             modes = with_residuals(spec, statistics, modes, errors)
         with _timed(seconds, "fit_s"):
-            rows |= fit_rows(spec, night.date, statistics, modes, sensitivities, previous)
+            rows |= fit_rows(spec, night.date, statistics, modes, sensitivities)
             rows["predictions"] = prediction_rows(
                 spec.motor_id, night.date, statistics, modes, errors[0]
             )

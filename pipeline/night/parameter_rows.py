@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor, regressors
-from leakage.estimation.certificate import Fit
 from leakage.estimation.identifiability import Judgement
 from leakage.estimation.sensitivities import Effect, ErrorBudget
 from leakage.physics.motor import path_flows_l_per_min
@@ -28,7 +27,7 @@ WIDEST_SHARE = 0.02
 def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
     """Rows of `parameters`: coefficients, what they say of gaps, and shares of the leakage."""
     fit = mode.fit
-    places = {path.name: place for place, path in enumerate(_columns(fit)) if path}
+    places = {path.name: place for place, path in enumerate(fit.motor.coefficient_paths) if path}
     rows: list[Row] = []
     for path in fit.motor.paths:
         row = _coefficient_row(mode, path, places.get(path.name))
@@ -43,10 +42,6 @@ def _why_fixed(mode: BlockFit) -> str:
     if mode.roller is not None and mode.roller.judgement.reason:
         return f"configured, as speed varies too little: {mode.roller.judgement.reason}"
     return "configured, as most of a baseline's first nights are to tell it"
-
-
-def _columns(fit: Fit) -> tuple[LeakagePath | None, ...]:
-    return fit.motor.coefficient_paths
 
 
 def _coefficient_row(mode: BlockFit, path: LeakagePath, place: int | None) -> Row:

@@ -63,11 +63,10 @@ class PublishedNight:
     blocks: pl.DataFrame | None
 
 
-def refit(spec: MotorSpec, night: PublishedNight, previous: PreviousModel) -> NightOutcome | None:
+def refit(spec: MotorSpec, night: PublishedNight) -> NightOutcome | None:
     """Fit a night anew; None where the published rows do not suffice: the log has to be read.
 
-    The motor has the settings that hold now, in the form in which it is to be fitted; `previous`
-    is its model before, by flushing mode.
+    The motor has the settings that hold now, in the form in which it is to be fitted.
     """
     primary = spec.file.flushing.mode
     motor = spec.stated.motor(night.label, primary)
@@ -109,8 +108,7 @@ def refit(spec: MotorSpec, night: PublishedNight, previous: PreviousModel) -> Ni
             )
         except EstimationError:
             return None
-        row = _fits_row(spec, before, found, blocks)
-        rows["fits"].append(row | _previous_model(spec, before, previous))
+        rows["fits"].append(_fits_row(spec, before, found, blocks))
         rows["parameters"] += [key | row for row in parameter_rows(spec, found)]
         model[mode] = tuple(found.fit.coefficients.tolist())
     mark_modes(rows["fits"], primary)
@@ -118,10 +116,7 @@ def refit(spec: MotorSpec, night: PublishedNight, previous: PreviousModel) -> Ni
 
 
 def refit_in_form(
-    spec: MotorSpec,
-    outcome: NightOutcome,
-    published: PublishedNight | None,
-    previous: PreviousModel,
+    spec: MotorSpec, outcome: NightOutcome, published: PublishedNight | None
 ) -> NightOutcome | None:
     """A night's outcome in another form: with the rollers' scale estimated, or as stated.
 
@@ -134,7 +129,7 @@ def refit_in_form(
         blocks = pl.DataFrame(rows["block_statistics"], kinds)
         published = PublishedNight(outcome.night, (), (), blocks)
     known = {name: rows.get(name, getattr(published, name)) for name in KEPT_TABLES}
-    made = refit(spec, replace(published, **known), previous)
+    made = refit(spec, replace(published, **known))
     if made is None:
         return None
     is_refitted = {row["flushing_mode"]: row["is_refitted"] for row in rows["fits"]}
@@ -173,25 +168,27 @@ def _square(row: Row) -> Array:
     return factor
 
 
-def judge_again(
-    spec: MotorSpec, night: PublishedNight, previous: PreviousModel
-) -> NightOutcome | None:
-    """Judge another model before on a night that is fitted; None as of :func:`refit`."""
+def as_published(night: PublishedNight) -> NightOutcome | None:
+    """A fitted night as published, to be judged by another model; None as of :func:`refit`."""
     if not night.fits or any(
         row["status"] != OK or row["night_factor"] is None for row in night.fits
     ):
         return None
-    rows = [row | _previous_model(spec, row, previous) for row in night.fits]
-    model = {row["flushing_mode"]: tuple(row["coefficients"]) for row in rows}
-    return NightOutcome(night.label, OK, None, None, {"fits": rows}, model, tables=JUDGED_TABLES)
+    rows = {"fits": list(night.fits)}
+    model = {row["flushing_mode"]: tuple(row["coefficients"]) for row in night.fits}
+    return NightOutcome(night.label, OK, None, None, rows, model, tables=JUDGED_TABLES)
 
 
 def judged(spec: MotorSpec, outcome: NightOutcome, previous: PreviousModel) -> NightOutcome:
-    """A night just fitted, with the model before judged on it, which its fit did not know."""
-    if outcome.status != OK:
+    """A night with its motor's model before, by flushing mode, judged on it."""
+    known = [row.get("night_factor") for row in outcome.rows.get("fits", [])]
+    if outcome.status != OK or None in known:
         return outcome
-    rows = [row | _previous_model(spec, row, previous) for row in outcome.rows["fits"]]
-    return replace(outcome, rows={**outcome.rows, "fits": rows})
+    fits = [
+        row | previous_model_columns(spec, _square(row), previous.get(row["flushing_mode"]))
+        for row in outcome.rows["fits"]
+    ]
+    return replace(outcome, rows={**outcome.rows, "fits": fits})
 
 
 def is_refit(outcome: NightOutcome) -> bool:
@@ -259,8 +256,3 @@ def _sensitivities(
         else row
         for row in known
     ]
-
-
-def _previous_model(spec: MotorSpec, row: Row, previous: PreviousModel) -> Row:
-    """Columns of the model before, judged on the night of a row of `fits`."""
-    return previous_model_columns(spec, _square(row), previous.get(row["flushing_mode"]))

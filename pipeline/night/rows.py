@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -50,7 +50,6 @@ def fit_rows(
     statistics: NightStatistics,
     modes: Sequence[BlockFit],
     sensitivities: Sequence[Row],
-    previous: Mapping[str, tuple[float, ...]],
 ) -> Rows:
     """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
     shared = _shared_columns(spec, night, statistics)
@@ -70,8 +69,7 @@ def fit_rows(
     }
     for mode in modes:
         key = motor_night | {"flushing_mode": mode.name}
-        before = previous.get(mode.name)
-        own = shared | key | _mode_columns(spec, statistics, mode, judged_on, before)
+        own = shared | key | _mode_columns(spec, statistics, mode, judged_on)
         rows["fits"].append(own)
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
         for name, made in (
@@ -150,19 +148,17 @@ def _mode_columns(
     statistics: NightStatistics,
     mode: BlockFit,
     judged_on: Callable[..., Array],
-    previous: tuple[float, ...] | None,
 ) -> Row:
     """Figures of one fit."""
-    whole, agrees = judged_on(), (judged_on, mode.training)
+    agrees = judged_on, mode.training
     # As of a night fitted from its weighted blocks, which cannot tell how the samples agree.
     if spec.settings.estimation.loss != "squared":
         agrees = statistics.judged_on, mode.stated.training
     return {
         "correlation_time_s": mode.memory_s,
         "columns": list(mode.fit.motor.columns),
-        "night_factor": upper_triangle(whole),
+        "night_factor": upper_triangle(judged_on()),
         **agreement_columns(spec, *agrees),
-        **previous_model_columns(spec, whole, previous),
         **block_fit_columns(mode),
         **residual_columns(mode.residuals),
         **leakage_columns(spec, mode),

@@ -25,7 +25,7 @@ from pipeline.logs.ledger import FileRecord, Ledger, NightRecord
 from pipeline.messages import speak_as_told
 from pipeline.night.column_change import COLUMNS, column_change
 from pipeline.night.fit_night import NightOutcome, PreviousModel, fit_night, unfitted
-from pipeline.night.refit import is_refit, judge_again, refit, refit_in_form
+from pipeline.night.refit import as_published, is_refit, judged, refit, refit_in_form
 from pipeline.night.rows import Row
 from pipeline.run.motor_nights import MotorNights, hash_of_model
 from pipeline.run.stored_nights import StoredNights
@@ -148,13 +148,15 @@ class _Making(MotorNights):
         sign_of_life(label.isoformat())
         try:
             if work is not Work.READ:
-                make = refit if work is Work.REFIT else judge_again
+                anew = work is Work.REFIT
                 with self.timed("refit_s"):
-                    published = self.stored.night(label, with_blocks=work is Work.REFIT)
-                    outcome = make(self.form, published, before)
-                if outcome is not None or label not in self.logs.present():
-                    return outcome
-            return self._in_form(self._read_and_fit(label, before), before)
+                    published = self.stored.night(label, with_blocks=anew)
+                    outcome = refit(self.form, published) if anew else as_published(published)
+                if outcome is not None:
+                    return judged(self.form, outcome, before)
+                if label not in self.logs.present():
+                    return None
+            return judged(self.form, self._in_form(self._read_and_fit(label)), before)
         except StoreError:
             raise
         except (Exception, PanicException) as error:  # one night must not cost the motor's others
@@ -162,7 +164,7 @@ class _Making(MotorNights):
             loss = loss_of(error)
             return unfitted(self.spec, label, FAILED, legible(loss.how), code=loss.code)
 
-    def _in_form(self, outcome: NightOutcome, before: PreviousModel) -> NightOutcome:
+    def _in_form(self, outcome: NightOutcome) -> NightOutcome:
         """A night's outcome in the form in which the motor's fits are published."""
         is_free, fits = self.form.roller_is_free, outcome.rows["fits"]
         if outcome.status != OK or all(row["roller_is_free"] is is_free for row in fits):
@@ -170,7 +172,7 @@ class _Making(MotorNights):
         with self.timed("refit_s"):
             # Of a night just read, all rows are in the outcome.
             published = None if outcome.tables is None else self.stored.night(outcome.night)
-            return refit_in_form(self.form, outcome, published, before) or outcome
+            return refit_in_form(self.form, outcome, published) or outcome
 
     def _decide_form(self) -> None:
         """All nights with a fit in the other form, in order: each is judged with the one before."""
@@ -183,9 +185,9 @@ class _Making(MotorNights):
             outcome = self.done.get(label) or self.stored.outcome(label)
             if outcome.rows["fits"]:
                 self.first_told.setdefault(label, self.records[label].tells_roller)
-                self._remember(self._in_form(outcome, before), before)
+                self._remember(judged(self.form, self._in_form(outcome), before), before)
 
-    def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
+    def _read_and_fit(self, label: dt.date) -> NightOutcome:
         here = night(label, self.spec.settings.nights)
         with self.timed("read_s"):
             names = self.logs.of_night(label)
@@ -202,7 +204,7 @@ class _Making(MotorNights):
         self.logs.let_go_until(label)
         if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
             return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
-        return self._unless_changed(fit_night(self.form, here, channels, before))
+        return self._unless_changed(fit_night(self.form, here, channels))
 
     def _unless_changed(self, outcome: NightOutcome) -> NightOutcome:
         """A night's outcome; it fails where its columns or units are others than before."""

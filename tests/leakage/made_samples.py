@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.physics.motor import Motor, OperatingConditions, regressors, total_flow_l_per_min
+from leakage.physics.conditions import OperatingConditions
+from leakage.physics.motor import Motor, regressors, total_flow_l_per_min
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from typing import Literal
 
+from leakage.physics.annular_gap import AnnularGap
+from leakage.physics.law import Parameter
 from leakage.physics.motor import Motor
 from leakage.physics.oil import THESIS_FILM_PRESSURE, FilmPressure, Oil
-from leakage.physics.paths import AnnularGap, Constant, LeakagePath, Parameter, SpeedCurve
+from leakage.physics.paths import Constant, LeakagePath, SpeedCurve
 
 Flushing = Literal["none", "fixed", "estimated"]
 

@@ -150,7 +150,7 @@ def night_of(label: dt.date = NIGHT) -> Night:
 def raw(time_us: NDArray[np.int64], values: Mapping[str, Array]) -> dict[str, RawChannel]:
     """Channels as a reader gives them."""
     return {
-        name: RawChannel(time_us, value, np.zeros(len(value), dtype=np.bool_), 0)
+        name: RawChannel(time_us[: len(value)], value, np.zeros(len(value), dtype=np.bool_), 0)
         for name, value in values.items()
     }
 

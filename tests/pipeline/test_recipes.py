@@ -161,7 +161,7 @@ def night_rows(spec: MotorSpec) -> tuple[Rows, Array]:
     operation = operate(minutes=90.0)
     flow = operation.flow(spec.motor(NIGHT, "none"), {"distributor": 3e-14, "bore": 1.44})
     channels = raw(operation.time_us, operation.channels(flow))
-    return fit_night(spec, night_of(), channels, {}).rows, operation.temperature_c
+    return fit_night(spec, night_of(), channels).rows, operation.temperature_c
 
 
 def test_a_law_of_its_own_is_fitted_with_its_figures(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from scipy.stats import t as student_t
 from scipy.stats import theilslopes
 
 from leakage.course.slope import fit_slope, theil_sen
-from tests.leakage.made_nights import autoregression
+from tests.leakage.estimation.made_errors import autoregression
 
 
 def generalised_least_squares(
@@ -27,7 +27,7 @@ def generalised_least_squares(
 def test_it_equals_generalised_least_squares_with_the_whole_covariance(missing: float) -> None:
     generator = np.random.default_rng(1)
     nights = np.flatnonzero(generator.random(150) >= missing)
-    values = 3.0 + 0.02 * nights + autoregression(150, 0.5, generator)[nights]
+    values = 3.0 + 0.02 * nights + autoregression(0.5, 150, generator)[nights]
     found = fit_slope(nights, values)
     line, covariance = generalised_least_squares(nights, values, found.phi)
     assert found.phi > 0.1
@@ -67,22 +67,29 @@ def test_intervals_hold_the_truth(n: int, phi: float, least: float) -> None:
     nights = np.arange(n)
     held = 0
     for _ in range(500):
-        found = fit_slope(nights, 0.01 * nights + autoregression(n, phi, generator))
+        found = fit_slope(nights, 0.01 * nights + autoregression(phi, n, generator))
         held += found.lower <= 0.01 <= found.upper
     assert least <= held / 500 <= 0.985
 
 
-def test_too_few_nights_have_no_slope_and_few_a_provisional_one() -> None:
-    generator = np.random.default_rng(7)
-    values = generator.standard_normal(80)
-    for n, status in ((3, "too_few_nights"), (19, "too_few_nights"), (20, "provisional")):
-        assert fit_slope(np.arange(n), values[:n]).status == status
-    assert fit_slope(np.arange(19), values[:19]).slope is None
-    assert fit_slope(np.arange(59), values[:59]).status == "provisional"
-    assert fit_slope(np.arange(60), values[:60]).status == "ok"
-    gated = np.where(np.arange(80) % 4 == 0, values, np.nan)
-    assert fit_slope(np.arange(80), gated).status == "provisional"
-    assert fit_slope(np.empty(0, dtype=np.int64), np.empty(0)).status == "too_few_nights"
+@pytest.mark.parametrize(
+    ("n", "missing", "status"),
+    [
+        (0, 0, "too_few_nights"),
+        (19, 0, "too_few_nights"),
+        (20, 0, "provisional"),
+        (59, 0, "provisional"),
+        (60, 0, "ok"),
+        (79, 20, "provisional"),
+        (80, 20, "ok"),
+    ],
+)
+def test_status_goes_by_the_nights_that_count(n: int, missing: int, status: str) -> None:
+    values = np.random.default_rng(7).standard_normal(n)
+    values[5 : 5 + missing] = np.nan
+    found = fit_slope(np.arange(n), values)
+    assert (found.status, found.n) == (status, n - missing)
+    assert (found.slope is None) == (status == "too_few_nights")
 
 
 def test_series_without_scatter_or_span_are_told_so() -> None:
@@ -92,21 +99,16 @@ def test_series_without_scatter_or_span_are_told_so() -> None:
     assert constant.slope == pytest.approx(0.0, abs=1e-12)
     line = fit_slope(nights, 2.0 + 0.5 * nights)
     assert (line.status, line.theil_sen) == ("no_scatter", 0.5)
-    still = fit_slope(nights, np.arange(30.0), position=np.full(30, 7.0))
+    # The mean of so many times 0.1 is not 0.1 to the last bit.
+    still = fit_slope(nights, np.arange(30.0), position=np.full(30, 0.1))
     assert (still.status, still.slope) == ("no_span", None)
-
-
-def test_running_hours_that_stand_still_have_no_slope() -> None:
-    """0.1 h each night: their mean is not 0.1 to the last bit."""
-    values = 1.0 + 0.01 * np.random.default_rng(1).standard_normal(30)
-    assert fit_slope(np.arange(30), values, np.full(30, 0.1)).status == "no_span"
 
 
 def test_weeks_without_nights_let_the_memory_fade() -> None:
     """Two clusters of nights half a year apart: the slope rests on their two levels."""
     generator = np.random.default_rng(8)
     nights = np.concatenate([np.arange(30), np.arange(200, 230)])
-    values = 0.5 * (nights >= 200) + 0.1 * autoregression(60, 0.3, generator)
+    values = 0.5 * (nights >= 200) + 0.1 * autoregression(0.3, 60, generator)
     found = fit_slope(nights, values)
     assert found.lower < 0.5 / 200 < found.upper
     assert found.p_value < 1e-6

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from leakage.course.time_to_limit import KAPPAS, POWERS, TimeToLimit, time_to_limit
-from tests.leakage.made_nights import autoregression
+from tests.leakage.estimation.made_errors import autoregression
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def test_the_set_and_the_middle_are_those_of_draws_from_the_mixture() -> None:
 
 
 def with_noise(course: Array, generator: np.random.Generator, phi: float = 0.3) -> Array:
-    return course * (1.0 + 0.015 * autoregression(len(course), phi, generator))
+    return course * (1.0 + 0.015 * autoregression(phi, len(course), generator))
 
 
 COURSES = {
@@ -96,27 +96,35 @@ def test_sets_hold_the_truth_whatever_the_course(course: str) -> None:
     assert held >= told - 15
 
 
+def rising(slope: float = 0.2, noise: float = 0.005) -> Array:
+    """A hundred nights from 1 on."""
+    scatter = np.random.default_rng(3).standard_normal(100)
+    return np.linspace(1.0, 1.0 + slope, 100) + noise * scatter
+
+
 def test_a_range_ends_no_further_ahead_than_the_nights_reach_back() -> None:
-    generator = np.random.default_rng(3)
-    noise = 0.003 * generator.standard_normal(100)
-    near = found_of(np.linspace(1.0, 1.2, 100) + noise, 1.25)
-    far = found_of(np.linspace(1.0, 1.2, 100) + noise, 1.6)
+    near, far = (found_of(rising(noise=0.003), limit) for limit in (1.25, 1.6))
     assert near.status == "finite"
     assert 0.0 < near.lower < near.time < near.upper <= 99.0
     assert (far.status, far.upper) == ("not_before", None)
     assert 0.0 < far.lower < 198.0
 
 
-def test_the_other_statuses() -> None:
-    generator = np.random.default_rng(5)
-    noise = 0.005 * generator.standard_normal(100)
-    rising = np.linspace(1.0, 1.2, 100) + noise
-    assert found_of(rising, 1.15).status == "already_crossed"
-    assert found_of(rising, 1.15).lower == 0.0
-    assert found_of(2.2 - rising, 1.3).status == "no_trend"
-    beyond = found_of(rising, 9.0, horizon=100.0)
-    assert (beyond.status, beyond.lower, beyond.upper) == ("beyond_horizon", 100.0, None)
-    assert found_of(rising[:19], 1.3).status == "insufficient"
-    assert found_of(np.where(np.arange(100) < 81, np.nan, rising), 1.3).status == "insufficient"
-    stands = time_to_limit(np.arange(100), np.full(100, 8.0), rising, 1.3, FAR)
+@pytest.mark.parametrize(
+    ("values", "limit", "expected"),
+    [
+        (rising(), 1.15, TimeToLimit("already_crossed", lower=0.0, upper=0.0)),
+        (rising(-0.2), 1.3, TimeToLimit("no_trend")),
+        (rising(), 9.0, TimeToLimit("beyond_horizon", lower=100.0)),
+        (rising()[:19], 1.3, TimeToLimit("insufficient")),
+        (np.where(np.arange(100) < 81, np.nan, rising()), 1.3, TimeToLimit("insufficient")),
+    ],
+)
+def test_the_other_statuses(values: Array, limit: float, expected: TimeToLimit) -> None:
+    assert found_of(values, limit, horizon=100.0) == expected
+
+
+def test_twenty_nights_that_go_on_are_enough() -> None:
+    assert found_of(rising()[:20], 1.3).status != "insufficient"
+    stands = time_to_limit(np.arange(100), np.full(100, 8.0), rising(), 1.3, FAR)
     assert stands.status == "insufficient"

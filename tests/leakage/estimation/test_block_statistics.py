@@ -45,9 +45,6 @@ def sum_over_samples(z: Array, coefficients: Array) -> float:
     return float((residual * residual).sum())
 
 
-# --- the criterion --------------------------------------------------------------------------
-
-
 @given(sizes=BLOCK_SIZES, seed=SEEDS)
 def test_criterion_from_merged_blocks_is_the_mean_over_the_samples(
     sizes: list[int], seed: int
@@ -62,9 +59,6 @@ def test_criterion_from_merged_blocks_is_the_mean_over_the_samples(
     assert sample_count(r) == n
     if n:
         assert criterion(r, coefficients) == pytest.approx(expected / n, rel=1e-12, abs=0.0)
-
-
-# --- factors --------------------------------------------------------------------------------
 
 
 @example(sizes=[12_000, 3, 0, 40], seed=0)
@@ -101,25 +95,21 @@ def test_zeros_have_no_sign(sizes: list[int], seed: int) -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_samples_that_are_not_finite_are_refused(value: float) -> None:
+def test_values_that_are_not_finite_are_refused(value: float) -> None:
     z = made_samples(MOTOR, 20)
-    z[7, 3] = value
-    for refused in (lambda: factor(z), lambda: factors(z, np.array([0, 3, 20]))):
+    # A damaged row of a store must not become a window that is nan.
+    parts = factors(z, np.array([0, 10, 20]))
+    parts[1, 2, 4] = z[7, 3] = value
+    for refused in (
+        lambda: factor(z),
+        lambda: factors(z, np.array([0, 3, 20])),
+        lambda: merge(parts),
+    ):
         with pytest.raises(StatisticsError, match="not finite") as caught:
             refused()
         assert caught.value.code == "not_finite"
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_factors_that_are_not_finite_are_refused(value: float) -> None:
-    # A damaged row of a store must not become a window that is nan.
-    parts = factors(made_samples(MOTOR, 20), np.array([0, 10, 20]))
-    parts[1, 2, 4] = value
-    with pytest.raises(StatisticsError, match="not finite"):
-        merge(parts)
-
-
-# --- size, mean and spread ------------------------------------------------------------------
+    with pytest.raises(StatisticsError, match="must be a matrix"):
+        factor(z[0])
 
 
 @given(

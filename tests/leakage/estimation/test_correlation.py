@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from leakage.estimation.correlation import (
     autocorrelation,
     correlation_time,
+    memory_s,
     slowest_correlation_time,
 )
 
@@ -67,9 +68,33 @@ def test_a_slow_error_under_a_larger_fast_one_is_found() -> None:
     # Two hours without a sample, in which there is no mean.
     apart = index + np.where(index < n // 2, 0, 72_000)
     assert slowest_correlation_time(mixed, apart, 6000, 150) == pytest.approx(slowest, rel=0.1)
+    # Cells of unlike numbers of samples, about a level.
+    kept = generator.random(n) < 0.8
+    found = slowest_correlation_time(5.0 + mixed[kept], index[kept], 6000, 150)
+    assert found == pytest.approx(slowest, rel=0.1)
     fast = errors(2.0)
     assert slowest_correlation_time(fast, index, 6000, 150) == pytest.approx(20.0, rel=0.15)
 
 
 def test_errors_without_spread_have_no_memory() -> None:
     assert correlation_time(np.full(100, 3.0), np.arange(100), 10) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("period_s", "n", "rounding", "expected"),
+    [
+        # A cosine falls to 1/e of itself within 0.190 of its period; looked for up to ten minutes.
+        (1000.0, 14_000, 0.0, 190.0),
+        (3100.0, 15_500, 0.0, 590.0),
+        (3250.0, 16_250, 0.0, math.inf),
+        (2.0, 14_000, 0.0, 0.0),
+        (1000.0, 14_000, 1.01, 0.0),
+        (1000.0, 7, 0.0, 0.0),
+    ],
+)
+def test_memory_in_seconds(period_s: float, n: int, rounding: float, expected: float) -> None:
+    error = np.cos(2.0 * np.pi / period_s * np.arange(n))
+    found = memory_s(error, np.arange(n), 1.0, rounding)
+    # With the removed mean of so many samples taken for a loss of 4/n.
+    corrected = 1.0 / (1.0 / expected - 4.0 / n) if 0.0 < expected < math.inf else expected
+    assert found == pytest.approx(corrected, rel=0.05)

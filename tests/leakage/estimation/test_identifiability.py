@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from leakage import Motor, OperatingConditions, leakage_l_per_min
+from leakage.estimation import identifiability
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.certificate import Fit, fit
 from leakage.estimation.identifiability import Excitation, Identification, identify, judge_leakage
-from leakage.estimation.slow_errors import NOT_SLOW
+from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors
+from leakage.estimation.uncertainty import Interval
 from leakage.physics.annular_gap import AnnularGap
 from tests.leakage.made_samples import made_samples
 from tests.leakage.placeholders import placeholder_motor
@@ -35,13 +38,14 @@ def judged(
     conditions: OperatingConditions,
     noise: float = 0.02,
     blocks_kept: int = BLOCKS,
+    slow: SlowErrors = NOT_SLOW,
 ) -> tuple[Fit, Identification, Excitation]:
     z = made_samples(motor, noise_l_per_min=noise, conditions=conditions)
     blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))[:blocks_kept]
     estimate = fit(merge(blocks), motor)
     bar = conditions.pressure_difference_pa / 1e5
     seen = Excitation((float(bar.min()), float(bar.max())), (40.0, 60.0), (3.0, 110.0))
-    return estimate, identify(estimate, blocks, seen), seen
+    return estimate, identify(estimate, blocks, seen, slow=slow), seen
 
 
 def verdicts(identification: Identification) -> list[str]:
@@ -117,17 +121,11 @@ def test_too_few_blocks_say_so(blocks: int, reason: str) -> None:
 
 def test_slow_errors_widen_every_interval_by_a_quarter() -> None:
     motor, conditions = placeholder_motor("CB560"), duty(10.0, 300.0)
-    blocks = factors(
-        made_samples(motor, conditions=conditions),
-        np.arange(0, PER_BLOCK * BLOCKS + 1, PER_BLOCK),
-    )
-    estimate = fit(merge(blocks), motor)
-    seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
     halves = []
     for slow in (NOT_SLOW, replace(NOT_SLOW, memory=0.9, evidence=20.0)):
-        interval = identify(estimate, blocks, seen, slow=slow).coefficients[0].interval
-        assert interval is not None
-        halves.append(interval.half_width)
+        _, found, _ = judged(motor, conditions, slow=slow)
+        assert found.coefficients[0].interval is not None
+        halves.append(found.coefficients[0].interval.half_width)
     assert halves[1] == pytest.approx(1.25 * halves[0])
 
 
@@ -147,23 +145,24 @@ def test_a_leakage_is_as_sure_as_statistics_and_tolerances_leave_it(
 
 
 @pytest.mark.parametrize(
-    ("low_bar", "high_bar", "celsius", "systematic_percent", "verdict"),
+    ("high_bar", "celsius", "rpm", "systematic_percent", "verdict"),
     [
-        (10.0, 185.0, 50.0, 0.0, "extrapolated"),
-        (10.0, 179.0, 50.0, 0.0, "outside_fitted_range"),
-        (10.0, 300.0, 31.0, 0.0, "extrapolated"),
-        (10.0, 300.0, 29.0, 0.0, "outside_fitted_range"),
-        (10.0, 185.0, 50.0, 11.8, "extrapolated"),
-        (10.0, 185.0, 50.0, 12.1, "outside_fitted_range"),
+        (180.1, 50.0, 30.0, 0.0, "extrapolated"),
+        (179.9, 50.0, 30.0, 0.0, "outside_fitted_range"),
+        (300.0, 30.1, 30.0, 0.0, "extrapolated"),
+        (300.0, 29.9, 30.0, 0.0, "outside_fitted_range"),
+        (185.0, 50.0, 30.0, 11.8, "extrapolated"),
+        (185.0, 50.0, 30.0, 12.1, "outside_fitted_range"),
+        (300.0, 50.0, 110.1, 0.0, "outside_fitted_range"),
     ],
 )
 def test_a_leakage_near_what_was_seen_is_extrapolated(
-    low_bar: float, high_bar: float, celsius: float, systematic_percent: float, verdict: str
+    high_bar: float, celsius: float, rpm: float, systematic_percent: float, verdict: str
 ) -> None:
     """Model.md: up to 20 bar or 10 K short of the reference, up to 12 %."""
-    estimate, found, seen = judged(placeholder_motor("CB560"), duty(low_bar, high_bar), noise=1e-3)
-    seen = replace(seen, pressure_bar=(low_bar, high_bar))
-    at = OperatingConditions.from_bar(200.0, celsius, 30.0)
+    estimate, found, seen = judged(placeholder_motor("CB560"), duty(10.0, high_bar), noise=1e-3)
+    seen = replace(seen, pressure_bar=(10.0, high_bar))
+    at = OperatingConditions.from_bar(200.0, celsius, rpm)
     systematic = systematic_percent / 100 * float(leakage_l_per_min(estimate.motor, at)[0])
     leakage = judge_leakage(estimate, found, seen, at, systematic)
     assert leakage.verdict == verdict
@@ -227,7 +226,7 @@ def test_a_bound_is_no_knowledge() -> None:
     conditions = duty(10.0, 300.0)
     held, on_bound = 0, 0
     seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
-    truth = judge_leakage_of(motor)
+    truth = float(leakage_l_per_min(motor, REFERENCE)[0])
     for seed in range(60):
         z = made_samples(motor, seed=seed, conditions=conditions, noise_l_per_min=0.05)
         blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
@@ -240,8 +239,65 @@ def test_a_bound_is_no_knowledge() -> None:
     assert held >= 54
 
 
-def judge_leakage_of(motor: Motor) -> float:
-    return float(leakage_l_per_min(motor, REFERENCE)[0])
+@dataclass
+class Told:
+    """What blocks would say: one interval of everything, and how far columns look alike."""
+
+    found: Interval
+    inflation: float = 1.0
+    active: Any = None
+
+    def interval(self, _: object) -> Interval:
+        return self.found
+
+    def variance_inflation(self) -> np.ndarray:
+        return np.full(3, self.inflation)
+
+    def correlation(self) -> np.ndarray:
+        return np.array([[1.0, 0.2, -0.9], [0.2, 1.0, 0.3], [-0.9, 0.3, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("share", "freedom", "block", "root_vif", "span", "verdict"),
+    [
+        (0.49, 4.1, 0.49, 99.0, 200.0, "identified"),
+        (0.51, 4.1, 0.49, 1.0, 200.0, "not_excited"),
+        (0.51, 4.1, 0.49, 1.1, 200.0, "only_in_combination"),
+        (0.51, 4.1, 0.49, 1.1, 19.9, "not_excited"),
+        (0.51, 4.1, 0.49, 1.1, 20.1, "only_in_combination"),
+        (0.49, 3.9, 0.49, 1.0, 200.0, "too_little_data"),
+        (0.49, 4.1, 0.51, 1.0, 200.0, "not_excited"),
+        (0.49, 4.1, 0.49, 101.0, 200.0, "only_in_combination"),
+    ],
+)
+def test_verdicts_just_below_and_just_above_each_limit(
+    monkeypatch: pytest.MonkeyPatch,
+    share: float,
+    freedom: float,
+    block: float,
+    root_vif: float,
+    span: float,
+    verdict: str,
+) -> None:
+    """Half-width over K, degrees of freedom, one block's share, √VIF, span of pressure [bar]."""
+    motor = placeholder_motor("CB560")
+    half = share * motor.column_paths[0].configured_coefficient
+    told = Told(Interval(half, half / 2, freedom, block), root_vif**2)
+    told.active = np.array([True, True, True, False])
+    monkeypatch.setattr(identifiability, "cluster_robust", lambda *_: told)
+    blocks = factors(made_samples(motor, noise_l_per_min=0.0), np.array([0, 1000, 2000]))
+    seen = Excitation((50.0, 50.0 + span), (40.0, 60.0), (3.0, 110.0))
+    ring = identify(fit(merge(blocks), motor), blocks, seen).coefficients[0]
+    assert ring.verdict == verdict
+    assert (verdict == "only_in_combination") == ("K_s" in ring.reason)
+
+
+def test_a_leakage_needs_two_degrees_of_freedom() -> None:
+    estimate, found, seen = judged(placeholder_motor("CB560"), duty(10.0, 300.0))
+    for freedom, verdict in ((1.9, "too_little_data"), (2.1, "identified")):
+        told: Any = Told(Interval(0.01, 0.005, freedom, 0.2))
+        one = judge_leakage(estimate, replace(found, distribution=told), seen, REFERENCE)
+        assert one.verdict == verdict
 
 
 def test_one_stretch_at_low_pressure_does_not_identify_the_ring() -> None:

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leakage.estimation.block_statistics import Array, factor, factors, merge
+from leakage.estimation.block_statistics import Array, factor
 from leakage.estimation.certificate import Fit, fit
-from leakage.physics.motor import Motor, leakage_l_per_min
-from leakage.physics.paths import AnnularGap, LeakagePath
-from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
+from leakage.physics.annular_gap import AnnularGap
+from leakage.physics.motor import Motor
+from leakage.physics.paths import LeakagePath
+from tests.leakage.made_samples import made_samples, true_coefficients
 from tests.leakage.placeholders import HIGH_PRESSURE_COUNTS, Flushing, placeholder_motor
 
 FLUSHED = placeholder_motor(flushing="estimated", flushing_l_per_min=4.0)
@@ -31,9 +32,6 @@ def worn(motor: Motor, factors_on_gaps: tuple[float, float, float]) -> Motor:
         assert isinstance(path, AnnularGap)
         paths[index] = replace(path, gap=replace(path.gap, value=path.gap.value * share))
     return replace(motor, paths=tuple(paths))
-
-
-# --- recovery -------------------------------------------------------------------------------
 
 
 @given(
@@ -56,14 +54,6 @@ def test_known_loss_factors_are_recovered_without_noise(
     np.testing.assert_allclose(found.coefficients, true_coefficients(truth), rtol=1e-8)
 
 
-def test_reference_leakage_of_the_fit_is_the_worked_one() -> None:
-    found = fitted(made_samples(FLUSHED, noise_l_per_min=0.0), FLUSHED)
-    reference = made_conditions(1, pressure_bar=(200.0, 200.0))
-    reference = replace(reference, oil_temperature_c=np.array([50.0]), speed_rpm=np.array([30.0]))
-    leakage = leakage_l_per_min(FLUSHED, reference, found.coefficients_by_path)
-    assert leakage == pytest.approx([1.371423], abs=1e-6)
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_scatters_the_estimate_as_least_squares_says(seed: int) -> None:
     z = made_samples(FLUSHED, 4000, 10 * seed, noise_l_per_min=0.02)
@@ -73,9 +63,6 @@ def test_noise_scatters_the_estimate_as_least_squares_says(seed: int) -> None:
     deviation = (found.coefficients - true_coefficients(FLUSHED)) * scale / (0.02 * spread)
     assert np.abs(deviation).max() < 4.0
     assert np.sqrt(found.certificate.cost) == pytest.approx(0.02, rel=0.05)
-
-
-# --- invariance -----------------------------------------------------------------------------
 
 
 @given(seed=st.integers(0, 1000), flow=st.sampled_from([4.0, 0.25, 12.0]))
@@ -102,16 +89,3 @@ def test_fixed_flushing_is_taken_off_the_flow() -> None:
     )
     # The same flow without its flushing declared is leakage: the mode matters.
     assert fitted(z, none).coefficients[1] > 2.0 * found.coefficients[1]
-
-
-@given(seed=st.integers(0, 1000), sizes=st.lists(st.integers(0, 80), min_size=1, max_size=20))
-def test_a_window_of_blocks_is_fitted_as_its_samples_are(seed: int, sizes: list[int]) -> None:
-    z = made_samples(FLUSHED, sum(sizes) + 100, seed)
-    borders = np.concatenate([[0], np.cumsum([*sizes, 100])])
-    blocks = fit(merge(factors(z, borders)), FLUSHED)
-    whole = fitted(z, FLUSHED)
-    np.testing.assert_allclose(blocks.coefficients, whole.coefficients, rtol=1e-9)
-    assert blocks.certificate.cost == pytest.approx(whole.certificate.cost, rel=1e-11)
-
-
-# --- what a fit says ------------------------------------------------------------------------

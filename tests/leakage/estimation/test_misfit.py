@@ -13,14 +13,18 @@ from scipy.signal import lfilter
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.certificate import certify
 from leakage.estimation.misfit import Misfit, misfit, model_errors
-from leakage.physics.motor import Motor, OperatingConditions, regressors, total_flow_l_per_min
+from leakage.physics.conditions import OperatingConditions
+from leakage.physics.motor import Motor, regressors, total_flow_l_per_min
 from leakage.physics.oil import FilmPressure
 from leakage.physics.paths import SpeedCurve
+from tests.leakage.estimation.made_errors import autoregression
 from tests.leakage.placeholders import placeholder_motor, placeholder_oil
 
 Array = NDArray[np.float64]
 
 BLOCK, MINUTES = 120, 60
+# Errors that are forgotten within 10 s, and within 10 min.
+FAST, SLOW = math.exp(-1.0 / 10.0), math.exp(-1.0 / 600.0)
 MODEL = placeholder_motor()
 FIXED = np.array([False, False, False, True])
 
@@ -45,14 +49,6 @@ def lagged(values: Array, lag_s: float) -> Array:
     return made
 
 
-def autoregression(n: int, memory_s: float, generator: np.random.Generator) -> Array:
-    phi = math.exp(-1.0 / memory_s)
-    start = [phi * generator.standard_normal()]
-    white = math.sqrt(1.0 - phi * phi) * generator.standard_normal(n)
-    made: Array = lfilter([1.0], [1.0, -phi], white, zi=start)[0]
-    return made
-
-
 def night(truth: Truth, generator: np.random.Generator) -> tuple[Array, Array]:
     """Block factors and mean temperature, pressure and speed: a warm-up under steps of load."""
     n = 60 * MINUTES
@@ -60,10 +56,10 @@ def night(truth: Truth, generator: np.random.Generator) -> tuple[Array, Array]:
         lagged(np.repeat(generator.uniform(low, high, n // hold + 1), hold)[:n], 3.0)
         for low, high, hold in ((15.0, 300.0, 60), (3.0, 110.0, 90))
     )
-    temperature = 58.0 - 14.0 * np.exp(-np.arange(n) / 1800.0) + autoregression(n, 600.0, generator)
+    temperature = 58.0 - 14.0 * np.exp(-np.arange(n) / 1800.0) + autoregression(SLOW, n, generator)
     at = OperatingConditions.from_bar(pressure, temperature, speed, truth.charge_bar)
-    noise = 0.015 * autoregression(n, 10.0, generator)
-    noise += truth.error * autoregression(n, truth.error_memory_s, generator)
+    noise = 0.015 * autoregression(FAST, n, generator)
+    noise += truth.error * autoregression(math.exp(-1.0 / truth.error_memory_s), n, generator)
     # The sensors wander from night to night.
     gain = 1.0 + 0.003 * generator.standard_normal()
     flow = gain * total_flow_l_per_min(truth.motor, at) + noise
@@ -94,6 +90,11 @@ def with_roller(factor: float) -> Motor:
         for path in MODEL.paths
     )
     return replace(MODEL, paths=paths)
+
+
+def test_a_misfit_is_clear_at_twice_what_noise_explains() -> None:
+    assert not Misfit(0.02, 0.02, 0.01).is_clear
+    assert Misfit(0.02, 0.0201, 0.01).is_clear
 
 
 def test_a_right_model_leaves_little() -> None:
@@ -158,8 +159,10 @@ def test_few_blocks_or_one_steady_state_tell_nothing_false() -> None:
     generator = np.random.default_rng(6)
     blocks, means = night(Truth(), generator)
     theta = np.array([path.configured_coefficient for path in MODEL.column_paths] + [0.0])
-    few = np.arange(8)
-    assert misfit(blocks[:8], few, theta, FIXED, means[:8]) is None
+    # Nine columns, of two blocks each.
+    for n, tells in ((17, False), (18, True)):
+        told = misfit(blocks[:n], np.arange(n), theta, FIXED, means[:n])
+        assert (told is not None) == tells
     one = np.repeat(blocks[:1], 30, axis=0)
     steady = misfit(one, np.arange(30), theta, FIXED, np.repeat(means[:1], 30, 0))
     assert steady is None or steady.share < 0.015

@@ -26,12 +26,13 @@ def segments_of(index: NDArray[np.int64]) -> list[NDArray[np.intp]]:
 
 def covariance(a: Array, b: Array, lag: int, segments: list[NDArray[np.intp]]) -> tuple[float, int]:
     """Mean of a(t) b(t − lag) over pairs within a segment, and how many there are."""
-    total, pairs = 0.0, 0
-    for rows in segments:
-        for t in rows:
-            if rows[0] <= t - lag <= rows[-1]:
-                total += a[t] * b[t - lag]
-                pairs += 1
+    late, early = max(lag, 0), max(-lag, 0)
+    longer = [rows for rows in segments if len(rows) > abs(lag)]
+    total = sum(
+        float(a[rows[late : len(rows) - early]] @ b[rows[early : len(rows) - late]])
+        for rows in longer
+    )
+    pairs = sum(len(rows) - abs(lag) for rows in longer)
     return total / max(pairs, 1), pairs
 
 

@@ -17,11 +17,6 @@ from tests.leakage.placeholders import placeholder_motor
 REFERENCE = OperatingConditions.from_bar(200.0, 50.0, 30.0)
 
 
-def without_roller(motor: Motor) -> Motor:
-    """The motor without its known flow: all of its flow is in proportion to what is estimated."""
-    return replace(motor, paths=tuple(path for path in motor.paths if path in motor.column_paths))
-
-
 def effects(motor: Motor, tolerances: Tolerances) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Relative effect of each source on K and on the reference leakage, and the truth."""
     conditions = made_conditions(1500)

@@ -9,17 +9,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.certificate import certify
-from leakage.estimation.choices import LARGEST_SLOW, MEMORIES, RATIOS, WIDENING
 from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
 from leakage.estimation.uncertainty import cluster_robust
+from tests.leakage.estimation.made_errors import autoregression
 
 Array = NDArray[np.float64]
 
 PER_BLOCK = 120
+# model.md, section 5: the grid of ρ and λ, and what makes up for both being estimates.
+MEMORIES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
+RATIOS = [10.0 ** (0.5 * half) for half in range(-2, 10)]
+WIDENING = 1.25
 BOUNDS = np.full(3, 1e9)
 FREE = np.zeros(3, dtype=bool)
 THETA = np.array([2.0, 3.0, 0.5])
@@ -46,13 +49,9 @@ def blocks_of(z: Array) -> Array:
     return factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
 
 
-def autoregression(n: int, memory_s: float, generator: np.random.Generator) -> Array:
-    """Of unit variance, one sample a second."""
-    phi = math.exp(-1.0 / memory_s)
-    start = [phi * generator.standard_normal()]
-    white = math.sqrt(1.0 - phi * phi) * generator.standard_normal(n)
-    made: Array = lfilter([1.0], [1.0, -phi], white, zi=start)[0]
-    return made
+def slow(n: int, memory_s: float, generator: np.random.Generator) -> Array:
+    """An autoregression of unit variance, one sample a second."""
+    return autoregression(math.exp(-1.0 / memory_s), n, generator)
 
 
 def covariance_of_means(n: Array, number: Array, memory: float, ratio: float) -> Array:
@@ -104,9 +103,9 @@ def test_the_likelihood_tells_errors_that_scale_from_errors_that_add(scales: boo
     for seed in range(20):
         generator = np.random.default_rng(seed)
         clean = made_night(45, np.zeros(45 * PER_BLOCK), seed)[:, -1]
-        slow = 0.02 * autoregression(len(clean), 1200.0, generator)
-        fast = 0.02 * autoregression(len(clean), 10.0, generator)
-        error = slow * (clean if scales else clean.mean()) + fast
+        drift = 0.02 * slow(len(clean), 1200.0, generator)
+        fast = 0.02 * slow(len(clean), 10.0, generator)
+        error = drift * (clean if scales else clean.mean()) + fast
         blocks = blocks_of(made_night(45, error, seed))
         found.append(slow_errors(blocks, np.arange(45), FREE, np.zeros(3)).scales)
     assert np.mean([one == scales for one in found]) >= 0.75
@@ -115,7 +114,7 @@ def test_the_likelihood_tells_errors_that_scale_from_errors_that_add(scales: boo
 def test_memory_and_size_maximise_the_restricted_likelihood_written_out() -> None:
     """Harville's (1977): log|V| + log|X'V⁻¹X| + y'Py, on means and on the samples about them."""
     generator = np.random.default_rng(3)
-    error = generator.standard_normal(2400) + 2 * autoregression(2400, 600.0, generator)
+    error = generator.standard_normal(2400) + 2 * slow(2400, 600.0, generator)
     z = made_night(20, 0.02 * error)
     blocks, number = blocks_of(z), np.arange(20)
     found = slow_errors(blocks, number, FREE, np.zeros(3))
@@ -151,7 +150,7 @@ def test_memory_and_size_maximise_the_restricted_likelihood_written_out() -> Non
 
     for scales, (n, means, _) in parts.items():
         left = means[:, 3] - means[:, :3] @ theta
-        largest = LARGEST_SLOW * np.average(left**2, weights=n) * np.median(n) / scale
+        largest = 4.0 * np.average(left**2, weights=n) * np.median(n) / scale
         ratios = [ratio for ratio in RATIOS if ratio <= largest]
         assert 0 < len(ratios) < len(RATIOS)
         least[scales] = min(
@@ -169,7 +168,7 @@ def test_white_errors_act_as_themselves_and_steady_ones_as_many() -> None:
     for seed in range(10):
         for kept, error in (
             (white, generator.standard_normal(5400)),
-            (steady, autoregression(5400, 10.0, generator)),
+            (steady, slow(5400, 10.0, generator)),
         ):
             blocks = blocks_of(made_night(45, 0.02 * error, seed))
             kept.append(slow_errors(blocks, np.arange(45), FREE, np.zeros(3)))
@@ -187,17 +186,45 @@ def test_without_noise_nothing_is_slow(scale: float) -> None:
 
 def test_too_few_blocks_and_fixed_coefficients_tell_nothing() -> None:
     blocks = blocks_of(made_night(20, np.random.default_rng(6).standard_normal(3000)))
-    assert slow_errors(blocks[:4], np.arange(4), FREE, np.zeros(3)).evidence == 0.0
-    assert slow_errors(blocks, np.arange(20), ~FREE, np.zeros(3)).evidence == 0.0
+    for n, fixed, tells in ((4, FREE, False), (5, FREE, True), (20, ~FREE, False)):
+        found = slow_errors(blocks[:n], np.arange(n), fixed, np.zeros(3))
+        assert bool(len(found.direction)) == tells
+
+
+def test_samples_of_a_block_act_at_least_as_one_in_three() -> None:
+    error = slow(45 * PER_BLOCK, 60.0, np.random.default_rng(9))
+    blocks = blocks_of(made_night(45, error, hold=60))
+    found = slow_errors(blocks, np.arange(45), FREE, np.zeros(3))
+    assert found.within == pytest.approx(PER_BLOCK / 3, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("memory", "evidence", "slow"),
+    [
+        (
+            0.5,
+            4.0,
+            120.0 / math.log(2.0),
+        ),
+        (0.5, 3.99, 0.0),
+        (0.0, 9.0, 0.0),
+    ],
+)
+def test_errors_are_slow_from_an_evidence_of_four_on(
+    memory: float, evidence: float, slow: float
+) -> None:
+    found = replace(ADDS, memory=memory, evidence=evidence)
+    assert found.are_slow == bool(slow)
+    assert found.memory_s(120.0) == pytest.approx(slow)
 
 
 def error_of(kind: str, n: int, generator: np.random.Generator) -> Array:
-    fast = autoregression(n, 10.0, generator)
+    fast = slow(n, 10.0, generator)
     if kind == "random walk":
         return fast + np.cumsum(generator.standard_normal(n)) * 5 / math.sqrt(n)
     if kind == "5 minutes":
-        return fast + 2 * autoregression(n, 300.0, generator)
-    return autoregression(n, -1.0 / math.log(float(kind)), generator)
+        return fast + 2 * slow(n, 300.0, generator)
+    return slow(n, -1.0 / math.log(float(kind)), generator)
 
 
 NIGHTS = 120

@@ -23,10 +23,6 @@ def mean_residual(baseline: Baseline, nights: Sequence[NightBlocks]) -> float:
     )
 
 
-def with_paths(nights: Sequence[NightBlocks], drives: Sequence[Array]) -> list[NightBlocks]:
-    return [replace(night, drives=one) for night, one in zip(nights, drives, strict=True)]
-
-
 def test_coefficients_of_the_fitted_machine_are_found_again() -> None:
     baseline = baseline_of(CB560, Plant().nights(60, 1))
     assert baseline.columns.theta == pytest.approx(COEFFICIENTS, rel=0.05)

@@ -58,10 +58,6 @@ def told_of(plant: Plant, n: int, seed: int) -> tuple[Watch, Change, Change]:
     return told, first, last
 
 
-def step(at: int, by: Array | float) -> Callable[[int], Array]:
-    return lambda night: np.ones(4) + (night >= at) * np.asarray(by)
-
-
 # Plants are the keys of stories: one object each.
 GAPS_10, GAPS_20 = (Plant(growth=grown("all_gaps", by, BEGIN)) for by in (0.10, 0.20))
 FALL = Plant(growth=grown("all_gaps", -0.15, BEGIN))

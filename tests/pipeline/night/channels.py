@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest import RawChannel
+from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel
 
 SECOND = 1_000_000
@@ -16,12 +17,33 @@ Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 
+RULES = ChannelRules(
+    valid_range=(0.0, 100.0),
+    sensor_maximum=None,
+    resolution=0.1,
+    hampel_window=11,
+    hampel_threshold=5.0,
+    frozen_after_s=60.0,
+    gap_sample_periods=5.0,
+    longest_gap_s=None,
+)
+
+
 def lively(n: int) -> Floats:
     return np.resize(LIVELY, n)
 
 
 def stamps(n: int, rate_hz: float = 10.0) -> Times:
     return np.arange(n, dtype=np.int64) * round(SECOND / rate_hz)
+
+
+def raw(time_us: Times, value: Floats, missing: object = None) -> RawChannel:
+    """Channel as a reader leaves it: arrays that cannot be written to."""
+    blank = np.zeros(len(value), np.bool_) if missing is None else np.asarray(missing, np.bool_)
+    arrays = time_us.copy(), np.where(blank, np.nan, value), blank
+    for array in arrays:
+        array.flags.writeable = False
+    return RawChannel(*arrays, 0)
 
 
 def as_read(

@@ -1,4 +1,4 @@
-"""A motor with known gaps, and its nights without noise."""
+"""A motor with known gaps, its nights, and what is read of a night's rows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import numpy as np
 from leakage import AnnularGap
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.night.refit import judged
 from pipeline.night.rows import Rows
+from pipeline.schema.fits import OK
 from tests.pipeline.simulated import NIGHT, Array, Operation, night_of, raw
 
 # Gaps of the worked values (model.md, sections 3 and 4), in µm, each a little off the configured.
@@ -38,7 +40,30 @@ def fit(
     values: Mapping[str, Any],
     previous: Mapping[str, tuple[float, ...]] | None = None,
 ) -> NightOutcome:
-    return fit_night(spec, night_of(), raw(operation.time_us, values), previous or {})
+    outcome = fit_night(spec, night_of(), raw(operation.time_us, values))
+    return judged(spec, outcome, previous or {})
+
+
+def fitted(
+    spec: MotorSpec,
+    operation: Operation,
+    flow: Array,
+    more: Mapping[str, Array] | None = None,
+    previous: Mapping[str, tuple[float, ...]] | None = None,
+) -> NightOutcome:
+    """A night with this drain flow, which has a fit."""
+    outcome = fit(spec, operation, operation.channels(flow) | dict(more or {}), previous)
+    assert outcome.status == OK, outcome.reason
+    return outcome
+
+
+def white(n: int, sd: float = 0.01, seed: int = 1) -> Array:
+    return sd * np.random.default_rng(seed).standard_normal(n)
+
+
+def configured_flow(spec: MotorSpec, operation: Operation) -> Array:
+    """The drain flow of the motor as configured, without noise."""
+    return operation.flow(spec.motor(NIGHT, "none"))
 
 
 def values_of(rows: Rows, mode: str) -> dict[str, float]:
@@ -49,6 +74,10 @@ def values_of(rows: Rows, mode: str) -> dict[str, float]:
     }
 
 
+def parameters(outcome: NightOutcome) -> dict[str, dict[str, Any]]:
+    return {row["parameter"]: row for row in outcome.rows["parameters"]}
+
+
 def fit_of(rows: Rows, mode: str | None = None) -> dict[str, Any]:
     (found,) = (
         row for row in rows["fits"] if (row["flushing_mode"] == mode if mode else row["is_primary"])
@@ -56,7 +85,6 @@ def fit_of(rows: Rows, mode: str | None = None) -> dict[str, Any]:
     return found
 
 
-def noisy(values: Mapping[str, Array]) -> dict[str, Array]:
-    """The same with noise on the drain flow."""
-    flow = values["leakage_flow"]
-    return {**values, "leakage_flow": flow + np.random.default_rng(3).normal(0.0, 0.02, len(flow))}
+def refused_of(outcome: NightOutcome) -> dict[tuple[str, str], int]:
+    """Refused samples by channel and reason."""
+    return {(row["channel"], row["reason"]): row["n_refused"] for row in outcome.rows["quality"]}

@@ -21,8 +21,7 @@ from pipeline.night.masks import (
     transient,
 )
 from pipeline.night.time_order import backward_time, typical_period_us
-from tests.pipeline.night.channels import SECOND, lively, refused_by, stamps
-from tests.pipeline.night.cleaned import RULES, raw
+from tests.pipeline.night.channels import RULES, SECOND, lively, raw, refused_by, stamps
 
 
 def in_wide_log(rows: NDArray[np.int64], n: int, rate_hz: float = 10.0) -> RawChannel:
@@ -209,13 +208,7 @@ class TestRules:
         assert rules.longest_gap_s == 5.0
 
     def test_what_a_channel_states_wins(self) -> None:
-        stated = Channel(
-            source="T", unit="degC", valid_range=(5.0, 80.0), resolution=0.5, frozen_after_s=120.0
-        )
-        rules = ChannelRules.of("oil_temperature", stated, Cleaning())
-        assert rules.valid_range == (5.0, 80.0)
-        assert rules.resolution == 0.5
-        assert rules.frozen_after_s == 120.0
-
-
-TIME, VALUE, FLAGS = stamps(50), lively(50), np.arange(50) % 7 == 0
+        stated = {"valid_range": (5.0, 80.0), "resolution": 0.5, "frozen_after_s": 120.0}
+        channel = Channel(source="T", unit="degC", **stated)
+        rules = ChannelRules.of("oil_temperature", channel, Cleaning())
+        assert {name: getattr(rules, name) for name in stated} == stated

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import Channel, Cleaning, TimeBase
-from pipeline.ingest import RawChannel
+from pipeline.config import Channel, Cleaning
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.cleaning import CleanChannel, clean_channel
-from pipeline.night.time_base import bring_together
+from pipeline.night.cleaning import clean_channel
 from pipeline.night.time_order import backward_time, n_jittered, written_late
 from tests.pipeline.night.channels import SECOND, Floats, Times, as_read, lively, stamps
 
@@ -88,25 +85,7 @@ class TestJitter:
         assert n_jittered(time, float(STEP)) == n_jittered(time, None) == 0
 
 
-NAMES = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
-WIDE = ChannelRules.of("pressure_difference", Channel(source="x", unit="bar"), Cleaning())
-
-
-def on_a_ramp(time_us: Times, night_us: int, offset_s: float = 0.0) -> CleanChannel:
-    value = 20.0 + (time_us - night_us) / SECOND / 10
-    sampling = replace(WIDE.sampling, shift_us=round(offset_s * SECOND))
-    shifted = time_us - sampling.shift_us
-    raw = RawChannel(shifted, value, np.zeros(len(value), np.bool_), 0)
-    return clean_channel(raw, replace(WIDE, sampling=sampling))
-
-
-class TestOffset:
-    def test_a_clock_known_to_be_off_is_put_right(self) -> None:
-        night = 1_767_333_600 * SECOND
-        time = night + stamps(3000)
-        channels = {name: on_a_ramp(time, night) for name in NAMES}
-        channels["leakage_flow"] = on_a_ramp(time, night, offset_s=-12.3)
-        samples, _ = bring_together(channels, night, night + 3600 * SECOND, TimeBase(), Cleaning())
-        np.testing.assert_allclose(
-            samples.leakage_l_per_min, samples.pressure_difference_bar, rtol=1e-9
-        )
+def test_a_clock_known_to_be_off_is_put_right() -> None:
+    found = cleaned(stamps(100), lively(100), time_offset_s=-12.3)
+    np.testing.assert_array_equal(found.time_us, stamps(100) - 12_300_000)
+    np.testing.assert_array_equal(found.value, lively(100))

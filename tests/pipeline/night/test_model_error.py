@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leakage import OperatingConditions, total_flow_l_per_min
+from leakage import OperatingConditions, regressors, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import ErrorParts, of_extrapolation, of_sensors, of_stated
-from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome
 from pipeline.night.tolerances import assumed_sensors, tolerances
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
+from tests.pipeline.night.noise_free import configured_flow, fitted, white
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
 
-MINUTES = 90.0
+OPERATION = operate(minutes=90.0)
 BUDGET = [
     {"indicator": name, "source": source, "effect": effect, "assumed_sensor": assumed}
     for name, source, effect, assumed in (
@@ -30,10 +31,8 @@ BUDGET = [
 
 
 def outcome(spec: MotorSpec, flow_of: MotorSpec | None = None) -> NightOutcome:
-    operation = operate(minutes=MINUTES)
-    flow = operation.flow((flow_of or spec).motor(NIGHT, "none"))
-    flow = flow + 0.01 * np.random.default_rng(1).standard_normal(len(flow))
-    return fit_night(spec, night_of(), raw(operation.time_us, operation.channels(flow)), {})
+    flow = configured_flow(flow_of or spec, OPERATION)
+    return fitted(spec, OPERATION, flow + white(len(flow)))
 
 
 def test_parts_add_by_squares_and_an_unknown_model_adds_nothing() -> None:
@@ -53,23 +52,17 @@ def test_constants_count_in_an_extrapolation_as_far_as_they_differ() -> None:
     assert found == pytest.approx(math.hypot(2.0 - 1.2 * 1.5, 1.0))
 
 
-def test_sensors_without_a_stated_tolerance_have_that_of_their_kind(tmp_path: Path) -> None:
+def test_sensors_have_the_tolerance_stated_or_that_of_their_kind(tmp_path: Path) -> None:
     """EN 837-1 class 1, IEC 60751 class B at 50 °C, and a gear meter's 1 %."""
-    text = motor_toml("M1").replace(
-        "[channels.pressure_difference]\n", "[channels.pressure_difference]\nsensor_maximum = 250\n"
-    )
-    found = tolerances(load_motor(tmp_path, text), NIGHT)
+    pressure = "[channels.pressure_difference]\n"
+    text = motor_toml("M1").replace(pressure, f"{pressure}sensor_maximum = 250\n")
+    found = tolerances(load_motor(tmp_path / "kind", text), NIGHT)
     assert found.pressure_bar.offset == pytest.approx(2.5)
     assert found.temperature_c.offset == pytest.approx(0.3 + 0.005 * 50.0)
     assert found.flow_l_per_min.gain == pytest.approx(0.01)
     assert found.speed_rpm.offset == found.speed_rpm.gain == 0.0
-
-
-def test_a_stated_tolerance_takes_the_place_of_the_assumed_one(tmp_path: Path) -> None:
-    text = motor_toml("M1").replace(
-        "[channels.oil_temperature]\n", "[channels.oil_temperature]\noffset_tolerance = 0.2\n"
-    )
-    spec = load_motor(tmp_path, text)
+    oil = "[channels.oil_temperature]\n"
+    spec = load_motor(tmp_path / "own", text.replace(oil, f"{oil}offset_tolerance = 0.2\n"))
     assert tolerances(spec, NIGHT).temperature_c.offset == pytest.approx(0.2)
     assert set(assumed_sensors(spec)) == {"pressure_difference", "leakage_flow"}
 
@@ -108,3 +101,26 @@ def test_another_film_law_is_told_and_widens_the_total(spec: MotorSpec) -> None:
     error = abs(fit["reference_leakage_l_per_min"] - true)
     assert fit["reference_leakage_statistical_half_width"] < error
     assert error < fit["reference_leakage_total_half_width"]
+
+
+def test_a_misfit_widens_leakages_twice_and_loss_factors_two_and_a_half_times(
+    spec: MotorSpec,
+) -> None:
+    """κ τ √(c'(X'X/N)⁻¹c), model.md, section 8, from the night's own factor."""
+    rows = outcome(spec).rows
+    (fit,) = rows["fits"]
+    factor = np.zeros((6, 6))
+    factor[np.triu_indices(6)] = fit["night_factor"]
+    inverse = np.linalg.inv(factor[:3, :3] / np.linalg.norm(factor[:3, :3], axis=0))
+    scale = np.linalg.norm(factor[:3, :3], axis=0)
+    n = float(factor[:, 3] @ factor[:, 3])
+    tau = fit["model_misfit_percent"] / 100.0 * fit["mean_flow_l_per_min"]
+    at = OperatingConditions.from_bar(200.0, 50.0, 30.0)
+    reference = regressors(spec.motor(NIGHT, "none"), at)[0, :3]
+    ring = next(row for row in rows["parameters"] if row["parameter"] == "K_piston_ring")
+    for found, contrast, kappa in (
+        (fit["reference_leakage_model_half_width"], reference, 2.0),
+        (ring["model_half_width"], np.array([1.0, 0.0, 0.0]), 2.5),
+    ):
+        reach = np.linalg.norm((contrast / scale) @ inverse) * np.sqrt(n)
+        assert found == pytest.approx(kappa * tau * reach, rel=0.01)

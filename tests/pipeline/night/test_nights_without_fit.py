@@ -5,83 +5,79 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
 from pipeline.config import MotorSpec
-from pipeline.ingest import RawChannel
-from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, STOOD_STILL
 from tests.pipeline.night.noise_free import fit, simulate
-from tests.pipeline.simulated import night_of, operate, raw, with_channel
+from tests.pipeline.simulated import Array, operate, with_channel
+
+MOVING = operate()
+N = len(MOVING.time_us)
+PLACE = np.arange(N)
+LIMITS: dict[str, dict[str, Any]] = {
+    "leakage_flow": {"sensor_maximum": 0.5},
+    "oil_temperature": {"valid_range": (0.0, 1000.0)},
+}
 
 
-def check_unfitted(outcome: NightOutcome, status: str) -> dict[str, Any]:
+@pytest.mark.parametrize(
+    ("limited", "changed", "outcome", "words"),
+    [
+        pytest.param(
+            "", {"speed": 0.1 + 1e-3 * np.sin(MOVING.pressure_bar)},
+            STOOD_STILL, ["the motor stood still all night"], id="stood still",
+        ),
+        pytest.param(
+            "leakage_flow", {"speed": np.where(PLACE < 60, 0.0, MOVING.speed_rpm)},
+            INSUFFICIENT_DATA, ["leakage_flow at_maximum"], id="a sensor at its maximum",
+        ),
+        pytest.param(
+            "", {"oil_temperature": np.empty(0)},
+            INSUFFICIENT_DATA, ["no samples of oil_temperature"], id="a sensor without a sample",
+        ),
+        pytest.param(
+            "", {"oil_temperature": np.where(PLACE % 1000 < 500, 850.0, MOVING.temperature_c)},
+            INSUFFICIENT_DATA, ["oil_temperature out_of_range", "60 % are needed"],
+            id="too much refused",
+        ),
+        pytest.param(
+            "oil_temperature", {"oil_temperature": MOVING.temperature_c + 600.0},
+            FAILED, ["outside ASTM D341"], id="beyond Walther",
+        ),
+    ],
+)  # fmt: skip
+def test_a_night_without_a_fit_has_one_row_that_says_why(
+    spec: MotorSpec, limited: str, changed: dict[str, Array], outcome: str, words: list[str]
+) -> None:
+    spec = with_channel(spec, limited, **LIMITS[limited]) if limited else spec
+    found = fit(spec, MOVING, simulate(spec, MOVING) | changed)
+    check_unfitted(found, outcome, words)
+    assert (found.error_code is None) == (outcome != FAILED)
+    assert ("quality" in found.rows) == all(len(values) for values in changed.values())
+
+
+@pytest.mark.parametrize(("minutes", "is_enough"), [(5.0, False), (5.1, True)])
+def test_five_minutes_of_training_are_needed(
+    spec: MotorSpec, minutes: float, is_enough: bool
+) -> None:
+    """Blocks that begin in the first four fifths train: two of 2 minutes, or all three."""
+    short = operate(minutes=minutes)
+    found = fit(spec, short, simulate(spec, short))
+    if is_enough:
+        assert found.status == "ok"
+    else:
+        check_unfitted(found, INSUFFICIENT_DATA, ["4.0 minutes", "5 are needed"])
+
+
+def check_unfitted(found: Any, outcome: str, words: list[str]) -> None:
     """One primary row in `fits`, with a reason and neither a window nor any figure."""
-    assert (outcome.status, outcome.model) == (status, {})
-    (row,) = outcome.rows["fits"]
-    assert row["is_primary"]
-    assert row["status"] == status
-    assert row["reason"] == outcome.reason
-    assert row["reason"]
+    assert (found.status, found.model) == (outcome, {})
+    (row,) = found.rows["fits"]
+    assert (row["is_primary"], row["status"]) == (True, outcome)
+    assert row["reason"] == found.reason
+    assert all(one in row["reason"] for one in words), row["reason"]
+    assert row["error_code"] == found.error_code
     assert row.get("window_start") is None
     assert row.get("reference_leakage_l_per_min") is None
-    assert not outcome.rows.keys() & {"parameters", "starts", "predictions"}
-    return row
-
-
-def test_a_motor_that_stood_still(spec: MotorSpec) -> None:
-    operation = operate()
-    values = simulate(spec, operation) | {
-        "speed": np.full(len(operation.time_us), 0.1) + 1e-3 * np.sin(operation.pressure_bar)
-    }
-    outcome = fit(spec, operation, values)
-    check_unfitted(outcome, STOOD_STILL)
-    assert outcome.rows["quality"]
-
-
-def test_a_sensor_at_its_maximum_all_night_is_no_standstill(spec: MotorSpec) -> None:
-    low = with_channel(spec, "leakage_flow", sensor_maximum=0.5)
-    operation = operate()
-    values = simulate(low, operation)
-    values["speed"] = np.where(np.arange(len(values["speed"])) < 60, 0.0, values["speed"])
-    outcome = fit(low, operation, values)
-    assert outcome.status == INSUFFICIENT_DATA
-    assert "leakage_flow at_maximum" in (outcome.reason or "")
-
-
-def test_a_sensor_without_a_sample(spec: MotorSpec) -> None:
-    operation = operate()
-    channels = raw(operation.time_us, simulate(spec, operation))
-    nothing = np.empty(0)
-    channels["oil_temperature"] = RawChannel(
-        nothing.astype(np.int64), nothing, nothing.astype(np.bool_), 0
-    )
-    row = check_unfitted(fit_night(spec, night_of(), channels, {}), INSUFFICIENT_DATA)
-    assert "oil_temperature" in row["reason"]
-
-
-def test_too_little_training(spec: MotorSpec) -> None:
-    operation = operate(minutes=5.0)
-    row = check_unfitted(fit(spec, operation, simulate(spec, operation)), INSUFFICIENT_DATA)
-    assert "5 are needed" in row["reason"]
-
-
-def test_too_much_refused_names_the_causes(spec: MotorSpec) -> None:
-    operation = operate()
-    values = simulate(spec, operation)
-    values["oil_temperature"] = np.where(
-        np.arange(len(operation.time_us)) % 1000 < 500, 850.0, values["oil_temperature"]
-    )
-    row = check_unfitted(fit(spec, operation, values), INSUFFICIENT_DATA)
-    assert "oil_temperature out_of_range" in row["reason"]
-    assert "60 % are needed" in row["reason"]
-
-
-def test_temperatures_beyond_walther_are_a_failed_night_with_its_code(spec: MotorSpec) -> None:
-    spec = with_channel(spec, "oil_temperature", valid_range=(0.0, 1000.0))
-    operation = operate()
-    values = simulate(spec, operation)
-    values["oil_temperature"] = values["oil_temperature"] + 600.0
-    outcome = fit(spec, operation, values)
-    row = check_unfitted(outcome, FAILED)
-    assert outcome.error_code
-    assert row["error_code"] == outcome.error_code
+    assert not found.rows.keys() & {"parameters", "starts", "predictions"}

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from pipeline.cli.reference import table_reference
-from pipeline.night.fit_night import fit_night
 from pipeline.schema import QUALITY_REASONS
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
+from tests.pipeline.night.noise_free import configured_flow, fit, refused_of
+from tests.pipeline.simulated import CANONICAL, load_motor, motor_toml, operate
 
 COUNTED = 'counts = "cumulative"\nvolume_per_count_cm3 = 1.0\n'
 ALL_RULES = """
@@ -32,29 +31,16 @@ training = [[2026-03-01T22:00:00Z, 2026-03-01T22:20:00Z]]
 def reasons_of(folder: Path, text: str) -> set[str]:
     spec = load_motor(folder, text)
     operation = operate()
-    values = operation.channels(operation.flow(spec.motor(NIGHT, "none")))
+    values = operation.channels(configured_flow(spec, operation))
     if spec.file.channels["leakage_flow"].counts:
         values["leakage_flow"] = np.floor(np.cumsum(values["leakage_flow"]) * 1000.0 / 60.0)
-    outcome = fit_night(spec, night_of(), raw(operation.time_us, values), {})
-    return {row["reason"] for row in outcome.rows["quality"]}
+    return {reason for _, reason in refused_of(fit(spec, operation, values))}
 
 
-@pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
-    units = {
-        "pressure_difference": "bar",
-        "oil_temperature": "degC",
-        "speed": "rpm",
-        "leakage_flow": "count",
-    }
-    counted = motor_toml("M1", units=units).rstrip("\n") + "\n" + COUNTED + ALL_RULES
-    folder = tmp_path_factory.mktemp
-    return reasons_of(folder("all"), counted) | reasons_of(
-        folder("by_hand"), motor_toml("M1", more=BY_HAND)
-    )
-
-
-def test_every_reason_is_documented_and_no_other(found: set[str]) -> None:
+def test_every_reason_is_documented_and_no_other(tmp_path: Path) -> None:
+    counted = motor_toml("M1", units=CANONICAL | {"leakage_flow": "count"}) + COUNTED + ALL_RULES
+    found = reasons_of(tmp_path / "all", counted)
+    found |= reasons_of(tmp_path / "by_hand", motor_toml("M1", more=BY_HAND))
     assert found <= QUALITY_REASONS.keys()
     # Only where a channel's config names a column of qualities.
     assert QUALITY_REASONS.keys() - found <= {"bad_quality"}

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.night.channel_rules import Sampling
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.resampling import on_grid
 from tests.pipeline.night.channels import SECOND, STEP, Times, cleaned
@@ -40,6 +42,20 @@ def slow_interpolation(channel: CleanChannel, grid: Times) -> tuple[list[float |
     return values, silent
 
 
+def slow_hold(channel: CleanChannel, grid: Times) -> tuple[list[float | None], list[bool]]:
+    """The same of a channel whose last sample holds until it is too old, or says that none is."""
+    values: list[float | None] = []
+    silent = []
+    for point in grid.tolist():
+        last = int(np.searchsorted(channel.time_us, point, side="right")) - 1
+        age = point - int(channel.time_us[last]) if last >= 0 else np.inf
+        ended = last >= 0 and channel.ends is not None and bool(channel.ends[last]) and age > 0
+        silent.append(ended or age > channel.longest_gap_us)
+        good = not silent[-1] and not channel.refused[last]
+        values.append(float(channel.value[last]) if good else None)
+    return values, silent
+
+
 ANY_STAMPS = st.lists(st.integers(0, 400), unique=True, max_size=30).map(sorted)
 # Begin, and stretches of so many equal steps, mostly from one time of the grid to another.
 EVEN_STAMPS = st.tuples(
@@ -54,6 +70,7 @@ class TestInterpolation:
         st.integers(0, 2**32 - 1),
         st.integers(1, 60),
         st.booleans(),
+        st.booleans(),
         st.sampled_from([10.0, 20.0, 30.0, 50.0]),
     )
     def test_as_the_slow_definition(
@@ -62,6 +79,7 @@ class TestInterpolation:
         seed: int,
         longest: int,
         on_change: bool,
+        hold: bool,
         period_us: float,
     ) -> None:
         rng = np.random.default_rng(seed)
@@ -71,9 +89,10 @@ class TestInterpolation:
         value[refused] = rng.choice([np.nan, np.inf, 1e9], refused.sum())
         channel = cleaned(time, value, refused, period_us=period_us, longest_gap_us=longest)
         channel = replace(channel, ends=rng.random(len(time)) < 0.2) if on_change else channel
+        channel = replace(channel, sampling=Sampling(on_change=on_change, hold=hold))
         grid = np.arange(-20, 420, 10, dtype=np.int64)
         got, present, silent = on_grid(channel, grid, 10)
-        expected, asleep = slow_interpolation(channel, grid)
+        expected, asleep = (slow_hold if hold else slow_interpolation)(channel, grid)
         assert present.tolist() == [one is not None for one in expected]
         assert silent.tolist() == asleep
         np.testing.assert_allclose(
@@ -108,31 +127,27 @@ class TestAverage:
     TIME = np.arange(1000, dtype=np.int64) * 10_000
     GRID = np.arange(1, 100, dtype=np.int64) * STEP
 
-    def test_mean_of_the_cell_around_each_point(self) -> None:
-        value = np.random.default_rng(1).normal(0, 1, 1000)
-        got, present, silent = on_grid(cleaned(self.TIME, value, period_us=1e4), self.GRID, STEP)
-        assert present.all()
-        assert not silent.any()
-        expected = [
-            value[(from_point >= -STEP // 2) & (from_point < STEP // 2)].mean()
-            for from_point in (self.TIME - point for point in self.GRID)
-        ]
-        np.testing.assert_allclose(got, expected, rtol=1e-12)
-
-    def test_refused_samples_do_not_count(self) -> None:
-        value = np.ones(1000)
-        refused = np.arange(1000) % 10 < 5
+    @pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+    def test_mean_of_what_is_kept_of_the_cell_around_each_point(self, share: float) -> None:
+        rng = np.random.default_rng(1)
+        value, refused = rng.normal(0, 1, 1000), rng.random(1000) < share
         value[refused] = np.nan
-        got, present, _ = on_grid(
-            cleaned(self.TIME, value, refused, period_us=1e4), self.GRID, STEP
-        )
-        assert present.all()
-        np.testing.assert_array_equal(got, 1.0)
-
-    def test_less_than_half_of_a_cell_is_no_value(self) -> None:
-        refused = np.arange(1000) % 10 < 6
-        channel = cleaned(self.TIME, np.ones(1000), refused, period_us=1e4)
+        channel = cleaned(self.TIME, value, refused, period_us=1e4)
         got, present, silent = on_grid(channel, self.GRID, STEP)
-        assert not present.any()
-        assert np.isnan(got).all()
         assert not silent.any()
+        cells = [value[round(at / 1e4) - 5 : round(at / 1e4) + 5] for at in self.GRID]
+        # Of ten samples at least half.
+        enough = [np.isfinite(cell).sum() >= 5 for cell in cells]
+        assert present.tolist() == enough
+        expected = [np.nanmean(cell) for cell, has in zip(cells, enough, strict=True) if has]
+        np.testing.assert_allclose(got[present], expected, rtol=1e-12)
+        assert np.isnan(got[~present]).all()
+
+    @pytest.mark.parametrize(("period_us", "averaged"), [(66_666.0, True), (66_667.0, False)])
+    def test_more_than_one_and_a_half_samples_a_cell(
+        self, period_us: float, averaged: bool
+    ) -> None:
+        """Spikes between points of the grid, which a mean sees and a line does not."""
+        value = np.where(self.TIME % STEP == 30_000, 1.0, 0.0)
+        got, _, _ = on_grid(cleaned(self.TIME, value, period_us=period_us), self.GRID, STEP)
+        assert bool(got.any()) == averaged

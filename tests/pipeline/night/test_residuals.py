@@ -1,34 +1,92 @@
-"""A night's residual analysis, against the errors as computed by hand."""
+"""A night's metrics, predictions and residual analysis, against errors as computed by hand.
+
+Its samples are all kept, so that its errors can be.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from leakage import OperatingConditions, regressors
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import NightOutcome
 from pipeline.report.explain import explain_residuals
-from tests.pipeline.night.residuals_by_hand import (
-    MINUTES,
-    Array,
-    Row,
-    by_hand,
-    fitted,
-    lags,
-    motor,
-    primary,
-    true_flow,
-    unchanged,
-    white,
-)
-from tests.pipeline.simulated import operate
+from tests.pipeline.night.noise_free import configured_flow, fit_of, fitted, white
+from tests.pipeline.simulated import NIGHT, Array, load_motor, motor_toml, operate
 
-INPUTS = ("pressure_difference", "oil_temperature", "speed")
+Row = dict[str, Any]
+LONG = operate(minutes=120.0)
+N = len(LONG.time_us)
+AT = OperatingConditions.from_bar(LONG.pressure_bar, LONG.temperature_c, LONG.speed_rpm)
+# Every sample is kept, so that errors can be computed by hand.
+KEEP_ALL = "[override.cleaning]\nhampel_threshold = 1000.0\nfrozen_after_s = 1e6\n"
+
+
+CHANNELS = {
+    "pressure_difference": LONG.pressure_bar,
+    "oil_temperature": LONG.temperature_c,
+    "speed": LONG.speed_rpm,
+}
+
+
+def motor(folder: Path, more: str = "") -> MotorSpec:
+    return load_motor(folder, motor_toml("M1", more=more + KEEP_ALL))
+
+
+def rows_of(outcome: NightOutcome, table: str, part: str, test: str, smoothed: bool) -> list[Row]:
+    """Rows of a test, whiteness or independence of an input."""
+    return [
+        row
+        for row in outcome.rows[table]
+        if (row["part"], row["smoothed"]) == (part, smoothed)
+        and test in (row["input"], row["test"])
+    ]
+
+
+def lags(outcome: NightOutcome, part: str, test: str, smoothed: bool = False) -> dict[int, Row]:
+    rows = rows_of(outcome, "residual_tests", part, test, smoothed)
+    return {row["lag"]: row for row in rows}
+
+
+class ByHand(NamedTuple):
+    """Errors of a fit, and which samples train and validate."""
+
+    error: Array
+    training: slice
+    validation: slice
+
+
+def unchanged(values: Array) -> Array:
+    return values
+
+
+def by_hand(
+    spec: MotorSpec,
+    flow: Array,
+    outcome: NightOutcome,
+    *,
+    inputs: Callable[[Array], Array] = unchanged,
+    output: Callable[[Array], Array] = unchanged,
+) -> ByHand:
+    """Errors of least squares on the training samples, smoothed as said; none may be missing."""
+    row = fit_of(outcome.rows)
+    assert row["n_training"] + row["n_validation"] == N - 120  # a block of guard between them
+    training = slice(0, row["n_training"])
+    columns = regressors(spec.motor(NIGHT, "none"), AT)
+    free, known = columns[:, :-2], columns[:, -1]  # without flushing C_f is 0
+    scale = np.linalg.norm(free, axis=0)
+    smooth = np.column_stack([inputs(column) for column in free.T]) / scale
+    target = output(flow) - inputs(known)
+    theta = np.linalg.lstsq(smooth[training], target[training])[0] / scale
+    return ByHand(flow - known - free @ theta, training, slice(N - row["n_validation"], N))
 
 
 @pytest.fixture
@@ -36,66 +94,47 @@ def spec(tmp_path: Path) -> MotorSpec:
     return motor(tmp_path)
 
 
-def verdict(outcome: NightOutcome, part: str, test: str, smoothed: bool = False) -> Row:
-    (found,) = (
-        row
-        for row in outcome.rows["residual_verdicts"]
-        if (row["part"], row["smoothed"]) == (part, smoothed)
-        and test in (row["input"], row["test"])
-    )
+def whiteness(outcome: NightOutcome, part: str) -> Row:
+    (found,) = rows_of(outcome, "residual_verdicts", part, "whiteness", smoothed=False)
     return found
 
 
-# rows
-
-
-@pytest.mark.parametrize("part", ["training", "validation"])
-def test_rows_are_the_correlations_of_the_errors(spec: MotorSpec, part: str) -> None:
-    operation = operate(minutes=MINUTES)
-    flow = true_flow(spec, operation) + white()
-    outcome = fitted(spec, operation, flow)
-    hand = by_hand(spec, operation, flow, outcome)
-    rows = getattr(hand, part)
-    error = hand.error[rows]
-    e = error - error.mean()
-    channels = {
-        "pressure_difference": operation.pressure_bar,
-        "oil_temperature": operation.temperature_c,
-        "speed": operation.speed_rpm,
-    }
-    n = len(e)
-    found = lags(outcome, part, "whiteness")
-    assert sorted(found) == list(range(26))
-    assert found[0]["value"] == pytest.approx(1.0)
-    assert (found[0]["bound"], found[0]["outside"]) == (None, None)
-    for lag in (1, 7, 25):
-        expected = np.mean(e[lag:] * e[:-lag]) / np.mean(e**2)
-        assert found[lag]["value"] == pytest.approx(expected, rel=1e-8)
-        assert found[lag]["bound"] == pytest.approx(2.576 / math.sqrt(n - lag))
-        assert found[lag]["outside"] == (abs(expected) > 2.576 / math.sqrt(n - lag))
-        assert found[lag]["lag_s"] == float(lag)  # one sample a second
-    for name, values in channels.items():
-        u = values[rows] - values[rows].mean()
-        found = lags(outcome, part, name)
-        assert sorted(found) == list(range(-25, 26))
-        for lag in (-25, -3, 0, 3, 25):
-            later, earlier = (e, u) if lag >= 0 else (u, e)
-            size = abs(lag)
-            products = later[size:] * earlier[: n - size]
-            expected = np.mean(products) / math.sqrt(np.mean(e**2) * np.mean(u**2))
-            assert found[lag]["value"] == pytest.approx(expected, abs=1e-9), (name, lag)
-    assert verdict(outcome, part, "whiteness")["n"] == n
-    assert verdict(outcome, part, "whiteness")["mean_error_l_per_min"] == pytest.approx(
-        error.mean(), abs=1e-12
-    )
+def test_rows_are_the_correlations_of_the_errors(spec: MotorSpec) -> None:
+    flow = configured_flow(spec, LONG) + white(N)
+    outcome = fitted(spec, LONG, flow)
+    hand = by_hand(spec, flow, outcome)
+    for part in ("training", "validation"):
+        rows = getattr(hand, part)
+        error = hand.error[rows]
+        e, n = error - error.mean(), len(error)
+        found = lags(outcome, part, "whiteness")
+        assert sorted(found) == list(range(26))
+        assert found[0]["value"] == pytest.approx(1.0)
+        assert (found[0]["bound"], found[0]["outside"]) == (None, None)
+        for lag in (1, 7, 25):
+            expected = np.mean(e[lag:] * e[:-lag]) / np.mean(e**2)
+            assert found[lag]["value"] == pytest.approx(expected, rel=1e-8)
+            assert found[lag]["bound"] == pytest.approx(2.576 / math.sqrt(n - lag))
+            assert found[lag]["outside"] == (abs(expected) > 2.576 / math.sqrt(n - lag))
+            assert found[lag]["lag_s"] == float(lag)  # one sample a second
+        for name, values in CHANNELS.items():
+            u = values[rows] - values[rows].mean()
+            found = lags(outcome, part, name)
+            assert sorted(found) == list(range(-25, 26))
+            for lag in (-25, -3, 0, 3, 25):
+                later, earlier = (e, u) if lag >= 0 else (u, e)
+                products = later[abs(lag) :] * earlier[: n - abs(lag)]
+                expected = np.mean(products) / math.sqrt(np.mean(e**2) * np.mean(u**2))
+                assert found[lag]["value"] == pytest.approx(expected, abs=1e-9), (name, lag)
+        verdict = whiteness(outcome, part)
+        assert verdict["n"] == n
+        assert verdict["mean_error_l_per_min"] == pytest.approx(error.mean(), abs=1e-12)
 
 
 def test_every_test_has_its_rows_and_its_verdict(tmp_path: Path) -> None:
     more = '[flushing]\nmode = "none"\nalso = ["estimated"]\n'
-    more += "[override.smoothing]\nwindow_s = 5.0\n"
-    spec = motor(tmp_path, more)
-    operation = operate(minutes=MINUTES)
-    outcome = fitted(spec, operation, true_flow(spec, operation) + white())
+    spec = motor(tmp_path, more + "[override.smoothing]\nwindow_s = 5.0\n")
+    outcome = fitted(spec, LONG, configured_flow(spec, LONG) + white(N))
     tests, verdicts = (outcome.rows[f"residual_{name}"] for name in ("tests", "verdicts"))
     # Two modes, two parts, smoothed or not.
     assert len(tests) == 2 * 2 * 2 * (26 + 3 * 51)
@@ -119,37 +158,30 @@ def test_every_test_has_its_rows_and_its_verdict(tmp_path: Path) -> None:
 def test_inputs_are_smoothed_where_the_regressors_are(tmp_path: Path, apply_to: str) -> None:
     more = f'[override.smoothing]\nwindow_s = 61.0\napply_to = "{apply_to}"\n'
     spec = motor(tmp_path, more)
-    operation = operate(minutes=MINUTES)
-    flow = true_flow(spec, operation) + white()
-    outcome = fitted(spec, operation, flow)
+    flow = configured_flow(spec, LONG) + white(N)
+    outcome = fitted(spec, LONG, flow)
 
     def averaged(values: Array) -> Array:
         """Centred over 61 samples, within each block of 120 from the whole hour on."""
-        blocks = values.reshape(-1, 120)
         window = np.ones(61)
-        sums = np.array([np.convolve(one, window, "same") for one in blocks])
+        sums = np.array([np.convolve(one, window, "same") for one in values.reshape(-1, 120)])
         return np.asarray((sums / np.convolve(np.ones(120), window, "same")).ravel())
 
     inputs = averaged if apply_to == "all" else unchanged
-    hand = by_hand(spec, operation, flow, outcome, inputs=inputs, output=averaged)
-    rows = hand.training
-    raw_error = hand.error
-    pressure = operation.pressure_bar
+    hand = by_hand(spec, flow, outcome, inputs=inputs, output=averaged)
+    pressure = LONG.pressure_bar
     if apply_to == "all":
-        error, u = averaged(raw_error), averaged(pressure)
+        error, u = averaged(hand.error), averaged(pressure)
     else:
-        error, u = raw_error - flow + averaged(flow), pressure
-    e, u = error[rows], u[rows]
-    expected = np.corrcoef(e, u)[0, 1]
-    found = lags(outcome, "training", "pressure_difference", smoothed=True)
-    assert found[0]["value"] == pytest.approx(expected, abs=1e-8)
-    unsmoothed = lags(outcome, "training", "pressure_difference")
-    plain = np.corrcoef(raw_error[rows], pressure[rows])[0, 1]
-    assert unsmoothed[0]["value"] == pytest.approx(plain, abs=1e-8)
-    assert abs(plain - expected) > 1e-4
-
-
-# what it finds
+        error, u = hand.error - flow + averaged(flow), pressure
+    smooth, plain = (
+        np.corrcoef(one[hand.training], other[hand.training])[0, 1]
+        for one, other in ((error, u), (hand.error, pressure))
+    )
+    for smoothed, expected in ((True, smooth), (False, plain)):
+        found = lags(outcome, "training", "pressure_difference", smoothed)
+        assert found[0]["value"] == pytest.approx(expected, abs=1e-8)
+    assert abs(plain - smooth) > 1e-4
 
 
 def test_a_night_without_validation_says_so(spec: MotorSpec) -> None:
@@ -157,16 +189,71 @@ def test_a_night_without_validation_says_so(spec: MotorSpec) -> None:
     periods = spec.file.periods.model_copy(
         update={"training": ((begin, begin + dt.timedelta(hours=2)),)}
     )
-    by_hand_set = replace(spec, file=spec.file.model_copy(update={"periods": periods}))
-    operation = operate(minutes=MINUTES)
-    outcome = fitted(by_hand_set, operation, true_flow(spec, operation) + white())
-    row = primary(outcome)
+    set_by_hand = replace(spec, file=spec.file.model_copy(update={"periods": periods}))
+    outcome = fitted(set_by_hand, LONG, configured_flow(spec, LONG) + white(N))
+    row = fit_of(outcome.rows)
     assert row["n_validation"] == 0
     for column in ("fit_percent", "rmse_l_per_min", "mean_error_l_per_min", "n_effective"):
         assert row[f"validation_{column}"] is None
     assert row["validation_n_effective_summed"] is None
-    found = verdict(outcome, "validation", "whiteness")
+    found = whiteness(outcome, "validation")
     assert (found["n"], found["mean_error_l_per_min"]) == (0, None)
     assert found["reason"] == "0 samples, 1000 are needed"
     told = list(explain_residuals(row, outcome.rows["residual_verdicts"]))
     assert "validation errors: no samples" in told
+
+
+def test_mean_errors_and_sizes_are_those_of_the_errors(spec: MotorSpec) -> None:
+    # More flow towards the end, which the training samples do not show.
+    flow = configured_flow(spec, LONG) + white(N) + np.where(np.arange(N) > 6000, 0.05, 0.0)
+    outcome = fitted(spec, LONG, flow)
+    hand, row = by_hand(spec, flow, outcome), fit_of(outcome.rows)
+    for part in ("training", "validation"):
+        error, y = hand.error[getattr(hand, part)], flow[getattr(hand, part)]
+        assert row[f"{part}_mean_error_l_per_min"] == pytest.approx(error.mean(), abs=1e-10)
+        assert row[f"{part}_rmse_l_per_min"] == pytest.approx(np.sqrt(np.mean(error**2)))
+        fit = 100 * (1 - np.linalg.norm(error) / np.linalg.norm(y - y.mean()))
+        assert row[f"{part}_fit_percent"] == pytest.approx(fit, rel=1e-9)
+    assert row["validation_mean_error_l_per_min"] > 0.03
+
+
+def test_the_model_before_has_its_error_on_all_of_tonight(spec: MotorSpec) -> None:
+    flow = configured_flow(spec, LONG) + white(N)
+    first = fitted(spec, LONG, flow)
+    assert fit_of(first.rows)["previous_model_rmse_l_per_min"] is None
+    assert fit_of(first.rows)["previous_model_mean_error_l_per_min"] is None
+    worn = {mode: tuple(1.1 * k for k in theta) for mode, theta in first.model.items()}
+    row = fit_of(fitted(spec, LONG, flow, previous=worn).rows)
+    error = flow - regressors(spec.motor(NIGHT, "none"), AT) @ np.append(worn["none"], 1.0)
+    assert row["previous_model_mean_error_l_per_min"] == pytest.approx(error.mean(), rel=1e-9)
+    assert row["previous_model_rmse_l_per_min"] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert row["previous_model_mean_error_l_per_min"] < 0  # it predicts too much
+
+
+def test_predictions_are_samples_of_the_night_and_the_fit_at_them(spec: MotorSpec) -> None:
+    flow = configured_flow(spec, LONG) + white(N)
+    outcome = fitted(spec, LONG, flow)
+    hand, rows = by_hand(spec, flow, outcome), outcome.rows["predictions"]
+    # Thinned for plots, extremes kept.
+    assert 400 <= len(rows) <= 720
+    epoch, microsecond = dt.datetime(1970, 1, 1, tzinfo=dt.UTC), dt.timedelta(microseconds=1)
+    stamps = [(row["time"] - epoch) // microsecond for row in rows]
+    places = np.searchsorted(LONG.time_us, stamps)
+    # From the first sample to the last, without a stretch left out: lowest and highest of four
+    # figures in each of 90 bins, so that no two bins go without a sample.
+    assert (places[0], places[-1]) == (0, N - 1)
+    assert np.diff(places).max() < 2 * N / 90
+    for column, values in (
+        ("measured_l_per_min", flow),
+        ("pressure_difference_bar", LONG.pressure_bar),
+        ("oil_temperature_c", LONG.temperature_c),
+        ("speed_rpm", LONG.speed_rpm),
+    ):
+        assert [row[column] for row in rows] == values[places].tolist()
+    predicted = [row["predicted_l_per_min"] for row in rows]
+    assert predicted == pytest.approx((flow - hand.error)[places], rel=1e-9)
+    part = np.full(N, "guard", dtype="U10")
+    part[hand.training], part[hand.validation] = "training", "validation"
+    assert [row["part"] for row in rows] == part[places].tolist()
+    shares = [np.mean(part[places] == name) for name in ("training", "validation")]
+    assert shares == pytest.approx([0.80, 0.18], abs=0.02)

@@ -13,25 +13,22 @@ from polars.testing import assert_frame_equal
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.demo import shipped_configs
-from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import PublishedNight, refit, refit_in_form
 from pipeline.night.roller import is_roller_free
 from pipeline.schema import BLOCK_STATISTICS, FITS, NIGHT_TABLES, frame
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
+from tests.pipeline.night.noise_free import fitted, white
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
 
 DAYS = [NIGHT + dt.timedelta(days=number) for number in range(8)]
 TRUE_SCALE = 0.6
 
 
-def night(spec: MotorSpec, speed_rpm: float | None = None) -> NightOutcome:
+def night(spec: MotorSpec) -> NightOutcome:
     """Two hours of a motor whose rollers leak less than their curve says."""
     operation = operate(minutes=120.0)
-    if speed_rpm is not None:
-        operation = replace(operation, speed_rpm=np.full(len(operation.time_us), speed_rpm))
-        operation.speed_rpm[::7] += 0.1
     flow = operation.flow(spec.motor(NIGHT, "none"), {"cam_roller": TRUE_SCALE})
-    flow += np.random.default_rng(5).normal(0.0, 0.02, len(flow))
-    return fit_night(spec, night_of(), raw(operation.time_us, operation.channels(flow)), {})
+    return fitted(spec, operation, flow + white(len(flow), 0.02, seed=5))
 
 
 def freed(spec: MotorSpec) -> MotorSpec:
@@ -40,7 +37,7 @@ def freed(spec: MotorSpec) -> MotorSpec:
 
 def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSpec) -> None:
     stated = night(spec)
-    free = refit_in_form(freed(spec), stated, None, {})
+    free = refit_in_form(freed(spec), stated, None)
     assert free is not None
     motor = spec.motor(NIGHT, "none")
     at = spec.settings.reference
@@ -61,7 +58,7 @@ def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSp
 
 def test_a_night_read_with_its_scale_free_is_the_night_fitted_anew(spec: MotorSpec) -> None:
     read, stated = night(freed(spec)), night(spec)
-    anew = refit_in_form(freed(spec), stated, None, {})
+    anew = refit_in_form(freed(spec), stated, None)
     assert anew is not None
     assert read.rows.keys() == anew.rows.keys()
     for name in read.rows:
@@ -81,10 +78,10 @@ def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorS
     )
     reference = spec.settings.reference.model_copy(update={"pressure_bar": 100.0})
     moved = replace(spec, settings=spec.settings.model_copy(update={"reference": reference}))
-    stated = refit(moved, published, {})
+    stated = refit(moved, published)
     assert stated is not None
-    anew = refit_in_form(freed(moved), stated, published, {})
-    read = refit_in_form(freed(moved), night(moved), None, {})
+    anew = refit_in_form(freed(moved), stated, published)
+    read = refit_in_form(freed(moved), night(moved), None)
     assert anew is not None
     assert read is not None
     (made_anew,), (made_read,) = anew.rows["fits"], read.rows["fits"]
@@ -104,7 +101,7 @@ def test_it_is_the_fit_of_a_type_whose_scale_is_free(tmp_path: Path, spec: Motor
     text = text.replace('motor_type = "CB560"', 'motor_type = "FREE"')
     text += "scale = { value = 1.0, minimum = 0.0, maximum = 10.0, fixed = false }\n"
     declared = load_motor(tmp_path / "free", motor_toml("M1", "FREE"), {"FREE": text})
-    free = refit_in_form(freed(spec), night(spec), None, {})
+    free = refit_in_form(freed(spec), night(spec), None)
     assert free is not None
     (one,), (two,) = free.rows["fits"], night(declared).rows["fits"]
     assert one["columns"] == two["columns"]

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import Channel, Cleaning, TimeBase
+from pipeline.config import Channel, Cleaning, MotorSpec, TimeBase
 from pipeline.config.faults import ConfigError
 from pipeline.night.channel_rules import ChannelRules, Sampling, flow_from_counts
 from pipeline.night.cleaning import CleanChannel, clean_channel
-from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.resampling import on_grid
 from pipeline.night.time_base import grid_period_us
-from pipeline.schema.fits import FAILED, OK
+from pipeline.schema.fits import FAILED
 from tests.pipeline.night.channels import SECOND, Times, as_read, refused_by
+from tests.pipeline.night.noise_free import configured_flow, fit, fit_of, fitted
 from tests.pipeline.simulated import (
     CANONICAL,
-    NIGHT,
     Array,
     load_motor,
     motor_toml,
-    night_of,
     operate,
-    raw,
+    with_channel,
 )
+
+MOVING = operate(minutes=60.0)
 
 
 def cleaned(name: str, time_us: Times, value: Array, **keys: Any) -> CleanChannel:
@@ -38,37 +38,31 @@ def cleaned(name: str, time_us: Times, value: Array, **keys: Any) -> CleanChanne
     return clean_channel(as_read(time_us, value), ChannelRules.of(name, channel, Cleaning()))
 
 
-class TestPulseFlowMeter:
-    """1 cm³ a pulse, read at 10 Hz: at 0.35 l/min a reading is 0 or 0.6 l/min, the MAD is 0."""
+# A meter of 1 cm³ a pulse, read at 10 Hz: at 0.35 l/min a reading is 0 or 0.6 l/min, the MAD is 0.
+FLOW = 0.35
+PULSE_TIME = np.arange(36_000, dtype=np.int64) * (SECOND // 10)
+TOTAL = np.floor(FLOW * 1000 / 60 * PULSE_TIME / SECOND)
+PULSES = np.diff(TOTAL, prepend=0.0)
+COUNTED: dict[str, Any] = {"volume_per_count_cm3": 1.0}
 
-    FLOW = 0.35
-    TIME = np.arange(36_000, dtype=np.int64) * (SECOND // 10)
-    TOTAL = np.floor(FLOW * 1000 / 60 * TIME / SECOND)
-    PULSES = np.diff(TOTAL, prepend=0.0)
 
-    def kept_mean(self, channel: CleanChannel) -> float:
-        return float(channel.value[~channel.refused].mean())
-
-    def test_as_a_flow_with_its_resolution_stated(self) -> None:
-        found = cleaned("leakage_flow", self.TIME, self.PULSES * 0.6, resolution=0.6)
-        assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=0.01)
-        assert refused_by(found) == {}
-
-    @pytest.mark.parametrize("unit", [1.0, 0.06, 1 / 3.785411784])
-    def test_as_a_flow_of_which_no_resolution_is_stated(self, unit: float) -> None:
-        """The step shows in the readings, also after a conversion from m³/h or gallons."""
-        found = cleaned("leakage_flow", self.TIME, self.PULSES * 0.6 * unit / unit)
-        assert refused_by(found) == {}
-        assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=0.01)
-
-    @pytest.mark.parametrize("counts", ["pulses", "cumulative"])
-    def test_as_counts_of_a_volume_with_nothing_else_stated(
-        self, counts: Literal["pulses", "cumulative"]
-    ) -> None:
-        logged = self.PULSES if counts == "pulses" else self.TOTAL
-        found = cleaned("leakage_flow", self.TIME, logged, counts=counts, volume_per_count_cm3=1.0)
-        assert refused_by(found) == {"no_interval": 1, "any": 1}
-        assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=1e-3)
+@pytest.mark.parametrize(
+    ("logged", "keys", "refused"),
+    [
+        (PULSES * 0.6, {"resolution": 0.6}, {}),
+        # The step shows in the readings, also after a conversion from m³/h or gallons.
+        *((PULSES * 0.6 * unit / unit, {}, {}) for unit in (1.0, 0.06, 1 / 3.785411784)),
+        (PULSES, COUNTED | {"counts": "pulses"}, {"no_interval": 1, "any": 1}),
+        (TOTAL, COUNTED | {"counts": "cumulative"}, {"no_interval": 1, "any": 1}),
+    ],
+)
+def test_a_pulse_meter_keeps_its_mean(
+    logged: Array, keys: dict[str, Any], refused: dict[str, int]
+) -> None:
+    found = cleaned("leakage_flow", PULSE_TIME, logged, **keys)
+    assert refused_by(found) == refused
+    kept = found.value[~found.refused]
+    assert kept.mean() == pytest.approx(FLOW, rel=1e-3 if refused else 0.01)
 
 
 class TestCounts:
@@ -135,19 +129,6 @@ class TestOnChange:
     """Silence up to a stated length is no gap and no frozen sensor."""
 
     STATED: ClassVar[dict[str, Any]] = {"sampling": "on_change", "longest_silence_s": 300.0}
-    TIME = np.array([0, 40, 41, 300, 1000, 1001], dtype=np.int64) * SECOND
-    VALUE = np.array([200.0, 180.0, 120.0, 121.0, 150.0, 260.0])
-
-    def channel(self, **keys: Any) -> CleanChannel:
-        return cleaned("pressure_difference", self.TIME, self.VALUE, **(self.STATED | keys))
-
-    def test_held_until_the_next_sample_or_the_longest_silence(self) -> None:
-        grid = np.array([-1, 0, 39, 40, 299, 300, 600, 601, 999, 1000, 1301, 1302]) * SECOND
-        value, present, silent = on_grid(self.channel(between="hold"), grid, SECOND)
-        expected = [200, 200, 180, 120, 121, 121, 150, 260]
-        np.testing.assert_array_equal(value[present], expected)
-        assert np.flatnonzero(~present).tolist() == [0, 7, 8, 11]
-        np.testing.assert_array_equal(silent, ~present)
 
     def test_the_same_value_for_longer_than_the_longest_silence_is_frozen(self) -> None:
         time = np.array([0, 250, 500, 750], dtype=np.int64) * SECOND
@@ -168,38 +149,19 @@ class TestOnChange:
         assert grid_period_us({"p": burst}, TimeBase()) == SECOND // 10
 
 
-MOVING = operate(minutes=90.0)
-
-
-def means(time_us: Times, value: Array, seconds: int) -> tuple[Times, Array]:
-    """Means of whole periods, stamped in their middle."""
-    n = len(time_us) // seconds
-    middle = time_us[: n * seconds].reshape(n, seconds).mean(axis=1)
-    return middle.astype(np.int64), value[: n * seconds].reshape(n, seconds).mean(axis=1)
-
-
-def fit_of_means(folder: Path, seconds: int, more: str = "") -> NightOutcome:
-    keys = "" if seconds == 1 else f'sampling = "mean"\nmean_of_s = {float(seconds)}\n'
-    text = motor_toml("M1")
-    for name in CANONICAL:
-        text = text.replace(f"[channels.{name}]\n", f"[channels.{name}]\n{keys}")
-    spec = load_motor(folder, text + more)
-    flow = MOVING.flow(spec.motor(NIGHT, "none"))
-    averaged = {
-        name: means(MOVING.time_us, value, seconds) for name, value in MOVING.channels(flow).items()
-    }
-    time = averaged["speed"][0]
-    values = {name: value for name, (_, value) in averaged.items()}
-    return fit_night(spec, night_of(), raw(time, values), {})
-
-
 class TestMeans:
-    def test_means_of_a_period_above_the_limit_are_refused_by_name(self, tmp_path: Path) -> None:
-        outcome = fit_of_means(tmp_path, 60)
-        assert (outcome.status, outcome.error_code) == (FAILED, "means_too_long")
-        assert "speed is logged as means of 60 s" in (outcome.reason or "")
-        (row,) = outcome.rows["fits"]
-        assert row["error_code"] == "means_too_long"
+    @pytest.mark.parametrize(("seconds", "refused"), [(10.0, False), (10.1, True)])
+    def test_means_of_a_period_above_the_limit_are_refused_by_name(
+        self, spec: MotorSpec, seconds: float, refused: bool
+    ) -> None:
+        spec = with_channel(spec, "speed", sampling="mean", mean_of_s=seconds)
+        assert spec.settings.cleaning.maximum_mean_s == 10.0
+        outcome = fit(spec, MOVING, MOVING.channels(configured_flow(spec, MOVING)))
+        assert outcome.error_code == ("means_too_long" if refused else None)
+        if refused:
+            assert outcome.status == FAILED
+            assert f"speed is logged as means of {seconds} s" in (outcome.reason or "")
+            assert fit_of(outcome.rows)["error_code"] == "means_too_long"
 
     def test_a_mean_holds_over_its_period_and_is_not_averaged_again(self) -> None:
         time = np.arange(5, 100, 10, dtype=np.int64) * SECOND
@@ -250,17 +212,12 @@ def test_keys_that_do_not_go_together_are_faults_by_name(
     assert f"channels.leakage_flow.{place}" in {fault.key for fault in caught.value.faults}
 
 
-def test_a_night_of_a_counter_of_litres(tmp_path: Path) -> None:
+def test_a_night_of_a_counter_of_litres(tmp_path: Path, spec: MotorSpec) -> None:
     """The flow from differences of a running total gives the loss factors of the flow itself."""
-    counted = 'counts = "cumulative"\nvolume_per_count_cm3 = 1000.0\ntime_offset_s = 0.5\n'
-    plain = load_motor(tmp_path / "plain", motor_toml("M1"))
+    keys = 'counts = "cumulative"\nvolume_per_count_cm3 = 1000.0\ntime_offset_s = 0.5\n'
     text = motor_toml("M1", units=CANONICAL | {"leakage_flow": "count"})
-    text = text.replace("[channels.leakage_flow]\n", f"[channels.leakage_flow]\n{counted}")
-    spec = load_motor(tmp_path / "counted", text)
-    flow = MOVING.flow(spec.motor(NIGHT, "none"))
-    values = MOVING.channels(flow)
-    reference = fit_night(plain, night_of(), raw(MOVING.time_us, values), {})
-    values["leakage_flow"] = 1e4 + np.cumsum(flow) / 60.0
-    outcome = fit_night(spec, night_of(), raw(MOVING.time_us, values), {})
-    assert outcome.status == reference.status == OK
-    np.testing.assert_allclose(outcome.model["none"], reference.model["none"], rtol=1e-4)
+    text = text.replace("[channels.leakage_flow]\n", f"[channels.leakage_flow]\n{keys}")
+    flow = configured_flow(spec, MOVING)
+    reference = fitted(spec, MOVING, flow)
+    counted = fitted(load_motor(tmp_path, text), MOVING, 1e4 + np.cumsum(flow) / 60.0)
+    np.testing.assert_allclose(counted.model["none"], reference.model["none"], rtol=1e-4)

@@ -9,21 +9,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from pipeline.config import TransportDelay
+from pipeline.config import MotorSpec, TransportDelay
 from pipeline.config.faults import ConfigError
-from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.transport_delay import (
     delay_inputs,
     delay_on_grid_s,
     drain_line_delay_s,
     shifted,
 )
-from pipeline.schema.fits import OK
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
+from tests.pipeline.night.noise_free import configured_flow, fit_of, fitted, refused_of
+from tests.pipeline.simulated import load_motor, motor_toml, operate
 
-Floats = NDArray[np.float64]
 LINE: dict[str, Any] = {"line_length_m": 2.0, "line_inner_diameter_mm": 12.0}
 
 
@@ -75,34 +72,20 @@ class TestShifted:
 OPERATION = operate(minutes=60.0)
 
 
-def delayed_night(folder: Path, mode: str, delay_s: int, channels: tuple[str, ...]) -> NightOutcome:
-    """A noise-free night whose drain flow follows its inputs late, or its temperature it."""
-    spec = load_motor(folder, motor_toml("M1", more=f"[override.transport_delay]\n{mode}\n"))
-    values = OPERATION.channels(OPERATION.flow(spec.motor(NIGHT, "none")))
-    for name in channels:
-        values[name] = np.concatenate([np.full(delay_s, values[name][0]), values[name][:-delay_s]])
-    return fit_night(spec, night_of(), raw(OPERATION.time_us, values), {})
-
-
-def fit_of(outcome: NightOutcome) -> dict[str, Any]:
-    assert outcome.status == OK, outcome.reason
-    (row,) = outcome.rows["fits"]
-    return row
-
-
-ALL = 'leading = ["pressure_difference", "oil_temperature", "speed"]'
+def with_delay(folder: Path, keys: str) -> MotorSpec:
+    return load_motor(folder, motor_toml("M1", more=f"[override.transport_delay]\n{keys}\n"))
 
 
 def test_a_temperature_measured_in_the_line_lags_and_pressure_does_not(tmp_path: Path) -> None:
-    lagging = 'lagging = ["oil_temperature"]'
-    late = ("oil_temperature",)
-    wrong = fit_of(
-        delayed_night(tmp_path / "a", f'mode = "fixed"\nfixed_s = 0.0\n{lagging}', 30, late)
-    )
-    right = fit_of(
-        delayed_night(tmp_path / "b", f'mode = "fixed"\nfixed_s = 30.0\n{lagging}', 30, late)
-    )
-    assert right["training_rmse_l_per_min"] < 0.02 * wrong["training_rmse_l_per_min"]
+    errors = []
+    for seconds in (30.0, 0.0):
+        keys = f'mode = "fixed"\nfixed_s = {seconds}\nlagging = ["oil_temperature"]'
+        spec = with_delay(tmp_path / str(seconds), keys)
+        celsius = OPERATION.temperature_c
+        late = {"oil_temperature": np.append(np.full(30, celsius[0]), celsius[:-30])}
+        outcome = fitted(spec, OPERATION, configured_flow(spec, OPERATION), late)
+        errors.append(fit_of(outcome.rows)["training_rmse_l_per_min"])
+    assert errors[0] < 0.02 * errors[1]
 
 
 def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(tmp_path: Path) -> None:
@@ -110,19 +93,16 @@ def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(tmp_path: Path)
         'mode = "flow"\nline_length_m = 2.0\nline_inner_diameter_mm = 12.0\nmaximum_s = 15.0\n'
         'flow_average_s = 0.0\nlagging = ["oil_temperature"]'
     )
-    spec = load_motor(tmp_path, motor_toml("M1", more=f"[override.transport_delay]\n{mode}\n"))
-    flow = OPERATION.flow(spec.motor(NIGHT, "none"))
+    spec = with_delay(tmp_path, mode)
+    flow = configured_flow(spec, OPERATION)
     tau = drain_line_delay_s(flow, 2.0, 12.0)
     # Oil that leaves the motor at t passes the sensor at t + τ(t).
-    values = OPERATION.channels(flow)
     seconds = np.arange(len(flow), dtype=np.float64)
-    values["oil_temperature"] = np.interp(
-        seconds, np.maximum.accumulate(seconds + tau), OPERATION.temperature_c
-    )
-    outcome = fit_night(spec, night_of(), raw(OPERATION.time_us, values), {})
-    row = fit_of(outcome)
-    counted = {(one["channel"], one["reason"]): one["n_refused"] for one in outcome.rows["quality"]}
-    assert counted["time_base", "transport_delay"] == int((tau > 15.0).sum()) > 0
+    arrives = np.maximum.accumulate(seconds + tau)
+    late = {"oil_temperature": np.interp(seconds, arrives, OPERATION.temperature_c)}
+    outcome = fitted(spec, OPERATION, flow, late)
+    row = fit_of(outcome.rows)
+    assert refused_of(outcome)["time_base", "transport_delay"] == int((tau > 15.0).sum()) > 0
     assert row["transport_delay_s"] == pytest.approx(tau[tau <= 15.0].mean(), rel=0.02)
     assert row["training_fit_percent"] > 99.5
 
@@ -139,4 +119,4 @@ def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(tmp_path: Path)
 )
 def test_what_does_not_go_together_is_a_fault(tmp_path: Path, keys: str) -> None:
     with pytest.raises(ConfigError, match="transport_delay"):
-        load_motor(tmp_path, motor_toml("M1", more=f"[override.transport_delay]\n{keys}\n"))
+        with_delay(tmp_path, keys)

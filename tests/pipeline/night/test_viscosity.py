@@ -13,10 +13,11 @@ from leakage.physics.oil import density_kg_per_m3
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
 from pipeline.config import Channel, MotorSpec
 from pipeline.config.oil_samples import OilSample
-from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import PublishedNight, refit
 from pipeline.schema import BLOCK_STATISTICS, FITS, frame
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
+from tests.pipeline.night.noise_free import fit
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
 
 # 20 % thinner than VG 68 (68 and 8.7 mm²/s), 15 % at 100 °C.
 THIN = walther_coefficients(40.0, 54.4, 100.0, 7.4)
@@ -56,8 +57,7 @@ def readings(spec: MotorSpec, name: str) -> Array:
 
 
 def night(spec: MotorSpec, **more: Array) -> NightOutcome:
-    values = OPERATION.channels(thin_flow(spec)) | more
-    return fit_night(spec, night_of(), raw(OPERATION.time_us, values), {})
+    return fit(spec, OPERATION, OPERATION.channels(thin_flow(spec)) | more)
 
 
 def off(spec: MotorSpec, found: NightOutcome) -> Array:
@@ -92,7 +92,7 @@ def test_an_analysis_that_comes_late_needs_no_log(spec: MotorSpec) -> None:
     blocks = frame(BLOCK_STATISTICS, before.rows["block_statistics"])
     fits = frame(FITS, before.rows["fits"]).to_dicts()
     published = PublishedNight(NIGHT, fits, (), blocks)
-    anew = refit(with_sample(spec), published, {})
+    anew = refit(with_sample(spec), published)
     assert anew is not None
     for column in ("coefficients", "night_factor", "viscosity_ratio", "training_fit_percent"):
         (made,), (read,) = anew.rows["fits"], after.rows["fits"]
@@ -102,27 +102,38 @@ def test_an_analysis_that_comes_late_needs_no_log(spec: MotorSpec) -> None:
 
 
 @pytest.mark.parametrize(
-    ("reading", "words"),
+    ("factor", "constant", "words"),
     [
-        (np.nan, "kinematic_viscosity is credible in only 0 % of the kept samples"),
-        (31.0, "kinematic_viscosity is credible in only"),  # frozen
-        (0.3, "kinematic_viscosity is credible in only 0 %"),  # below any oil
+        (0.0, np.nan, "is credible in only 0 % of the kept samples"),
+        (0.0, 31.0, "is credible in only"),  # frozen
+        (0.0, 0.3, "is credible in only 0 %"),  # below any oil
+        (3.8, 0.0, "times that of ISO VG 68 hydraulic oil: another unit, oil or place"),
     ],
 )
 def test_a_sensor_that_tells_nothing_makes_no_figure(
-    spec: MotorSpec, reading: float, words: str
+    spec: MotorSpec, factor: float, constant: float, words: str
 ) -> None:
     name = "kinematic_viscosity"
-    value = np.full(len(OPERATION.time_us), reading)
+    value = factor * readings(spec, name) + constant
     found = night(with_sensor(spec, name), **{name: value})
-    assert (found.status, words in (found.reason or "")) == ("insufficient_data", True)
-    assert "the data sheet holds" in (found.reason or "")
-
-
-def test_a_viscosity_of_another_oil_or_unit_makes_no_figure(spec: MotorSpec) -> None:
-    name = "kinematic_viscosity"
-    found = night(with_sensor(spec, name), **{name: 10.0 * readings(spec, name)})
     assert found.status == "insufficient_data"
-    assert "times that of ISO VG 68 hydraulic oil: another unit, oil or place" in (
-        found.reason or ""
-    )
+    for one in (name, words, "the data sheet holds"):
+        assert one in (found.reason or "")
+
+
+@pytest.mark.parametrize(
+    ("factor", "share", "is_enough"),
+    # Within a factor of three of the data sheet, in a tenth of the samples.
+    [(3.6, 1.0, True), (1.0, 0.11, True), (1.0, 0.09, False)],
+)
+def test_what_a_sensor_has_to_tell(
+    spec: MotorSpec, factor: float, share: float, is_enough: bool
+) -> None:
+    name = "kinematic_viscosity"
+    told = np.arange(len(OPERATION.time_us)) < share * len(OPERATION.time_us)
+    value = np.where(told, factor * readings(spec, name), np.nan)
+    found = night(with_sensor(spec, name), **{name: value})
+    assert (found.status == "ok") == is_enough
+    if is_enough:
+        ratio = found.rows["block_statistics"][0]["viscosity_ratio"]
+        assert ratio == pytest.approx(0.81 * factor, rel=0.02)

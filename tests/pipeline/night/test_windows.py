@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,16 +23,15 @@ from leakage.estimation.sample_blocks import (
     split_into_blocks,
 )
 from pipeline.config import ConfigError, Windows
-from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome
 from pipeline.night.statistics import left_out, too_uniform
 from pipeline.schema.fits import INSUFFICIENT_DATA
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
+from tests.pipeline.night.noise_free import configured_flow, fit, refused_of
+from tests.pipeline.simulated import load_motor, motor_toml, operate
 
 SECOND = 1_000_000
 MINUTE = 60 * SECOND
 START = 1_767_333_600 * SECOND
-Split = Literal["chronological", "interleaved"]
-SPLITS: tuple[Split, ...] = ("chronological", "interleaved")
 
 
 def minutes(first: int, end: int, step_s: int = 1) -> NDArray[np.int64]:
@@ -61,35 +60,31 @@ SETTINGS = st.builds(
 
 
 @given(NIGHT_TIMES, SETTINGS)
-def test_every_sample_lies_in_exactly_one_block(seconds: list[int], settings: Windows) -> None:
+def test_every_sample_lies_in_exactly_one_block_short_or_stored(
+    seconds: list[int], settings: Windows
+) -> None:
     time = START + np.array(sorted(seconds), np.int64) * SECOND
-    blocks = split_into_blocks(time, START, settings)
+    short = split_into_blocks(time, START, settings)
+    stored = merge_neighbours(short, settings.maximum_blocks)
+    assert len(stored) <= settings.maximum_blocks
+    for blocks in (short, stored):
+        ends = [0, *(block.end_row for block in blocks)]
+        assert [block.first_row for block in blocks] == ends[:-1]
+        assert ends[-1] == len(time)
+        for one, other in itertools.pairwise(blocks):
+            assert one.end_us <= other.start_us
+    for block in stored:
+        within = [one for one in short if block.first_row <= one.first_row < block.end_row]
+        assert {one.part for one in within} == {block.part}
+        assert (block.start_us, block.end_us) == (within[0].start_us, within[-1].end_us)
     length = round(settings.block_s * SECOND)
-    assert [block.first_row for block in blocks] == [0, *(block.end_row for block in blocks[:-1])]
-    assert blocks[-1].end_row == len(time)
-    for block in blocks:
+    for block in short:
         assert block.n > 0
         assert (block.start_us - START) % length == 0
         assert block.end_us - block.start_us == length
         inside = time[block.first_row : block.end_row]
         assert ((inside >= block.start_us) & (inside < block.end_us)).all()
         assert block.part in {TRAINING, VALIDATION, GUARD}
-
-
-@given(NIGHT_TIMES, SETTINGS)
-def test_merge_keeps_samples_parts_and_limit(seconds: list[int], settings: Windows) -> None:
-    time = START + np.array(sorted(seconds), np.int64) * SECOND
-    short = split_into_blocks(time, START, settings)
-    stored = merge_neighbours(short, settings.maximum_blocks)
-    assert len(stored) <= settings.maximum_blocks
-    assert [block.first_row for block in stored] == [0, *(block.end_row for block in stored[:-1])]
-    assert stored[-1].end_row == len(time)
-    for block in stored:
-        within = [one for one in short if block.first_row <= one.first_row < block.end_row]
-        assert {one.part for one in within} == {block.part}
-        assert (block.start_us, block.end_us) == (within[0].start_us, within[-1].end_us)
-    for one, other in itertools.pairwise(stored):
-        assert one.end_us <= other.start_us
 
 
 def test_blocks_count_from_the_night_s_start() -> None:
@@ -99,44 +94,38 @@ def test_blocks_count_from_the_night_s_start() -> None:
     assert [block.n for block in blocks] == [60, 120, 120]
 
 
-class TestChronological:
-    def test_four_fifths_train_one_guards_the_rest_validates(self) -> None:
-        blocks = split_into_blocks(minutes(0, 100), START, Windows())
-        assert parts(blocks) == "t" * 40 + "g" + "v" * 9
-
-    def test_a_gap_is_guard_enough(self) -> None:
-        """Nothing was logged for the length of a guard block: no samples need to be lost."""
-        time = np.concatenate([minutes(0, 80), minutes(82, 102)])
-        blocks = split_into_blocks(time, START, Windows())
-        assert parts(blocks) == "t" * 40 + "v" * 10
+def test_four_fifths_train_one_guards_the_rest_validates() -> None:
+    blocks = split_into_blocks(minutes(0, 100), START, Windows())
+    assert parts(blocks) == "t" * 40 + "g" + "v" * 9
+    # Nothing was logged for the length of a guard block: no samples need to be lost.
+    time = np.concatenate([minutes(0, 80), minutes(82, 102)])
+    assert parts(split_into_blocks(time, START, Windows())) == "t" * 40 + "v" * 10
 
 
-class TestInterleaved:
-    def blocks(
-        self, n_minutes: int, guard: int = 1, maximum: int = 96, block_s: float = 120.0
-    ) -> tuple[Block, ...]:
-        settings = Windows(
-            split="interleaved", guard_blocks=guard, maximum_blocks=maximum, block_s=block_s
-        )
-        return split_into_blocks(minutes(0, n_minutes, 10), START, settings)
+def interleaved(n_minutes: int, guard: int = 1) -> tuple[Block, ...]:
+    settings = Windows(split="interleaved", guard_blocks=guard)
+    return split_into_blocks(minutes(0, n_minutes, 10), START, settings)
 
-    def test_seven_train_three_validate_a_guard_at_each_border(self) -> None:
-        assert parts(self.blocks(96)) == "tttttttgvvvg" * 4
 
-    @pytest.mark.parametrize("hours", [8, 12, 16, 18, 18.5, 20, 23, 24, 25])
-    def test_at_most_96_are_stored(self, hours: float) -> None:
-        short = self.blocks(int(hours * 60))
-        assert len(merge_neighbours(short, 96)) <= 96
-        training = sum(block.n for block in short if block.part == TRAINING)
-        validation = sum(block.n for block in short if block.part == VALIDATION)
-        assert 0.65 < training / (training + validation) < 0.78
+def test_seven_train_three_validate_a_guard_at_each_border() -> None:
+    assert parts(interleaved(96)) == "tttttttgvvvg" * 4
 
-    @given(st.integers(60, 1500), st.integers(1, 5))
-    def test_training_and_validation_never_touch(self, n_minutes: int, guard: int) -> None:
-        letters = runs(parts(self.blocks(n_minutes, guard)))
-        for (one, _), (other, _) in itertools.pairwise(letters):
-            assert "g" in (one, other)
-        assert all(n == guard for letter, n in letters[:-1] if letter == "g")
+
+@pytest.mark.parametrize("hours", [8, 12, 16, 18, 18.5, 20, 23, 24, 25])
+def test_at_most_96_are_stored(hours: float) -> None:
+    short = interleaved(int(hours * 60))
+    assert len(merge_neighbours(short, 96)) <= 96
+    training = sum(block.n for block in short if block.part == TRAINING)
+    validation = sum(block.n for block in short if block.part == VALIDATION)
+    assert 0.65 < training / (training + validation) < 0.78
+
+
+@given(st.integers(60, 1500), st.integers(1, 5))
+def test_training_and_validation_never_touch(n_minutes: int, guard: int) -> None:
+    letters = runs(parts(interleaved(n_minutes, guard)))
+    for (one, _), (other, _) in itertools.pairwise(letters):
+        assert "g" in (one, other)
+    assert all(n == guard for letter, n in letters[:-1] if letter == "g")
 
 
 def reasons(
@@ -203,8 +192,7 @@ def test_periods_set_chosen_periods_decide_alone() -> None:
 def night_with(folder: Path, more: str) -> NightOutcome:
     spec = load_motor(folder, motor_toml("M1", more=more))
     operation = operate(minutes=60.0)
-    values = operation.channels(operation.flow(spec.motor(NIGHT, "none")))
-    return fit_night(spec, night_of(), raw(operation.time_us, values), {})
+    return fit(spec, operation, operation.channels(configured_flow(spec, operation)))
 
 
 def test_a_night_is_fitted_on_the_periods_in_the_motor_s_file(tmp_path: Path) -> None:
@@ -215,8 +203,7 @@ def test_a_night_is_fitted_on_the_periods_in_the_motor_s_file(tmp_path: Path) ->
     )
     (row,) = outcome.rows["fits"]
     assert (row["status"], row["n_training"], row["n_validation"]) == ("ok", 1800, 480)
-    counted = {one["reason"]: one["n_refused"] for one in outcome.rows["quality"]}
-    assert counted["outside_periods"] == 3600 - 1800 - 480
+    assert refused_of(outcome)["time_base", "outside_periods"] == 3600 - 1800 - 480
 
 
 @pytest.mark.parametrize(

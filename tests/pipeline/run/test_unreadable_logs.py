@@ -150,10 +150,10 @@ def test_a_fault_of_ours_in_one_night_costs_that_night(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
 
-    def faulty(spec: Any, night: Any, channels: Any, previous: Any) -> NightOutcome:
+    def faulty(spec: Any, night: Any, channels: Any) -> NightOutcome:
         if night.date == NIGHT + DAY:
             raise ZeroDivisionError("not foreseen")
-        return fit_night(spec, night, channels, previous)
+        return fit_night(spec, night, channels)
 
     for day in range(3):
         workshop.log(NIGHT + day * DAY)

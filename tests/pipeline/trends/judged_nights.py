@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -65,8 +64,3 @@ def judge(
 ) -> JudgedNight:
     """The night judged for a motor, by default a CB560 with the default settings."""
     return judged(spec or motor(), night, fitted, why)
-
-
-def days(place: int) -> dt.date:
-    """Label of a night."""
-    return night_of(place)
