@@ -56,20 +56,8 @@ def _finite(rows: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
-    """A figure over a motor's nights with its 95 % interval; NaN where there is none."""
-
-    # value, lower, upper: shape (n,), one a night.
-    value: Array
-    lower: Array
-    upper: Array
-
-    @property
-    def is_known(self) -> NDArray[np.bool_]:
-        """Nights that have a value, shape (n,)."""
-        known: NDArray[np.bool_] = np.isfinite(self.value)
-        return known
+# A figure over a motor's nights and the ends of its interval, shape (n,) each; NaN: none.
+Course = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
@@ -96,8 +84,8 @@ class MotorHistory:
     @cached_property
     def leakage(self) -> Course:
         """Leakage at the motor's own conditions by the watch, l/min."""
-        ends = ("l_per_min", "lower", "upper")
-        return Course(*(self.watched(f"own_leakage_{end}") for end in ends))
+        value = self.watched("own_leakage_l_per_min")
+        return value, self.watched("own_leakage_lower"), self.watched("own_leakage_upper")
 
     @cached_property
     def level(self) -> Array:
@@ -116,18 +104,17 @@ class MotorHistory:
         return self._placed(self.watch, name)
 
     def course(self, indicator: str) -> Course:
-        """Figures of a night's own indicator in the nights that count."""
+        """An indicator of the nights that count."""
         rows = self.trends[indicator].filter(pl.col("gated_reason").is_null())
-        return Course(*(self._placed(rows, name) for name in ("value", "lower", "upper")))
+        return self._placed(rows, "value"), self._placed(rows, "lower"), self._placed(rows, "upper")
 
     def _placed(self, rows: pl.DataFrame, name: str) -> Array:
         """Figures of some nights among all nights of the motor."""
-        figures = np.full(len(self.nights), np.nan)
-        labels = rows["night"].to_numpy().astype("datetime64[D]")
-        is_there = np.isin(labels, self.stamps)
-        place = np.searchsorted(self.stamps, labels[is_there])
-        figures[place] = rows[name].cast(pl.Float64).to_numpy()[is_there]
-        return figures
+        nights = self.fits.select("night")
+        found = nights.join(
+            rows.select("night", name), on="night", how="left", maintain_order="left"
+        )
+        return found[name].cast(pl.Float64).to_numpy()
 
 
 def motor_histories(reader: TableReader, motor_ids: Sequence[str]) -> list[MotorHistory]:

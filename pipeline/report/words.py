@@ -41,13 +41,6 @@ DECISIONS: Final[Mapping[str, str]] = {
     "confirmed": "wear was found",
     "not_confirmed": "no wear was found",
 }
-EVENTS: Final[Mapping[str, str]] = {
-    "overhaul": "overhaul",
-    "oil_change": "oil change",
-    "flushing_change": "change of flushing",
-    "motor_exchanged": "motor exchanged",
-    "note": "note",
-}
 # Terms of all pages, on a page of their own.
 GLOSSARY: Final[Mapping[str, str]] = {
     "Leakage at the motor's own conditions": "Oil that the motor loses through its gaps, without "
@@ -96,12 +89,12 @@ def figure(value: float | None, digits: int = 3) -> str:
 
     Examples
     --------
-    >>> figure(1.2345), figure(0.05), figure(999.6), figure(-123456.0), figure(None)
-    ('1.23', '0.0500', '1000', '−123456', '–')
+    >>> figure(1.2345), figure(0.05), figure(999.6), figure(-123456.0), figure(-0.0)
+    ('1.23', '0.0500', '1000', '−123456', '0.00')
     """
     if value is None:
         return ABSENT
-    rounded = float(f"{value:.{digits}g}")
+    rounded = float(f"{value:.{digits}g}") + 0.0  # no minus before a zero
     is_large = abs(rounded) >= 10**digits
     text = f"{value:.0f}" if is_large else f"{rounded:#.{digits}g}"
     return text.removesuffix(".").replace("-", "−")

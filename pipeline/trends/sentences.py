@@ -279,8 +279,8 @@ def _tonight(night: JudgedNight) -> str:
 def relative_change(size: Estimate) -> str:
     """A relative change with its interval, in per cent."""
     digits = 0 if abs(size.value) >= 0.1 else 1
-    ends = f"{100 * size.lower:.{digits}f}, {100 * size.upper:.{digits}f}"
-    return f"{100 * size.value:+.{digits}f} % [{ends}]"
+    ends = f"{100 * size.lower:z.{digits}f}, {100 * size.upper:z.{digits}f}"
+    return f"{100 * size.value:+z.{digits}f} % [{ends}]"
 
 
 def _since(change: Change) -> str:

@@ -1,9 +1,8 @@
-"""Alarms that a change of rules moves stand on the fleet page and in `status`."""
+"""Alarms that a change of rules moves are counted in `status`."""
 
 from __future__ import annotations
 
 import datetime as dt
-import re
 from typing import Any
 
 import polars as pl
@@ -11,7 +10,6 @@ import polars as pl
 from pipeline.cli.status_lines import print_status
 from pipeline.report.status import FleetStatus, changed_by_rules
 from pipeline.schema import ALARMS, frame
-from tests.pipeline.report.nights import fleet_page
 
 NIGHT = dt.date(2026, 3, 4)
 
@@ -33,19 +31,6 @@ def test_only_states_that_were_raised_changed_or_withdrawn_count() -> None:
     found = changed_by_rules(frame(ALARMS, rows))
     assert found.select("state_before_rules", "to_state").rows() == counted
     assert changed_by_rules(pl.DataFrame(schema=ALARMS.schema)).is_empty()
-
-
-def test_the_page_lists_them_and_is_linked_only_where_there_are_any() -> None:
-    moved = row("ok", "warning", page="m1"), row("ok", "alarm", page="m1", is_silent=False)
-    page = fleet_page([], by_rules=moved)
-    assert 'href="#rules"' in page
-    _, section = page.split('<section id="rules">')
-    cells = re.sub(r"<[^>]+>", " ", section.split("</section>")[0])
-    words = " ".join(cells.split())
-    line = "M&lt;1&gt; 2026-03-04 leakage ok {} +9 % [8, 10] trends 5 to 6 {}"
-    assert line.format("warning", "no") in words
-    assert line.format("alarm", "yes") in words
-    assert "rules" not in fleet_page([])
 
 
 def test_status_says_how_many(capsys: Any) -> None:
