@@ -16,9 +16,9 @@ from leakage.frame.fit import fit_frame
 from leakage.frame.result import FrameFit
 from leakage.frame.samples import CHARGE, FLOW, FrameTable
 from leakage.physics.motor import Motor
-from pipeline.clock import latest_us, microseconds, utc
-from pipeline.config import Fleet, MotorFile, MotorSpec, Nights, Settings, load_fleet
-from pipeline.config.nights import night, night_of, nights_between, nights_of
+from pipeline.clock import latest_us, utc
+from pipeline.config import Fleet, MotorFile, MotorSpec, Settings, load_fleet
+from pipeline.config.nights import night, nights_between, nights_of
 from pipeline.errors import UsageError
 from pipeline.ingest import RawChannel
 from pipeline.logs.files import reaches_us, slice_night
@@ -134,64 +134,44 @@ def prepare(
     return Prepared(*_joined(parts), settings)
 
 
-def prepare_log(
-    config: Fleet | Path | str,
-    motor_id: str,
-    since: dt.date | str,
-    until: dt.date | str | None = None,
-) -> Prepared:
+def prepare_log(config: Fleet | Path | str, motor_id: str, nights: dt.date | str) -> Prepared:
     """Read the logs of a motor of a fleet, and clean them as the nightly run does.
 
-    `since` and `until` are the first and the last night, as dates or such as "2026-01-02"; one
-    night without the last. Raises ConfigError if the config has a fault; UsageError
-    (``unknown_motor``, ``unknown_night``, ``oil_changed``, ``period``).
+    `nights` is a night, as a date or such as "2026-01-02", or "2026-01-02..2026-01-08". Raises
+    ConfigError if the config has a fault; UsageError (``unknown_motor``, ``unknown_night``,
+    ``oil_changed``, ``period``).
     """
-    try:
-        first, last = (
-            one if isinstance(one, dt.date) else dt.date.fromisoformat(one)
-            for one in (since, until or since)
-        )
-    except ValueError as error:
-        raise UsageError("period", f"{error}: write a night as 2026-01-02") from error
-    return _of_nights(_motor_of(config, motor_id), nights_between(first, last))
+    return _of_nights(_motor_of(config, motor_id), _labels(str(nights)))
 
 
 def fit_periods(
     config: Fleet | Path | str, motor_id: str, train: str, validate: str | None = None
 ) -> tuple[FrameFit, Prepared]:
-    """Fit a motor to one period of its logs, and judge it on another.
+    """Fit a motor to some nights of its logs, A..B, and judge it on others.
 
-    A period is ``A..B``: nights, both included, or moments such as 2026-01-02T22:00, in UTC where
-    they state no zone. Raises as `prepare_log` and `leakage.fit_frame`.
+    Raises as `prepare_log` and `leakage.fit_frame`.
     """
     spec = _motor_of(config, motor_id)
-    nights = spec.settings.nights
-    periods = [_period(text, nights) for text in (train, validate) if text]
-    edges = [(microseconds(first), microseconds(last) - 1) for first, last in periods]
-    labels = [
-        nights_between(night_of(first, nights), night_of(last, nights)) for first, last in edges
-    ]
-    prepared = _of_nights(spec, {label for of_period in labels for label in of_period})
+    chosen = [_labels(text) for text in (train, validate) if text]
+    prepared = _of_nights(spec, {label for labels in chosen for label in labels})
+    periods = []
+    for labels in chosen:
+        first, last = (night(labels[at], spec.settings.nights) for at in (0, -1))
+        periods.append((utc(first.start_us), utc(last.end_us)))
     return prepared.fit(train=periods[0], validate=periods[1] if validate else None), prepared
 
 
-def _period(text: str, nights: Nights) -> tuple[dt.datetime, dt.datetime]:
-    """Begin and end of a period, half open."""
-    begin, _, end = text.partition("..")
+def _labels(text: str) -> list[dt.date]:
+    """The nights from A to B, both included, or A alone."""
+    first, _, last = text.partition("..")
     try:
-        if "T" in text:
-            first, last = map(dt.datetime.fromisoformat, (begin, end))
-            begins = first if first.tzinfo else first.replace(tzinfo=dt.UTC)
-            ends = last if last.tzinfo else last.replace(tzinfo=dt.UTC)
-        else:
-            labels = [night(dt.date.fromisoformat(one), nights) for one in (begin, end)]
-            begins, ends = utc(labels[0].start_us), utc(labels[1].end_us)
+        ends = [dt.date.fromisoformat(one) for one in (first, last or first)]
     except ValueError as error:
-        said = f"{text!r}: write a period as 2026-01-02..2026-01-08, or with times"
+        said = f"{error}: write nights as 2026-01-02 or 2026-01-02..2026-01-08"
         raise UsageError("period", said) from error
-    if not begins < ends:
+    if ends[0] > ends[1]:
         raise UsageError("period", f"{text!r} ends before it begins")
-    return begins, ends
+    return nights_between(*ends)
 
 
 def _motor_of(config: Fleet | Path | str, motor_id: str) -> MotorSpec:
