@@ -17,6 +17,7 @@ import polars as pl
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import StoreError
+from pipeline.messages import plain
 from pipeline.report.charts import conditions_chart, night_chart, watch_chart
 from pipeline.report.explain import EXPLAINED, paragraphs
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
@@ -24,7 +25,6 @@ from pipeline.report.pages import FOLDER, page_of
 from pipeline.report.plotly_json import figure, script_json
 from pipeline.report.status import current_states
 from pipeline.report.tables import MotorHistory, TableReader, by_motor, motor_histories
-from pipeline.report.words import STATUSES
 from pipeline.schema import ALARMS, FITS, PREDICTIONS, frame
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, read, remove_leftovers
 from pipeline.store.tables import files_of, table_folder
@@ -269,11 +269,10 @@ def _motor_values(
     """What the template of a motor's page names, besides facts and decisions."""
     paths = [path.name for path in spec.motor_type.paths()]
     course = watch_chart(motor, paths, spec.file.events, changes)
-    statuses = motor.fits["status"].to_list()
     payload = {
         "file": motor.motor_id,
         "nights": [str(night) for night in motor.nights],
-        "statuses": [STATUSES.get(status, status) for status in statuses],
+        "statuses": [plain(status) for status in motor.fits["status"]],
         "detailed": [
             int(night_file_name(motor.motor_id, night) in folder.files) for night in motor.nights
         ],

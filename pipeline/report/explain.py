@@ -33,7 +33,6 @@ EXPLAINED = (*(FITS, WATCH, PARAMETERS, SENSITIVITIES, RESIDUAL_VERDICTS, QUALIT
 # A rule that refused less than this is not worth a line.
 LEAST_REFUSED = 0.005
 LARGEST_EFFECTS = 5
-PARTS_OF_A_TOTAL = {"samples": "statistical", "sensors": "sensor", "model": "model"}
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
@@ -195,12 +194,7 @@ def _figure(fit: Row) -> str:
     if fit[f"{name}_lower"] is not None:
         text += f" [{fit[f'{name}_lower']:.4g}, {fit[f'{name}_upper']:.4g}]"
     if fit[f"{name}_total_half_width"] is not None:
-        parts = (
-            f"{part} {fit[f'{name}_{column}_half_width']:.2g}"
-            for part, column in PARTS_OF_A_TOTAL.items()
-            if fit[f"{name}_{column}_half_width"] is not None
-        )
-        text += f", in all ± {fit[f'{name}_total_half_width']:.2g} ({', '.join(parts)})"
+        text += f", in all ± {fit[f'{name}_total_half_width']:.2g}"
     if fit["reference_verdict"] not in ("identified", "fixed"):
         text += f"; {fit['reference_verdict']}: {fit['reference_reason']}"
     return text

@@ -10,7 +10,6 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.report.tables import MotorHistory
-from pipeline.report.words import SENSORS
 from pipeline.thinning import keep_extremes
 from pipeline.trends.rows.motor_states import MotorState, urgency
 
@@ -49,7 +48,6 @@ class FleetRow:
     # n_recent_good, n_recent: fitted nights, and nights with a row, among the fleet's newest 30.
     n_recent_good: int
     n_recent: int
-    sensors: str  # zeros of the sensors at halts, in words; empty where unknown
 
 
 def fleet_rows(
@@ -84,7 +82,6 @@ def _row(motor: MotorHistory, motor_type: str, state: MotorState, span: Span | N
         reference=at.row(-1) if at.height else None,
         n_recent_good=recent.count("ok"),
         n_recent=len(recent),
-        sensors=SENSORS.get(state.sensor_health or "", ""),
     )
 
 
