@@ -20,8 +20,6 @@ from pipeline.store.encoding import VERSION_KEY
 from pipeline.store.tables import night_file
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.report.conftest import change_table, demo_fleet, rows_with, rows_without
-from tests.pipeline.report.packed import night_file as read_night_file
-from tests.pipeline.report.packed import page_payload
 
 MOTORS = [f"CB{n}-0{i}" for n in (1120, 400, 560) for i in (1, 2)]
 NIGHTS = [dt.date(2026, 1, 2), dt.date(2026, 1, 3), dt.date(2026, 1, 4)]
@@ -30,6 +28,13 @@ MOTOR = "CB560-01"
 
 def build(output: Path, **more: Any) -> ReportResult:
     return build_report(demo_fleet(output), more.pop("folder", output / "report"), **more)
+
+
+def packed(path: Path) -> Any:
+    """The payload of a motor's page, or of a night's script."""
+    marks = r'id="payload">(.*?)</script>' if path.suffix == ".html" else r"^\w+\.night\((.*)\);\n$"
+    (found,) = re.findall(marks, path.read_text("utf-8"), re.DOTALL)
+    return json.loads(found)
 
 
 def times(folder: Path) -> dict[str, int]:
@@ -91,14 +96,6 @@ def test_a_changed_night_makes_its_motor_s_files_anew_and_no_others(built: Path)
     assert changed == {*pages, "manifest.json"}
 
 
-def test_what_was_lost_is_made_again(built: Path) -> None:
-    before = contents(built / "report")
-    for name in (f"data/{MOTOR}/{NIGHTS[0]}.js", f"motors/{MOTOR}.html", "assets/plotly.min.js"):
-        (built / "report" / name).unlink()
-    build(built)
-    assert contents(built / "report") == before
-
-
 def test_another_program_makes_all_anew(built: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its words may be others: those of a sentence, not only those of the report."""
     there = Path.read_bytes
@@ -110,8 +107,12 @@ def test_another_program_makes_all_anew(built: Path, monkeypatch: pytest.MonkeyP
     assert build(built).n_nights == 3
 
 
-def test_a_broken_manifest_is_no_more_than_lost_time(built: Path) -> None:
+def test_what_was_lost_or_broken_is_made_again(built: Path) -> None:
     before = contents(built / "report")
+    for name in (f"data/{MOTOR}/{NIGHTS[0]}.js", f"motors/{MOTOR}.html", "assets/plotly.min.js"):
+        (built / "report" / name).unlink()
+    assert build(built).n_written == 3
+    assert contents(built / "report") == before
     for content in (b"{", b"[]", b'{"files": []}'):
         (built / "report" / "manifest.json").write_bytes(content)
         assert build(built).n_nights == 3
@@ -150,7 +151,7 @@ def test_a_folder_that_holds_something_else_is_left_alone(output: Path, tmp_path
 def test_only_the_newest_nights_have_a_file(built: Path) -> None:
     result = build(built, nights=1)
     assert (result.n_nights, result.n_removed) == (0, 12)
-    payload = page_payload(built / "report" / "motors" / f"{MOTOR}.html")
+    payload = packed(built / "report" / "motors" / f"{MOTOR}.html")
     assert payload["nights"] == [str(night) for night in NIGHTS]
     assert payload["detailed"] == [0, 0, 1]
 
@@ -166,7 +167,7 @@ def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> 
     text = (output / "report" / "motors" / f"{MOTOR}.html").read_text("utf-8")
     assert "Night of 2026-01-04 failed: a.csv: its end is missing." in text
     assert "could be fitted. The newest, 2026-01-04: failed (log_truncated): a.csv: its end" in text
-    night = read_night_file(output / "report" / "data" / MOTOR / f"{NIGHTS[2]}.js")
+    night = packed(output / "report" / "data" / MOTOR / f"{NIGHTS[2]}.js")
     assert "failed (log_truncated): a.csv: its end is missing" in night["words"][0][1][0]
     index = (output / "report" / "index.html").read_text("utf-8")
     order = re.findall(r'<a href="motors/([\w-]+)\.html">', index)
@@ -188,7 +189,7 @@ def test_a_damaged_table_is_named_costs_its_own_rows_and_is_tried_again(built: P
         (fault,) = result.faults
         assert "2026-01-03.parquet of predictions is damaged" in fault
         assert fault[:40] in (built / "report" / "index.html").read_text("utf-8")
-        night = read_night_file(built / "report" / "data" / MOTOR / f"{NIGHTS[1]}.js")
+        night = packed(built / "report" / "data" / MOTOR / f"{NIGHTS[1]}.js")
         assert night["words"][-1] == ["Not read", [fault]]
         assert night["figure"] == {}
         assert "Paths" in dict(night["words"])

@@ -159,6 +159,23 @@ def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
         last_alarm(output, "M2", "leakage", TOLD)
 
 
+def test_states_that_a_change_of_rules_raised_changed_or_withdrew_are_counted(
+    output: Path, config: Path, call: Call
+) -> None:
+    counted = [("ok", "warning"), ("warning", "alarm"), ("alarm", "ok")]
+    others = [(None, "alarm"), ("warning", "warning"), ("insufficient", "ok")]
+    assert "rules" not in call("status", config)[2]
+    key = {"motor_id": "M1", "indicator": "leakage"}
+    rows = [
+        key | {"night": night_of(10 + place), "state_before_rules": before, "to_state": after}
+        for place, (before, after) in enumerate([*others, *counted])
+    ]
+    rows = [one | {"rules": one["state_before_rules"] and "trends 5 to 6"} for one in rows]
+    write_nights(output, ALARMS, frame(ALARMS, rows))
+    said = "changes of the program's rules: other states of past nights: 3"
+    assert said in call("status", config)[2]
+
+
 @pytest.mark.parametrize("text", ["", "h", "26", "-1h", "0h", "infh", "nanh", "1y", "26 h ours"])
 def test_a_duration_that_is_none(text: str) -> None:
     with refused("age"):
