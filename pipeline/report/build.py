@@ -24,10 +24,10 @@ from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.pages import FOLDER, page_of
 from pipeline.report.plotly_json import figure, script_json
 from pipeline.report.status import current_states
-from pipeline.report.tables import MotorHistory, TableReader, by_motor, motor_histories
+from pipeline.report.tables import MotorHistory, by_motor, finite_rows, motor_histories
 from pipeline.schema import ALARMS, FITS, PREDICTIONS, frame
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, read, remove_leftovers
-from pipeline.store.tables import files_of, table_folder
+from pipeline.store.tables import files_of, read_rows, table_folder
 from pipeline.telling.outbox import backlogs
 from pipeline.telling.receivers import receivers_of
 from pipeline.trends.nights.decisions import read_decisions
@@ -49,7 +49,6 @@ class ReportResult:
     # n_written, n_removed: files that were written and removed; all others were as they had to be.
     n_written: int
     n_removed: int
-    faults: tuple[str, ...]  # table files that could not be read, in words
 
 
 class Folder:
@@ -120,8 +119,8 @@ def build_report(
     `nights`: newest nights that get a file of their own; None for all. `made`: time of making,
     which the fleet's page tells; None: it tells none.
 
-    Raises StoreError if there are no tables, one is of a newer version of the program, or the
-    folder cannot be written or holds something else.
+    Raises StoreError if there are no tables, one is damaged or of a newer version of the program,
+    or the folder cannot be written or holds something else.
     """
     if not table_folder(fleet.output, FITS).is_dir():
         raise StoreError(
@@ -131,23 +130,18 @@ def build_report(
         )
     report = Folder(folder)
     remove_leftovers([folder])
-    reader = TableReader(fleet.output)
     program = _program_hash()
-    states, n_nights = _make_nights(
-        reader, report, _motors_by_night(reader, fleet, nights), program
-    )
-    _make_pages(fleet, made, reader, report, program)
+    states, n_nights = _make_nights(fleet, report, nights, program)
+    _make_pages(fleet, made, report, program)
     n_removed = report.close(program, states)
-    faults = tuple(sorted(set(reader.faults)))
-    return ReportResult(len(fleet.motors), n_nights, report.n_written, n_removed, faults)
+    return ReportResult(len(fleet.motors), n_nights, report.n_written, n_removed)
 
 
-def _motors_by_night(
-    reader: TableReader, fleet: Fleet, newest: int | None
-) -> dict[dt.date, list[str]]:
+def _motors_by_night(fleet: Fleet, newest: int | None) -> dict[dt.date, list[str]]:
     """Motors that have a row, by night in time order; of the newest nights, or of all."""
     ids = [spec.motor_id for spec in fleet.motors]
-    shown = reader.rows(FITS).filter("is_primary", pl.col("motor_id").is_in(ids))
+    columns = ("motor_id", "night", "is_primary")
+    shown = read_rows(fleet.output, FITS, ids, columns).filter("is_primary")
     groups = shown.group_by("night").agg(pl.col("motor_id").sort()).sort("night")
     return dict((groups if newest is None else groups.tail(newest)).iter_rows())
 
@@ -158,73 +152,63 @@ def night_file_name(motor_id: str, night: dt.date) -> str:
 
 
 def _make_nights(
-    reader: TableReader, folder: Folder, nights: Mapping[dt.date, list[str]], program: str
+    fleet: Fleet, folder: Folder, newest: int | None, program: str
 ) -> tuple[dict[str, str], int]:
     """Make the files of nights that are new or changed; states of the nights, and how many."""
+    output, ids = fleet.output, [spec.motor_id for spec in fleet.motors]
+    nights = _motors_by_night(fleet, newest)
     states: dict[str, str] = {}
     n_made = 0
     for month in sorted({night.replace(day=1) for night in nights}):
         labels = [night for night in nights if night.replace(day=1) == month]
-        read = TableReader(reader.output)
         of_month = {
-            table: read.rows(table, labels).partition_by("night", as_dict=True)
+            table.name: finite_rows(output, table, ids, labels).partition_by("night", as_dict=True)
             for table in EXPLAINED
         }
         for night in labels:
-            rows = {
-                table.name: of_month[table].get((night,), frame(table, [])) for table in EXPLAINED
-            }
-            state = _state_of(rows, files_of(reader.output, PREDICTIONS, [night]))
+            rows = {name: of[(night,)] for name, of in of_month.items() if (night,) in of}
+            state = _state_of(rows, files_of(output, PREDICTIONS, [night]))
+            states[str(night)] = state
             files = [night_file_name(motor_id, night) for motor_id in nights[night]]
             is_current = (folder.program, folder.nights.get(str(night))) == (program, state)
-            if not (is_current and folder.keep(files)):
-                n_made += 1
-                of_night = TableReader(reader.output, list(read.faults))
-                rows["predictions"] = of_night.rows(PREDICTIONS, [night])
-                reader.faults += of_night.faults
-                own = {name: by_motor(of) for name, of in rows.items()}
-                for motor_id in nights[night]:
-                    of_motor = {
-                        name: of.get(motor_id, rows[name].clear()) for name, of in own.items()
-                    }
-                    payload = night_payload(night, of_motor, of_night.faults)
-                    content = f"motorLeakage.night({script_json(payload)});\n".encode()
-                    folder.write(night_file_name(motor_id, night), content)
-                if of_night.faults:
-                    continue  # it is tried again
-            states[str(night)] = state
+            if is_current and folder.keep(files):
+                continue
+            n_made += 1
+            rows["predictions"] = finite_rows(output, PREDICTIONS, ids, [night])
+            own = {name: by_motor(of) for name, of in rows.items()}
+            for motor_id, file in zip(nights[night], files, strict=True):
+                of_motor = {name: of[motor_id] for name, of in own.items() if motor_id in of}
+                payload = night_payload(night, of_motor)
+                folder.write(file, f"motorLeakage.night({script_json(payload)});\n".encode())
     return states, n_made
 
 
 def _state_of(rows: Mapping[str, pl.DataFrame], samples: Iterable[Path]) -> str:
     """What a night is made from: its rows, and the files of its samples."""
-    sums = [(name, int(of.hash_rows().sum()) if of.height else 0) for name, of in rows.items()]
+    sums = [(name, int(of.hash_rows().sum())) for name, of in rows.items()]
     stamps = [(one.stat().st_size, one.stat().st_mtime_ns) for one in samples]
     return hashlib.sha256(f"{sums} {stamps}".encode()).hexdigest()[:16]
 
 
-def night_payload(
-    night: dt.date, rows: Mapping[str, pl.DataFrame], faults: Sequence[str]
-) -> dict[str, Any]:
+def night_payload(night: dt.date, rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
     """What a motor's page shows of a night: words as of `explain`, and a chart."""
-    words = paragraphs({table.name: rows[table.name].to_dicts() for table in EXPLAINED})
-    words += [("Not read", list(faults))] if faults else []
-    mode = rows["fits"].filter("is_primary")["flushing_mode"][0]
-    samples = rows["predictions"].filter(flushing_mode=mode)
-    return {"night": str(night), "words": words, "figure": figure(night_chart(samples))}
+    none = pl.DataFrame()
+    listed = {table.name: rows.get(table.name, none).to_dicts() for table in EXPLAINED}
+    mode = next(row["flushing_mode"] for row in listed["fits"] if row["is_primary"])
+    samples = rows.get("predictions", frame(PREDICTIONS, [])).filter(flushing_mode=mode)
+    chart = figure(night_chart(samples))
+    return {"night": str(night), "words": paragraphs(listed), "figure": chart}
 
 
-def _make_pages(
-    fleet: Fleet, made: dt.datetime | None, reader: TableReader, folder: Folder, program: str
-) -> None:
+def _make_pages(fleet: Fleet, made: dt.datetime | None, folder: Folder, program: str) -> None:
     """Make the fleet's page, the motors' pages, and what they share."""
     ids = [spec.motor_id for spec in fleet.motors]
-    motors = dict(zip(ids, motor_histories(reader, ids), strict=True))
+    motors = dict(zip(ids, motor_histories(fleet.output, ids), strict=True))
     states = {one.motor_id: one for one in current_states(fleet.output, ids)}
     types = {spec.motor_id: spec.file.motor_type for spec in fleet.motors}
     rows = fleet_rows(list(motors.values()), types, states)
     by_id = {row.state.motor_id: row for row in rows}
-    alarms = by_motor(reader.rows(ALARMS))
+    alarms = by_motor(read_rows(fleet.output, ALARMS, ids))
     decisions = read_decisions(fleet.output)
     found = Counter(row.state.state for row in rows)
     first, newest = fleet_span(list(motors.values())) or (None, None)
@@ -237,7 +221,6 @@ def _make_pages(
         "zone": fleet.settings.nights.zone,
         "old_after_nights": fleet.settings.alarms.stale_after_nights,
         "undelivered": [one.words for one in waiting if one.undelivered],
-        "faults": sorted(set(reader.faults)),
     }
     for spec in fleet.motors:
         motor_id = spec.motor_id

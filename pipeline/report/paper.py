@@ -23,9 +23,10 @@ from pipeline.messages import as_sentence, plain
 from pipeline.report.build import newest_changes
 from pipeline.report.charts import Chart, Panel, watch_chart
 from pipeline.report.status import current_states
-from pipeline.report.tables import MotorHistory, TableReader, motor_histories
+from pipeline.report.tables import MotorHistory, motor_histories
 from pipeline.schema import ALARMS
 from pipeline.store.atomic_files import put
+from pipeline.store.tables import read_rows
 from pipeline.trends.rows.motor_states import MotorState
 from pipeline.trends.sentences import day
 
@@ -56,11 +57,10 @@ def write_paper(fleet: Fleet, motor_id: str, folder: Path) -> Path:
     table is damaged or the file cannot be written.
     """
     spec = fleet.motor(motor_id)
-    reader = TableReader(fleet.output)
-    (motor,) = motor_histories(reader, [motor_id])
+    (motor,) = motor_histories(fleet.output, [motor_id])
     if not motor.nights:
         raise UsageError("unknown_motor", f"no night of motor {motor_id!r} is in the tables")
-    changes = newest_changes(reader.rows(ALARMS).filter(motor_id=motor_id))
+    changes = newest_changes(read_rows(fleet.output, ALARMS, [motor_id]))
     (state,) = current_states(fleet.output, [motor_id])
     path = folder / f"{motor_id}.pdf"
     with mpl.rc_context(STYLE):

@@ -14,13 +14,13 @@ from pipeline.errors import UsageError
 from pipeline.messages import statement
 from pipeline.report.paper import STYLE, page_of, write_paper
 from pipeline.report.status import current_states
-from pipeline.report.tables import TableReader, motor_histories
+from pipeline.report.tables import motor_histories
 from tests.pipeline.report.conftest import demo_fleet
 
 
 def drawn(output: Path, motor_id: str) -> tuple[Figure, str]:
     """The page of a motor, and the words of its state."""
-    (motor,) = motor_histories(TableReader(output), [motor_id])
+    (motor,) = motor_histories(output, [motor_id])
     (state,) = current_states(output, [motor_id])
     with mpl.rc_context(STYLE):
         page = page_of(motor, state, demo_fleet(output).motor(motor_id))
