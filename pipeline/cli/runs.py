@@ -179,8 +179,8 @@ def _fit_periods(config: Path, motor: str, train: str, validate: str | None) -> 
     except LeakageError as error:
         say(f"{motor}: {error.code}: {error}", err=True)
         raise typer.Exit(EXIT_MOTORS_FAILED) from None
-    for row in prepared.refused.filter(reason="unusable").iter_rows(named=True):
-        typer.echo(f"night of {row['night']}: {row['channel']}: {row['meaning']}")
+    for note in prepared.notes:
+        typer.echo(note)
     typer.echo(str(found.summary()))
 
 

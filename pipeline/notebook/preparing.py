@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Collection, Mapping, MutableMapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from pipeline.night.fit_night import Insufficient, choose_parts, clean_channels
 from pipeline.night.statistics import charge_over_case_bar
 from pipeline.night.time_base import Samples
 from pipeline.night.tolerances import tolerances
-from pipeline.schema import QUALITY_REASONS, TIMESTAMP
+from pipeline.schema import QUALITY, TIMESTAMP
 from pipeline.units import canonical_unit
 
 CHANNELS = {
@@ -37,18 +37,10 @@ CHANNELS = {
     "leakage_flow": FLOW,
     "charge_pressure": CHARGE,
 }
-EMPTY = pl.DataFrame(
-    schema={"time": TIMESTAMP} | {name: pl.Float64 for name in CHANNELS.values() if name != CHARGE}
-)
-REFUSED = {
-    "night": pl.Date,
-    "channel": pl.String,
-    "reason": pl.String,
-    "meaning": pl.String,
-    "n_samples": pl.Int64,
-    "n_refused": pl.Int64,
-}
-Part = tuple[pl.DataFrame, pl.DataFrame]  # kept samples, and counts of what was refused
+REFUSED = {name: QUALITY.schema[name] for name in ("night", "channel", "reason")}
+REFUSED |= {name: QUALITY.schema[name] for name in ("n_samples", "n_refused")}
+# Kept samples of a night, rows of what was refused, and why there are none.
+Part = tuple[pl.DataFrame, list[tuple[Any, ...]], str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,8 +48,8 @@ class Prepared:
     """Samples that are good enough to fit."""
 
     frame: pl.DataFrame  # kept samples on one time base, as `leakage.fit_frame` takes them
-    # By night, channel and rule: samples that it looked at, and those that it refused.
-    refused: pl.DataFrame
+    refused: pl.DataFrame  # by night, channel and rule, as in the table `quality`
+    notes: tuple[str, ...]  # nights without samples, each with its reason
     settings: Settings
     # The motor with its oil and its primary flushing, and the tolerances of its sensors, as its
     # files state them; None without files.
@@ -74,7 +66,7 @@ class Prepared:
         if motor is None:
             raise UsageError("no_motor", "these samples come without a motor: say fit(motor)")
         if not self.frame.height:
-            told = "; ".join(self.refused.filter(pl.col("reason") == "unusable")["meaning"])
+            told = "; ".join(self.notes)
             raise UsageError("no_samples", f"no sample of these nights can be used: {told}")
         return fit_frame(
             self.frame,
@@ -131,7 +123,7 @@ def prepare(
         inside = (time_us >= here.start_us) & (time_us < here.end_us)
         of_night = {name: channel.rows(inside) for name, channel in channels.items()}
         parts.append(_cleaned(file, settings, label, of_night))
-    return Prepared(*_joined(parts), settings)
+    return _joined(parts, settings)
 
 
 def prepare_log(config: Fleet | Path | str, motor_id: str, nights: dt.date | str) -> Prepared:
@@ -189,9 +181,9 @@ def _of_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
     if len({spec.file.oil_on(label) for label in labels}) > 1:
         said = f"{spec.motor_id} has another oil in some of these nights: choose less"
         raise UsageError("oil_changed", said)
-    prepared = _joined([_of_logs(spec, logs, label) for label in labels])
+    prepared = _joined([_of_logs(spec, logs, label) for label in labels], spec.settings)
     motor = spec.motor(labels[-1], spec.file.flushing.mode)
-    return Prepared(*prepared, spec.settings, motor, tolerances(spec, labels[-1]))
+    return replace(prepared, motor=motor, tolerances=tolerances(spec, labels[-1]))
 
 
 def _of_logs(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> Part:
@@ -199,7 +191,7 @@ def _of_logs(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> Part:
     read = [logs.content(name) for name in (*logs.before_night(here), *names)]
     for name in names:
         if logs.files[name].status != "ok":
-            return _nothing(label, "log", logs.files[name].message or "")
+            return pl.DataFrame(), [], f"night of {label}: log: {logs.files[name].message}"
     channels = slice_night([one for one in read if one is not None], here, reaches_us(spec))
     logs.let_go_until(label)
     return _cleaned(spec.file, spec.settings, label, channels)
@@ -214,18 +206,13 @@ def _cleaned(
         samples, quality = clean_channels(file, settings, here, channels)
         samples, outside = choose_parts(file, settings, here, samples)
     except Insufficient as outcome:
-        return _nothing(label, "night", outcome.reason)
+        return pl.DataFrame(), [], f"night of {label}: {outcome.reason}"
     rows = [
-        (label, one.channel, one.reason, _meaning(one.reason), one.n_samples, one.n_refused)
+        (label, one.channel, one.reason, one.n_samples, one.n_refused)
         for one in (*quality, *outside)
         if one.n_refused
     ]
-    return _frame(settings, samples), pl.DataFrame(rows, schema=REFUSED, orient="row")
-
-
-def _nothing(label: dt.date, channel: str, why: str) -> Part:
-    row = (label, channel, "unusable", why, 0, 0)
-    return EMPTY, pl.DataFrame([row], schema=REFUSED, orient="row")
+    return _frame(settings, samples), rows, ""
 
 
 def _frame(settings: Settings, samples: Samples) -> pl.DataFrame:
@@ -241,11 +228,12 @@ def _frame(settings: Settings, samples: Samples) -> pl.DataFrame:
     return pl.DataFrame(columns).with_columns(pl.col("time").cast(TIMESTAMP))
 
 
-def _meaning(reason: str) -> str:
-    return QUALITY_REASONS[reason].meaning if reason in QUALITY_REASONS else reason
-
-
-def _joined(parts: list[Part]) -> Part:
-    frames, refused = zip(*parts, strict=True)
-    there = [one for one in frames if one.height] or [frames[0]]
-    return pl.concat(there), pl.concat(refused)
+def _joined(parts: list[Part], settings: Settings) -> Prepared:
+    frames, refused, notes = zip(*parts, strict=True)
+    rows = [row for of_night in refused for row in of_night]
+    return Prepared(
+        pl.concat([one for one in frames if one.height] or [frames[0]]),
+        pl.DataFrame(rows, schema=REFUSED, orient="row"),
+        tuple(filter(None, notes)),
+        settings,
+    )
