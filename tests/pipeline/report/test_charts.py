@@ -92,6 +92,13 @@ def test_a_motor_without_a_baseline_shows_its_drain_flow_under_its_own_name() ->
     assert figure(watch_chart(history([]), ())) == {}
 
 
+def test_noise_of_the_leakage_looks_like_noise() -> None:
+    """An axis reaches 15 % of the middle value, 2.01, each way, and a twentieth of it beyond."""
+    motor = history([fit(n) for n in range(3)], [watch(n, 2.0 + 0.01 * n) for n in range(3)])
+    (panel,) = watch_chart(motor, ()).panels
+    assert panel.ends == pytest.approx((1.67835, 2.34165))
+
+
 def test_a_night_of_the_watch_without_a_fit_is_none_of_the_motor_s_nights() -> None:
     motor = history([fit(n) for n in range(3)], [watch(1, 5.0), watch(7, 9.0)])
     assert motor.leakage[0].tolist() == pytest.approx([np.nan, 5.0, np.nan], nan_ok=True)
@@ -123,12 +130,16 @@ def test_samples_of_a_night_are_those_of_the_table_broken_where_some_are_missing
 def test_every_panel_has_its_place_and_every_event_its_number() -> None:
     time = np.array(["2026-01-01", "2026-01-03"], dtype="datetime64[D]")
     hostile = "<b>%{x} & co"
-    line = Line(hostile, np.array([1.0, 2.0]), "#123456", words=(hostile, ""))
+    value, lower, upper = np.array([[1.0, 2.0], [0.5, 1.0], [1.25, 4.0]])
+    line = Line(hostile, value, "#123456", lower, upper, words=(hostile, ""))
     panels = tuple(Panel(f"panel {n}", "%", (line, line)) for n in range(3))
     marks = tuple(Mark(FIRST + n * ONE_DAY, "alarm", "#000000") for n in range(3))
     made = figure(Chart(time, panels, ((FIRST, FIRST + ONE_DAY),), marks))
     assert made["x"] == ["2026-01-01", "2026-01-03"]
     assert [one["yaxis"] for one in made["data"]] == ["y", "y", "y2", "y2", "y3", "y3"]
+    bars = made["data"][0]["error_y"]
+    assert unpacked(bars["array"]).tolist() == [0.25, 2.0]
+    assert unpacked(bars["arrayminus"]).tolist() == [0.5, 1.0]
     layout = made["layout"]
     domains = [layout[f"yaxis{n}"]["domain"] for n in ("", "2", "3")]
     assert 1.0 > domains[0][1] > domains[0][0] > domains[1][1] > domains[1][0] > domains[2][1]
