@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import datetime as dt
 
+from pipeline.report.build import newest_changes
 from pipeline.report.fleet_page import fleet_rows
+from pipeline.schema import ALARMS, frame
 from tests.pipeline.report.nights import fit, fleet_page, history, unfitted, watch
 from tests.pipeline.report.states import state_of
 
@@ -37,6 +39,24 @@ def test_the_age_of_data_counts_from_their_end() -> None:
     (found,) = fleet_rows([history(fits)], TYPES, {"M": state_of("M")})
     assert found.newest_data == ends[1]
     assert (found.n_recent, found.n_recent_good) == (3, 2)
+    (found,) = fleet_rows([history([fit(n) for n in range(40)])], TYPES, {"M": state_of("M")})
+    assert found.n_recent == 30
+
+
+def test_the_newest_changes_of_state_come_first() -> None:
+    def at(day: int, indicator: str = "leakage") -> dict[str, object]:
+        time = dt.datetime(2026, 1, 1, tzinfo=dt.UTC) + dt.timedelta(days=day)
+        return {"motor_id": "M", "night": time.date(), "indicator": indicator, "time": time}
+
+    rows = [at(0), at(9, "pressure_zero"), at(9, "flow_zero"), *(at(day) for day in range(10, 300))]
+    found = newest_changes(frame(ALARMS, rows[:4]))
+    assert [one["indicator"] for one in found] == [
+        "leakage",
+        "flow_zero",
+        "pressure_zero",
+        "leakage",
+    ]
+    assert len(newest_changes(frame(ALARMS, rows))) == 200
 
 
 def test_change_and_leakage_stand_with_their_intervals_and_conditions() -> None:
