@@ -7,7 +7,6 @@ import sys
 
 # What compares with results that are there does not make them.
 BENCHMARKS = {
-    "demo_alarms": "the demo fleet's watch against its truth",
     "guard": "is the program slower than it was? (not in `all`)",
     "mutation": "faults planted in the code, and how many the nearest tests find",
     "speed": "a fleet's first night beside just reading its logs",

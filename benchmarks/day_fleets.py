@@ -9,19 +9,14 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from datetime import date, timedelta
+from datetime import date
 from pathlib import Path
-
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from pipeline.demo import write_demo
 
 MOTORS = {"parquet": "CB400-02", "csv": "CB400-01", "mcap": "CB560-01"}
 """The motor of the demo whose logs come in a format: four channels, temperature at 1 Hz."""
 NIGHT = date(2026, 1, 2)
-DAY_MINUTES = 1440.0
 
 
 def write_day(folder: Path, minutes: float, rate_hz: float, *formats: str) -> None:
@@ -67,21 +62,3 @@ def logs_of(config: Path) -> list[Path]:
     return sorted(
         path for path in (config.parent.parent / "demo" / "logs").rglob("*") if path.is_file()
     )
-
-
-def add_nights(config: Path, n: int) -> None:
-    """Give each motor of a fleet with Parquet logs the log of its day on n days before, too.
-
-    Not after: a log of days to come is refused.
-    """
-    logs = config.parent.parent / "demo" / "logs"
-    whole = pq.read_table(logs_of(config)[0])
-    for number in range(1, n + 1):
-        for place, motor in enumerate(sorted(logs.iterdir())):
-            path = motor / f"before{number:04}.parquet"
-            if not place:
-                # The first column is the time.
-                earlier = pc.subtract(whole[0], pa.scalar(timedelta(days=number)))
-                pq.write_table(whole.set_column(0, whole.column_names[0], earlier), first := path)
-            else:
-                os.link(first, path)

@@ -1,53 +1,63 @@
-"""How long a fleet's first night takes, beside just reading the same logs.
+"""How long a fleet's first night takes, beside just reading its logs.
 
 Whole processes from outside: `fit-fleet` on a fleet of which nothing is known yet, everything
 included, beside two fresh processes that read the same files into columns with the fastest reader
 there is, each half of them. Cases take turns, and a ratio is one of medians of one run; absolute
 times are of the machine that it ran on. Logs come from the page cache on both sides.
 
-`--only PART,PART` measures some of the parts, `--repeats N` as many passes. The other parts stay as
-they were stored (`speed.json`); some of these were measured once.
+`--only PART` measures one part, `--repeats N` as many passes. The other parts stay as they were
+stored (`speed.json`); some of these were measured once.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import resource
 import shutil
+import statistics
+import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from benchmarks.day_fleets import DAY_MINUTES, MOTORS, add_nights, logs_of, make_fleet, write_day
+import polars as pl
+
+from benchmarks.day_fleets import MOTORS, logs_of, make_fleet, write_day
 from benchmarks.results_file import Part, store, stored, write_parts
-from benchmarks.whole_runs import (
-    Cost,
-    elapsed,
-    first_night,
-    fit_command,
-    interleaved,
-    reading,
-    worker_peak_mib,
-)
 
 READERS = {"parquet": "pyarrow_parquet", "csv": "pyarrow_csv", "mcap": "plain_mcap"}
 GOALS = {"parquet": 9.0, "csv": 4.0, "mcap": 1.4}
-# Motors of `motor_day` and of `hundred`, and the most passes over the hundred.
-MORE, HUNDRED, HUNDRED_REPEATS = 12, 100, 3
-SMALL_MINUTES, SMALL_NIGHTS = 20.0, 840
-BARE = "import numpy, polars, pyarrow, scipy.special, pydantic"
+DAY_MINUTES = 1440.0
+# Motors of `motor_day` and of `hundred`.
+MORE, HUNDRED = 12, 100
+ENVIRONMENT = {**os.environ, "POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1"}
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What a command took."""
+
+    # elapsed_s, processor_s: on the clock, and of all its processes together.
+    elapsed_s: float
+    processor_s: float
+
+    @property
+    def cells(self) -> tuple[str, str]:
+        return f"{self.elapsed_s:.2f} s", f"{self.processor_s:.2f} s"
 
 
 def main(options: Sequence[str] = ()) -> None:
     """Measure, and write `benchmarks/results/speed.md`."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks speed")
-    parser.add_argument("--only", default=",".join(PARTS), help=f"of {', '.join(PARTS)}")
-    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--only", choices=PARTS)
+    parser.add_argument("--repeats", type=int, default=3)
     asked = parser.parse_args(list(options))
-    for name in asked.only.split(","):
+    for name in [asked.only] if asked.only else PARTS:
         load = os.getloadavg()[0]
         with tempfile.TemporaryDirectory() as folder:
             part = PARTS[name](Path(folder), asked.repeats)
@@ -79,7 +89,6 @@ def motor_day(folder: Path, repeats: int) -> Part:
 def hundred(folder: Path, repeats: int) -> Part:
     """100 motors in each format, with one worker and with two, beside just reading."""
     rows = []
-    repeats = min(repeats, HUNDRED_REPEATS)
     for name, reader in READERS.items():
         # One format on the disk at a time.
         day = folder / "day"
@@ -94,12 +103,11 @@ def hundred(folder: Path, repeats: int) -> Part:
         costs = interleaved(cases, repeats)
         one, two, read = costs["one"], costs["two"], costs["read"]
         ratio, faster = two.elapsed_s / read.elapsed_s, one.elapsed_s / two.elapsed_s
-        memory = f"{worker_peak_mib(config):.0f} MiB", f"{two.parent_mib:.0f} MiB"
-        reader_name = reader.replace("_", ", ")
+        memory = f"{worker_peak_mib(config):.0f} MiB"
         rows += [
-            [f"**{name}: two workers**", *_seconds(two), f"**{ratio:.1f}**", "", *memory],
-            [f"{name}: one worker", *_seconds(one), "", f"{faster:.2f}", "", ""],
-            [f"{name}: reading, {reader_name}", *_seconds(read), "", "", "", ""],
+            [f"**{name}: two workers**", *two.cells, f"**{ratio:.1f}**", "", memory],
+            [f"{name}: one worker", *one.cells, "", f"{faster:.2f}", ""],
+            [f"{name}: reading, {reader.replace('_', ', ')}", *read.cells, "", "", ""],
         ]
     goals = ", ".join(f"{name} {goal:g}" for name, goal in GOALS.items())
     text = (
@@ -107,62 +115,57 @@ def hundred(folder: Path, repeats: int) -> Part:
         f"file; medians of {repeats} passes. Goals: run over reading at most {goals}; two workers "
         "1.9 times as fast as one."
     )
-    header = "what | elapsed | processor | over reading | faster | largest worker | parent"
+    header = "what | elapsed | processor | over reading | faster | largest worker"
     return Part("A hundred motors", text, header, rows)
 
 
-def small(folder: Path, repeats: int) -> Part:
-    """The first load of many short nights."""
-    write_day(folder / "day", 90.0, 1.0, "parquet")
-    config = make_fleet(folder / "day", folder / "fleet", "parquet", 12)
-    add_nights(config, SMALL_NIGHTS // 12 - 1)
-    cases = {f"{n} worker{'s' * (n > 1)}": partial(first_night, config, n) for n in (1, 2)}
-    rows = [
-        [
-            what,
-            *_seconds(cost),
-            f"{1000 * cost.elapsed_s / SMALL_NIGHTS:.0f} ms",
-            f"{1000 * cost.processor_s / SMALL_NIGHTS:.0f} ms",
-        ]
-        for what, cost in interleaved(cases, min(repeats, 3)).items()
+def first_night(config: Path, jobs: int) -> Cost:
+    """A run over a fleet of which nothing is known yet, with its output beside the config."""
+    output = config.parent.parent / "out"
+    shutil.rmtree(output, ignore_errors=True)
+    command = [sys.executable, "-m", "pipeline.cli", "fit-fleet", str(config)]
+    return elapsed([*command, "--output", str(output), "--jobs", str(jobs), "--json"])
+
+
+def reading(reader: str, files: Sequence[Path]) -> Cost:
+    """Two fresh processes, each of which reads half of the files, at the same time."""
+    command = [sys.executable, "-m", "benchmarks.log_readers", reader]
+    halves = [half for half in (files[::2], files[1::2]) if half]
+    return elapsed(*([*command, *map(str, half)] for half in halves), environment=ENVIRONMENT)
+
+
+def elapsed(*commands: Sequence[str], environment: Mapping[str, str] | None = None) -> Cost:
+    """Commands at the same time."""
+    used, begin = _children_s(), time.perf_counter()
+    processes = [
+        subprocess.Popen(one, stdout=subprocess.DEVNULL, env=environment) for one in commands
     ]
-    text = (
-        f"{SMALL_NIGHTS} nights of 12 motors, 90 min at 1 Hz each, Parquet, a first load. Goals a "
-        "night, everything included: 60 ms of processor time (least to land: 90), 35 ms elapsed "
-        "with two workers (55)."
-    )
-    header = "workers | elapsed | processor | elapsed a night | processor a night"
-    return Part("Small nights", text, header, rows)
+    if any(process.wait() for process in processes):
+        raise RuntimeError(f"{commands[0]} failed")
+    return Cost(time.perf_counter() - begin, _children_s() - used)
 
 
-def start(folder: Path, repeats: int) -> Part:
-    """Start of the command, and runs with nothing new."""
-    write_day(folder / "day", SMALL_MINUTES, 1.0, "parquet")
-    known = {n: make_fleet(folder / "day", folder / str(n), "parquet", n) for n in (6, 100)}
-    for config in known.values():
-        first_night(config, 2)
-    command = [sys.executable, "-m", "pipeline.cli"]
-    cases = {
-        BARE: [sys.executable, "-c", BARE],
-        "`status`, 6 motors (goal: 1.3)": [*command, "status", str(known[6])],
-        "nothing new, 6 motors (goal: 1.8)": fit_command(known[6], 2),
-        "nothing new, 100 motors (goal: 2.5)": fit_command(known[100], 2),
-        "`--help` (goal: 0.3 s)": [*command, "--help"],
+def _children_s() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def interleaved(cases: Mapping[str, Callable[[], Cost]], repeats: int) -> dict[str, Cost]:
+    """Medians of several passes, in each of which every case has its turn."""
+    passes = [{name: case() for name, case in cases.items()} for _ in range(repeats)]
+    return {
+        name: Cost(
+            *map(statistics.median, zip(*(astuple(one[name]) for one in passes), strict=True))
+        )
+        for name in cases
     }
-    costs = interleaved({what: partial(elapsed, one) for what, one in cases.items()}, repeats)
-    bare = costs[BARE].elapsed_s
-    rows = [[what, *_seconds(cost), f"{cost.elapsed_s / bare:.2f}"] for what, cost in costs.items()]
-    text = f"Medians of {repeats}, two workers; times: elapsed, over that of the bare import."
-    return Part("Start", text, "what | elapsed | processor | times", rows)
 
 
-def _seconds(cost: Cost) -> tuple[str, str]:
-    return f"{cost.elapsed_s:.2f} s", f"{cost.processor_s:.2f} s"
+def worker_peak_mib(config: Path) -> float:
+    """Peak memory of the largest worker of the last run over a fleet."""
+    tables = config.parent.parent / "out" / "tables" / "motor_outcomes"
+    outcomes = pl.concat(pl.read_parquet(path) for path in tables.rglob("*.parquet"))
+    return float(outcomes["peak_memory_mib"].max() or 0.0)  # type: ignore[arg-type]
 
 
-PARTS: dict[str, Callable[[Path, int], Part]] = {
-    "motor_day": motor_day,
-    "hundred": hundred,
-    "small": small,
-    "start": start,
-}
+PARTS: dict[str, Callable[[Path, int], Part]] = {"motor_day": motor_day, "hundred": hundred}

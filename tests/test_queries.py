@@ -6,21 +6,15 @@ import datetime as dt
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import polars as pl
 import pytest
 
 from pipeline.schema import (
     BLOCK_STATISTICS,
-    DECISIONS,
     FITS,
-    LATEST,
     PARAMETERS,
     QUALITY,
     SENSITIVITIES,
-    TABLES,
-    TREND_TABLES,
-    Table,
 )
 from pipeline.store.tables import night_file, read_table, table_folder
 from tests.pipeline.written import write_nights
@@ -44,19 +38,6 @@ from tests.queried_tables import (
 from tests.query_page import PAGE, answer, questions
 
 QUESTIONS = questions()
-
-
-@pytest.fixture(scope="module")
-def demo(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the demo's tables in `out/`, and trends of motors of the same names."""
-    folder = tmp_path_factory.mktemp("demo")
-    tables = folder / "out" / "tables"
-    tables.mkdir(parents=True)
-    for table in (fitted_output / "tables").iterdir():
-        if table.name not in {one.name for one in (*TREND_TABLES, LATEST, DECISIONS)}:
-            (tables / table.name).symlink_to(table)
-    write_trends(folder / "out")
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -91,15 +72,14 @@ def fits(history: Path, **values: object) -> Rows:
 
 
 @pytest.mark.parametrize("number", QUESTIONS)
-@pytest.mark.parametrize("tables", ["demo", "history"])
 def test_the_page_shows_the_columns_of_the_answer(
-    number: int, tables: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    number: int, history: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(request.getfixturevalue(tables))
+    monkeypatch.chdir(history)
     query, columns = QUESTIONS[number]
     found = answer(query)
     assert tuple(found.columns) == columns
-    assert tables == "demo" or found.height > 0
+    assert found.height > 0
 
 
 def test_page_has_the_questions_in_order() -> None:
@@ -192,21 +172,6 @@ def test_11_last_fits(ask: Any) -> None:
     assert {row["error_code"] for row in others} == {""}
 
 
-def test_plain_reading_of_old_and_new_files_sees_all_columns(
-    history: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Purpose of `union_by_name` and `diagonal`: the first file has fewer columns."""
-    monkeypatch.chdir(history)
-    first, *_, last = sorted(Path("out/tables/fits").rglob("*.parquet"))
-    assert len(pl.read_parquet_schema(first)) < len(pl.read_parquet_schema(last))
-    with duckdb.connect() as connection:
-        relation = connection.sql(
-            "SELECT * FROM read_parquet('out/tables/fits/**/*.parquet', union_by_name = true,"
-            " hive_partitioning = false)"
-        )
-        assert relation.columns == list(FITS.schema)
-
-
 def test_1_motors_that_have_changed(ask: Any) -> None:
     worn, slow = ask(1)
     assert (worn["motor_id"], worn["state"], worn["cause"]) == (WORN, "alarm", "balance_sleeve")
@@ -242,11 +207,3 @@ def test_12_findings(ask: Any) -> None:
     (row,) = ask(12)
     assert (row["indicator"], row["raised"]) == ("leakage", 2)
     assert (row["inspected"], row["confirmed"], row["confirmed_percent"]) == (2, 1, 50.0)
-
-
-@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
-def test_published_files_have_the_columns_and_types_that_are_stated(
-    fitted_output: Path, table: Table
-) -> None:
-    for path in table_folder(fitted_output, table).rglob("*.parquet"):
-        assert pl.read_parquet_schema(path) == dict(table.schema)

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from benchmarks.results_file import stored
-from benchmarks.watch.cb560 import FITTED, HEALTHY, SLEEVE, THETA, State, history
+from benchmarks.watch.cb560 import FITTED, HEALTHY, SLEEVE, State, history
 from benchmarks.watch.cells import FOREIGN, RIG, cells, step
 from benchmarks.watch.foreign import Duty, Night
 from benchmarks.watch.foreign import history as foreign_history
-from benchmarks.watch.history import History
 from benchmarks.watch.outcomes import TRIAL, outcome
 from benchmarks.watch.rivals import chart
 from benchmarks.watch.tables import parts, readme, share_interval
@@ -21,22 +20,6 @@ from pipeline.arrays import Array
 
 CELLS = cells()
 README = Path(__file__).parent.parent / "README.md"
-
-
-def errors(of: History) -> Array:
-    """Of each block's flow over what the machine as modelled has, shape (nights, blocks)."""
-    theta = np.array([*THETA[:3], 1.0])
-    return np.array([night.flow / (night.drives @ theta) - 1.0 for night in of.nights])
-
-
-def test_ten_seconds_a_sample_are_as_good_as_one() -> None:
-    coarse, fine = (history(FITTED, lambda _: HEALTHY, 40, (1,), step_s=s) for s in (10.0, 1.0))
-    for one, other in zip(coarse.nights, fine.nights, strict=True):
-        # A level settles within a sample of 10 s: 3 s of 120 of a step's 280 bar and 107 rpm.
-        assert one.conditions == pytest.approx(other.conditions, abs=7.0)
-    found, expected = errors(coarse), errors(fine)
-    assert found.std() == pytest.approx(expected.std(), rel=0.1)
-    assert np.diff(found).std() == pytest.approx(np.diff(expected).std(), rel=0.1)
 
 
 def test_a_seed_draws_the_same_duty_and_errors_whatever_changes() -> None:

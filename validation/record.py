@@ -82,13 +82,9 @@ def _gaps(rows: pl.DataFrame) -> tuple[str, ...]:
     )
 
 
-def windows(
-    rows: pl.DataFrame, length: dt.timedelta, starts: int | dt.timedelta
-) -> list[pl.DataFrame]:
-    """Stretches of a length: so many with equal steps, or one at each step of a length."""
+def windows(rows: pl.DataFrame, length: dt.timedelta, step: dt.timedelta) -> list[pl.DataFrame]:
+    """Stretches of a length, one at each step."""
     if rows.is_empty() or (room := rows[TIME][-1] - rows[TIME][0] - length) < dt.timedelta():
         return []
-    count = starts if isinstance(starts, int) else room // starts + 1
-    step = room / max(count - 1, 1) if isinstance(starts, int) else starts
-    begins = [rows[TIME][0] + number * step for number in range(count)]
+    begins = [rows[TIME][0] + number * step for number in range(room // step + 1)]
     return [rows.filter(pl.col(TIME).is_between(t, t + length, closed="left")) for t in begins]

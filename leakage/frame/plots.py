@@ -10,10 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.errors import LeakageError
-from leakage.estimation.block_fit import BlockEstimate
-from leakage.estimation.block_statistics import criterion
-from leakage.estimation.certificate import Certificate, Fit, certify
-from leakage.estimation.identifiability import Identification
+from leakage.estimation.certificate import Fit
 from leakage.estimation.residual_analysis import ResidualAnalysis
 from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
 from leakage.frame.samples import FrameSamples
@@ -30,8 +27,6 @@ MOST_POINTS = 5000
 CURVE_POINTS = 60
 # Periods without a sample that end a line.
 GAP = 5
-# Reach of a profile on either side of the estimate, over its interval's half-width.
-REACH = 2.0
 
 
 def plot(samples: FrameSamples, parts: NDArray[np.str_], predicted: Array, ax: Axes | None) -> Axes:
@@ -108,67 +103,6 @@ def plot_leakage(
     )
     _legend_beside(axes)
     return axes
-
-
-def plot_profile(
-    estimate: BlockEstimate, identification: Identification, axes: Sequence[Axes] | None
-) -> list[Axes]:
-    """Profile of the criterion over each coefficient, in units of its interval.
-
-    The others are fitted anew at each value, within their bounds. The scale is that of the
-    interval: at its limits the curve is at 1, as far as no bound is in the way.
-    """
-    motor = estimate.fit.motor
-    lower, upper = motor.coefficient_bounds()
-    best, whole = estimate.fit.certificate, estimate.fitted
-    paths = {
-        place: path
-        for place, path in enumerate(motor.coefficient_paths)
-        if path is not None and not best.fixed[place]
-    }
-    if not paths:
-        raise LeakageError("motor_paths", "nothing of this motor is estimated")
-    panels = _panels(axes, len(paths))
-    for ax, (place, path) in zip(panels, paths.items(), strict=True):
-        judged = identification.coefficients[place]
-        value = float(best.coefficients[place])
-        told = judged.information
-        ax.set(title=f"{path.coefficient_name}: {judged.verdict.replace('_', ' ')}")
-        ax.axvline(value, color="black", lw=0.8)
-        reach = REACH * told.half_width if told is not None else 0.5 * max(abs(value), upper[place])
-        grid = np.linspace(
-            max(lower[place], value - reach), min(upper[place], value + reach), CURVE_POINTS
-        )
-        rise = np.array([_cost(whole, lower, upper, place, one) for one in grid])
-        rise -= criterion(whole, best.coefficients)
-        free = np.eye(len(lower))[place]
-        scale = _rise_at(whole, best, free, told.half_width) if told is not None else 1.0
-        ax.plot(grid, rise / scale)
-        if told is not None:
-            ax.axvspan(value - told.half_width, value + told.half_width, alpha=0.15, lw=0)
-        unit = {"m3": "m³", "1": "-", "l_per_min": "l/min"}[path.coefficient_unit]
-        ax.set(xlabel=f"{path.coefficient_name} [{unit}]")
-    panels[0].set_ylabel("rise of the criterion")
-    return panels
-
-
-def _cost(whole: Array, lower: Array, upper: Array, place: int, value: float) -> float:
-    """Least criterion with one coefficient held."""
-    lower, upper = lower.copy(), upper.copy()
-    lower[place] = upper[place] = value
-    return certify(whole, lower, upper).cost
-
-
-def _rise_at(whole: Array, best: Certificate, free: Array, half_width: float) -> float:
-    """Rise of the unbounded criterion at the limit of an interval."""
-    columns = whole[:, :-2]
-    others = columns[:, ~best.fixed & (free == 0.0)]
-    own = columns @ free
-    scale = np.linalg.norm(others, axis=0)
-    others = others[:, scale > 0.0] / scale[scale > 0.0]
-    beside = own - others @ np.linalg.lstsq(others, own)[0]
-    n = float(np.sum(whole[:, -3] ** 2))
-    return float(beside @ beside) * half_width**2 / n or 1.0
 
 
 def _legend_beside(axes: Axes) -> None:

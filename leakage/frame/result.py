@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from leakage.errors import LeakageError
 from leakage.estimation.block_fit import BlockEstimate, SampleBlocks
-from leakage.estimation.block_statistics import factor
 from leakage.estimation.choices import COEFFICIENT_FACTOR, LEAKAGE_FACTOR
 from leakage.estimation.identifiability import (
     Identification,
@@ -26,9 +25,9 @@ from leakage.estimation.misfit import model_errors
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
 from leakage.estimation.sample_blocks import SECOND_US
 from leakage.estimation.sensitivities import ErrorBudget, Tolerances, error_budget
-from leakage.estimation.validation import Agreement, agreement
+from leakage.estimation.validation import Agreement
 from leakage.frame.samples import FrameSamples, read_samples
-from leakage.frame.words import Part, Summary, explanation, short_form, summary
+from leakage.frame.words import Part, Summary, summary
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors
 from leakage.physics.paths import LeakagePath
@@ -192,17 +191,6 @@ class FrameFit:
         except LeakageError:
             return ErrorBudget(())
 
-    def compare(
-        self, other: FrameFit, frame: Any, columns: Mapping[str, str] | None = None
-    ) -> tuple[Agreement, Agreement]:
-        """Agreement of this fit and of another with the samples of a frame."""
-        samples = read_samples(frame, columns)
-        first, second = (
-            agreement(factor(columns_of(one.motor, samples)), one.estimate.fit.coefficients)
-            for one in (self, other)
-        )
-        return first, second
-
     def residual_tests(self, part: Part = "validation") -> ResidualAnalysis:
         """Whiteness and independence of what the fit to the training samples leaves in a part."""
         if part not in self._tests:
@@ -223,15 +211,8 @@ class FrameFit:
         """Summary: warnings first, then estimates with intervals and verdicts, then the fit."""
         return summary(self)
 
-    def explain(self) -> str:
-        """Explanation of the fit in sentences."""
-        return explanation(self)
-
-    def _repr_html_(self) -> str:
-        return self.summary()._repr_html_()
-
     def __repr__(self) -> str:
-        return short_form(self)
+        return str(self.summary())
 
     def columns(self) -> dict[str, list[Any]]:
         """Estimates as columns, one row a coefficient."""
@@ -259,10 +240,6 @@ class FrameFit:
     def to_polars(self) -> pl.DataFrame:
         """The estimates as a frame of Polars."""
         return nw.from_dict(self.columns(), backend="polars").to_polars()
-
-    def to_pandas(self) -> Any:
-        """The estimates as a frame of pandas, which states no types."""
-        return nw.from_dict(self.columns(), backend="pandas").to_pandas()
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Measured and predicted flow over time, with the parts."""
@@ -296,12 +273,6 @@ class FrameFit:
             None if charge is None else charge.mean(),
         )
         return plots.plot_leakage(self.estimate.fit, at, self._total_half_widths, ax)
-
-    def plot_profile(self, axes: Sequence[Axes] | None = None) -> list[Axes]:
-        """Profile of the criterion over each coefficient that is estimated."""
-        from leakage.frame import plots
-
-        return plots.plot_profile(self.estimate, self.identification, axes)
 
 
 def columns_of(motor: Motor, samples: FrameSamples) -> Array:

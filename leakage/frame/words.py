@@ -1,11 +1,10 @@
-"""The words of a fit to a frame: summary, explanation, short form."""
+"""The words of a fit to a frame."""
 
 from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
 from leakage.estimation.misfit import Misfit
@@ -25,9 +24,9 @@ HEADINGS = ("coefficient", "value", "unit", "95 % interval", "total ±", "verdic
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """A summary as text, and as HTML in a notebook."""
+    """A summary, which prints as text."""
 
-    title: str  # motor, samples and times
+    title: str  # motor, samples, times and operating conditions
     warnings: tuple[str, ...]  # what to know before a figure is used
     table: tuple[tuple[str, ...], ...]  # headings, then a row a coefficient
     notes: tuple[str, ...]  # fit, residuals and model, a line each
@@ -53,61 +52,14 @@ class Summary:
 
     __repr__ = __str__
 
-    def _repr_html_(self) -> str:
-        def cells(row: tuple[str, ...], tag: str) -> str:
-            return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row) + "</tr>"
-
-        warnings = "".join(f"<li><strong>{escape(one)}</strong></li>" for one in self.warnings)
-        notes = "".join(f"<li>{escape(one)}</li>" for one in self.notes)
-        return (
-            f"<p>{escape(self.title)}</p>"
-            + (f"<ul>{warnings}</ul>" if warnings else "")
-            + f"<table><thead>{cells(self.table[0], 'th')}</thead><tbody>"
-            + "".join(cells(row, "td") for row in self.table[1:])
-            + f"</tbody></table><ul>{notes}</ul>"
-        )
-
 
 def summary(fit: FrameFit) -> Summary:
     """Summary of a fit."""
     return Summary(
-        f"{fit.motor.motor_type}: {fit.used.sum()} samples, {_span(fit)}",
+        f"{fit.motor.motor_type}: {fit.used.sum()} samples, {_span(fit)}, {_seen(fit)}",
         tuple(_warnings(fit)),
         (HEADINGS, *map(_row, _coefficients(fit))),
         (*_fits(fit), *_residuals(fit), _model(fit)),
-    )
-
-
-def explanation(fit: FrameFit) -> str:
-    """Explanation of a fit: the answer first, then what it rests on."""
-    seen = fit.blocks.excitation
-    lines = [
-        f"{fit.motor.motor_type}: fitted to {fit.used.sum()} samples, {_span(fit)}",
-        f"seen: {_range(seen.pressure_bar)} bar, {_range(seen.temperature_c)} °C, "
-        f"{_range(seen.speed_rpm)} rpm",
-        "",
-        "Paths",
-    ]
-    for row in _coefficients(fit):
-        text = f"  {row['parameter']}: {row['verdict'].replace('_', ' ')}"
-        if row["lower"] is not None:
-            unit = IN_WORDS.get(row["unit"], row["unit"])
-            text += f", {row['value']:.4g} [{row['lower']:.4g}, {row['upper']:.4g}] {unit}".rstrip()
-        lines.append(f"{text}; {row['reason']}" if row["reason"] else text)
-    lines += ["", "Fit", *(f"  {line}" for line in (*_fits(fit), _model(fit)))]
-    lines += ["", "Errors of the fit", *(f"  {line}" for line in _residuals(fit))]
-    if memory_s := fit.identification.slow.memory_s(fit.blocks.block_s):
-        lines.append(f"  errors remember about {memory_s / 60:.0f} minutes; intervals are wider")
-    return "\n".join(lines)
-
-
-def short_form(fit: FrameFit) -> str:
-    """One line that tells a fit from another."""
-    verdicts = [one.verdict for one in fit.judgements.values()]
-    return (
-        f"<FrameFit {fit.motor.motor_type}: "
-        f"{verdicts.count('identified')} of {len(verdicts)} identified, "
-        f"training {_percent(fit.training)}, validation {_percent(fit.validation)}>"
     )
 
 
@@ -194,8 +146,10 @@ def _percent(judged: Agreement) -> str:
     return "-" if judged.fit_percent is None else f"{judged.fit_percent:.1f} %"
 
 
-def _range(ends: tuple[float, float]) -> str:
-    return f"{ends[0]:.0f} to {ends[1]:.0f}"
+def _seen(fit: FrameFit) -> str:
+    seen = fit.blocks.excitation
+    ends = {"bar": seen.pressure_bar, "°C": seen.temperature_c, "rpm": seen.speed_rpm}
+    return ", ".join(f"{low:.0f} to {high:.0f} {unit}" for unit, (low, high) in ends.items())
 
 
 def _span(fit: FrameFit) -> str:

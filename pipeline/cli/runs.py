@@ -125,19 +125,17 @@ def fit(
     night: Annotated[
         str | None, typer.Argument(help="The night's label, YYYY-MM-DD; without --train.")
     ] = None,
-    train: Annotated[
-        str | None, typer.Option(help="Period to fit to, A..B: nights, or times.")
-    ] = None,
+    train: Annotated[str | None, typer.Option(help="Nights to fit to, A..B.")] = None,
     validate: Annotated[
-        str | None, typer.Option(help="Period to judge the fit on, C..D; with --train.")
+        str | None, typer.Option(help="Nights to judge the fit on, C..D; with --train.")
     ] = None,
 ) -> None:
     """Fit one motor's night from its logs and say what came of it; nothing is published.
 
     An audit follows: the search of the thesis from several starts, and information criteria.
 
-    With --train the motor is fitted to a period of its logs, and judged on another with --validate,
-    across nights.
+    With --train the motor is fitted to several nights of its logs, and judged on others with
+    --validate.
 
     Example: motor-leakage fit configs/fleet.toml CB560-01 2026-01-03
 
@@ -181,8 +179,8 @@ def _fit_periods(config: Path, motor: str, train: str, validate: str | None) -> 
     except LeakageError as error:
         say(f"{motor}: {error.code}: {error}", err=True)
         raise typer.Exit(EXIT_MOTORS_FAILED) from None
-    for row in prepared.refused.filter(reason="unusable").iter_rows(named=True):
-        typer.echo(f"night of {row['night']}: {row['channel']}: {row['meaning']}")
+    for note in prepared.notes:
+        typer.echo(note)
     typer.echo(str(found.summary()))
 
 

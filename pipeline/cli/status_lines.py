@@ -7,7 +7,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, astuple
+from dataclasses import asdict
 
 import typer
 
@@ -24,9 +24,9 @@ COLOURS = {
     "common_cause": "magenta",
     "stale": "blue",
 }
-COLUMNS = ("motor", "state", "tonight", "leakage l/min", "since", "last good night", "what")
+COLUMNS = ("motor", "state", "newest night", "leakage l/min", "since", "last good night", "what")
 # On a terminal the last column needs the room, and has these in words.
-IN_WORDS = {"since", "tonight"}
+IN_WORDS = {"since", "newest night"}
 
 
 def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool) -> None:
@@ -57,7 +57,6 @@ def _print_json(found: FleetStatus, *, too_old: bool) -> None:
         "too_old": too_old,
         "findings": found.findings,
         "findings_confirmed": found.findings_confirmed,
-        "parts": {name: asdict(one) for name, one in found.parts.items()},
         "run": None if found.beat is None else asdict(found.beat),
         "receivers": [asdict(one) for one in found.receivers],
         "changed_by_rules": found.n_by_rules,
@@ -80,7 +79,7 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
     if found.n_by_rules:
         yield (
             "changes of the program's rules: other states of past nights: "
-            f"{found.n_by_rules}; the report's fleet page lists them"
+            f"{found.n_by_rules}; `alarms.rules` has them"
         )
     if found.damage:
         first, files = found.damage[0], counted(len(found.damage), "published file")
@@ -98,14 +97,6 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
         yield (
             f"inspections that confirmed an alarm: {found.findings_confirmed} of "
             f"{found.findings} ({share:.0f} %)"
-        )
-    if found.parts:
-        right, wrong, unknown, missed = (
-            sum(column) for column in zip(*map(astuple, found.parts.values()), strict=True)
-        )
-        yield (
-            f"parts named by alarms, after inspections: {right} right, {wrong} wrong, {unknown} "
-            f"cannot be told, {missed} missed"
         )
 
 
@@ -128,19 +119,19 @@ def _run_line(found: FleetStatus) -> str | None:
 
 def _cells(motor: MotorState) -> tuple[str, ...]:
     """Cells of `COLUMNS`."""
-    watch, tonight, leakage, since = motor.watch, "unknown", "unknown", ""
+    watch, newest, leakage, since = motor.watch, "unknown", "unknown", ""
     if watch is not None:
         change = (watch.tonight_change, watch.tonight_change_lower, watch.tonight_change_upper)
         if None not in change:
             value, lower, upper = (100 * one for one in change if one is not None)
-            tonight = f"{value:+z.1f} % [{lower:.1f}, {upper:.1f}]"
+            newest = f"{value:+z.1f} % [{lower:z.1f}, {upper:z.1f}]"
         if watch.own_leakage_l_per_min is not None:
             leakage = f"{watch.own_leakage_l_per_min:.3g}"
         since = str(watch.since or "")
     return (
         motor.motor_id,
         motor.state.replace("_", " "),
-        tonight,
+        newest,
         leakage,
         since,
         str(motor.last_good_night or "never"),

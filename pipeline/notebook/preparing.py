@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Collection, Mapping, MutableMapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,9 @@ from leakage.frame.fit import fit_frame
 from leakage.frame.result import FrameFit
 from leakage.frame.samples import CHARGE, FLOW, FrameTable
 from leakage.physics.motor import Motor
-from pipeline.clock import latest_us, microseconds, utc
-from pipeline.config import Fleet, MotorFile, MotorSpec, Nights, Settings, load_fleet
-from pipeline.config.nights import night, night_of, nights_between, nights_of
+from pipeline.clock import latest_us, utc
+from pipeline.config import Fleet, MotorFile, MotorSpec, Settings, load_fleet
+from pipeline.config.nights import night, nights_between, nights_of
 from pipeline.errors import UsageError
 from pipeline.ingest import RawChannel
 from pipeline.logs.files import reaches_us, slice_night
@@ -27,7 +27,7 @@ from pipeline.night.fit_night import Insufficient, choose_parts, clean_channels
 from pipeline.night.statistics import charge_over_case_bar
 from pipeline.night.time_base import Samples
 from pipeline.night.tolerances import tolerances
-from pipeline.schema import QUALITY_REASONS, TIMESTAMP
+from pipeline.schema import QUALITY, TIMESTAMP
 from pipeline.units import canonical_unit
 
 CHANNELS = {
@@ -37,18 +37,10 @@ CHANNELS = {
     "leakage_flow": FLOW,
     "charge_pressure": CHARGE,
 }
-EMPTY = pl.DataFrame(
-    schema={"time": TIMESTAMP} | {name: pl.Float64 for name in CHANNELS.values() if name != CHARGE}
-)
-REFUSED = {
-    "night": pl.Date,
-    "channel": pl.String,
-    "reason": pl.String,
-    "meaning": pl.String,
-    "n_samples": pl.Int64,
-    "n_refused": pl.Int64,
-}
-Part = tuple[pl.DataFrame, pl.DataFrame]  # kept samples, and counts of what was refused
+REFUSED = {name: QUALITY.schema[name] for name in ("night", "channel", "reason")}
+REFUSED |= {name: QUALITY.schema[name] for name in ("n_samples", "n_refused")}
+# Kept samples of a night, rows of what was refused, and why there are none.
+Part = tuple[pl.DataFrame, list[tuple[Any, ...]], str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,8 +48,8 @@ class Prepared:
     """Samples that are good enough to fit."""
 
     frame: pl.DataFrame  # kept samples on one time base, as `leakage.fit_frame` takes them
-    # By night, channel and rule: samples that it looked at, and those that it refused.
-    refused: pl.DataFrame
+    refused: pl.DataFrame  # by night, channel and rule, as in the table `quality`
+    notes: tuple[str, ...]  # nights without samples, each with its reason
     settings: Settings
     # The motor with its oil and its primary flushing, and the tolerances of its sensors, as its
     # files state them; None without files.
@@ -74,7 +66,7 @@ class Prepared:
         if motor is None:
             raise UsageError("no_motor", "these samples come without a motor: say fit(motor)")
         if not self.frame.height:
-            told = "; ".join(self.refused.filter(pl.col("reason") == "unusable")["meaning"])
+            told = "; ".join(self.notes)
             raise UsageError("no_samples", f"no sample of these nights can be used: {told}")
         return fit_frame(
             self.frame,
@@ -131,67 +123,47 @@ def prepare(
         inside = (time_us >= here.start_us) & (time_us < here.end_us)
         of_night = {name: channel.rows(inside) for name, channel in channels.items()}
         parts.append(_cleaned(file, settings, label, of_night))
-    return Prepared(*_joined(parts), settings)
+    return _joined(parts, settings)
 
 
-def prepare_log(
-    config: Fleet | Path | str,
-    motor_id: str,
-    since: dt.date | str,
-    until: dt.date | str | None = None,
-) -> Prepared:
+def prepare_log(config: Fleet | Path | str, motor_id: str, nights: dt.date | str) -> Prepared:
     """Read the logs of a motor of a fleet, and clean them as the nightly run does.
 
-    `since` and `until` are the first and the last night, as dates or such as "2026-01-02"; one
-    night without the last. Raises ConfigError if the config has a fault; UsageError
-    (``unknown_motor``, ``unknown_night``, ``oil_changed``, ``period``).
+    `nights` is a night, as a date or such as "2026-01-02", or "2026-01-02..2026-01-08". Raises
+    ConfigError if the config has a fault; UsageError (``unknown_motor``, ``unknown_night``,
+    ``oil_changed``, ``period``).
     """
-    try:
-        first, last = (
-            one if isinstance(one, dt.date) else dt.date.fromisoformat(one)
-            for one in (since, until or since)
-        )
-    except ValueError as error:
-        raise UsageError("period", f"{error}: write a night as 2026-01-02") from error
-    return _of_nights(_motor_of(config, motor_id), nights_between(first, last))
+    return _of_nights(_motor_of(config, motor_id), _labels(str(nights)))
 
 
 def fit_periods(
     config: Fleet | Path | str, motor_id: str, train: str, validate: str | None = None
 ) -> tuple[FrameFit, Prepared]:
-    """Fit a motor to one period of its logs, and judge it on another.
+    """Fit a motor to some nights of its logs, A..B, and judge it on others.
 
-    A period is ``A..B``: nights, both included, or moments such as 2026-01-02T22:00, in UTC where
-    they state no zone. Raises as `prepare_log` and `leakage.fit_frame`.
+    Raises as `prepare_log` and `leakage.fit_frame`.
     """
     spec = _motor_of(config, motor_id)
-    nights = spec.settings.nights
-    periods = [_period(text, nights) for text in (train, validate) if text]
-    edges = [(microseconds(first), microseconds(last) - 1) for first, last in periods]
-    labels = [
-        nights_between(night_of(first, nights), night_of(last, nights)) for first, last in edges
-    ]
-    prepared = _of_nights(spec, {label for of_period in labels for label in of_period})
+    chosen = [_labels(text) for text in (train, validate) if text]
+    prepared = _of_nights(spec, {label for labels in chosen for label in labels})
+    periods = []
+    for labels in chosen:
+        first, last = (night(labels[at], spec.settings.nights) for at in (0, -1))
+        periods.append((utc(first.start_us), utc(last.end_us)))
     return prepared.fit(train=periods[0], validate=periods[1] if validate else None), prepared
 
 
-def _period(text: str, nights: Nights) -> tuple[dt.datetime, dt.datetime]:
-    """Begin and end of a period, half open."""
-    begin, _, end = text.partition("..")
+def _labels(text: str) -> list[dt.date]:
+    """The nights from A to B, both included, or A alone."""
+    first, _, last = text.partition("..")
     try:
-        if "T" in text:
-            first, last = map(dt.datetime.fromisoformat, (begin, end))
-            begins = first if first.tzinfo else first.replace(tzinfo=dt.UTC)
-            ends = last if last.tzinfo else last.replace(tzinfo=dt.UTC)
-        else:
-            labels = [night(dt.date.fromisoformat(one), nights) for one in (begin, end)]
-            begins, ends = utc(labels[0].start_us), utc(labels[1].end_us)
+        ends = [dt.date.fromisoformat(one) for one in (first, last or first)]
     except ValueError as error:
-        said = f"{text!r}: write a period as 2026-01-02..2026-01-08, or with times"
+        said = f"{error}: write nights as 2026-01-02 or 2026-01-02..2026-01-08"
         raise UsageError("period", said) from error
-    if not begins < ends:
+    if ends[0] > ends[1]:
         raise UsageError("period", f"{text!r} ends before it begins")
-    return begins, ends
+    return nights_between(*ends)
 
 
 def _motor_of(config: Fleet | Path | str, motor_id: str) -> MotorSpec:
@@ -209,9 +181,9 @@ def _of_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
     if len({spec.file.oil_on(label) for label in labels}) > 1:
         said = f"{spec.motor_id} has another oil in some of these nights: choose less"
         raise UsageError("oil_changed", said)
-    prepared = _joined([_of_logs(spec, logs, label) for label in labels])
+    prepared = _joined([_of_logs(spec, logs, label) for label in labels], spec.settings)
     motor = spec.motor(labels[-1], spec.file.flushing.mode)
-    return Prepared(*prepared, spec.settings, motor, tolerances(spec, labels[-1]))
+    return replace(prepared, motor=motor, tolerances=tolerances(spec, labels[-1]))
 
 
 def _of_logs(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> Part:
@@ -219,7 +191,7 @@ def _of_logs(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> Part:
     read = [logs.content(name) for name in (*logs.before_night(here), *names)]
     for name in names:
         if logs.files[name].status != "ok":
-            return _nothing(label, "log", logs.files[name].message or "")
+            return pl.DataFrame(), [], f"night of {label}: log: {logs.files[name].message}"
     channels = slice_night([one for one in read if one is not None], here, reaches_us(spec))
     logs.let_go_until(label)
     return _cleaned(spec.file, spec.settings, label, channels)
@@ -234,18 +206,13 @@ def _cleaned(
         samples, quality = clean_channels(file, settings, here, channels)
         samples, outside = choose_parts(file, settings, here, samples)
     except Insufficient as outcome:
-        return _nothing(label, "night", outcome.reason)
+        return pl.DataFrame(), [], f"night of {label}: {outcome.reason}"
     rows = [
-        (label, one.channel, one.reason, _meaning(one.reason), one.n_samples, one.n_refused)
+        (label, one.channel, one.reason, one.n_samples, one.n_refused)
         for one in (*quality, *outside)
         if one.n_refused
     ]
-    return _frame(settings, samples), pl.DataFrame(rows, schema=REFUSED, orient="row")
-
-
-def _nothing(label: dt.date, channel: str, why: str) -> Part:
-    row = (label, channel, "unusable", why, 0, 0)
-    return EMPTY, pl.DataFrame([row], schema=REFUSED, orient="row")
+    return _frame(settings, samples), rows, ""
 
 
 def _frame(settings: Settings, samples: Samples) -> pl.DataFrame:
@@ -261,11 +228,12 @@ def _frame(settings: Settings, samples: Samples) -> pl.DataFrame:
     return pl.DataFrame(columns).with_columns(pl.col("time").cast(TIMESTAMP))
 
 
-def _meaning(reason: str) -> str:
-    return QUALITY_REASONS[reason].meaning if reason in QUALITY_REASONS else reason
-
-
-def _joined(parts: list[Part]) -> Part:
-    frames, refused = zip(*parts, strict=True)
-    there = [one for one in frames if one.height] or [frames[0]]
-    return pl.concat(there), pl.concat(refused)
+def _joined(parts: list[Part], settings: Settings) -> Prepared:
+    frames, refused, notes = zip(*parts, strict=True)
+    rows = [row for of_night in refused for row in of_night]
+    return Prepared(
+        pl.concat([one for one in frames if one.height] or [frames[0]]),
+        pl.DataFrame(rows, schema=REFUSED, orient="row"),
+        tuple(filter(None, notes)),
+        settings,
+    )

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import polars as pl
 
-from pipeline.errors import StoreError, UsageError
+from pipeline.errors import UsageError
 from pipeline.schema import TABLES
-from pipeline.store.published import faults_of
 from pipeline.store.tables import existing_tables, files_of
 
 
@@ -43,25 +42,12 @@ class Tables:
         """The primary fit of each motor and night."""
         return self.table("fits").filter("is_primary").sort("motor_id", "night")
 
-    def trend(self, motor_id: str, indicator: str) -> pl.LazyFrame:
-        """The course of an indicator of a motor, in order of nights."""
-        here = (pl.col("motor_id") == motor_id) & (pl.col("indicator") == indicator)
-        return self.table("trends").filter(here).sort("night")
 
-    def alarms(self) -> pl.LazyFrame:
-        """All changes of state, in order of nights."""
-        return self.table("alarms").sort("night", "motor_id", "indicator")
+def open_tables(output: Path | str) -> Tables:
+    """Open the published tables of an output folder.
 
-
-def open_tables(output: Path | str, *, verify: bool = False) -> Tables:
-    """Open the published tables of an output folder; with `verify` each file is compared first.
-
-    Raises UsageError (``no_tables``) if there are none; StoreError (``store_read``) if a file is
-    not what was published.
+    Raises UsageError (``no_tables``) if there are none.
     """
     tables = Tables(Path(output))
     existing_tables(tables.output)
-    faults = faults_of(tables.output, None) if verify else ()
-    if faults:
-        raise StoreError("store_read", "; ".join(f"{one.path}: {one.message}" for one in faults))
     return tables

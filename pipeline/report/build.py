@@ -5,87 +5,50 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
-from zoneinfo import ZoneInfo
 
 import polars as pl
 
-from pipeline.errors import StoreError, UsageError
+from pipeline.config import Fleet, MotorSpec
+from pipeline.errors import StoreError
+from pipeline.messages import plain
 from pipeline.report.charts import conditions_chart, night_chart, watch_chart
 from pipeline.report.explain import EXPLAINED, paragraphs
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.pages import FOLDER, page_of
 from pipeline.report.plotly_json import figure, script_json
-from pipeline.report.status import changed_by_rules, current_states, read_scores
-from pipeline.report.tables import MotorHistory, TableReader, by_motor, motor_histories
-from pipeline.report.words import STATUSES
-from pipeline.schema import ALARMS, FIT_KEY_NAMES, FITS, PREDICTIONS, RUNS, frame
+from pipeline.report.status import current_states
+from pipeline.report.tables import MotorHistory, by_motor, finite_rows, motor_histories
+from pipeline.schema import ALARMS, FITS, PREDICTIONS, frame
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, read, remove_leftovers
-from pipeline.store.tables import files_of, table_folder
+from pipeline.store.tables import files_of, read_rows, table_folder
 from pipeline.telling.outbox import backlogs
-from pipeline.telling.receivers import Receiver
+from pipeline.telling.receivers import receivers_of
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.rows.motor_states import ORDER
 
 MANIFEST = "manifest.json"
 CHART_LIBRARY = "assets/plotly.min.js"
-UTC = ZoneInfo("UTC")
 # Of changes of state a page lists the newest.
 SHOWN_CHANGES = 200
-# What every file system takes; the ids of a config match it, those of a stranger's table may not.
-PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}[A-Za-z0-9_-]|[A-Za-z0-9]")
-# Names of devices on Windows, whatever their ending.
-DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
-
-
-@dataclass(frozen=True, slots=True)
-class KnownMotor:
-    """Facts on a motor that only the config has."""
-
-    motor_type: str
-    # Its dated events, each with `date`, `kind` and `note`.
-    events: tuple[Mapping[str, Any], ...] = ()
-    paths: tuple[str, ...] = ()  # names of its leakage paths, in the config's order
-
-
-@dataclass(frozen=True, slots=True)
-class ReportRequest:
-    """Request for a report."""
-
-    output: Path  # output folder of the runs, in which `tables/` lies
-    folder: Path  # folder of the report
-    fleet: str = ""  # name of the fleet; where empty, that of the newest run
-    # Motors of the config by id, those without any night too.
-    known: Mapping[str, KnownMotor] = field(default_factory=dict)
-    motors: tuple[str, ...] = ()  # ids of the motors to show; empty for all
-    nights: int | None = None  # newest nights that get a file of their own; None for all
-    # Time of making, which the fleet's page tells; None: it tells none.
-    made: dt.datetime | None = None
-    zone: ZoneInfo = UTC  # time zone of the fleet
-    old_after_nights: int = 7  # nights after which a motor's newest data are old
-    # Receivers of alarms; what they have not taken is on the fleet's page.
-    receivers: tuple[Receiver, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class ReportResult:
     """Result of a report."""
 
-    index: Path  # the page to open
     # n_motors, n_nights: motors shown, and nights of the fleet that were made anew.
     n_motors: int
     n_nights: int
     # n_written, n_removed: files that were written and removed; all others were as they had to be.
     n_written: int
     n_removed: int
-    faults: tuple[str, ...]  # table files that could not be read, in words
 
 
 class Folder:
@@ -148,192 +111,126 @@ class Folder:
         return len(gone)
 
 
-def build_report(request: ReportRequest) -> ReportResult:
-    """Write the report, or of a present one what has changed.
+def build_report(
+    fleet: Fleet, folder: Path, *, nights: int | None = None, made: dt.datetime | None = None
+) -> ReportResult:
+    """Write the report of a fleet's motors to a folder, or of a present one what has changed.
 
-    Raises StoreError if there are no tables, one is of a newer version of the program, or the
-    folder cannot be written or holds something else; UsageError if a motor is asked for that
-    neither the config nor a table knows.
+    `nights`: newest nights that get a file of their own; None for all. `made`: time of making,
+    which the fleet's page tells; None: it tells none.
+
+    Raises StoreError if there are no tables, one is damaged or of a newer version of the program,
+    or the folder cannot be written or holds something else.
     """
-    if not table_folder(request.output, FITS).is_dir():
+    if not table_folder(fleet.output, FITS).is_dir():
         raise StoreError(
             "report_tables",
-            f"{request.output} holds no table of fits; run fit-fleet first; if it found no log, "
+            f"{fleet.output} holds no table of fits; run fit-fleet first; if it found no log, "
             "run check",
         )
-    folder = Folder(request.folder)
-    remove_leftovers([request.folder])
-    reader = TableReader(request.output)
-    fits = reader.rows(FITS).filter("is_primary")
-    names = _names(request, fits["motor_id"].unique())
-    nights = _motors_by_night(fits, names, request.nights)
+    report = Folder(folder)
+    remove_leftovers([folder])
     program = _program_hash()
-    states, n_nights = _make_nights(reader, folder, nights, names, program)
-    n_motors = _make_pages(request, reader, folder, names, program)
-    n_removed = folder.close(program, states)
-    return ReportResult(
-        index=request.folder / "index.html",
-        n_motors=n_motors,
-        n_nights=n_nights,
-        n_written=folder.n_written,
-        n_removed=n_removed,
-        faults=tuple(sorted(set(reader.faults))),
-    )
+    states, n_nights = _make_nights(fleet, report, nights, program)
+    _make_pages(fleet, made, report, program)
+    n_removed = report.close(program, states)
+    return ReportResult(len(fleet.motors), n_nights, report.n_written, n_removed)
 
 
-def _names(request: ReportRequest, in_tables: Iterable[str]) -> dict[str, str]:
-    """File names of all motors that are shown."""
-    ids = {*request.known, *in_tables}
-    if strangers := sorted(set(request.motors) - ids):
-        there = ", ".join(sorted(ids))
-        raise UsageError("unknown_motor", f"no motor {', '.join(strangers)}; there are {there}")
-    names = file_names(ids)
-    return {one: names[one] for one in sorted(ids) if not request.motors or one in request.motors}
-
-
-def file_names(motor_ids: Iterable[str]) -> dict[str, str]:
-    """A name without ending for each motor: its id, wherever any file system takes it."""
-    ids = list(motor_ids)
-    sharing = Counter(motor_id.casefold() for motor_id in ids)
-
-    def is_safe(name: str) -> bool:
-        is_plain = PLAIN.fullmatch(name) and not DEVICES.match(name)
-        return bool(is_plain) and sharing[name.casefold()] == 1
-
-    hashes = {one: hashlib.sha256(one.encode()).hexdigest()[:12] for one in ids}
-    return {one: one if is_safe(one) else f"motor-{hashes[one]}" for one in ids}
-
-
-def _motors_by_night(
-    fits: pl.DataFrame, names: Mapping[str, str], newest: int | None
-) -> dict[dt.date, list[str]]:
+def _motors_by_night(fleet: Fleet, newest: int | None) -> dict[dt.date, list[str]]:
     """Motors that have a row, by night in time order; of the newest nights, or of all."""
-    shown = fits.filter(pl.col("motor_id").is_in(list(names)))
+    ids = [spec.motor_id for spec in fleet.motors]
+    columns = ("motor_id", "night", "is_primary")
+    shown = read_rows(fleet.output, FITS, ids, columns).filter("is_primary")
     groups = shown.group_by("night").agg(pl.col("motor_id").sort()).sort("night")
     return dict((groups if newest is None else groups.tail(newest)).iter_rows())
 
 
-def night_file_name(motor_name: str, night: dt.date) -> str:
+def night_file_name(motor_id: str, night: dt.date) -> str:
     """Path of a night's file within the report."""
-    return f"data/{motor_name}/{night}.js"
+    return f"data/{motor_id}/{night}.js"
 
 
 def _make_nights(
-    reader: TableReader,
-    folder: Folder,
-    nights: Mapping[dt.date, list[str]],
-    names: Mapping[str, str],
-    program: str,
+    fleet: Fleet, folder: Folder, newest: int | None, program: str
 ) -> tuple[dict[str, str], int]:
     """Make the files of nights that are new or changed; states of the nights, and how many."""
+    output, ids = fleet.output, [spec.motor_id for spec in fleet.motors]
+    nights = _motors_by_night(fleet, newest)
     states: dict[str, str] = {}
     n_made = 0
     for month in sorted({night.replace(day=1) for night in nights}):
         labels = [night for night in nights if night.replace(day=1) == month]
-        read = TableReader(reader.output)
         of_month = {
-            table: read.rows(table, labels).partition_by("night", as_dict=True)
+            table.name: finite_rows(output, table, ids, labels).partition_by("night", as_dict=True)
             for table in EXPLAINED
         }
         for night in labels:
-            rows = {
-                table.name: of_month[table].get((night,), frame(table, [])) for table in EXPLAINED
-            }
-            state = _state_of(rows, files_of(reader.output, PREDICTIONS, [night]))
-            files = [night_file_name(names[motor_id], night) for motor_id in nights[night]]
-            is_current = (folder.program, folder.nights.get(str(night))) == (program, state)
-            if not (is_current and folder.keep(files)):
-                n_made += 1
-                of_night = TableReader(reader.output, list(read.faults))
-                rows["predictions"] = of_night.rows(PREDICTIONS, [night])
-                reader.faults += of_night.faults
-                for motor_id, payload in night_payloads(night, rows, of_night.faults).items():
-                    if motor_id in names:
-                        content = f"motorLeakage.night({script_json(payload)});\n".encode()
-                        folder.write(night_file_name(names[motor_id], night), content)
-                if of_night.faults:
-                    continue  # it is tried again
+            rows = {name: of[(night,)] for name, of in of_month.items() if (night,) in of}
+            state = _state_of(rows, files_of(output, PREDICTIONS, [night]))
             states[str(night)] = state
+            files = [night_file_name(motor_id, night) for motor_id in nights[night]]
+            is_current = (folder.program, folder.nights.get(str(night))) == (program, state)
+            if is_current and folder.keep(files):
+                continue
+            n_made += 1
+            rows["predictions"] = finite_rows(output, PREDICTIONS, ids, [night])
+            own = {name: by_motor(of) for name, of in rows.items()}
+            for motor_id, file in zip(nights[night], files, strict=True):
+                of_motor = {name: of[motor_id] for name, of in own.items() if motor_id in of}
+                payload = night_payload(night, of_motor)
+                folder.write(file, f"motorLeakage.night({script_json(payload)});\n".encode())
     return states, n_made
 
 
 def _state_of(rows: Mapping[str, pl.DataFrame], samples: Iterable[Path]) -> str:
     """What a night is made from: its rows, and the files of its samples."""
-    sums = [(name, int(of.hash_rows().sum()) if of.height else 0) for name, of in rows.items()]
+    sums = [(name, int(of.hash_rows().sum())) for name, of in rows.items()]
     stamps = [(one.stat().st_size, one.stat().st_mtime_ns) for one in samples]
     return hashlib.sha256(f"{sums} {stamps}".encode()).hexdigest()[:16]
 
 
-def night_payloads(
-    night: dt.date, tables: Mapping[str, pl.DataFrame], faults: Sequence[str]
-) -> dict[str, dict[str, Any]]:
-    """What the page of each motor shows of a night: words as of `explain`, and a chart."""
-    primary = tables["fits"].filter("is_primary").select(FIT_KEY_NAMES)
-    grouped = {
-        name: by_motor(
-            rows.join(primary, on=FIT_KEY_NAMES, how="semi", maintain_order="left")
-            if name != "fits" and set(FIT_KEY_NAMES) <= set(rows.columns)
-            else rows
-        )
-        for name, rows in tables.items()
-    }
-    payloads = {}
-    for motor_id in sorted(primary["motor_id"]):
-        own = {name: found.get(motor_id, tables[name].clear()) for name, found in grouped.items()}
-        samples = own.pop("predictions")
-        words = paragraphs({name: rows.to_dicts() for name, rows in own.items()})
-        words += [("Not read", list(faults))] if faults else []
-        chart = figure(night_chart(samples))
-        payloads[motor_id] = {"night": str(night), "words": words, "figure": chart}
-    return payloads
+def night_payload(night: dt.date, rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+    """What a motor's page shows of a night: words as of `explain`, and a chart."""
+    none = pl.DataFrame()
+    listed = {table.name: rows.get(table.name, none).to_dicts() for table in EXPLAINED}
+    mode = next(row["flushing_mode"] for row in listed["fits"] if row["is_primary"])
+    samples = rows.get("predictions", frame(PREDICTIONS, [])).filter(flushing_mode=mode)
+    chart = figure(night_chart(samples))
+    return {"night": str(night), "words": paragraphs(listed), "figure": chart}
 
 
-def _make_pages(
-    request: ReportRequest,
-    reader: TableReader,
-    folder: Folder,
-    names: Mapping[str, str],
-    program: str,
-) -> int:
-    """Make the fleet's page, the motors' pages, and what they share; how many motors."""
-    output, ids = request.output, list(names)
-    motors = motor_histories(reader, ids)
-    types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
-    states = {one.motor_id: one for one in current_states(output, ids)}
-    rows = fleet_rows(motors, names, types, states)
+def _make_pages(fleet: Fleet, made: dt.datetime | None, folder: Folder, program: str) -> None:
+    """Make the fleet's page, the motors' pages, and what they share."""
+    ids = [spec.motor_id for spec in fleet.motors]
+    motors = dict(zip(ids, motor_histories(fleet.output, ids), strict=True))
+    states = {one.motor_id: one for one in current_states(fleet.output, ids)}
+    types = {spec.motor_id: spec.file.motor_type for spec in fleet.motors}
+    rows = fleet_rows(list(motors.values()), types, states)
     by_id = {row.state.motor_id: row for row in rows}
-    alarms = reader.rows(ALARMS).filter(pl.col("motor_id").is_in(ids))
-    by_rules = changed_by_rules(alarms).sort(ALARMS.key)
-    decisions = read_decisions(output)
+    alarms = by_motor(read_rows(fleet.output, ALARMS, ids))
+    decisions = read_decisions(fleet.output)
     found = Counter(row.state.state for row in rows)
-    first, newest = fleet_span(motors) or (None, None)
+    first, newest = fleet_span(list(motors.values())) or (None, None)
+    waiting = backlogs(fleet.output, receivers_of(fleet.settings.alarms))
     facts = {
-        "name": request.fleet or fleet_name(reader) or "Fleet",
+        "name": fleet.name,
         "first": first,
         "newest": newest,
-        "made": request.made,
-        "zone": request.zone,
-        "old_after_nights": request.old_after_nights,
-        "undelivered": [
-            one.words for one in backlogs(output, request.receivers) if one.undelivered
-        ],
-        "faults": sorted(set(reader.faults)),
+        "made": made,
+        "zone": fleet.settings.nights.zone,
+        "old_after_nights": fleet.settings.alarms.stale_after_nights,
+        "undelivered": [one.words for one in waiting if one.undelivered],
     }
-    for motor in motors:
-        known = request.known.get(motor.motor_id, KnownMotor(""))
-        changes = alarms.filter(motor_id=motor.motor_id)
-        values = _motor_values(motor, by_id[motor.motor_id], known, changes, folder)
-        said = [one for one in decisions if one.motor_id == motor.motor_id]
+    for spec in fleet.motors:
+        motor_id = spec.motor_id
+        changes = newest_changes(alarms.get(motor_id, frame(ALARMS, [])))
+        values = _motor_values(spec, motors[motor_id], by_id[motor_id], changes, folder)
+        said = [one for one in decisions if one.motor_id == motor_id]
         page = page_of("motor.html", facts=facts, decisions=said, **values)
-        folder.write(f"motors/{names[motor.motor_id]}.html", page.encode())
-    index = page_of(
-        "fleet.html",
-        facts=facts,
-        rows=rows,
-        by_rules=by_rules.with_columns(page=pl.col("motor_id").replace(names)).to_dicts(),
-        counts=[(code, found[code]) for code in ORDER if found[code]],
-        parts=read_scores(output, ids, decisions),
-    )
+        folder.write(f"motors/{motor_id}.html", page.encode())
+    counts = [(code, found[code]) for code in ORDER if found[code]]
+    index = page_of("fleet.html", facts=facts, rows=rows, counts=counts)
     folder.write("index.html", index.encode())
     folder.write("glossary.html", page_of("glossary.html", facts=facts).encode())
     for asset in (FOLDER / "assets").iterdir():
@@ -343,22 +240,24 @@ def _make_pages(
         from plotly.offline import get_plotlyjs
 
         folder.write(CHART_LIBRARY, get_plotlyjs().encode())
-    return len(motors)
 
 
 def _motor_values(
-    motor: MotorHistory, row: FleetRow, known: KnownMotor, alarms: pl.DataFrame, folder: Folder
+    spec: MotorSpec,
+    motor: MotorHistory,
+    row: FleetRow,
+    changes: Sequence[Mapping[str, Any]],
+    folder: Folder,
 ) -> dict[str, Any]:
     """What the template of a motor's page names, besides facts and decisions."""
-    changes = newest_changes(alarms)
-    course = watch_chart(motor, known.paths, known.events, changes)
-    statuses = motor.fits["status"].to_list()
+    paths = [path.name for path in spec.motor_type.paths()]
+    course = watch_chart(motor, paths, spec.file.events, changes)
     payload = {
-        "file": row.page,
+        "file": motor.motor_id,
         "nights": [str(night) for night in motor.nights],
-        "statuses": [STATUSES.get(status, status) for status in statuses],
+        "statuses": [plain(status) for status in motor.fits["status"]],
         "detailed": [
-            int(night_file_name(row.page, night) in folder.files) for night in motor.nights
+            int(night_file_name(motor.motor_id, night) in folder.files) for night in motor.nights
         ],
         "figures": {"course": figure(course), "conditions": figure(conditions_chart(motor))},
     }
@@ -375,12 +274,6 @@ def newest_changes(alarms: pl.DataFrame) -> list[dict[str, Any]]:
     """A motor's newest rows of `alarms`, the newest first."""
     rows = alarms.sort("time", "indicator", descending=[True, False])
     return rows.head(SHOWN_CHANGES).to_dicts()
-
-
-def fleet_name(reader: TableReader) -> str:
-    """Name of the fleet in its newest run; empty where there is none."""
-    names = reader.rows(RUNS).sort("started_at")["fleet"].drop_nulls()
-    return str(names[-1]) if len(names) else ""
 
 
 def _program_hash() -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from pipeline.arrays import Array
+from pipeline.config import Event
 from pipeline.messages import plain
 from pipeline.palette import COLOURS, path_places
-from pipeline.report.tables import Course, MotorHistory
-from pipeline.report.words import EVENTS, STATUSES
+from pipeline.report.tables import MotorHistory
 from pipeline.trends.nights.decisions import LEAKAGE
 from pipeline.trends.sentences import cause_words
 
@@ -37,16 +37,15 @@ LEAST_REACH = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A course of shape (n,); NaN where it has no value."""
+    """Values at the times of a chart, shape (n,); NaN where there is none."""
 
     name: str
-    time: Times
     value: Array
-    colour: str
+    colour: str = BLUE
     # lower, upper: its interval.
     lower: Array | None = None
     upper: Array | None = None
-    # dash, symbol: names of Plotly; empty: no line, or no marks.
+    # dash, symbol: names of Plotly; empty: no marks.
     dash: str = "solid"
     symbol: str = ""
     words: tuple[str, ...] = ()  # of each point, beside its value
@@ -61,7 +60,6 @@ class Panel:
     lines: tuple[Line, ...]
     ends: tuple[float, float] | None = None  # of its axis; None: as the lines need
     height: int = 170  # pixels on a page; on paper the heights' proportions hold
-    has_axis: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +75,7 @@ class Mark:
 class Chart:
     """Panels on one axis of time; none: there is nothing to show."""
 
+    time: Times
     panels: tuple[Panel, ...]
     shaded: tuple[tuple[dt.date, dt.date], ...] = ()  # first and last night of each baseline
     marks: tuple[Mark, ...] = ()  # in order of time; numbered from 1
@@ -85,59 +84,42 @@ class Chart:
 def watch_chart(
     motor: MotorHistory,
     declared: Iterable[str],
-    events: Sequence[Row] = (),
-    changes: Sequence[Row] = (),
+    events: Iterable[Event] = (),
+    changes: Iterable[Row] = (),
 ) -> Chart:
     """What the watch has found over the nights.
 
-    `declared` are the motor's leakage paths in the config's order, `events` its dated events,
-    `changes` its rows of `alarms`.
+    `declared` are the motor's leakage paths, `events` its dated events, `changes` its rows of
+    `alarms`.
     """
-    panels = (
-        _leakage_panel(motor),
-        _outcomes(motor),
-        _evidence_panel(motor),
-        _gap_panel(motor, declared),
-    )
+    panels = (_leakage_panel(motor), _evidence_panel(motor), _gap_panel(motor, declared))
     marks = [*_events(events), *_detected(motor, changes)]
     return Chart(
-        tuple(one for one in panels if one is not None and one.lines),
+        motor.stamps,
+        _shown(panels),
         tuple(motor.baselines.select("start", "end").drop_nulls().iter_rows()),
         tuple(sorted(marks, key=lambda one: one.night)),
     )
 
 
 def conditions_chart(motor: MotorHistory) -> Chart:
-    """For the analyst: fit, measured flow and operating conditions of each night."""
+    """For the analyst: measured flow, operating conditions and validation of each night."""
     columns = {
-        "training_fit_percent": "on training data",
-        "validation_fit_percent": "on validation data",
-        "previous_model_fit_percent": "of the night before's model",
+        "mean_flow_l_per_min": ("Drain flow, mean of the night", "l/min"),
+        "own_pressure_bar": ("Pressure difference", "bar"),
+        "own_temperature_c": ("Oil temperature", "°C"),
+        "own_speed_rpm": ("Speed", "rpm"),
+        "validation_fit_percent": ("Fit of the model on validation data", "%"),
     }
-    lines = [
-        _styled(name, motor.stamps, motor.fitted(column), place)
-        for place, (column, name) in enumerate(columns.items())
-    ]
-    # A poor fit may lie far below the others; the axis ends at −50 %.
-    lowest = min((float(np.nanmin(one.value)) for one in _known(lines)), default=60.0)
-    ends = max(min(lowest - 3.0, 60.0), -50.0), 101.0
-    panels = [Panel("Fit of the model", "%", _known(lines), ends)]
-    single = (
-        ("Drain flow, mean of the night", "l/min", "mean_flow_l_per_min"),
-        ("Pressure difference", "bar", "own_pressure_bar"),
-        ("Oil temperature", "°C", "own_temperature_c"),
-        ("Speed", "rpm", "own_speed_rpm"),
+    panels = (
+        Panel(title, unit, (Line(title, motor.fitted(name), symbol="circle"),), height=90)
+        for name, (title, unit) in columns.items()
     )
-    for title, unit, column in single:
-        line = Line(title, motor.stamps, motor.fitted(column), BLUE, symbol="circle")
-        panels.append(Panel(title, unit, _known([line]), height=90))
-    return Chart(tuple(one for one in panels if one.lines))
+    return Chart(motor.stamps, _shown(panels))
 
 
 def night_chart(samples: pl.DataFrame) -> Chart:
     """Measured and modelled drain flow of a night with its inputs, from rows of `predictions`."""
-    if samples.is_empty():
-        return Chart(())
     time = samples["time"].dt.replace_time_zone(None).to_numpy().astype("datetime64[s]")
     steps = np.diff(time).astype(np.int64)
     longest = 3 * np.quantile(steps, 0.95) if len(steps) else 0
@@ -150,89 +132,60 @@ def night_chart(samples: pl.DataFrame) -> Chart:
         values: Array = np.insert(samples[name].cast(pl.Float64).to_numpy(), gaps, np.nan)
         return values
 
-    measured, predicted = column("measured_l_per_min"), column("predicted_l_per_min")
-    flow = [Line("measured", time, measured, GREY)]
+    predicted = column("predicted_l_per_min")
+    flow = [Line("measured", column("measured_l_per_min"), GREY)]
     for name, colour, dash in ((TRAINING, BLUE, "solid"), (VALIDATION, VERMILION, "dash")):
         of_part = np.where(part == name, predicted, np.nan)
-        flow.append(Line(f"model, {name} data", time, of_part, colour, dash=dash))
-    inputs = (
+        flow.append(Line(f"model, {name} data", of_part, colour, dash=dash))
+    panels = [Panel("Drain flow", "l/min", tuple(flow), height=200)]
+    for title, unit, name in (
         ("Pressure difference", "bar", "pressure_difference_bar"),
         ("Oil temperature", "°C", "oil_temperature_c"),
         ("Speed", "rpm", "speed_rpm"),
-    )
-    panels = [Panel("Drain flow", "l/min", _known(flow), height=200)]
-    for title, unit, name in inputs:
-        lines = (Line(title, time, column(name), BLUE),)
-        panels.append(Panel(title, unit, lines, height=80))
-    return Chart(tuple(panels))
+    ):
+        panels.append(Panel(title, unit, (Line(title, column(name)),), height=80))
+    return Chart(time, _shown(panels))
 
 
-def gap_courses(motor: MotorHistory, declared: Iterable[str]) -> list[tuple[str, int, Course]]:
-    """Path, its place among the colours, and the gap change of each night's own fit, %."""
+def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel:
+    """The gap change of each night's own fit, %, in the colours of the paths."""
     paths = [name.removeprefix(GAP) for name in motor.trends if name.startswith(GAP)]
     places = path_places([*declared, *paths])
-    found = ((path, places[path], motor.course(GAP + path)) for path in paths)
-    return sorted((one for one in found if one[2].is_known.any()), key=lambda one: one[1])
-
-
-def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel | None:
-    """Changes of the gaps; None where no gap is known."""
-    lines = tuple(
-        _styled(plain(path), motor.stamps, one.value, place, one.lower, one.upper)
-        for path, place, one in gap_courses(motor, declared)
-    )
+    courses = {path: motor.course(GAP + path) for path in sorted(paths, key=places.__getitem__)}
+    lines = tuple(_styled(plain(path), places[path], *of) for path, of in courses.items())
     ends = _ends([np.zeros(1), *(one.value for one in lines)], 5.0)
-    return Panel("Change of the gap, night by night", "%", lines, ends, 150) if lines else None
+    return Panel("Change of the gap, night by night", "%", lines, ends, 150)
 
 
 def _leakage_panel(motor: MotorHistory) -> Panel:
     """The leakage; without any, the drain flow as measured, under its own name."""
-    leakage = motor.leakage
-    if not leakage.is_known.any():
-        flow = motor.fitted("mean_flow_l_per_min")
-        line = Line("drain flow", motor.stamps, flow, GREY, symbol="circle")
-        return Panel("Drain flow, mean of the night", "l/min", _known([line]))
-    own = _styled("leakage", motor.stamps, leakage.value, 0, leakage.lower, leakage.upper)
-    level = Line("baseline", motor.stamps, motor.level, GREY, dash="dash")
+    if np.isnan(motor.leakage[0]).all():
+        flow = Line("drain flow", motor.fitted("mean_flow_l_per_min"), GREY, symbol="circle")
+        return Panel("Drain flow, mean of the night", "l/min", (flow,))
+    own = _styled("leakage", 0, *motor.leakage)
+    level = Line("baseline", motor.level, GREY, dash="dash")
     ends = _ends([own.value, level.value], LEAST_REACH * float(np.nanmedian(own.value)))
-    return Panel("Leakage at its own conditions", "l/min", _known([own, level]), ends, 210)
-
-
-def _outcomes(motor: MotorHistory) -> Panel | None:
-    """Nights without a fit, each with its reason."""
-    kinds = (("failed", VERMILION, "x"), ("insufficient_data", ORANGE, "diamond"))
-    quiet = (("stood_still", GREY, "circle-open"), ("no_new_data", GREY, "line-ns-open"))
-    lines = []
-    for status, colour, symbol in (*kinds, *quiet):
-        places = np.flatnonzero((motor.fits["status"] == status).fill_null(value=False))
-        if len(places):
-            words = tuple((motor.fits["reason"][int(at)] or "")[:120] for at in places)
-            time, level = motor.stamps[places], np.full(len(places), 0.5)
-            line = Line(STATUSES[status], time, level, colour, dash="", symbol=symbol, words=words)
-            lines.append(line)
-    panel = Panel("Nights without a fit", "", tuple(lines), (0.0, 1.0), 16, has_axis=False)
-    return panel if lines else None
+    return Panel("Leakage at its own conditions", "l/min", (own, level), ends, 210)
 
 
 def _evidence_panel(motor: MotorHistory) -> Panel | None:
-    time, limit, whole = motor.stamps, motor.watched("evidence_limit"), motor.watched("evidence")
-    if not np.isfinite(limit).any():
+    limit, evidence = motor.watched("evidence_limit"), motor.watched("evidence")
+    if np.isnan(limit).all():
         return None
-    whole[~np.isfinite(whole)] = np.nan
+    whole = np.where(np.isfinite(evidence), evidence, np.nan)
     top = SHOWN_EVIDENCE * float(np.nanmax(limit))
     words = tuple("" if np.isnan(one) else f"{one:.1f}" for one in whole.tolist())
     lines = (
-        Line("evidence", time, np.minimum(whole, top), BLUE, symbol="circle", words=words),
-        Line("limit: a change is detected above it", time, limit, VERMILION, dash="longdash"),
+        Line("evidence", np.minimum(whole, top), symbol="circle", words=words),
+        Line("limit: a change is detected above it", limit, VERMILION, dash="longdash"),
     )
-    return Panel("Evidence of a change", "ln R", _known(lines), (-2.0, 1.05 * top), 110)
+    return Panel("Evidence of a change", "ln R", lines, (-2.0, 1.05 * top), 110)
 
 
-def _events(events: Iterable[Row]) -> Iterable[Mark]:
+def _events(events: Iterable[Event]) -> Iterable[Mark]:
     for one in events:
-        kind = EVENTS.get(one["kind"], plain(one["kind"]))
-        note = f": {one['note']}" if one.get("note") else ""
-        yield Mark(one["date"], f"{kind}{note}", GREY)
+        note = f": {one.note}" if one.note else ""
+        yield Mark(one.date, f"{plain(one.kind)}{note}", GREY)
 
 
 def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
@@ -247,23 +200,22 @@ def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
             yield Mark(row["night"], "alarm", VERMILION)
 
 
-def _styled(
-    name: str,
-    time: Times,
-    value: Array,
-    place: int,
-    lower: Array | None = None,
-    upper: Array | None = None,
-) -> Line:
+def _styled(name: str, place: int, value: Array, lower: Array, upper: Array) -> Line:
     """A line in the look of a place; dash and mark differ too, to be told apart in grey."""
     dashes = ("solid", "dash", "dot", "dashdot", "longdash")
     symbols = ("circle", "square", "diamond", "triangle-up", "x")
     colour, dash, symbol = (one[place % len(one)] for one in (COLOURS, dashes, symbols))
-    return Line(name, time, value, colour, lower, upper, dash, symbol)
+    return Line(name, value, colour, lower, upper, dash, symbol)
 
 
-def _known(lines: Iterable[Line]) -> tuple[Line, ...]:
-    return tuple(one for one in lines if np.isfinite(one.value).any())
+def _shown(panels: Iterable[Panel | None]) -> tuple[Panel, ...]:
+    """The panels that have a line with a value, with these lines alone."""
+    found = []
+    for panel in panels:
+        known = [one for one in panel.lines if np.isfinite(one.value).any()] if panel else []
+        if panel and known:
+            found.append(replace(panel, lines=tuple(known)))
+    return tuple(found)
 
 
 def _ends(values: Sequence[Array], reach: float) -> tuple[float, float]:

@@ -10,7 +10,6 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.report.tables import MotorHistory
-from pipeline.report.words import SENSORS
 from pipeline.thinning import keep_extremes
 from pipeline.trends.rows.motor_states import MotorState, urgency
 
@@ -42,7 +41,6 @@ class FleetRow:
     """A motor on the fleet page."""
 
     state: MotorState  # as `motor-leakage status` prints it
-    page: str
     motor_type: str
     newest_data: dt.datetime | None  # end of the newest data that were kept, UTC; None without any
     line: Sparkline | None  # its leakage at its own conditions; None where there is none
@@ -50,18 +48,16 @@ class FleetRow:
     # n_recent_good, n_recent: fitted nights, and nights with a row, among the fleet's newest 30.
     n_recent_good: int
     n_recent: int
-    sensors: str  # zeros of the sensors at halts, in words; empty where unknown
 
 
 def fleet_rows(
     motors: Sequence[MotorHistory],
-    pages: Mapping[str, str],
     types: Mapping[str, str],
     states: Mapping[str, MotorState],
 ) -> list[FleetRow]:
     """All motors, the most urgent first."""
     span = fleet_span(motors)
-    rows = [_row(one, pages[one.motor_id], types, states[one.motor_id], span) for one in motors]
+    rows = [_row(one, types[one.motor_id], states[one.motor_id], span) for one in motors]
     return sorted(rows, key=lambda row: urgency(row.state))
 
 
@@ -71,30 +67,21 @@ def fleet_span(motors: Sequence[MotorHistory]) -> Span | None:
     return (min(nights), max(nights)) if nights else None
 
 
-def _row(
-    motor: MotorHistory,
-    page: str,
-    types: Mapping[str, str],
-    state: MotorState,
-    span: Span | None,
-) -> FleetRow:
+def _row(motor: MotorHistory, motor_type: str, state: MotorState, span: Span | None) -> FleetRow:
     newest = motor.fits["window_end"].max()
     assert newest is None or isinstance(newest, dt.datetime)
-    named = motor.fits["motor_type"].drop_nulls()
     first = span[1] - dt.timedelta(days=RECENT_NIGHTS) if span else dt.date.max
     recent = motor.fits.filter(motor.fits["night"] > first)["status"].to_list()
     names = (f"reference_{one}" for one in ("pressure_bar", "temperature_c", "speed_rpm"))
     at = motor.fits.select(names).drop_nulls()
     return FleetRow(
         state=state,
-        page=page,
-        motor_type=types.get(motor.motor_id) or (named[-1] if len(named) else ""),
+        motor_type=motor_type,
         newest_data=newest,
         line=sparkline(motor, span) if span else None,
         reference=at.row(-1) if at.height else None,
         n_recent_good=recent.count("ok"),
         n_recent=len(recent),
-        sensors=SENSORS.get(state.sensor_health or "", ""),
     )
 
 
@@ -103,10 +90,11 @@ def sparkline(motor: MotorHistory, span: Span) -> Sparkline | None:
 
     `span` are the nights at the edges of the picture, the same for all motors of a fleet.
     """
-    known = np.flatnonzero(motor.leakage.is_known)
+    leakage, _, _ = motor.leakage
+    known = np.flatnonzero(np.isfinite(leakage))
     if not len(known):
         return None
-    value = motor.leakage.value[known]
+    value = leakage[known]
     first, newest = (np.datetime64(one) for one in span)
     days = (motor.stamps[known] - first).astype(float)
     kept = keep_extremes([value], POINTS)

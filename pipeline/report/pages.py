@@ -10,16 +10,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from pipeline.messages import as_sentence, plain
 from pipeline.report.fleet_page import HEIGHT, WIDTH
-from pipeline.report.words import (
-    ABSENT,
-    DECISIONS,
-    GLOSSARY,
-    STATES,
-    STATUSES,
-    candidates,
-    figure,
-    percent,
-)
+from pipeline.report.words import ABSENT, GLOSSARY, STATES, candidates, figure, percent
 from pipeline.trends.sentences import day, name_of
 
 FOLDER = Path(__file__).parent
@@ -42,13 +33,11 @@ def _environment() -> Environment:
     environment.filters |= {
         "candidates": candidates,
         "day": day,
-        "decision": lambda code: DECISIONS.get(code, code),
         "figure": figure,
         "indicator": name_of,
         "percent": percent,
         "plain": plain,
         "sentence": as_sentence,
-        "status": lambda code: STATUSES.get(code, code),
     }
     environment.globals |= {
         "absent": ABSENT,

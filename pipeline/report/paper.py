@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import datetime as dt
 import textwrap
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,20 +17,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import UsageError
 from pipeline.messages import as_sentence, plain
-from pipeline.report.build import (
-    KnownMotor,
-    ReportRequest,
-    file_names,
-    fleet_name,
-    newest_changes,
-)
-from pipeline.report.charts import Chart, Panel, gap_courses, watch_chart
+from pipeline.report.build import newest_changes
+from pipeline.report.charts import Chart, Panel, watch_chart
 from pipeline.report.status import current_states
-from pipeline.report.tables import MotorHistory, TableReader, motor_histories
+from pipeline.report.tables import MotorHistory, motor_histories
 from pipeline.schema import ALARMS
 from pipeline.store.atomic_files import put
+from pipeline.store.tables import read_rows
 from pipeline.trends.rows.motor_states import MotorState
 from pipeline.trends.sentences import day
 
@@ -55,86 +50,78 @@ STYLE: Final[Any] = {
 FINDINGS = ("worn", "sound", "not opened")
 
 
-def write_paper(request: ReportRequest, motor_id: str, folder: Path) -> Path:
+def write_paper(fleet: Fleet, motor_id: str, folder: Path) -> Path:
     """Write the page of a motor as PDF; its path.
 
-    Raises UsageError if no table has a night of the motor, StoreError if a table is damaged or the
-    file cannot be written.
+    Raises UsageError if the fleet has no such motor, or no table a night of it; StoreError if a
+    table is damaged or the file cannot be written.
     """
-    reader = TableReader(request.output)
-    (motor,) = motor_histories(reader, [motor_id])
+    spec = fleet.motor(motor_id)
+    (motor,) = motor_histories(fleet.output, [motor_id])
     if not motor.nights:
         raise UsageError("unknown_motor", f"no night of motor {motor_id!r} is in the tables")
-    (state,) = current_states(request.output, [motor_id])
-    known = request.known.get(motor_id, KnownMotor(""))
-    changes = newest_changes(reader.rows(ALARMS).filter(motor_id=motor_id))
-    chart = watch_chart(motor, known.paths, known.events, changes)
-    path = folder / f"{file_names([motor_id])[motor_id]}.pdf"
-    title = " · ".join(
-        part for part in (request.fleet or fleet_name(reader), known.motor_type) if part
-    )
+    changes = newest_changes(read_rows(fleet.output, ALARMS, [motor_id]))
+    (state,) = current_states(fleet.output, [motor_id])
+    path = folder / f"{motor_id}.pdf"
     with mpl.rc_context(STYLE):
-        page = page_of(motor, state, chart, replace(known, motor_type=title))
+        page = page_of(motor, state, spec, changes)
+        page.text(RIGHT, 0.955, f"{fleet.name} · {spec.file.motor_type}", ha="right", color="0.35")
         # By default the file holds the date and the version of matplotlib.
         metadata = {"CreationDate": None, "Producer": None, "Creator": "motor-leakage"}
         put(path, lambda stream: page.savefig(stream, format="pdf", metadata=metadata))
     return path
 
 
-def page_of(motor: MotorHistory, state: MotorState, chart: Chart, known: KnownMotor) -> Figure:
-    """The page of a motor with the chart of its watch."""
+def page_of(
+    motor: MotorHistory,
+    state: MotorState,
+    spec: MotorSpec,
+    changes: Sequence[Mapping[str, Any]] = (),
+) -> Figure:
+    """The page of a motor; `changes` are its rows of `alarms`."""
     page = Figure(figsize=PAGE)
     FigureCanvasPdf(page)
     page.text(LEFT, 0.955, motor.motor_id, fontsize=20, weight="bold")
-    page.text(RIGHT, 0.955, known.motor_type, ha="right", color="0.35")
     page.text(LEFT, 0.935, f"{plain(state.state)}; data up to {day(motor.nights[-1])}")
     top = 0.915
-    notes = as_sentence("; ".join(state.notes))
     for words, letters, look in (
         (as_sentence(state.sentence), 90, {"fontsize": 11}),
         (state.advice, 82, {"fontsize": 11, "weight": "bold"}),
-        (notes, LETTERS, {"color": "0.35"}),
+        (as_sentence("; ".join(state.notes)), LETTERS, {"color": "0.35"}),
     ):
         if words:
             text = _wrapped(words, letters)
             page.text(LEFT, top, text, va="top", linespacing=1.4, **look)
             top -= 0.021 * (text.count("\n") + 1) + 0.003
-    _charts(page, chart, min(top - 0.045, 0.82))
-    _finding(page, known.paths or [path for path, _, _ in gap_courses(motor, ())])
+    paths = [path.name for path in spec.motor_type.paths()]
+    _charts(page, watch_chart(motor, paths, spec.file.events, changes), min(top - 0.045, 0.82))
+    _finding(page, paths)
     return page
 
 
 def _charts(page: Figure, chart: Chart, top: float) -> None:
     """The panels of the motor's page, and below them what their numbers mean."""
-    panels = [one for one in chart.panels if one.has_axis]
     marks = "    ".join(
         f"{number}  {mark.night}: {mark.words}" for number, mark in enumerate(chart.marks, 1)
     )
     page.text(LEFT, 0.248, _wrapped(textwrap.shorten(marks, 3 * LETTERS)), va="top", color="0.35")
-    grid = page.add_gridspec(
-        len(panels), 1, left=LEFT, right=RIGHT, top=top, bottom=0.29, hspace=0.35,
-        height_ratios=[one.height for one in panels],
-    )  # fmt: skip
-    first: Axes | None = None
-    for place, panel in enumerate(panels):
-        axes = page.add_subplot(grid[place], sharex=first)
-        # Above the first panel is room for the numbers.
-        lift = 0.016 / axes.get_position().height if chart.marks and first is None else 0.0
-        _panel(axes, panel, chart, lift)
-        if first is None:
-            for number, mark in enumerate(chart.marks, 1):
-                axes.annotate(
-                    str(number),
-                    (_place(mark.night), 1.0),
-                    xycoords=("data", "axes fraction"),
-                    ha="center",
-                    va="bottom",
-                )
-        first = first or axes
-        axes.tick_params(labelbottom=place == len(panels) - 1)
-    if first is not None:
-        dates = matplotlib.dates.ConciseDateFormatter(first.xaxis.get_major_locator())  # type: ignore[no-untyped-call]
-        first.xaxis.set_major_formatter(dates)
+    if not chart.panels:
+        return
+    grid = page.subplots(
+        len(chart.panels), 1, sharex=True, squeeze=False,
+        gridspec_kw={"left": LEFT, "right": RIGHT, "top": top, "bottom": 0.29, "hspace": 0.35,
+                     "height_ratios": [one.height for one in chart.panels]},
+    )[:, 0]  # fmt: skip
+    # Above the first panel is room for the numbers.
+    lift = 0.016 / grid[0].get_position().height if chart.marks else 0.0
+    for axes, panel in zip(grid, chart.panels, strict=True):
+        _panel(axes, panel, chart, lift if axes is grid[0] else 0.0)
+    for number, mark in enumerate(chart.marks, 1):
+        at = (_place(mark.night), 1.0)
+        place = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "bottom"}
+        grid[0].annotate(str(number), at, **place)
+    dates = matplotlib.dates.ConciseDateFormatter(grid[0].xaxis.get_major_locator())  # type: ignore[no-untyped-call]
+    grid[0].xaxis.set_major_formatter(dates)
 
 
 def _place(night: dt.date) -> float:
@@ -149,17 +136,15 @@ def _panel(axes: Axes, panel: Panel, chart: Chart, lift: float) -> None:
         axes.axvline(_place(mark.night), color=mark.colour, lw=0.8, ls=":")
     for line in panel.lines:
         if line.lower is not None and line.upper is not None:
-            axes.fill_between(
-                line.time, line.lower, line.upper, color=line.colour, alpha=0.25, lw=0
-            )
+            band = axes.fill_between(chart.time, line.lower, line.upper)
+            band.set(color=line.colour, alpha=0.25, lw=0)
         style = DASHES.get(line.dash, "-")
-        axes.plot(line.time, line.value, color=line.colour, ls=style, lw=1.4, label=line.name)
+        axes.plot(chart.time, line.value, color=line.colour, ls=style, lw=1.4, label=line.name)
     if panel.ends:
         axes.set_ylim(panel.ends)
     if len(panel.lines) > 1:
-        axes.legend(
-            frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98 + lift), ncols=4
-        )
+        place = (1.0, 0.98 + lift)
+        axes.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=place, ncols=4)
     axes.set_title(panel.title, loc="left", fontsize=10, weight="bold", y=1.02 + lift)
     axes.set_ylabel(panel.unit)
     axes.grid(axis="y", color="0.9")

@@ -11,13 +11,12 @@ import json
 import textwrap
 from collections.abc import Mapping
 from html import escape
-from itertools import accumulate
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipeline.report.charts import Chart, Line, Panel, Times
+from pipeline.report.charts import Chart, Line, Mark, Panel, Times
 
 Payload = dict[str, Any]
 
@@ -31,51 +30,46 @@ LETTER_HEIGHT, NUMBERS, BELOW = 17, 26, 12
 LETTERS = 46  # of a line of the names in a head: a telephone has room for no more
 # Of more nights than that the marks would cover the lines.
 MARKED = 200
-SIGNS = {"circle": "●", "square": "■", "diamond": "◆", "triangle-up": "▲", "x": "✕"}
-SIGNS |= {"circle-open": "○", "line-ns-open": "|", "": "━━"}
+SIGNS = {"circle": "●", "square": "■", "diamond": "◆", "triangle-up": "▲", "x": "✕", "": "━━"}
 
 
 def figure(chart: Chart) -> Payload:
     """The chart for `draw` of the pages; empty where there is nothing to show.
 
-    `x` holds the times of all lines, each once; `x` of a trace is a place in it.
+    `x` holds the times, the same of all traces.
     """
     if not chart.panels:
         return {}
-    times: dict[bytes, tuple[int, list[str]]] = {}
-    traces: list[Payload] = []
     heads = [_head(panel) for panel in chart.panels]
-    numbers_above = NUMBERS if chart.marks else 0
-    tall = [LETTER_HEIGHT * one.count("<br>") + LETTER_HEIGHT + BELOW for one in heads]
-    tall[0] += numbers_above
-    bottoms = list(
-        accumulate(top + panel.height for top, panel in zip(tall, chart.panels, strict=True))
-    )
-    layout: Payload = {"height": bottoms[-1] + MARGIN["t"] + MARGIN["b"], "margin": MARGIN}
+    above = [LETTER_HEIGHT * (one.count("<br>") + 1) + BELOW for one in heads]
+    above[0] += NUMBERS if chart.marks else 0
+    heights = [top + panel.height for top, panel in zip(above, chart.panels, strict=True)]
+    whole = sum(heights)
+    traces: list[Payload] = []
+    layout: Payload = {"height": whole + MARGIN["t"] + MARGIN["b"], "margin": MARGIN}
     layout |= {"showlegend": False, "hovermode": "closest", "annotations": [], "shapes": []}
-    for place, (panel, head, bottom) in enumerate(zip(chart.panels, heads, bottoms, strict=True)):
+    for place, (panel, head) in enumerate(zip(chart.panels, heads, strict=True)):
         axis = f"y{place + 1 if place else ''}"
-        ends = [1.0 - bottom / bottoms[-1], 1.0 - (bottom - panel.height) / bottoms[-1]]
-        layout[f"yaxis{axis[1:]}"] = _axis(panel, [max(ends[0], 0.0), ends[1]])
-        shift = numbers_above if place == 0 else 0
+        bottom = 1.0 - sum(heights[: place + 1]) / whole
+        ends = {"domain": [max(bottom, 0.0), bottom + panel.height / whole]}
+        ends |= {"range": list(panel.ends)} if panel.ends else {}
+        layout[f"yaxis{axis[1:]}"] = ends | {"nticks": max(3, panel.height // 30)}
+        shift = NUMBERS if chart.marks and place == 0 else 0
         layout["annotations"].append(_text(head, axis, yshift=shift, align="left"))
-        for line in panel.lines:
-            key = line.time.tobytes()
-            x, _ = times.setdefault(key, (len(times), _words_of(line.time)))
-            traces.append(_trace(line, panel, axis) | {"x": x})
-        layout["shapes"] += [_upright(one.night, one.colour, axis) for one in chart.marks]
+        traces += [_trace(line, panel, axis, chart) for line in panel.lines]
+        layout["shapes"] += [_upright(one, axis) for one in chart.marks]
         layout["shapes"] += [
             {"type": "rect", "layer": "below", "x0": str(first), "x1": str(last)}
             | {"yref": f"{axis} domain", "y0": 0, "y1": 1, "fillcolor": "#8a949e"}
             | {"opacity": 0.18, "line": {"width": 0}}
-            for first, last in (chart.shaded if panel.has_axis else ())
+            for first, last in chart.shaded
         ]
     for number, mark in enumerate(chart.marks):
         at = {"x": str(mark.night), "xref": "x", "xanchor": "center", "yshift": 13 * (number % 2)}
         layout["annotations"].append(_text(str(number + 1), "y", **at))
     layout["xaxis"] = {"type": "date", "anchor": f"y{len(heads) if len(heads) > 1 else ''}"}
-    layout["xaxis"]["range"] = _span([words for _, words in times.values()])
-    return {"x": [words for _, words in times.values()], "data": traces, "layout": layout}
+    layout["xaxis"]["range"] = _span(chart.time)
+    return {"x": [str(one) for one in chart.time], "data": traces, "layout": layout}
 
 
 def script_json(document: Mapping[str, Any]) -> str:
@@ -102,14 +96,13 @@ def safe(name: str) -> str:
     return escape(name, quote=False).replace("%", "")
 
 
-def _trace(line: Line, panel: Panel, axis: str) -> Payload:
-    known = np.isfinite(line.value)
-    marks = bool(line.symbol) and (not line.dash or int(known.sum()) <= MARKED)
-    day = "%Y-%m-%d" if line.time.dtype == np.dtype("datetime64[D]") else "%Y-%m-%d %H:%M:%S"
-    value = "%{text}" if line.words else f"%{{y:.4g}} {panel.unit.replace('%', '%')}"
+def _trace(line: Line, panel: Panel, axis: str, chart: Chart) -> Payload:
+    marks = bool(line.symbol) and int(np.isfinite(line.value).sum()) <= MARKED
+    day = "%Y-%m-%d" if chart.time.dtype == np.dtype("datetime64[D]") else "%Y-%m-%d %H:%M:%S"
+    value = "%{text}" if line.words else f"%{{y:.4g}} {panel.unit}"
     trace: Payload = {
         "type": "scatter",
-        "mode": "+".join([*(["lines"] if line.dash else []), *(["markers"] if marks else [])]),
+        "mode": "lines+markers" if marks else "lines",
         "name": safe(line.name),
         "y": numbers(line.value),
         "yaxis": axis,
@@ -131,29 +124,19 @@ def _head(panel: Panel) -> str:
     """Title and unit of a panel; below, in their colours, the names of its lines."""
     unit = f", {panel.unit}" if panel.unit else ""
     title = f"<b>{panel.title}</b>{unit}"
-    names = [one.name for one in panel.lines if one.name != panel.title]
-    if len(panel.lines) < 2 and panel.has_axis:
+    if len(panel.lines) < 2:
         return title
     rows: list[list[str]] = [[]]
     room = LETTERS
-    for line, name in zip(panel.lines, names, strict=True):
-        short = textwrap.shorten(name, LETTERS - 4, placeholder="…")
+    for line in panel.lines:
+        short = textwrap.shorten(line.name, LETTERS - 4, placeholder="…")
         if rows[-1] and room < len(short):
             rows.append([])
             room = LETTERS
         room -= len(short) + 4
-        sign = f'<span style="color:{line.colour}">{SIGNS.get(line.symbol, "●")}</span>'
+        sign = f'<span style="color:{line.colour}">{SIGNS[line.symbol]}</span>'
         rows[-1].append(f"{sign} {safe(short)}")
     return "<br>".join([title, *("   ".join(row) for row in rows)])
-
-
-def _axis(panel: Panel, domain: list[float]) -> Payload:
-    axis: Payload = {"domain": domain, "nticks": max(3, panel.height // 30)}
-    if panel.ends:
-        axis["range"] = list(panel.ends)
-    if not panel.has_axis:
-        axis |= {"visible": False, "fixedrange": True}
-    return axis
 
 
 def _text(words: str, axis: str, **more: Any) -> Payload:
@@ -162,18 +145,13 @@ def _text(words: str, axis: str, **more: Any) -> Payload:
     return place | {"text": words, "showarrow": False, "yanchor": "bottom"} | more
 
 
-def _upright(night: object, colour: str, axis: str) -> Payload:
-    place = {"type": "line", "x0": str(night), "x1": str(night), "yref": f"{axis} domain"}
-    return place | {"y0": 0, "y1": 1, "line": {"color": colour, "width": 1, "dash": "dot"}}
+def _upright(mark: Mark, axis: str) -> Payload:
+    place = {"type": "line", "x0": str(mark.night), "x1": str(mark.night), "yref": f"{axis} domain"}
+    return place | {"y0": 0, "y1": 1, "line": {"color": mark.colour, "width": 1, "dash": "dot"}}
 
 
-def _words_of(time: Times) -> list[str]:
-    return [str(one) for one in time]
-
-
-def _span(times: list[list[str]]) -> list[str]:
+def _span(time: Times) -> list[str]:
     """Ends of the axis of time: a little beyond the first and the last."""
-    first = np.datetime64(min(one[0] for one in times), "m")
-    last = np.datetime64(max(one[-1] for one in times), "m")
+    first, last = time[[0, -1]].astype("datetime64[m]")
     beyond = max((last - first) // 50, np.timedelta64(1, "m"))
     return [str(first - beyond), str(last + beyond)]

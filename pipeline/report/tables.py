@@ -1,14 +1,10 @@
-"""The published tables as the report reads them: a night's rows of all motors, or all nights'.
-
-A file that is damaged costs its own rows and is named; one of a newer version of the program ends
-the report.
-"""
+"""A motor over its nights, from the published tables."""
 
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -17,37 +13,22 @@ import polars as pl
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array
-from pipeline.errors import StoreError
 from pipeline.schema import BASELINES, FITS, TRENDS, WATCH, Table, frame
-from pipeline.store.tables import files_of, read_table
+from pipeline.store.tables import read_rows
 from pipeline.trends.nights.decisions import LEAKAGE
 
 
-@dataclass(slots=True)
-class TableReader:
-    """Reads tables of an output folder; damaged files are left out and listed, in words."""
+def finite_rows(
+    output: Path,
+    table: Table,
+    motor_ids: Sequence[str],
+    nights: Collection[dt.date] | None = None,
+) -> pl.DataFrame:
+    """Rows of a table, NaN and infinity as null: no page can show them, and JSON has none.
 
-    output: Path
-    faults: list[str] = field(default_factory=list)
-
-    def rows(self, table: Table, nights: Sequence[dt.date] | None = None) -> pl.DataFrame:
-        """Rows of a table, or of some nights in it.
-
-        Raises StoreError if a file is of a newer version of the program.
-        """
-        parts = [frame(table, [])]
-        for path in files_of(self.output, table, nights):
-            try:
-                parts.append(read_table(path, table, nights))
-            except StoreError as error:
-                if error.code != "store_read":
-                    raise
-                self.faults.append(error.message)
-        return _finite(pl.concat(parts))
-
-
-def _finite(rows: pl.DataFrame) -> pl.DataFrame:
-    """NaN and infinity as null: no page can show them, and JSON has none."""
+    Raises StoreError if a file is damaged, or of a newer version of the program.
+    """
+    rows = read_rows(output, table, motor_ids, nights=nights)
     floats = [name for name, kind in rows.schema.items() if kind == pl.Float64]
     return rows.with_columns(
         pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name)
@@ -56,20 +37,8 @@ def _finite(rows: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
-    """A figure over a motor's nights with its 95 % interval; NaN where there is none."""
-
-    # value, lower, upper: shape (n,), one a night.
-    value: Array
-    lower: Array
-    upper: Array
-
-    @property
-    def is_known(self) -> NDArray[np.bool_]:
-        """Nights that have a value, shape (n,)."""
-        known: NDArray[np.bool_] = np.isfinite(self.value)
-        return known
+# A figure over a motor's nights and the ends of its interval, shape (n,) each; NaN: none.
+Course = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
@@ -96,8 +65,8 @@ class MotorHistory:
     @cached_property
     def leakage(self) -> Course:
         """Leakage at the motor's own conditions by the watch, l/min."""
-        ends = ("l_per_min", "lower", "upper")
-        return Course(*(self.watched(f"own_leakage_{end}") for end in ends))
+        value = self.watched("own_leakage_l_per_min")
+        return value, self.watched("own_leakage_lower"), self.watched("own_leakage_upper")
 
     @cached_property
     def level(self) -> Array:
@@ -116,24 +85,23 @@ class MotorHistory:
         return self._placed(self.watch, name)
 
     def course(self, indicator: str) -> Course:
-        """Figures of a night's own indicator in the nights that count."""
+        """An indicator of the nights that count."""
         rows = self.trends[indicator].filter(pl.col("gated_reason").is_null())
-        return Course(*(self._placed(rows, name) for name in ("value", "lower", "upper")))
+        return self._placed(rows, "value"), self._placed(rows, "lower"), self._placed(rows, "upper")
 
     def _placed(self, rows: pl.DataFrame, name: str) -> Array:
         """Figures of some nights among all nights of the motor."""
-        figures = np.full(len(self.nights), np.nan)
-        labels = rows["night"].to_numpy().astype("datetime64[D]")
-        is_there = np.isin(labels, self.stamps)
-        place = np.searchsorted(self.stamps, labels[is_there])
-        figures[place] = rows[name].cast(pl.Float64).to_numpy()[is_there]
-        return figures
+        nights = self.fits.select("night")
+        found = nights.join(
+            rows.select("night", name), on="night", how="left", maintain_order="left"
+        )
+        return found[name].cast(pl.Float64).to_numpy()
 
 
-def motor_histories(reader: TableReader, motor_ids: Sequence[str]) -> list[MotorHistory]:
+def motor_histories(output: Path, motor_ids: Sequence[str]) -> list[MotorHistory]:
     """The history of each motor."""
     read = [
-        (table, by_motor(reader.rows(table).sort("night")))
+        (table, by_motor(finite_rows(output, table, motor_ids).sort("night")))
         for table in (FITS, WATCH, TRENDS, BASELINES)
     ]
     histories = []

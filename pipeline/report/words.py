@@ -10,13 +10,6 @@ from pipeline.schema import QUALITY_REASONS
 from pipeline.trends.sentences import cause_words
 
 ABSENT: Final = "–"
-STATUSES: Final[Mapping[str, str]] = {
-    "ok": "fitted",
-    "stood_still": "stood still",
-    "no_new_data": "no log",
-    "insufficient_data": "too little data",
-    "failed": "failed",
-}
 UNITS: Final[Mapping[str, str]] = {
     "m3": "m³",
     "um": "µm",
@@ -24,7 +17,6 @@ UNITS: Final[Mapping[str, str]] = {
     "1": "",
     "percent": "%",
 }
-SENSORS: Final[Mapping[str, str]] = {"ok": "unchanged", "drifted": "moved"}
 # A state has the name that the tables have; the pages say its meaning beside.
 STATES: Final[Mapping[str, str]] = {
     "alarm": "the leakage is above the alarm level, or above the motor type's own limit",
@@ -33,20 +25,6 @@ STATES: Final[Mapping[str, str]] = {
     "stale": "no night with samples for long; nothing is known of now",
     "insufficient": "too few nights for a baseline",
     "ok": "no change was detected; each motor says how small a change would have been",
-}
-DECISIONS: Final[Mapping[str, str]] = {
-    "acknowledged": "acknowledged",
-    "finding": "inspected",
-    "baseline_reset": "baseline reset",
-    "confirmed": "wear was found",
-    "not_confirmed": "no wear was found",
-}
-EVENTS: Final[Mapping[str, str]] = {
-    "overhaul": "overhaul",
-    "oil_change": "oil change",
-    "flushing_change": "change of flushing",
-    "motor_exchanged": "motor exchanged",
-    "note": "note",
 }
 # Terms of all pages, on a page of their own.
 GLOSSARY: Final[Mapping[str, str]] = {
@@ -96,12 +74,12 @@ def figure(value: float | None, digits: int = 3) -> str:
 
     Examples
     --------
-    >>> figure(1.2345), figure(0.05), figure(999.6), figure(-123456.0), figure(None)
-    ('1.23', '0.0500', '1000', '−123456', '–')
+    >>> figure(1.2345), figure(0.05), figure(999.6), figure(-123456.0), figure(-0.0)
+    ('1.23', '0.0500', '1000', '−123456', '0.00')
     """
     if value is None:
         return ABSENT
-    rounded = float(f"{value:.{digits}g}")
+    rounded = float(f"{value:.{digits}g}") + 0.0  # no minus before a zero
     is_large = abs(rounded) >= 10**digits
     text = f"{value:.0f}" if is_large else f"{rounded:#.{digits}g}"
     return text.removesuffix(".").replace("-", "−")

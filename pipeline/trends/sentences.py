@@ -277,10 +277,17 @@ def _tonight(night: JudgedNight) -> str:
 
 
 def relative_change(size: Estimate) -> str:
-    """A relative change with its interval, in per cent."""
+    """A relative change with its interval, in per cent.
+
+    Examples
+    --------
+    >>> from leakage.watch import Estimate
+    >>> relative_change(Estimate(-0.0004, 0.0001)), relative_change(Estimate(0.1, 0.02))
+    ('+0.0 % [-0.1, 0.0]', '+10 % [6, 14]')
+    """
     digits = 0 if abs(size.value) >= 0.1 else 1
-    ends = f"{100 * size.lower:.{digits}f}, {100 * size.upper:.{digits}f}"
-    return f"{100 * size.value:+.{digits}f} % [{ends}]"
+    ends = f"{100 * size.lower:z.{digits}f}, {100 * size.upper:z.{digits}f}"
+    return f"{100 * size.value:+z.{digits}f} % [{ends}]"
 
 
 def _since(change: Change) -> str:

@@ -20,11 +20,6 @@ from tests.pipeline.ingest.sources import Source
 EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 MICROSECOND = dt.timedelta(microseconds=1)
 EXCEL_ZERO = dt.datetime(1899, 12, 30)
-DOUBLE = 1e-9
-"""Largest relative difference between fits of two logs whose readings have all their digits."""
-SINGLE = 1e-4
-"""The same for readings in float32: some 1e-6, twenty times a reading's own step; more where the
-pressure hardly moves, so that what is estimated is the small difference of large figures."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +31,6 @@ class Dialect(ABC):
     logs: Mapping[str, Any] = field(default_factory=dict)
     # By quantity ("pressure"), where they are not the canonical ones.
     units: Mapping[str, str] = field(default_factory=dict)
-    precision: float = DOUBLE  # what fits may differ by, relative
     # By channel, what it is called in the log, where that is not its canonical name.
     names: Mapping[str, str] = field(default_factory=dict)
     step_us: int = 1  # of the stamps; what lies between cannot be written

@@ -8,11 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.config import MotorFile
-from pipeline.demo.log_writers import RECORDING_DELAY_US, as_logged
-from pipeline.demo.recording import Recording
-from pipeline.units import to_canonical
-
 Times = NDArray[np.int64]
 Values = NDArray[np.float64]
 
@@ -56,17 +51,3 @@ class Recorded:
             name: np.where(numbers == number, value, np.nan)
             for number, name in enumerate(self.values)
         }
-
-
-def recorded(recording: Recording, motor: MotorFile) -> Recorded:
-    """A night of the demo with the digits that its own log holds, in the units written there."""
-    values: dict[str, Values] = {}
-    own: dict[str, Times] = {}
-    recorded_late = motor.logs.format == "mcap" and motor.logs.time == "log_time"
-    late_us = RECORDING_DELAY_US if recorded_late else 0
-    for name, channel in motor.channels.items():
-        raw = as_logged(name, recording.values[name], channel)
-        values[name] = to_canonical(name, raw * channel.scale + channel.offset, channel.unit)
-        if name in recording.own_delay_us:
-            own[name] = recording.time_us + recording.own_delay_us[name] + late_us
-    return Recorded(recording.time_us, values, own)

@@ -28,7 +28,7 @@ const motorLeakage = (() => {
     plot.nextElementSibling.hidden = !isAbsent;
     document.getElementById(id).dataset.drawn = isAbsent ? "absent" : "chart";
     if (isAbsent) return Plotly.purge(plot);
-    const traces = figure.data.map((trace) => ({ ...trace, x: figure.x[trace.x] }));
+    const traces = figure.data.map((trace) => ({ ...trace, x: figure.x }));
     const layout = { ...figure.layout, font: { family: FONT, size: 12 } };
     for (const key of Object.keys(layout).filter((one) => /^[xy]axis/.test(one)))
       layout[key] = { ...AXIS, ...layout[key] };

@@ -40,16 +40,6 @@ class Decision:
     worn: str | None = None
     sound: str | None = None
 
-    @property
-    def worn_parts(self) -> tuple[str, ...]:
-        """Parts that were found worn."""
-        return tuple(self.worn.split(", ")) if self.worn else ()
-
-    @property
-    def sound_parts(self) -> tuple[str, ...]:
-        """Parts that were found sound."""
-        return tuple(self.sound.split(", ")) if self.sound else ()
-
 
 def record_decision(output: Path, decision: Decision) -> None:
     """Write a decision, which is then on the disk; a run may be under way."""

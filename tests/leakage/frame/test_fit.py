@@ -107,14 +107,13 @@ def test_tolerances_of_sensors_widen_the_total_alone() -> None:
 
 
 def test_words(found: FrameFit) -> None:
-    text, html = str(found.summary()), found._repr_html_()
-    assert repr(found).startswith("<FrameFit CB560: 3 of 3 identified, training 9")
+    title, *lines = repr(found).splitlines()
+    assert title.startswith("CB560: 7200 samples, 2026-03-01 22:00 to 2026-03-01 23:59 UTC, ")
+    speed = made()["speed_rpm"]
+    assert title.endswith(f" bar, 42 to 57 °C, {speed.min():.0f} to {speed.max():.0f} rpm")
     for name in ("K_o", "K_p", "K_s"):
-        assert name in text
-        assert f"<td>{name}</td>" in html
-        assert f"{name}: identified" in found.explain()
-    assert "2026-03-01 22:00 to 2026-03-01 23:59 UTC" in text
-    assert "errors of validation: white, independent of every input" in text
+        assert any(line.startswith(name) and line.endswith("identified") for line in lines)
+    assert "errors of validation: white, independent of every input" in lines
 
 
 def test_warnings_come_first() -> None:
@@ -204,16 +203,3 @@ def test_plots_are_axes_and_show_what_they_say(found: FrameFit) -> None:
     assert found.plot(axes) is axes
     with pytest.raises(LeakageError, match="4 axes are needed"):
         found.plot_residuals(axes=[axes])
-
-
-def test_a_profile_is_at_its_least_at_the_estimate_and_at_one_at_the_limits(
-    found: FrameFit,
-) -> None:
-    mpl.use("agg")
-    for ax, (name, value) in zip(found.plot_profile(), found.params.items(), strict=True):
-        curve = ax.get_lines()[-1]
-        x, y = np.asarray(curve.get_xdata()), np.asarray(curve.get_ydata())
-        interval = found.conf_int()[name]
-        assert interval is not None
-        assert np.interp(value, x, y) == pytest.approx(0.0, abs=0.01)
-        assert np.interp(interval, x, y) == pytest.approx(1.0, abs=0.02)

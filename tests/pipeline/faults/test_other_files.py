@@ -15,7 +15,7 @@ import pytest
 
 from pipeline.errors import StoreError
 from pipeline.export.csv import Selection, export_csv
-from pipeline.report.build import ReportRequest, build_report
+from pipeline.report.build import build_report
 from pipeline.run.fleet import run_fleet
 from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import FITS, PARAMETERS
@@ -78,7 +78,7 @@ def test_a_report_is_made_whole_by_the_next(
     folder = tmp_path / "report"
 
     def make() -> None:
-        build_report(ReportRequest(tiny_fleet.after, folder))
+        build_report(tiny_fleet.request(tiny_fleet.after).fleet, folder)
 
     n = points(kind, make)
     new = contents(folder)

@@ -142,3 +142,7 @@ def test_disorder_is_cleaned_and_an_empty_channel_is_told(spec: MotorSpec) -> No
     assert missing["n_refused"].to_list() == [frame.height]
     with pytest.raises(UsageError, match="no rows"):
         prepare(frame[:0])
+    short = prepare(frame[:1])
+    assert short.notes == (f"night of {NIGHT}: fewer than two samples in this night",)
+    with pytest.raises(UsageError, match="can be used: night of 2026-03-02: fewer than two"):
+        short.fit(spec.motor(NIGHT, "none"))

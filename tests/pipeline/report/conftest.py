@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import polars as pl
 import pytest
 
-from pipeline.report.build import ReportRequest, build_report
+from pipeline.config import Fleet, load_fleet
+from pipeline.demo import shipped_configs
+from pipeline.report.build import build_report
 from pipeline.schema import TABLES
 from pipeline.store.encoding import write_table
 from pipeline.store.tables import read_table
@@ -23,12 +26,18 @@ BY_NAME = {table.name: table for table in TABLES}
 Change = Callable[[pl.DataFrame], pl.DataFrame]
 
 
+def demo_fleet(output: Path, *motors: str) -> Fleet:
+    """The demo's fleet, or some of its motors, with an output of the test's own."""
+    fleet = replace(load_fleet(shipped_configs() / "fleet.toml"), output=output)
+    return replace(fleet, motors=tuple(map(fleet.motor, motors))) if motors else fleet
+
+
 @pytest.fixture(scope="session")
 def report(shared_folder: Path, fitted_output: Path) -> Path:
     """The report of the fitted demo; only to be read."""
 
     def make(folder: Path) -> None:
-        build_report(ReportRequest(fitted_output, folder))
+        build_report(demo_fleet(fitted_output), folder)
 
     return made_once(shared_folder / "report", make)
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import datetime as dt
 import shutil
+from dataclasses import replace
 from pathlib import Path
-from zoneinfo import ZoneInfo
 
-from pipeline.report.build import KnownMotor, ReportRequest, build_report
+from pipeline.report.build import build_report
 from pipeline.schema import ALARMS, BASELINES, TRENDS, WATCH, frame
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.rows.motor_states import MotorState
+from tests.pipeline.report.conftest import demo_fleet
 from tests.pipeline.report.states import SENTENCES, publish_latest, state_of, watched
 from tests.pipeline.written import write_nights
 
@@ -19,7 +20,6 @@ WORN, HEALTHY = "CB560-01", "CB400-01"
 YOUNG = ("CB1120-01", "CB1120-02", "CB400-02", "CB560-02")
 NOTE = "new sleeves <b>are ordered</b>"
 REASON = SENTENCES["alarm"]
-PATHS = ("piston_ring", "balance_piston", "balance_sleeve", "cam_roller")
 
 
 def states() -> list[MotorState]:
@@ -53,8 +53,9 @@ def judged_report(fitted_output: Path, output: Path) -> Path:
     publish_latest(output, states())
     said = dt.datetime(2026, 1, 5, 9, tzinfo=dt.UTC)
     record_decision(output, Decision(WORN, "leakage", said, "acknowledged", nights[2], note=NOTE))
-    known = {WORN: KnownMotor("CB560", paths=PATHS)}
+    fleet = demo_fleet(output)
+    nights_of = fleet.settings.nights.model_copy(update={"time_zone": "Europe/Stockholm"})
+    settings = fleet.settings.model_copy(update={"nights": nights_of})
     made = dt.datetime(2026, 1, 5, 11, tzinfo=dt.UTC)
-    zone = ZoneInfo("Europe/Stockholm")
-    build_report(ReportRequest(output, output / "report", known=known, made=made, zone=zone))
+    build_report(replace(fleet, settings=settings), output / "report", made=made)
     return output / "report"

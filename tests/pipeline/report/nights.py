@@ -68,10 +68,9 @@ def history(
     )
 
 
-def fleet_page(rows: Sequence[FleetRow], undelivered: Sequence[str] = (), **more: Any) -> str:
+def fleet_page(rows: Sequence[FleetRow], undelivered: Sequence[str] = ()) -> str:
     """The fleet's page of some rows."""
     facts = dict.fromkeys(("first", "newest", "made"))
-    facts |= {"name": "F", "zone": ZoneInfo("UTC"), "old_after_nights": 7, "faults": []}
+    facts |= {"name": "F", "zone": ZoneInfo("UTC"), "old_after_nights": 7}
     facts |= {"undelivered": undelivered}
-    values = {"by_rules": [], "counts": [], "parts": {}} | more
-    return page_of("fleet.html", facts=facts, rows=rows, **values)
+    return page_of("fleet.html", facts=facts, rows=rows, counts=[])

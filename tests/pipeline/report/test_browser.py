@@ -6,6 +6,7 @@ import datetime as dt
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
-from pipeline.report.build import KnownMotor, ReportRequest, build_report
+from pipeline.config import Event
+from pipeline.report.build import build_report
 from pipeline.schema import NIGHT_TABLES, TREND_TABLES
 from tests.pipeline.report.browser import (
     complaints,
@@ -27,7 +29,7 @@ from tests.pipeline.report.browser import (
     visit,
     wait,
 )
-from tests.pipeline.report.conftest import change_table
+from tests.pipeline.report.conftest import change_table, demo_fleet
 from tests.pipeline.report.judged import HEALTHY, NIGHTS, NOTE, REASON, WORN
 
 pytestmark = needs_browser
@@ -182,13 +184,14 @@ def test_a_night_whose_file_was_not_copied_says_so(
     browser: Chrome, output: Path, tmp_path: Path
 ) -> None:
     page = tmp_path / "r" / "motors" / "CB560-01.html"
-    build_report(ReportRequest(output, tmp_path / "r", motors=("CB560-01",)))
+    fleet = demo_fleet(output, "CB560-01")
+    build_report(fleet, tmp_path / "r")
     (tmp_path / "r" / "data" / "CB560-01" / f"{NIGHTS[2]}.js").unlink()
     visit(browser, page)
     wait(browser, NIGHT)
     assert f"{NIGHTS[2]}.js is not there" in text(browser, "#words")
     assert f"{NIGHTS[2]}.js" in complaints(browser)[0]
-    build_report(ReportRequest(output, tmp_path / "r", motors=("CB560-01",), nights=1))
+    build_report(fleet, tmp_path / "r", nights=1)
     visit(browser, page, f"#{NIGHTS[0]}")
     wait(browser, NIGHT)
     assert "was made with fewer nights" in text(browser, "#words")
@@ -204,7 +207,7 @@ HOSTILE = (
 
 
 def hostile_output(output: Path) -> None:
-    """The tables with a stranger's words wherever a name or a text can stand."""
+    """The tables with a stranger's words wherever a text of a log or a config can stand."""
     texts = {
         "fits": ("motor_type", "oil", "reason", "reference_reason", "interval_status"),
         "parameters": ("reason",),
@@ -217,7 +220,7 @@ def hostile_output(output: Path) -> None:
     keyed = {"sensitivities": "source", "quality": "reason", "trends": "indicator"}
     for table in (*NIGHT_TABLES, *TREND_TABLES):
         unique = keyed.get(table.name)
-        names = {"motor_id", *texts.get(table.name, ()), *([unique] if unique else [])}
+        names = {*texts.get(table.name, ()), *([unique] if unique else [])}
 
         def rename(rows: pl.DataFrame, names: Any = names, unique: Any = unique) -> pl.DataFrame:
             mine = rows.filter(motor_id="CB560-01")
@@ -230,19 +233,20 @@ def hostile_output(output: Path) -> None:
         change_table(output, table.name, rename)
 
 
-def test_hostile_names_are_shown_and_do_nothing(browser: Chrome, output: Path) -> None:
+def test_hostile_words_are_shown_and_do_nothing(browser: Chrome, output: Path) -> None:
     hostile_output(output)
-    event = {"date": dt.date(2026, 1, 3), "kind": HOSTILE, "note": HOSTILE}
-    known = {HOSTILE: KnownMotor(HOSTILE, (event,))}
-    build_report(ReportRequest(output, output / "report", fleet=HOSTILE, known=known))
+    fleet = demo_fleet(output, "CB560-01")
+    (spec,) = fleet.motors
+    event = Event(date=dt.date(2026, 1, 3), kind="note", note=HOSTILE)
+    file = spec.file.model_copy(update={"events": (event,), "motor_type": HOSTILE})
+    fleet = replace(fleet, name=HOSTILE, motors=(replace(spec, file=file),))
+    build_report(fleet, output / "report")
     visit(browser, output / "report" / "index.html")
-    link = browser.find_element(By.CSS_SELECTOR, "#fleet tbody a")
-    assert link.text == HOSTILE
-    assert complaints(browser) == []
-    link.click()
-    drawn(browser)
     assert browser.find_element(By.TAG_NAME, "h1").text == HOSTILE
-    for place in (".marks", "#words"):
+    assert complaints(browser) == []
+    browser.find_element(By.CSS_SELECTOR, "#fleet tbody a").click()
+    drawn(browser)
+    for place in ("header", ".marks", "#words"):
         assert HOSTILE in text(browser, place)
     assert browser.find_elements(By.CSS_SELECTOR, "main img, a[href^=javascript], svg a") == []
 

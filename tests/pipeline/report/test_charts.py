@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.config import Event
 from pipeline.report.charts import Chart, Line, Mark, Panel, night_chart, watch_chart
 from pipeline.report.fleet_page import HEIGHT, MARGIN, WIDTH, sparkline
 from pipeline.report.plotly_json import figure, numbers, script_json
@@ -61,7 +62,7 @@ def test_the_chart_of_a_motor_has_the_watch_s_figures_and_those_of_the_nights_ow
     trends = [trend(n, gap, float(n), **(gated if n == 1 else {})) for n in range(3)]
     motor = history([fit(n) for n in range(3)], nights, trends, baselines=[baseline(2.0)])
     changes = [alarm(1, "warning"), alarm(2, "alarm"), alarm(2, "alarm", "flow_zero")]
-    event = {"date": FIRST, "kind": "oil_change", "note": "of the whole tank"}
+    event = Event(date=FIRST, kind="oil_change", oil="vg68", note="of the whole tank")
     chart = watch_chart(motor, PATHS, [event], changes)
     leakage = lines(chart, "Leakage at its own conditions")
     assert leakage["leakage"].value.tolist() == [2.0, 3.0, 4.0]
@@ -85,20 +86,22 @@ def test_the_chart_of_a_motor_has_the_watch_s_figures_and_those_of_the_nights_ow
 def test_a_motor_without_a_baseline_shows_its_drain_flow_under_its_own_name() -> None:
     motor = history([fit(0), unfitted(1, "failed", "the log is cut"), fit(2)])
     chart = watch_chart(motor, ())
-    assert [one.title for one in chart.panels] == [
-        "Drain flow, mean of the night",
-        "Nights without a fit",
-    ]
+    assert [one.title for one in chart.panels] == ["Drain flow, mean of the night"]
     (flow,) = lines(chart, "Drain flow").values()
     assert flow.value.tolist() == pytest.approx([5.0, np.nan, 5.0], nan_ok=True)
-    failed = lines(chart, "Nights")["failed"]
-    assert (str(failed.time[0]), failed.words) == ("2026-01-02", ("the log is cut",))
     assert figure(watch_chart(history([]), ())) == {}
+
+
+def test_noise_of_the_leakage_looks_like_noise() -> None:
+    """An axis reaches 15 % of the middle value, 2.01, each way, and a twentieth of it beyond."""
+    motor = history([fit(n) for n in range(3)], [watch(n, 2.0 + 0.01 * n) for n in range(3)])
+    (panel,) = watch_chart(motor, ()).panels
+    assert panel.ends == pytest.approx((1.67835, 2.34165))
 
 
 def test_a_night_of_the_watch_without_a_fit_is_none_of_the_motor_s_nights() -> None:
     motor = history([fit(n) for n in range(3)], [watch(1, 5.0), watch(7, 9.0)])
-    assert motor.leakage.value.tolist() == pytest.approx([np.nan, 5.0, np.nan], nan_ok=True)
+    assert motor.leakage[0].tolist() == pytest.approx([np.nan, 5.0, np.nan], nan_ok=True)
 
 
 def test_samples_of_a_night_are_those_of_the_table_broken_where_some_are_missing(
@@ -127,12 +130,16 @@ def test_samples_of_a_night_are_those_of_the_table_broken_where_some_are_missing
 def test_every_panel_has_its_place_and_every_event_its_number() -> None:
     time = np.array(["2026-01-01", "2026-01-03"], dtype="datetime64[D]")
     hostile = "<b>%{x} & co"
-    line = Line(hostile, time, np.array([1.0, 2.0]), "#123456", words=(hostile, ""))
+    value, lower, upper = np.array([[1.0, 2.0], [0.5, 1.0], [1.25, 4.0]])
+    line = Line(hostile, value, "#123456", lower, upper, words=(hostile, ""))
     panels = tuple(Panel(f"panel {n}", "%", (line, line)) for n in range(3))
     marks = tuple(Mark(FIRST + n * ONE_DAY, "alarm", "#000000") for n in range(3))
-    made = figure(Chart(panels, ((FIRST, FIRST + ONE_DAY),), marks))
-    assert made["x"] == [["2026-01-01", "2026-01-03"]]
-    assert [one["x"] for one in made["data"]] == [0] * 6
+    made = figure(Chart(time, panels, ((FIRST, FIRST + ONE_DAY),), marks))
+    assert made["x"] == ["2026-01-01", "2026-01-03"]
+    assert [one["yaxis"] for one in made["data"]] == ["y", "y", "y2", "y2", "y3", "y3"]
+    bars = made["data"][0]["error_y"]
+    assert unpacked(bars["array"]).tolist() == [0.25, 2.0]
+    assert unpacked(bars["arrayminus"]).tolist() == [0.5, 1.0]
     layout = made["layout"]
     domains = [layout[f"yaxis{n}"]["domain"] for n in ("", "2", "3")]
     assert 1.0 > domains[0][1] > domains[0][0] > domains[1][1] > domains[1][0] > domains[2][1]

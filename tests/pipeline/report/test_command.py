@@ -27,43 +27,41 @@ def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
     index = fleet.parent.parent / "out" / "report" / "index.html"
     assert (code, err) == (0, "")
     assert re.fullmatch(
-        r"6 motors, 3 nights updated, \d+ files written, 0 removed; open .*", out.strip()
+        r"1 motor, 3 nights updated, \d+ files written, 0 removed; open .*", out.strip()
     )
     assert out.strip().endswith(str(index))
     assert "<h1>Demo fleet</h1>" in index.read_text("utf-8")
     page = (index.parent / "motors" / f"{MOTOR}.html").read_text("utf-8")
     assert "overhaul: new &lt;b&gt;seals&lt;/b&gt;" in page
     # The fleet's page alone tells when it was made.
-    assert call("report", fleet)[1].startswith("6 motors, 0 nights updated, 1 file written")
+    assert call("report", fleet)[1].startswith("1 motor, 0 nights updated, 1 file written")
 
 
-def test_the_tables_alone_will_do_and_some_motors_go_to_a_folder_of_their_own(
-    call: Call, output: Path, tmp_path: Path
+def test_some_motors_go_to_a_folder_of_their_own(
+    call: Call, own_fleet: OwnFleet, tmp_path: Path
 ) -> None:
-    code, _, err = call("report", "--output", output, "--motors", MOTOR)
+    fleet = own_fleet(MOTOR, "CB560-01", fitted=True)
+    code, _, err = call("report", fleet, "--motors", MOTOR)
     assert code == 2
     assert "report_motors: --motors needs --to" in err
-    code, _, err = call("report", "--output", output, "--motors", MOTOR, "--to", tmp_path / "one")
+    code, _, err = call("report", fleet, "--motors", MOTOR, "--to", tmp_path / "one")
     assert (code, err) == (0, "")
     assert [page.stem for page in (tmp_path / "one" / "motors").iterdir()] == [MOTOR]
-    # The fleet's name is that of the newest run.
-    index = (tmp_path / "one" / "index.html").read_text("utf-8")
-    assert "<h1>Demo fleet</h1>" in index
-    assert "CB560" not in index
-    code, _, err = call("report", "--output", output, "--motors", "X", "--to", tmp_path / "two")
+    assert "CB560" not in (tmp_path / "one" / "index.html").read_text("utf-8")
+    code, _, err = call("report", fleet, "--motors", "X", "--to", tmp_path / "two")
     assert code == 2
-    assert "unknown_motor: no motor X; there are CB1120-01" in err
+    assert "unknown_motor: no motor X; there are CB400-01" in err
 
 
-def test_damaged_tables_end_with_1_and_none_with_4(
-    call: Call, output: Path, tmp_path: Path
-) -> None:
-    next((output / "tables" / "parameters").rglob("*.parquet")).write_bytes(b"PAR1")
-    code, out, err = call("report", "--output", output)
-    assert code == 1
-    assert "6 motors, 3 nights" in out
+def test_damaged_tables_and_none_are_told(call: Call, own_fleet: OwnFleet, tmp_path: Path) -> None:
+    fleet = own_fleet(MOTOR, fitted=True)
+    next((fleet.parent.parent / "out" / "tables" / "parameters").rglob("*.parquet")).write_bytes(
+        b"PAR1"
+    )
+    code, _, err = call("report", fleet)
+    assert code == 4
     assert re.search(r"store_read: 2026-01\.parquet of parameters is damaged", err)
-    code, _, err = call("report", "--output", tmp_path / "nowhere")
+    code, _, err = call("report", fleet, "--output", tmp_path / "nowhere")
     assert code == 4
     assert "run fit-fleet first" in err
     assert not (tmp_path / "nowhere").exists()

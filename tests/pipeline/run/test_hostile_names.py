@@ -13,7 +13,7 @@ import pytest
 from pipeline.config import ConfigError, load_fleet
 from pipeline.export.csv import Selection, export_csv
 from pipeline.logs.finding import find_logs
-from pipeline.report.build import ReportRequest, build_report
+from pipeline.report.build import build_report
 from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.simulated import load_motor, motor_toml, write_configs
 
@@ -120,7 +120,8 @@ def _is_number(cell: str) -> bool:
 
 
 def test_names_in_pages_are_no_markup(made: Path, tmp_path: Path) -> None:
-    build_report(ReportRequest(made / "out", tmp_path / "report", fleet=TEXT))
+    fleet = load_fleet(made / "configs" / "fleet.toml")
+    build_report(replace(fleet, name=TEXT), tmp_path / "report")
     pages = files_below(tmp_path / "report")
     assert files_below(tmp_path) == pages
     texts = [
