@@ -16,13 +16,13 @@ from functools import cache, lru_cache
 from itertools import pairwise
 from pathlib import Path
 
+from pipeline.config.channels import PORT_PRESSURES
 from pipeline.units import UNITS, to_canonical
 
 _FILE = Path(__file__).with_name("vocabulary.toml")
 VOCABULARY: Mapping[str, Mapping[str, str]] = tomllib.loads(_FILE.read_text("utf-8"))
 CHANNEL_OF = {"temperature": "oil_temperature", "speed": "speed", "flow": "leakage_flow"}
 QUANTITY_OF = {unit: one for one in ("pressure", *CHANNEL_OF) for unit in UNITS[one]}
-PORT_PRESSURES = ("high_port_pressure", "low_port_pressure")
 LOW_SIDE = ("low_port_pressure", "charge_pressure", "case_pressure")
 FEWEST_CHANNELS = 3  # by which names are a motor's
 

@@ -13,12 +13,16 @@ from leakage import LeakageError, Motor, OperatingConditions
 from leakage.physics.motor import path_flows_l_per_min
 from pipeline.arrays import SECOND_US, Array
 from pipeline.config import MotorSpec
-from pipeline.config.channels import COUNTED, FALLBACK_VALID_RANGE
+from pipeline.config.channels import COUNTED, FALLBACK_VALID_RANGE, PORT_PRESSURES
 from pipeline.ingest import RawChannel
 
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
 # 5th to 95th percentile, and the minutes of which 92 to 100 % told every path.
-_RANGES = {"pressure": (260.0, "bar"), "speed": (96.0, "rpm"), "oil temperature": (12.0, "°C")}
+_RANGES = {
+    "pressure_difference": ("pressure", 260.0, "bar"),
+    "speed": ("speed", 96.0, "rpm"),
+    "oil_temperature": ("oil temperature", 12.0, "°C"),
+}
 _ENOUGH_MINUTES = 30.0
 # Error of the flow [l/min at one sample a second] that gives that table's intervals of K from the
 # spread of the columns alone: ±8.5 % of the piston ring's from 30 minutes, ±5.6 % from 60.
@@ -47,21 +51,17 @@ def promise(
     night refuses, tell no path.
     """
     speed = channels["speed"]
-    is_running = (np.abs(speed.value) > spec.settings.cleaning.standstill_rpm) & is_valid(
-        spec, "speed", speed
-    )
+    ran_at = operation(spec, channels, "speed")
     steps = np.diff(np.unique(speed.time_us[~speed.missing]))
     step_us = float(np.median(steps)) if steps.size else 0.0
-    minutes = float(is_running.sum()) * step_us / SECOND_US / 60.0 / max(nights, 1)
-    chosen = np.flatnonzero(is_running)
-    chosen = chosen[:: max(1, len(chosen) // _MOST_SAMPLES)]
-    pressure, turning, temperature = conditions_at(spec, channels, speed.time_us[chosen])
+    running = ran_at.get("speed", np.zeros(0))
+    minutes = float(running.size) * step_us / SECOND_US / 60.0 / max(nights, 1)
     ran = f"the motor ran {minutes:.3g} minutes a night"
-    if not chosen.size or pressure is None or turning is None or temperature is None:
+    if not running.size or not ran_at.keys() >= _RANGES.keys():
         return f"{ran}, without a pressure and temperature"
-    inputs = [pressure, turning, temperature]
-    reached, shares, is_usual = [], [], np.ones_like(pressure, dtype=np.bool_)
-    for (name, (full, unit)), values in zip(_RANGES.items(), inputs, strict=True):
+    inputs = [ran_at[name][:: max(1, running.size // _MOST_SAMPLES)] for name in _RANGES]
+    reached, shares, is_usual = [], [], np.ones_like(inputs[0], dtype=np.bool_)
+    for (name, full, unit), values in zip(_RANGES.values(), inputs, strict=True):
         low, high = np.percentile(values, (5, 95), method="nearest")
         is_usual &= (values >= low) & (values <= high)
         shares.append(min((high - low) / full, 1.0))
@@ -78,33 +78,37 @@ def promise(
     )
 
 
-def is_valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:
+def _is_valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:
     """Samples within the channel's range."""
     stated = next(one.valid_range for key, one in spec.file.channels.items() if key == name)
     low, high = stated or FALLBACK_VALID_RANGE[name]
     return (raw.value >= low) & (raw.value <= high)
 
 
-def conditions_at(
-    spec: MotorSpec, channels: Mapping[str, RawChannel], time_us: NDArray[np.int64]
-) -> tuple[Array | None, Array | None, Array | None]:
-    """Magnitudes of pressure difference and speed, and temperature, at some times."""
+def operation(
+    spec: MotorSpec, channels: Mapping[str, RawChannel], at: str = COUNTED
+) -> dict[str, Array]:
+    """Readings by channel while the motor turned, at the credible samples of one.
 
-    def at(name: str) -> Array | None:
-        own = channels.get(name)
-        known = None if own is None else is_valid(spec, name, own)
-        if own is None or known is None or not known.any() or not time_us.size:
-            return None
-        order = np.argsort(own.time_us[known], kind="stable")
-        return np.interp(time_us, own.time_us[known][order], own.value[known][order])
-
-    pressure, high, low = map(
-        at, ("pressure_difference", "high_port_pressure", "low_port_pressure")
-    )
-    if pressure is None and high is not None and low is not None:
-        pressure = high - low
-    size, speed = (None if one is None else np.abs(one) for one in (pressure, at("speed")))
-    return size, speed, at("oil_temperature")
+    Pressure difference and speed are magnitudes. A channel without a credible sample is left out,
+    as a flow in counts is; all are without the speed.
+    """
+    time_us = channels[at].time_us[_is_valid(spec, at, channels[at])]
+    found = {}
+    for name, own in channels.items():
+        known = _is_valid(spec, name, own)
+        if known.any() and (name != COUNTED or spec.file.channels[COUNTED].counts is None):
+            order = np.argsort(own.time_us[known], kind="stable")
+            found[name] = np.interp(time_us, own.time_us[known][order], own.value[known][order])
+    high, low = (found.get(port) for port in PORT_PRESSURES)
+    if high is not None and low is not None:
+        found["pressure_difference"] = high - low
+    for name in {"pressure_difference", "speed"} & found.keys():
+        found[name] = np.abs(found[name])
+    if "speed" not in found:
+        return {}
+    ran = found["speed"] > spec.settings.cleaning.standstill_rpm
+    return {name: one[ran] for name, one in found.items()}
 
 
 def _paths_told(
@@ -156,24 +160,17 @@ def swapped(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str
     """Notes on channels whose columns may be another's."""
     from scipy.stats import spearmanr
 
-    known = is_valid(spec, "oil_temperature", channels["oil_temperature"])
+    known = _is_valid(spec, "oil_temperature", channels["oil_temperature"])
     steps_s = np.diff(channels["oil_temperature"].time_us[known]) / SECOND_US
     jumps = np.abs(np.diff(channels["oil_temperature"].value[known])) > _JUMP_C
     close = (steps_s > 0.0) & (steps_s <= _JUMP_S)
     if close.sum() >= _FEWEST and float(jumps[close].mean()) > _JUMPS_SHARE:
         yield "oil_temperature jumps as no oil does: are columns swapped?"
-    if spec.file.channels[COUNTED].counts is not None:
+    readings = operation(spec, channels)
+    wanted = ("pressure_difference", "oil_temperature", COUNTED)
+    if not readings.keys() >= {*wanted} or readings[COUNTED].size < _FEWEST:
         return
-    flow = channels[COUNTED]
-    known = is_valid(spec, COUNTED, flow)
-    at = flow.time_us[known]
-    pressure, speed, degrees = conditions_at(spec, channels, at)
-    if pressure is None or speed is None or degrees is None:
-        return
-    ran = speed > spec.settings.cleaning.standstill_rpm
-    if ran.sum() < _FEWEST:
-        return
-    p, t, q = pressure[ran], degrees[ran], flow.value[known][ran]
+    p, t, q = (readings[name] for name in wanted)
     widths = ((p, _VARIES * np.median(p)), (t, _VARIES_K))
     drives = [one for one, width in widths if np.ptp(np.percentile(one, (5, 95))) > width]
     # Hotter oil is thinner: the flow rises with either.
