@@ -229,8 +229,8 @@ def completed(own: Document, defaults: Document, name: str) -> dict[str, Any]:
     >>> completed({"oil": "vg46"}, {"oil": "vg68", "logs": {"files": ["{name_in_log}/*"]}}, "W1")
     {'oil': 'vg46', 'logs': {'files': ['W1/*']}}
     """
-    named = own.get("name_in_log")
-    return _merged(own, _named(defaults, named if isinstance(named, str) and named else name))
+    known = own.get("name_in_log")
+    return _merged(own, named(defaults, known if isinstance(known, str) and known else name))
 
 
 def _merged(own: Document, defaults: Document) -> dict[str, Any]:
@@ -247,12 +247,12 @@ def _is_whole(value: object) -> bool:
     return isinstance(value, Mapping) and bool({"source", "constant"} & value.keys())
 
 
-def _named(value: Any, name: str) -> Any:
-    """Texts of a table or list with a motor's name in the mark's place."""
+def named(value: Any, name: str) -> Any:
+    """A table, list or text with a motor's name in the mark's place."""
     if isinstance(value, Mapping):
-        return {key: _named(inner, name) for key, inner in value.items()}
+        return {key: named(inner, name) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_named(inner, name) for inner in value]
+        return [named(inner, name) for inner in value]
     return value.replace(NAME_MARK, name) if isinstance(value, str) else value
 
 

@@ -12,7 +12,7 @@ from pipeline.setup.tables import Question, Table
 from pipeline.units import CHANNELS
 
 # What may be answered before it is asked.
-_ALWAYS = {"time_zone", "time_format", "decimal", "time", "table", "motor_type", "oil"}
+_ALWAYS = {"time_zone", "time_format", "decimal", "time", "motor_type", "oil"}
 
 
 class Asked:

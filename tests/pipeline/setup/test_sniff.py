@@ -50,7 +50,6 @@ def question(source: Path, key: str) -> Any:
          {"time_format": "epoch_ms"}),
         ({"time": "%m/%d/%Y %I:%M:%S %p", "preamble": ["", "x,y", ""]}, {}),
         ({"units": "row", "preamble": ["Anlage,Presse 3,,,", "Nr.,12,,,"]}, {"unit_rows": 1}),
-        *(({"encoding": one}, {"encoding": one}) for one in ("utf-32", "utf-32-be")),
         ({"separator": "|", "time_name": "t", "quoted": True, "encoding": "utf-8-sig"}, {}),
         ({"time": "%Y-%m-%d", "clock": "%H:%M:%S.%f", "clock_name": "Time"}, {"time": "Time"}),
         ({"missing": "Sensor fault"}, {}),
