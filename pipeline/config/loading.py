@@ -124,10 +124,7 @@ def _settings(
     shared: Document, override: Any, is_logged: bool, file: str, faults: list[Fault]
 ) -> Settings | None:
     """The fleet's settings with a motor's own; `is_logged`: the pressure of its low side is."""
-    merged = dict(shared)
-    for section, values in override.items() if isinstance(override, dict) else ():
-        whole = isinstance(values, dict) and isinstance(shared.get(section, {}), dict)
-        merged[section] = {**shared.get(section, {}), **values} if whole else values
+    merged = _merged(override if isinstance(override, dict) else {}, shared)
     settings = validated(Settings, merged, file, faults, prefix="override.")
     if settings is None:
         return None

@@ -83,7 +83,8 @@ def _checked(spec: MotorSpec, logs: FolderLogs) -> MotorCheck:
     nights = {label for record in records.values() for label in labels_of(record)}
     channels, unfit, worth = check_channels(spec, records, logs.path)
     changes = column_changes(spec, records, logs.path)
-    oils = [spec.file.oil, *(event.oil for event in spec.file.events if event.oil)]
+    oils = dict.fromkeys([spec.file.oil, *(one.oil for one in spec.file.events if one.oil)])
+    stated = (*spec.motor_type.path, *(spec.oils[name] for name in oils))
     broken, written = (
         [f"{one.error_code}: {one.message}" for one in records.values() if one.status == status]
         for status in ("failed", "growing")
@@ -104,14 +105,7 @@ def _checked(spec: MotorSpec, logs: FolderLogs) -> MotorCheck:
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
         faults=(*broken, *absent, *changes, *unfit),
-        placeholders=(
-            *(path.name for path in spec.motor_type.path if path.source == "placeholder"),
-            *(
-                spec.oils[name].name
-                for name in dict.fromkeys(oils)
-                if spec.oils[name].source == "placeholder"
-            ),
-        ),
+        placeholders=tuple(one.name for one in stated if one.source == "placeholder"),
         channels=channels,
         notes=(*notes, *_cut(spec, records, logs), *logs.unmatched()),
     )
