@@ -25,7 +25,7 @@ PLACES = (DIFFERENCE, "oil_temperature", "speed")
 OF_ONE_UNIT = (DIFFERENCE, *PORT_PRESSURES, "oil_temperature")
 # Factors within which a reading is as usual, and beyond which it is not; a difference of two gauges
 # of which one is in another unit is further off than any load with the same flow.
-NEAR, FAR, GAUGE_FAR = 1.5, 2.0, 5.0
+NEAR, FAR, GAUGE_FAR = 1.5, 2.0, 10.0
 # A low port without charge pressure may be at any multiple of it [bar].
 CHARGED_BAR = 5.0
 

@@ -80,7 +80,9 @@ PORTS = (*COLUMNS, *PORT_PRESSURES)
         ((4.5, 45.0, 6.5, 2.0), "difference 4.5 bar, before 180 bar: of one of its two gauges?"),
         ((180.0, 45.0, 6.5, 2.0, 195.0, 15.0), ""),
         ((90.5, 45.0, 6.5, 2.0, 195.0, 104.5), ""),
+        # A light night of which the flow is mostly flushing.
         ((40.0, 45.0, 6.5, 2.0), ""),
+        ((17.0, 45.0, 6.5, 2.0), "as before if the log is now in MPa"),
         ((4.5, 45.0, 6.5, 0.1), ""),
     ],
 )
