@@ -58,7 +58,9 @@ class Asked:
             key = f"{one.key} of {self.log}" if is_other else one.key
             answer = self.ask(key, f"{self.log}: {one.text}", one.choices)
             if answer is not None:
-                logs |= one.stands_for.get(answer, {one.key: answer})
+                logs[one.key] = answer
+                if one.key == "decimal" and answer != table.marks.decimal:
+                    logs["thousands"] = table.marks.decimal
         return logs
 
     def which(

@@ -140,10 +140,8 @@ def _csv(path: Path) -> Table:
     }
     questions = []
     if not marks.is_certain:
-        other = {",": ".", ".": ","}[marks.decimal]
-        keys = {other: {"decimal": other, "thousands": marks.decimal}}
-        text = "a decimal mark, or between thousands?"
-        questions = [Question("decimal", text, (marks.decimal, other), keys)]
+        choices = (marks.decimal, "," if marks.decimal == "." else ".")
+        questions = [Question("decimal", "a decimal mark, or between thousands?", choices)]
     logs = {"format": "csv"} | {key: value for key, value in dialect.items() if value}
     return timed(path, Table(logs, tuple(questions), tuple(columns), (), marks, rows))
 

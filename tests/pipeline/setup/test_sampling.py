@@ -63,27 +63,6 @@ def sent_on_change(value: Array, resolution: float, dead_band: float) -> Logged:
     return time_s[kept], scans[kept]
 
 
-def swinging_door(value: Array, resolution: float, deviation: float) -> Logged:
-    """The scans that Bristol's swinging door (US patent 4,669,097) leaves.
-
-    From the last stored point two doors, hinged a deviation above and below it, swing open as
-    scans come; once they are no longer closed towards each other, the scan before is stored.
-    """
-    time_s, scans = sampled(value, 1.0, resolution)
-    kept, upper, lower = [0], -np.inf, np.inf
-    for i in range(1, time_s.size):
-        rise, since = scans[i] - scans[kept[-1]], time_s[i] - time_s[kept[-1]]
-        upper, lower = (
-            max(upper, (rise - deviation) / since),
-            min(lower, (rise + deviation) / since),
-        )
-        if upper > lower:
-            kept.append(i - 1)
-            rise, since = scans[i] - scans[i - 1], time_s[i] - time_s[i - 1]
-            upper, lower = (rise - deviation) / since, (rise + deviation) / since
-    return time_s[kept], scans[kept]
-
-
 def counted(flow: Array, period_s: float, volume_cm3: float, rolls_over: float = 1e9) -> Logged:
     """Running total of whole counts of a volume, of a flow in l/min."""
     total = np.floor(123.0 + np.cumsum(np.maximum(flow, 0.0)) * STEP_S / 0.06 / volume_cm3)
@@ -122,19 +101,16 @@ def test_readings_of_a_clock_look_as_configured(name: str) -> None:
     ("name", "steps"),
     [*(("load", steps) for steps in (1, 5, 20)), ("temperature", 3), ("flow", 5), ("flow", 20)],
 )
-def test_values_sent_on_change_or_compressed_look_it(name: str, steps: int) -> None:
+def test_values_sent_on_change_look_it(name: str, steps: int) -> None:
     one, step = signal(name, 2), RESOLUTION[name]
-    for logged in (
-        sent_on_change(one, step, steps * step),
-        swinging_door(one, step, max(steps, 5) * step),
-    ):
-        said = note(logged, name)
-        assert 'then sampling = "on_change" and longest_silence_s' in said
-        # The longest but for a hundredth: of use as longest_silence_s.
-        reach = float(said.split()[-2])
-        assert 0.98 < np.mean(np.diff(logged[0]) <= 1.01 * reach) <= 1.0
-        assert note(logged, name, **SENT) == ""
-        assert note(logged, "speed", **(TOTAL | {"counts": "pulses"})) == ""
+    logged = sent_on_change(one, step, steps * step)
+    said = note(logged, name)
+    assert 'then sampling = "on_change" and longest_silence_s' in said
+    # The longest but for a hundredth: of use as longest_silence_s.
+    reach = float(said.split()[-2])
+    assert 0.98 < np.mean(np.diff(logged[0]) <= 1.01 * reach) <= 1.0
+    assert note(logged, name, **SENT) == ""
+    assert note(logged, "speed", **(TOTAL | {"counts": "pulses"})) == ""
 
 
 @pytest.mark.parametrize("period_s", [0.2, 1.0, 10.0])
