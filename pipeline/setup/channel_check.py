@@ -24,7 +24,7 @@ from pipeline.night.cleaning import clean_channel
 from pipeline.setup.check_units import suspect_units, units_told
 from pipeline.setup.column_changes import changed_readings
 from pipeline.setup.observe import LARGEST_LOG_BYTES
-from pipeline.setup.promise import promise, swapped
+from pipeline.setup.promise import night_of_log, promise, swapped
 
 # Samples of the head of a log that are looked at, and fewest that tell anything.
 HEAD, FEWEST = 20_000, 30
@@ -72,21 +72,24 @@ def check_channels(
         log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
     except LogError as error:
         return (), (f"{error.code}: {error.message}",), ()
-    nights = labels_of(records[newest])
+    label = max(labels_of(records[newest]))
     found = tuple(_looked_at(spec, name, log.channels[name]) for name in spec.file.channels)
+    kept = night_of_log(spec, label, log)
     readings = {name: records[name] for name in readable}
-    if changed := changed_readings(spec, readings, path_of, log.channels):
+    if kept and (changed := changed_readings(spec, readings, path_of, kept)):
         # What else is odd follows from it.
         return found, (changed,), ()
     told = units_told(path_of(newest), spec.file)
-    suspects = suspect_units(spec, max(nights), log.channels)
+    suspects = suspect_units(spec, label, log.channels)
     faults = [
         fault
         for name in spec.file.channels
         for fault in (told.get(name), suspects.get(name))
         if fault
     ]
-    notes = [promise(spec, max(nights), log.channels, len(nights)), *swapped(spec, log.channels)]
+    notes = [f"no sample of the night {label} is kept"]
+    if kept:
+        notes = [promise(spec, label, kept), *swapped(kept)]
     looks = (
         sampling_note(name, channel, log.channels[name])
         for name, channel in spec.file.channels.items()

@@ -13,16 +13,17 @@ from functools import cache
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
-
 from pipeline.config import MotorSpec
+from pipeline.config.channels import PORT_PRESSURES
 from pipeline.errors import LogError
-from pipeline.ingest import RawChannel, read_log
+from pipeline.ingest import read_log
 from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import FileRecord
 from pipeline.night.column_change import COLUMNS, column_change
+from pipeline.night.sample_rows import conditions
+from pipeline.night.time_base import Samples
 from pipeline.setup.check_units import columns_of
-from pipeline.setup.promise import operation
+from pipeline.setup.promise import night_of_log
 
 # Columns that a fault names, and faults of columns that are told.
 _SHOWN, _MOST = 5, 8
@@ -85,36 +86,41 @@ def changed_readings(
     spec: MotorSpec,
     records: Records,
     path_of: Callable[[str], Path],
-    newest: Mapping[str, RawChannel],
+    newest: Samples,
 ) -> str | None:
     """The log from which on readings look like those of other columns or units; None: none.
 
     The first log is that since the last event.
     """
     since = max((one.date for one in spec.file.baseline_events), default=dt.date.min)
-    dated = sorted((max(labels_of(one)), name) for name, one in records.items() if one.nights)
-    names = [name for night, name in dated if night >= since]
+    known = ((max(labels_of(one)), name) for name, one in records.items() if one.nights)
+    dated = sorted(one for one in known if one[0] >= since)
 
-    def medians(at: int) -> dict[str, float]:
+    def means(at: int) -> dict[str, float]:
+        label, name = dated[at]
         try:
-            log = read_log(path_of(names[at]), spec.file.logs, spec.file.channels)
+            log = read_log(path_of(name), spec.file.logs, spec.file.channels)
         except LogError:  # which is a fault of that log already
             return {}
-        return _medians(spec, log.channels)
+        samples = night_of_log(spec, label, log)
+        return {} if samples is None else _means(samples)
 
     def why(now: dict[str, float]) -> str | None:
         return column_change(spec, usual, now) if usual and now else None
 
-    usual = medians(0) if len(names) > 1 else {}
-    if (told := why(_medians(spec, newest))) is None:
+    usual = means(0) if len(dated) > 1 else {}
+    if (told := why(_means(newest))) is None:
         return None
-    between = range(1, len(names) - 1)
-    first = 1 + bisect_left(between, True, key=lambda at: why(medians(at)) is not None)
-    return f"columns_changed: from {names[first]} on: {told}"
+    between = range(1, len(dated) - 1)
+    first = 1 + bisect_left(between, True, key=lambda at: why(means(at)) is not None)
+    return f"columns_changed: from {dated[first][1]} on: {told}"
 
 
-def _medians(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> dict[str, float]:
-    """Medians of a log while the motor turned; empty where one is not known."""
-    readings = operation(spec, channels)
-    found = {name: float(np.median(one)) for name, one in readings.items() if one.size}
-    return found if found.keys() >= COLUMNS.keys() else {}
+def _means(samples: Samples) -> dict[str, float]:
+    """Means of the kept samples, as those of a run; and of each gauge of two."""
+    row = conditions(samples)
+    found = {name: row[column] for name, column in COLUMNS.items()}
+    if (low := samples.low_pressures_bar.get("low_port_pressure")) is not None:
+        high = samples.pressure_difference_bar + low
+        found |= dict(zip(PORT_PRESSURES, (float(high.mean()), float(low.mean())), strict=True))
+    return found

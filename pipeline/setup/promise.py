@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage import LeakageError, Motor, OperatingConditions
 from leakage.physics.motor import path_flows_l_per_min
 from pipeline.arrays import SECOND_US, Array
 from pipeline.config import MotorSpec
-from pipeline.config.channels import COUNTED, FALLBACK_VALID_RANGE, PORT_PRESSURES
-from pipeline.ingest import RawChannel
+from pipeline.config.nights import night
+from pipeline.ingest import RawLog
+from pipeline.logs.files import reaches_us, slice_night
+from pipeline.night.fit_night import Insufficient, clean_channels
+from pipeline.night.time_base import Samples
 
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
 # 5th to 95th percentile, and the minutes of which 92 to 100 % told every path.
-_RANGES = {
-    "pressure_difference": ("pressure", 260.0, "bar"),
-    "speed": ("speed", 96.0, "rpm"),
-    "oil_temperature": ("oil temperature", 12.0, "°C"),
-}
+_RANGES = {"pressure": (260.0, "bar"), "speed": (96.0, "rpm"), "oil temperature": (12.0, "°C")}
 _ENOUGH_MINUTES = 30.0
 # Error of the flow [l/min at one sample a second] that gives that table's intervals of K from the
 # spread of the columns alone: ±8.5 % of the piston ring's from 30 minutes, ±5.6 % from 60.
@@ -42,26 +40,29 @@ _FEWEST = 200
 _JUMP_C, _JUMP_S, _JUMPS_SHARE = 2.0, 10.0, 0.02
 
 
-def promise(
-    spec: MotorSpec, label: dt.date, channels: Mapping[str, RawChannel], nights: int
-) -> str:
-    """Running minutes a night, the conditions in them, and what they tell, in words.
+def night_of_log(spec: MotorSpec, label: dt.date, log: RawLog) -> Samples | None:
+    """The samples that a run keeps of a night of a log; None for none."""
+    here = night(label, spec.settings.nights)
+    channels = slice_night([log], here, reaches_us(spec))
+    try:
+        samples, _ = clean_channels(spec.file, spec.settings, here, channels)
+    except Insufficient:
+        return None
+    return samples if len(samples.index) else None
 
-    Conditions are the 5th to 95th percentiles while the motor ran: ramps beside halts, which a
-    night refuses, tell no path.
+
+def promise(spec: MotorSpec, label: dt.date, samples: Samples) -> str:
+    """Running minutes of a night, the conditions in them, and what they tell, in words.
+
+    Conditions are the 5th to 95th percentiles while the motor ran.
     """
-    speed = channels["speed"]
-    ran_at = operation(spec, channels, "speed")
-    steps = np.diff(np.unique(speed.time_us[~speed.missing]))
-    step_us = float(np.median(steps)) if steps.size else 0.0
-    running = ran_at.get("speed", np.zeros(0))
-    minutes = float(running.size) * step_us / SECOND_US / 60.0 / max(nights, 1)
+    minutes = samples.n_turning * samples.period_us / SECOND_US / 60.0
     ran = f"the motor ran {minutes:.3g} minutes a night"
-    if not running.size or not ran_at.keys() >= _RANGES.keys():
-        return f"{ran}, without a pressure and temperature"
-    inputs = [ran_at[name][:: max(1, running.size // _MOST_SAMPLES)] for name in _RANGES]
+    inputs = [np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)]
+    inputs.append(samples.oil_temperature_c)
+    inputs = [one[:: max(1, one.size // _MOST_SAMPLES)] for one in inputs]
     reached, shares, is_usual = [], [], np.ones_like(inputs[0], dtype=np.bool_)
-    for (name, full, unit), values in zip(_RANGES.values(), inputs, strict=True):
+    for (name, (full, unit)), values in zip(_RANGES.items(), inputs, strict=True):
         low, high = np.percentile(values, (5, 95), method="nearest")
         is_usual &= (values >= low) & (values <= high)
         shares.append(min((high - low) / full, 1.0))
@@ -76,39 +77,6 @@ def promise(
         f"{ran}: if the model describes the motor, leakage every night, {told}; first verdict on a "
         f"change after {spec.settings.trend.baseline_nights} nights"
     )
-
-
-def _is_valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:
-    """Samples within the channel's range."""
-    stated = next(one.valid_range for key, one in spec.file.channels.items() if key == name)
-    low, high = stated or FALLBACK_VALID_RANGE[name]
-    return (raw.value >= low) & (raw.value <= high)
-
-
-def operation(
-    spec: MotorSpec, channels: Mapping[str, RawChannel], at: str = COUNTED
-) -> dict[str, Array]:
-    """Readings by channel while the motor turned, at the credible samples of one.
-
-    Pressure difference and speed are magnitudes. A channel without a credible sample is left out,
-    as a flow in counts is; all are without the speed.
-    """
-    time_us = channels[at].time_us[_is_valid(spec, at, channels[at])]
-    found = {}
-    for name, own in channels.items():
-        known = _is_valid(spec, name, own)
-        if known.any() and (name != COUNTED or spec.file.channels[COUNTED].counts is None):
-            order = np.argsort(own.time_us[known], kind="stable")
-            found[name] = np.interp(time_us, own.time_us[known][order], own.value[known][order])
-    high, low = (found.get(port) for port in PORT_PRESSURES)
-    if high is not None and low is not None:
-        found["pressure_difference"] = high - low
-    for name in {"pressure_difference", "speed"} & found.keys():
-        found[name] = np.abs(found[name])
-    if "speed" not in found:
-        return {}
-    ran = found["speed"] > spec.settings.cleaning.standstill_rpm
-    return {name: one[ran] for name, one in found.items()}
 
 
 def _paths_told(
@@ -156,21 +124,20 @@ def half_widths(motor: Motor, conditions: OperatingConditions, minutes: float) -
     return dict(zip(names, map(float, widths), strict=True))
 
 
-def swapped(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str]:
+def swapped(samples: Samples) -> Iterator[str]:
     """Notes on channels whose columns may be another's."""
     from scipy.stats import spearmanr
 
-    known = _is_valid(spec, "oil_temperature", channels["oil_temperature"])
-    steps_s = np.diff(channels["oil_temperature"].time_us[known]) / SECOND_US
-    jumps = np.abs(np.diff(channels["oil_temperature"].value[known])) > _JUMP_C
-    close = (steps_s > 0.0) & (steps_s <= _JUMP_S)
-    if close.sum() >= _FEWEST and float(jumps[close].mean()) > _JUMPS_SHARE:
-        yield "oil_temperature jumps as no oil does: are columns swapped?"
-    readings = operation(spec, channels)
-    wanted = ("pressure_difference", "oil_temperature", COUNTED)
-    if not readings.keys() >= {*wanted} or readings[COUNTED].size < _FEWEST:
+    if samples.index.size < _FEWEST:
         return
-    p, t, q = (readings[name] for name in wanted)
+    p, t, q = (
+        np.abs(samples.pressure_difference_bar),
+        samples.oil_temperature_c,
+        samples.leakage_l_per_min,
+    )
+    close = np.diff(samples.time_us) <= _JUMP_S * SECOND_US
+    if float(np.mean(np.abs(np.diff(t))[close] > _JUMP_C)) > _JUMPS_SHARE:
+        yield "oil_temperature jumps as no oil does: are columns swapped?"
     widths = ((p, _VARIES * np.median(p)), (t, _VARIES_K))
     drives = [one for one, width in widths if np.ptp(np.percentile(one, (5, 95))) > width]
     # Hotter oil is thinner: the flow rises with either.

@@ -84,9 +84,11 @@ def logged(
 ) -> MotorCheck:
     """Check of a motor with one log, of which some channels are others."""
     operation = operate(minutes=minutes)
-    channels = operation.channels(operation.pressure_bar)
+    channels = operation.channels(operation.pressure_bar / 100.0)
     for name, value in values.items():
-        channels[name] = np.broadcast_to(value, channels[name].shape).astype(np.float64)
+        value = np.broadcast_to(value, channels[name].shape)
+        # No sensor shows the same figure for an hour.
+        channels[name] = value + 1e-3 * np.sin(np.arange(value.size))
     write_log(folder / "logs" / "M1" / log, operation.time_us, channels)
     return checks_of(write_configs(folder, {"M1": motor_toml("M1", files=files)}))["M1"]
 
