@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
-from zoneinfo import ZoneInfo
 
+from pipeline.config.section import known_zone
 from pipeline.errors import UsageError
 from pipeline.setup.tables import Question, Table
 from pipeline.units import CHANNELS
@@ -43,9 +43,10 @@ class Asked:
         if allowed and answer not in allowed:
             message = f"{key}: got {answer!r}; expected one of {', '.join(allowed)}"
             raise UsageError("answer", message)
-        if key == "time_zone":
-            _require_zone(answer)
-        return answer
+        try:
+            return known_zone(answer) if key == "time_zone" else answer
+        except ValueError as error:
+            raise UsageError("answer", f"time_zone: got {answer!r}; {error}") from None
 
     def keys_of(self, table: Table) -> dict[str, Any]:
         """Keys of ``[logs]`` with the answers to what the log does not tell.
@@ -91,11 +92,3 @@ def without_motor(place: str, motor: str) -> str:
     """The name of a column or tag without the motor's."""
     whole = rf"(?<![^\W_]){re.escape(motor)}(?![^\W_])"
     return re.sub(r"([._/: -])[._/: -]+", r"\1", re.sub(whole, "", place)).strip("._/: -")
-
-
-def _require_zone(name: str) -> None:
-    try:
-        ZoneInfo(name)
-    except (KeyError, ValueError, OSError):
-        message = f"time_zone: got {name!r}; expected a zone such as UTC or Europe/Oslo"
-        raise UsageError("answer", message) from None

@@ -94,6 +94,17 @@ def test_a_gauge_of_two_in_another_unit(tmp_path: Path, now: tuple[float, ...], 
     assert bool(found) == bool(words)
 
 
+@pytest.mark.parametrize(("low_bar", "is_told"), [(5.1, True), (4.9, False)])
+def test_a_low_port_without_charge_pressure_may_be_anything(
+    tmp_path: Path, low_bar: float, is_told: bool
+) -> None:
+    spec = load_motor(tmp_path, motor_toml("M1", units=GAUGES))
+    before, now = (
+        dict(zip(PORTS, (*USUAL, 180.0 + low, low), strict=True)) for low in (low_bar, low_bar / 10)
+    )
+    assert bool(column_change(spec, before, now)) == is_told
+
+
 @pytest.mark.parametrize(
     ("in_mpa", "in_the_run", "in_the_check"),
     [

@@ -75,7 +75,7 @@ def test_a_zone_is_asked_for_where_the_stamps_have_none(tmp_path: Path) -> None:
         (path,) = text_log({"time_format": form}).write(tmp_path, "log", log_of())
         assert bool(question(path, "time_zone")) == is_asked
     (path,) = text_log({}).write(tmp_path, "log", log_of())
-    with refused("answer", "expected a zone such as"):
+    with refused("answer", "time_zone: got 'Berlin'; expected the name of an IANA"):
         propose(path, {"time_zone": "Berlin"})
 
 
