@@ -24,10 +24,7 @@ from pipeline.messages import counted, error_line
 
 # A rule that refused less than this is not worth its name in a table.
 WORTH_TELLING = 0.0005
-CHANNEL_COLUMNS = (
-    *("channel", "rate", "median", "missing", "refused", "refused by"),
-    *("configured as", "looks"),
-)
+CHANNEL_COLUMNS = ("channel", "rate", "median", "missing", "refused", "refused by")
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
@@ -136,9 +133,6 @@ def _print_check(one: MotorCheck) -> None:
     )
     if one.channels:
         print_table(CHANNEL_COLUMNS, map(_channel_cells, one.channels))
-    for channel in one.channels:
-        for remark in channel.remarks:
-            typer.echo(f"LOOK: {channel.channel}: {remark}")
     for note in one.notes:
         typer.echo(note)
     for fault in one.faults:
@@ -160,6 +154,4 @@ def _channel_cells(channel: ChannelCheck) -> tuple[str, ...]:
         f"{100 * channel.share_missing:.3g} %",
         f"{100 * channel.share_refused:.3g} %",
         ", ".join(rules),
-        channel.configured,
-        channel.looks,
     )

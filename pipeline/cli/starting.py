@@ -66,7 +66,7 @@ def init(
         str,
         typer.Option(
             metavar="SQL",
-            help="Of a database: the query of the samples, with {start} and {end}; else a table.",
+            help="Of a database: the query of the samples, with {start} and {end}.",
         ),
     ] = "",
     write: Annotated[
@@ -80,7 +80,8 @@ def init(
 
     Example: motor-leakage init demo/logs --to my-fleet
 
-    Example: motor-leakage init sql:PLANT_DATABASE --to my-fleet
+    Example: motor-leakage init sql:DATABASE --query 'SELECT * FROM log WHERE time >= {start} AND
+    time < {end}'
 
     Exit code 0: all is known; 1: questions are open, or a log cannot be read, and nothing is
     written; 2: wrong usage, or a file is there already; 4: a database does not answer.

@@ -10,13 +10,11 @@ from pipeline.config.channels import Channel
 from pipeline.config.faults import ConfigError, Fault
 from pipeline.config.fleet import Fleet, MotorSpec, absolute, overlap
 from pipeline.config.loading import load_fleet
-from pipeline.config.motors import Event, MotorFile
+from pipeline.config.motors import MotorFile
 from pipeline.config.settings import (
     Alarms,
     Cleaning,
-    Estimation,
     Execution,
-    Look,
     Nights,
     Retention,
     SensorHealth,
@@ -24,7 +22,6 @@ from pipeline.config.settings import (
     Smoothing,
     TimeBase,
     TransportDelay,
-    Trend,
     Windows,
 )
 
@@ -33,12 +30,9 @@ __all__ = [
     "Channel",
     "Cleaning",
     "ConfigError",
-    "Estimation",
-    "Event",
     "Execution",
     "Fault",
     "Fleet",
-    "Look",
     "MotorFile",
     "MotorSpec",
     "Nights",
@@ -48,7 +42,6 @@ __all__ = [
     "Smoothing",
     "TimeBase",
     "TransportDelay",
-    "Trend",
     "Windows",
     "absolute",
     "load_fleet",

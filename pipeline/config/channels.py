@@ -32,6 +32,8 @@ GOOD_QUALITY: tuple[QualityValue, ...] = ("Good", 192)
 # Unit of a drain flow that is logged as counts of a volume.
 COUNT = "count"
 COUNTED: Final = "leakage_flow"
+# The two of which the pressure difference is taken where it has no channel of its own.
+PORT_PRESSURES: Final = ("high_port_pressure", "low_port_pressure")
 # Keys of a channel that is not logged.
 OF_A_CONSTANT = {"constant", "unit", "offset_tolerance", "gain_tolerance_percent"}
 # Channels that differ from sample to sample, or say nothing.

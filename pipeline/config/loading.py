@@ -124,10 +124,7 @@ def _settings(
     shared: Document, override: Any, is_logged: bool, file: str, faults: list[Fault]
 ) -> Settings | None:
     """The fleet's settings with a motor's own; `is_logged`: the pressure of its low side is."""
-    merged = dict(shared)
-    for section, values in override.items() if isinstance(override, dict) else ():
-        whole = isinstance(values, dict) and isinstance(shared.get(section, {}), dict)
-        merged[section] = {**shared.get(section, {}), **values} if whole else values
+    merged = _merged(override if isinstance(override, dict) else {}, shared)
     settings = validated(Settings, merged, file, faults, prefix="override.")
     if settings is None:
         return None
@@ -229,8 +226,8 @@ def completed(own: Document, defaults: Document, name: str) -> dict[str, Any]:
     >>> completed({"oil": "vg46"}, {"oil": "vg68", "logs": {"files": ["{name_in_log}/*"]}}, "W1")
     {'oil': 'vg46', 'logs': {'files': ['W1/*']}}
     """
-    named = own.get("name_in_log")
-    return _merged(own, _named(defaults, named if isinstance(named, str) and named else name))
+    known = own.get("name_in_log")
+    return _merged(own, named(defaults, known if isinstance(known, str) and known else name))
 
 
 def _merged(own: Document, defaults: Document) -> dict[str, Any]:
@@ -247,12 +244,12 @@ def _is_whole(value: object) -> bool:
     return isinstance(value, Mapping) and bool({"source", "constant"} & value.keys())
 
 
-def _named(value: Any, name: str) -> Any:
-    """Texts of a table or list with a motor's name in the mark's place."""
+def named(value: Any, name: str) -> Any:
+    """A table, list or text with a motor's name in the mark's place."""
     if isinstance(value, Mapping):
-        return {key: _named(inner, name) for key, inner in value.items()}
+        return {key: named(inner, name) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_named(inner, name) for inner in value]
+        return [named(inner, name) for inner in value]
     return value.replace(NAME_MARK, name) if isinstance(value, str) else value
 
 

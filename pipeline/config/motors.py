@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AwareDatetime, Field
 
 from pipeline.clock import microseconds
-from pipeline.config.channels import COUNT, COUNTED, NEVER_CONSTANT, Channel, ChannelName
+from pipeline.config.channels import (
+    COUNT,
+    COUNTED,
+    NEVER_CONSTANT,
+    PORT_PRESSURES,
+    Channel,
+    ChannelName,
+)
 from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import field_path
 from pipeline.config.logs import Logs
@@ -176,7 +183,7 @@ class MotorFile(Section):
     def _missing_channels(self) -> Iterator[Misfit]:
         names = set(self.channels)
         given = ", ".join(sorted(names))
-        ports = {"high_port_pressure", "low_port_pressure"}
+        ports = set(PORT_PRESSURES)
         if (ports <= names) == ("pressure_difference" in names) or len(ports & names) == 1:
             message = "expected pressure_difference, or high_port_pressure and low_port_pressure"
             yield ("channels",), message, given

@@ -26,7 +26,8 @@ class Stage(Flag):
     TRENDS = auto()  # states, alarms, and what is told of a motor
 
 
-def _known_zone(name: str) -> str:
+def known_zone(name: str) -> str:
+    """The name of a time zone. Raises ValueError if there is none of it."""
     with suppress(KeyError, ValueError, OSError):
         ZoneInfo(name)
         # The folders `posix` and `right` hold all zones again, `right` with leap seconds.
@@ -39,7 +40,7 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Seconds = Annotated[float, Field(ge=0, le=31_536_000)]
-TimeZone = Annotated[str, AfterValidator(_known_zone)]
+TimeZone = Annotated[str, AfterValidator(known_zone)]
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 """An id that is a file's name, too."""
 

@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping
 from itertools import chain, combinations
 
 from pipeline.config import MotorSpec
+from pipeline.config.channels import PORT_PRESSURES
 from pipeline.messages import plain
-from pipeline.units import UNITS, from_canonical, to_canonical
+from pipeline.units import QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
 
 # Means that are compared, by channel, as the table `operation` has them; and their units.
 COLUMNS = {
@@ -17,11 +18,16 @@ COLUMNS = {
     "leakage_flow": "mean_flow_l_per_min",
 }
 FLOW = "leakage_flow"
-NAMED = {"pressure_difference": "bar", "oil_temperature": "°C", "speed": "rpm"}
-# A speed may well be ten times another night's, with the flow as before.
-OF_ONE_UNIT = {"pressure_difference": "pressure", "oil_temperature": "temperature"}
-# Factors within which a reading is as usual, and beyond which it is not.
-NEAR, FAR = 1.5, 2.0
+DIFFERENCE = "pressure_difference"
+PLACES = (DIFFERENCE, "oil_temperature", "speed")
+# Of these, and of two gauges where each is known by itself. A speed may well be ten times another
+# night's, with the flow as before.
+OF_ONE_UNIT = (DIFFERENCE, *PORT_PRESSURES, "oil_temperature")
+# Factors within which a reading is as usual, and beyond which it is not; a difference of two gauges
+# of which one is in another unit is further off than any load with the same flow.
+NEAR, FAR, GAUGE_FAR = 1.5, 2.0, 10.0
+# A low port without charge pressure may be at any multiple of it [bar].
+CHARGED_BAR = 5.0
 
 
 def column_change(
@@ -30,15 +36,16 @@ def column_change(
     """Why readings look like those of other columns or units than before; None: they do not.
 
     The drain flow is as before, which it would not be had load or oil changed as far. Both have
-    the channels of `COLUMNS`, in the units of the tables.
+    the channels of `COLUMNS`, in the units of the tables, and may have each gauge of two.
     """
-    if min(*usual.values(), *now.values()) <= 0.0 or _factor(now[FLOW], usual[FLOW]) > FAR:
+    least = min(one[name] for one in (usual, now) for name in COLUMNS)
+    if least <= 0.0 or _factor(now[FLOW], usual[FLOW]) > FAR:
         return None
     return next(chain(_swapped(usual, now), _other_unit(spec, usual, now)), None)
 
 
 def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[str]:
-    for one, other in combinations(NAMED, 2):
+    for one, other in combinations(PLACES, 2):
         are_far = all(_factor(now[name], usual[name]) > FAR for name in (one, other))
         pairs = (now[one], usual[other]), (now[other], usual[one])
         if are_far and all(_factor(*pair) < NEAR for pair in pairs):
@@ -52,23 +59,35 @@ def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[s
 def _other_unit(
     spec: MotorSpec, usual: Mapping[str, float], now: Mapping[str, float]
 ) -> Iterator[str]:
-    for name, quantity in OF_ONE_UNIT.items():
-        if _factor(now[name], usual[name]) < FAR:
-            continue
-        channels = spec.file.channels
-        configured = channels[name if name in channels else "high_port_pressure"].unit
-        for unit in UNITS[quantity]:
+    channels = {str(name): one for name, one in spec.file.channels.items()}
+    far = {
+        name: _factor(now[name], usual[name]) for name in OF_ONE_UNIT if _is_known(name, usual, now)
+    }
+    for name in [name for name in far if far[name] > FAR]:
+        configured = channels[name if name in channels else PORT_PRESSURES[0]].unit
+        for unit in UNITS[QUANTITIES[name]]:
             in_log = from_canonical(name, now[name], configured)
             reading = float(to_canonical(name, in_log, unit))
             if reading > 0.0 and _factor(reading, usual[name]) < NEAR:
                 yield (
-                    f"unit changed? {plain(name)} {_said(name, now)}, before {_said(name, usual)}: "
-                    f"as before if the log is now in {unit} where the config has {configured}"
+                    f"unit changed? {_changed(name, usual, now)}: as before if the log is now in "
+                    f"{unit} where the config has {configured}"
                 )
+    if far[DIFFERENCE] > GAUGE_FAR and DIFFERENCE not in channels:
+        yield f"unit changed? {_changed(DIFFERENCE, usual, now)}: of one of its two gauges?"
+
+
+def _is_known(name: str, usual: Mapping[str, float], now: Mapping[str, float]) -> bool:
+    least = CHARGED_BAR if name in PORT_PRESSURES else 0.0
+    return usual.get(name, 0.0) > least and now.get(name, 0.0) > 0.0
+
+
+def _changed(name: str, usual: Mapping[str, float], now: Mapping[str, float]) -> str:
+    return f"{plain(name)} {_said(name, now)}, before {_said(name, usual)}"
 
 
 def _said(name: str, values: Mapping[str, float]) -> str:
-    return f"{values[name]:.3g} {NAMED[name]}"
+    return f"{values[name]:.3g} {canonical_unit(name).replace('degC', '°C')}"
 
 
 def _factor(one: float, other: float) -> float:

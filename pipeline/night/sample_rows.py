@@ -57,7 +57,7 @@ def operation_row(
             row[f"{name}_{unit}"] = zero.value
             row[f"{name}_standard_error_{unit}"] = zero.standard_error
     if len(samples.index):
-        row |= _conditions(samples)
+        row |= conditions(samples)
     return row
 
 
@@ -73,7 +73,8 @@ def hours_counted(counter: RawChannel | None) -> float | None:
     return float(reading[-1] - reading[0])
 
 
-def _conditions(samples: Samples) -> Row:
+def conditions(samples: Samples) -> Row:
+    """Means and histograms of kept samples; magnitudes of pressure and speed."""
     pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
     temperature = samples.oil_temperature_c
     return {

@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
-from zoneinfo import ZoneInfo
 
+from pipeline.config.section import known_zone
 from pipeline.errors import UsageError
 from pipeline.setup.tables import Question, Table
 from pipeline.units import CHANNELS
 
 # What may be answered before it is asked.
-_ALWAYS = {"time_zone", "time_format", "decimal", "time", "table", "motor_type", "oil"}
+_ALWAYS = {"time_zone", "time_format", "decimal", "time", "motor_type", "oil"}
 
 
 class Asked:
@@ -43,9 +43,10 @@ class Asked:
         if allowed and answer not in allowed:
             message = f"{key}: got {answer!r}; expected one of {', '.join(allowed)}"
             raise UsageError("answer", message)
-        if key == "time_zone":
-            _require_zone(answer)
-        return answer
+        try:
+            return known_zone(answer) if key == "time_zone" else answer
+        except ValueError as error:
+            raise UsageError("answer", f"time_zone: got {answer!r}; {error}") from None
 
     def keys_of(self, table: Table) -> dict[str, Any]:
         """Keys of ``[logs]`` with the answers to what the log does not tell.
@@ -58,7 +59,9 @@ class Asked:
             key = f"{one.key} of {self.log}" if is_other else one.key
             answer = self.ask(key, f"{self.log}: {one.text}", one.choices)
             if answer is not None:
-                logs |= one.stands_for.get(answer, {one.key: answer})
+                logs[one.key] = answer
+                if one.key == "decimal" and answer != table.marks.decimal:
+                    logs["thousands"] = table.marks.decimal
         return logs
 
     def which(
@@ -89,11 +92,3 @@ def without_motor(place: str, motor: str) -> str:
     """The name of a column or tag without the motor's."""
     whole = rf"(?<![^\W_]){re.escape(motor)}(?![^\W_])"
     return re.sub(r"([._/: -])[._/: -]+", r"\1", re.sub(whole, "", place)).strip("._/: -")
-
-
-def _require_zone(name: str) -> None:
-    try:
-        ZoneInfo(name)
-    except (KeyError, ValueError, OSError):
-        message = f"time_zone: got {name!r}; expected a zone such as UTC or Europe/Oslo"
-        raise UsageError("answer", message) from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise, product
@@ -164,14 +164,10 @@ def _shapes(stamp: str) -> list[str]:
     if match is None:
         return []
     behind = re.sub(r"Z|[+-].*", "%z", match["zone"] or "")
-    dates = [form for form in _DATES if _parsed(match["date"], form)]
-    clocks = [form for form in _CLOCKS if _strictly(match["clock"], form)]
-    return [a + match["between"] + b + behind for a, b in product(dates, clocks)]
-
-
-def _strictly(text: str, form: str) -> bool:
-    has_fraction = bool(re.search(r"[:.]\d\d[:.]\d\d[.,]", text))
-    return has_fraction == ("%f" in form) and _parsed(text, form) is not None
+    has_fraction = bool(re.search(r"[:.]\d\d[:.]\d\d[.,]", match["clock"]))
+    clocks = [form for form in _CLOCKS if ("%f" in form) == has_fraction]
+    forms = (a + match["between"] + b + behind for a, b in product(_DATES, clocks))
+    return [form for form in forms if _parsed(stamp, form)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,8 +202,8 @@ def time_formats(stamps: Sequence[str], decimal: str = ".", file_name: str = "")
     forms = list(dict.fromkeys(form for stamp in ends for form in _shapes(stamp)))
     read = {form: [one for stamp in stamps if (one := _parsed(stamp, form))] for form in forms}
     whole = {form: own for form, own in read.items() if len(own) == len(stamps)}
-    likely = _likeliest(whole, file_name)
-    return TimeFormats({form: f"{day.day} {day:%B %Y}" for form, day in likely}, has_zone)
+    likely = _likeliest(whole, file_name).items()
+    return TimeFormats({form: f"{day.day} {day:%B %Y}" for day, form in likely}, has_zone)
 
 
 def count_format(numbers: Sequence[float]) -> str | None:
@@ -222,10 +218,8 @@ def count_format(numbers: Sequence[float]) -> str | None:
     return next(within, None)
 
 
-def _likeliest(
-    times: dict[str, list[dt.datetime]], file_name: str
-) -> Iterator[tuple[str, dt.datetime]]:
-    """Formats in which the log is as logs are, each reading of the first stamp once.
+def _likeliest(times: dict[str, list[dt.datetime]], file_name: str) -> dict[dt.datetime, str]:
+    """Formats in which the log is as logs are, by their reading of the first stamp.
 
     It has no steps of months, nothing in the future, and is of the date that the file is named for.
     """
@@ -239,13 +233,8 @@ def _likeliest(
         return ahead, leaps, far
 
     least = min(map(misfit, times.items()), default=None)
-    fitting = [item for item in times.items() if misfit(item) == least]
-    if any("%y" in form for form, _ in fitting):  # a log is of these years sooner than old
-        fitting.sort(key=lambda item: item[1][0], reverse=True)
-    elif any("%p" in form for form, _ in fitting):  # where noon is 12 PM the month is mostly first
-        fitting.sort(key=lambda item: not item[0].startswith("%m"))
-    seen = set[dt.datetime]()
-    for form, own in fitting:
-        if own[0] not in seen:
-            seen.add(own[0])
-            yield form, own[0]
+    firsts: dict[dt.datetime, str] = {}
+    for form, own in times.items():
+        if misfit((form, own)) == least:
+            firsts.setdefault(own[0], form)
+    return firsts

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from pipeline.config.channels import PORT_PRESSURES
 from pipeline.setup.answers import Asked, without_motor
 from pipeline.setup.cells import Marks, as_number
 from pipeline.setup.names import (
-    PORT_PRESSURES,
     QUANTITY_OF,
     Group,
     likely_units,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,14 +24,12 @@ from pipeline.logs.ledger import FileRecord
 from pipeline.logs.locations import FolderLogs, logs_of
 from pipeline.messages import counted
 from pipeline.setup.channel_check import ChannelCheck, check_channels
-from pipeline.setup.check_units import columns_of
+from pipeline.setup.column_changes import column_changes
 from pipeline.setup.propose import logs_below
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
 MOST_STRAYS = 8
-# Columns that a fault names, and faults of columns that are told.
-_SHOWN, _MOST = 5, 8
 # A line end in UTF-16 or UTF-32 is up to four bytes long.
 LINE_END_BYTES = 4
 PACKED = (".gz", ".zst")
@@ -85,7 +83,8 @@ def _checked(spec: MotorSpec, logs: FolderLogs) -> MotorCheck:
     nights = {label for record in records.values() for label in labels_of(record)}
     channels, unfit, worth = check_channels(spec, records, logs.path)
     changes = column_changes(spec, records, logs.path)
-    oils = [spec.file.oil, *(event.oil for event in spec.file.events if event.oil)]
+    oils = dict.fromkeys([spec.file.oil, *(one.oil for one in spec.file.events if one.oil)])
+    stated = (*spec.motor_type.path, *(spec.oils[name] for name in oils))
     broken, written = (
         [f"{one.error_code}: {one.message}" for one in records.values() if one.status == status]
         for status in ("failed", "growing")
@@ -106,14 +105,7 @@ def _checked(spec: MotorSpec, logs: FolderLogs) -> MotorCheck:
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
         faults=(*broken, *absent, *changes, *unfit),
-        placeholders=(
-            *(path.name for path in spec.motor_type.path if path.source == "placeholder"),
-            *(
-                spec.oils[name].name
-                for name in dict.fromkeys(oils)
-                if spec.oils[name].source == "placeholder"
-            ),
-        ),
+        placeholders=tuple(one.name for one in stated if one.source == "placeholder"),
         channels=channels,
         notes=(*notes, *_cut(spec, records, logs), *logs.unmatched()),
     )
@@ -176,61 +168,3 @@ def strays_told(fleet: Fleet) -> str:
     strays = unclaimed(fleet)
     named = ", ".join(strays[:MOST_STRAYS]) + ", …" * (len(strays) > MOST_STRAYS)
     return f"no motor claims {counted(len(strays), 'log')}: {named}" if strays else ""
-
-
-def column_changes(
-    spec: MotorSpec, records: Mapping[str, FileRecord], path_of: Callable[[str], Path]
-) -> tuple[str, ...]:
-    """Faults of channels whose column is not in all logs, or changes its unit, with the date.
-
-    The first and the last log are compared; where they differ, each change between them is looked
-    for by halves, so that a few of many headers are read.
-    """
-    dated = sorted((min(labels_of(one)), name) for name, one in records.items() if one.nights)
-    if len(dated) < 2:
-        return ()
-    sources = [one.source for one in spec.file.channels.values() if one.constant is None]
-
-    def columns(at: int) -> dict[str, str]:
-        try:
-            return columns_of(path_of(dated[at][1]), spec.file.logs) or {}
-        except LogError:  # which is a fault of that log already
-            return {}
-
-    def wanted(at: int) -> dict[str, str]:
-        return {name: unit for name, unit in columns(at).items() if name in sources}
-
-    last = len(dated) - 1
-    if not columns(0) or not columns(last):
-        return ()
-    found: list[str] = []
-    begin = 0
-    while wanted(begin) != wanted(last) and len(found) < _MOST:
-        low, high = begin, last
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (middle, high) if wanted(middle) == wanted(begin) else (low, middle)
-        label, name = dated[high]
-        log = f"the log of {label.day} {label:%B %Y} ({name})"
-        found += _differences(columns(low), columns(high), sources, log)
-        begin = high
-    return tuple(found[:_MOST])
-
-
-def _differences(
-    before: Mapping[str, str], now: Mapping[str, str], sources: list[str], log: str
-) -> Iterator[str]:
-    new, old = (
-        ", ".join([repr(one) for one in these if one not in others][:_SHOWN])
-        for these, others in ((now, before), (before, now))
-    )
-    for source in dict.fromkeys(sources):
-        if source in before and source not in now:
-            also = f", but {new}, new since then" if new else ""
-            yield f"column_gone: {log} has no column {source!r}{also}"
-        elif source in now and source not in before:
-            also = f", without {old} of the logs before" if old else ""
-            yield f"column_gone: {log} is the first with column {source!r}{also}"
-        elif before.get(source) != now.get(source):
-            units = f"{now[source] or 'no unit'!r}; the log before has {before[source]!r}"
-            yield f"unit_changed: {log} gives {source!r} in {units}"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from pipeline.config.motors import MotorFile
 from pipeline.ingest import RawChannel
 from pipeline.setup.names import LOW_SIDE, QUANTITY_OF, USUAL, likely_units, meaning_of
 from pipeline.setup.sniff import header_of
-from pipeline.units import QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
+from pipeline.units import QUANTITIES, canonical_unit, from_canonical
 
 # A drain flow this many times off the configured model's is of another unit sooner than worn.
 UNUSUAL_FLOW = 8.0
@@ -39,18 +40,14 @@ def suspect_units(
     }
     found: dict[str, str] = {}
     for name, value in typical.items():
-        low, high = USUAL.get(QUANTITIES[name], (0.0, float("inf")))
-        if name not in (*LOW_SIDE, COUNTED) and not low <= value <= high:
-            found[name] = _unusual(name, value, "", likely_units(name, [_read(spec, name, value)]))
-    expected = None if found else _model_flow(spec, night, typical)
-    if expected and not _is_near(flow := typical[COUNTED], expected):
-        read = _read(spec, COUNTED, flow)
-        units = [
-            unit
-            for unit in UNITS["flow"]
-            if _is_near(float(to_canonical(COUNTED, read, unit)), expected)
-        ]
-        found[COUNTED] = _unusual(COUNTED, flow, f" where the model has {expected:.2g}", units)
+        usual = USUAL.get(QUANTITIES[name], (0.0, math.inf))
+        if name not in (*LOW_SIDE, COUNTED) and not usual[0] <= value <= usual[1]:
+            found[name] = _unusual(spec, name, value, usual, "")
+    if not found and (expected := _model_flow(spec, night, typical)):
+        usual, flow = (expected / UNUSUAL_FLOW, expected * UNUSUAL_FLOW), typical[COUNTED]
+        if not usual[0] <= flow <= usual[1]:
+            where = f" where the model has {expected:.2g}"
+            found[COUNTED] = _unusual(spec, COUNTED, flow, usual, where)
     return found
 
 
@@ -85,21 +82,15 @@ def _typical(raw: RawChannel) -> float | None:
     return float(np.percentile(numbers, 75)) if len(numbers) else None
 
 
-def _unusual(name: str, value: float, where: str, units: Sequence[str]) -> str:
-    unit = canonical_unit(name).replace("degC", "°C")
-    mended = f"; it would be usual if the log's unit were {' or '.join(units[:2])}" if units else ""
-    words = f"typically {value:.3g} {unit}, which is unusual{where}{mended}"
-    return f"unit_unusual: {name}: {words}"
-
-
-def _read(spec: MotorSpec, name: str, value: float) -> float:
-    """A value as it stands in the log."""
+def _unusual(
+    spec: MotorSpec, name: str, value: float, usual: tuple[float, float], where: str
+) -> str:
     configured = next(one.unit for other, one in spec.file.channels.items() if other == name)
-    return float(from_canonical(name, value, configured))
-
-
-def _is_near(flow: float, expected: float) -> bool:
-    return expected / UNUSUAL_FLOW <= flow <= expected * UNUSUAL_FLOW
+    in_log = float(from_canonical(name, value, configured))
+    units = " or ".join(likely_units(name, [in_log], usual)[:2])
+    mended = f"; it would be usual if the log's unit were {units}" if units else ""
+    unit = canonical_unit(name).replace("degC", "°C")
+    return f"unit_unusual: {name}: typically {value:.3g} {unit}, which is unusual{where}{mended}"
 
 
 def _model_flow(spec: MotorSpec, night: dt.date, typical: Mapping[str, float]) -> float | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime as dt
+import json
 import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config import Fleet
-from pipeline.config.loading import NAME_MARK, completed
+from pipeline.config.loading import NAME_MARK, completed, named
 from pipeline.errors import UsageError
 from pipeline.logs.finding import find_logs
 from pipeline.setup.observe import Observed, fleet_name, night_end, reference
@@ -53,7 +55,7 @@ def _motor_text(motor: ProposedMotor, own: Document, shared: Document) -> str:
     name = motor.name or motor.motor_id
     head = {"motor_id": motor.motor_id}
     head |= {"name_in_log": name} if name != motor.motor_id else {}
-    return _toml(head | _without(_marked(own, name), own, shared))
+    return _toml(head | named(_without(_marked(own, name), shared), name))
 
 
 def added_files(
@@ -142,14 +144,16 @@ def _common(documents: list[Document]) -> Document:
     return found
 
 
-def _without(marked: Document, own: Document, shared: Document) -> Document:
-    """A motor's own part, as it stands."""
+def _without(own: Document, shared: Document) -> Document:
+    """What of a motor's document the defaults do not say; a channel's table stands alone."""
     found: Document = {}
-    for key, value in marked.items():
-        if key not in shared:
-            found[key] = own[key]
-        elif value != shared[key]:
-            found[key] = _without(value, own[key], shared[key])
+    for key, value in own.items():
+        known = shared.get(key)
+        if isinstance(value, dict) and isinstance(known, dict):
+            if rest := _without(value, known):
+                found[key] = value if "source" in value else rest
+        elif value != known:
+            found[key] = value
     return found
 
 
@@ -169,12 +173,6 @@ def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:
 
 
 def _value(value: object) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
-    return quoted(value) if isinstance(value, str) else str(value)
-
-
-def quoted(text: str) -> str:
-    """Text as a TOML string."""
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
+    # Text of JSON is text of TOML, but for one character.
+    plain = isinstance(value, dt.date)
+    return str(value) if plain else json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

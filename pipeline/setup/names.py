@@ -16,13 +16,13 @@ from functools import cache, lru_cache
 from itertools import pairwise
 from pathlib import Path
 
-from pipeline.units import UNITS, to_canonical
+from pipeline.config.channels import PORT_PRESSURES
+from pipeline.units import QUANTITIES, UNITS, to_canonical
 
 _FILE = Path(__file__).with_name("vocabulary.toml")
 VOCABULARY: Mapping[str, Mapping[str, str]] = tomllib.loads(_FILE.read_text("utf-8"))
 CHANNEL_OF = {"temperature": "oil_temperature", "speed": "speed", "flow": "leakage_flow"}
 QUANTITY_OF = {unit: one for one in ("pressure", *CHANNEL_OF) for unit in UNITS[one]}
-PORT_PRESSURES = ("high_port_pressure", "low_port_pressure")
 LOW_SIDE = ("low_port_pressure", "charge_pressure", "case_pressure")
 FEWEST_CHANNELS = 3  # by which names are a motor's
 
@@ -175,11 +175,16 @@ def _role(words: Sequence[str], name: str) -> str | None:
     return next((role for role in VOCABULARY["role"] if is_in(marks, "role", role)), None)
 
 
-def likely_units(channel: str, values: Iterable[float]) -> tuple[str, ...]:
-    """Units in which readings are such as a motor at work shows, the commonest first."""
+def likely_units(
+    channel: str, values: Iterable[float], usual: tuple[float, float] | None = None
+) -> tuple[str, ...]:
+    """Units in which readings are usual, by default such as a motor at work shows.
+
+    The commonest are first.
+    """
     found = sorted(map(abs, values))
-    quantity = next((one for one, key in CHANNEL_OF.items() if key == channel), "pressure")
-    low, high = _USUAL_LOW_SIDE if channel in LOW_SIDE else USUAL[quantity]
+    quantity = QUANTITIES[channel]
+    low, high = usual or (_USUAL_LOW_SIDE if channel in LOW_SIDE else USUAL[quantity])
     typical = found[(3 * len(found)) // 4] if found else float("nan")
     common = ("bar", "MPa", "kPa", "psi", "degC", "rpm", "l/min", "ml/min", "m3/h")
     units = sorted(UNITS[quantity], key=lambda unit: unit not in common)

@@ -14,10 +14,10 @@ import numpy as np
 
 from pipeline.clock import utc
 from pipeline.config import Channel
+from pipeline.config.channels import PORT_PRESSURES
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
-from pipeline.setup.names import PORT_PRESSURES
 from pipeline.setup.propose import Proposal, ProposedMotor
 from pipeline.units import canonical_unit
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage import LeakageError, Motor, OperatingConditions
 from leakage.physics.motor import path_flows_l_per_min
 from pipeline.arrays import SECOND_US, Array
 from pipeline.config import MotorSpec
-from pipeline.config.channels import COUNTED, FALLBACK_VALID_RANGE
-from pipeline.ingest import RawChannel
+from pipeline.config.nights import night
+from pipeline.ingest import RawLog
+from pipeline.logs.files import reaches_us, slice_night
+from pipeline.night.fit_night import Insufficient, clean_channels
+from pipeline.night.time_base import Samples
 
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
 # 5th to 95th percentile, and the minutes of which 92 to 100 % told every path.
@@ -38,29 +40,28 @@ _FEWEST = 200
 _JUMP_C, _JUMP_S, _JUMPS_SHARE = 2.0, 10.0, 0.02
 
 
-def promise(
-    spec: MotorSpec, label: dt.date, channels: Mapping[str, RawChannel], nights: int
-) -> str:
-    """Running minutes a night, the conditions in them, and what they tell, in words.
+def night_of_log(spec: MotorSpec, label: dt.date, log: RawLog) -> Samples | None:
+    """The samples that a run keeps of a night of a log; None for none."""
+    here = night(label, spec.settings.nights)
+    channels = slice_night([log], here, reaches_us(spec))
+    try:
+        samples, _ = clean_channels(spec.file, spec.settings, here, channels)
+    except Insufficient:
+        return None
+    return samples if len(samples.index) else None
 
-    Conditions are the 5th to 95th percentiles while the motor ran: ramps beside halts, which a
-    night refuses, tell no path.
+
+def promise(spec: MotorSpec, label: dt.date, samples: Samples) -> str:
+    """Running minutes of a night, the conditions in them, and what they tell, in words.
+
+    Conditions are the 5th to 95th percentiles while the motor ran.
     """
-    speed = channels["speed"]
-    is_running = (np.abs(speed.value) > spec.settings.cleaning.standstill_rpm) & is_valid(
-        spec, "speed", speed
-    )
-    steps = np.diff(np.unique(speed.time_us[~speed.missing]))
-    step_us = float(np.median(steps)) if steps.size else 0.0
-    minutes = float(is_running.sum()) * step_us / SECOND_US / 60.0 / max(nights, 1)
-    chosen = np.flatnonzero(is_running)
-    chosen = chosen[:: max(1, len(chosen) // _MOST_SAMPLES)]
-    pressure, turning, temperature = conditions_at(spec, channels, speed.time_us[chosen])
+    minutes = samples.n_turning * samples.period_us / SECOND_US / 60.0
     ran = f"the motor ran {minutes:.3g} minutes a night"
-    if not chosen.size or pressure is None or turning is None or temperature is None:
-        return f"{ran}, without a pressure and temperature"
-    inputs = [pressure, turning, temperature]
-    reached, shares, is_usual = [], [], np.ones_like(pressure, dtype=np.bool_)
+    inputs = [np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)]
+    inputs.append(samples.oil_temperature_c)
+    inputs = [one[:: max(1, one.size // _MOST_SAMPLES)] for one in inputs]
+    reached, shares, is_usual = [], [], np.ones_like(inputs[0], dtype=np.bool_)
     for (name, (full, unit)), values in zip(_RANGES.items(), inputs, strict=True):
         low, high = np.percentile(values, (5, 95), method="nearest")
         is_usual &= (values >= low) & (values <= high)
@@ -76,35 +77,6 @@ def promise(
         f"{ran}: if the model describes the motor, leakage every night, {told}; first verdict on a "
         f"change after {spec.settings.trend.baseline_nights} nights"
     )
-
-
-def is_valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:
-    """Samples within the channel's range."""
-    stated = next(one.valid_range for key, one in spec.file.channels.items() if key == name)
-    low, high = stated or FALLBACK_VALID_RANGE[name]
-    return (raw.value >= low) & (raw.value <= high)
-
-
-def conditions_at(
-    spec: MotorSpec, channels: Mapping[str, RawChannel], time_us: NDArray[np.int64]
-) -> tuple[Array | None, Array | None, Array | None]:
-    """Magnitudes of pressure difference and speed, and temperature, at some times."""
-
-    def at(name: str) -> Array | None:
-        own = channels.get(name)
-        known = None if own is None else is_valid(spec, name, own)
-        if own is None or known is None or not known.any() or not time_us.size:
-            return None
-        order = np.argsort(own.time_us[known], kind="stable")
-        return np.interp(time_us, own.time_us[known][order], own.value[known][order])
-
-    pressure, high, low = map(
-        at, ("pressure_difference", "high_port_pressure", "low_port_pressure")
-    )
-    if pressure is None and high is not None and low is not None:
-        pressure = high - low
-    size, speed = (None if one is None else np.abs(one) for one in (pressure, at("speed")))
-    return size, speed, at("oil_temperature")
 
 
 def _paths_told(
@@ -152,28 +124,20 @@ def half_widths(motor: Motor, conditions: OperatingConditions, minutes: float) -
     return dict(zip(names, map(float, widths), strict=True))
 
 
-def swapped(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str]:
+def swapped(samples: Samples) -> Iterator[str]:
     """Notes on channels whose columns may be another's."""
     from scipy.stats import spearmanr
 
-    known = is_valid(spec, "oil_temperature", channels["oil_temperature"])
-    steps_s = np.diff(channels["oil_temperature"].time_us[known]) / SECOND_US
-    jumps = np.abs(np.diff(channels["oil_temperature"].value[known])) > _JUMP_C
-    close = (steps_s > 0.0) & (steps_s <= _JUMP_S)
-    if close.sum() >= _FEWEST and float(jumps[close].mean()) > _JUMPS_SHARE:
+    if samples.index.size < _FEWEST:
+        return
+    p, t, q = (
+        np.abs(samples.pressure_difference_bar),
+        samples.oil_temperature_c,
+        samples.leakage_l_per_min,
+    )
+    close = np.diff(samples.time_us) <= _JUMP_S * SECOND_US
+    if float(np.mean(np.abs(np.diff(t))[close] > _JUMP_C)) > _JUMPS_SHARE:
         yield "oil_temperature jumps as no oil does: are columns swapped?"
-    if spec.file.channels[COUNTED].counts is not None:
-        return
-    flow = channels[COUNTED]
-    known = is_valid(spec, COUNTED, flow)
-    at = flow.time_us[known]
-    pressure, speed, degrees = conditions_at(spec, channels, at)
-    if pressure is None or speed is None or degrees is None:
-        return
-    ran = speed > spec.settings.cleaning.standstill_rpm
-    if ran.sum() < _FEWEST:
-        return
-    p, t, q = pressure[ran], degrees[ran], flow.value[known][ran]
     widths = ((p, _VARIES * np.median(p)), (t, _VARIES_K))
     drives = [one for one, width in widths if np.ptp(np.percentile(one, (5, 95))) > width]
     # Hotter oil is thinner: the flow rises with either.

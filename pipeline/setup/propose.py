@@ -88,7 +88,7 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
             unread += 1
             continue
         asked.log = kind.name
-        found = list(_motors(table, kind, asked))
+        found = _motors(table, kind, asked)
         motors += found
         if not found:
             loose.setdefault(kind.files[0].parent, []).append((kind, table))
@@ -151,30 +151,27 @@ class _Layout:
     quality: str = ""  # column of the rows' quality
     several: Mapping[str, Cells] = field(default_factory=dict)  # motors of rows, by column
 
-    @property
-    def is_a_motors(self) -> bool:
-        """True if the columns are enough for a motor."""
-        names = _without_labels([one.name for one in self.columns])
-        units = {one.name: one.unit for one in self.columns}
-        return bool(self.several or groups_of(list(names.values()), units)[0])
 
-
-def _motors(table: Table, kind: _Kind, asked: Asked) -> Iterator[ProposedMotor]:
+def _motors(table: Table, kind: _Kind, asked: Asked) -> list[ProposedMotor]:
     """The motors of logs that are alike; none where their columns are not enough for one."""
     layout = _long(table) or _wide(table)
-    if not layout.is_a_motors:
-        return
-    logs = {**asked.keys_of(table), **layout.keys, "files": [kind.pattern]}
-    if not layout.several:
-        yield from _grouped(layout, logs, kind, asked)
-        return
-    column: str | None = next(iter(layout.several))
-    if len(layout.several) > 1:
+    several = layout.several
+    column = next(iter(several), None)
+    if len(several) > 1:
         text = f"{kind.name}: rows of several motors: which column has the motor's name?"
-        column = asked.ask(f"{kind.name}.motor_column", text, layout.several)
-    for name in layout.several.get(column or "", ()):
-        own = logs | {"motor_column": column, "motor_name": name}
-        yield from _grouped(layout, own, replace(kind, name=name), asked)
+        column = asked.ask(f"{kind.name}.motor_column", text, several)
+    rows: list[tuple[str, dict[str, Any]]] = [(kind.name, {})]
+    if several:
+        names = several.get(column or "", ())
+        rows = [(name, {"motor_column": column, "motor_name": name}) for name in names]
+    keys = {**layout.keys, "files": [kind.pattern]}
+    found = [
+        motor
+        for name, own in rows
+        for motor in _grouped(layout, keys | own, replace(kind, name=name), asked)
+    ]
+    dialect = asked.keys_of(table) if found or several else {}
+    return [replace(one, logs={**dialect, **one.logs}) for one in found]
 
 
 def _wide(table: Table) -> _Layout:
@@ -301,17 +298,18 @@ def _split_motors(kinds: Sequence[tuple[_Kind, Table]], asked: Asked) -> Iterato
     # The dialect is that of all files together: one may hold no letter or mark that tells it.
     marks = marks_of(cell for one in columns for cell in one.cells)
     layout = _Layout({"layout": "file_per_channel", "value_column": common}, columns, marks)
-    if not layout.is_a_motors:
+    whole = _Kind("", (), kinds[0][0].files[0].parent.name, "")
+    found = list(_grouped(layout, layout.keys, whole, asked))
+    if not found:
         return
     told: dict[str, Any] = {"decimal": marks.decimal, "thousands": marks.thousands}
     encodings = {table.logs["encoding"] for _, table in tables if "encoding" in table.logs}
     told["encoding"] = next(iter(encodings), "")
     logs = asked.keys_of(tables[0][1]) | {key: one for key, one in told.items() if one}
-    whole = _Kind("", (), kinds[0][0].files[0].parent.name, "")
-    for motor in _grouped(layout, logs | dict(layout.keys), whole, asked):
+    for motor in found:
         own = list(dict.fromkeys(one.column.keys["source"] for one in motor.channels.values()))
-        found = tuple(path for pattern in own for path in files[pattern])
-        yield replace(motor, logs={**motor.logs, "files": own}, files=found)
+        paths = tuple(path for pattern in own for path in files[pattern])
+        yield replace(motor, logs={**logs, **motor.logs, "files": own}, files=paths)
 
 
 # The channels of a motor
@@ -330,7 +328,7 @@ def _grouped(
     }
     names = [name for name in by_name if by_name[name].keys["source"] not in qualities.values()]
     groups, left = groups_of(names, {name: by_name[name].unit for name in names})
-    asked.unused |= dict.fromkeys(left)
+    asked.unused |= dict.fromkeys(left if groups else ())
     for group in groups:
         motor = group.name or kind.name
         chooser = Chooser(group, by_name, layout.marks, motor, _plain(motor), asked)

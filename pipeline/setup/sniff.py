@@ -21,7 +21,7 @@ from charset_normalizer import from_bytes
 from pipeline.config.logs import MISSING_TOKENS
 from pipeline.errors import LogError
 from pipeline.ingest.contract import readable
-from pipeline.ingest.csv_text import unpacked
+from pipeline.ingest.csv_text import read_lines, unpacked
 from pipeline.ingest.parquet import decoded, opened, text_paths
 from pipeline.setup.cells import is_number, is_time_name, kind_of, marks_of, strange_tokens
 from pipeline.setup.names import VOCABULARY, is_in, unit_named, words_of
@@ -140,30 +140,25 @@ def _csv(path: Path) -> Table:
     }
     questions = []
     if not marks.is_certain:
-        other = {",": ".", ".": ","}[marks.decimal]
-        keys = {other: {"decimal": other, "thousands": marks.decimal}}
-        text = "a decimal mark, or between thousands?"
-        questions = [Question("decimal", text, (marks.decimal, other), keys)]
+        choices = (marks.decimal, "," if marks.decimal == "." else ".")
+        questions = [Question("decimal", "a decimal mark, or between thousands?", choices)]
     logs = {"format": "csv"} | {key: value for key, value in dialect.items() if value}
     return timed(path, Table(logs, tuple(questions), tuple(columns), (), marks, rows))
 
 
 def _encoding(head: bytes) -> str:
-    if head.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
-        return "utf-32"
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    # Text has no NUL: of plain letters in UTF-16 every other byte is one, in UTF-32 three of four.
-    if 5 * head.count(0) > 2 * len(head):
-        bits = 32 if 5 * head.count(0) > 3 * len(head) else 16
-        return f"utf-{bits}-be" if head[:1] == b"\0" else f"utf-{bits}-le"
+    # Text has no NUL: of plain letters in UTF-16 every other byte is one.
+    if head.count(0) > 0.4 * len(head):
+        return "utf-16-le"
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
         # Of a few lines several encodings make sense; the right one makes the most known words.
         found = from_bytes(head, cp_isolation=_ENCODINGS)
-        likely = [name for one in found for name in one.could_be_from_charset]
-        ranked = sorted(set(likely) & {*_ENCODINGS}, key=_ENCODINGS.index)
+        likely = {name for one in found for name in one.could_be_from_charset}
+        ranked = [name for name in _ENCODINGS if name in likely]
         return max(ranked, key=lambda name: _words_known(head, name), default="latin-1")
     return "utf-8"
 
@@ -176,13 +171,11 @@ def _words_known(head: bytes, encoding: str) -> int:
 
 
 def _text_lines(path: Path, encoding: str, most_bytes: int) -> Iterator[str]:
-    """Whole lines of the first bytes of a text."""
-    decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
-    rest, done = "", 0
-    for data in unpacked(path, min(most_bytes, 2**20)):
-        lines = (rest + decoder.decode(data)).splitlines(keepends=True)
-        rest = lines.pop() if lines and not lines[-1].endswith(("\n", "\r")) else ""
-        yield from (line.strip("\r\n").removeprefix("\ufeff") for line in lines)
+    """Lines of the first bytes of a text, but for one that is cut."""
+    done = 0
+    for data in read_lines(path, encoding, min(most_bytes, 2**20)):
+        if data.endswith((b"\n", b"\r")):
+            yield from data.decode().splitlines()
         done += len(data)
         if done >= most_bytes:
             return

@@ -50,8 +50,6 @@ class Question:
     key: str
     text: str
     choices: Cells = ()
-    # Keys of ``[logs]`` that a choice stands for; else the question's key alone.
-    stands_for: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import datetime as dt
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from pipeline.config import MotorSpec
+from pipeline.config import MotorSpec, load_fleet
+from pipeline.config.channels import PORT_PRESSURES
 from pipeline.night.column_change import COLUMNS, column_change
+from pipeline.setup.check import check_motor
+from tests.pipeline.simulated import CANONICAL, NIGHT, load_motor, motor_toml, write_log
 from tests.pipeline.trends.nights import motor
+from tests.pipeline.workshop import DAY, Workshop
 
 USUAL = (180.0, 45.0, 6.5, 2.0)
 
@@ -51,3 +59,85 @@ def test_other_columns_and_units_are_told(
 )
 def test_unusual_nights_are_not(spec: MotorSpec, now: tuple[float, ...]) -> None:
     assert not told(spec, now)
+
+
+# A motor with a gauge at each port, 0.3 to 300 bar apart.
+
+GAUGES = dict.fromkeys(PORT_PRESSURES, "bar") | {
+    name: unit for name, unit in CANONICAL.items() if name != "pressure_difference"
+}
+PORTS = (*COLUMNS, *PORT_PRESSURES)
+
+
+@pytest.mark.parametrize(
+    ("now", "words"),
+    [
+        # High and low port in MPa, the low one, the high one; of the last one only the difference
+        # is known in a night.
+        ((18.0, 45.0, 6.5, 2.0, 19.5, 1.5), "difference 18 bar, before 180 bar: as before if the"),
+        ((193.5, 45.0, 6.5, 2.0, 195.0, 1.5), "low port pressure 1.5 bar, before 15 bar: as befo"),
+        ((4.5, 45.0, 6.5, 2.0, 19.5, 15.0), "high port pressure 19.5 bar, before 195 bar: as be"),
+        ((4.5, 45.0, 6.5, 2.0), "difference 4.5 bar, before 180 bar: of one of its two gauges?"),
+        ((180.0, 45.0, 6.5, 2.0, 195.0, 15.0), ""),
+        ((90.5, 45.0, 6.5, 2.0, 195.0, 104.5), ""),
+        # A light night of which the flow is mostly flushing.
+        ((40.0, 45.0, 6.5, 2.0), ""),
+        ((17.0, 45.0, 6.5, 2.0), "as before if the log is now in MPa"),
+        ((4.5, 45.0, 6.5, 0.1), ""),
+    ],
+)
+def test_a_gauge_of_two_in_another_unit(tmp_path: Path, now: tuple[float, ...], words: str) -> None:
+    spec = load_motor(tmp_path, motor_toml("M1", units=GAUGES))
+    usual = dict(zip(PORTS, (*USUAL, 195.0, 15.0), strict=True))
+    found = column_change(spec, usual, dict(zip(PORTS, now, strict=False))) or ""
+    assert words in found
+    assert bool(found) == bool(words)
+
+
+@pytest.mark.parametrize(("low_bar", "is_told"), [(5.1, True), (4.9, False)])
+def test_a_low_port_without_charge_pressure_may_be_anything(
+    tmp_path: Path, low_bar: float, is_told: bool
+) -> None:
+    spec = load_motor(tmp_path, motor_toml("M1", units=GAUGES))
+    before, now = (
+        dict(zip(PORTS, (*USUAL, 180.0 + low, low), strict=True)) for low in (low_bar, low_bar / 10)
+    )
+    assert bool(column_change(spec, before, now)) == is_told
+
+
+@pytest.mark.parametrize(
+    ("in_mpa", "in_the_run", "in_the_check"),
+    [
+        (
+            PORT_PRESSURES,
+            "as before if the log is now in MPa",
+            "as before if the log is now in MPa",
+        ),
+        (PORT_PRESSURES[:1], "of one of its two gauges?", "high port pressure"),
+        # The difference is 8 % off: the log alone tells it.
+        (PORT_PRESSURES[1:], "", "low port pressure"),
+    ],
+)
+def test_gauges_in_mpa_from_one_night_on(
+    tmp_path: Path, in_mpa: tuple[str, ...], in_the_run: str, in_the_check: str
+) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.take(motor_toml("M1", "MINI", units=GAUGES))
+    labels = [NIGHT + n * DAY for n in range(5)]
+    for label in labels:
+        operation, values = shop.night(label)
+        low = np.full_like(operation.pressure_bar, 15.0) + 0.2 * np.sin(operation.speed_rpm)
+        values |= {"high_port_pressure": values.pop("pressure_difference") + low}
+        values["low_port_pressure"] = low
+        for name in in_mpa if label >= labels[3] else ():
+            values[name] = values[name] / 10.0
+        write_log(shop.logs / f"{label}.parquet", operation.time_us, values)
+    shop.run()
+    failed = {label for label, status in shop.statuses().items() if status == "failed"}
+    assert failed == (set(labels[3:]) if in_the_run else set[dt.date]())
+    reasons = shop.rows("fits")["reason"].to_list()
+    assert in_the_run in (reasons[-1] or "")
+    (spec,) = load_fleet(shop.fleet).motors
+    (fault,) = [one for one in check_motor(spec).faults if one.startswith("columns_changed")]
+    assert fault.startswith(f"columns_changed: from {shop.logs.name}/{labels[3]}.parquet on: ")
+    assert in_the_check in fault

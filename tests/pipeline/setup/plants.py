@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from tests.pipeline.setup.text_logs import in_unit
+from pipeline.units import QUANTITIES, from_canonical
+from pipeline.units import UNITS as KNOWN_UNITS
 
 ROWS = 24
 START = datetime(2026, 1, 13, 6, 0)
@@ -306,7 +307,9 @@ def written(style: Mapping[str, str], folder: Path) -> Path:
         cells = [stamp(row, style["form"])]
         for at, (kind, unit) in enumerate(own.values()):
             made = {"?": "low" if at else "high", "x": "other"}.get(kind, kind)
-            number = in_unit(value(made, 1, row), unit.strip("-"))
+            number, channel = value(made, 1, row), CHANNELS.get(made, "speed")
+            if unit in KNOWN_UNITS[QUANTITIES[channel]]:
+                number = float(from_canonical(channel, number, unit))
             cells.append(f"{number:.3f}".replace(".", style.get("decimal", ".")))
         lines.append(separator.join(cells))
     path = folder / "log.csv"

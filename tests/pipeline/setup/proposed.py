@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime, timedelta
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from pipeline.config import Channel
 from pipeline.config.logs import Logs
@@ -16,29 +14,54 @@ from pipeline.ingest import RawLog, read_log
 from pipeline.setup.names import meaning_of
 from pipeline.setup.propose import Proposal, ProposedMotor, propose
 from pipeline.units import canonical_unit
-from tests.pipeline.setup.text_logs import EPOCH, Label, Samples, TextLog, in_unit
+from tests.dialects.csv_text import Csv
+from tests.dialects.recorded import Recorded
 
-LABELS = {
-    "pressure_difference": Label("dp", "kPa", "kPa"),
-    "oil_temperature": Label("Oil temp", "degC", "°C"),
-    "speed": Label("Speed", "rpm", "1/min"),
-    "leakage_flow": Label("Drain flow", "l/min", "l/min"),
+START_US = 1_741_845_600_000_000  # 13 March 2025, 06:00 UTC
+KPA = {"pressure": "kPa"}
+UNITS = {"pressure_difference": "kPa"}
+# By place of the units in the log.
+NAMES: Mapping[str, Mapping[str, str]] = {
+    "name": {
+        "pressure_difference": "dp [kPa]",
+        "oil_temperature": "Oil temp [°C]",
+        "speed": "Speed [1/min]",
+        "leakage_flow": "Drain flow [l/min]",
+    },
+    "word": {
+        "pressure_difference": "dp_kPa",
+        "oil_temperature": "Oil temp_°C",
+        "speed": "Speed_1/min",
+        "leakage_flow": "Drain flow_l/min",
+    },
+    "nowhere": {
+        "pressure_difference": "dp",
+        "oil_temperature": "Oil temp",
+        "speed": "Speed",
+        "leakage_flow": "Drain flow",
+    },
 }
-PLAIN = TextLog(LABELS)
-START = datetime(2025, 3, 13, 6, tzinfo=UTC)
 
 
-def times_of(count: int = 30, start: datetime = START, step_s: float = 1.0) -> list[datetime]:
-    return [start + timedelta(seconds=i * step_s) for i in range(count)]
+def text_log(logs: Mapping[str, Any], named: str = "name", **options: Any) -> Csv:
+    """A dialect of text."""
+    return Csv("text", logs, KPA, names=NAMES[named], **options)
 
 
-def samples_of(count: int = 30) -> dict[str, list[float | None]]:
-    return {
-        "pressure_difference": [200.5 + 0.25 * i for i in range(count)],
-        "oil_temperature": [50.5 + 0.125 * (i % 5) for i in range(count)],
-        "speed": [12.25 + 0.5 * (i % 7) for i in range(count)],
-        "leakage_flow": [1.0625 + 0.0625 * (i % 3) for i in range(count)],
+def log_of(
+    count: int = 30, start_us: int = START_US, step_s: float = 1.0, blank: int | None = None
+) -> Recorded:
+    """A log of a motor, with a blank in the speed and another in the drain flow."""
+    i = np.arange(count, dtype=np.float64)
+    values = {
+        "pressure_difference": 200.5 + 0.25 * i,
+        "oil_temperature": 50.5 + 0.125 * (i % 5),
+        "speed": 12.25 + 0.5 * (i % 7),
+        "leakage_flow": 1.0625 + 0.0625 * (i % 3),
     }
+    if blank is not None:
+        values["speed"][blank] = values["leakage_flow"][blank + 3] = np.nan
+    return Recorded(start_us + (1e6 * step_s * i).astype(np.int64), values)
 
 
 def proposed(source: Path, units: Mapping[str, str] | None = None, form: str = "") -> Proposal:
@@ -72,18 +95,17 @@ def read_as_proposed(motor: ProposedMotor, root: Path) -> list[RawLog]:
     return [read_log(path, logs, channels) for path in found]
 
 
-def require_same(
-    logs: Sequence[RawLog], times: Sequence[datetime], samples: Samples, tolerance: float = 1e-9
-) -> None:
-    """All of the samples are there, at their times, in the units of the tables."""
-    expected_us = np.array([(one - EPOCH) // timedelta(microseconds=1) for one in times])
-    for channel, values in samples.items():
-        (raw,) = [log.channels[channel] for log in logs if log.channels[channel].time_us.size]
-        np.testing.assert_array_equal(raw.time_us, expected_us)
-        assert raw.unparsed == 0
-        wanted = np.array([np.nan if value is None else value for value in values])
-        np.testing.assert_array_equal(raw.missing, np.isnan(wanted))
-        np.testing.assert_allclose(raw.value, wanted, rtol=0, atol=tolerance)
+def require_it_reads(source: Path, log: Recorded, form: str = "") -> ProposedMotor:
+    """The one motor that is proposed, of which every sample is read back in its unit."""
+    found = proposed(source, UNITS, form)
+    (motor,) = found.motors
+    logs = read_as_proposed(motor, found.log_root)
+    for channel, values in log.values.items():
+        (raw,) = [one.channels[channel] for one in logs if one.channels[channel].time_us.size]
+        np.testing.assert_array_equal(raw.time_us, log.time_us)
+        np.testing.assert_array_equal(raw.missing, np.isnan(values))
+        np.testing.assert_allclose(raw.value, values, rtol=0, atol=1e-9)
+    return motor
 
 
 def log_in(folder: Path, data: bytes, name: str = "log.csv") -> Path:
@@ -91,41 +113,3 @@ def log_in(folder: Path, data: bytes, name: str = "log.csv") -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
     return path
-
-
-def require_it_reads(
-    source: Path, times: Any, samples: Samples, form: str = "", units: Any = None, **options: Any
-) -> ProposedMotor:
-    """The one motor that is proposed, of which every sample is read back."""
-    found = proposed(source, units, form)
-    (motor,) = found.motors
-    require_same(read_as_proposed(motor, found.log_root), times, samples, **options)
-    return motor
-
-
-def columns_of(samples: Samples, dialect: TextLog = PLAIN) -> dict[str, pa.Array]:
-    columns = {}
-    for channel, label in dialect.labels.items():
-        cells = [None if x is None else in_unit(x, label.unit) for x in samples[channel]]
-        columns[dialect.label(channel)] = pa.array(cells, pa.float64())
-    return columns
-
-
-def us_of(times: Sequence[datetime]) -> list[int]:
-    return [(one - EPOCH) // timedelta(microseconds=1) for one in times]
-
-
-PARQUET_TIMES: Mapping[str, Any] = {
-    "typed": lambda us: {"when": pa.array(us, pa.timestamp("us", "UTC"))},
-    "naive": lambda us: {"when": pa.array([1000 * t for t in us], pa.timestamp("ns"))},
-    "epoch_ms": lambda us: {"t": pa.array([t // 1000 for t in us])},
-    "epoch_s": lambda us: {"time": pa.array([t / 1e6 for t in us])},
-    "days": lambda us: {"Zeit": pa.array([25569 + t / 86_400e6 for t in us])},
-    "text": lambda us: {
-        "time": pa.array([f"{EPOCH + timedelta(microseconds=t):%d.%m.%Y %H:%M:%S}" for t in us])
-    },
-    "date and time": lambda us: {
-        "Date": pa.array([f"{EPOCH + timedelta(microseconds=t):%d/%m/%Y}" for t in us]),
-        "Time": pa.array([f"{EPOCH + timedelta(microseconds=t):%H:%M:%S}" for t in us]),
-    },
-}

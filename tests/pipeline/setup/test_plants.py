@@ -274,13 +274,19 @@ def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
     assert fleet["name"] == "mill"
     assert fleet["nights"] == {"time_zone": "Europe/Oslo", "end_hour": 22}
     assert fleet["reference"] == {"pressure_bar": 150.0, "temperature_c": 48.0, "speed_rpm": 6.5}
-    # A motor that is new to the fleet is added, and no other.
+    # A motor that is new to the fleet is added, and no other; what the defaults have holds for it.
     del files["motors/M2.toml"]
+    own = ('unit = "rpm"', 'unit = "rpm"\nsensor_maximum = 99.0')
+    files["fleet.toml"] = files["fleet.toml"].replace(*own)
     write_fleet(files, to, shipped_configs(), "CB560")
     options = ["init", str(source), "--to", str(to), "--add", "--write"]
     options += [part for one in answers.items() for part in ("--answer", "=".join(one))]
     assert RUN(app, options).exit_code == 0
-    assert [one.motor_id for one in load_fleet(to / "fleet.toml").motors] == ["M1", "M2"]
+    maxima = {
+        one.motor_id: one.file.channels["speed"].sensor_maximum
+        for one in load_fleet(to / "fleet.toml").motors
+    }
+    assert maxima == {"M1": 99.0, "M2": 99.0}
     assert "has all of these motors" in RUN(app, options).stdout
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from scipy.signal import lfilter
 
 from pipeline.config import Channel
 from pipeline.ingest import RawChannel
-from pipeline.setup.channel_check import Sampling, configured, look_of, remark, words
+from pipeline.setup.channel_check import sampling_note
 
 Array = NDArray[np.float64]
 Logged = tuple[Array, Array]
@@ -64,27 +63,6 @@ def sent_on_change(value: Array, resolution: float, dead_band: float) -> Logged:
     return time_s[kept], scans[kept]
 
 
-def swinging_door(value: Array, resolution: float, deviation: float) -> Logged:
-    """The scans that Bristol's swinging door (US patent 4,669,097) leaves.
-
-    From the last stored point two doors, hinged a deviation above and below it, swing open as
-    scans come; once they are no longer closed towards each other, the scan before is stored.
-    """
-    time_s, scans = sampled(value, 1.0, resolution)
-    kept, upper, lower = [0], -np.inf, np.inf
-    for i in range(1, time_s.size):
-        rise, since = scans[i] - scans[kept[-1]], time_s[i] - time_s[kept[-1]]
-        upper, lower = (
-            max(upper, (rise - deviation) / since),
-            min(lower, (rise + deviation) / since),
-        )
-        if upper > lower:
-            kept.append(i - 1)
-            rise, since = scans[i] - scans[i - 1], time_s[i] - time_s[i - 1]
-            upper, lower = (rise - deviation) / since, (rise + deviation) / since
-    return time_s[kept], scans[kept]
-
-
 def counted(flow: Array, period_s: float, volume_cm3: float, rolls_over: float = 1e9) -> Logged:
     """Running total of whole counts of a volume, of a flow in l/min."""
     total = np.floor(123.0 + np.cumsum(np.maximum(flow, 0.0)) * STEP_S / 0.06 / volume_cm3)
@@ -92,102 +70,60 @@ def counted(flow: Array, period_s: float, volume_cm3: float, rolls_over: float =
     return time_s, count % rolls_over
 
 
-def look(logged: Logged, name: str = "load") -> Sampling:
+SENT = {"sampling": "on_change", "longest_silence_s": 60.0}
+TOTAL = {"unit": "count", "counts": "cumulative", "volume_per_count_cm3": 1.0}
+
+
+def note(logged: Logged, name: str = "load", **config: Any) -> str:
     time_us = 1_767_303_000_000_000 + np.rint(logged[0] * 1e6).astype(np.int64)
     blank = np.zeros(time_us.size, dtype=np.bool_)
-    return look_of(RawChannel(time_us, logged[1], blank, 0), is_flow=name == "flow")
+    channel = Channel.model_validate({"source": "x", "unit": "l/min"} | config)
+    place = "leakage_flow" if name == "flow" else name
+    return sampling_note(place, channel, RawChannel(time_us, logged[1], blank, 0))
 
 
-def of_a_clock(value: Array, step: float) -> Iterator[Logged]:
-    rng = np.random.default_rng(1)
-    for period_s in (0.2, 1.0, 10.0, 60.0):
-        yield sampled(value, period_s, step)
-    yield sampled(value, 0.2)
-    time_s, read = sampled(value, 1.0, step)
-    yield np.sort(time_s + 0.15 * rng.standard_normal(time_s.size)), read
+@pytest.mark.parametrize("name", RESOLUTION)
+def test_readings_of_a_clock_look_as_configured(name: str) -> None:
+    """At any period, without steps, with stamps that jitter, a third lost, or spikes."""
+    step, rng, value = RESOLUTION[name], np.random.default_rng(1), signal(name, 1)
     time_s, read = sampled(value, 0.2, step)
     kept = rng.uniform(size=time_s.size) >= 0.33
-    yield time_s[kept], read[kept]
-    yield time_s, read + 900 * step * (rng.uniform(size=read.size) < 0.002)
+    jitter = np.sort(time_s[::5] + 0.15 * rng.standard_normal(time_s[::5].size))
+    logs = [sampled(value, period_s, step) for period_s in (0.2, 1.0, 10.0, 60.0)]
+    logs += [sampled(value, 0.2), (jitter, read[::5]), (time_s[kept], read[kept])]
+    logs += [(time_s, read + 900 * step * (rng.uniform(size=read.size) < 0.002))]
+    for logged in logs:
+        assert note(logged, name) == ""
+        assert ("falls again and again" in note(logged, name, **TOTAL)) == (name == "flow")
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("name", RESOLUTION)
-def test_readings_look_periodic_and_nothing_else(name: str, seed: int) -> None:
-    for logged in of_a_clock(signal(name, seed), RESOLUTION[name]):
-        assert look(logged, name).kind == "periodic"
-
-
-@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     ("name", "steps"),
     [*(("load", steps) for steps in (1, 5, 20)), ("temperature", 3), ("flow", 5), ("flow", 20)],
 )
-def test_values_sent_on_change_or_compressed_look_irregular(
-    name: str, steps: int, seed: int
-) -> None:
-    one, step = signal(name, seed), RESOLUTION[name]
-    sent = sent_on_change(one, step, steps * step)
-    found = look(sent, name)
-    assert found.kind == "irregular"
+def test_values_sent_on_change_look_it(name: str, steps: int) -> None:
+    one, step = signal(name, 2), RESOLUTION[name]
+    logged = sent_on_change(one, step, steps * step)
+    said = note(logged, name)
+    assert 'then sampling = "on_change" and longest_silence_s' in said
     # The longest but for a hundredth: of use as longest_silence_s.
-    assert 0.98 < np.mean(np.diff(sent[0]) <= (found.longest_silence_s or 0.0)) <= 1.0
-    assert look(swinging_door(one, step, max(steps, 5) * step), name).kind == "irregular"
+    reach = float(said.split()[-2])
+    assert 0.98 < np.mean(np.diff(logged[0]) <= 1.01 * reach) <= 1.0
+    assert note(logged, name, **SENT) == ""
+    assert note(logged, "speed", **(TOTAL | {"counts": "pulses"})) == ""
 
 
 @pytest.mark.parametrize("period_s", [0.2, 1.0, 10.0])
 def test_a_running_total(period_s: float) -> None:
     flow = wandering(3, 1.5, 0.4, 20.0)
-    for volume_cm3 in (1.0, 10.0):
-        assert look(counted(flow, period_s, volume_cm3), "flow").kind == "cumulative"
-    if period_s < 10.0:
-        assert look(counted(flow, period_s, 10.0, 10_000.0), "flow").kind == "cumulative"
+    logs = [counted(flow, period_s, volume_cm3) for volume_cm3 in (1.0, 10.0)]
+    logs += [counted(flow, period_s, 10.0, 10_000.0)] if period_s < 10.0 else []
+    for logged in logs:
+        assert "looks like a running total: then counts = " in note(logged, "flow")
+        assert note(logged, "flow", **TOTAL) == ""
 
 
 def test_few_samples_or_no_change_tell_nothing() -> None:
     for count in (0, 1, 5):
-        assert look((np.arange(float(count)), np.arange(float(count)))).kind == "unknown"
-    assert look((np.arange(500.0), np.full(500, 3.0))).kind == "unknown"
-    assert words(Sampling("unknown")) == ""
-
-
-PLAIN = {"source": "x", "unit": "l/min"}
-SENT = {"sampling": "on_change", "longest_silence_s": 60.0}
-TOTAL = {"unit": "count", "counts": "cumulative", "volume_per_count_cm3": 1.0}
-ADVICE = {
-    "irregular": "silences here reach 30 s",
-    "cumulative": 'unit = "count" and volume_per_count_cm3',
-    "periodic": '1 % of them as the one before; then sampling = "periodic"',
-}
-
-
-@pytest.mark.parametrize(
-    ("config", "agreeing"),
-    [
-        ({}, {"periodic"}),
-        (SENT, {"periodic", "irregular"}),
-        ({"sampling": "mean", "mean_of_s": 10.0}, {"periodic"}),
-        ({"sampling": "mean", "mean_of_s": 60.0}, set()),
-        (TOTAL, {"cumulative"}),
-        (TOTAL | {"counts": "pulses"}, {"periodic", "irregular"}),
-    ],
-    ids=["periodic", "on_change", "mean", "mean of another period", "cumulative", "pulses"],
-)
-def test_a_remark_where_look_and_config_disagree(
-    config: dict[str, Any], agreeing: set[str]
-) -> None:
-    channel = Channel.model_validate(PLAIN | config)
-    for kind, advice in ADVICE.items():
-        told = remark(channel, Sampling(kind, 10.0, 30.0, 0.01))
-        said = f"configured as {configured(channel)}, looks {words(Sampling(kind, 10.0))}"
-        if kind in agreeing:
-            assert told == ""
-        else:
-            assert told.startswith(said)
-            assert told.endswith("falls again and again" if config == TOTAL else advice)
-    assert remark(channel, Sampling("unknown")) == ""
-
-
-def test_a_value_that_repeats_was_not_sent_on_change() -> None:
-    sent = Channel.model_validate(PLAIN | SENT)
-    assert "45 % of them as the one before" in remark(sent, Sampling("periodic", 0.2, 0.2, 0.45))
+        assert note((np.arange(float(count)), np.arange(float(count))), **TOTAL) == ""
+    assert note((np.arange(500.0), np.full(500, 3.0)), "flow", **TOTAL) == ""
