@@ -1,16 +1,16 @@
-"""The demo fleet in another dialect: its configs rewritten, and the logs of its first nights."""
+"""The demo fleet in another dialect: the logs of its first nights, and motors that read them."""
 
 from __future__ import annotations
 
 import datetime as dt
 import json
-import shutil
-import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from pipeline.config import MotorFile, load_fleet
+from pipeline.config import Fleet, MotorSpec, load_fleet
+from pipeline.config.channels import Channel
+from pipeline.config.logs import Logs
 from pipeline.demo.fleet import DEMO_FLEET, DemoNight, Plan
 from pipeline.demo.recording import record_night
 from tests.dialects.dialect import Dialect
@@ -19,13 +19,20 @@ from tests.dialects.recorded import Recorded, recorded
 Nights = Mapping[str, Mapping[dt.date, Recorded]]
 """By motor and label, what was recorded."""
 
+OF_THE_LOG = frozenset({"source", "unit", "field", "scale", "offset"})
+
+
+def demo_fleet(demo: Path) -> Fleet:
+    """Fleet of a demo's folder."""
+    return load_fleet(demo / "configs" / "fleet.toml")
+
 
 def first_nights(demo: Path) -> Nights:
     """Records of all nights of a demo's folder, simulated again without any reader."""
     truth = json.loads((demo / "demo" / "truth.json").read_text("utf-8"))
     stated = (truth[name] for name in ("nights", "minutes", "rate_hz", "seed"))
     plan = Plan(*stated, dt.date.fromisoformat(truth["first_night"]))
-    specs = {spec.motor_id: spec for spec in load_fleet(demo / "configs" / "fleet.toml").motors}
+    specs = {spec.motor_id: spec for spec in demo_fleet(demo).motors}
     nights: dict[str, dict[dt.date, Recorded]] = {}
     for motor in DEMO_FLEET:
         spec = specs[motor.motor_id]
@@ -36,60 +43,26 @@ def first_nights(demo: Path) -> Nights:
     return nights
 
 
-def write_fleet(demo: Path, folder: Path, dialect: Dialect, nights: Nights) -> Path:
-    """Configs of a demo and logs of some nights, written to a folder in a dialect; its fleet file.
-
-    Motors are left out that are not among the nights, or whose log the dialect cannot hold.
-    """
-    shutil.copytree(demo / "configs", folder / "configs")
-    for file in (folder / "configs" / "motors").iterdir():
-        own = nights.get(file.stem)
-        if own is None or not all(map(dialect.holds, own.values())):
-            file.unlink()
-            continue
-        document = tomllib.loads(file.read_text("utf-8"))
-        logs = folder / "demo" / "logs" / file.stem
-        logs.mkdir(parents=True)
-        for label, log in own.items():
-            dialect.write(logs, f"{file.stem}_{label}", log)
-        file.write_text(toml(_rewritten(document, dialect)), "utf-8")
-    return folder / "configs" / "fleet.toml"
+def fleet_of_one(
+    demo: Path, motor_id: str, folder: Path, dialect: Dialect, nights: Nights
+) -> Fleet:
+    """A motor of a demo whose logs are written to a folder in a dialect."""
+    fleet = demo_fleet(demo)
+    (spec,) = (one for one in fleet.motors if one.motor_id == motor_id)
+    folder.mkdir(parents=True)
+    for label, log in nights[motor_id].items():
+        dialect.write(folder, f"{motor_id}_{label}", log)
+    return replace(fleet, motors=(_reading(spec, folder, dialect),))
 
 
-def _rewritten(document: Mapping[str, Any], dialect: Dialect) -> dict[str, Any]:
-    """A motor's file with other logs; what its sensors can say stays."""
-    told = {"source", "unit", "field", "scale", "offset"}
+def _reading(spec: MotorSpec, folder: Path, dialect: Dialect) -> MotorSpec:
+    """The motor with other logs; what its sensors can say stays."""
     channels = {
-        name: {key: value for key, value in keys.items() if key not in told} | dialect.source(name)
-        for name, keys in document["channels"].items()
+        name: Channel(
+            **channel.model_dump(exclude_unset=True, exclude=set(OF_THE_LOG)) | dialect.source(name)
+        )
+        for name, channel in spec.file.channels.items()
     }
-    logs = dialect.section() | {"files": [f"{document['motor_id']}/*.{dialect.format}*"]}
-    changed = {**document, "logs": logs, "channels": channels}
-    MotorFile.model_validate_json(json.dumps(changed))
-    return changed
-
-
-def toml(document: Mapping[str, Any]) -> str:
-    """A document of tables, texts, numbers, truths and lists of these as TOML.
-
-    Examples
-    --------
-    >>> print(toml({"a": 1, "b": {"c": "d", "e": {"f": [0.5, True]}}}))
-    a = 1
-    [b]
-    c = "d"
-    [b.e]
-    f = [0.5, true]
-    """
-    return "\n".join(_lines(document, ()))
-
-
-def _lines(table: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[str]:
-    nested = {key: value for key, value in table.items() if isinstance(value, Mapping)}
-    if above and len(nested) < len(table):
-        yield f"[{'.'.join(above)}]"
-    for key, value in table.items():
-        if key not in nested:
-            yield f"{key} = {json.dumps(value, ensure_ascii=False)}"
-    for key, value in nested.items():
-        yield from _lines(value, (*above, key))
+    logs = Logs(**dialect.section(), files=("*",))
+    file = spec.file.model_copy(update={"logs": logs, "channels": channels})
+    return replace(spec, file=file, log_root=folder)

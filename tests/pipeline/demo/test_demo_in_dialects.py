@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import polars as pl
 import pytest
+from polars.testing import assert_frame_equal
 
-from pipeline.config import load_fleet
+from pipeline.config import Fleet
 from pipeline.demo import write_demo
-from pipeline.run.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.schema import FITS, PARAMETERS, QUALITY, Table
 from tests.conftest import made_once
 from tests.dialects.catalogue import DIALECTS, OVER_A_CLOCK_CHANGE
-from tests.dialects.comparison import compare
 from tests.dialects.dialect import Dialect
-from tests.dialects.fleet import Nights, first_nights, write_fleet
+from tests.dialects.fleet import demo_fleet, first_nights, fleet_of_one
 
 END_OF_SUMMER_TIME = dt.date(2025, 10, 26)
 SEARCH = 1e-6
@@ -27,63 +29,57 @@ def each(dialects: Sequence[Dialect]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("dialect", dialects, ids=lambda dialect: dialect.name)
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """A demo, what was recorded in its nights, and what a run over its own logs has written."""
-
-    demo: Path
-    nights: Nights
-    output: Path
-
-
-def fit(config: Path, output: Path, *motors: str) -> RunResult:
-    fleet = load_fleet(config)
+def fit(fleet: Fleet, output: Path) -> None:
     execution = fleet.execution.model_copy(update={"backend": "sequential"})
-    return run_fleet(RunRequest(replace(fleet, execution=execution, output=output), motors))
+    run_fleet(RunRequest(replace(fleet, execution=execution, output=output)))
 
 
-@pytest.fixture(scope="session")
-def fitted(shared_folder: Path) -> Fitted:
-    """The first night of all six motors."""
-
-    def make(folder: Path) -> None:
-        write_demo(folder / "demo", nights=1, minutes=40, rate_hz=2.0, workers=1)
-        fit(folder / "demo" / "configs" / "fleet.toml", folder / "out")
-
-    folder = made_once(shared_folder / "first_night", make)
-    return Fitted(folder / "demo", first_nights(folder / "demo"), folder / "out")
+def rows_of(output: Path, table: Table, motor_id: str) -> pl.DataFrame:
+    """Figures that follow from the samples, without what hashes the config or is a difference."""
+    files = sorted((output / "tables" / table.name).glob("*/*.parquet"))
+    rows = pl.concat([pl.read_parquet(path) for path in files])
+    left_out = {"run_id", "model_hash", "dual_residual", "within_block_inflation"}
+    kept = [
+        name
+        for name, kind in rows.schema.items()
+        if name not in left_out and "mean_error" not in name and not isinstance(kind, pl.List)
+    ]
+    keys = [name for name in table.key if name in kept]
+    return rows.filter(pl.col("motor_id") == motor_id).select(kept).sort(keys)
 
 
 def assert_the_same(
-    fitted: Fitted, dialect: Dialect, motors: Collection[str], folder: Path
+    demo: Path, output: Path, motor_id: str, dialect: Dialect, folder: Path
 ) -> None:
-    nights = {motor: fitted.nights[motor] for motor in motors}
-    config = write_fleet(fitted.demo, folder, dialect, nights)
-    result = fit(config, folder / "out")
-    assert [outcome.motor_id for outcome in result.outcomes] == sorted(motors)
-    found = compare(fitted.output, folder / "out", tuple(motors))
-    files = sum(path.is_file() for path in (folder / "demo" / "logs").rglob("*"))
-    assert (found.n_read, found.n_failed) == (files, 0)
-    assert set(found.largest) == {"fits", "parameters", "sensitivities"}
-    for table, largest in found.largest.items():
-        allowed = max(dialect.precision, SEARCH if table == "starts" else 0.0)
-        assert largest <= allowed, found.where[table]
-    assert set(found.others.values()) == {0}, found.others
-    assert set(found.rows.values()) == {0}, found.rows
+    fleet = fleet_of_one(demo, motor_id, folder / "logs", dialect, first_nights(demo))
+    fit(fleet, folder / "out")
+    for table in (FITS, PARAMETERS, QUALITY):
+        one, other = (rows_of(at, table, motor_id) for at in (output, folder / "out"))
+        assert one.height
+        tolerance = max(dialect.precision, SEARCH)
+        assert_frame_equal(one, other, rel_tol=tolerance, abs_tol=1e-12)
+
+
+@pytest.fixture(scope="session")
+def fitted(shared_folder: Path) -> Path:
+    """The first night of all six motors, with what a run over their own logs has written."""
+
+    def make(folder: Path) -> None:
+        write_demo(folder / "demo", nights=1, minutes=40, rate_hz=2.0, workers=1)
+        fit(demo_fleet(folder / "demo"), folder / "out")
+
+    return made_once(shared_folder / "first_night", make)
 
 
 # Sample by sample, any dialect is read in `tests/pipeline/ingest/test_any_dialect.py`.
 @each(DIALECTS[1::2])
 def test_a_motor_in_some_dialects_comes_to_the_same_tables(
-    fitted: Fitted, dialect: Dialect, tmp_path: Path
+    fitted: Path, dialect: Dialect, tmp_path: Path
 ) -> None:
-    motors = [
-        motor
-        for motor, logs in sorted(fitted.nights.items())
-        if all(map(dialect.holds, logs.values()))
-    ]
-    turn = DIALECTS.index(dialect) // 2 % len(motors)
-    assert_the_same(fitted, dialect, motors[turn : turn + 1], tmp_path)
+    nights = first_nights(fitted / "demo")
+    motors = [one for one, logs in sorted(nights.items()) if all(map(dialect.holds, logs.values()))]
+    motor_id = motors[DIALECTS.index(dialect) // 2 % len(motors)]
+    assert_the_same(fitted / "demo", fitted / "out", motor_id, dialect, tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -98,12 +94,10 @@ def clock_change(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_night_in_which_an_hour_comes_twice(
     clock_change: Path, dialect: Dialect, tmp_path: Path
 ) -> None:
-    demo = clock_change
-    fleet = load_fleet(demo / "configs" / "fleet.toml")
-    motor = fleet.motors[OVER_A_CLOCK_CHANGE.index(dialect)].motor_id
-    fit(demo / "configs" / "fleet.toml", tmp_path / "out", motor)
-    nights = first_nights(demo)
-    (log,) = nights[motor].values()
-    clock = dialect.wall_clock(int(log.time_us[0])), dialect.wall_clock(int(log.time_us[-1]))
-    assert clock[0].utcoffset() != clock[1].utcoffset()
-    assert_the_same(Fitted(demo, nights, tmp_path / "out"), dialect, [motor], tmp_path / "fleet")
+    fleet = demo_fleet(clock_change)
+    spec = fleet.motors[OVER_A_CLOCK_CHANGE.index(dialect)]
+    fit(replace(fleet, motors=(spec,)), tmp_path / "own")
+    (log,) = first_nights(clock_change)[spec.motor_id].values()
+    first, last = (dialect.wall_clock(int(log.time_us[at])) for at in (0, -1))
+    assert first.utcoffset() != last.utcoffset()
+    assert_the_same(clock_change, tmp_path / "own", spec.motor_id, dialect, tmp_path / "other")

@@ -23,9 +23,9 @@ from .mcap.protobuf_files import (
     protobuf,
     set_of,
 )
-from .mcap_files import TOPIC
+from .mcap_files import TOPIC, mcap_bytes
 from .sources import Source, changed, column
-from .writers import iso, mcap_bytes
+from .writers import iso
 
 SPEED = column("n", "rpm", quality_source="quality")
 PRESSURE = column("dp", "bar", quality_source="quality")

@@ -242,20 +242,6 @@ def test_a_hostile_log_ends_in_bounded_time_and_memory(
     assert taken < MEMORY_BYTES
 
 
-def test_a_table_of_another_width_is_not_read_to_its_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "log.csv"
-    other = b"1,2,3,4,5,6,7,8,9,10,11,12,13,14,15,16,17,18,19,20,21\n"
-    right = f"{STAMP},1\n".encode()
-    path.write_bytes(b"time,n\n" + other * 80_000 + right * 200_000)
-    assert read_log(path, *CSV).rows == 200_000
-    monkeypatch.setattr("pipeline.ingest.csv._MANY_RAGGED", 50_000)
-    with pytest.raises(LogError, match="rows have not the header's 2 cells") as raised:
-        read_log(path, *CSV)
-    assert raised.value.code == "log_not_csv"
-
-
 @pytest.mark.parametrize("read", [read_log, time_span])
 def test_what_takes_more_memory_than_there_is_has_a_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read: Callable[[Path, Logs, Channels], object]

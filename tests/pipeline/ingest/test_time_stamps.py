@@ -13,7 +13,13 @@ from hypothesis import strategies as st
 
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.gathering import Gathered
-from pipeline.ingest.time_stamps import TimeStamps, from_epoch, from_naive, placed, written
+from pipeline.ingest.time_stamps import (
+    TimeStamps,
+    WrittenStamps,
+    placed,
+    written,
+    written_as_numbers,
+)
 
 MICROSECOND = timedelta(microseconds=1)
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -142,7 +148,7 @@ def test_the_largest_integers_are_no_time() -> None:
     for dtype in (np.int64, np.uint64):
         largest = np.array([np.iinfo(dtype).max, np.iinfo(dtype).min], dtype)
         for time_format in ("epoch_s", "epoch_ms", "epoch_us", "epoch_ns"):
-            stamps = from_epoch(largest, time_format)
+            stamps = written_as_numbers(largest, time_format)
             assert stamps.time_us.tolist() == [0, 0] or time_format == "epoch_ns"
 
 
@@ -175,7 +181,7 @@ def test_local_time_is_that_of_the_zone(times: list[datetime], zone: str) -> Non
         if len({time.replace(tzinfo=tz, fold=fold).utcoffset() for fold in (0, 1)}) == 1
     ]
     naive = np.array([us(time.replace(tzinfo=UTC)) for time in real], dtype=np.int64)
-    stamps = from_naive(naive, np.ones(naive.size, dtype=np.bool_), zone)
+    stamps = placed(WrittenStamps(naive, np.ones(naive.size, np.int8)), zone)
     assert stamps.time_us.tolist() == [us(time.replace(tzinfo=tz)) for time in real]
 
 
@@ -196,7 +202,7 @@ def test_an_hour_that_comes_twice_goes_on_where_the_clock_steps_back(
     walls = [(EPOCH + int(time) * MICROSECOND).astimezone(tz).replace(tzinfo=None) for time in utc]
     naive = np.array([us(wall.replace(tzinfo=UTC)) for wall in walls])
     assert np.any(np.diff(naive) < 0)
-    stamps = from_naive(naive, np.ones(naive.size, dtype=np.bool_), zone)
+    stamps = placed(WrittenStamps(naive, np.ones(naive.size, np.int8)), zone)
     np.testing.assert_array_equal(stamps.time_us, utc)
 
 

@@ -5,10 +5,9 @@ They know the formats from their specifications and nothing of the readers.
 
 from __future__ import annotations
 
-import io
 import json
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,11 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 from google.protobuf import descriptor_pb2
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
 
 from pipeline.ingest.conformance import Cell, Format, Row
+
+from .mcap_files import mcap_bytes
 
 
 def iso(time_us: int, digits: int = 6) -> str:
@@ -106,18 +107,14 @@ def write_mcap(
     def write(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
         # Without messages mcap 1.6 leaves the channels out of the checksum of the data section.
         data_crcs = options.get("enable_data_crcs", False) and bool(rows)
-        with path.open("wb") as file:
-            writer = Writer(file, chunk_size=2000, **options | {"enable_data_crcs": data_crcs})
-            writer.start()
-            number = writer.register_schema(*schema)
-            ids = {name: writer.register_channel(name, encoding, number) for name in names}
-            for row in rows:
-                for name in names:
-                    if name in row.cells:
-                        time_ns = row.time_us * 1000 + 999
-                        message = encode(name, row.cells[name])
-                        writer.add_message(ids[name], time_ns, message, time_ns + 1000)
-            writer.finish()
+        messages = [
+            (name, row.time_us * 1000 + 999, encode(name, row.cells[name]))
+            for row in rows
+            for name in names
+            if name in row.cells
+        ]
+        own = {"chunk_size": 2000, **options, "enable_data_crcs": data_crcs}
+        path.write_bytes(mcap_bytes(messages, schema, encoding, names, **own))
 
     return write
 
@@ -168,17 +165,3 @@ FORMATS = (
         enable_crcs=False,
     ),
 )
-
-
-def mcap_bytes(messages: Sequence[tuple[str, int, bytes]], **options: Any) -> bytes:
-    """MCAP of (topic, log time [ns], payload); publish time is 5 s before."""
-    encodings: Mapping[str, str] = options.pop("encodings", {})
-    buffer = io.BytesIO()
-    writer = Writer(buffer, **options)
-    writer.start()
-    topics = dict.fromkeys([*(topic for topic, _, _ in messages), *encodings])
-    ids = {t: writer.register_channel(t, encodings.get(t, "json"), 0) for t in topics}
-    for topic, time_ns, payload in messages:
-        writer.add_message(ids[topic], time_ns, payload, max(time_ns - 5_000_000_000, 0))
-    writer.finish()
-    return buffer.getvalue()

@@ -156,7 +156,7 @@ def raw_log(time: Times) -> RawLog:
         name: RawChannel(time, np.where(blank[name], np.nan, value), blank[name], 0)
         for name, value in values.items()
     }
-    return RawLog(channels, len(time), int(time[0]), int(time[-1]))
+    return RawLog(channels, len(time))
 
 
 def cleaned_night(

@@ -28,7 +28,7 @@ def test_a_last_row_without_line_end_is_left_out_and_noted(tmp_path: Path) -> No
     assert log.notes == ("1 last row without a line end (it may be cut)",)
     whole_width = read(tmp_path, f"time,dp,n\n{DAY}0Z,1,2\n{DAY}1Z,300.5,12")
     assert whole_width.rows == 1
-    assert whole_width.refused_rows == 1
+    assert whole_width.notes == log.notes
 
 
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
@@ -46,7 +46,6 @@ def test_rows_of_another_width_are_left_out_and_counted(tmp_path: Path) -> None:
     log = read(tmp_path, "time,dp,n\n" + "\n".join(rows) + "\n")
     assert pressure(log).value.tolist() == [0.0, 1.0, 2.0, 4.0, 6.0, 7.0]
     assert log.notes == ("2 rows with too many or too few cells, the first in line 5 with 4",)
-    assert log.refused_rows == 2
 
 
 def test_rows_of_another_width_throughout_are_another_format(tmp_path: Path) -> None:
@@ -103,7 +102,7 @@ def test_utf_16_cut_within_a_character_loses_the_last_row_only(tmp_path: Path) -
     data = f"time,dp,n\n{DAY}0Z,1,2\n{DAY}1Z,3,4\n".encode("utf-16")[:-7]
     log = read(tmp_path, data, SOURCE.but(encoding="utf-16"))
     assert log.rows == 1
-    assert log.refused_rows == 1
+    assert log.notes == ("1 last row without a line end (it may be cut)",)
 
 
 def test_latin_1_is_read_where_named_and_told_where_not(tmp_path: Path) -> None:
@@ -127,14 +126,14 @@ def test_bytes_that_are_no_text_cost_their_cell_or_row(tmp_path: Path) -> None:
     log = read(tmp_path, b"time,dp,n\n" + b"".join(rows))
     assert pressure(log).value[~pressure(log).missing].tolist() == [0.0, 4.0, 5.0]
     assert pressure(log).unparsed == 1
-    assert log.refused_rows == 2
+    assert [note[:6] for note in log.notes] == ["1 row ", "1 row "]
 
 
 def test_zeros_that_a_power_cut_leaves_cost_their_row(tmp_path: Path) -> None:
     rows = "".join(f"{DAY}{i % 10}Z,{i},{i}\n" for i in range(400)).encode()
     log = read(tmp_path, b"time,dp,n\n" + rows + bytes(512) + rows[: 4 * 25 + 10])
     assert log.rows == 400 + 3
-    assert log.refused_rows == 2  # The row behind the zeros, and the last one, cut.
+    assert len(log.notes) == 2  # The row behind the zeros, and the last one, cut.
 
 
 @pytest.mark.parametrize(

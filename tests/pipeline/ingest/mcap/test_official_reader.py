@@ -14,23 +14,22 @@ from mcap.reader import make_reader
 
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
-from tests.pipeline.ingest.mcap.json_files import (
-    DP,
-    chunk_record,
-    file_of,
-    message_record,
-    record,
-    statistics_record,
-)
 from tests.pipeline.ingest.mcap_files import (
+    DP,
     FACTORIES,
+    SOURCE,
     T0_NS,
     all_values,
+    chunk_record,
+    file_of,
     followed,
     mcap_of,
+    message_record,
     official_messages,
     officially,
+    record,
     source_of,
+    statistics_record,
 )
 
 # Recordings of others
@@ -95,7 +94,7 @@ def padded(payload: bytes) -> bytes:
 
 SEVEN = message_record(1, T0_NS, padded(b'{"value": 7}'))
 EIGHT = message_record(1, T0_NS, padded(b'{"value": 8}'))
-STAND_IN = DP.replace(b"dp", b"dq")
+STAND_IN = DP.replace(b"/hydraulics", b"/hydraulicz")
 
 
 @pytest.mark.parametrize(
@@ -125,9 +124,9 @@ def test_files_that_only_the_official_reader_lets_through(
 ) -> None:
     path = tmp_path / "log.mcap"
     path.write_bytes(data)
-    assert [message["value"] for message in official_messages(path, "dp")] == official
+    assert [message["value"] for message in official_messages(path)] == official
     with pytest.raises(LogError) as raised:
-        read_log(path, *source_of("value", topic="dp"))
+        read_log(path, *SOURCE)
     assert raised.value.code == code
 
 
