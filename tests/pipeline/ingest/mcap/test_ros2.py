@@ -167,13 +167,14 @@ def test_a_message_that_is_cut_is_missing_and_counted(tmp_path: Path) -> None:
     good = struct.pack("<4sdI", b"\0\1\0\0", 7.0, 0)
     endless = struct.pack("<4sdI", b"\0\1\0\0", 7.0, 2**32 - 1)
     other = struct.pack("<4sdI", b"\0\x33\0\0", 7.0, 0)
+    unknown = struct.pack("<4sdI", b"\7\1\0\0", 7.0, 0)
     lying = struct.pack("<4sdI4xdI", b"\0\1\0\0", 7.0, 1, 1.0, 9)
-    bad = [b"", good[:3], good[:10], good[:-1], endless, other, lying]
+    bad = [b"", good[:3], good[:10], good[:-1], endless, other, unknown, lying]
     channel = read(tmp_path, ros2_of(definition, [good, *bad, good]), source_of("value")).channels[
         "pressure_difference"
     ]
-    assert channel.missing.tolist() == [False, *[True] * 7, False]
-    assert channel.unparsed == 7
+    assert channel.missing.tolist() == [False, *[True] * 8, False]
+    assert channel.unparsed == 8
     last = struct.pack("<4sdi", b"\0\1\0\0", 7.0, 1)
     cut = ros2_of("float64 value\nint32 last", [last, last[:-1], last[:-4]])
     assert values(tmp_path, cut, "value") == [7.0, None, None]
