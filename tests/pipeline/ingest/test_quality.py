@@ -19,11 +19,11 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.quality import quality_states
-from tests.pipeline.ingest.csv_files import in_pieces
 
 from .mcap.protobuf_files import Field, class_of, declared, field_of, made_of, protobuf, set_of
 from .mcap_files import TOPIC, mcap_of
 from .sources import Source, changed, column
+from .test_csv import in_pieces
 
 SPEED = column("n", "rpm", quality_source="quality")
 PRESSURE = column("dp", "bar", quality_source="quality")
