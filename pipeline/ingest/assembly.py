@@ -16,9 +16,9 @@ from pipeline.arrays import Rows
 from pipeline.config.channels import Channel
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import nulls
-from pipeline.ingest.contract import LogFile, RawChannel, RawLog, different_stamps, ends
+from pipeline.ingest.contract import LogFile, RawChannel, RawLog, ends
 from pipeline.ingest.quality import is_bad, quality_states
-from pipeline.ingest.time_stamps import TimeStamps, from_epoch
+from pipeline.ingest.time_stamps import TimeStamps, placed, written_as_numbers
 from pipeline.messages import counted
 from pipeline.units import canonical_unit, to_canonical
 
@@ -206,17 +206,9 @@ def raw_log(
 
     A reason begins with the noun of what is counted.
     """
-    first_us, last_us = ends(different_stamps(channels.values())) or (None, None)
     parted = ((reason.partition(" "), count) for reason, count in refused.items() if count)
     notes = [f"{counted(count, noun)} {what}" for (noun, _, what), count in parted]
-    return RawLog(
-        channels=channels,
-        rows=rows,
-        first_us=first_us,
-        last_us=last_us,
-        notes=(*notes, *remarks),
-        refused_rows=sum(refused.values()),
-    )
+    return RawLog(channels, rows, (*notes, *remarks))
 
 
 def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
@@ -258,7 +250,8 @@ def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:
         ``log_time``: more than half of the time stamps lie in the future, before 1990 or after
         2200; ``log_reader``: a channel's quality is asked for, and there is none.
     """
-    parts = [from_epoch(samples[name].time_us, "epoch_us") for name in file.channels]
+    counts = (samples[name].time_us for name in file.channels)
+    parts = [placed(written_as_numbers(one, "epoch_us"), "UTC") for one in counts]
     stamps, refused = judged(file.path, parts, "microseconds since 1970", file.latest_us)
     channels: dict[str, RawChannel] = {}
     for (name, channel), stamp in zip(file.channels.items(), stamps, strict=True):

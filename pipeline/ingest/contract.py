@@ -111,24 +111,25 @@ class RawLog:
         By name, all that are wanted.
     rows
         Rows (CSV, Parquet) or messages of the topics read (MCAP) that have a time stamp.
-    first_us, last_us
-        Smallest and largest time stamp; None without rows.
     notes
         What was left out, each with its count and reason, one line each.
-    refused_rows
-        Rows or messages left out, as the notes say.
     """
 
     channels: Mapping[str, RawChannel]
     rows: int
-    first_us: int | None
-    last_us: int | None
     notes: tuple[str, ...] = ()
-    refused_rows: int = 0
 
     def stamps(self) -> list[NDArray[np.int64]]:
         """Time stamps of channels: those that several share, as in a table, once."""
-        return different_stamps(self.channels.values())
+        arrays = {
+            (part.time_us.ctypes.data, part.time_us.size): part.time_us
+            for part in self.channels.values()
+        }
+        return list(arrays.values())
+
+    def ends(self) -> tuple[int, int] | None:
+        """Smallest and largest time stamp; None without any."""
+        return ends(self.stamps())
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,12 +191,6 @@ class Reader:
     piece: Callable[[LogFile, Place, int], tuple[RawLog | None, Place]] | None = None
 
 
-def different_stamps(channels: Iterable[RawChannel]) -> list[NDArray[np.int64]]:
-    """Time stamps of channels: those that several share, as in a table, once."""
-    arrays = {(part.time_us.ctypes.data, part.time_us.size): part.time_us for part in channels}
-    return list(arrays.values())
-
-
 def ends(parts: Iterable[NDArray[np.int64]]) -> tuple[int, int] | None:
     """Smallest and largest of some time stamps; None where there is none."""
     times = [part for part in parts if part.size]
@@ -242,16 +237,14 @@ def validate(log: object, channels: Iterable[str], latest_us: int = LATEST_US) -
     for name, channel in log.channels.items():
         _require_arrays(name, channel)
     counts = {f"unparsed of {name}": one.unparsed for name, one in log.channels.items()}
-    for name, count in {"rows": log.rows, "refused_rows": log.refused_rows, **counts}.items():
+    for name, count in {"rows": log.rows, **counts}.items():
         if type(count) is not int or count < 0:
             raise ValueError(f"gave {name} as {count!r}, not as a count")
     if type(log.notes) is not tuple or not all(isinstance(note, str) for note in log.notes):
         raise ValueError(f"gave notes as {log.notes!r}, not as a tuple of lines")
-    true = ends(log.stamps())
-    if (log.first_us, log.last_us) != (true or (None, None)):
-        raise ValueError(f"gave the ends {log.first_us}, {log.last_us} of stamps from {true}")
-    if true is not None:
-        require_possible(*true, latest_us)
+    found = log.ends()
+    if found is not None:
+        require_possible(*found, latest_us)
     return log
 
 

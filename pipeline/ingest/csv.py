@@ -38,8 +38,6 @@ MOST_CELLS = 2**14
 _HEAD = 2**20
 _LINE_END = re.compile(rb"\r\n?|\n")
 _SPAN_PIECE = 2**16
-# From so many rows of another width on, most of the rows before must have the header's.
-_MANY_RAGGED = 2**19
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
 _OPEN_QUOTE = "a quotation mark is opened and not closed in its row"
 
@@ -200,8 +198,6 @@ class _Rows:
         if start < len(data):
             self._read_rows(data, start)
         self.pieces += 1
-        if self.ragged > _MANY_RAGGED:
-            self.require_rows_of_one_width()
 
     def _below_units(self, data: bytes, start: int) -> int:
         """Begin of the rows below the lines of units that are still to come."""
@@ -212,7 +208,7 @@ class _Rows:
         return start
 
     def _read_rows(self, data: bytes, start: int) -> None:
-        types = self._types(data, start)
+        types = self._types()
         texts = dict.fromkeys(types, pa.string())
         try:
             found = self._parsed(types, data, start)
@@ -260,65 +256,46 @@ class _Rows:
         )
         return table, ragged
 
-    def _types(self, data: bytes, start: int) -> dict[str, pa.DataType]:
+    def _types(self) -> dict[str, pa.DataType]:
         """Types that the wanted columns may be parsed as at once, by their position."""
-        is_plain = not self.logs.thousands
-        return {
-            str(at): self._time_type(data, start, at)
-            if name in self.columns.time
-            else pa.float64()
-            if name in self.columns.numbers and is_plain
-            else pa.string()
-            for name, at in self.position.items()
-        }
-
-    def _time_type(self, data: bytes, start: int, at: int) -> pa.DataType:
-        logs = self.logs
-        if logs.date_column:
-            return pa.string()
-        if logs.time_format in EPOCH_UNITS:
-            return pa.int64()
-        if logs.time_format == "iso8601":
-            # The first row tells what all may be.
-            first = data[start : start + _SPAN_PIECE].lstrip(b"\r\n").partition(b"\n")[0]
-            cells = first.split(logs.separator.encode())
-            cell = cells[at].strip(b'" \r') if at < len(cells) else b""
-            unit = "ns" if re.search(rb"[.,]\d{7}", cell) else "us"
-            has_zone = re.search(rb":.*(Z|[+-]\d\d(:?\d\d)?)$", cell)
-            return pa.timestamp(unit, "UTC" if has_zone else None)
-        return pa.float64() if logs.time_format == EXCEL_DAYS else pa.string()
+        logs, types = self.logs, dict.fromkeys(self.columns.all, pa.string())
+        if not logs.thousands:
+            types |= dict.fromkeys(self.columns.numbers, pa.float64())
+        time = pa.int64() if logs.time_format in EPOCH_UNITS else pa.string()
+        time = pa.float64() if logs.time_format == EXCEL_DAYS else time
+        types |= dict.fromkeys(self.columns.time, pa.string() if logs.date_column else time)
+        return {str(at): types[name] for name, at in self.position.items()}
 
     def _without_headers(self, data: bytes, start: int) -> bytes:
         """The rows, with blank lines in the place of the header where it comes again.
 
         A line whose cell of time is a header's is a header; another one than the first is refused.
         """
-        needle, parts, kept_to = self.columns.time[0].encode(), [], 0
-        at = data.find(needle, start)
-        while at >= 0:
-            newline = max(data.rfind(b"\n", start, at), start - 1)
-            begin = max(data.rfind(b"\r", newline + 1, at), newline) + 1
-            end = _line_end(data, at)
-            if self._is_header(data, begin, end):
+        needle = self.columns.time[0].encode()
+        if data.find(needle, start) < 0:
+            return data
+        lines, before = data[start:].splitlines(keepends=True), self.headers_again
+        for i, line in enumerate(lines):
+            is_header = needle in line and self._is_header(data, start, i, line)
+            if is_header:
                 self.headers_again += 1
                 self.units_left = self.logs.unit_rows
-                stop = self._below_units(data, end)
-                parts += [data[kept_to:begin], b"\n" * data[begin:stop].count(b"\n")]
-                kept_to = end = stop
-            at = data.find(needle, end)
-        return b"".join([*parts, data[kept_to:]]) if parts else data
+            if is_header or self.units_left:
+                self.units_left -= not is_header and bool(line.strip())
+                lines[i] = line[len(line.rstrip(b"\r\n")) :]
+        return data[:start] + b"".join(lines) if self.headers_again > before else data
 
-    def _is_header(self, data: bytes, begin: int, end: int) -> bool:
+    def _is_header(self, data: bytes, start: int, number: int, line: bytes) -> bool:
         try:
-            cells = _cells(self.path, self.logs, data[begin:end])
+            cells = _cells(self.path, self.logs, line)
         except LogError:
             return False
         time = self.columns.time[0]
         here = cells[self.position[time]] if self.position[time] < len(cells) else None
         if cells != self.names and time in cells and here in self.names:
             how = "another header, with other columns than the first: split the log before it"
-            line = self._lines_above(data, begin) + 1
-            raise LogError("log_not_csv", self.path, how, f"line {line}")
+            line_number = self._lines_above(data, start) + number + 1
+            raise LogError("log_not_csv", self.path, how, f"line {line_number}")
         return cells == self.names
 
     def _note_ragged(self, ragged: _Ragged, data: bytes, start: int) -> None:

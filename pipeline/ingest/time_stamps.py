@@ -157,8 +157,7 @@ def written_as_numbers(numbers: Numbers, time_format: str) -> WrittenStamps:
 
 def _from_numbers(numbers: Numbers, time_format: str) -> WrittenStamps:
     if time_format in EPOCH_UNITS:
-        stamps = from_epoch(numbers, time_format)
-        return WrittenStamps(stamps.time_us, _kinds(stamps.readable, WITH_ZONE))
+        return _from_epoch(numbers, time_format)
     if time_format != EXCEL_DAYS:
         return WrittenStamps(np.zeros(numbers.size, np.int64), np.zeros(numbers.size, np.int8))
     with np.errstate(over="ignore"):
@@ -168,18 +167,7 @@ def _from_numbers(numbers: Numbers, time_format: str) -> WrittenStamps:
     return WrittenStamps(local_ms * 1000, _kinds(fits, _LOCAL))
 
 
-def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
-    return readable * np.int8(kind)  # and `_NONE` elsewhere, which is 0
-
-
-def from_epoch(numbers: Numbers, time_format: str) -> TimeStamps:
-    """Time stamps counted since 1970, UTC, in one of `EPOCH_UNITS`; a nan is a blank cell.
-
-    Examples
-    --------
-    >>> from_epoch(np.array([1740808800.25]), "epoch_s").time_us.tolist()
-    [1740808800250000]
-    """
+def _from_epoch(numbers: Numbers, time_format: str) -> WrittenStamps:
     thousandth = time_format == "epoch_ns"
     per_unit = EPOCH_UNITS[time_format]
     units_a_us = 1000 if thousandth else 1
@@ -191,7 +179,11 @@ def from_epoch(numbers: Numbers, time_format: str) -> TimeStamps:
         time_us = np.rint(kept * per_unit) if not thousandth else np.floor(kept / 1000)
     else:
         time_us = kept // 1000 if thousandth else kept.astype(np.int64) * per_unit
-    return TimeStamps(time_us.astype(np.int64), readable)
+    return WrittenStamps(time_us.astype(np.int64), _kinds(readable, WITH_ZONE))
+
+
+def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
+    return readable * np.int8(kind)  # and `_NONE` elsewhere, which is 0
 
 
 def _from_iso8601(texts: pa.ChunkedArray) -> WrittenStamps:
@@ -231,17 +223,33 @@ def _from_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
 
 
 def placed(stamps: WrittenStamps, zone: str) -> TimeStamps:
-    """All stamps of a log in UTC, in their order; local ones are of the zone."""
-    local, in_utc = stamps.kind == _LOCAL, stamps.kind == WITH_ZONE
-    if not local.any():
-        found = from_naive(stamps.time_us, in_utc, "UTC")
-    else:
-        found = from_naive(stamps.time_us, local, zone)
-        if in_utc.any():
-            other = from_naive(stamps.time_us, in_utc, "UTC")
-            time_us, readable = found.time_us + other.time_us, found.readable | other.readable
-            found = TimeStamps(time_us, readable, found.skipped)
-    return replace(found, example=stamps.example or _implausible(stamps, found.readable))
+    """All stamps of a log in UTC, in their order; local ones are on the clocks of the zone.
+
+    Where a clock change gives an hour twice, stamps belong to its first pass until they step back
+    by half an hour or more, then to the second. Stamps in an hour that the change leaves out are
+    not readable, and counted.
+
+    Examples
+    --------
+    >>> noon = WrittenStamps(np.array([1740830400000000]), np.array([1], np.int8))
+    >>> placed(noon, "Europe/Stockholm").time_us.tolist()
+    [1740826800000000]
+    """
+    given = stamps.time_us
+    readable = (stamps.kind != _NONE) & (given >= EARLIEST_US) & (given < LATEST_US)
+    local = readable & (stamps.kind == _LOCAL)
+    # A log of a day at 100 Hz has 69 MB of stamps: none are copied without need.
+    time_us, skipped = given if readable.all() else np.where(readable, given, 0), 0
+    if zone != "UTC" and local.any():
+        walls = given[local]
+        first_us, second_us = _offsets_us(walls, zone)
+        offset_us = np.where(_on_second_pass(walls, first_us != second_us), second_us, first_us)
+        exists = second_us <= first_us
+        time_us = time_us.copy()
+        time_us[local] = np.where(exists, walls - offset_us, 0)
+        readable[local] = exists
+        skipped = int(np.count_nonzero(~exists))
+    return TimeStamps(time_us, readable, skipped, stamps.example or _implausible(stamps, readable))
 
 
 def _implausible(stamps: WrittenStamps, readable: NDArray[np.bool_]) -> str | None:
@@ -252,34 +260,6 @@ def _implausible(stamps: WrittenStamps, readable: NDArray[np.bool_]) -> str | No
     # Beyond the years of `datetime`, too.
     seconds = [np.datetime64(int(us) // 1_000_000, "s") for us in stamps.time_us[rows]]
     return str(seconds[0]).replace("T", " ") if seconds else None
-
-
-def from_naive(local_us: NDArray[np.int64], readable: NDArray[np.bool_], zone: str) -> TimeStamps:
-    """Local wall-clock time of a zone to UTC.
-
-    Where a clock change gives an hour twice, stamps belong to its first pass until they step back
-    by half an hour or more, then to the second. Stamps in an hour that the change leaves out are
-    not readable, and counted. `local_us` [µs since 1970], and what of it is `readable`: (n,).
-
-    Examples
-    --------
-    >>> noon = np.array([1740830400000000])
-    >>> from_naive(noon, np.array([True]), "Europe/Stockholm").time_us.tolist()
-    [1740826800000000]
-    """
-    plausible = readable & (local_us >= EARLIEST_US) & (local_us < LATEST_US)
-    if zone == "UTC" or not plausible.any():
-        # A log of a day at 100 Hz has 69 MB of stamps: none are copied without need.
-        kept = local_us if plausible.all() else np.where(plausible, local_us, 0)
-        return TimeStamps(kept, plausible)
-    local = local_us[plausible]
-    first_us, second_us = _offsets_us(local, zone)
-    offset_us = np.where(_on_second_pass(local, first_us != second_us), second_us, first_us)
-    exists = second_us <= first_us
-    time_us = np.zeros_like(local_us)
-    time_us[plausible] = np.where(exists, local - offset_us, 0)
-    plausible[plausible] = exists
-    return TimeStamps(time_us, plausible, int(np.count_nonzero(~exists)))
 
 
 def _offsets_us(local: NDArray[np.int64], zone: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -161,10 +161,11 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
         f"{counted(count, 'cell')} of {name} without a number" for name, count in unparsed.items()
     ]
     notes += _blank_channels(record, log, spec)
-    if log.first_us is None or log.last_us is None:
+    ends = log.ends()
+    if ends is None:
         notes.append("no samples")
         return replace(record, rows=log.rows, message="; ".join(notes))
-    first, last = log.first_us, log.last_us
+    first, last = ends
     if last - first > LONGEST_LOG_DAYS / 2 * DAY_US:
         every = np.concatenate([channel.time_us for channel in log.channels.values()])
         near = _near_the_others(every, notes)

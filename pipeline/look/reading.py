@@ -82,7 +82,7 @@ def read_news(
                     )
                 elif before is not None:
                     files[name] = before
-    logs.sort(key=lambda one: one.first_us or 0)
+    logs.sort(key=lambda one: one.ends() or (0, 0))
     return News(tuple(logs), files, fault)
 
 
@@ -141,7 +141,7 @@ def _newest_us(log: RawLog) -> int:
 
 
 def _still_needed(log: RawLog, needed_us: int) -> list[RawLog]:
-    return [log] if (log.last_us or 0) >= needed_us else []
+    return [log] if (log.ends() or (0, 0))[1] >= needed_us else []
 
 
 def _digest(path: Path, position: int) -> str:

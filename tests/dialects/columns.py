@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pipeline.ingest.conformance import Cell
 from tests.dialects.dialect import Dialect
 from tests.dialects.recorded import Recorded, Times, Values
 
@@ -95,6 +96,10 @@ class Parquet(Dialect):
             inner = pa.StructArray.from_arrays(list(columns.values()), names=list(columns))
             columns = {name: inner}
         return [self._file(folder / f"{stem}.parquet", time_us, columns)]
+
+    def table(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[Cell]]) -> None:
+        cells = {name: pa.array(list(own), pa.float64()) for name, own in columns.items()}
+        self._file(path, time_us, cells)
 
     def _long(self, log: Recorded) -> tuple[Times, dict[str, pa.Array]]:
         time_us, numbers, values = log.samples()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import cycle
@@ -14,6 +14,7 @@ from zoneinfo import ZoneInfo
 
 import zstandard
 
+from pipeline.ingest.conformance import Cell
 from tests.dialects.dialect import EPOCH, MICROSECOND, Dialect
 from tests.dialects.recorded import Recorded, Times, Values
 
@@ -67,17 +68,21 @@ class Csv(Dialect):
             columns = {self.called(name): self._cells(part) for name, part in by_name.items()}
         return [self._file(folder / f"{stem}{suffix}", time_us, columns)]
 
+    def table(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[Cell]]) -> None:
+        self._file(path, time_us, {name: self._texts(cells) for name, cells in columns.items()})
+
     def _key(self, key: str, fallback: str) -> str:
         return str(self.logs.get(key, fallback))
 
     def _cells(self, values: Values) -> list[str]:
-        tokens = cycle(self.tokens)
-        return [self._number(value, tokens.__next__) for value in values.tolist()]
+        return self._texts(None if math.isnan(value) else value for value in values.tolist())
 
-    def _number(self, value: float, token: Callable[[], str]) -> str:
-        if math.isnan(value):
-            return token()
-        if math.isinf(value):
+    def _texts(self, cells: Iterable[Cell]) -> list[str]:
+        tokens = cycle(self.tokens)
+        return [next(tokens) if cell is None else self._text(cell) for cell in cells]
+
+    def _text(self, value: float | str) -> str:
+        if isinstance(value, str) or not math.isfinite(value):
             return str(value)
         text = repr(value)
         if self.logs.get("thousands"):

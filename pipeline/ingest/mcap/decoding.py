@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
 from pipeline.config.field_paths import FieldPath
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.layout import fields_at
 from pipeline.ingest.mcap.messages import Messages
@@ -187,35 +188,25 @@ def _word(value: object) -> str | None:
 
 def stamps_of(values: Sequence[Any], time_format: str) -> WrittenStamps:
     """Stamps of any kind each: text, a number, or a message of seconds and nanoseconds."""
-    time_us, kind = np.zeros(len(values), np.int64), np.zeros(len(values), np.int8)
-    rows: dict[type, list[int]] = {}
-    for i, value in enumerate(values):
-        rows.setdefault(type(value), []).append(i)
-    example = None
-    for of_type, chosen in rows.items():
-        stamps = _stamps_of_type(of_type, [values[i] for i in chosen], time_format)
-        if stamps is not None:
-            time_us[chosen], kind[chosen] = stamps.time_us, stamps.kind
-            example = example or stamps.example
-    return WrittenStamps(time_us, kind, example)
+    is_counted = time_format in (*EPOCH_UNITS, EXCEL_DAYS)
+    texts = pa.array([_stamp_text(one, is_counted) for one in values], pa.string())
+    stamps = written([pa.chunked_array([texts])], time_format)
+    names = {i: pair_of(one) for i, one in enumerate(values) if isinstance(one, dict)}
+    parts = [(i, values[i][pair[0]], values[i][pair[1]]) for i, pair in names.items() if pair]
+    if not parts:
+        return stamps
+    rows, seconds, nanoseconds = zip(*parts, strict=True)
+    pairs = stamps_of_pairs(_int64(seconds), _int64(nanoseconds))
+    time_us, kind = stamps.time_us.copy(), stamps.kind.copy()
+    time_us[list(rows)], kind[list(rows)] = pairs.time_us, pairs.kind
+    return WrittenStamps(time_us, kind, stamps.example or pairs.example)
 
 
-def _stamps_of_type(of_type: type, values: list[Any], time_format: str) -> WrittenStamps | None:
-    if of_type is str:
+def _stamp_text(value: object, is_counted: bool) -> str | None:
+    if type(value) is str:
         # No stamp holds a letter beyond ASCII, and halves of such letters are no text to Arrow.
-        texts = pa.array([one if one.isascii() else None for one in values], pa.string())
-        return written([pa.chunked_array([texts])], time_format)
-    if of_type is int:
-        return written_as_numbers(_int64(values)[0], time_format)
-    if of_type is float:
-        return written_as_numbers(np.array(values), time_format)
-    if of_type is dict:
-        parts = [pair_of(one) or ("", "") for one in values]
-        pairs = [
-            [one.get(name) for name in names] for one, names in zip(values, parts, strict=True)
-        ]
-        return stamps_of_pairs(*(_int64(numbers) for numbers in zip(*pairs, strict=True)))
-    return None
+        return value if value.isascii() else None
+    return repr(value) if is_counted and type(value) in (int, float) else None
 
 
 Numbers = tuple[NDArray[Any], NDArray[np.bool_]]

@@ -145,7 +145,7 @@ def _table(payloads: Payloads, types: Mapping[FieldPath, pa.DataType]) -> pa.Tab
 
 
 def _schema(types: Mapping[FieldPath, pa.DataType]) -> pa.Schema | None:
-    """Arrow's schema of the wanted fields; None where one of them is part of another."""
+    """Arrow's schema of the wanted fields; None where one is in an array, or part of another."""
     tree: _Tree = {}
     for path, kind in types.items():
         node = tree
@@ -153,40 +153,21 @@ def _schema(types: Mapping[FieldPath, pa.DataType]) -> pa.Schema | None:
             node = node.setdefault(step, {})
             if not isinstance(node, dict):
                 return None
-        if node.setdefault(path[-1], kind) is not kind:
+        if node.setdefault(path[-1], kind) is not kind or any(isinstance(one, int) for one in path):
             return None
-    made = _arrow_type(tree)
-    return None if made is None else pa.schema(list(made))
+    return pa.schema(list(_struct(tree)))
 
 
-def _arrow_type(node: object) -> pa.DataType | None:
-    if not isinstance(node, dict):
-        return node
-    inner = {step: _arrow_type(below) for step, below in node.items()}
-    if None in inner.values():
-        return None
-    if all(isinstance(step, str) for step in inner):
-        return pa.struct(list(inner.items()))
-    # Positions of an array: all of one type, or the message has to be looked at by itself.
-    kinds = list(inner.values())
-    same = all(isinstance(step, int) for step in inner) and kinds.count(kinds[0]) == len(kinds)
-    return pa.list_(kinds[0]) if same else None
+def _struct(tree: _Tree) -> pa.DataType:
+    inner = {
+        step: _struct(below) if isinstance(below, dict) else below for step, below in tree.items()
+    }
+    return pa.struct(list(inner.items()))
 
 
 def _column(table: pa.Table, path: FieldPath) -> pa.Array:
-    values = table.column(path[0]).combine_chunks()
-    if isinstance(values, pa.ChunkedArray):
-        values = pa.concat_arrays(values.chunks)
-    for step in path[1:]:
-        values = pc.struct_field(values, step) if isinstance(step, str) else _element(values, step)
-    return values
-
-
-def _element(lists: pa.ListArray, position: int) -> pa.Array:
-    """An element of each list; null where the list is shorter."""
-    length = pc.fill_null(pc.list_value_length(lists), 0).to_numpy()
-    at = lists.offsets.to_numpy()[:-1] + position
-    return lists.values.take(pa.array(at, mask=length <= position))
+    values = pa.concat_arrays(table.column(path[0]).chunks)
+    return pc.struct_field(values, list(path[1:])) if path[1:] else values
 
 
 def _stamps(parts: Sequence[pa.Array], time_format: str) -> WrittenStamps:

@@ -22,8 +22,6 @@ from pipeline.errors import LogError
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 MESSAGE_INDEX, STATISTICS, DATA_END = 0x07, 0x0B, 0x0F
-IN_DATA_SECTION = (0x01, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, 0x09, 0x0C, DATA_END)
-"""Opcodes of the records that a data section has, private ones apart."""
 
 PREFIX = struct.Struct("<BQ")
 """Opcode and length of the content."""

@@ -39,7 +39,7 @@ from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
 from pipeline.ingest.mcap.ros2 import ros2_decoder
 from pipeline.ingest.quality import quality_states
-from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, from_epoch, written_as_numbers
+from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, placed, written_as_numbers
 
 _PIECE = 2**20
 _COST_OF_MESSAGE = 64
@@ -81,13 +81,13 @@ def _span(file: LogFile) -> tuple[int, int]:
     statistics = summary_of(path, salvage=logs.salvage)[0].statistics
     if statistics is not None and statistics.message_count and logs.time != "publish_time":
         log_times = np.array([statistics.first_log_time, statistics.last_log_time], np.uint64)
-        ends = from_epoch(log_times, "epoch_ns")
+        ends = placed(written_as_numbers(log_times, "epoch_ns"), "UTC")
         # A single stamp may be wrong that the messages themselves would show to be so.
         if ends.readable.all() and (ends.time_us <= file.latest_us).all():
             return span(path, [ends.time_us])
     pieces = read_messages(path, salvage=logs.salvage)
     times = np.concatenate([messages.times(_time_of_record(logs)) for messages in pieces])
-    all_stamps = from_epoch(times, "epoch_ns")
+    all_stamps = placed(written_as_numbers(times, "epoch_ns"), "UTC")
     (stamps,), _ = judged(path, [all_stamps], _time_name(logs), file.latest_us)
     return span(path, [stamps.time_us[stamps.readable]])
 

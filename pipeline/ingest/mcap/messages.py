@@ -25,7 +25,6 @@ from pipeline.ingest.mcap.layout import (
     CHANNEL,
     CHUNK,
     DATA_END,
-    IN_DATA_SECTION,
     LARGEST_CHUNK,
     LONGEST_RECORD,
     MAGIC,
@@ -50,11 +49,9 @@ _MESSAGE_HEAD = 31
 _TIMES = {"log_time": 15, "publish_time": 23}
 """Places of the times in it."""
 
-_INDEX_HEAD = struct.Struct("<BQHI")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _COMPRESSIONS = {"": None, "lz4": "lz4", "zstd": "zstd"}
 _INDEX_PREFIX = 6
-_MOST_GAPS = 64
 _BLOCK = 8 * 2**20
 _ANYWHERE = "data section"
 """Place of a damage that may lie before any message: nothing can be salvaged then."""
@@ -182,52 +179,29 @@ def _require_counts(path: Path, statistics: Statistics, counts: NDArray[np.int64
 
 
 def _data_section(
-    path: Path,
-    file: BinaryIO,
-    end: int,
-    declared: Declared,
-    end_is_known: bool,
+    path: Path, file: BinaryIO, end: int, declared: Declared, end_is_known: bool
 ) -> Iterator[Messages]:
     """Messages of the data section, the last record of which has to be its end record."""
-    checksum = zlib.crc32(MAGIC)
-    place, last_opcode, is_chunked = len(MAGIC), 0, False
+    checksum, place, is_whole = zlib.crc32(MAGIC), len(MAGIC), False
     for block, offsets in _blocks(path, file, end):
-        kept = len(offsets) if end_is_known else _sound_records(block, offsets, is_chunked)
-        stop = offsets[kept] if kept < len(offsets) else len(block)
-        last = offsets[kept - 1] if kept else 0
-        last_opcode = block[last] if kept else 0
-        if last_opcode == DATA_END:
-            _require_checksum(path, block[last:stop], zlib.crc32(block[:last], checksum))
-        checksum = zlib.crc32(block[:stop], checksum)
-        wanted = np.array(offsets[:kept], np.int64)
-        yield from _messages_of_block(path, block[:stop], wanted, declared, place)
-        place += stop
-        is_chunked |= bool((np.frombuffer(block, np.uint8)[offsets] == CHUNK).any())
-        if stop < len(block) or (last_opcode == DATA_END and not end_is_known):
+        opcodes = np.frombuffer(block, np.uint8)[offsets]
+        found = np.flatnonzero(opcodes == DATA_END)[:1].tolist()
+        for last in found:
+            stop = offsets[last + 1] if last + 1 < len(offsets) else len(block)
+            _require_checksum(
+                path, block[offsets[last] : stop], zlib.crc32(block[: offsets[last]], checksum)
+            )
+            block, offsets, is_whole = block[:stop], offsets[: last + 1], True
+        checksum = zlib.crc32(block, checksum)
+        yield from _messages_of_block(path, block, np.array(offsets), declared, place)
+        place += len(block)
+        if is_whole:
             break
-    if last_opcode != DATA_END:
+    # Without a summary, what is behind the end record may be the summary's begin.
+    if not is_whole or (end_is_known and place != end):
         where = None if end_is_known else f"byte {place}"
-        message = "the data section does not end in its end record"
-        raise LogError("log_damaged", path, message, where)
-
-
-def _sound_records(block: memoryview, offsets: list[int], is_chunked: bool) -> int:
-    """Number of records up to the end of the data section, or to what is no record of it.
-
-    Without a summary nothing else tells a chunk whose opcode is damaged from a private record, or
-    its index from a message that stands bare behind it.
-    """
-    opcodes = np.frombuffer(block, np.uint8)[offsets]
-    strange = ~np.isin(opcodes, IN_DATA_SECTION)
-    for i in np.flatnonzero(opcodes == MESSAGE_INDEX).tolist():
-        head = bytes(block[offsets[i] :][: _INDEX_HEAD.size]).ljust(_INDEX_HEAD.size)
-        _, length, _, size = _INDEX_HEAD.unpack(head)
-        strange[i] = length != size + 6
-    strange |= (opcodes == MESSAGE) & (is_chunked | np.logical_or.accumulate(opcodes == CHUNK))
-    ends = np.flatnonzero(strange | (opcodes == DATA_END))
-    if not ends.size:
-        return len(offsets)
-    return int(ends[0]) + (0 if strange[ends[0]] else 1)
+        how = "the data section does not end in its end record"
+        raise LogError("log_damaged", path, how, where)
 
 
 def _require_checksum(path: Path, end_record: memoryview, checksum: int) -> None:
@@ -419,33 +393,16 @@ def offsets_in_chunk(
 ) -> tuple[NDArray[np.int64], int]:
     """Begins of the records of a chunk, and the end of the last of them.
 
-    Some of them may begin at the positions, which are in ascending order and believed only where
-    each step, taken from the chunk's begin, leads from one to the next.
+    All but the first records may begin at the positions, which are in ascending order and believed
+    only where each step, taken from the chunk's begin, leads from one to the next.
     """
-    found = _steps(records, positions)
-    if found is not None:
-        return found, len(records)
+    if positions.size and positions[0] >= 0 and positions[-1] <= len(records) - PREFIX.size:
+        # Schemas and channels have no index, and mostly stand before all messages.
+        first, end = record_offsets(records[: positions[0]])
+        lengths = fields_at(records, positions + 1, "<u8")
+        if end == positions[0] and lengths.max() <= len(records):
+            ends = positions + (PREFIX.size + lengths.astype(np.int64))
+            if (ends == np.append(positions[1:], len(records))).all():
+                return np.concatenate([np.array(first, np.int64), positions]), len(records)
     offsets, end = record_offsets(records)
     return np.array(offsets, np.int64), end
-
-
-def _steps(records: memoryview, positions: NDArray[np.int64]) -> NDArray[np.int64] | None:
-    """All offsets; None where the positions are not among them."""
-    if not positions.size or positions[0] < 0 or positions[-1] > len(records) - PREFIX.size:
-        return None
-    lengths = fields_at(records, positions + 1, "<u8")
-    if lengths.max() > len(records):
-        return None
-    ends = np.append(0, positions + (PREFIX.size + lengths.astype(np.int64)))
-    starts = np.append(positions, len(records))
-    gaps = np.flatnonzero(ends != starts).tolist()
-    if len(gaps) > _MOST_GAPS:
-        return None
-    parts = [positions]
-    for gap in gaps:
-        # Schemas and channels have no index.
-        between, end = record_offsets(records[ends[gap] : starts[gap]])
-        if ends[gap] + end != starts[gap]:
-            return None
-        parts.append(ends[gap] + np.array(between, np.int64))
-    return np.sort(np.concatenate(parts), kind="stable")

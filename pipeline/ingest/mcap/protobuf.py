@@ -9,14 +9,11 @@ Truth values and members of an enum are their numbers, a wrapper such as
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from itertools import islice
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.errors import LogError
@@ -28,11 +25,7 @@ _WRAPPERS = frozenset(
     for name in ("Double", "Float", "Int64", "UInt64", "Int32", "UInt32", "Bool")
 )
 _BROKEN = "a message that is not as its descriptor says"
-_WHOLE_KINDS = {1: "i4", 2: "i8", 3: "u4", 4: "u8"}
-"""NumPy's names by the runtime's ``CPPTYPE_INT32`` and so on."""
-
 _MOST_NAMES = 40
-_WHOLE_NUMBER = re.compile(r"-?[0-9]{1,20}")
 
 
 def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
@@ -124,7 +117,7 @@ def _value(descriptor: Any, path: FieldPath, *, stamp: bool) -> Value:
     is_many = _is_repeated(field)
     if is_many and rest:
         is_map = inner is not None and inner.GetOptions().map_entry
-        get = _then(get, _entry(inner, rest[0]) if is_map else _element(rest[0]))
+        get = _then(get, _entry(rest[0]) if is_map else _element(rest[0]))
         inner = inner.fields_by_name["value"].message_type if is_map else inner
         is_many, rest = False, rest[1:]
     if rest:
@@ -155,20 +148,11 @@ def _element(step: str | int) -> Value:
     raise LookupError(step)
 
 
-def _entry(descriptor: Any, step: str | int) -> Value:
+def _entry(step: str | int) -> Value:
     """Function of a map that gives what a key holds."""
-    kind = descriptor.fields_by_name["key"]
-    key: Any = str(step)
-    if kind.cpp_type == kind.CPPTYPE_BOOL:
-        key = {"true": True, "false": False}[key]
-    elif kind.cpp_type in _WHOLE_KINDS:
-        limits = np.iinfo(_WHOLE_KINDS[kind.cpp_type])
-        if not _WHOLE_NUMBER.fullmatch(key) or not limits.min <= int(key) <= limits.max:
-            raise LookupError(step)
-        key = int(key)
-    elif isinstance(step, int):
-        raise LookupError(step)
-    return lambda entries: entries.get(key)
+    return lambda entries: next(
+        (value for key, value in entries.items() if _key_text(key) == str(step)), None
+    )
 
 
 def _is_repeated(field: Any) -> bool:

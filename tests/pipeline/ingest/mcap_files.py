@@ -1,9 +1,11 @@
-"""MCAP files of one topic, and what the format's own decoders read of them."""
+"""MCAP files by the official writer or laid out by hand, and what the official decoders read."""
 
 from __future__ import annotations
 
 import io
 import json
+import struct
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +20,7 @@ from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
 from pipeline.config.field_paths import field_path
 from pipeline.errors import LogError
-from pipeline.ingest import RawLog, read_log
+from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.ingest.conformance import T0_US
 from pipeline.units import CHANNELS, canonical_unit
 
@@ -47,18 +49,35 @@ class JsonDecoderFactory(DecoderFactory):
 FACTORIES = (ProtobufDecoderFactory, Ros2DecoderFactory, JsonDecoderFactory)
 
 
-def mcap_of(
-    payloads: Sequence[bytes], schema: tuple[str, str, bytes], encoding: str, **options: Any
+def mcap_bytes(
+    messages: Sequence[tuple[str, int, bytes]],
+    schema: tuple[str, str, bytes] | None = None,
+    encoding: str = "json",
+    topics: Sequence[str] = (),
+    **options: Any,
 ) -> bytes:
-    """A file of one topic, a message a millisecond."""
+    """A file of (topic, log time [ns], payload), and of more topics; publish time is 5 s before."""
     buffer = io.BytesIO()
-    writer = Writer(buffer, **{"chunk_size": 3000} | options)
+    writer = Writer(buffer, **options)
     writer.start()
-    number = writer.register_channel(TOPIC, encoding, writer.register_schema(*schema))
-    for i, payload in enumerate(payloads):
-        writer.add_message(number, T0_NS + i * 1_000_000, payload, T0_NS)
+    number = 0 if schema is None else writer.register_schema(*schema)
+    names = dict.fromkeys([*topics, *(topic for topic, _, _ in messages)])
+    ids = {name: writer.register_channel(name, encoding, number) for name in names}
+    for topic, time_ns, payload in messages:
+        writer.add_message(ids[topic], time_ns, payload, max(time_ns - 5_000_000_000, 0))
     writer.finish()
     return buffer.getvalue()
+
+
+def mcap_of(
+    payloads: Sequence[bytes],
+    schema: tuple[str, str, bytes] = JSON,
+    encoding: str = "json",
+    **options: Any,
+) -> bytes:
+    """A file of one topic, a message a millisecond."""
+    messages = [(TOPIC, T0_NS + i * 1_000_000, payload) for i, payload in enumerate(payloads)]
+    return mcap_bytes(messages, schema, encoding, (TOPIC,), **{"chunk_size": 3000} | options)
 
 
 def source_of(*fields: str, topic: str = TOPIC, **options: Any) -> Source:
@@ -70,11 +89,19 @@ def source_of(*fields: str, topic: str = TOPIC, **options: Any) -> Source:
     return Source.of("mcap", channels, **options)
 
 
-def read(folder: Path, data: bytes, source: Source) -> RawLog:
+SOURCE = source_of("value")
+
+
+def read(folder: Path, data: bytes, source: Source = SOURCE) -> RawLog:
     """Log as read from a file with these bytes."""
     path = folder / "log.mcap"
     path.write_bytes(data)
     return read_log(path, *source)
+
+
+def pressure(folder: Path, payloads: Sequence[bytes]) -> RawChannel:
+    """The channel that messages of JSON are read as."""
+    return read(folder, mcap_of(payloads)).channels["pressure_difference"]
 
 
 def all_values(path: Path, fields: Sequence[str], topic: str = TOPIC) -> dict[str, list[Value]]:
@@ -96,7 +123,7 @@ def values(folder: Path, data: bytes, field: str) -> list[Value]:
     return all_values(path, [field])[field]
 
 
-def error_of(folder: Path, data: bytes, field: str) -> LogError:
+def error_of(folder: Path, data: bytes, field: str = "value") -> LogError:
     """The error that reading a field ends in."""
     with pytest.raises(LogError) as raised:
         read(folder, data, source_of(field))
@@ -127,3 +154,57 @@ def followed(message: Any, field: str) -> Value:
         else:
             message = message[step] if isinstance(message, dict) else getattr(message, step)
     return float(message)
+
+
+# Laid out by hand, as the specification says
+
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<I", len(value.encode())) + value.encode()
+
+
+def channel_record(number: int, topic: str = TOPIC) -> bytes:
+    content = struct.pack("<HH", number, 0) + text(topic) + text("json") + struct.pack("<I", 0)
+    return record(0x04, content)
+
+
+def message_record(number: int, time_ns: int, payload: bytes) -> bytes:
+    return record(0x05, struct.pack("<HIQQ", number, 0, time_ns, time_ns) + payload)
+
+
+def chunk_record(records: bytes, packed: bytes, compression: str, **wrong: int) -> bytes:
+    size = wrong.get("size", len(records))
+    checksum = wrong.get("checksum", zlib.crc32(records))
+    head = struct.pack("<QQQI", 0, 0, size, checksum) + text(compression)
+    packed_size = wrong.get("packed_size", len(packed))
+    return record(0x06, head + struct.pack("<Q", packed_size) + packed)
+
+
+def file_of(
+    *records: bytes,
+    data_end: bytes | None = None,
+    behind: bytes = b"",
+    summary: bytes = b"",
+    checksum: int = 0,
+) -> bytes:
+    """A file around some records of its data section, and of its summary."""
+    end = record(0x0F, struct.pack("<I", 0)) if data_end is None else data_end
+    data = MAGIC + record(0x01, text("") + text("by hand")) + b"".join(records) + end + behind
+    footer = record(0x02, struct.pack("<QQI", len(data) if summary else 0, 0, checksum))
+    return data + summary + footer + MAGIC
+
+
+def statistics_record(counts: dict[int, int]) -> bytes:
+    total = sum(counts.values())
+    head = struct.pack("<QHIIIIQQI", total, 0, len(counts), 0, 0, 0, T0_NS, T0_NS, 10 * len(counts))
+    return record(0x0B, head + b"".join(struct.pack("<HQ", *pair) for pair in counts.items()))
+
+
+DP = channel_record(1)
+ONE = message_record(1, T0_NS, b'{"value": 1}')

@@ -44,7 +44,7 @@ def check(dialect: Dialect, log: Recorded, folder: Path) -> None:
         # Rows at the ends in which every channel is blank are in the span of the file alone.
         rows_us = log.samples()[0]
         assert time_span(path, *source) in (
-            (raw.first_us, raw.last_us),
+            raw.ends(),
             (int(rows_us.min()), int(rows_us.max())),
         )
 

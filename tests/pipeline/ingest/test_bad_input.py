@@ -8,8 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -29,7 +27,6 @@ from .writers import FORMATS
 NAMES = ("dp", "T", "q")
 GOOD = {"dp": 200.0, "T": 50.0, "q": 1.0}
 LONG = Source.of("csv", CHANNELS, layout="long")
-PRESSURE: Channels = {"pressure_difference": CHANNELS["pressure_difference"]}
 OF_A_CHANNEL = LONG.but({"pressure_difference": column("log*", "bar")}, layout="file_per_channel")
 
 
@@ -126,28 +123,3 @@ def test_a_quotation_mark_that_is_not_closed_is_named_by_its_line(tmp_path: Path
     with pytest.raises(LogError, match="quotation mark") as raised:
         read_log(path, *Source.of("csv", CHANNELS))
     assert (raised.value.code, raised.value.place) == ("log_damaged", "line 22")
-
-
-def parquet_bomb(folder: Path) -> tuple[Path, Source]:
-    """A page of any number of rows takes a few bytes."""
-    rows = 12_000_000
-    path = folder / "log.parquet"
-    columns = {"time": pa.array(np.full(rows, T0_US), pa.timestamp("us", "UTC"))}
-    columns |= {name: pa.array(np.ones(rows)) for name in NAMES[:1]}
-    pq.write_table(
-        pa.table(columns),
-        path,
-        compression="zstd",
-        row_group_size=rows,
-        data_page_size=2**30,
-        max_rows_per_page=2**30,
-        write_statistics=False,
-    )
-    return path, Source.of("parquet", PRESSURE)
-
-
-def test_a_small_file_that_unfolds_to_gigabytes(tmp_path: Path) -> None:
-    path, source = parquet_bomb(tmp_path)
-    assert path.stat().st_size < 2**18
-    for read in (read_log, time_span):
-        check(path, source, "log_too_large", "expand", read)

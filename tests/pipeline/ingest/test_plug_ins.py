@@ -27,7 +27,7 @@ def read(file):
 
 def made(file, value=np.ones(1), time=1_740_808_800_000_000, bad=None, count=0, notes=()):
     one = RawChannel(np.array([time]), value, np.zeros(1, bool), count, bad)
-    return RawLog(dict.fromkeys(file.channels, one), count, time, time, notes)
+    return RawLog(dict.fromkeys(file.channels, one), count, notes)
 """
 
 Install = Callable[..., None]
@@ -107,21 +107,21 @@ def test_a_reader_gets_its_options_and_the_defaults(install: Install, tmp_path: 
         ("def read(file):\n    raise SystemExit\nREADER = Reader(read)", "SystemExit"),
         ("READER = Reader(lambda file: 7)", "ValueError: gave no RawLog but a int"),
         (
-            "READER = Reader(lambda file: RawLog({}, 0, None, None))",
+            "READER = Reader(lambda file: RawLog({}, 0))",
             "ValueError: gave the channels none",
         ),
         (
-            "READER = Reader(lambda file: RawLog(dict.fromkeys(file.channels), 0, None, None))",
+            "READER = Reader(lambda file: RawLog(dict.fromkeys(file.channels), 0))",
             "AttributeError",
         ),
         (
             "def read(file):\n    a = np.arange(2)\n    one = RawChannel(a, a, a > 3, 0)\n"
-            "    return RawLog(dict.fromkeys(file.channels, one), 2, 0, 1)\nREADER = Reader(read)",
+            "    return RawLog(dict.fromkeys(file.channels, one), 2)\nREADER = Reader(read)",
             "ValueError: gave value of pressure_difference as ndarray of int64",
         ),
         (
             "def read(file):\n    a = np.arange(2)\n    one = RawChannel(a, a + 0.5, a > 3, 0)\n"
-            "    return RawLog(dict.fromkeys(file.channels, one), 2, 0, 1)\nREADER = Reader(read)",
+            "    return RawLog(dict.fromkeys(file.channels, one), 2)\nREADER = Reader(read)",
             "ValueError: gave time stamps from .* before 1990",
         ),
         (

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -13,51 +14,160 @@ import pyarrow.parquet as pq
 import pytest
 
 import pipeline.ingest.mcap.log
+from pipeline.config.channels import Channels
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.quality import quality_states
-from tests.pipeline.ingest.csv_files import in_pieces
-from tests.pipeline.ingest.quality_files import (
-    CASES,
-    EXPECTED,
-    PRESSURE,
-    SPEED,
-    csv_lines,
-    every_way,
-    json_mcap,
-    protobuf_mcap,
-    read,
-    text,
-    wide_csv,
-)
 
+from .mcap.protobuf_files import Field, class_of, declared, field_of, made_of, protobuf, set_of
+from .mcap_files import TOPIC, mcap_of
 from .sources import Source, changed, column
+from .test_csv import in_pieces
+
+SPEED = column("n", "rpm", quality_source="quality")
+PRESSURE = column("dp", "bar", quality_source="quality")
+# A cell, its quality, and whether the sample is bad. OPC DA 3.00, 6.8: 192 good, 216 forced by
+# hand, 64 uncertain, 24 no connection, 0 bad.
+CASES: tuple[tuple[float | None, str | int | None, bool], ...] = (
+    (1.0, "Good", False),
+    (2.0, " GOOD", False),
+    (3.0, 192, False),
+    (4.0, "Bad", True),
+    (5.0, "Uncertain", True),
+    (6.0, 216, True),
+    (7.0, 0, True),
+    (8.0, None, True),  # a value of which nobody says that it is good
+    (None, 24, True),  # no value, and the log says why
+    (None, "Bad", True),
+    (None, "Good", False),
+    (None, None, False),  # no sample at all
+    (9.0, "good", False),
+)
+VALUES = [value for value, _, _ in CASES]
+MIXED = [quality for _, quality, _ in CASES]
+TEXTS = [None if one is None else str(one) for one in MIXED]
+WORDS = {"Good": 192, " GOOD": 192, "good": 192, "Bad": 8, "Uncertain": 64}
+CODES = [WORDS.get(one, 0) if isinstance(one, str) else one for one in MIXED]
+EXPECTED = [is_bad for _, _, is_bad in CASES]
+
+Columns = Mapping[str, Any]
+Way = Callable[[Path], Source]
+"""Writes a log of the cases to a path."""
+
+
+def wide(quality: Any) -> Columns:
+    return {"n": pa.array(VALUES, pa.float64()), "quality": quality}
+
+
+def long(quality: Sequence[Any]) -> Columns:
+    """With rows of another channel, in each of which the quality is bad."""
+    count = len(CASES)
+    return {
+        "channel": ["n"] * count + ["dp"] * count,
+        "value": [*VALUES, *[1.0] * count],
+        "quality": [*quality, *["Bad"] * count],
+    }
+
+
+def table(columns: Columns) -> pa.Table:
+    made = pa.table(dict(columns))
+    steps = np.arange(made.num_rows) % len(CASES)
+    return made.add_column(0, "time", pa.array(T0_US + steps, pa.timestamp("us", "UTC")))
+
+
+def csv_text(columns: Columns) -> str:
+    rows = table(columns).to_pydict()
+    rows["time"] = [time.isoformat() for time in rows["time"]]
+    lines = [
+        ",".join("" if one is None else str(one) for one in row)
+        for row in zip(*rows.values(), strict=True)
+    ]
+    return "\n".join([",".join(rows), *lines, ""])
+
+
+def source_of(log_format: str, layout: str) -> Source:
+    others: Channels = {"pressure_difference": column("dp", "bar")} if layout == "long" else {}
+    channels: Channels = {"speed": SPEED, **others}
+    return Source.of(log_format, channels, layout=layout)
+
+
+def csv(columns: Columns, layout: str = "wide") -> Way:
+    def write(path: Path) -> Source:
+        path.write_text(csv_text(columns), "utf-8")
+        return source_of("csv", layout)
+
+    return write
+
+
+def parquet(columns: Columns, layout: str = "wide") -> Way:
+    def write(path: Path) -> Source:
+        pq.write_table(table(columns), path, row_group_size=4)
+        return source_of("parquet", layout)
+
+    return write
+
+
+def json_mcap(qualities: Sequence[Any]) -> Way:
+    def write(path: Path) -> Source:
+        cells = zip(VALUES, qualities, strict=True)
+        payloads = [json.dumps({"value": one, "q": {"code": told}}).encode() for one, told in cells]
+        path.write_bytes(mcap_of(payloads))
+        speed = changed(SPEED, source=TOPIC, quality_source=f"{TOPIC}.q.code")
+        return Source.of("mcap", {"speed": speed})
+
+    return write
+
+
+def protobuf_mcap(path: Path) -> Source:
+    """Fields that say whether they are set."""
+    fields = [field_of("value", Field.TYPE_DOUBLE), field_of("quality", Field.TYPE_UINT32)]
+    descriptors = set_of("proto2", declared("Hydraulics", fields, "proto2"))
+    made, cells = class_of(descriptors), zip(VALUES, CODES, strict=True)
+    given = [{"value": one, "quality": told} for one, told in cells]
+    path.write_bytes(protobuf([made_of(made, one) for one in given], descriptors, chunk_size=200))
+    return Source.of("mcap", {"speed": changed(SPEED, source=TOPIC)})
+
+
+EVERY_WAY = {
+    "csv": csv(wide(TEXTS)),
+    "csv-long": csv(long(TEXTS), "long"),
+    "parquet-text": parquet(wide(TEXTS)),
+    "parquet-dictionary": parquet(wide(pa.array(TEXTS).dictionary_encode())),
+    "parquet-float32": parquet(wide(pa.array(CODES, pa.float32()))),
+    "parquet-long": parquet(long(TEXTS), "long"),
+    "mcap-json-text": json_mcap(TEXTS),
+    "mcap-json-mixed": json_mcap(MIXED),
+    "mcap-protobuf": protobuf_mcap,
+}
+every_way = pytest.mark.parametrize("write", EVERY_WAY.values(), ids=EVERY_WAY.keys())
+
+
+def bad_of(write: Way, path: Path) -> list[bool]:
+    bad = read_log(path, *write(path)).channels["speed"].bad_quality
+    assert bad is not None
+    return list(bad.tolist())
 
 
 @every_way
-def test_what_the_log_does_not_call_good_is_bad(
-    write: Callable[[Path], tuple[Path, Source]], tmp_path: Path
-) -> None:
-    log = read(write(tmp_path))
-    speed = log.channels["speed"]
+def test_what_the_log_does_not_call_good_is_bad(write: Way, tmp_path: Path) -> None:
+    log = read_log(tmp_path / "log", *write(tmp_path / "log"))
+    others = dict(log.channels)
+    speed = others.pop("speed")
     assert speed.bad_quality is not None
     assert speed.bad_quality.tolist() == EXPECTED
-    assert speed.missing.tolist() == [case.value is None for case in CASES]
+    assert speed.missing.tolist() == [value is None for value in VALUES]
     assert speed.value[~speed.missing].tolist() == [float(i) for i in range(1, 10)]
     assert not speed.bad_quality.flags.writeable
-    others = [one for name, one in log.channels.items() if name != "speed"]
-    assert [one.bad_quality for one in others] == [None] * len(others)
+    assert all(one.bad_quality is None for one in others.values())
 
 
 @every_way
-def test_a_quality_that_is_not_there_is_named(
-    write: Callable[[Path], tuple[Path, Source]], tmp_path: Path
-) -> None:
-    path, source = write(tmp_path)
+def test_a_quality_that_is_not_there_is_named(write: Way, tmp_path: Path) -> None:
+    source = write(tmp_path / "log")
     speed = changed(source.channels["speed"], quality_source="kwality")
     with pytest.raises(LogError, match="'kwality'") as raised:
-        read_log(path, *source.but({**source.channels, "speed": speed}))
+        read_log(tmp_path / "log", *source.but({**source.channels, "speed": speed}))
     assert raised.value.code == "log_column_missing"
 
 
@@ -65,28 +175,22 @@ def test_a_quality_that_is_not_there_is_named(
 def test_pieces_of_a_file_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int
 ) -> None:
-    path, source = wide_csv(tmp_path)
     in_pieces(monkeypatch, piece)
-    bad = read_log(path, *source).channels["speed"].bad_quality
-    assert bad is not None
-    assert bad.tolist() == EXPECTED
     monkeypatch.setattr(pipeline.ingest.mcap.log, "_PIECE", piece)
-    for write in (json_mcap(CASES), protobuf_mcap):
-        bad = read(write(tmp_path)).channels["speed"].bad_quality
-        assert bad is not None
-        assert bad.tolist() == EXPECTED
+    for write in (EVERY_WAY["csv"], json_mcap(MIXED), protobuf_mcap):
+        assert bad_of(write, tmp_path / "log") == EXPECTED
 
 
 def test_channels_may_share_a_column_and_differ_in_what_is_good(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.write_text(csv_lines("n,dp,quality", lambda c: f"1,1,{text(c.quality)}"))
+    path.write_text(csv_text({"n": [1] * len(CASES), "dp": [1] * len(CASES), "quality": TEXTS}))
     forced = changed(PRESSURE, quality_good=(192, 216, 0))
     source = Source.of("csv", {"speed": SPEED, "pressure_difference": forced})
     channels = read_log(path, *source).channels
     strict, loose = channels["speed"].bad_quality, channels["pressure_difference"].bad_quality
     assert strict is not None
     assert loose is not None
-    answers = [text(case.quality).strip().casefold() for case in CASES]
+    answers = [(one or "").strip().casefold() for one in TEXTS]
     assert strict.tolist() == [answer not in ("good", "192") for answer in answers]
     assert loose.tolist() == [answer not in ("192", "216", "0") for answer in answers]
 
@@ -94,7 +198,7 @@ def test_channels_may_share_a_column_and_differ_in_what_is_good(tmp_path: Path) 
 def test_a_night_of_texts_that_are_all_called_bad_is_no_wrong_column(tmp_path: Path) -> None:
     """Texts as a historian writes them while its source is down; an error without a quality."""
     path = tmp_path / "log.csv"
-    path.write_text(csv_lines("n,quality", lambda _: "I/O Timeout,Bad"))
+    path.write_text(csv_text({"n": ["I/O Timeout"] * len(CASES), "quality": ["Bad"] * len(CASES)}))
     source = Source.of("csv", {"speed": SPEED})
     speed = read_log(path, *source).channels["speed"]
     assert speed.unparsed == len(CASES)

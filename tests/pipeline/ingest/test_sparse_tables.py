@@ -1,8 +1,9 @@
-"""Tables in which each channel has rows of its own: what is blank there was never to be logged."""
+"""Tables in which each channel has rows of its own, and channels in several files."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,18 +22,27 @@ CHANNELS: Channels = {**WITH_TEMPERATURE, "leakage_flow": column("q", "l/min")}
 Cells = dict[str, list[float | str | None]]
 
 
-def read(folder: Path, kind: str, cells: Cells, channels: Channels) -> RawLog:
+def write(path: Path, kind: str, cells: Cells) -> None:
     """A table of a row a second."""
-    path = folder / f"log.{kind}"
     times = T0_US + 1_000_000 * np.arange(len(next(iter(cells.values()))))
     if kind == "parquet":
         stamps = pa.array(times, pa.timestamp("us", "UTC"))
         pq.write_table(pa.table({"time": stamps, **cells}), path)
-        return read_log(path, *Source.of("parquet", channels))
+        return
     rows = zip(times.tolist(), *cells.values(), strict=True)
     lines = [",".join("" if cell is None else str(cell) for cell in row) for row in rows]
     path.write_text("\n".join([",".join(["time", *cells]), *lines, ""]), "utf-8")
-    return read_log(path, *Source.of("csv", channels, time_format="epoch_us"))
+
+
+def source_of(kind: str, channels: Channels, **keys: Any) -> Source:
+    return Source.of(
+        kind, channels, **keys, **({"time_format": "epoch_us"} if kind == "csv" else {})
+    )
+
+
+def read(folder: Path, kind: str, cells: Cells, channels: Channels) -> RawLog:
+    write(folder / "log", kind, cells)
+    return read_log(folder / "log", *source_of(kind, channels))
 
 
 def seconds(log: RawLog, channel: str) -> list[int]:
@@ -56,7 +66,7 @@ def test_each_channel_has_its_own_rows(tmp_path: Path, kind: str) -> None:
     assert seconds(log, "leakage_flow") == [2, 5, 6]
     assert log.channels["leakage_flow"].value.tolist() == [1.5, 1.6, 1.7]
     assert not any(channel.missing.any() for channel in log.channels.values())
-    assert (log.rows, log.refused_rows, log.notes) == (7, 0, ())
+    assert (log.rows, log.notes) == (7, ())
     for channel in log.channels.values():
         for array in (channel.time_us, channel.value, channel.missing):
             assert not array.flags.writeable
@@ -83,3 +93,29 @@ def test_text_that_is_no_number_is_counted_all_the_same(tmp_path: Path) -> None:
     log = read(tmp_path, "csv", cells, WITH_TEMPERATURE)
     assert seconds(log, "pressure_difference") == [0, 4]
     assert log.channels["pressure_difference"].unparsed == 1
+
+
+APART: Channels = {
+    "pressure_difference": column("hydraulics_*", "bar", value_column="dp"),
+    "oil_temperature": column("hydraulics_*", "degC", value_column="T"),
+    "speed": column("drive_*", "rpm", value_column="n"),
+    "leakage_flow": column("drain_*", "l/min"),
+}
+
+
+@each_kind
+def test_each_of_several_files_gives_its_channels(tmp_path: Path, kind: str) -> None:
+    source = source_of(kind, APART, layout="file_per_channel")
+    for name, cells, expected in (
+        (
+            "hydraulics_1",
+            {"dp": [2.0], "T": [5.0]},
+            {"pressure_difference": 2, "oil_temperature": 5},
+        ),
+        ("drive_1", {"n": [3.0], "torque": [1.0]}, {"speed": 3}),
+        ("drain_1", {"value": [1.5]}, {"leakage_flow": 1.5}),
+    ):
+        write(tmp_path / name, kind, dict(cells))
+        log = read_log(tmp_path / name, *source)
+        found = {key: one.value.tolist() for key, one in log.channels.items() if len(one.value)}
+        assert found == {key: [value] for key, value in expected.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -10,10 +11,23 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
+from pipeline.config.time_formats import EPOCH_UNITS
+from pipeline.errors import LogError
+from pipeline.ingest import read_log
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.gathering import Gathered
-from pipeline.ingest.time_stamps import TimeStamps, from_epoch, from_naive, placed, written
+from pipeline.ingest.time_stamps import (
+    TimeStamps,
+    WrittenStamps,
+    example_of,
+    placed,
+    written,
+    written_as_numbers,
+)
+
+from .sources import Source, column, logs_of
 
 MICROSECOND = timedelta(microseconds=1)
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -142,7 +156,7 @@ def test_the_largest_integers_are_no_time() -> None:
     for dtype in (np.int64, np.uint64):
         largest = np.array([np.iinfo(dtype).max, np.iinfo(dtype).min], dtype)
         for time_format in ("epoch_s", "epoch_ms", "epoch_us", "epoch_ns"):
-            stamps = from_epoch(largest, time_format)
+            stamps = written_as_numbers(largest, time_format)
             assert stamps.time_us.tolist() == [0, 0] or time_format == "epoch_ns"
 
 
@@ -175,7 +189,7 @@ def test_local_time_is_that_of_the_zone(times: list[datetime], zone: str) -> Non
         if len({time.replace(tzinfo=tz, fold=fold).utcoffset() for fold in (0, 1)}) == 1
     ]
     naive = np.array([us(time.replace(tzinfo=UTC)) for time in real], dtype=np.int64)
-    stamps = from_naive(naive, np.ones(naive.size, dtype=np.bool_), zone)
+    stamps = placed(WrittenStamps(naive, np.ones(naive.size, np.int8)), zone)
     assert stamps.time_us.tolist() == [us(time.replace(tzinfo=tz)) for time in real]
 
 
@@ -196,7 +210,7 @@ def test_an_hour_that_comes_twice_goes_on_where_the_clock_steps_back(
     walls = [(EPOCH + int(time) * MICROSECOND).astimezone(tz).replace(tzinfo=None) for time in utc]
     naive = np.array([us(wall.replace(tzinfo=UTC)) for wall in walls])
     assert np.any(np.diff(naive) < 0)
-    stamps = from_naive(naive, np.ones(naive.size, dtype=np.bool_), zone)
+    stamps = placed(WrittenStamps(naive, np.ones(naive.size, np.int8)), zone)
     np.testing.assert_array_equal(stamps.time_us, utc)
 
 
@@ -248,3 +262,82 @@ def test_any_text_is_a_stamp_or_none(texts: list[str | None]) -> None:
         stamps = read(encodable, time_format)
         assert stamps.time_us.size == stamps.readable.size == len(texts)
         assert (stamps.time_us[~stamps.readable] == 0).all()
+
+
+# Messages on what cannot be read: the cell, and how a stamp would be written
+
+# With and without a zone, so that each cell is parsed by itself.
+YEAR_0 = ["0001-01-01T00:00:00+14:00", "0001-01-01T00:00:00"]
+SPEED = {"speed": column("n", "rpm")}
+
+
+def told(path: Path, source: Source) -> str:
+    with pytest.raises(LogError) as raised:
+        read_log(path, *source)
+    assert raised.value.code == "log_time"
+    return raised.value.message
+
+
+def log_of(folder: Path, *stamps: str) -> Path:
+    path = folder / "log.csv"
+    path.write_text("time;n\n" + "".join(f"{stamp};1\n" for stamp in stamps))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("stamps", "time_format", "cell", "written"),
+    [
+        (["", "6 am", "7 am"], "iso8601", "6 am", "2025-03-01T06:00:00Z"),
+        (["2025-03-01 06:00:00"] * 2, "%d.%m.%Y %H:%M", "2025-03-01 06:00:00", "01.03.2025 06:00"),
+        (
+            ["13/25/2025 06:00 PM"],
+            "%m/%d/%Y %I:%M %p",
+            "13/25/2025 06:00 PM",
+            "03/01/2025 06:00 AM",
+        ),
+        (["12.5", "13.5"], "epoch_s", "12.5", "1740808800"),
+        (["1740808800"], "epoch_ns", "1740808800", "1740808800000000000"),
+        (["x"], "excel_days", "x", "45717.25"),
+        (["1970-01-01T00:00:07Z"], "iso8601", "1970-01-01 00:00:07", "2025-03-01T06:00:00Z"),
+        (YEAR_0, "iso8601", "0000-12-31 10:00:00", "2025-03-01T06:00:00Z"),
+        (["9" * 400], "epoch_s", "9" * 40, "1740808800"),
+    ],
+)
+def test_a_cell_that_is_no_time_is_shown_beside_one_that_would_be(
+    tmp_path: Path, stamps: list[str], time_format: str, cell: str, written: str
+) -> None:
+    source = Source.of("csv", SPEED, separator=";", time_format=time_format)
+    message = told(log_of(tmp_path, *stamps), source)
+    assert f"'time' in format {time_format} (such as {written}; here is {cell!r})" in message
+
+
+@pytest.mark.parametrize("cell", ["9" * 400, "1" + "0" * 305, "-1e305", "1e400", "1e-400"])
+@pytest.mark.parametrize("time_format", [*EPOCH_UNITS, "excel_days"])
+def test_a_number_beyond_any_time_is_counted(tmp_path: Path, time_format: str, cell: str) -> None:
+    good = example_of(time_format)
+    source = Source.of("csv", SPEED, separator=";", time_format=time_format)
+    found = read_log(log_of(tmp_path, good, cell, good), *source)
+    assert found.notes == ("1 row without a readable time",)
+    assert found.channels["speed"].time_us.tolist() == [1740808800_000000] * 2
+
+
+@pytest.mark.parametrize(
+    "time_format",
+    ["iso8601", *EPOCH_UNITS, "excel_days", "%d.%m.%Y %H:%M:%S,%f", "%Y-%j %H:%M %z"],
+)
+def test_the_example_is_read_in_its_format(time_format: str) -> None:
+    cells = pa.chunked_array([[example_of(time_format)]])
+    stamps = placed(written([cells], time_format), "UTC")
+    assert (stamps.time_us.tolist(), stamps.readable.all()) == ([T0_US], True)
+
+
+@pytest.mark.parametrize(
+    "time_format",
+    [
+        *("%H:%M:%S", "%Y-%m-%d", "%Y-%m-%d %q", "%Y-%m-%d %H:%M:%S %f"),
+        *("%d.%m.%Y %I:%M", "epoch", ""),
+    ],
+)
+def test_formats_that_cannot_work_are_refused_when_they_are_named(time_format: str) -> None:
+    with pytest.raises(ValidationError, match="time_format"):
+        logs_of("csv", time_format=time_format)

@@ -1,93 +1,59 @@
-"""Writers of the same content in every format, for the kit that every reader has to pass.
+"""Every built-in format for the kit that every reader has to pass, by the writers of the dialects.
 
 They know the formats from their specifications and nothing of the readers.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import struct
-from collections.abc import Callable, Mapping, Sequence
-from datetime import UTC, datetime, timedelta
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-from google.protobuf import descriptor_pb2
-from mcap.writer import CompressionType, IndexType, Writer
+import numpy as np
+from mcap.writer import CompressionType, IndexType
 
 from pipeline.ingest.conformance import Cell, Format, Row
+from tests.dialects.columns import Parquet
+from tests.dialects.csv_text import Csv
+
+from .mcap.protobuf_files import NAME, Field, declared, field_of, set_of
+from .mcap_files import mcap_bytes
+
+Write = Callable[[Path, Sequence[Row], Sequence[str]], None]
 
 
-def iso(time_us: int, digits: int = 6) -> str:
-    """Time in UTC as ISO 8601 without a zone."""
-    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=time_us)
-    text = moment.strftime("%Y-%m-%dT%H:%M:%S.%f")
-    return text[: len(text) - 6 + digits].rstrip(".")
+def table(dialect: Csv | Parquet) -> Write:
+    """Writer of rows as a table."""
 
-
-def number(cell: Cell, decimal: str = ".") -> str:
-    """A cell as text."""
-    if cell is None:
-        return ""
-    return cell if isinstance(cell, str) else repr(float(cell)).replace(".", decimal)
-
-
-def write_csv(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
-    lines = [",".join(["time", *names])]
-    lines += [
-        ",".join([iso(row.time_us) + "Z", *(number(row.cells.get(name)) for name in names)])
-        for row in rows
-    ]
-    path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
-
-
-def write_european_csv(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
-    """As spreadsheets of half of Europe write it: two lines of preamble, a local time of winter."""
-    lines = ["Messung Nr. 7", "Maschine: Bagger", ";".join(["Zeit", *names])]
-    for row in rows:
-        moment = datetime(1970, 1, 1) + timedelta(microseconds=row.time_us, hours=1)
-        cells = (number(row.cells.get(name), ",") for name in names)
-        lines.append(";".join([moment.strftime("%d.%m.%Y %H:%M:%S,%f"), *cells]))
-    path.write_bytes("".join(line + "\r\n" for line in lines).encode("utf-16"))
-
-
-def columns(rows: Sequence[Row], names: Sequence[str]) -> dict[str, pa.Array]:
-    return {name: pa.array([r.cells.get(name) for r in rows], pa.float64()) for name in names}
-
-
-def write_parquet(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
-    stamps = pa.array([row.time_us for row in rows], pa.timestamp("us", "UTC"))
-    table = pa.table({"time": stamps, **columns(rows, names)})
-    pq.write_table(table, path, row_group_size=37, write_page_checksum=True)
-
-
-DESCRIPTORS = descriptor_pb2.FileDescriptorSet(
-    file=[
-        descriptor_pb2.FileDescriptorProto(
-            name="value.proto",
-            package="motor",
-            syntax="proto3",
-            message_type=[
-                descriptor_pb2.DescriptorProto(
-                    name="Value",
-                    field=[
-                        descriptor_pb2.FieldDescriptorProto(name="value", number=1, type=1, label=1)
-                    ],
-                )
-            ],
+    def write(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
+        time_us = np.array([row.time_us for row in rows], np.int64)
+        dialect.table(
+            path, time_us, {name: [row.cells.get(name) for row in rows] for name in names}
         )
-    ]
-)
+
+    return write
+
+
+def csv(written_zone: str = "UTC", **options: Any) -> Write:
+    """Writer of plain CSV."""
+    return table(Csv("", written_zone=written_zone, **options))
+
+
+def parquet(**options: Any) -> Write:
+    """Writer of plain Parquet."""
+    return table(Parquet("", options=options))
+
+
+VALUE = declared("Hydraulics", [field_of("value", Field.TYPE_DOUBLE)], "proto3")
 ENCODINGS: dict[str, tuple[tuple[str, str, bytes], Callable[[str, Cell], bytes]]] = {
     "json": (
         ("Value", "jsonschema", b'{"type": "object"}'),
         lambda name, cell: json.dumps({"sensor": name, "value": cell}).encode(),
     ),
     "protobuf": (
-        ("motor.Value", "protobuf", DESCRIPTORS.SerializeToString()),
+        (NAME, "protobuf", set_of("proto3", VALUE).SerializeToString()),
         lambda _, cell: b"\x09" + struct.pack("<d", cell),
     ),
     # Little endian: a text "oil", aligned to four, then a float64, aligned to eight.
@@ -98,26 +64,21 @@ ENCODINGS: dict[str, tuple[tuple[str, str, bytes], Callable[[str, Cell], bytes]]
 }
 
 
-def write_mcap(
-    encoding: str = "json", **options: Any
-) -> Callable[[Path, Sequence[Row], Sequence[str]], None]:
+def write_mcap(encoding: str = "json", **options: Any) -> Write:
+    """Writer of a topic a channel."""
     schema, encode = ENCODINGS[encoding]
 
     def write(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
         # Without messages mcap 1.6 leaves the channels out of the checksum of the data section.
         data_crcs = options.get("enable_data_crcs", False) and bool(rows)
-        with path.open("wb") as file:
-            writer = Writer(file, chunk_size=2000, **options | {"enable_data_crcs": data_crcs})
-            writer.start()
-            number = writer.register_schema(*schema)
-            ids = {name: writer.register_channel(name, encoding, number) for name in names}
-            for row in rows:
-                for name in names:
-                    if name in row.cells:
-                        time_ns = row.time_us * 1000 + 999
-                        message = encode(name, row.cells[name])
-                        writer.add_message(ids[name], time_ns, message, time_ns + 1000)
-            writer.finish()
+        messages = [
+            (name, row.time_us * 1000 + 999, encode(name, row.cells[name]))
+            for row in rows
+            for name in names
+            if name in row.cells
+        ]
+        own = {"chunk_size": 2000, **options, "enable_data_crcs": data_crcs}
+        path.write_bytes(mcap_bytes(messages, schema, encoding, names, **own))
 
     return write
 
@@ -135,24 +96,26 @@ def _mcap(
     )
 
 
+# As spreadsheets of half of Europe write it: two lines of preamble, a local time of winter.
+EUROPEAN = Csv(
+    "",
+    {
+        "time": "Zeit",
+        "time_format": "%d.%m.%Y %H:%M:%S,%f",
+        "time_zone": "Europe/Berlin",
+        "separator": ";",
+        "decimal": ",",
+        "encoding": "utf-16",
+        "skip_rows": 2,
+    },
+    line_end="\r\n",
+)
 FORMATS = (
-    Format("csv", "csv", write_csv, has_whole_rows=True),
+    Format("csv", "csv", csv(), has_whole_rows=True),
+    Format("csv-european", "csv", table(EUROPEAN), keys=EUROPEAN.logs, has_whole_rows=True),
     Format(
-        "csv-european",
-        "csv",
-        write_european_csv,
-        keys={
-            "time": "Zeit",
-            "time_format": "%d.%m.%Y %H:%M:%S,%f",
-            "time_zone": "Europe/Berlin",
-            "separator": ";",
-            "decimal": ",",
-            "encoding": "utf-16",
-            "skip_rows": 2,
-        },
-        has_whole_rows=True,
+        "parquet", "parquet", parquet(row_group_size=37, write_page_checksum=True), holds_text=False
     ),
-    Format("parquet", "parquet", write_parquet, holds_text=False),
     _mcap("mcap-zstd", compression=CompressionType.ZSTD),
     _mcap("mcap-lz4", compression=CompressionType.LZ4),
     _mcap("mcap-not-chunked", use_chunking=False, enable_data_crcs=True),
@@ -168,17 +131,3 @@ FORMATS = (
         enable_crcs=False,
     ),
 )
-
-
-def mcap_bytes(messages: Sequence[tuple[str, int, bytes]], **options: Any) -> bytes:
-    """MCAP of (topic, log time [ns], payload); publish time is 5 s before."""
-    encodings: Mapping[str, str] = options.pop("encodings", {})
-    buffer = io.BytesIO()
-    writer = Writer(buffer, **options)
-    writer.start()
-    topics = dict.fromkeys([*(topic for topic, _, _ in messages), *encodings])
-    ids = {t: writer.register_channel(t, encodings.get(t, "json"), 0) for t in topics}
-    for topic, time_ns, payload in messages:
-        writer.add_message(ids[topic], time_ns, payload, max(time_ns - 5_000_000_000, 0))
-    writer.finish()
-    return buffer.getvalue()

@@ -176,9 +176,7 @@ class TestCovered:
 
     def test_log_without_samples(self, spec: MotorSpec) -> None:
         none = RawChannel(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.bool_), 0)
-        record = covered(
-            FileRecord("a.csv", 1, 1, "x"), RawLog({"speed": none}, 0, None, None), spec
-        )
+        record = covered(FileRecord("a.csv", 1, 1, "x"), RawLog({"speed": none}, 0), spec)
         assert record.nights == ()
         assert record.message == "no samples"
 
@@ -190,7 +188,7 @@ class TestSliceNight:
         time = np.array(times, np.int64)
         blank = time % 2 == 1
         some = RawChannel(time, np.where(blank, np.nan, value), blank, unparsed)
-        return RawLog({"speed": some}, len(times), None, None)
+        return RawLog({"speed": some}, len(times))
 
     def test_half_open(self) -> None:
         start, end = self.HERE.start_us, self.HERE.end_us

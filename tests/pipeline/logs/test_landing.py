@@ -169,7 +169,7 @@ def test_stamps_without_a_zone_are_of_the_zone_of_the_config(
     spec, here = plant.spec, night(FIRST, plant.spec.settings.nights)
     log = read_log(spec.log_root / f"{FIRST}.parquet", spec.file.logs, spec.file.channels)
     operation, _ = plant.shop.night(FIRST, seed=0)
-    assert (log.first_us, log.last_us) == (operation.time_us[0], operation.time_us[-1])
+    assert log.ends() == (operation.time_us[0], operation.time_us[-1])
     assert here.start_us <= operation.time_us[0] < here.end_us
 
 

@@ -126,7 +126,7 @@ def raw_log(time: Times) -> RawLog:
         name: RawChannel(time, np.where(missing, np.nan, time / SECOND), missing, 0)
         for name, missing in blank.items()
     }
-    return RawLog(channels, len(time), int(time[0]), int(time[-1]))
+    return RawLog(channels, len(time))
 
 
 class TestPorts:

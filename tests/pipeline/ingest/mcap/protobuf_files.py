@@ -6,7 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, wrappers_pb2
+from google.protobuf import (
+    descriptor_pb2,
+    descriptor_pool,
+    json_format,
+    message_factory,
+    wrappers_pb2,
+)
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from tests.pipeline.ingest.mcap_files import mcap_of
@@ -103,33 +109,8 @@ def _set_type(field: Any, kind: int, type_name: str) -> None:
 
 
 def made_of(made: Any, fields: Mapping[str, Any]) -> bytes:
-    """A payload; maps of messages cannot be set whole."""
-    message = made()
-    _fill(message, fields)
-    return bytes(message.SerializeToString())
-
-
-def _fill(message: Any, fields: Mapping[str, Any]) -> None:
-    for name, value in fields.items():
-        field = message.DESCRIPTOR.fields_by_name[name]
-        target = getattr(message, name)
-        if isinstance(value, dict) and field.is_repeated:
-            for key, one in value.items():
-                if isinstance(one, dict):
-                    _fill(target[key], one)
-                else:
-                    target[key] = one
-        elif isinstance(value, dict):
-            target.SetInParent()
-            _fill(target, value)
-        elif isinstance(value, list):
-            for one in value:
-                if isinstance(one, dict):
-                    _fill(target.add(), one)
-                else:
-                    target.append(one)
-        else:
-            setattr(message, name, value)
+    """A payload of fields as JSON has them."""
+    return bytes(json_format.ParseDict(fields, made()).SerializeToString())
 
 
 def field_of(

@@ -22,24 +22,24 @@ from pipeline.ingest import time_span
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.mcap.layout import record_offsets
 from pipeline.ingest.mcap.messages import offsets_in_chunk, record_size_of_all
-from tests.pipeline.ingest.mcap.json_files import (
+from tests.pipeline.ingest.mcap_files import (
     DP,
     MAGIC,
     ONE,
     SOURCE,
     T0_NS,
+    TOPIC,
     channel_record,
     chunk_record,
-    error,
+    error_of,
     file_of,
+    mcap_of,
     message_record,
-    messages,
     read,
     record,
     statistics_record,
     text,
 )
-from tests.pipeline.ingest.writers import mcap_bytes
 
 
 def test_files_laid_out_by_hand_as_the_specification_says_are_read(tmp_path: Path) -> None:
@@ -63,9 +63,9 @@ def test_records_may_cross_the_blocks_in_which_a_file_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
     monkeypatch.setattr(pipeline.ingest.mcap.messages, "_BLOCK", block)
-    sent = messages([b'{"value": %d}' % i + b" " * (i % 3) for i in range(300)])
+    sent = [b'{"value": %d}' % i + b" " * (i % 3) for i in range(300)]
     for use_chunking in (True, False):
-        log = read(tmp_path, mcap_bytes(sent, chunk_size=500, use_chunking=use_chunking))
+        log = read(tmp_path, mcap_of(sent, chunk_size=500, use_chunking=use_chunking))
         assert log.channels["pressure_difference"].value.tolist() == list(range(300))
 
 
@@ -73,7 +73,7 @@ def test_attachments_metadata_and_unknown_records_are_passed_over(tmp_path: Path
     buffer = io.BytesIO()
     writer = Writer(buffer, chunk_size=50)
     writer.start()
-    number = writer.register_channel("dp", "json", 0)
+    number = writer.register_channel(TOPIC, "json", 0)
     for i in range(20):
         writer.add_message(number, T0_NS + i, b'{"value": %d}' % i, 0)
         writer.add_attachment(T0_NS, T0_NS, "photo.jpg", "image/jpeg", bytes(5000))
@@ -107,7 +107,7 @@ def test_a_chunk_that_unfolds_to_another_size_is_damage(
     if size == 0:
         assert read(tmp_path, data).rows == 100
     else:
-        assert error(tmp_path, data).code == "log_damaged"
+        assert error_of(tmp_path, data).code == "log_damaged"
 
 
 @pytest.mark.parametrize("compression", ["lz4", "zstd"])
@@ -115,9 +115,9 @@ def test_a_chunk_that_unfolds_without_end_is_stopped(tmp_path: Path, compression
     bomb = bytes(2**26)
     packed = {"lz4": lz4.frame.compress, "zstd": zstandard.compress}[compression](bomb)
     small = chunk_record(bomb, packed, compression, size=1000)
-    assert error(tmp_path, file_of(small)).code == "log_damaged"
+    assert error_of(tmp_path, file_of(small)).code == "log_damaged"
     claimed = chunk_record(bomb, packed, compression, size=2**28 + 1)
-    assert error(tmp_path, file_of(claimed)).code == "log_too_large"
+    assert error_of(tmp_path, file_of(claimed)).code == "log_too_large"
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_a_chunk_that_unfolds_without_end_is_stopped(tmp_path: Path, compression
         file_of(DP, channel_record(1, "other"), ONE),
         file_of(record(0x04, b"\x01\0\0\0\xff\xff\xff\xff")),
         file_of(record(0x04, b"\x01\0\0\0\x01\0\0\0\xff\x00\0\0\0")),
-        file_of(record(0x04, struct.pack("<HH", 1, 0) + text("dp") + b"\x0a\0\0\0json"), ONE),
+        file_of(record(0x04, struct.pack("<HH", 1, 0) + text(TOPIC) + b"\x0a\0\0\0json"), ONE),
         file_of(DP, ONE, data_end=b""),
         file_of(DP, ONE, data_end=record(0x0F, struct.pack("<I", 1))),
         file_of(DP, ONE, struct.pack("<BQ", 0x05, 2**63)),
@@ -159,7 +159,7 @@ def test_a_chunk_that_unfolds_without_end_is_stopped(tmp_path: Path, compression
     ids=range(32),
 )
 def test_damage_is_found(tmp_path: Path, data: bytes) -> None:
-    assert error(tmp_path, data).code == "log_damaged"
+    assert error_of(tmp_path, data).code == "log_damaged"
 
 
 def test_a_record_too_long_for_memory_is_told(
@@ -167,22 +167,22 @@ def test_a_record_too_long_for_memory_is_told(
 ) -> None:
     monkeypatch.setattr(pipeline.ingest.mcap.messages, "LONGEST_RECORD", 1000)
     monkeypatch.setattr(pipeline.ingest.mcap.messages, "_BLOCK", 100)
-    assert error(tmp_path, file_of(record(0x80, bytes(2000)))).code == "log_too_large"
+    assert error_of(tmp_path, file_of(record(0x80, bytes(2000)))).code == "log_too_large"
 
 
 @pytest.mark.parametrize("use_chunking", [True, False])
 def test_a_file_cut_anywhere_is_truncated(tmp_path: Path, use_chunking: bool) -> None:
-    data = mcap_bytes(messages([b'{"value": 1}'] * 50), use_chunking=use_chunking)
+    data = mcap_of([b'{"value": 1}'] * 50, use_chunking=use_chunking)
     for length in range(8, len(data), 13):
-        assert error(tmp_path, data[:length]).code == "log_truncated"
+        assert error_of(tmp_path, data[:length]).code == "log_truncated"
     # A record that ends as a file does: what is there is the start of another file's data.
-    assert error(tmp_path, data[:-100] + data[-37:]).code == "log_damaged"
+    assert error_of(tmp_path, data[:-100] + data[-37:]).code == "log_damaged"
 
 
 def test_bytes_behind_the_end_are_not_the_end(tmp_path: Path) -> None:
-    data = mcap_bytes(messages([b'{"value": 1}']))
-    assert error(tmp_path, data + b"\0").code == "log_truncated"
-    assert error(tmp_path, data + data).code == "log_damaged"
+    data = mcap_of([b'{"value": 1}'])
+    assert error_of(tmp_path, data + b"\0").code == "log_truncated"
+    assert error_of(tmp_path, data + data).code == "log_damaged"
 
 
 @given(

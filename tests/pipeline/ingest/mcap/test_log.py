@@ -15,21 +15,21 @@ import pipeline.ingest.mcap.log
 import pipeline.ingest.mcap.messages
 from pipeline.ingest import read_log
 from pipeline.ingest.conformance import T0_US
-from tests.pipeline.ingest.mcap.json_files import (
+from tests.pipeline.ingest.mcap_files import (
     DP,
     ONE,
     SOURCE,
     T0_NS,
     channel_record,
-    error,
+    error_of,
     file_of,
+    mcap_bytes,
+    mcap_of,
     message_record,
-    messages,
     pressure,
     read,
 )
 from tests.pipeline.ingest.sources import Source, column
-from tests.pipeline.ingest.writers import mcap_bytes
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_an_absent_field_is_missing_but_absent_throughout_it_is_an_error(tmp_pat
     assert channel.missing.tolist() == [True, True, False, True]
     assert channel.unparsed == 0
     assert pressure(tmp_path, [b"{}", b'{"value": null}']).missing.all()
-    wrong = error(tmp_path, mcap_bytes(messages([b'{"bar": 1, "t": 0}', b'{"bar": 2}'])))
+    wrong = error_of(tmp_path, mcap_of([b'{"bar": 1, "t": 0}', b'{"bar": 2}']))
     assert wrong.code == "log_column_missing"
     assert "'value'" in wrong.message
     assert "'bar', 't'" in wrong.message
@@ -147,7 +147,7 @@ def test_fields_of_one_topic_and_topics_of_other_shapes(tmp_path: Path) -> None:
 
 def test_two_channels_of_one_topic_are_one(tmp_path: Path) -> None:
     other = message_record(2, T0_NS, b'{"value": 2}')
-    log = read(tmp_path, file_of(DP, channel_record(2, "dp"), ONE, other, ONE))
+    log = read(tmp_path, file_of(DP, channel_record(2), ONE, other, ONE))
     assert log.channels["pressure_difference"].value.tolist() == [1.0, 2.0, 1.0]
 
 
@@ -157,7 +157,7 @@ def test_a_bad_message_among_many_pieces_costs_nothing_else(
     monkeypatch.setattr(pipeline.ingest.mcap.log, "_PIECE", 2000)
     payloads = [b'{"value": %d.5}' % i for i in range(3000)]
     payloads[700] = b"?"
-    data = mcap_bytes(messages(payloads), chunk_size=500)
+    data = mcap_of(payloads, chunk_size=500)
     channel = read(tmp_path, data).channels["pressure_difference"]
     assert np.flatnonzero(channel.missing).tolist() == [700]
     assert channel.unparsed == 1
@@ -186,7 +186,7 @@ def test_any_payloads_as_one_by_one(
     tmp_path_factory: pytest.TempPathFactory, payloads: list[bytes]
 ) -> None:
     path = tmp_path_factory.mktemp("any") / "log.mcap"
-    path.write_bytes(mcap_bytes(messages([b'{"value": 0}', *payloads]), chunk_size=50))
+    path.write_bytes(mcap_of([b'{"value": 0}', *payloads], chunk_size=50))
     channel = read_log(path, *SOURCE).channels["pressure_difference"]
     wanted = [0.0, *(_by_json(payload) for payload in payloads)]
     for value, is_missing, by_json in zip(channel.value, channel.missing, wanted, strict=True):

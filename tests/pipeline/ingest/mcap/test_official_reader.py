@@ -1,9 +1,7 @@
-"""MCAP files of others, and of our own where the official reader lets through what is refused."""
+"""MCAP files of others, against the official reader."""
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,26 +12,13 @@ from mcap.reader import make_reader
 
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
-from tests.pipeline.ingest.mcap.json_files import (
-    DP,
-    chunk_record,
-    file_of,
-    message_record,
-    record,
-    statistics_record,
-)
 from tests.pipeline.ingest.mcap_files import (
     FACTORIES,
-    T0_NS,
     all_values,
     followed,
-    mcap_of,
     official_messages,
-    officially,
     source_of,
 )
-
-# Recordings of others
 
 
 def numbers_of(message: Any, before: str = "") -> Iterator[str]:
@@ -82,76 +67,3 @@ def test_the_clock_of_a_real_recording_from_before_1990_is_refused(foreign_files
         with pytest.raises(LogError, match="before 1990") as raised:
             reader(path, *source)
         assert raised.value.code == "log_time"
-
-
-# Where the two differ: nothing that is sound is refused, so that there is no second way to read it.
-# What follows is all that the official reader lets through, each with what it makes of it.
-
-
-def padded(payload: bytes) -> bytes:
-    """A message of JSON as long as a changed one."""
-    return payload.ljust(20)
-
-
-SEVEN = message_record(1, T0_NS, padded(b'{"value": 7}'))
-EIGHT = message_record(1, T0_NS, padded(b'{"value": 8}'))
-STAND_IN = DP.replace(b"dp", b"dq")
-
-
-@pytest.mark.parametrize(
-    ("data", "official", "code"),
-    [
-        # A compression that no one knows is taken for none.
-        (file_of(chunk_record(DP + SEVEN, DP + SEVEN, "gzip")), [7.0], "log_compression"),
-        # Without an index the checksums of chunks are not looked at, even where that is asked for.
-        (
-            file_of(chunk_record(DP + SEVEN, DP + EIGHT, "", checksum=zlib.crc32(DP + SEVEN))),
-            [8.0],
-            "log_damaged",
-        ),
-        # Nor, where the file can be read from its end, is that of the whole data section.
-        (file_of(DP, EIGHT, data_end=record(0x0F, struct.pack("<I", 1))), [8.0], "log_damaged"),
-        # The summary counts more messages than there are.
-        (file_of(DP, SEVEN, summary=DP + statistics_record({1: 9})), [7.0], "log_damaged"),
-        # The summary has another checksum.
-        (file_of(DP, SEVEN, summary=DP, checksum=1), [7.0], "log_damaged"),
-        # A channel changes its topic: the last declaration before a message holds.
-        (file_of(STAND_IN, SEVEN, DP, EIGHT), [8.0], "log_damaged"),
-    ],
-    ids=["compression", "chunk", "data-section", "statistics", "summary", "channel"],
-)
-def test_files_that_only_the_official_reader_lets_through(
-    tmp_path: Path, data: bytes, official: list[float], code: str
-) -> None:
-    path = tmp_path / "log.mcap"
-    path.write_bytes(data)
-    assert [message["value"] for message in official_messages(path, "dp")] == official
-    with pytest.raises(LogError) as raised:
-        read_log(path, *source_of("value", topic="dp"))
-    assert raised.value.code == code
-
-
-@pytest.mark.parametrize(
-    ("definition", "payload", "official"),
-    [
-        # A text that is cut is read as far as it goes.
-        ("float64 value\nstring name", struct.pack("<4sdI2s", b"\0\1\0\0", 7.0, 9, b"ab"), 7.0),
-        # A list of parameters is read as if it were a plain message: the head of one is a reading.
-        ("int32 value", struct.pack("<4sHHi", b"\0\3\0\0", 1, 4, 7), 4.0 * 2**16 + 1),
-        # So is version 2 of the encoding, in which a number of eight bytes stands at four.
-        ("int32 a\nint64 value", struct.pack("<4siqi", b"\0\7\0\0", 1, 7, 1), 2.0**32),
-        # The first byte is not looked at.
-        ("float64 value", struct.pack("<4sd", b"\7\1\0\0", 7.0), 7.0),
-    ],
-    ids=["cut", "parameter-list", "version-2", "unknown"],
-)
-def test_messages_of_ros_2_that_only_the_official_reader_lets_through(
-    tmp_path: Path, definition: str, payload: bytes, official: float
-) -> None:
-    path = tmp_path / "log.mcap"
-    schema = ("m/msg/M", "ros2msg", definition.encode())
-    path.write_bytes(mcap_of([payload], schema, "cdr"))
-    assert officially(path, "value") == [official]
-    with pytest.raises(LogError) as raised:
-        read_log(path, *source_of("value"))
-    assert raised.value.code in ("log_type", "log_encoding")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import random
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap_ros2._dynamic import serialize_dynamic
 
-from tests.pipeline.ingest.mcap.ros2_files import NAME, code, encoded, ros2, ros2_of
 from tests.pipeline.ingest.mcap_files import (
     all_values,
     error_of,
@@ -22,6 +23,7 @@ from tests.pipeline.ingest.mcap_files import (
     values,
 )
 
+NAME = "motor_msgs/msg/Hydraulics"
 HYDRAULICS = """\
 # A motor's sensors.
 uint8 STATE_OK=0
@@ -69,6 +71,19 @@ FIELDS = (
 )
 
 
+def encoded(messages: Sequence[Any]) -> list[bytes]:
+    """Payloads of HYDRAULICS as the format's own writer makes them."""
+    return list(map(serialize_dynamic(NAME, HYDRAULICS)[NAME], messages))
+
+
+def ros2_of(definition: str, payloads: Sequence[bytes]) -> bytes:
+    return mcap_of(payloads, (NAME, "ros2msg", definition.encode()), "cdr")
+
+
+def code(folder: Path, data: bytes, field: str) -> str:
+    return error_of(folder, data, field).code
+
+
 def message(rng: random.Random, i: int) -> dict[str, Any]:
     """A message of HYDRAULICS whose texts and sequences have any length."""
 
@@ -95,7 +110,7 @@ def test_messages_of_any_layout_are_read_as_by_the_official_reader(tmp_path: Pat
     rng = random.Random(3)  # noqa: S311
     messages = [message(rng, i) for i in range(150)]
     path = tmp_path / "log.mcap"
-    path.write_bytes(ros2(HYDRAULICS, messages))
+    path.write_bytes(ros2_of(HYDRAULICS, encoded(messages)))
     for field, found in all_values(path, FIELDS).items():
         assert found == officially(path, field)
         assert any(value is not None for value in found)
@@ -152,13 +167,14 @@ def test_a_message_that_is_cut_is_missing_and_counted(tmp_path: Path) -> None:
     good = struct.pack("<4sdI", b"\0\1\0\0", 7.0, 0)
     endless = struct.pack("<4sdI", b"\0\1\0\0", 7.0, 2**32 - 1)
     other = struct.pack("<4sdI", b"\0\x33\0\0", 7.0, 0)
+    unknown = struct.pack("<4sdI", b"\7\1\0\0", 7.0, 0)
     lying = struct.pack("<4sdI4xdI", b"\0\1\0\0", 7.0, 1, 1.0, 9)
-    bad = [b"", good[:3], good[:10], good[:-1], endless, other, lying]
+    bad = [b"", good[:3], good[:10], good[:-1], endless, other, unknown, lying]
     channel = read(tmp_path, ros2_of(definition, [good, *bad, good]), source_of("value")).channels[
         "pressure_difference"
     ]
-    assert channel.missing.tolist() == [False, *[True] * 7, False]
-    assert channel.unparsed == 7
+    assert channel.missing.tolist() == [False, *[True] * 8, False]
+    assert channel.unparsed == 8
     last = struct.pack("<4sdi", b"\0\1\0\0", 7.0, 1)
     cut = ros2_of("float64 value\nint32 last", [last, last[:-1], last[:-4]])
     assert values(tmp_path, cut, "value") == [7.0, None, None]
@@ -170,7 +186,7 @@ def test_any_bytes_for_a_message_do_no_harm(
     tmp_path_factory: pytest.TempPathFactory, payload: bytes, cut: int
 ) -> None:
     rng = random.Random(cut)  # noqa: S311
-    (good,) = encoded(HYDRAULICS, [message(rng, cut)])
+    (good,) = encoded([message(rng, cut)])
     flipped = bytearray(good)
     flipped[4 + cut % (len(good) - 4)] ^= 0x80
     payloads = [good, b"\0\1\0\0" + payload, b"\0\0\0\0" + payload, good[:cut], bytes(flipped)]

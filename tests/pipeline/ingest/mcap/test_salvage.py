@@ -18,8 +18,8 @@ from mcap.writer import CompressionType, IndexType
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log, time_span
 from pipeline.ingest.conformance import T0_US
+from tests.pipeline.ingest.mcap_files import mcap_bytes
 from tests.pipeline.ingest.sources import Source, column
-from tests.pipeline.ingest.writers import mcap_bytes
 
 COUNT = 400
 STRICT = Source.of("mcap", {"pressure_difference": column("dp", "bar")})
@@ -87,7 +87,7 @@ def test_a_truncated_file_gives_the_messages_before_its_end(
     (note,) = log.notes
     assert note.startswith(f"salvaged: {count_of(log)} messages stand before the damage")
     assert f"of {len(cut)} bytes are not read" in note
-    assert time_span(tmp_path / "log.mcap", *SALVAGE) == (log.first_us, log.last_us)
+    assert time_span(tmp_path / "log.mcap", *SALVAGE) == log.ends()
 
 
 def test_without_its_summary_all_messages_are_there(tmp_path: Path) -> None:
