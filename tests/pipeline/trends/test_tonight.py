@@ -14,12 +14,13 @@ from polars.testing import assert_frame_equal
 
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
-from pipeline.schema import FITS, NIGHT_TABLES, OPERATION, WATCH, Table
+from pipeline.schema import FITS, OPERATION, WATCH, Table, frame
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.tasks import Tonight, tonight_of
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.trends.nights import DAY, Nights, night_of, part_of, publish
 from tests.pipeline.workshop import QUICK, Workshop
+from tests.pipeline.written import write_nights
 
 MOTORS = ("M1", "M2")
 N = 12
@@ -102,29 +103,14 @@ def test_a_motor_without_logs_is_stale_when_the_others_go_on(fleet: Path) -> Non
 def tables(output: Path, *nights: tuple[int, str, str, float | None]) -> None:
     """Rows of nights by place, motor, outcome and kept hours."""
     for place in {place for place, *_ in nights}:
-        here = [one for one in nights if one[0] == place]
-        key = [{"motor_id": one[1], "night": night_of(place)} for one in here]
-        fits = [
-            one | {"flushing_mode": "none", "is_primary": True, "status": status}
-            for one, (_, _, status, _) in zip(key, here, strict=True)
-        ]
-        kept = [
-            one | {"kept_hours": hours}
-            for one, (*_, hours) in zip(key, here, strict=True)
-            if hours is not None
-        ]
-        frames = {FITS: fits, OPERATION: kept}
-        whole = {
-            table.name: pl.DataFrame(some, schema=table.schema, orient="row")
-            for table, some in frames.items()
-        }
-        nothing = {name: of_nothing(name) for name in ("parameters", "block_statistics")}
-        publish(output, whole | nothing)
-
-
-def of_nothing(name: str) -> pl.DataFrame:
-    (table,) = (one for one in NIGHT_TABLES if one.name == name)
-    return pl.DataFrame(schema=table.schema)
+        fits, kept = [], []
+        for _, motor_id, status, hours in (one for one in nights if one[0] == place):
+            key = {"motor_id": motor_id, "night": night_of(place)}
+            fits.append(key | {"flushing_mode": "none", "is_primary": True, "status": status})
+            if hours is not None:
+                kept.append(key | {"kept_hours": hours})
+        write_nights(output, FITS, frame(FITS, fits))
+        write_nights(output, OPERATION, frame(OPERATION, kept))
 
 
 def test_tonight_is_the_newest_night_of_which_samples_are_kept(tmp_path: Path) -> None:
