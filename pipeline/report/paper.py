@@ -101,15 +101,15 @@ def page_of(
 
 def _charts(page: Figure, chart: Chart, top: float) -> None:
     """The panels of the motor's page, and below them what their numbers mean."""
-    marks = "    ".join(
-        f"{number}  {mark.night}: {mark.words}" for number, mark in enumerate(chart.marks, 1)
+    marks = "; ".join(
+        f"{number} {mark.night}: {mark.words}" for number, mark in enumerate(chart.marks, 1)
     )
-    page.text(LEFT, 0.248, _wrapped(textwrap.shorten(marks, 3 * LETTERS)), va="top", color="0.35")
+    page.text(LEFT, 0.274, _wrapped(textwrap.shorten(marks, 3 * LETTERS)), va="top", color="0.35")
     if not chart.panels:
         return
     grid = page.subplots(
         len(chart.panels), 1, sharex=True, squeeze=False,
-        gridspec_kw={"left": LEFT, "right": RIGHT, "top": top, "bottom": 0.29, "hspace": 0.35,
+        gridspec_kw={"left": LEFT, "right": RIGHT, "top": top, "bottom": 0.315, "hspace": 0.35,
                      "height_ratios": [one.height for one in chart.panels]},
     )[:, 0]  # fmt: skip
     # Above the first panel is room for the numbers.

@@ -53,6 +53,8 @@ def judged_report(fitted_output: Path, output: Path) -> Path:
     publish_latest(output, states())
     said = dt.datetime(2026, 1, 5, 9, tzinfo=dt.UTC)
     record_decision(output, Decision(WORN, "leakage", said, "acknowledged", nights[2], note=NOTE))
+    seen = Decision(WORN, "", said, "finding", nights[2], None, "", "balance_sleeve", "piston_ring")
+    record_decision(output, seen)
     fleet = demo_fleet(output)
     nights_of = fleet.settings.nights.model_copy(update={"time_zone": "Europe/Stockholm"})
     settings = fleet.settings.model_copy(update={"nights": nights_of})

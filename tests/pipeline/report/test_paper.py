@@ -23,7 +23,10 @@ def drawn(output: Path, motor_id: str) -> tuple[Figure, str]:
     (motor,) = motor_histories(output, [motor_id])
     (state,) = current_states(output, [motor_id])
     with mpl.rc_context(STYLE):
-        page = page_of(motor, state, demo_fleet(output).motor(motor_id))
+        # More changes than there is room for: their words are cut after three lines.
+        change = {"indicator": "leakage", "from_state": "ok", "to_state": "alarm"}
+        changes = [change | {"night": night} for night in 5 * motor.nights]
+        page = page_of(motor, state, demo_fleet(output).motor(motor_id), changes)
         page.canvas.draw()
     return page, statement(state.sentence, state.advice)
 
