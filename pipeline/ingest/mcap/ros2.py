@@ -38,7 +38,7 @@ from pipeline.ingest.mcap.decoding import (
     stamps_of_pairs,
 )
 from pipeline.ingest.mcap.layout import Schema, column
-from pipeline.ingest.time_stamps import WrittenStamps, written_as_numbers
+from pipeline.ingest.time_stamps import written_as_numbers
 
 _HEAD = 4
 _ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
@@ -109,7 +109,7 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
     def decode(payloads: Payloads) -> Decoded:
         _require_plain(path, topic, payloads)
         try:
-            return _found_in(payloads, definitions, root, paths).decoded(wanted)
+            return _decoded(*_found_in(payloads, definitions, root, paths), wanted)
         except _TooManyFieldsError as error:
             how = f"messages of topic {topic!r} have more fields, one in another, than are read"
             raise LogError("log_too_large", path, how, topic) from error
@@ -345,66 +345,57 @@ def _layout_of(
 
 def _found_in(
     payloads: Payloads, definitions: _Definitions, root: str, wanted: frozenset[FieldPath]
-) -> _Found:
-    """The wanted numbers of all messages: those of one layout are read at once."""
-    found = _Found(payloads.length.size)
+) -> tuple[dict[FieldPath, Numbers], NDArray[np.bool_]]:
+    """The wanted numbers that messages have, and which are broken; one layout is read at once.
+
+    Numbers keep their own type: those of a stamp have more digits than a float64.
+    """
+    found: dict[FieldPath, Numbers] = {}
+    broken = np.zeros(payloads.length.size, np.bool_)
     for rows, length, text in payloads.by_length():
         size, left = length + 1, np.arange(rows.size)
         while left.size:
             first = bytes(text[left[0] * size + 1 :][:length])
             layout = _layout_of(first, definitions, root, wanted)
             if layout is None:
-                found.broken[rows[left[0]]] = True
+                broken[rows[left[0]]] = True
                 left = left[1:]
                 continue
             same = layout.is_of(text, size)[left]
             own = left[same]
             for path, (at, kind) in layout.numbers.items():
                 numbers = column(text, at + 1, kind.replace("?", "u1"), size)[own]
-                found.keep(path, rows[own], numbers != 0 if kind[1:] == "?" else numbers)
+                numbers = numbers != 0 if kind[1:] == "?" else numbers
+                if path not in found:
+                    empty = np.zeros(broken.size, numbers.dtype.newbyteorder("="))
+                    found[path] = empty, np.zeros(broken.size, np.bool_)
+                for array, values in zip(found[path], (numbers, True), strict=True):
+                    array[rows[own]] = values
             left = left[~same]
-    return found
+    return found, broken
 
 
-class _Found:
-    """Numbers of messages by path, and which messages are broken."""
-
-    def __init__(self, count: int) -> None:
-        self.broken = np.zeros(count, np.bool_)
-        self.raw: dict[FieldPath, NDArray[Any]] = {}
-        self.there: dict[FieldPath, NDArray[np.bool_]] = {}
-
-    def keep(self, path: FieldPath, rows: NDArray[np.intp], numbers: NDArray[Any]) -> None:
-        """Keep numbers in their own type: those of a stamp have more digits than a float64."""
-        if path not in self.raw:
-            self.raw[path] = np.zeros(self.broken.size, numbers.dtype.newbyteorder("="))
-            self.there[path] = np.zeros(self.broken.size, np.bool_)
-        self.raw[path][rows] = numbers
-        self.there[path][rows] = True
-
-    def _numbers(self, path: FieldPath) -> Numbers:
-        none = np.zeros(self.broken.size, np.bool_)
-        return self.raw.get(path, np.zeros(none.size)), self.there.get(path, none)
-
-    def decoded(self, wanted: Wanted) -> Decoded:
-        """All readings."""
-        fields: dict[FieldPath, Readings] = {}
-        example = _BROKEN if self.broken.any() else None
-        for path in wanted.readings:
-            numbers, there = self._numbers(path)
-            raw = np.where(there, numbers.astype(np.float64), np.nan)
-            fields[path] = Readings(raw, ~there, self.broken, example)
-        cells: dict[FieldPath, pa.Array] = {}
-        for path in wanted.qualities:
-            numbers, there = self._numbers(path)
-            cells[path] = pa.array(numbers, mask=~there)
-        stamps = None if wanted.stamp is None else self._stamps(wanted.stamp, wanted.time_format)
-        return Decoded(fields, stamps, cells)
-
-    def _stamps(self, stamp: FieldPath, time_format: str) -> WrittenStamps:
-        within = [one[-1] for one in self.raw if one[:-1] == stamp and isinstance(one[-1], str)]
-        pair = pair_of([str(name) for name in within])
-        if pair is None:
-            # Nothing is before 1990, so that a missing one is not readable.
-            return written_as_numbers(self._numbers(stamp)[0], time_format)
-        return stamps_of_pairs(*(self._numbers((*stamp, name)) for name in pair))
+def _decoded(
+    found: Mapping[FieldPath, Numbers], broken: NDArray[np.bool_], wanted: Wanted
+) -> Decoded:
+    """All readings, stamps and qualities."""
+    none: Numbers = (np.zeros(broken.size), np.zeros(broken.size, np.bool_))
+    example = _BROKEN if broken.any() else None
+    fields: dict[FieldPath, Readings] = {}
+    for path in wanted.readings:
+        numbers, there = found.get(path, none)
+        raw = np.where(there, numbers.astype(np.float64), np.nan)
+        fields[path] = Readings(raw, ~there, broken, example)
+    cells: dict[FieldPath, pa.Array] = {}
+    for path in wanted.qualities:
+        numbers, there = found.get(path, none)
+        cells[path] = pa.array(numbers, mask=~there)
+    if wanted.stamp is None:
+        return Decoded(fields, None, cells)
+    pair = pair_of([str(one[-1]) for one in found if one[:-1] == wanted.stamp])
+    if pair is not None:
+        stamps = stamps_of_pairs(*(found[(*wanted.stamp, name)] for name in pair))
+    else:
+        # Nothing is before 1990, so that a missing one is not readable.
+        stamps = written_as_numbers(found.get(wanted.stamp, none)[0], wanted.time_format)
+    return Decoded(fields, stamps, cells)
