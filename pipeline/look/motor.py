@@ -16,7 +16,7 @@ from pipeline.config.nights import night as night_labelled
 from pipeline.config.nights import night_of
 from pipeline.ingest import RawLog
 from pipeline.logs.files import reaches_us, slice_night
-from pipeline.look.comparison import Blocks, NightsBefore, block_us, blocks_within
+from pipeline.look.comparison import SUDDEN, Blocks, NightsBefore, block_us, blocks_within
 from pipeline.look.reading import News, newest_us_of, read_news
 from pipeline.look.state import BLIND, NOT_READY, LookState, Rise
 from pipeline.schema import WATCH
@@ -159,9 +159,15 @@ def _judged(
         return replace(state, cause="the motor is warming up"), changes
     rows = [*state.blocks, *(blocks.rows[place] for place in warm)]
     end_us = int(rows[-1][0]) + length
-    state = replace(state, blocks=tuple(rows), judged_us=end_us, cause="")
-    state, found = _told(before, state, Blocks.of_rows(rows), night)
-    return state, changes + found
+    judged = replace(state, blocks=tuple(rows), judged_us=end_us, cause="")
+    judged, found = _told(before, judged, Blocks.of_rows(rows), night)
+    if abs(judged.latest) > SUDDEN:
+        why = before.columns_changed(spec, Blocks.of_rows(rows[-len(warm) :]))
+        if why is not None:  # no change of the flow, and no block to judge the next ones with
+            judged, found = replace(state, cause=why), []
+            if state.state == CLEAR:
+                judged, found = moved(judged, end_us, BLIND, why)
+    return judged, changes + found
 
 
 def _told(before: NightsBefore, state: LookState, sofar: Blocks, night: dt.date) -> Looked:
@@ -265,7 +271,7 @@ def _found(
     if not labels:
         return None
     rows = read_rows(output, WATCH, [spec.motor_id], nights=labels)
-    told = rows.filter(pl.col("night").is_in(labels), pl.col("n_blocks") > 0)
+    told = rows.filter(pl.col("n_blocks") > 0)
     for label, change in told.sort("night").select("night", "tonight_change").iter_rows():
         if change is not None:
             return label, (1.0 + change) / (1.0 + rise.level) - 1.0
