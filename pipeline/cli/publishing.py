@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -11,12 +12,15 @@ from pipeline.cli.arguments import (
     EXIT_MOTORS_FAILED,
     EXIT_OK,
     ConfigFile,
+    Motor,
     Motors,
     Output,
+    Since,
+    Until,
     absolute_folder,
+    day,
     load,
-    night_label,
-    span,
+    require_order,
 )
 from pipeline.errors import UsageError
 from pipeline.messages import counted
@@ -28,8 +32,8 @@ if TYPE_CHECKING:
 
 def explain(
     config: ConfigFile,
-    motor: Annotated[str, typer.Argument(help="The motor's id.")],
-    night: Annotated[str, typer.Argument(help="The night's label, YYYY-MM-DD.")],
+    motor: Motor,
+    night: Annotated[dt.date, typer.Argument(parser=day, help="The night's label, YYYY-MM-DD.")],
     output: Output = None,
 ) -> None:
     """Explain in words the figures of a motor's night, or their absence.
@@ -40,7 +44,7 @@ def explain(
 
     fleet = load(config, output, None)
     fleet.known_motors([motor])
-    for line in explained(fleet.output, motor, night_label(night, "NIGHT")):
+    for line in explained(fleet.output, motor, night):
         typer.echo(line)
 
 
@@ -123,10 +127,12 @@ def export(
     ] = None,
     tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
     motors: Motors = "",
-    since: Annotated[str | None, typer.Option(help="First night, YYYY-MM-DD.")] = None,
-    until: Annotated[str | None, typer.Option(help="Last night, YYYY-MM-DD.")] = None,
-    separator: Annotated[str, typer.Option(help="Character between the cells of CSV.")] = ",",
-    decimal: Annotated[str, typer.Option(help="Decimal sign of CSV: a point or a comma.")] = ".",
+    since: Since = None,
+    until: Until = None,
+    separator: Annotated[
+        Literal[",", ";", "\t", "|"], typer.Option(help="Character between the cells of CSV.")
+    ] = ",",
+    decimal: Annotated[Literal[".", ","], typer.Option(help="Decimal sign of CSV.")] = ".",
     bom: Annotated[
         bool, typer.Option("--bom", help="Begin each file with a byte order mark, for Excel.")
     ] = False,
@@ -159,7 +165,8 @@ def export(
         written = export_delta(root, delta, named)
     else:
         assert csv is not None
-        selection = Selection(named, fleet.known_motors(motors.split()), *span(since, until))
+        require_order(since, until)
+        selection = Selection(named, fleet.known_motors(motors.split()), since, until)
         written = export_csv(root, csv, selection, dialect)
     for one in written:
         version = "" if one.version is None else f"version {one.version}, "

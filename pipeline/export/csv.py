@@ -23,8 +23,6 @@ from pipeline.store.atomic_files import put, remove_leftovers
 from pipeline.store.tables import existing_tables, files_of, read_table
 
 BYTE_ORDER_MARK = "\ufeff"
-SEPARATORS = (",", ";", "\t", "|")
-DECIMALS = (".", ",")
 TIME_FORMAT = "%Y-%m-%dT%H:%M:%S%.6fZ"
 
 # Characters that begin a formula for Excel, LibreOffice or Google Sheets, full-width forms
@@ -48,19 +46,13 @@ class Selection:
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """Form of the files; raises UsageError (``csv_dialect``) for one that no reader can take."""
+    """Form of the files; raises UsageError (``csv_dialect``) where both characters are one."""
 
     separator: str = ","
     decimal: str = "."
     byte_order_mark: bool = False
 
     def __post_init__(self) -> None:
-        if self.separator not in SEPARATORS or self.decimal not in DECIMALS:
-            raise UsageError(
-                "csv_dialect",
-                f"--separator is {self.separator!r} and --decimal {self.decimal!r}; expected one "
-                f"of {', '.join(map(repr, SEPARATORS))}, and of {', '.join(map(repr, DECIMALS))}",
-            )
         if self.separator == self.decimal:
             raise UsageError("csv_dialect", "--decimal , needs another --separator, such as ';'")
 

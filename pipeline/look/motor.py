@@ -206,8 +206,7 @@ def moved(
         state, state=after, since_us=time_us, reason=reason, rise=rise if told else None
     )
     if told and rise is not None:
-        scores = replace(state.scores, told=state.scores.told + 1)
-        state = replace(state, waiting=(*state.waiting, rise), scores=scores)
+        state = replace(state, waiting=(*state.waiting, rise))
     return state, [change]
 
 
@@ -255,7 +254,7 @@ def verdicts(output: Path, spec: MotorSpec, nights: NightsBefore, state: LookSta
             state, change = _by_night(spec, state, rise, *found)
             changes.append(change)
         elif first + dt.timedelta(days=MOST_NIGHTS) <= nights.last_night:
-            state = _scored(state, rise)
+            state = _settled(state, rise)
     return state, changes
 
 
@@ -285,19 +284,17 @@ def _by_night(
     verdict = "confirmed" if is_so else "withdrawn"
     end_us = night_labelled(label, spec.settings.nights).end_us
     words = (
-        f"{verdict} by the night of {label}: drain flow {100 * found:+.0f} % against before, told "
+        f"{verdict} by the night of {label}: drain flow {100 * found:+z.0f} % against before, told "
         f"was {100 * rise.change:+.0f} %"
     )
     before = state.state
     after = CLEAR if not is_so and before == LOOK_NOW and state.rise == rise else before
-    state = _scored(state, rise, confirmed=int(is_so), withdrawn=int(not is_so))
+    state = _settled(state, rise)
     if after != before:
         state = replace(state, state=after, since_us=end_us, reason=words, rise=None)
     return state, Change(end_us, before, after, words, rise, verdict, label)
 
 
-def _scored(state: LookState, rise: Rise, confirmed: int = 0, withdrawn: int = 0) -> LookState:
-    """The state after the verdict of a night on a rise, or without one."""
-    old = state.scores
-    scores = replace(old, confirmed=old.confirmed + confirmed, withdrawn=old.withdrawn + withdrawn)
-    return replace(state, scores=scores, waiting=tuple(one for one in state.waiting if one != rise))
+def _settled(state: LookState, rise: Rise) -> LookState:
+    """The state in which a rise waits for no night any more."""
+    return replace(state, waiting=tuple(one for one in state.waiting if one != rise))

@@ -234,7 +234,8 @@ def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
             "stated tolerances; what constants do alike on all nights is not in the ± above"
         )
     for row in sorted(effects, key=lambda row: -abs(row["effect"]))[:LARGEST_EFFECTS]:
-        yield f"{plain(row['source'])} of {_tolerance(row)}: {100 * row['effect'] / leakage:+.1f} %"
+        percent = 100 * row["effect"] / leakage
+        yield f"{plain(row['source'])} of {_tolerance(row)}: {percent:+z.1f} %"
 
 
 def _tolerance(row: Row) -> str:
@@ -259,7 +260,7 @@ def _size(fit: Row, part: str) -> str:
     if rmse is None or mean is None:
         return "no samples"
     summed = "n_effective_summed" if part == "training" else "validation_n_effective_summed"
-    text = f"{rmse:.3g} l/min (root mean square), {mean:+.2g} on average"
+    text = f"{rmse:.3g} l/min (root mean square), {mean:+z.2g} on average"
     if fit[summed] is None:
         return text
     return f"{text}; {fit[f'n_{part}']} samples tell as much as {fit[summed]:.0f} independent ones"
@@ -285,7 +286,7 @@ def _tests(rows: list[Row]) -> Iterator[str]:
             yield (
                 f"depend on {name} (p = {row['p_value']:.2g}, {row['n_outside']} of "
                 f"{row['n_lags']} lags outside the 99 % band); the largest correlation is "
-                f"{row['largest_value']:+.2g}, at {row['largest_lag_s']:+g} s"
+                f"{row['largest_value']:+z.2g}, at {row['largest_lag_s']:+g} s"
             )
         elif row["verdict"] == "not_tested" and row["reason"] != white["reason"]:
             yield f"independence of {name} not tested: {row['reason']}"

@@ -96,14 +96,14 @@ def figure(value: float | None, digits: int = 3) -> str:
 
     Examples
     --------
-    >>> figure(1.2345), figure(0.05), figure(999.6), figure(-123456.0), figure(None)
-    ('1.23', '0.0500', '1000', '−123456', '–')
+    >>> figure(1.2345), figure(0.05), figure(999.6), figure(-123456.0), figure(-0.0), figure(None)
+    ('1.23', '0.0500', '1000', '−123456', '0.00', '–')
     """
     if value is None:
         return ABSENT
     rounded = float(f"{value:.{digits}g}")
     is_large = abs(rounded) >= 10**digits
-    text = f"{value:.0f}" if is_large else f"{rounded:#.{digits}g}"
+    text = f"{value:.0f}" if is_large else f"{rounded:z#.{digits}g}"
     return text.removesuffix(".").replace("-", "−")
 
 
@@ -117,5 +117,4 @@ def percent(share: float | None, decimals: int = 1) -> str:
     """
     if share is None:
         return ABSENT
-    rounded = round(100.0 * share, decimals) + 0.0  # no minus before a zero
-    return f"{rounded:+.{decimals}f}".replace("-", "−")
+    return f"{100.0 * share:+z.{decimals}f}".replace("-", "−")

@@ -18,13 +18,6 @@ ROOT = Path(__file__).resolve().parents[3]
 DOCS = ROOT / "docs"
 
 
-def first_cells(text: str) -> Iterator[str]:
-    """First cells of all tables of a page, heads and rules left out."""
-    for line in text.splitlines():
-        if line.startswith("| ") and not line.startswith("| ---"):
-            yield line.split("|")[1].strip()
-
-
 def keys() -> dict[str, str]:
     """Keys on the page of the config files, those of a table with its name, and what they are."""
     found, prefix = {}, ""
@@ -35,14 +28,6 @@ def keys() -> dict[str, str]:
         elif key := re.match(r"- `([\w.]+)` \((.*?)\): ", line):
             found[prefix + key[1]] = key[2]
     return found
-
-
-@pytest.fixture
-def after_a_run(fitted_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder in which we are, with the tables of the demo in `out`."""
-    (tmp_path / "out").symlink_to(fitted_output)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_pages_of_the_docs_are_those_of_the_code(
@@ -122,8 +107,3 @@ def test_every_column_is_on_the_page(table: Table) -> None:
     lines = "\n".join(line for line in part.splitlines() if line.startswith("- "))
     told = re.findall(r"`(\w+)`", re.sub(r"(: .*)$", "", lines, flags=re.MULTILINE))
     assert len(told) == len(set(told))
-
-
-def test_generated_pages_are_short() -> None:
-    assert len(PAGES["config.md"]().encode()) <= 20 * 1024
-    assert len(PAGES["tables.md"]().encode()) <= 29 * 1024

@@ -16,9 +16,9 @@ from pipeline.errors import EngineError
 from pipeline.workers.cluster import CODE, do_on_worker, own_versions
 from pipeline.workers.engine import open_workers
 from pipeline.workers.process import Loss
-from tests.pipeline.dask_processes import Processes, scheduler_with, wait_until
+from tests.pipeline.dask_processes import Processes, scheduler_with
 from tests.pipeline.dask_tasks import Number, Wait, kill_workers_at_three, square, wait_for_word
-from tests.pipeline.misbehaviour import do
+from tests.pipeline.misbehaviour import do, wait_until
 
 
 def lost(task: Any, loss: Loss) -> str:
