@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -140,12 +139,3 @@ def test_workers_with_two_threads_or_without_the_logs_are_refused(tmp_path: Path
         error = code_of(processes.execution(), tmp_path)
     assert error.code == "scheduler_unfit"
     assert "it has 2 threads" in error.message
-
-
-def test_without_the_extra_the_message_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    error = code_of(Execution(backend="dask", scheduler="tcp://127.0.0.1:1"))
-    assert error.code == "dask_missing"
-    assert "motor-leakage[dask]" in error.message
