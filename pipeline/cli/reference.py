@@ -22,7 +22,7 @@ from pydantic.fields import FieldInfo
 
 from pipeline.config import MotorFile, Settings
 from pipeline.config.channels import FALLBACK_VALID_RANGE
-from pipeline.config.motor_types import MotorTypeFile, OilFile, Unknown
+from pipeline.config.motor_types import MotorTypeFile, OilFile, PathSection, Unknown
 from pipeline.config.oil_samples import OilCircuitFile
 from pipeline.config.section import Section
 from pipeline.config.settings import FleetFile
@@ -71,15 +71,12 @@ def config_reference() -> str:
         "errors. A whole fleet lies in [docs/example/](example/fleet.toml).",
     ]
     for file, model in FILES.items():
-        own = {
-            name: one
-            for name, one in model.model_fields.items()
-            if not any(_sections(one.annotation))
-        }
+        fields = model.model_fields.items()
+        own = {name: one for name, one in fields if not any(_sections(one.annotation))}
         lines += [f"## `{file}`", "\n".join(_key_lines(model, own))]
-        for name, field in model.model_fields.items():
-            for heading, words, table, fields in _tables(name, field):
-                text = "\n".join(_key_lines(table, fields))
+        for name, field in fields:
+            for heading, words, table, keys in _tables(name, field):
+                text = "\n".join(_key_lines(table, keys))
                 known = "Keys as above." if text in lines else text
                 lines += [f"### `{heading}`", words, known]
         if model is MotorFile:
@@ -105,15 +102,14 @@ def _tables(
     if len(tables) < 2:
         yield from ((heading, _words(one), one, one.model_fields) for one in tables)
         return
-    shared = set.intersection(*(set(one.model_fields) for one in tables)) - {"law"}
     words = (
         "Keys of all; `law` says which a path has besides. A key with four defaults is a table of "
         "`value` (where not `fixed`, the first starting point), `minimum`, `maximum` and `fixed`."
     )
-    first = tables[0].model_fields
-    yield heading, words, tables[0], {key: first[key] for key in first if key in shared}
+    yield heading, words, PathSection, PathSection.model_fields
     for table in tables:
-        own = {key: one for key, one in table.model_fields.items() if key not in {*shared, "law"}}
+        known = {*PathSection.model_fields, "law"}
+        own = {key: one for key, one in table.model_fields.items() if key not in known}
         (law,) = get_args(table.model_fields["law"].annotation)
         yield f'{heading} with law = "{law}"', _words(table), table, own
 

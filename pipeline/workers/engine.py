@@ -1,8 +1,8 @@
 """Tasks of a run over worker processes of this machine, a Dask cluster, or none of them.
 
 On this machine joblib starts and feeds the workers. One that dies takes joblib's whole pool with
-it, whoever's fault that was: the tasks under way are tried again alone, the others go on in a new
-call.
+it, whoever's fault that was: the tasks that were begun are tried again alone, the others go on in a
+new call.
 """
 
 from __future__ import annotations
@@ -189,22 +189,26 @@ class Pool:
                 initargs=(os.getpid(), str(self.folder), self.execution.memory_limit_mib << 20),
             )
             results: Generator[tuple[int, Any, str]] = parallel(calls(first))
+            begun: set[int] = set()
             try:
                 for number, outcome, words in results:
                     sys.stderr.write(words)
                     yield under_way.pop(number), outcome
             except BrokenProcessPool as error:
-                loss = self._loss(str(error))
+                begun, loss = self._loss(str(error))
             finally:
                 with warnings.catch_warnings():  # that it is not at its end
                     warnings.simplefilter("ignore")
                     results.close()
-            while under_way:
-                yield under_way.popitem()[1], loss
+            # Where none could be begun, all are lost.
+            for number in begun.intersection(under_way) or list(under_way):
+                yield under_way.pop(number), loss
+            waiting, under_way = chain(list(under_way.items()), waiting), {}
 
-    def _loss(self, error: str) -> Loss:
-        """The loss of what was under way when the pool died, by a mark and last words."""
-        mark = next((one for _, one in self._marks() if one.limit_s), Mark())
+    def _loss(self, error: str) -> tuple[set[int], Loss]:
+        """Numbers of the tasks that a dead pool had begun; their loss, by a mark and last words."""
+        marks = {one.number: one for _, one in self._marks() if one.number >= 0}
+        mark = next(iter(marks.values()), Mark())
         words = "".join(one.read_text("utf-8", "replace") for one in self.folder.glob("*.words"))
         sys.stderr.write(words)
         for place in self.folder.iterdir():
@@ -212,7 +216,7 @@ class Pool:
         no_memory, is_late = NO_MEMORY.search(words), time.monotonic() > mark.until_s
         if is_late and mark.log:
             how = f"{mark.log} did not answer within {mark.limit_s:g} s"
-            return Loss("log_no_answer", how, mark.part, mark.log)
+            return {*marks}, Loss("log_no_answer", how, mark.part, mark.log)
         if is_late:
             how = f"not done within {mark.limit_s:g} s"
         else:
@@ -224,7 +228,7 @@ class Pool:
             file, line, function = frame.groups()
             how += f", in {function} ({PurePath(file).name}, line {line})"
         code = "task_timeout" if is_late else "task_memory" if no_memory else "worker_died"
-        return Loss(code, how, mark.part)
+        return {*marks}, Loss(code, how, mark.part)
 
     def _marks(self) -> Iterator[tuple[int, Mark]]:
         """Marks of workers by their process."""

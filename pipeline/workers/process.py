@@ -51,6 +51,7 @@ class Loss:
 class Mark(NamedTuple):
     """How far a task is."""
 
+    number: int = -1  # of the task; -1: none is under way
     part: str = ""  # of its work
     log: str = ""  # the log that it waits for or reads; empty without one
     limit_s: float = 0.0  # the time that it has for it
@@ -96,7 +97,7 @@ def do(
     global _limits
     _limits = limits
     try:
-        _say(Mark(), limits.timeout_s)
+        _say(Mark(number), limits.timeout_s)
         return number, attempt(function, task), _words()
     finally:
         faulthandler.cancel_dump_traceback_later()
