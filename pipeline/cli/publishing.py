@@ -151,23 +151,23 @@ def export(
     Delta Lake tables are written whole, each in one transaction.
     """
     from pipeline.config import load_fleet
-    from pipeline.export.csv import Dialect, Selection, export_csv, tables_named
+    from pipeline.export.csv import CsvRequest, export_csv, tables_named
     from pipeline.export.delta import export_delta
 
     if (csv is None) == (delta is None):
         raise UsageError("export_format", "expected one of --csv FOLDER and --delta PLACE")
     fleet = load_fleet(config)
     root, named = output or fleet.output, tables_named(tables.replace(",", " ").split())
-    dialect = Dialect(separator, decimal, bom)
+    require_order(since, until)
+    ids = fleet.known_motors(motors.split())
+    request = CsvRequest(named, ids, since, until, separator, decimal, bom)
     if delta is not None:
-        if motors or since or until or dialect != Dialect():
+        if request != CsvRequest(named):
             raise UsageError("export_format", "--delta writes whole tables: expected only --tables")
         written = export_delta(root, delta, named)
     else:
         assert csv is not None
-        require_order(since, until)
-        selection = Selection(named, fleet.known_motors(motors.split()), since, until)
-        written = export_csv(root, csv, selection, dialect)
+        written = export_csv(root, csv, request)
     for one in written:
         version = "" if one.version is None else f"version {one.version}, "
         typer.echo(f"{one.place}: {version}{counted(one.n_rows, 'row')}")

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
-from pipeline.export.csv import Selection, as_text, export_csv, tables_named
+from pipeline.export.csv import CsvRequest, as_text, export_csv, tables_named
 from pipeline.schema import (
     DATA_DICTIONARY,
     FITS,
@@ -42,8 +42,8 @@ HARMLESS = ["", "1 - 2", "a=b", "x, -2; +3", "ok", "'quoted'", "é − 漢", "li
 
 
 def export(output: Path, folder: Path, *tables: Table, **others: object) -> dict[str, int]:
-    selection = Selection(tables=tables or TABLES, **others)  # type: ignore[arg-type]
-    return {file.table: file.n_rows for file in export_csv(output, folder, selection)}
+    request = CsvRequest(tables=tables or TABLES, **others)  # type: ignore[arg-type]
+    return {file.table: file.n_rows for file in export_csv(output, folder, request)}
 
 
 def names(folder: Path) -> list[str]:
@@ -221,6 +221,7 @@ def test_command_says_what_it_wrote(
     ("arguments", "code", "message"),
     [
         ([], 2, "export_format: expected one of --csv FOLDER and --delta PLACE"),
+        (["--delta", "lake", "--bom"], 2, "export_format: --delta writes whole tables"),
         (["--csv", "csv", "--decimal", ","], 2, "csv_dialect: --decimal , needs another"),
         (["--csv", "csv", "--separator", "."], 2, "'--separator': Value error, '.' is not one of"),
         (["--csv", "csv", "--tables", "fit"], 2, "unknown_table: --tables: no table fit"),
