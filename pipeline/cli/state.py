@@ -34,11 +34,7 @@ def status(
     output: Output = None,
     max_age: Annotated[
         dt.timedelta | None,
-        typer.Option(
-            parser=duration,
-            metavar="TIME",
-            help="End with 1 if the last good run is older, as 26h.",
-        ),
+        typer.Option(parser=duration, help="End with 1 if the last good run is older, as 26h."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
