@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pipeline.clock import now
 from pipeline.errors import UsageError, one_line
 
 if TYPE_CHECKING:
@@ -34,6 +35,29 @@ def absolute_folder(given: Path | None) -> Path | None:
         raise typer.BadParameter(f"expected a folder: {error}") from error
 
 
+def day(text: str) -> dt.date:
+    """A day, or the label of a night."""
+    try:
+        return dt.date.fromisoformat(text)
+    except ValueError:
+        raise typer.BadParameter(f"got {text!r}; expected YYYY-MM-DD") from None
+
+
+def past_day(text: str) -> dt.date:
+    """A day that has come, in whatever zone."""
+    if day(text) > now().date() + dt.timedelta(days=1):
+        raise typer.BadParameter(f"got {text}, which has not come")
+    return day(text)
+
+
+def duration(text: str) -> dt.timedelta:
+    """A time span such as 30s, 10min, 26h or 2d."""
+    found = re.fullmatch(rf"(\d{{1,6}}(?:\.\d+)?)({'|'.join(UNITS)})", text)
+    if found is None or not float(found[1]):
+        raise typer.BadParameter(f"got {text!r}; expected such as 30s, 10min, 26h or 2d")
+    return dt.timedelta(**{UNITS[found[2]]: float(found[1])})
+
+
 ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as configs/fleet.toml.")
 ]
@@ -45,6 +69,9 @@ Output = Annotated[
         help="Output folder instead of the config's; it goes into no object store.",
     ),
 ]
+Motor = Annotated[str, typer.Argument(help="The motor's id.")]
+Since = Annotated[dt.date | None, typer.Option(parser=day, help="First night, YYYY-MM-DD.")]
+Until = Annotated[dt.date | None, typer.Option(parser=day, help="Last night, YYYY-MM-DD.")]
 Motors = Annotated[str, typer.Option(help="Ids of the motors, with blanks between; all if empty.")]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Motors fitted at the same time.")]
 
@@ -69,29 +96,10 @@ def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = Tr
     return fleet
 
 
-def night_label(text: str, option: str) -> dt.date:
-    """The night of a label."""
-    try:
-        return dt.date.fromisoformat(text)
-    except ValueError:
-        raise UsageError("date", f"{option}: got {text!r}; expected YYYY-MM-DD") from None
-
-
-def span(since: str | None, until: str | None) -> tuple[dt.date | None, dt.date | None]:
-    """First and last night of --since and --until, as far as they are stated."""
-    first = None if since is None else night_label(since, "--since")
-    last = None if until is None else night_label(until, "--until")
-    if first and last and first > last:
+def require_order(since: dt.date | None, until: dt.date | None) -> None:
+    """Raise UsageError if no night lies between --since and --until."""
+    if since and until and since > until:
         raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
-    return first, last
-
-
-def duration(text: str, option: str) -> dt.timedelta:
-    """A time span such as 30s, 10min, 26h or 2d."""
-    found = re.fullmatch(rf"(\d{{1,6}}(?:\.\d+)?)({'|'.join(UNITS)})", text)
-    if found is None or not float(found[1]):
-        raise UsageError("age", f"{option}: got {text!r}; expected such as 30s, 10min, 26h or 2d")
-    return dt.timedelta(**{UNITS[found[2]]: float(found[1])})
 
 
 def say(line: str, *, err: bool = False) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -33,9 +34,9 @@ if TYPE_CHECKING:
 def look(
     config: ConfigFile,
     every: Annotated[
-        str, typer.Option(help="Look again and again, this long apart, such as 10min.")
-    ] = "",
-    once: Annotated[bool, typer.Option("--once", help="Look once; so it does by itself.")] = False,
+        dt.timedelta | None,
+        typer.Option(parser=duration, help="Look again and again, so far apart, as 10min."),
+    ] = None,
     output: Output = None,
     motors: Motors = "",
     as_json: AsJson = False,
@@ -45,14 +46,12 @@ def look(
     The nightly run goes on beside it, and nothing of it is touched. With --every 10min it looks
     until it is stopped.
 
-    Example: motor-leakage look configs/fleet.toml --once
+    Example: motor-leakage look configs/fleet.toml
 
     Exit code 0: all motors were looked at; 1: at least one could not be; 2: wrong usage or config;
     3: another look is under way; 4: nothing could be published.
     """
-    if every and once:
-        raise UsageError("usage", "--every and --once exclude each other")
-    pause_s = duration(every, "--every").total_seconds() if every else 0.0
+    pause_s = every.total_seconds() if every else 0.0
     with stoppable():
         fleet = load(config, output, None)
         wanted = fleet.known_motors(motors.split())

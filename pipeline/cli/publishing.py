@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from pipeline.cli.arguments import (
     ConfigFile,
+    Motor,
     Motors,
     Output,
+    Since,
+    Until,
     absolute_folder,
+    day,
     load,
-    night_label,
-    span,
+    require_order,
 )
 from pipeline.errors import UsageError
 from pipeline.messages import counted
@@ -23,8 +27,8 @@ from pipeline.messages import counted
 
 def explain(
     config: ConfigFile,
-    motor: Annotated[str, typer.Argument(help="The motor's id.")],
-    night: Annotated[str, typer.Argument(help="The night's label, YYYY-MM-DD.")],
+    motor: Motor,
+    night: Annotated[dt.date, typer.Argument(parser=day, help="The night's label, YYYY-MM-DD.")],
     output: Output = None,
 ) -> None:
     """Explain in words the figures of a motor's night, or their absence.
@@ -35,7 +39,7 @@ def explain(
 
     fleet = load(config, output, None)
     fleet.known_motors([motor])
-    for line in explained(fleet.output, motor, night_label(night, "NIGHT")):
+    for line in explained(fleet.output, motor, night):
         typer.echo(line)
 
 
@@ -104,10 +108,12 @@ def export(
     ] = None,
     tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
     motors: Motors = "",
-    since: Annotated[str | None, typer.Option(help="First night, YYYY-MM-DD.")] = None,
-    until: Annotated[str | None, typer.Option(help="Last night, YYYY-MM-DD.")] = None,
-    separator: Annotated[str, typer.Option(help="Character between the cells of CSV.")] = ",",
-    decimal: Annotated[str, typer.Option(help="Decimal sign of CSV: a point or a comma.")] = ".",
+    since: Since = None,
+    until: Until = None,
+    separator: Annotated[
+        Literal[",", ";", "\t", "|"], typer.Option(help="Character between the cells of CSV.")
+    ] = ",",
+    decimal: Annotated[Literal[".", ","], typer.Option(help="Decimal sign of CSV.")] = ".",
     bom: Annotated[
         bool, typer.Option("--bom", help="Begin each file with a byte order mark, for Excel.")
     ] = False,
@@ -126,22 +132,23 @@ def export(
     Delta Lake tables are written whole, each in one transaction.
     """
     from pipeline.config import load_fleet
-    from pipeline.export.csv import Dialect, Selection, export_csv, tables_named
+    from pipeline.export.csv import CsvRequest, export_csv, tables_named
     from pipeline.export.delta import export_delta
 
     if (csv is None) == (delta is None):
         raise UsageError("export_format", "expected one of --csv FOLDER and --delta PLACE")
     fleet = load_fleet(config)
     root, named = output or fleet.output, tables_named(tables.replace(",", " ").split())
-    dialect = Dialect(separator, decimal, bom)
+    require_order(since, until)
+    ids = fleet.known_motors(motors.split())
+    request = CsvRequest(named, ids, since, until, separator, decimal, bom)
     if delta is not None:
-        if motors or since or until or dialect != Dialect():
+        if request != CsvRequest(named):
             raise UsageError("export_format", "--delta writes whole tables: expected only --tables")
         written = export_delta(root, delta, named)
     else:
         assert csv is not None
-        selection = Selection(named, fleet.known_motors(motors.split()), *span(since, until))
-        written = export_csv(root, csv, selection, dialect)
+        written = export_csv(root, csv, request)
     for one in written:
         version = "" if one.version is None else f"version {one.version}, "
         typer.echo(f"{one.place}: {version}{counted(one.n_rows, 'row')}")

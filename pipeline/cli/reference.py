@@ -11,7 +11,6 @@ import ast
 import datetime as dt
 import inspect
 import json
-import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -23,14 +22,12 @@ from pydantic.fields import FieldInfo
 
 from pipeline.config import MotorFile, Settings
 from pipeline.config.channels import FALLBACK_VALID_RANGE
-from pipeline.config.motor_types import MotorTypeFile, OilFile, Unknown
+from pipeline.config.motor_types import MotorTypeFile, OilFile, PathSection, Unknown
 from pipeline.config.oil_samples import OilCircuitFile
 from pipeline.config.section import Section
 from pipeline.config.settings import FleetFile
 from pipeline.schema import (
-    LATEST,
     NIGHTLY_TABLES,
-    NO_LONGER_FILLED,
     QUALITY,
     QUALITY_REASONS,
     SCHEMA_VERSION,
@@ -58,7 +55,6 @@ KINDS: Final[Mapping[Any, str]] = {
     dt.date: "day",
     AwareDatetime: "moment",
 }
-INTERVAL_END: Final = re.compile(r".+(_lower|_upper)")
 UNIT_IN_NAME: Final = ("_percent", "_per_min", "_bar", "_c", "_rpm", "_s", "_hours", "_mib")
 # A column with the same type, unit and meaning in so many tables is described once.
 MANY: Final = 3
@@ -75,11 +71,12 @@ def config_reference() -> str:
         "errors. A whole fleet lies in [docs/example/](example/fleet.toml).",
     ]
     for file, model in FILES.items():
-        own = {name: one for name, one in model.model_fields.items() if not _tables_of(one)}
+        fields = model.model_fields.items()
+        own = {name: one for name, one in fields if not any(_sections(one.annotation))}
         lines += [f"## `{file}`", "\n".join(_key_lines(model, own))]
-        for name, field in model.model_fields.items():
-            for heading, words, table, fields in _tables(name, field):
-                text = "\n".join(_key_lines(table, fields))
+        for name, field in fields:
+            for heading, words, table, keys in _tables(name, field):
+                text = "\n".join(_key_lines(table, keys))
                 known = "Keys as above." if text in lines else text
                 lines += [f"### `{heading}`", words, known]
         if model is MotorFile:
@@ -87,37 +84,32 @@ def config_reference() -> str:
     return "\n\n".join(filter(None, lines)) + "\n"
 
 
-def _tables_of(field: FieldInfo) -> list[type[Section]]:
-    """Kinds of TOML table that a key can hold."""
-
-    def found(annotation: Any) -> Iterator[type[Section]]:
-        if inspect.isclass(annotation) and issubclass(annotation, Section):
-            yield annotation
-        for one in get_args(annotation):
-            yield from found(one)
-
-    return list(found(field.annotation))
+def _sections(annotation: Any) -> Iterator[type[Section]]:
+    """Kinds of TOML table that a key of a type can hold."""
+    if inspect.isclass(annotation) and issubclass(annotation, Section):
+        yield annotation
+    for one in get_args(annotation):
+        yield from _sections(one)
 
 
 def _tables(
     name: str, field: FieldInfo
 ) -> Iterator[tuple[str, str, type[Section], Mapping[str, FieldInfo]]]:
     """Heading, words, model and keys of the tables of a key; first what all of several have."""
-    tables = _tables_of(field)
+    tables = list(_sections(field.annotation))
     headings: dict[Any, str] = {tuple: f"[[{name}]]", dict: f"[{name}.<name>]"}
     heading = headings.get(get_origin(field.annotation), f"[{name}]")
     if len(tables) < 2:
         yield from ((heading, _words(one), one, one.model_fields) for one in tables)
         return
-    shared = set.intersection(*(set(one.model_fields) for one in tables)) - {"law"}
     words = (
         "Keys of all; `law` says which a path has besides. A key with four defaults is a table of "
         "`value` (where not `fixed`, the first starting point), `minimum`, `maximum` and `fixed`."
     )
-    first = tables[0].model_fields
-    yield heading, words, tables[0], {key: first[key] for key in first if key in shared}
+    yield heading, words, PathSection, PathSection.model_fields
     for table in tables:
-        own = {key: one for key, one in table.model_fields.items() if key not in {*shared, "law"}}
+        known = {*PathSection.model_fields, "law"}
+        own = {key: one for key, one in table.model_fields.items() if key not in known}
         (law,) = get_args(table.model_fields["law"].annotation)
         yield f'{heading} with law = "{law}"', _words(table), table, own
 
@@ -128,7 +120,7 @@ def _key_lines(
     """A line on each key, those of a table in a table behind it."""
     meanings = _meanings(model)
     for name, field in fields.items():
-        table = next(iter(_tables_of(field)), Section)
+        table = next(_sections(field.annotation), Section)
         words = meanings.get(name) or field.description or _words(table)
         words = " ".join(words.split()).removesuffix(".")
         how = [f"`{text}`"] if (text := _default(field, table)) else [_kind(field.annotation)]
@@ -172,15 +164,11 @@ def _kind(annotation: Any) -> str:
         return f"list of {_kind(parts[0])}"
     if kind is tuple:
         return f"[{', '.join(map(_kind, parts))}]"
-    if kind in (dict, Mapping) or _is_table(annotation):
+    if kind in (dict, Mapping) or annotation in _sections(annotation):
         return "table"
     if kind is Literal:
         return "text"
     return _kind(parts[0]) if parts else KINDS[annotation]
-
-
-def _is_table(annotation: Any) -> bool:
-    return inspect.isclass(annotation) and issubclass(annotation, Section)
 
 
 def _choices(annotation: Any) -> Sequence[str]:
@@ -228,65 +216,36 @@ def table_reference() -> str:
         "there is no such figure, never 0. Columns are added at the end and never removed, renamed "
         "or given another meaning: have a reader match them by name ([queries.md](queries.md)).",
         "A column without a type is a number. Its unit stands behind the type, unless its name "
-        "ends on it; a number without one is relative. A star says that columns `_lower` and "
-        "`_upper` are the ends of its 95 % interval. These columns are of several tables:",
+        "ends on it; a number without one is relative. These columns are of several tables:",
         "\n".join(map(_shared_line, common)),
     ]
     for table in TABLES:
-        lines += [f"## {table.name}", *_table_lines(table, common)]
+        key = ", ".join(f"`{name}`" for name in table.key)
+        own = [one for one in table.columns if one not in common]
+        lines += [f"## {table.name}", f"One row is {table.row}. Key: {key}.", _column_lines(own)]
         if table is QUALITY:
             reasons = (f"- `{name}`: {one.meaning}." for name, one in QUALITY_REASONS.items())
             lines += ["What each reason refuses:", "\n".join(reasons)]
-    return "\n\n".join(lines) + "\n"
+    return "\n\n".join(filter(None, lines)) + "\n"
 
 
 def _shared_line(column: Column) -> str:
-    having = [table for table in TABLES if column in table.columns]
-    others = [table for table in TABLES if table not in having]
-    where = f"all but {_list(others)}" if len(others) < len(having) else _list(having)
-    return f"{_column_lines([column])}; in {where}"
+    return f"{_column_lines([column])}; in {_list(one for one in TABLES if column in one.columns)}"
 
 
 def _list(tables: Iterable[Table]) -> str:
     return ", ".join(f"`{table.name}`" for table in tables)
 
 
-def _table_lines(table: Table, common: Sequence[Column]) -> Iterator[str]:
-    left = [one for one in table.columns if one not in common]
-    key = ", ".join(f"`{name}`" for name in table.key)
-    words = f"One row is {table.row}. Key: {key}."
-    if table is LATEST:
-        left = [one for one in left if one.description != "As in `watch`"]
-        words += " All other columns of `watch` are here, too."
-    if gone := [one for one in left if one.description.startswith(NO_LONGER_FILLED)]:
-        left = [one for one in left if one not in gone]
-        words += f" No longer filled: {', '.join(f'`{one.name}`' for one in gone)}."
-    yield words
-    if left:
-        yield _column_lines(left)
-
-
 def _column_lines(columns: Sequence[Column]) -> str:
     """A line on each column, or on several that mean the same."""
     kinds = {str(kind): word for word, kind in TYPES.items()} | {"Float64": ""}
     alike: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
-    for one, name in _names(columns).items():
+    for one in columns:
         unit = "" if one.name.endswith(UNIT_IN_NAME) or one.unit in ("1", "UTC") else one.unit
         how = ", ".join(filter(None, (kinds[str(one.type)], unit)))
-        alike[how and f" ({how})", one.description].append(name)
+        alike[how and f" ({how})", one.description].append(f"`{one.name}`")
     return "\n".join(f"- {', '.join(names)}{how}: {words}" for (how, words), names in alike.items())
-
-
-def _names(columns: Sequence[Column]) -> dict[Column, str]:
-    """Names of columns but the ends of an interval, whose figure has a star."""
-    found: dict[Column, str] = {}
-    for one in columns:
-        end = INTERVAL_END.fullmatch(one.name)
-        if end is None:
-            found[one] = f"`{one.name}`"
-        elif end[1] == "_lower":
-            found[next(reversed(found))] += r"\*"
-    return found
 
 
 PAGES: Final[Mapping[str, Callable[[], str]]] = {

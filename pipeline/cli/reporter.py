@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 # Reasons of a plan that are listed.
 PLAN_REASONS = 8
-STAGES_IN_WORDS = {"motors_s": "all motors", "publish_s": "publishing", "store_s": "staging"}
 # Logs of a motor of which it is said what was left out.
 LEFT_OUT = 3
 
@@ -104,7 +103,7 @@ def _print_motor(outcome: MotorOutcome, *, as_json: bool) -> None:
 
 def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> None:
     """Print what a run has done."""
-    stages, errors, files = _by_stage(result), _by_code(result), _by_fate(result.files)
+    errors, files = _by_code(result), _by_fate(result.files)
     if as_json:
         event = {
             "event": "run",
@@ -116,7 +115,7 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
             "files": files,
             "interrupted": result.interrupted,
             "seconds": round(result.seconds, 3),
-            "seconds_by_stage": {name: round(seconds, 3) for name, seconds in stages.items()},
+            "seconds_by_stage": _by_stage(result),
             "errors": errors,
             "damage": [asdict(fault) for fault in result.damage],
             "damage_left": [asdict(fault) for fault in result.damage_left],
@@ -134,13 +133,6 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
         f"logs: {', '.join(f'{n} {fate}' for fate, n in files.items())}; "
         f"tables in {request.fleet.output / 'tables'}"
     )
-    taken = (
-        f"{STAGES_IN_WORDS.get(name, name.removesuffix('_s'))} {seconds:.1f}"
-        for name, seconds in stages.items()
-        if seconds >= 0.05
-    )
-    if words := ", ".join(taken):
-        say(f"seconds by stage, summed over motors: {words}")
     for code, count in errors.items():
         say(f"{code}: {counted(count, 'motor')}")
     if n := result.n_standing:
@@ -161,14 +153,13 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
 
 def _by_stage(result: RunResult) -> dict[str, float]:
     """Seconds by stage: those of the motors' tasks added up, then those of the run."""
-    from collections import Counter
-
     from pipeline.run.publishing import MOTOR_STAGES
 
     spent = Counter[str]()
     for outcome in result.outcomes:
         spent.update(outcome.seconds)
-    return {name: spent[name] for name in MOTOR_STAGES} | dict(result.seconds_by_stage)
+    stages = {name: spent[name] for name in MOTOR_STAGES} | dict(result.seconds_by_stage)
+    return {name: round(seconds, 3) for name, seconds in stages.items()}
 
 
 def _by_code(result: RunResult) -> dict[str, int]:

@@ -21,12 +21,15 @@ from pipeline.cli.arguments import (
     AsJson,
     ConfigFile,
     Jobs,
+    Motor,
     Motors,
     Output,
+    Since,
+    Until,
+    day,
     load,
-    night_label,
+    require_order,
     say,
-    span,
 )
 from pipeline.cli.reporter import print_plan, print_summary, progress
 from pipeline.errors import MotorLeakageError, UsageError
@@ -42,8 +45,8 @@ def fit_fleet(
     output: Output = None,
     jobs: Jobs = None,
     motors: Motors = "",
-    since: Annotated[str | None, typer.Option(help="First night to do, YYYY-MM-DD.")] = None,
-    until: Annotated[str | None, typer.Option(help="Last night to do, YYYY-MM-DD.")] = None,
+    since: Since = None,
+    until: Until = None,
     as_json: AsJson = False,
     fail_on_alarm: Annotated[
         bool, typer.Option("--fail-on-alarm", help="End with 1 if the run raised an alarm.")
@@ -72,12 +75,12 @@ def fit_fleet(
         from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
-        first, last = span(since, until)
+        require_order(since, until)
         request = RunRequest(
             fleet=fleet,
             motors=fleet.known_motors(motors.split()),
-            since=first,
-            until=last,
+            since=since,
+            until=until,
             force=force,
             retry=retry,
         )
@@ -121,9 +124,10 @@ def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn
 
 def fit(
     config: ConfigFile,
-    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    motor: Motor,
     night: Annotated[
-        str | None, typer.Argument(help="The night's label, YYYY-MM-DD; without --train.")
+        dt.date | None,
+        typer.Argument(parser=day, help="The night's label, YYYY-MM-DD; without --train."),
     ] = None,
     train: Annotated[str | None, typer.Option(help="Nights to fit to, A..B.")] = None,
     validate: Annotated[
@@ -153,18 +157,17 @@ def fit(
     from pipeline.report.explain import explain as explained
     from pipeline.run.fleet import RunRequest, run_fleet
 
-    label = night_label(night, "NIGHT")
     with TemporaryDirectory() as folder:
         fleet = replace(load(config, Path(folder), None), object_store="")
-        request = RunRequest(fleet, fleet.known_motors([motor]), since=label, until=label)
+        request = RunRequest(fleet, fleet.known_motors([motor]), since=night, until=night)
         result = run_fleet(request)
         growing = [one for outcome in result.outcomes for one in outcome.growing]
         if growing and not result.n_nights:
             raise MotorLeakageError("log_growing", f"the night waits: {'; '.join(growing)}")
         (outcome,) = result.outcomes
-        if label not in outcome.nights:
-            _refuse_night(fleet, outcome, label)
-        for line in (*explained(fleet.output, motor, label), *audit(fleet, motor, label)):
+        if night not in outcome.nights:
+            _refuse_night(fleet, outcome, night)
+        for line in (*explained(fleet.output, motor, night), *audit(fleet, motor, night)):
             typer.echo(line)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
 

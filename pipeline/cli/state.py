@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -13,10 +13,12 @@ from pipeline.cli.arguments import (
     EXIT_OK,
     AsJson,
     ConfigFile,
+    Motor,
     Output,
+    day,
     duration,
     load,
-    night_label,
+    past_day,
     tell,
 )
 from pipeline.clock import now
@@ -24,15 +26,16 @@ from pipeline.errors import UsageError
 
 if TYPE_CHECKING:
     from pipeline.config import MotorSpec
-    from pipeline.trends.nights.decisions import Decision, Finding, Kind
+    from pipeline.trends.nights.decisions import Decision, Kind
 
 
 def status(
     config: ConfigFile,
     output: Output = None,
     max_age: Annotated[
-        str, typer.Option(help="End with 1 if the last good run is older, such as 26h.")
-    ] = "",
+        dt.timedelta | None,
+        typer.Option(parser=duration, help="End with 1 if the last good run is older, as 26h."),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Print the state of each motor, the one that needs attention most first.
@@ -45,21 +48,22 @@ def status(
     from pipeline.report.status import fleet_status
     from pipeline.telling.receivers import receivers_of
 
-    limit = duration(max_age, "--max-age") if max_age else None
     fleet = load(config, output, None, logs=False)
     receivers = receivers_of(fleet.settings.alarms)
     motor_ids = [spec.motor_id for spec in fleet.motors]
     found = fleet_status(fleet.output, motor_ids, receivers)
     ended = found.last_good_run
-    too_old = limit is not None and (ended is None or now() - ended > limit)
+    too_old = max_age is not None and (ended is None or now() - ended > max_age)
     print_status(fleet.name, found, too_old=too_old, as_json=as_json)
     raise typer.Exit(EXIT_MOTORS_FAILED if too_old else EXIT_OK)
 
 
 def compare(
     config: ConfigFile,
-    motor: Annotated[str, typer.Argument(help="The motor's id.")],
-    at: Annotated[str, typer.Option(help="First night after what was done, YYYY-MM-DD.")],
+    motor: Motor,
+    at: Annotated[
+        dt.date, typer.Option(parser=day, help="First night after what was done, YYYY-MM-DD.")
+    ],
     nights: Annotated[int, typer.Option(min=8, help="Nights on each side at most.")] = 60,
     output: Output = None,
     as_json: AsJson = False,
@@ -73,23 +77,26 @@ def compare(
     """
     from pipeline.trends.comparing import compare_nights
 
-    label = night_label(at, "--at")
     fleet = load(config, output, None, logs=False)
-    found = compare_nights(fleet.output, fleet.motor(motor), label, nights)
+    found = compare_nights(fleet.output, fleet.motor(motor), at, nights)
     tell(found.record, "\n".join(found.lines), as_json=as_json)
 
 
 def ack(
     config: ConfigFile,
-    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    motor: Motor,
     note: Annotated[str, typer.Option(help="Note in words.")],
     indicator: Annotated[
         str, typer.Argument(help="leakage, or the zero of a sensor: pressure_zero, flow_zero.")
     ] = "leakage",
     finding: Annotated[
-        str, typer.Option(help="confirmed or not_confirmed, after an inspection of the alarm.")
-    ] = "",
-    opened: Annotated[str, typer.Option(help="Day on which the motor was opened.")] = "",
+        Literal["confirmed", "not_confirmed"] | None,
+        typer.Option(help="What an inspection of the alarm has found."),
+    ] = None,
+    opened: Annotated[
+        dt.date | None,
+        typer.Option(parser=past_day, help="Day on which the motor was opened, YYYY-MM-DD."),
+    ] = None,
     worn: Annotated[
         list[str] | None, typer.Option(help="Part found worn; may be repeated.")
     ] = None,
@@ -109,13 +116,11 @@ def ack(
     --sound balance_sleeve --note "rings scored"
     """
     from pipeline.report.status import last_alarm
-    from pipeline.trends.nights.decisions import FINDINGS, Decision, record_decision
+    from pipeline.trends.nights.decisions import Decision, record_decision
     from pipeline.trends.rows.motor_states import CHANGED, TOLD
 
     if not note.strip():
         raise UsageError("note", "--note: expected some words")
-    if finding not in ("", *FINDINGS):
-        raise UsageError("finding", f"got {finding!r}; expected {' or '.join(FINDINGS)}")
     fleet = load(config, output, None, logs=False)
     parts = [_parts(fleet.motor(motor), one or ()) for one in (worn, sound)]
     if opened or any(parts):
@@ -128,8 +133,7 @@ def ack(
     else:
         night = last_alarm(fleet.output, motor, indicator, CHANGED if finding else TOLD)
         kind: Kind = "finding" if finding else "acknowledged"
-        found = cast("Finding | None", finding or None)
-        decision = Decision(motor, indicator, now(), kind, night, found, note)
+        decision = Decision(motor, indicator, now(), kind, night, finding, note)
         said = f"{indicator}, raised last on {night}: {kind}"
     record_decision(fleet.output, decision)
     typer.echo(f"{motor}: {said}")
@@ -147,33 +151,24 @@ def _parts(spec: MotorSpec, names: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(parts.values()))
 
 
-def _opened(motor_id: str, opened: str, parts: Sequence[Sequence[str]], note: str) -> Decision:
-    """Finding on the parts of a motor that was opened.
-
-    Raises UsageError (``date``, ``finding_part``).
-    """
+def _opened(motor_id: str, opened: dt.date, parts: Sequence[Sequence[str]], note: str) -> Decision:
+    """Finding on the parts of a motor that was opened; raises UsageError (``finding_part``)."""
     from pipeline.trends.nights.decisions import Decision
 
-    day = _past_day(opened, "--opened")
     worn, sound = parts
     if both := sorted({*worn} & {*sound}):
         raise UsageError("finding_part", f"{', '.join(both)}: expected worn or sound, not both")
     named = (", ".join(one) or None for one in parts)
-    return Decision(motor_id, "", now(), "finding", day, None, note, *named)
-
-
-def _past_day(text: str, option: str) -> dt.date:
-    """A day that has come, in whatever zone."""
-    day = night_label(text, option)
-    if day > now().date() + dt.timedelta(days=1):
-        raise UsageError("date", f"{option}: got {day}, which has not come")
-    return day
+    return Decision(motor_id, "", now(), "finding", opened, None, note, *named)
 
 
 def baseline_reset(
     config: ConfigFile,
-    motor: Annotated[str, typer.Argument(help="The motor's id.")],
-    night: Annotated[str, typer.Argument(help="First night of the new baseline, YYYY-MM-DD.")],
+    motor: Motor,
+    night: Annotated[
+        dt.date,
+        typer.Argument(parser=past_day, help="First night of the new baseline, YYYY-MM-DD."),
+    ],
     note: Annotated[str, typer.Option(help="Reason in words.")],
     output: Output = None,
 ) -> None:
@@ -186,8 +181,7 @@ def baseline_reset(
     """
     from pipeline.trends.nights.decisions import Decision, record_decision
 
-    label = _past_day(night, "NIGHT")
     fleet = load(config, output, None, logs=False)
     fleet.known_motors([motor])
-    record_decision(fleet.output, Decision(motor, "", now(), "baseline_reset", label, None, note))
-    typer.echo(f"{motor}: its baseline starts with the night {label}")
+    record_decision(fleet.output, Decision(motor, "", now(), "baseline_reset", night, None, note))
+    typer.echo(f"{motor}: its baseline starts with the night {night}")

@@ -16,6 +16,7 @@ from pipeline.messages import counted
 from pipeline.report.status import FleetStatus
 from pipeline.store.heartbeat import FINISHED, RUNNING
 from pipeline.trends.rows.motor_states import MotorState, latest_rows
+from pipeline.trends.sentences import in_percent
 
 # Colours only support the words of a state.
 COLOURS = {
@@ -123,8 +124,7 @@ def _cells(motor: MotorState) -> tuple[str, ...]:
     if watch is not None:
         change = (watch.tonight_change, watch.tonight_change_lower, watch.tonight_change_upper)
         if None not in change:
-            value, lower, upper = (100 * one for one in change if one is not None)
-            newest = f"{value:+z.1f} % [{lower:z.1f}, {upper:z.1f}]"
+            newest = in_percent(1, *(100 * one for one in change if one is not None))
         if watch.own_leakage_l_per_min is not None:
             leakage = f"{watch.own_leakage_l_per_min:.3g}"
         since = str(watch.since or "")

@@ -23,8 +23,6 @@ from pipeline.store.atomic_files import put, remove_leftovers
 from pipeline.store.tables import existing_tables, files_of, read_table
 
 BYTE_ORDER_MARK = "\ufeff"
-SEPARATORS = (",", ";", "\t", "|")
-DECIMALS = (".", ",")
 TIME_FORMAT = "%Y-%m-%dT%H:%M:%S%.6fZ"
 
 # Characters that begin a formula for Excel, LibreOffice or Google Sheets, full-width forms
@@ -34,8 +32,11 @@ _UNSAFE_START = rf"^([{_FORMULA_START}\t\r\n\x00])"
 
 
 @dataclass(frozen=True, slots=True)
-class Selection:
-    """Selection of rows."""
+class CsvRequest:
+    """What is exported, and how; raises UsageError (``csv_dialect``) where no reader could take it.
+
+    By default all, in the dialect that most programs read.
+    """
 
     tables: tuple[Table, ...] = TABLES  # tables, in the order in which they are written
     # Ids; empty: all. Tables without a motor are not affected.
@@ -44,23 +45,11 @@ class Selection:
     # affected.
     since: dt.date | None = None
     until: dt.date | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Dialect:
-    """Form of the files; raises UsageError (``csv_dialect``) for one that no reader can take."""
-
     separator: str = ","
     decimal: str = "."
     byte_order_mark: bool = False
 
     def __post_init__(self) -> None:
-        if self.separator not in SEPARATORS or self.decimal not in DECIMALS:
-            raise UsageError(
-                "csv_dialect",
-                f"--separator is {self.separator!r} and --decimal {self.decimal!r}; expected one "
-                f"of {', '.join(map(repr, SEPARATORS))}, and of {', '.join(map(repr, DECIMALS))}",
-            )
         if self.separator == self.decimal:
             raise UsageError("csv_dialect", "--decimal , needs another --separator, such as ';'")
 
@@ -80,9 +69,7 @@ def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
     return tuple(known[name] for name in dict.fromkeys(names)) or TABLES
 
 
-def export_csv(
-    output: Path, folder: Path, selection: Selection, dialect: Dialect | None = None
-) -> Iterator[Exported]:
+def export_csv(output: Path, folder: Path, request: CsvRequest) -> Iterator[Exported]:
     """Write tables as one CSV file each, each whole or not at all.
 
     UTF-8, a header line, cells quoted where they must be. Null is an empty cell, an empty text a
@@ -97,25 +84,23 @@ def export_csv(
     if folder.resolve().is_relative_to(tables.resolve()):
         raise UsageError("csv_folder", f"{folder} lies within the tables; name another folder")
     remove_leftovers([folder], below=False)
-    for table in selection.tables:
-        yield _export_table(output, folder, table, selection, dialect or Dialect())
+    for table in request.tables:
+        yield _export_table(output, folder, table, request)
 
 
-def _export_table(
-    output: Path, folder: Path, table: Table, selection: Selection, dialect: Dialect
-) -> Exported:
+def _export_table(output: Path, folder: Path, table: Table, request: CsvRequest) -> Exported:
     path, count = folder / f"{table.name}.csv", 0
-    chosen, separator = _chosen(table, selection), dialect.separator
+    chosen, separator = _chosen(table, request), request.separator
 
     def write(file: BinaryIO) -> None:
         nonlocal count
-        file.write((BYTE_ORDER_MARK if dialect.byte_order_mark else "").encode())
+        file.write((BYTE_ORDER_MARK if request.byte_order_mark else "").encode())
         file.write((separator.join(table.schema) + "\n").encode())
         for one in files_of(output, table):  # one by one: memory does not grow with the history
             rows = as_text(read_table(one, table).filter(chosen), separator)
             count += rows.height
             text = rows.write_csv(
-                include_header=False, separator=separator, decimal_comma=dialect.decimal == ","
+                include_header=False, separator=separator, decimal_comma=request.decimal == ","
             )
             file.write(text.encode())
 
@@ -123,15 +108,15 @@ def _export_table(
     return Exported(table.name, str(path), count)
 
 
-def _chosen(table: Table, selection: Selection) -> pl.Expr:
+def _chosen(table: Table, request: CsvRequest) -> pl.Expr:
     chosen = pl.lit(value=True)
-    if selection.motors and "motor_id" in table.schema:
-        chosen &= pl.col("motor_id").is_in(selection.motors)
+    if request.motors and "motor_id" in table.schema:
+        chosen &= pl.col("motor_id").is_in(request.motors)
     day = _day(table)
-    if day is not None and selection.since is not None:
-        chosen &= day >= selection.since
-    if day is not None and selection.until is not None:
-        chosen &= day <= selection.until
+    if day is not None and request.since is not None:
+        chosen &= day >= request.since
+    if day is not None and request.until is not None:
+        chosen &= day <= request.until
     return chosen
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.errors import one_line
-from pipeline.workers.process import reading, told_alive
+from pipeline.workers.process import reading, still_alive
 
 LONGEST_PATH = 4096
 GLOB_CHARACTERS = frozenset("*?[")
@@ -36,7 +36,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
             if named.exists():
                 found.add(named)
             elif is_glob:
-                paths = told_alive(_matching(root, pattern))
+                paths = _matching(root, pattern)
                 found |= {path for path in paths if not _is_folder(path, root, silent)}
             else:
                 absent.append(pattern)
@@ -72,6 +72,7 @@ def _names_as_of(folder: Path, _: int) -> list[str]:
 
 def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
     """True for a folder; a path that did not answer is taken for a file."""
+    still_alive()
     if not path.is_symlink():
         return path.is_dir()
     name = legible(path.relative_to(root).as_posix())

@@ -22,7 +22,7 @@ from pipeline.logs.finding import require_answer
 from pipeline.logs.landing import land_nights
 from pipeline.logs.ledger import FileRecord
 from pipeline.logs.locations import FolderLogs, logs_of
-from pipeline.workers.process import Loss, reading, told_alive
+from pipeline.workers.process import Loss, reading, still_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
@@ -150,11 +150,12 @@ class MotorLogs:
         if self._spec.file.logs.database is not None:
             faults = land_nights(self._spec, self._latest_us, self._silent)
         self.absent = self._source.absent
-        found = {name: self._look_at(name) for name in told_alive(self._source.names)}
+        found = {name: self._look_at(name) for name in self._source.names}
         found |= {name: failed(FileRecord(name, 0, 0, None), one) for name, one in faults.items()}
         return {name: replace(one, read_with=self._read_with) for name, one in found.items()}
 
     def _look_at(self, name: str) -> FileRecord:
+        still_alive()
         known = self._known(name)
         if name not in self._silent:
             return self._source.look_at(name, known)

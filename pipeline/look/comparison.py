@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import MutableMapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, MutableMapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +17,15 @@ from leakage.watch import Estimate, NightBlocks, Watch
 from leakage.watch.choices import DUTY_ERROR, DUTY_FREE, DUTY_MOST
 from pipeline.arrays import SECOND_US, Array, Mask, Times
 from pipeline.config import MotorSpec
-from pipeline.config.nights import Night
+from pipeline.config.nights import DAY, Night, nights_between
 from pipeline.ingest import RawChannel
+from pipeline.night.column_change import COLUMNS, USUAL_NIGHTS, column_change, usual_readings
 from pipeline.night.fit_night import Insufficient, clean_channels
 from pipeline.night.statistics import left_out, operating_conditions
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.night.time_base import Quality, Samples
 from pipeline.night.viscosity import driven, sensor_ratio, viscosity_ratios
-from pipeline.schema import BLOCK_STATISTICS
+from pipeline.schema import BLOCK_STATISTICS, OPERATION
 from pipeline.store.tables import read_rows
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.kept import decoded, key_of
@@ -179,6 +180,7 @@ class NightsBefore:
     merged: int = 1  # short blocks in one as the nights store it
     # That night's blocks, the begin of the first [µs since 1970], and the watch before it.
     newest: tuple[NightBlocks, int, Watch] | None = None
+    usual: Mapping[str, float] = field(default_factory=dict)  # as of `usual_readings`
 
     @property
     def level(self) -> Estimate:
@@ -198,6 +200,13 @@ class NightsBefore:
         change = found.change
         is_told = change is not None and change.told_on == found.day and change.is_rise
         return Estimate(value, sd), is_told
+
+    def columns_changed(self, spec: MotorSpec, blocks: Blocks) -> str | None:
+        """Why blocks look like those of other columns or units than the nights before."""
+        temperature, pressure, speed = blocks.conditions.mean(axis=0).tolist()
+        readings = (pressure, temperature, speed, float(blocks.means[:, -1].mean()))
+        now = dict(zip(COLUMNS, readings, strict=True))
+        return column_change(spec, self.usual, now) if self.usual else None
 
     def flow_since(self, begin_us: int) -> float | None:
         """Flow of the newest night since a time over that of the baseline; None without blocks."""
@@ -271,4 +280,14 @@ def nights_before(
         watch = watch.after(newest[0], _no_nights)
         length = (night["block_end"] - night["block_start"]).dt.total_microseconds().to_numpy()
         merged = max(1, round(float(np.median(length)) / block_us(spec)))
-    return NightsBefore(watch, layout, kept.last_night, merged, newest)
+    usual = _usual(output, spec, kept.last_night)
+    return NightsBefore(watch, layout, kept.last_night, merged, newest, usual)
+
+
+def _usual(output: Path, spec: MotorSpec, last: dt.date) -> dict[str, float]:
+    """Usual readings of the last nights of the baseline period."""
+    begins = (one.date for one in spec.file.baseline_events if one.date <= last)
+    first = max(last - (USUAL_NIGHTS - 1) * DAY, max(begins, default=dt.date.min))
+    nights, columns = nights_between(first, last), tuple(COLUMNS.values())
+    rows = read_rows(output, OPERATION, [spec.motor_id], columns, nights=nights)
+    return usual_readings(rows.to_dicts())

@@ -29,6 +29,7 @@ from pipeline.telling.outbox import TOLD_LOOKS, deliver, open_outbox, take_up
 from pipeline.telling.receivers import Receiver, receivers_of
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.trend_record import read_kept
+from pipeline.trends.sentences import in_percent
 from pipeline.trends.tasks import circuits_of, decisions_of
 from pipeline.workers.process import one_thread
 
@@ -149,9 +150,8 @@ def _row(motor_id: str, change: Change, others: Sequence[LookState]) -> Row:
 def _told_words(
     rise: Rise, percent: tuple[float, float, float], others: Sequence[LookState]
 ) -> str:
-    value, lower, upper = percent
     return (
-        f"drain flow {value:+.0f} % [{lower:.0f}, {upper:.0f}] above the nights before since "
+        f"drain flow {in_percent(0, *percent)} above the nights before since "
         f"{utc(rise.began_us):%Y-%m-%d %H:%M} UTC, told at {utc(rise.told_us):%H:%M}; "
         f"{_circuit_words(rise, others)}{WHAT_TO_DO}"
     )

@@ -16,7 +16,7 @@ from pipeline.config.nights import night as night_labelled
 from pipeline.config.nights import night_of
 from pipeline.ingest import RawLog
 from pipeline.logs.files import reaches_us, slice_night
-from pipeline.look.comparison import Blocks, NightsBefore, block_us, blocks_within
+from pipeline.look.comparison import SUDDEN, Blocks, NightsBefore, block_us, blocks_within
 from pipeline.look.reading import News, newest_us_of, read_news
 from pipeline.look.state import BLIND, NOT_READY, LookState, Rise
 from pipeline.schema import WATCH
@@ -159,9 +159,15 @@ def _judged(
         return replace(state, cause="the motor is warming up"), changes
     rows = [*state.blocks, *(blocks.rows[place] for place in warm)]
     end_us = int(rows[-1][0]) + length
-    state = replace(state, blocks=tuple(rows), judged_us=end_us, cause="")
-    state, found = _told(before, state, Blocks.of_rows(rows), night)
-    return state, changes + found
+    judged = replace(state, blocks=tuple(rows), judged_us=end_us, cause="")
+    judged, found = _told(before, judged, Blocks.of_rows(rows), night)
+    if abs(judged.latest) > SUDDEN:
+        why = before.columns_changed(spec, Blocks.of_rows(rows[-len(warm) :]))
+        if why is not None:  # no change of the flow, and no block to judge the next ones with
+            judged, found = replace(state, cause=why), []
+            if state.state == CLEAR:
+                judged, found = moved(judged, end_us, BLIND, why)
+    return judged, changes + found
 
 
 def _told(before: NightsBefore, state: LookState, sofar: Blocks, night: dt.date) -> Looked:
@@ -200,8 +206,7 @@ def moved(
         state, state=after, since_us=time_us, reason=reason, rise=rise if told else None
     )
     if told and rise is not None:
-        scores = replace(state.scores, told=state.scores.told + 1)
-        state = replace(state, waiting=(*state.waiting, rise), scores=scores)
+        state = replace(state, waiting=(*state.waiting, rise))
     return state, [change]
 
 
@@ -249,7 +254,7 @@ def verdicts(output: Path, spec: MotorSpec, nights: NightsBefore, state: LookSta
             state, change = _by_night(spec, state, rise, *found)
             changes.append(change)
         elif first + dt.timedelta(days=MOST_NIGHTS) <= nights.last_night:
-            state = _scored(state, rise)
+            state = _settled(state, rise)
     return state, changes
 
 
@@ -265,7 +270,7 @@ def _found(
     if not labels:
         return None
     rows = read_rows(output, WATCH, [spec.motor_id], nights=labels)
-    told = rows.filter(pl.col("night").is_in(labels), pl.col("n_blocks") > 0)
+    told = rows.filter(pl.col("n_blocks") > 0)
     for label, change in told.sort("night").select("night", "tonight_change").iter_rows():
         if change is not None:
             return label, (1.0 + change) / (1.0 + rise.level) - 1.0
@@ -279,19 +284,17 @@ def _by_night(
     verdict = "confirmed" if is_so else "withdrawn"
     end_us = night_labelled(label, spec.settings.nights).end_us
     words = (
-        f"{verdict} by the night of {label}: drain flow {100 * found:+.0f} % against before, told "
+        f"{verdict} by the night of {label}: drain flow {100 * found:+z.0f} % against before, told "
         f"was {100 * rise.change:+.0f} %"
     )
     before = state.state
     after = CLEAR if not is_so and before == LOOK_NOW and state.rise == rise else before
-    state = _scored(state, rise, confirmed=int(is_so), withdrawn=int(not is_so))
+    state = _settled(state, rise)
     if after != before:
         state = replace(state, state=after, since_us=end_us, reason=words, rise=None)
     return state, Change(end_us, before, after, words, rise, verdict, label)
 
 
-def _scored(state: LookState, rise: Rise, confirmed: int = 0, withdrawn: int = 0) -> LookState:
-    """The state after the verdict of a night on a rise, or without one."""
-    old = state.scores
-    scores = replace(old, confirmed=old.confirmed + confirmed, withdrawn=old.withdrawn + withdrawn)
-    return replace(state, scores=scores, waiting=tuple(one for one in state.waiting if one != rise))
+def _settled(state: LookState, rise: Rise) -> LookState:
+    """The state in which a rise waits for no night any more."""
+    return replace(state, waiting=tuple(one for one in state.waiting if one != rise))

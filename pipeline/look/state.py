@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -11,7 +12,9 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.clock import utc
+from pipeline.schema import LOOKS
 from pipeline.store.state import State, read_state_file
+from pipeline.store.tables import read_rows
 from pipeline.trends.rows.motor_states import LookStanding
 
 BLIND, NOT_READY = "blind", "not_ready"
@@ -52,15 +55,6 @@ class Rise:
 
 
 @dataclass(frozen=True, slots=True)
-class Scores:
-    """Number of rises told, and of those that a night confirmed or withdrew."""
-
-    told: int = 0
-    confirmed: int = 0
-    withdrawn: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class LookState:
     """State after a look."""
 
@@ -83,7 +77,6 @@ class LookState:
     latest: float = 0.0  # rise of the latest judged blocks over the nights before
     rise: Rise | None = None  # the rise that is told; None where none is
     waiting: tuple[Rise, ...] = ()  # rises that no night has confirmed or withdrawn yet
-    scores: Scores = Scores()
 
 
 _STATE = TypeAdapter(LookState)
@@ -113,10 +106,13 @@ def look_standings(output: Path, motor_ids: Iterable[str]) -> dict[str, LookStan
     """
     with read_state_file(output) as state:
         states = read_states(state)
+    looked = [one for one in motor_ids if states.get(one, LookState()) != LookState()]
+    rows = read_rows(output, LOOKS, looked, ("motor_id", "verdict")).iter_rows()
+    verdicts = Counter((motor_id, verdict) for motor_id, verdict in rows)
     found = {}
-    for motor_id in motor_ids:
-        one = states.get(motor_id, LookState())
-        if one != LookState():
-            since = utc(one.since_us) if one.since_us else None
-            found[motor_id] = LookStanding(one.state, since, one.reason, **asdict(one.scores))
+    for motor_id in looked:
+        one = states[motor_id]
+        since = utc(one.since_us) if one.since_us else None
+        scores = (verdicts[motor_id, name] for name in ("told", "confirmed", "withdrawn"))
+        found[motor_id] = LookStanding(one.state, since, one.reason, *scores)
     return found

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain, combinations
+from statistics import median
+from typing import Any
 
 from pipeline.config import MotorSpec
 from pipeline.config.channels import PORT_PRESSURES
@@ -28,6 +30,22 @@ OF_ONE_UNIT = (DIFFERENCE, *PORT_PRESSURES, "oil_temperature")
 NEAR, FAR, GAUGE_FAR = 1.5, 2.0, 10.0
 # A low port without charge pressure may be at any multiple of it [bar].
 CHARGED_BAR = 5.0
+# Nights before that say what is usual, and how many of them are needed.
+USUAL_NIGHTS, FEWEST_USUAL = 7, 3
+
+
+def readings_of(row: Mapping[str, Any]) -> dict[str, float]:
+    """Means of the channels in a row of `operation`; empty where one is not known."""
+    found = {name: row[column] for name, column in COLUMNS.items() if row.get(column) is not None}
+    return found if found.keys() == COLUMNS.keys() else {}
+
+
+def usual_readings(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
+    """Medians of the channels over rows of `operation`; empty where these are few."""
+    means = list(filter(None, map(readings_of, rows)))
+    if len(means) < FEWEST_USUAL:
+        return {}
+    return {name: median(one[name] for one in means) for name in COLUMNS}
 
 
 def column_change(

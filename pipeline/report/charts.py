@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from pipeline.arrays import Array
-from pipeline.config import Event
+from pipeline.config.motors import Event
 from pipeline.messages import plain
 from pipeline.palette import COLOURS, path_places
 from pipeline.report.tables import MotorHistory

@@ -81,7 +81,7 @@ def figure(value: float | None, digits: int = 3) -> str:
         return ABSENT
     rounded = float(f"{value:.{digits}g}") + 0.0  # no minus before a zero
     is_large = abs(rounded) >= 10**digits
-    text = f"{value:.0f}" if is_large else f"{rounded:#.{digits}g}"
+    text = f"{value:.0f}" if is_large else f"{rounded:z#.{digits}g}"
     return text.removesuffix(".").replace("-", "−")
 
 
@@ -95,5 +95,4 @@ def percent(share: float | None, decimals: int = 1) -> str:
     """
     if share is None:
         return ABSENT
-    rounded = round(100.0 * share, decimals) + 0.0  # no minus before a zero
-    return f"{rounded:+.{decimals}f}".replace("-", "−")
+    return f"{100.0 * share:+z.{decimals}f}".replace("-", "−")

@@ -9,9 +9,8 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
-from statistics import median
 
 import polars as pl
 from polars.exceptions import PanicException
@@ -23,7 +22,13 @@ from pipeline.logs.files import labels_of, reaches_us, slice_night
 from pipeline.logs.finding import legible
 from pipeline.logs.ledger import FileRecord, Ledger, NightRecord
 from pipeline.messages import speak_as_told
-from pipeline.night.column_change import COLUMNS, column_change
+from pipeline.night.column_change import (
+    COLUMNS,
+    USUAL_NIGHTS,
+    column_change,
+    readings_of,
+    usual_readings,
+)
 from pipeline.night.fit_night import NightOutcome, PreviousModel, fit_night, unfitted
 from pipeline.night.refit import as_published, is_refit, judged, refit, refit_in_form
 from pipeline.night.rows import Row
@@ -37,9 +42,6 @@ from pipeline.store.tables import read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
-
-# Nights before that say what is usual, and how many of them are needed.
-USUAL_NIGHTS, FEWEST_USUAL = 7, 3
 
 
 def run_motor(task: MotorTask) -> MotorOutcome:
@@ -69,16 +71,6 @@ def _tells_roller(outcome: NightOutcome) -> bool | None:
 def _place_of(record: FileRecord, nights: Collection[dt.date]) -> dt.date | None:
     """Night under which a file's row stands: its first, or else the motor's first; None: none."""
     return min(labels_of(record) or nights, default=None)
-
-
-def _means(rows: Iterable[Row]) -> list[dict[str, float]]:
-    """Means of the channels in rows of `operation`, of those that have all."""
-    found = [{name: row.get(column) for name, column in COLUMNS.items()} for row in rows]
-    return [
-        {name: mean for name, mean in one.items() if mean is not None}
-        for one in found
-        if None not in one.values()
-    ]
 
 
 class _Making(MotorNights):
@@ -208,10 +200,10 @@ class _Making(MotorNights):
 
     def _unless_changed(self, outcome: NightOutcome) -> NightOutcome:
         """A night's outcome; it fails where its columns or units are others than before."""
-        means = _means(outcome.rows.get("operation", []))
+        now = next(map(readings_of, outcome.rows.get("operation", [])), {})
         why = None
-        if means and (usual := self._usual(outcome.night)):
-            why = column_change(self.spec, usual, means[0])
+        if now and (usual := self._usual(outcome.night)):
+            why = column_change(self.spec, usual, now)
         if why is None:
             return outcome
         why += "; mend the log or the motor's file, or enter a dated event if the motor runs so now"
@@ -235,10 +227,7 @@ class _Making(MotorNights):
                 self.task.output, OPERATION, [self.spec.motor_id], columns, nights=published
             )
             rows += stored.to_dicts()
-        means = _means(rows)
-        if len(means) < FEWEST_USUAL:
-            return {}
-        return {name: median(one[name] for one in means) for name in COLUMNS}
+        return usual_readings(rows)
 
     def _model_before(self, label: dt.date) -> PreviousModel:
         return Ledger(nights=self.records).model_before(label)

@@ -19,8 +19,6 @@ import polars as pl
 import pyarrow as pa
 
 SCHEMA_VERSION = 7
-NO_LONGER_FILLED = "No longer filled"
-"""How the meaning of a column begins that is null: what filled it is gone."""
 
 Type = pl.DataType | type[pl.DataType]
 TIMESTAMP = pl.Datetime("us", "UTC")

@@ -129,7 +129,9 @@ def _paragraph(name: str, course: Sequence[Row]) -> Paragraph:
     before = ", ".join([*states[1:], plain(course[0]["from_state"])])
     rules = f" (change of rules: {last['rules']})" if last.get("rules") else ""
     sentences = as_sentence(last["reason"]).replace(". ", ".\n").splitlines()
-    return last["motor_id"], [f"{name}: {states[0]}{rules}; before that {before}", *sentences]
+    figures = [f"Figures are of the night of {last['night']}."] if "night" in last else []
+    told = f"{name}: {states[0]}{rules}; before that {before}"
+    return last["motor_id"], [told, *sentences, *figures]
 
 
 def _words(error: Exception) -> str:

@@ -277,17 +277,20 @@ def _tonight(night: JudgedNight) -> str:
 
 
 def relative_change(size: Estimate) -> str:
-    """A relative change with its interval, in per cent.
+    """A relative change with its interval, in per cent."""
+    digits = 0 if abs(size.value) >= 0.1 else 1
+    return in_percent(digits, 100 * size.value, 100 * size.lower, 100 * size.upper)
+
+
+def in_percent(digits: int, value: float, lower: float, upper: float) -> str:
+    """A change in per cent with its interval; a zero has no minus.
 
     Examples
     --------
-    >>> from leakage.watch import Estimate
-    >>> relative_change(Estimate(-0.0004, 0.0001)), relative_change(Estimate(0.1, 0.02))
-    ('+0.0 % [-0.1, 0.0]', '+10 % [6, 14]')
+    >>> in_percent(1, -0.02, -0.31, 0.27), in_percent(0, 25.4, -0.4, 51.2)
+    ('+0.0 % [-0.3, 0.3]', '+25 % [0, 51]')
     """
-    digits = 0 if abs(size.value) >= 0.1 else 1
-    ends = f"{100 * size.lower:z.{digits}f}, {100 * size.upper:z.{digits}f}"
-    return f"{100 * size.value:+z.{digits}f} % [{ends}]"
+    return f"{value:+z.{digits}f} % [{lower:z.{digits}f}, {upper:z.{digits}f}]"
 
 
 def _since(change: Change) -> str:

@@ -14,7 +14,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -48,11 +48,12 @@ def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Trie
     """The way to try tasks on the configured cluster, once that is fit for the run.
 
     Raises EngineError: ``dask_missing``: the extra is not installed; ``scheduler_unreachable``:
-    nothing answers at the address; ``scheduler_no_workers``; ``scheduler_unfit``: it cannot read
-    tasks, would make other bytes, or would take absent logs for none.
+    nothing answers at the address, or it has no worker; ``scheduler_unfit``: it cannot read tasks,
+    would make other bytes, or would take absent logs for none.
     """
     try:
-        import distributed
+        from distributed import Client
+        from distributed.versions import VersionMismatchWarning
     except ImportError as error:
         raise EngineError(
             "dask_missing",
@@ -60,31 +61,22 @@ def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Trie
             "pip install 'motor-leakage[dask]'",
         ) from error
     logging.getLogger("distributed").setLevel(logging.WARNING)
-    where, wait_s = execution.scheduler, execution.scheduler_wait_s
-    expected = own_versions()
-    try:
-        with warnings.catch_warnings():
-            # Versions that differ are an error of ours, said below.
-            warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
-            client = distributed.Client(where, timeout=wait_s, set_as_default=False)
-    except (OSError, ValueError, TypeError, RuntimeError) as error:
-        raise EngineError(
-            "scheduler_unreachable",
-            f"no Dask scheduler answers at {where}: {error}; check execution.scheduler, and that "
-            "the scheduler runs",
-        ) from error
-    with client:
+    # Versions that differ are an error of ours, said below.
+    warnings.simplefilter("ignore", VersionMismatchWarning)
+    where, wait_s, expected = execution.scheduler, execution.scheduler_wait_s, own_versions()
+    with ExitStack() as stack:
         try:
+            client = stack.enter_context(Client(where, timeout=wait_s, set_as_default=False))
             client.wait_for_workers(1, timeout=wait_s)
-        except TimeoutError as error:
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
             raise EngineError(
-                "scheduler_no_workers",
-                f"the scheduler at {where} had no worker for {wait_s:g} s; start one with: "
-                "dask worker ADDRESS --nthreads 1",
+                "scheduler_unreachable",
+                f"no Dask scheduler with a worker answers at {where}: {error}; check "
+                "execution.scheduler, and that both run: dask worker ADDRESS --nthreads 1",
             ) from error
         found = client.run(differences, expected, folders, on_error="return")
-        threads = client.nthreads()
-        found |= {one: f"it has {n} threads" for one, n in threads.items() if n != 1}
+        threads = client.nthreads().items()
+        found |= {one: f"it has {n} threads" for one, n in threads if n != 1}
         try:
             found["the scheduler"] = client.run_on_scheduler(differences, expected)
         except Exception as error:  # it has not even the program
@@ -176,24 +168,20 @@ def _tried(
         yield from ((task, lost) for task in (*under_way.values(), *waiting))
     finally:
         if under_way and client.status == "running":
-            with suppress(OSError, TimeoutError):
+            with suppress(OSError):
                 client.cancel(list(under_way), force=True)
 
 
 def _next(client: Client, ended: SimpleQueue[Future[Any]], wait_s: float) -> Future[Any]:
     """The next task that ended, however it did; EngineError where none can end any more."""
-    seen = time.monotonic()
-    while True:
+    until = time.monotonic() + wait_s
+    while client.status == "running" and time.monotonic() < until:
         with suppress(Empty):
             return ended.get(timeout=min(LOOK_S, wait_s))
-        if client.status != "running":
-            raise EngineError("scheduler_lost", "the connection to the scheduler is lost")
-        with suppress(OSError, TimeoutError):  # it does not answer for now
+        with suppress(OSError):  # it does not answer for now
             if client.nthreads():
-                seen = time.monotonic()
-        if time.monotonic() - seen >= wait_s:
-            message = f"the scheduler has had no worker for {wait_s:g} s"
-            raise EngineError("scheduler_lost", message)
+                until = time.monotonic() + wait_s
+    raise EngineError("scheduler_lost", f"the scheduler or its workers are gone for {wait_s:g} s")
 
 
 def _outcome(client: Client, future: Future[Any], task: Any) -> Any:

@@ -1,7 +1,8 @@
 """Tasks of a run over worker processes of this machine, a Dask cluster, or none of them.
 
 On this machine joblib starts and feeds the workers. One that dies takes joblib's whole pool with
-it: marks tell which tasks were under way, and the others go on in a new call.
+it, whoever's fault that was: the tasks that were begun are tried again alone, the others go on in a
+new call.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path, PurePath
 from threading import Event, Thread
 from typing import Any, TypeVar
@@ -58,8 +59,7 @@ NO_MEMORY = re.compile(
     r"^.*(memory allocation|bad_alloc|out of memory|cannot allocate|MemoryError).*$",
     re.IGNORECASE | re.MULTILINE,
 )
-# Of `faulthandler`: the first line where the time was up, and one of the stack, innermost first.
-TIME_UP = re.compile(r"^Timeout \(.+\)!$", re.MULTILINE)
+# Of `faulthandler`: a line of the stack, innermost first.
 FRAME = re.compile(r'^  File "(.+)", line (\d+) in (.+)$', re.MULTILINE)
 # Of joblib: the end of a process.
 END = re.compile(r"(SIG\w+|EXIT)\(-?\d+\)")
@@ -115,8 +115,7 @@ class Workers:
             else:
                 yield outcome
         for task, loss in losses:
-            # A log that does not answer is not asked twice.
-            again = without(task, loss) if loss.log else task
+            again: Task | None = task
             while again is not None and loss.code != "scheduler_lost":
                 log.warning("a task is tried again, alone: %s", loss.how)
                 task = again
@@ -138,32 +137,35 @@ def open_pool(execution: Execution) -> Iterator[Pool]:
     os.environ.update(ENVIRONMENT, GLIBC_TUNABLES=tunables)
     with tempfile.TemporaryDirectory(prefix="motor-leakage-") as folder:
         pool = Pool(execution, Path(folder))
+        watch = Thread(target=pool.watch, daemon=True, name="watch over workers")
+        watch.start()
         try:
             yield pool
         finally:
-            pool.end()
+            if "joblib" in sys.modules:
+                from joblib.externals.loky import get_reusable_executor
+
+                # A task under way is dropped, and has published nothing.
+                get_reusable_executor(reuse=True).shutdown(kill_workers=True)
+            pool.left.set()
+            watch.join()
             for name in (*ENVIRONMENT, "GLIBC_TUNABLES"):
                 del os.environ[name]
             os.environ.update(before)
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Pool:
     """Workers, and the folder of their marks and last words."""
 
     execution: Execution
     folder: Path
-    killed: set[int] = field(default_factory=set)
     left: Event = field(default_factory=Event)
-    watch: Thread | None = None
 
     def tried(
         self, function: Callable[[Any], Any], tasks: Iterable[Any], n_workers: int
     ) -> Iterator[tuple[Any, Any]]:
-        """Each task with what came of it, as they finish; never more than so many under way.
-
-        Of several that were under way when a worker died it is not known whose fault it was.
-        """
+        """Each task with what came of it, as they finish; never more than so many under way."""
         waiting: Iterator[tuple[int, Any]] = enumerate(tasks)
         under_way: dict[int, Any] = {}
 
@@ -175,9 +177,6 @@ class Pool:
         while (first := next(waiting, None)) is not None:
             from joblib import Parallel, delayed  # which takes its time, and is not always needed
 
-            if self.watch is None:
-                self.watch = Thread(target=self._watch, daemon=True, name="watch over workers")
-                self.watch.start()
             parallel = Parallel(
                 # One would be the run's own process.
                 n_jobs=max(2, self.execution.workers),
@@ -190,78 +189,58 @@ class Pool:
                 initargs=(os.getpid(), str(self.folder), self.execution.memory_limit_mib << 20),
             )
             results: Generator[tuple[int, Any, str]] = parallel(calls(first))
-            lost: dict[int, Loss] = {}
+            begun: set[int] = set()
             try:
                 for number, outcome, words in results:
                     sys.stderr.write(words)
                     yield under_way.pop(number), outcome
             except BrokenProcessPool as error:
-                lost = self._losses(under_way, n_workers, str(error))
+                begun, loss = self._loss(str(error))
             finally:
                 with warnings.catch_warnings():  # that it is not at its end
                     warnings.simplefilter("ignore")
                     results.close()
-            yield from ((under_way.pop(number), loss) for number, loss in lost.items())
+            # Where none could be begun, all are lost.
+            for number in begun.intersection(under_way) or list(under_way):
+                yield under_way.pop(number), loss
             waiting, under_way = chain(list(under_way.items()), waiting), {}
 
-    def _losses(
-        self, under_way: Mapping[int, object], n_workers: int, error: str
-    ) -> dict[int, Loss]:
-        """Losses by task; the pool and what its workers left are gone."""
-        end = END.search(error)
-        ended = f"its worker process ended with {end.group() if end else 'no word'}"
-        lost = {}
-        for place, mark in self._marks():
-            words = place.with_suffix(".words").read_text("utf-8", "replace")
-            sys.stderr.write(words)
-            if mark.number in under_way:
-                is_late = int(place.stem) in self.killed
-                lost[mark.number] = _loss(mark, words, is_late, ended)
-        self.killed.clear()
+    def _loss(self, error: str) -> tuple[set[int], Loss]:
+        """Numbers of the tasks that a dead pool had begun; their loss, by a mark and last words."""
+        marks = {one.number: one for _, one in self._marks() if one.number >= 0}
+        mark = next(iter(marks.values()), Mark())
+        words = "".join(one.read_text("utf-8", "replace") for one in self.folder.glob("*.words"))
+        sys.stderr.write(words)
         for place in self.folder.iterdir():
             place.unlink()
-        # Without a mark: none of them could be begun.
-        return lost or dict.fromkeys(islice(under_way, n_workers), Loss("worker_died", ended))
+        no_memory, is_late = NO_MEMORY.search(words), time.monotonic() > mark.until_s
+        if is_late and mark.log:
+            how = f"{mark.log} did not answer within {mark.limit_s:g} s"
+            return {*marks}, Loss("log_no_answer", how, mark.part, mark.log)
+        if is_late:
+            how = f"not done within {mark.limit_s:g} s"
+        else:
+            end = END.search(error)
+            how = f"its worker process ended with {end.group() if end else 'no word'}"
+            how += f": {no_memory.group().strip()}" if no_memory else ""
+        how += f", at {mark.part}" if mark.part else ""
+        if frame := FRAME.search(words):
+            file, line, function = frame.groups()
+            how += f", in {function} ({PurePath(file).name}, line {line})"
+        code = "task_timeout" if is_late else "task_memory" if no_memory else "worker_died"
+        return {*marks}, Loss(code, how, mark.part)
 
-    def _marks(self) -> Iterator[tuple[Path, Mark]]:
+    def _marks(self) -> Iterator[tuple[int, Mark]]:
+        """Marks of workers by their process."""
         for place in self.folder.glob("*.mark"):
             with suppress(ValueError, OSError):
-                yield place, Mark(*json.loads(place.read_bytes().partition(b"\n")[0]))
+                line = place.read_bytes().partition(b"\n")[0]
+                yield int(place.stem), Mark(*json.loads(line))
 
-    def _watch(self) -> None:
+    def watch(self) -> None:
         """Kill workers that cannot end by themselves."""
         while not self.left.wait(LOOK_S):
-            for place, mark in self._marks():
-                if mark.number >= 0 and time.monotonic() > mark.until_s + GRACE_S:
-                    self.killed.add(int(place.stem))
+            for pid, mark in self._marks():
+                if time.monotonic() > mark.until_s + GRACE_S:
                     with suppress(ProcessLookupError):
-                        os.kill(int(place.stem), signal.SIGKILL)
-
-    def end(self) -> None:
-        """End all workers; a task under way is dropped, and has published nothing."""
-        if self.watch is None:
-            return
-        from joblib.externals.loky import get_reusable_executor
-
-        get_reusable_executor(reuse=True).shutdown(kill_workers=True)
-        self.left.set()
-        self.watch.join()
-
-
-def _loss(mark: Mark, words: str, is_late: bool, ended: str) -> Loss:
-    """The loss of the task of a worker that is dead, by its mark and its last words."""
-    no_memory = NO_MEMORY.search(words)
-    is_late = is_late or TIME_UP.search(words) is not None
-    if is_late and mark.log:
-        how = f"{mark.log} did not answer within {mark.limit_s:g} s"
-        return Loss("log_no_answer", how, mark.part, mark.log)
-    if is_late:
-        how = f"not done within {mark.limit_s:g} s"
-    else:
-        how = f"{ended}: {no_memory.group().strip()}" if no_memory else ended
-    how += f", at {mark.part}" if mark.part else ""
-    if frame := FRAME.search(words):
-        file, line, function = frame.groups()
-        how += f", in {function} ({PurePath(file).name}, line {line})"
-    code = "task_timeout" if is_late else "task_memory" if no_memory else "worker_died"
-    return Loss(code, how, mark.part)
+                        os.kill(pid, signal.SIGKILL)

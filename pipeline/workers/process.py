@@ -10,12 +10,13 @@ import ctypes
 import faulthandler
 import json
 import logging
+import math
 import os
 import resource
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -30,7 +31,6 @@ log = logging.getLogger(__name__)
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-Item = TypeVar("Item")
 
 PR_SET_PDEATHSIG = 1
 # A task that goes on as before has its time limit anew at most so often [s].
@@ -55,7 +55,7 @@ class Mark(NamedTuple):
     part: str = ""  # of its work
     log: str = ""  # the log that it waits for or reads; empty without one
     limit_s: float = 0.0  # the time that it has for it
-    until_s: float = 0.0  # the end of that time, by the machine's monotonic clock
+    until_s: float = math.inf  # the end of that time, by the machine's monotonic clock
 
 
 # What was marked last, the file that it goes to, and the limits of a task, where there are any.
@@ -134,13 +134,6 @@ def still_alive() -> None:
         _say(_mark, _mark.limit_s)
 
 
-def told_alive(items: Iterable[Item]) -> Iterator[Item]:
-    """Items of which each takes little time, and all of them may take long."""
-    for item in items:
-        still_alive()
-        yield item
-
-
 @contextmanager
 def reading(log: str, *, is_asked: bool = False) -> Iterator[None]:
     """Mark that a log is being read, or opened (asked), which may be on a mount that hangs."""
@@ -157,8 +150,8 @@ def reading(log: str, *, is_asked: bool = False) -> Iterator[None]:
 
 def _say(mark: Mark, limit_s: float) -> None:
     """Mark what is under way, and have the process end where that takes too long."""
-    faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
     _write(mark._replace(limit_s=limit_s, until_s=time.monotonic() + limit_s))
+    faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
 
 
 def _write(mark: Mark) -> None:

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -16,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config import Execution
+from tests.pipeline.misbehaviour import wait_until
 
-ROOT = Path(__file__).parents[2]
 PATIENCE_S = 60.0
+ROOT = Path(__file__).parents[2]
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:
@@ -88,11 +88,3 @@ def scheduler_with(n_workers: int, *options: str) -> Iterator[Processes]:
             yield found
         finally:
             found.end()
-
-
-def wait_until(holds: Any) -> None:
-    """Wait for what another process is about to do."""
-    until = time.monotonic() + PATIENCE_S
-    while not holds():
-        assert time.monotonic() < until, "it did not come to be"
-        time.sleep(0.05)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.pipeline.dask_processes import wait_until
+from tests.pipeline.misbehaviour import wait_until
 
 
 @dataclass(frozen=True, slots=True)

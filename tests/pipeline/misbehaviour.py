@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline.workers.process import reading, sign_of_life, told_alive
+from pipeline.workers.process import reading, sign_of_life, still_alive
 
 GIB = 1 << 30
 
@@ -136,7 +136,8 @@ MISBEHAVIOUR: dict[str, Callable[[], None]] = {
 
 def slow_by_items(items: int) -> int:
     """Takes a second for each item."""
-    for _ in told_alive(range(items)):
+    for _ in range(items):
+        still_alive()
         time.sleep(1.0)
     return items
 
@@ -153,7 +154,7 @@ def die_once(marker: str) -> str:
     """Dies unless it has done so before."""
     if not Path(marker).exists():
         Path(marker).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
+        kill()
     return "done"
 
 

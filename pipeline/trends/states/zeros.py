@@ -57,7 +57,7 @@ class Zero:
             return ""
         return (
             f"the zero of the {NAMES[self.name]} sensor has moved by "
-            f"{self.move[place]:+.3g} {self.unit} [{self.lower[place]:.3g}, "
+            f"{self.move[place]:+z.3g} {self.unit} [{self.lower[place]:z.3g}, "
             f"{self.upper[place]:.3g}]: check it before the motor"
         )
 

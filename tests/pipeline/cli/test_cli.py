@@ -72,8 +72,8 @@ def test_2_for_a_broken_config_before_anything_is_read(
     [
         (["--motors", "CB400-09"], "no motor CB400-09; there are CB400-01, CB400-02"),
         (["--motors", "CB400-01 x y"], "no motor x, y"),
-        (["--since", "yesterday"], "--since: got 'yesterday'; expected YYYY-MM-DD"),
-        (["--until", "2026-02-30"], "--until: got '2026-02-30'"),
+        (["--since", "yesterday"], "'--since': got 'yesterday'; expected YYYY-MM-DD"),
+        (["--until", "2026-02-30"], "'--until': got '2026-02-30'"),
         (["--since", "2026-02-02", "--until", "2026-02-01"], "--since 2026-02-02 is after"),
         (["--jobs", "0"], "--jobs"),
         (["--jobs", "two"], "--jobs"),

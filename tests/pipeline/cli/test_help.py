@@ -78,32 +78,28 @@ EXTRAS = ("dask", "distributed", "obstore", "deltalake", "duckdb")
 NOT_AT_ONCE = (*NO_COMMAND_NEEDS, "scipy", "pyarrow.compute", "rich")
 
 
-def loaded_by(code: str, names: Sequence[str]) -> list[str]:
-    """Those of some modules that a fresh process has loaded after some code."""
-    code += f"\nimport sys; print(*(name for name in {names} if name in sys.modules))"
-    return python(code).stdout.splitlines()[-1].split()
+STATUS = """
+import contextlib, sys, pipeline.cli.state as s; from pathlib import Path; from typer import Exit
+with contextlib.suppress(Exit): s.status(Path(sys.argv[1]))"""
+RUN = """
+import pipeline.run.fleet; from pipeline.cli.reporter import progress
+with progress(1, as_json=False): pass"""
 
 
-def test_help_imports_nothing_heavy() -> None:
-    heavy = "polars", "scipy", "pyarrow", "numpy", "pipeline.run.fleet"
-    assert loaded_by("import pipeline.cli", heavy) == []
-
-
-def test_a_run_begins_without_what_it_does_not_need() -> None:
-    """Each of these takes as long to import as a third of the program."""
-    unused = (*NOT_AT_ONCE, *EXTRAS, "pipeline.night.fit_night")
-    code = "import pipeline.run.fleet; from pipeline.cli.reporter import progress\n"
-    code += "with progress(1, as_json=False): pass"
-    assert loaded_by(code, unused) == []
-
-
-def test_status_neither_fits_nor_draws(fleet: Path) -> None:
-    code = (
-        "import contextlib, pipeline.cli.state as s; from pathlib import Path; from typer import "
-        f"Exit\nwith contextlib.suppress(Exit): s.status(Path({str(fleet)!r}))"
-    )
-    unused = (*NOT_AT_ONCE, "pipeline.night.fit_night", "leakage.watch")
-    assert loaded_by(code, unused) == []
+@pytest.mark.parametrize(
+    ("code", "unused"),
+    [
+        ("import pipeline.cli", ("polars", "scipy", "pyarrow", "numpy", "pipeline.run.fleet")),
+        # Each of these takes as long to import as a third of the program.
+        (RUN, (*NOT_AT_ONCE, *EXTRAS, "pipeline.night.fit_night")),
+        (STATUS, (*NOT_AT_ONCE, "pipeline.night.fit_night", "leakage.watch")),
+    ],
+)
+def test_nothing_is_loaded_that_is_not_needed(
+    fleet: Path, code: str, unused: Sequence[str]
+) -> None:
+    code += f"\nimport sys; print(*(name for name in {unused} if name in sys.modules))"
+    assert python(code, fleet).stdout.splitlines()[-1] == ""
 
 
 def test_the_installed_command_from_demo_to_tables(tmp_path: Path) -> None:

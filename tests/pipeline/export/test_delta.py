@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -70,9 +69,7 @@ def test_it_goes_into_a_bucket(server: Server, tmp_path: Path) -> None:
     assert read_rows(shop.output, FITS, ["M1"]).height == 1
 
 
-def test_what_cannot_be_exported_is_said(
-    tmp_path: Path, fitted_output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_exported_is_said(tmp_path: Path, fitted_output: Path) -> None:
     with refused("no_tables"):
         list(export_delta(tmp_path / "nothing", str(tmp_path)))
     with refused("delta_folder"):
@@ -80,6 +77,3 @@ def test_what_cannot_be_exported_is_said(
     (tmp_path / "file").write_bytes(b"")
     with refused("store_write"):
         list(export_delta(fitted_output, str(tmp_path / "file"), (FITS,)))
-    monkeypatch.setitem(sys.modules, "deltalake", None)
-    with refused("delta_missing", "motor-leakage[delta]"):
-        list(export_delta(fitted_output, str(tmp_path)))

@@ -51,11 +51,10 @@ class TestFind:
         assert list(found) == ["a.csv", "b.csv", "e.txt", "old/c.csv", "old/older/d.csv"]
         assert found["old/c.csv"] == tmp_path / "old" / "c.csv"
         assert absent == []
-
-    def test_glob_without_a_match_is_no_fault_and_an_absent_name_is(self, spec: MotorSpec) -> None:
-        found, absent = find_logs(with_files(spec, "*.csv", "named.csv", "folder/*.csv"))
-        assert found == {}
-        assert absent == ["named.csv"]
+        # A glob without a match is no fault, and an absent name is.
+        for root in (tmp_path, tmp_path / "nowhere"):
+            one = replace(with_files(spec, "*.mcap", "named.csv", "folder/*.csv"), log_root=root)
+            assert find_logs(one) == ({}, ["named.csv"])
 
     def test_a_file_named_like_a_glob_is_the_file(self, spec: MotorSpec, tmp_path: Path) -> None:
         path = write(tmp_path / "a[1].csv", every_minute())
@@ -81,10 +80,6 @@ class TestFind:
         write(tmp_path / "M1_x.csv", every_minute(n=1))
         found, _ = find_logs(with_files(spec, pattern))
         assert set(found.values()) == set(tmp_path.glob(pattern))
-
-    def test_a_root_that_is_not_there(self, spec: MotorSpec, tmp_path: Path) -> None:
-        gone = replace(with_files(spec, "*.csv", "a.csv"), log_root=tmp_path / "nowhere")
-        assert find_logs(gone) == ({}, ["a.csv"])
 
 
 class TestInspect:
@@ -160,25 +155,21 @@ class TestWildStamps:
             assert max(labels) - min(labels) <= LONGEST_LOG_DAYS * DAY
             assert "left out" in str(record.message)
 
+
+class TestCovered:
     def test_only_nights_with_samples_count(self, spec: MotorSpec, tmp_path: Path) -> None:
         path = write(tmp_path / "a.csv", [*every_minute(), *every_minute(EVENING + 9 * DAY)])
         assert len(looked_at(path, spec).nights) == 10
         assert fully_read(path, spec).nights == ("2026-01-02", "2026-01-11")
+        empty = covered(FileRecord("a.csv", 1, 1, "x"), RawLog({}, 0, None, None), spec)
+        assert (empty.nights, empty.message) == ((), "no samples")
 
-
-class TestCovered:
     def test_what_was_left_out(self, spec: MotorSpec, tmp_path: Path) -> None:
         rows = ["200.0,50.0,30.0,1.0"] * 57 + ["x,50.0,30.0,1.0", "1,2,3", "y,50.0,30.0,1.0"]
         record = fully_read(write(tmp_path / "a.csv", every_minute(), rows), spec)
         assert record.rows == 59
         assert "2 cells of pressure_difference without a number" in str(record.message)
         assert "too few cells" in str(record.message)
-
-    def test_log_without_samples(self, spec: MotorSpec) -> None:
-        none = RawChannel(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.bool_), 0)
-        record = covered(FileRecord("a.csv", 1, 1, "x"), RawLog({"speed": none}, 0), spec)
-        assert record.nights == ()
-        assert record.message == "no samples"
 
 
 class TestSliceNight:

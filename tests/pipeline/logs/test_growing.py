@@ -18,7 +18,7 @@ import pipeline.setup.check
 from pipeline.config import load_fleet
 from pipeline.logs.files import change_of, look_at
 from pipeline.setup.check import check_fleet
-from tests.pipeline.calling import Call
+from tests.pipeline.calling import Call, Called
 from tests.pipeline.simulated import NIGHT, motor_toml
 from tests.pipeline.workshop import DAY, Workshop, check_same_figures
 
@@ -146,37 +146,34 @@ def test_what_is_published_of_a_log_stays_while_it_grows(
     assert shop.run().nights == (NIGHT,)
 
 
-class TestChangeOf:
-    def test_size_time_and_the_file_itself(self, tmp_path: Path) -> None:
-        path = tmp_path / "a.csv"
-        path.write_text("time,n\n")
-        record = look_at("a.csv", path)
-        assert change_of(record, path) is None
-        os.utime(path, ns=(0, record.modified_ns + 1))
-        why = change_of(record, path)
-        assert why is not None
-        assert (why.code, "it changed while" in why.message) == ("log_growing", True)
-        with path.open("a") as file:
-            file.write("x")
-        os.utime(path, ns=(0, record.modified_ns))
-        why = change_of(record, path)
-        assert "went from 7 to 8 bytes" in str(why)
-
-    def test_another_file_of_the_same_size_and_time(self, tmp_path: Path) -> None:
-        path, new = tmp_path / "a.csv", tmp_path / "new"
-        path.write_text("time,n\n")
-        record = look_at("a.csv", path)
-        new.write_text("time,m\n")
-        os.utime(new, ns=(0, record.modified_ns))
-        new.replace(path)
-        assert change_of(record, path) is not None
-
-    def test_one_that_is_gone_has_not_changed(self, tmp_path: Path) -> None:
-        path = tmp_path / "a.csv"
-        path.write_text("time,n\n")
-        record = look_at("a.csv", path)
+@pytest.mark.parametrize(
+    ("content", "later_ns", "words"),
+    [
+        ("time,n\n", 0, None),
+        ("time,n\n", 1, "it changed while"),
+        ("time,n\nx", 0, "it went from 7 to 8 bytes"),
+        (None, 0, None),  # one that is gone has not changed
+    ],
+)
+def test_a_change_shows_in_size_or_time(
+    tmp_path: Path, content: str | None, later_ns: int, words: str | None
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,n\n")
+    record = look_at("a.csv", path)
+    if content is None:
         path.unlink()
-        assert change_of(record, path) is None
+    else:
+        path.write_text(content)
+        os.utime(path, ns=(0, record.modified_ns + later_ns))
+    why = change_of(record, path)
+    assert (why and why.code) == (words and "log_growing")
+    assert (words or "") in str(why)
+    # Another file of the same size and time.
+    (tmp_path / "new").write_text("time,m\n")
+    os.utime(tmp_path / "new", ns=(0, record.modified_ns))
+    (tmp_path / "new").replace(path)
+    assert change_of(record, path) is not None
 
 
 @pytest.mark.parametrize("age_s", [0, 3601, -7200])
@@ -218,25 +215,23 @@ def test_the_command_says_so_and_ends_with_0(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:
     shop = shop_of(tmp_path, "csv")
-    fleet, path = str(shop.fleet), shop.logs / f"{NIGHT}.csv"
-    for more in ((), ("--json",)):
+    path = shop.logs / f"{NIGHT}.csv"
+
+    def said(*arguments: str) -> Called:
         with monkeypatch.context() as patch:
             when_called(patch, HASH, path, lambda: path.write_bytes(path.read_bytes() + b"2026"))
-            code, out, err = call("fit-fleet", fleet, *more)
-        assert code == 0
-        if more:
-            motor, run = map(json.loads, out.splitlines())
-            assert motor["files"] == run["files"]
-            assert motor["files"]["growing"] == 1
-            assert f"{NIGHT}.csv" in motor["growing"][0]
-        else:
-            assert "logs: 0 read, 0 unchanged, 1 growing, 0 failed, 0 left" in out
-            assert err.startswith(f"M1: log_growing: {NIGHT}.csv: it went from ")
+            return call(arguments[0], str(shop.fleet), *arguments[1:])
+
+    code, out, err = said("fit-fleet")
+    assert code == 0
+    assert "logs: 0 read, 0 unchanged, 1 growing, 0 failed, 0 left" in out
+    assert err.startswith(f"M1: log_growing: {NIGHT}.csv: it went from ")
+    motor, run = map(json.loads, said("fit-fleet", "--json")[1].splitlines())
+    assert motor["files"] == run["files"]
+    assert f"{NIGHT}.csv" in motor["growing"][0]
     outcomes = shop.rows("motor_outcomes")
     assert outcomes["n_files_growing"].to_list() == [1, 1]
     assert outcomes["growing"].to_list()[0][0].startswith(f"{NIGHT}.csv: ")
-    with monkeypatch.context() as patch:
-        when_called(patch, HASH, path, lambda: path.write_bytes(path.read_bytes() + b"2026"))
-        code, out, err = call("fit", fleet, "M1", str(NIGHT))
+    code, out, err = said("fit", "M1", str(NIGHT))
     assert (code, out) == (4, "")
     assert "log_growing: the night waits" in err

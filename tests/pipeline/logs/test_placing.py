@@ -56,11 +56,14 @@ def test_by_its_name_and_its_neighbours() -> None:
         # Digits within a longer number, such as seconds since 1970, are no date.
         *((name, None) for name in ("log.csv", "1720101005.csv", "2026-02-30.csv", "M20.csv")),
         ("serial-120260304.csv", None),
+        ("2026-06-01.csv", "2026-06-01"),
     ],
 )
 def test_dates_in_names(name: str, date: str | None) -> None:
     assert date_in(name) == (date and dt.date.fromisoformat(date))
     assert told(failed(name))[name].nights == ((date,) if date else ())
+    after_the_latest = "2026-06-02.csv"
+    assert told(failed(after_the_latest))[after_the_latest].nights == ()
 
 
 @pytest.mark.parametrize(
@@ -80,8 +83,3 @@ def test_a_night_is_near_the_others(night: str, is_plausible: bool) -> None:
         readable("1.csv", "2026-01-01"), failed(name), before=[readable("9", "2026-01-09")]
     )
     assert found[name] == failed(name) if not is_plausible else found[name].nights == (night,)
-
-
-def test_no_night_after_the_latest() -> None:
-    for night, nights in (("2026-06-01", ("2026-06-01",)), ("2026-06-02", ())):
-        assert told(failed(f"{night}.csv"))[f"{night}.csv"].nights == nights

@@ -70,7 +70,9 @@ def test_the_command_ends_with_4_without_a_scheduler(
         main()
     assert ended.value.code == 4
     err = capfd.readouterr().err
-    assert "scheduler_unreachable: no Dask scheduler answers at tcp://127.0.0.1:1" in err
+    assert (
+        "scheduler_unreachable: no Dask scheduler with a worker answers at tcp://127.0.0.1:1" in err
+    )
     assert "Traceback" not in err
     assert not list(output_of(fleet).rglob("*.parquet"))
 

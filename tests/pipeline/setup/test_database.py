@@ -86,5 +86,5 @@ def test_what_init_cannot_ask_is_refused_without_a_secret(
 
 def test_a_look_refuses_a_database(database: PostgresServer, tmp_path: Path) -> None:
     plant = Plant.at(tmp_path, database, nights=0)
-    error = CliRunner().invoke(app, ["look", str(plant.shop.fleet), "--once"]).exception
+    error = CliRunner().invoke(app, ["look", str(plant.shop.fleet)]).exception
     assert error.code == "look_logs"

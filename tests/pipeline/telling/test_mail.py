@@ -155,14 +155,17 @@ def test_a_message_says_what_since_when_what_to_do_and_where_to_read_on() -> Non
         "CB400-02: alarm since 2026-02-19; before that warning since 2026-02-09, ok",
         f"  L{RISEN[1:]}.",
         "  Plan a look at it.",
+        "  Figures are of the night of 2026-02-19.",
         "  http://plant/leakage/motors/CB400-02.html",
         "",
         "CB400-01: stale since 2026-02-19 (change of rules: 5 to 6); before that ok",
         "  8 nights without a figure.",
+        "  Figures are of the night of 2026-02-19.",
         "  http://plant/leakage/motors/CB400-01.html",
         "",
         "CB400-02 flow zero: ok since 2026-02-20; before that warning",
         "  Back at 0 µm.",
+        "  Figures are of the night of 2026-02-20.",
         "  http://plant/leakage/motors/CB400-02.html",
     ]
 

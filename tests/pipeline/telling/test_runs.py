@@ -8,13 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import load_fleet
-from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.store.atomic_files import remove_all
 from pipeline.telling import outbox
 from tests.pipeline.calling import Call
-from tests.pipeline.remembered import change
-from tests.pipeline.telling.fleet import keep, run, told, told_fleet, write_config
+from tests.pipeline.telling.fleet import run, told_fleet
 from tests.pipeline.telling.servers import Hook, hook
 
 
@@ -54,18 +50,6 @@ def test_a_hook_that_fails_is_tried_again_by_a_run_with_nothing_new(
     assert len(server.posts) == 2
 
 
-def test_what_is_made_anew_with_the_same_content_is_not_told_again(tmp_path: Path) -> None:
-    config = told_fleet(tmp_path, keep(tmp_path / "told"))
-    run(config)
-    run_fleet(RunRequest(load_fleet(config), force=True))
-    output = tmp_path / "out"
-    change(output, "DELETE FROM trends")
-    remove_all(output / "tables" / "alarms")
-    assert len(run(config).alarms) == 1  # new in the tables, and yet known
-    assert (output / "tables" / "alarms").exists()
-    assert len(told(tmp_path)) == 1
-
-
 def test_nothing_of_path_query_or_token_is_left_anywhere(
     tmp_path: Path,
     server: Hook,
@@ -89,15 +73,3 @@ def test_nothing_of_path_query_or_token_is_left_anywhere(
     assert "S3CRET" not in said
     for path in (tmp_path / "out").rglob("*"):
         assert not path.is_file() or b"S3CRET" not in path.read_bytes()
-
-
-def test_who_is_told_shapes_no_figure(tmp_path: Path) -> None:
-    config = told_fleet(tmp_path, keep(tmp_path / "told"))
-    before = run(config).run_id
-    write_config(
-        tmp_path,
-        'webhook_url = "http://127.0.0.1:9/"\nwebhook_headers = { X = "1" }\n'
-        'webhook_secret = "${NONE}"',
-    )
-    after = run(config)
-    assert (after.run_id, after.alarms) == (before, ())

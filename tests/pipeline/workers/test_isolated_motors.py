@@ -71,9 +71,6 @@ def output_of(fleet_file: Path) -> Path:
     return fleet_file.parent.parent / "out"
 
 
-# A motor of a fleet
-
-
 @pytest.mark.parametrize(
     ("what", "code"),
     [
@@ -138,6 +135,3 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
     assert fits(output_of(fleet), BAD)["status"].to_list() == ["ok"] * 3
     trends = pl.read_parquet(output_of(fleet) / "tables/trends/**/*.parquet")
     assert set(trends["motor_id"]) == {GOOD, OTHER}
-
-
-# Signals while trends are made; those during fits and publishing are in the tests of fleet and cli

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from pipeline.config import Execution
-from pipeline.workers.engine import HUGE_PAGES, Workers, open_workers
+from pipeline.workers.engine import HUGE_PAGES, open_workers
 from pipeline.workers.process import Loss
 from tests.pipeline.misbehaviour import (
     count_beside_or_die,
@@ -83,7 +83,6 @@ def test_what_a_task_does_to_its_worker_costs_itself_alone(name: str, n_workers:
 
 @pytest.mark.parametrize(("asked", "limit_s"), [(True, 0.5), (False, 2)])
 def test_a_log_that_a_task_waits_for_is_named(asked: bool, limit_s: float) -> None:
-    """And not asked a second time: the task is done without it."""
     found: list[Loss] = []
 
     def without(_: bool, loss: Loss) -> None:
@@ -153,23 +152,6 @@ def test_what_a_worker_says_reaches_stderr(capfd: pytest.CaptureFixture[str]) ->
     err = capfd.readouterr().err
     assert "ZeroDivisionError: not foreseen" in err
     assert "in raise_error" in err
-
-
-def test_where_no_task_can_be_done_any_more_none_is_tried_again() -> None:
-    tried = []
-
-    def gone(_: object, tasks: Any, __: int) -> Any:
-        for task in tasks:
-            tried.append(task)
-            yield task, "done" if task == "a" else Loss("scheduler_lost", "it is gone")
-
-    workers = Workers(gone, 2)
-    assert list(workers.run(do, "abc", lambda _, loss: loss.code)) == [
-        "done",
-        "scheduler_lost",
-        "scheduler_lost",
-    ]
-    assert tried == ["a", "b", "c"]
 
 
 PARENT = """
