@@ -25,6 +25,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +40,9 @@ from benchmarks.results_file import Part, description, store, stored, write_part
 NAME, TITLE = "mutation", "Faults that tests find"
 ROOT, REASONS = Path(__file__).parents[1], Path(__file__).with_suffix(".toml")
 FAULTS, PROCESSOR_S, LIMIT_S = 43, 120, 1200
-# Modules of an area, and its tests: all of the first place, of others what names a thing of it.
+# Modules of an area, and its tests: all of the first place, of others what imports from a module.
 AREAS = {
-    "physics": ("leakage/physics/*.py", "leakage/physics leakage/estimation pipeline/night"),
+    "physics": ("leakage/physics/*.py", "leakage/physics leakage/estimation"),
     "estimation": ("leakage/estimation/*.py", "leakage/estimation pipeline/night"),
     "watch": ("leakage/watch/*.py", "leakage/watch pipeline/trends"),
     "times": (
@@ -154,18 +155,26 @@ def _idle(text: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
 
 
 def _tests(module: str, area: str) -> list[str]:
-    """The module's own examples, then the tests that name most of its things first."""
+    """The module's own examples, then the tests that import most of its things first."""
     tree = ast.parse((ROOT / module).read_text("utf-8"))
-    names = {getattr(node, "name", module) for node in ast.walk(tree)} | {Path(module).stem}
-    thing = re.compile(rf"\b({'|'.join(names)})\b")
+    names = {getattr(node, "name", module) for node in tree.body} | {Path(module).stem}
     worth: dict[str, tuple[int, int]] = {}
-    for place in AREAS[area][1].split():
+    places = AREAS[area][1].split()
+    for place in places:
         path = ROOT / "tests" / place
         for file in path.rglob("test_*.py") if path.is_dir() else [path]:
-            named = len(set(thing.findall(file.read_text("utf-8"))))
-            if named or AREAS[area][1].startswith(place):
-                worth[str(file.relative_to(ROOT))] = -named, file.stat().st_size
+            near = len(names & _imported(file))
+            if near or place == places[0]:
+                worth[str(file.relative_to(ROOT))] = -near, file.stat().st_size
     return [module, *sorted(worth, key=worth.__getitem__)]
+
+
+@cache
+def _imported(file: Path) -> set[str]:
+    nodes = ast.walk(ast.parse(file.read_text("utf-8")))
+    imports = [node for node in nodes if isinstance(node, ast.ImportFrom)]
+    modules = {(node.module or "").rpartition(".")[2] for node in imports}
+    return modules | {one.name for node in imports for one in node.names}
 
 
 def _run(folder: Path, tests: list[str]) -> None:
