@@ -44,7 +44,7 @@ FAULTS, PROCESSOR_S, LIMIT_S = 43, 120, 1200
 AREAS = {
     "physics": ("leakage/physics/*.py", "leakage/physics leakage/estimation"),
     "estimation": ("leakage/estimation/*.py", "leakage/estimation pipeline/night"),
-    "watch": ("leakage/watch/*.py", "leakage/watch pipeline/trends"),
+    "watch": ("leakage/watch/*.py", "leakage/watch"),
     "times": (
         "pipeline/ingest/time_stamps.py pipeline/night/time_*.py",
         "pipeline/ingest/test_time_stamps.py pipeline/ingest pipeline/night",
