@@ -277,7 +277,10 @@ def test_the_tank_is_named_while_it_settles_and_stays(by: float) -> None:
 def test_at_one_pressure_no_gap_is_named(seed: int) -> None:
     plant = Plant(duty="one pressure", growth=grown("sleeve", 0.30, BEGIN))
     watches = watched(plant.nights(45, seed), first=FIRST)
-    assert {c.cause for one in watches if (c := one.verdict().change)} == {"cannot_be_told"}
+    changes = [change for one in watches if (change := one.verdict().change)]
+    assert {change.cause for change in changes} == {"cannot_be_told"}
+    # One gap or all of them: together likely, each alone not.
+    assert min(change.probability for change in changes) > 0.8
     at = drives(np.array([50.0, 180.0, 30.0])) * COEFFICIENTS
     wanted = 0.30 * at[2] / at.sum()
     assert watches[-1].verdict().present.value == pytest.approx(wanted, abs=0.012)

@@ -266,6 +266,15 @@ def test_a_free_scale_of_the_rollers_is_fitted_anew_and_not_read(spec: MotorSpec
     assert {name for name in before if before[name] != after[name]} == {"figures", "all"}
 
 
+def test_another_version_of_a_reader_reads_anew(
+    spec: MotorSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = hashes(spec)
+    monkeypatch.setattr("pipeline.config.hashes.reader_version", lambda _: "2")
+    after = hashes(spec)
+    assert {name for name in before if before[name] != after[name]} == {"reading", "all"}
+
+
 def test_where_logs_and_output_lie_changes_nothing(spec: MotorSpec) -> None:
     moved = replace(spec, log_root=Path("/elsewhere"), log_url="s3://bucket/logs")
     assert hashes(moved) == hashes(spec)
