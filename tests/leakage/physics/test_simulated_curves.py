@@ -37,12 +37,7 @@ def test_deformation_pressure_from_read_off_points_peaks_where_they_do() -> None
     pressure = np.linspace(5e5, 200e5, 40)
     exact = pressure / 40e5 * np.exp(1.0 - pressure / 40e5)
     read = np.maximum(exact + 0.01 * generator.standard_normal(40), 1e-4)
-    found = fit_deformation_pressure(pressure, 8e-6, read)
-    assert found == pytest.approx(120e5, rel=0.02)
-    # The least squares of the flows themselves, by trying: 0.2 % more or less are worse.
-    shapes = [pressure * np.exp(-3.0 * pressure / (found * at)) for at in (0.998, 1.0, 1.002)]
-    below, best, above = (np.linalg.norm(read - s * (s @ read) / (s @ s)) for s in shapes)
-    assert best < min(below, above)
+    assert fit_deformation_pressure(pressure, 8e-6, read) == pytest.approx(120e5, rel=0.02)
 
 
 @pytest.mark.parametrize("rigid", [math.inf, -500e5])
