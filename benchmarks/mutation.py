@@ -1,166 +1,227 @@
 """Faults planted in the code, and how many the nearest tests find.
 
-A seeded sample of small faults (an operator, a comparison, a number, a loop that does not run), as
-many in each area, by cosmic-ray's operators. Each is planted in a copy of the project, and the
-tests of its area run until one fails. What survives is listed with its reason, by hand, from
-`benchmarks/mutation.toml`.
+A sample of small faults (an operator, a comparison, a number, a loop that does not run) by
+cosmic-ray's operators, as many in each area: one at most at a place of the text, chosen by a hash
+of its line, so that a change elsewhere leaves the sample as it is. Each is planted in a copy of the
+project, and the tests nearest to its module run until one fails or their time is up. What survives
+is listed with its reason, by hand, from `benchmarks/mutation.toml`.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
+import contextlib
+import hashlib
+import multiprocessing
+import os
+import re
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import tomllib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
-from queue import SimpleQueue
+from typing import Any
 
-import numpy as np
-from cosmic_ray.ast import ast_nodes, get_ast_from_path
+import pytest
+from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
+from hypothesis import Phase, settings
 
 from benchmarks.results_file import Part, description, store, stored, write_parts
 
 NAME, TITLE = "mutation", "Faults that tests find"
-ROOT = Path(__file__).parents[1]
-REASONS = Path(__file__).with_suffix(".toml")
-SEED, FAULTS, LIMIT_S = 2026, 300, 600
-# Modules of an area, and the tests nearest to them.
-AREAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "physics": (("leakage/physics/*.py",), ("leakage/physics",)),
-    "estimation": (("leakage/estimation/*.py",), ("leakage/estimation", "pipeline/night")),
-    "watch": (("leakage/watch/*.py",), ("leakage/watch", "pipeline/trends")),
+ROOT, REASONS = Path(__file__).parents[1], Path(__file__).with_suffix(".toml")
+FAULTS, PROCESSOR_S, LIMIT_S = 43, 120, 1200
+# Modules of an area, and its tests: files, the first place, and what imports from them of others.
+AREAS = {
+    "physics": ("leakage/physics/*.py", "leakage/physics leakage/estimation"),
+    "estimation": ("leakage/estimation/*.py", "leakage/estimation pipeline/night"),
+    "watch": ("leakage/watch/*.py", "leakage/watch"),
     "times": (
-        ("pipeline/ingest/*time*.py", "pipeline/ingest/wall_clock.py", "pipeline/night/time_*.py"),
-        ("pipeline/ingest", "pipeline/night"),
+        "pipeline/ingest/time_stamps.py pipeline/night/time_*.py",
+        "pipeline/ingest/test_time_stamps.py pipeline/ingest pipeline/night",
     ),
-    "units": (("pipeline/units.py",), ("pipeline/test_units.py", "pipeline/ingest")),
-    "hashes": (("pipeline/config/hashes.py",), ("pipeline/config", "pipeline/run")),
-    "publishing": (("pipeline/store/publish*.py",), ("pipeline/store", "pipeline/faults")),
+    "units": ("pipeline/units.py", "pipeline/test_units.py pipeline/config pipeline/ingest"),
+    "hashes": (
+        "pipeline/config/hashes.py",
+        "pipeline/config/test_hashes.py pipeline/config pipeline/run",
+    ),
+    "publishing": (
+        "pipeline/store/publish*.py",
+        "pipeline/store/test_tables.py pipeline/store/test_working_copy.py pipeline/store"
+        " pipeline/faults",
+    ),
 }
-# `X | None` of annotations is no code, a cache that is left out no fault; `NoOp` changes nothing.
-LEFT_OUT = ("BitOr", "RemoveDecorator", "NoOp", "Variable")
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One change of a module's text, and whether a test found it."""
-
-    area: str
-    module: str
-    line: int
-    before: str
-    after: str
-    found: bool = False
-
-    @property
-    def key(self) -> str:
-        return f"{self.module}: {self.before} -> {self.after}"
+# Has arguments, changes nothing, or no code could be so: `1.5 << 2`, `x < y` as `x is y`.
+LEFT_OUT = re.compile(
+    "Variable|RemoveDecorator|NoOp|[qtE]_Is|Is_(?!IsNot)|IsNot_(?!Is$)|(UAdd|USub)_(Invert|Not)"
+    "|Invert_|(Add|Sub|Mul|Div|Mod|Pow)_(.Shift|Bit)|Shift_(?!.Shift)|Bit[A-Za-z]+_(?!Bit)"
+)
+# The module's name, line, the line before and after, and all of the text after.
+Fault = tuple[str, int, str, str, str]
 
 
 def main(options: Sequence[str] = ()) -> None:
     """Plant the faults, run the tests, and write `benchmarks/results/mutation.md`."""
     parser = argparse.ArgumentParser(prog=f"python -m benchmarks {NAME}")
     parser.add_argument("--only", choices=AREAS, action="append", help="areas; all without it")
-    parser.add_argument("--faults", type=int, default=FAULTS, help="in all areas together")
     parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_args(list(options))
-    with tempfile.TemporaryDirectory() as scratch:
-        copies: SimpleQueue[Path] = SimpleQueue()
-        for number in range(asked.jobs):
-            copies.put(_copy(Path(scratch) / str(number)))
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    fork = multiprocessing.get_context("forkserver")
+    fork.set_forkserver_preload([__name__, "polars", "pyarrow.parquet", "pydantic", "scipy.stats"])
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(asked.jobs) as pool:
+        copies = [_copy(Path(scratch) / str(number)) for number in range(asked.jobs)]
+
+        def passes(folder: Path, tests: list[str]) -> bool:
+            run = fork.Process(target=_run, args=(folder, tests))
+            run.start()
+            run.join()
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(run.pid or 0, signal.SIGKILL)
+            return run.exitcode == 0
+
+        def tried(fault: Fault) -> dict[str, Any]:
+            module, line, before, after, text = fault
+            folder = copies.pop()
+            (folder / module).write_text(text, "utf-8")
+            found = not passes(folder, _tests(module, area))
+            shutil.copy2(ROOT / module, folder / module)
+            copies.append(folder)
+            key = f"{module}: {before} -> {after}"
+            sys.stderr.write(f"{'found' if found else 'SURVIVES'} {line} {key}\n")
+            return {"key": key, "line": line, "found": found}
+
         for area in asked.only or AREAS:
-            planted = _sample(area, asked.faults // len(AREAS))
-            with ThreadPoolExecutor(asked.jobs) as pool:
-                done = [pool.submit(_tried, *one, copies) for one in planted]
-                store(NAME, area, [asdict(one.result()) for one in done])
-    found = {area: [Fault(**one) for one in faults] for area, faults in stored(NAME).items()}
-    write_parts(NAME, TITLE, description(__doc__), list(_parts(found)))
+            planted = _sample(area)
+            tests = {test for module, *_ in planted for test in _tests(module, area)}
+            if not passes(copies[0], sorted(tests)):
+                parser.exit(1, f"{area}: a test fails without a fault\n")
+            store(NAME, area, list(pool.map(tried, planted)))
+    write_parts(NAME, TITLE, description(__doc__), list(_parts(stored(NAME))))
 
 
 def _copy(folder: Path) -> Path:
-    """The project's own files in another folder, and the data beside it that tests look for."""
-    listed = subprocess.run(
-        ["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True
-    ).stdout.splitlines()
-    for name in listed:
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(ROOT / name, folder / name, follow_symlinks=False)
+    """The project's own files, compiled, with their times: no fault runs another's code."""
+    folder.mkdir()
+    packed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True)
+    names = packed.stdout.decode().rstrip("\0").split("\0")
+    subprocess.run(["cp", "-P", "--parents", "-p", *names, folder], cwd=ROOT, check=True)
+    subprocess.run([sys.executable, "-m", "compileall", "-q", folder], check=True)
     return folder
 
 
-def _sample(area: str, count: int) -> list[tuple[Fault, str]]:
-    """Faults of an area, each with its module's text."""
-    modules = sorted(path for pattern in AREAS[area][0] for path in ROOT.glob(pattern))
-    places = [(module, *place) for module in modules for place in _places(module)]
-    rng = np.random.default_rng([SEED, sorted(AREAS).index(area)])
-    chosen = rng.permutation(len(places))
-    faults: list[tuple[Fault, str]] = []
-    for number in chosen:
-        module, operator, occurrence = places[number]
-        text = module.read_text("utf-8")
-        after = mutate_code(text, get_operator(operator)(), occurrence)
-        if after is None or after == text:
+def _sample(area: str) -> list[Fault]:
+    modules = [path for part in AREAS[area][0].split() for path in ROOT.glob(part)]
+    places = sorted(place for module in modules for place in _places(module))
+    faults: dict[tuple[str, int, int], Fault] = {}
+    for *_, name, line, column, operator, occurrence in places:
+        if len(faults) < FAULTS and (name, line, column) not in faults:
+            text = (ROOT / name).read_text("utf-8")
+            after = mutate_code(text, get_operator(operator)(), occurrence) or text
+            old, new = (lines.splitlines()[line - 1].strip() for lines in (text, after))
+            with contextlib.suppress(SyntaxError):
+                ast.parse(after if old != new else "no fault")
+                faults[name, line, column] = name, line, old, new, after
+    return list(faults.values())
+
+
+def _places(module: Path) -> Iterator[tuple[str, str, str, int, int, str, int]]:
+    """Where operators can change something in a module: rank of the place, of the operator."""
+    text, name = module.read_text("utf-8"), module.relative_to(ROOT).as_posix()
+    nodes, lines, idle = list(ast_nodes(get_ast(text))), text.splitlines(), list(_idle(text))
+    for operator in operator_names():
+        if LEFT_OUT.search(operator) or get_operator(operator).arguments():
             continue
-        pairs = enumerate(zip(text.splitlines(), after.splitlines(), strict=False), start=1)
-        line, (old, new) = next(one for one in pairs if one[1][0] != one[1][1])
-        name = module.relative_to(ROOT).as_posix()
-        faults.append((Fault(area, name, line, old.strip(), new.strip()), after))
-        if len(faults) == count:
-            break
-    return faults
+        found = [at for node in nodes for at in get_operator(operator)().mutation_positions(node)]
+        for number, (start, _) in enumerate(found):
+            if not any(first <= start < last for first, last in idle):
+                at = f"{name} {start[1]} {lines[start[0] - 1]}"
+                place, change = (
+                    hashlib.sha256(of.encode()).hexdigest() for of in (at, at + operator)
+                )
+                yield place, change, name, *start, operator, number
 
 
-def _places(module: Path) -> Iterator[tuple[str, int]]:
-    """Operators that can change something in a module, each with the number of the place."""
-    tree = get_ast_from_path(module)
-    for name in operator_names():
-        if any(part in name for part in LEFT_OUT) or get_operator(name).arguments():
-            continue
-        operator = get_operator(name)()
-        count = sum(len(list(operator.mutation_positions(node))) for node in ast_nodes(tree))
-        yield from ((name, occurrence) for occurrence in range(count))
+def _idle(text: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+    """Text that does nothing: annotations, decorators, `strict=True`."""
+    for node in ast.walk(ast.parse(text)):
+        parts = [getattr(node, "annotation", None), getattr(node, "returns", None)]
+        parts += getattr(node, "decorator_list", [])
+        parts += [node] if isinstance(node, ast.keyword) and node.arg == "strict" else []
+        for part in filter(None, parts):
+            yield (part.lineno, part.col_offset), (part.end_lineno, part.end_col_offset)
 
 
-def _tried(fault: Fault, text: str, copies: SimpleQueue[Path]) -> Fault:
-    """The fault, planted in a copy that is free, and whether the tests found it."""
-    folder = copies.get()
-    path = folder / fault.module
-    path.write_text(text, "utf-8")
-    # The examples of its own docstrings first.
-    tests = [fault.module, *(f"tests/{place}" for place in AREAS[fault.area][1])]
-    call = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-m", "not full", *tests]
-    try:
-        done = subprocess.run(call, cwd=folder, capture_output=True, timeout=LIMIT_S, check=False)
-        found = done.returncode != 0
-    except subprocess.TimeoutExpired:
-        found = True
-    finally:
-        shutil.copy2(ROOT / fault.module, path)
-        copies.put(folder)
-    sys.stderr.write(f"{'found' if found else 'SURVIVES'} {fault.key}\n")
-    return Fault(**asdict(fault) | {"found": found})
+def _tests(module: str, area: str) -> list[str]:
+    """The module's own examples, then the tests that import most of its things first."""
+    tree = ast.parse((ROOT / module).read_text("utf-8"))
+    names = {getattr(node, "name", module) for node in tree.body} | {Path(module).stem}
+    worth: dict[str, tuple[int, int]] = {}
+    places = AREAS[area][1].split()
+    for place in places:
+        path = ROOT / "tests" / place
+        for file in path.rglob("test_*.py") if path.is_dir() else [path]:
+            near = len(names & _imported(file))
+            if near or file == path or place == places[0]:
+                worth[str(file.relative_to(ROOT))] = -near, file.stat().st_size
+    return [module, *sorted(worth, key=worth.__getitem__)]
 
 
-def _parts(found: dict[str, list[Fault]]) -> Iterator[Part]:
-    rows = [(area, str(len(of)), _share(of)) for area, of in found.items()]
-    together = [fault for of in found.values() for fault in of]
-    rows.append(("all", str(len(together)), _share(together)))
-    yield Part("Found", "By area.", "area | faults | found", rows)
-    reasons = tomllib.loads(REASONS.read_text("utf-8")) if REASONS.exists() else {}
-    survivors = [
-        (f"{one.module}:{one.line}", f"`{one.before}`", f"`{one.after}`", reasons.get(one.key, ""))
-        for one in together
-        if not one.found
+@cache
+def _imported(file: Path) -> set[str]:
+    nodes = ast.walk(ast.parse(file.read_text("utf-8")))
+    imports = [node for node in nodes if isinstance(node, ast.ImportFrom)]
+    modules = {(node.module or "").rpartition(".")[2] for node in imports}
+    return modules | {one.name for node in imports for one in node.names}
+
+
+def _run(folder: Path, tests: list[str]) -> None:
+    """Tests in a process of their own, which has all libraries but nothing of the project."""
+    os.setsid()
+    os.chdir(folder)
+    sys.path[:] = [str(folder), *(place for place in sys.path if place not in {"", str(ROOT)})]
+    os.environ |= {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    sys.dont_write_bytecode = True
+    resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_S, PROCESSOR_S))
+    signal.alarm(LIMIT_S)
+    for stream in (1, 2):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+    # The same examples each time, and none made smaller.
+    settings.register_profile("same", derandomize=True, database=None, phases=[Phase.generate])
+    settings.load_profile("same")
+    quiet = ["-x", "-q", "--tb=no", "--assert=plain", "-p", "no:cacheprovider", "-n", "0"]
+    # Most faults are found by the nearest files: only then are the others read.
+    for part in (tests[:2], tests[2:5], tests[5:]):
+        if part and pytest.main([*quiet, "-m", "not full", *part]) not in {0, 5}:
+            os._exit(1)
+    os._exit(0)
+
+
+def _parts(found: dict[str, Any]) -> Iterator[Part]:
+    found["all"] = together = [fault for faults in found.values() for fault in faults]
+    shares = {area: [fault["found"] for fault in faults] for area, faults in found.items()}
+    rows = [
+        (area, str(len(of)), str(sum(of)), f"{sum(of) / len(of):.0%}")
+        for area, of in shares.items()
     ]
-    yield Part("Not found", "With the reason.", "place | before | after | reason", survivors)
-
-
-def _share(faults: Sequence[Fault]) -> str:
-    return f"{100.0 * np.mean([fault.found for fault in faults]):.0f} %"
+    yield Part("Found", "By area.", "area | faults | found | share", rows)
+    reasons = tomllib.loads(REASONS.read_text("utf-8")) if REASONS.exists() else {}
+    yield Part(
+        "Not found",
+        "With the reason.",
+        "line | fault | reason",
+        [
+            (str(one["line"]), f"`{one['key']}`", reasons.get(one["key"], ""))
+            for one in together
+            if not one["found"]
+        ],
+    )

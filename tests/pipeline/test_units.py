@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.errors import UsageError
-from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit, to_canonical
+from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
 
 CHANNEL_OF = {quantity: channel for channel, quantity in reversed(QUANTITIES.items())}
 EVERY_UNIT = [(quantity, unit) for quantity, units in UNITS.items() for unit in units]
@@ -25,6 +25,7 @@ EVERY_UNIT = [(quantity, unit) for quantity, units in UNITS.items() for unit in 
         ("oil_temperature", 122.0, "degF", 50.0),
         ("oil_temperature", -40.0, "degF", -40.0),
         ("oil_temperature", 273.15, "K", 0.0),
+        ("oil_temperature", 323.15, "K", 50.0),
         ("speed", 1.0, "1/s", 60.0),
         ("speed", 1.0, "rad/s", 9.549297),
         ("speed", 360.0, "deg/s", 60.0),
@@ -37,10 +38,18 @@ EVERY_UNIT = [(quantity, unit) for quantity, units in UNITS.items() for unit in 
         ("leakage_flow", 250.0, "ml/min", 0.25),
         ("leakage_flow", 90.0, "l/h", 1.5),
         ("leakage_flow", 0.5, "l/s", 30.0),
+        ("running_hours", 2.0, "d", 48.0),
+        ("running_hours", 90.0, "min", 1.5),
+        ("running_hours", 5400.0, "s", 1.5),
+        ("kinematic_viscosity", 46.0, "cSt", 46.0),
+        ("kinematic_viscosity", 46e-6, "m2/s", 46.0),
+        ("dynamic_viscosity", 35.0, "cP", 35.0),
+        ("dynamic_viscosity", 0.035, "Pa.s", 35.0),
     ],
 )
 def test_published_conversions(channel: str, value: float, unit: str, expected: float) -> None:
-    assert to_canonical(channel, [value], unit) == pytest.approx([expected], rel=1e-6, abs=1e-9)
+    assert to_canonical(channel, [value], unit) == pytest.approx([expected], rel=1e-7, abs=1e-9)
+    assert from_canonical(channel, [expected], unit) == pytest.approx([value], rel=1e-7, abs=1e-9)
 
 
 @pytest.mark.parametrize("channel", CHANNELS)

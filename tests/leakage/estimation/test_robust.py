@@ -8,7 +8,14 @@ from scipy.optimize import least_squares
 
 from leakage.estimation.block_statistics import factor
 from leakage.estimation.certificate import certify
-from leakage.estimation.compression import MAD_TO_SD, TUNING, huber_weights, weight_inflation
+from leakage.estimation.compression import (
+    MAD_TO_SD,
+    TUNING,
+    compress,
+    huber_weights,
+    weight_inflation,
+)
+from leakage.estimation.sample_blocks import TRAINING, VALIDATION, Block
 
 FREE = np.array([-99.0, -99.0]), np.array([99.0, 99.0])
 
@@ -41,6 +48,20 @@ def test_it_ends_where_scipys_huber_loss_does() -> None:
         ftol=1e-14,
     )
     assert found == pytest.approx(scipy.x, rel=1e-5)
+
+
+def test_samples_are_weighed_by_those_of_the_parts_that_are_named() -> None:
+    z, index = made(2, 0.2), np.arange(2000)
+    halves = ((0, 1000, TRAINING), (1000, 2000, VALIDATION))
+    blocks = tuple(Block(first, end, first, end, part) for first, end, part in halves)
+    for parts, n in ((None, 2000), ((TRAINING,), 1000)):
+        weights = np.append(huber_weights(z[:n], *FREE), np.ones(2000 - n))
+        found = compress(
+            z, index, 1, blocks, FREE, maximum_blocks=2, loss="huber", weighted_parts=parts
+        )
+        wanted = [factor((z * np.sqrt(weights)[:, None])[first:end]) for first, end, _ in halves]
+        assert np.abs(found.factors) == pytest.approx(np.abs(wanted), abs=1e-9)
+        assert found.inflation == weight_inflation(weights[:n])
 
 
 def test_errors_without_spread_all_count() -> None:

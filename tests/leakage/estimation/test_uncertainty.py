@@ -12,7 +12,7 @@ from scipy.stats import t as student_t
 
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.certificate import certify
-from leakage.estimation.uncertainty import cluster_robust
+from leakage.estimation.uncertainty import Interval, cluster_robust
 
 Array = NDArray[np.float64]
 
@@ -80,6 +80,8 @@ def test_it_equals_the_sandwich_written_out_over_the_samples(sizes: tuple[int, .
         assert interval.degrees_of_freedom == pytest.approx(freedom, rel=1e-7)
         quantile = student_t.ppf(0.975, freedom)
         assert interval.half_width == pytest.approx(quantile * error, rel=1e-7)
+    nothing = Interval(0.0, 0.0, len(sizes) - 1.0, largest_block_share=0.0)
+    assert distribution.interval(np.zeros(4)) == nothing
 
 
 def test_covariance_and_inflation_agree_with_their_definitions() -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
 
 from leakage.errors import ParameterError
+from leakage.physics.annular_gap import VISIBLE_BELOW
 from leakage.physics.law import Parameter
 from tests.leakage.placeholders import (
     balance_piston,
@@ -51,33 +53,54 @@ def test_feasible_gaps_lie_a_factor_1_357_apart(coefficient_m3: float) -> None:
     assert highest / lowest == pytest.approx(2.5 ** (1.0 / 3.0), rel=1e-12)
 
 
-def test_bounds_of_the_gap_narrow_what_is_feasible() -> None:
-    """K of h = 10 µm and e = 0.4: at h it asks for 1 + 1.5 e² = 1.24 (10/h)³, by hand."""
-    path = replace(balance_piston(), gap=Parameter("h_p", "um", 10.0, 9.0, 10.5))
-    height, e, film = path.derived_figures(1.558230e-14, (1.4e-14, 1.7e-14), (2e-7, 2e-7))
-    assert (height.name, height.lowest, height.highest) == ("h_p", 9.0, 10.5)
-    # √(0.07116/1.5) and √(0.70096/1.5).
-    assert (e.name, e.lowest, e.highest) == ("e_p", *map(near, (0.21781, 0.68361)))
-    # h (1 − e) / √(0.2² + 0.2²), widest where the gap is.
-    assert (film.lowest, film.highest) == (
-        near(9.0 * 0.31639 / 0.28284),
-        near(10.5 * 0.78219 / 0.28284),
-    )
-    assert [one.limits for one in (height, e, film)] == [None] * 3
-    assert {one.combination for one in (height, e, film)} == {"K_p ∝ h³(1 + 1.5e²)"}
+@pytest.mark.parametrize(
+    ("change", "h", "e", "h_limits"),
+    [
+        # K of h = 10 µm at e = 0.4: h³(1 + 1.5e²) = 1240 µm³ for each h and e that are possible.
+        ({}, (496 ** (1 / 3), 1240 ** (1 / 3)), (0.0, 1.0), None),
+        ({"gap": Parameter("h_p", "um", 9.0, 8.0, 10.0)}, (8.0, 10.0), (0.4, 0.973610), None),
+        ({"gap": gap("p", 9.0, fixed=True)}, (9.0, 9.0), (0.683598, 0.683598), None),
+        ({"eccentricity": eccentricity("p", 0.4, fixed=True)}, (10, 10), (0.4, 0.4), (9.0, 11.0)),
+        ({"eccentricity": None}, (1240 ** (1 / 3),) * 2, None, (9.669034, 11.817708)),
+    ],
+)
+def test_figures_that_a_loss_factor_leaves_possible(
+    change: dict[str, Any],
+    h: tuple[float, float],
+    e: tuple[float, float] | None,
+    h_limits: tuple[float, float] | None,
+) -> None:
+    coefficient = float(balance_piston().coefficient([10.0, 0.4]))
+    path, close = replace(balance_piston(), **change), partial(pytest.approx, rel=1e-5, abs=1e-8)
+    limits = 0.729 * coefficient, 1.331 * coefficient
+    figures = {one.name: one for one in path.derived_figures(coefficient, limits, (3e-7, 4e-7))}
+    assert (figures["h_p"].lowest, figures["h_p"].highest) == close(h)
+    assert figures["h_p"].limits == (h_limits and close(h_limits))
+    ratio = figures["film_thickness_ratio_p"]
+    # The narrowest gap is the most eccentric one; √(0.3² + 0.4²) = 0.5 µm.
+    smallest, largest = e or (0.0, 0.0)
+    thickness = [h[0] * (1 - largest) / 0.5, h[1] * (1 - smallest) / 0.5]
+    assert [ratio.lowest, ratio.highest] == close(thickness)
+    assert ("e_p" in figures) == (e is not None)
+    if e:
+        assert (figures["e_p"].lowest, figures["e_p"].highest) == close(e)
+    assert bool(ratio.combination) == (e is not None and path.gap.is_free and h_limits is None)
 
 
-def test_a_gap_alone_in_its_loss_factor_has_its_interval() -> None:
-    height, film = piston_ring().derived_figures(
-        7.506312e-14, (-1e-15, 8 * 7.506312e-14), (2e-7, 2e-7)
-    )
-    assert (height.lowest, height.highest, height.combination) == (near(8.0), near(8.0), "")
-    assert height.limits == (0.0, near(16.0))
-    assert film.lowest == film.highest == near(8.0 / 0.28284)
+def test_a_stated_tolerance_gives_the_path_with_the_larger_constant() -> None:
+    (ring,) = replace(piston_ring(), deformation_tolerance=0.2).tolerances()
+    assert ring.share == 0.2
+    assert ring.path.deformation_pressure_pa == pytest.approx(144e5)  # type: ignore[attr-defined]
+    (roller,) = replace(cam_roller(), curve_tolerance=0.1).tolerances()
+    raised = [1.1 * coefficient for coefficient in cam_roller().coefficients]
+    assert roller.path.coefficients == pytest.approx(raised)  # type: ignore[attr-defined]
+    stiff = replace(balance_piston(), deformation_tolerance=0.2)
+    assert not any(path.tolerances() for path in (stiff, piston_ring(), cam_roller()))
 
 
-def near(value: float) -> Any:
-    return pytest.approx(value, rel=1e-4)
+def test_a_path_shows_below_a_pressure_that_goes_with_its_deformation() -> None:
+    assert balance_piston().visible_below_pa == math.inf
+    assert piston_ring().visible_below_pa == VISIBLE_BELOW * 120e5
 
 
 def test_inverse_map_takes_arrays_and_refuses_what_has_no_gap() -> None:

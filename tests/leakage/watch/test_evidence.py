@@ -18,6 +18,7 @@ from scipy.stats import halfnorm, multivariate_normal, norm
 
 from leakage.watch.causes import Cause
 from leakage.watch.evidence import RAMP, STEP, Causes, Evidence, Sums, Window, starts_of
+from leakage.watch.state import surroundings
 from leakage.watch.wander import PHI, SHARE, Wander
 
 Array = NDArray[np.float64]
@@ -182,6 +183,23 @@ def test_a_start_without_one_of_its_nights_forgets_that_night() -> None:
     every = np.concatenate(data.residuals)[kept]
     assert told.first[STEP, 0, 0] == pytest.approx(moved @ precise @ every, rel=1e-6)
     assert told.second[STEP, 0, 0] == pytest.approx(moved @ precise @ moved, rel=1e-6)
+
+
+def test_surroundings_are_what_nights_say_beside_a_line_in_time() -> None:
+    data, end, long = Dense.of_seed(4), 5, 1.3 / 0.7
+    own_row, along = np.array([0.5, 0.3, 0.1, 0.05]), np.array([0.6, 0.8, 0.1, 0.02])
+    certain, score = block_diag(PRIOR, 0.1**-2), np.zeros(Q_UNKNOWNS + 1)
+    for day, design, rest in zip(DAYS[:end], data.designs, data.residuals, strict=False):
+        beside = np.column_stack([design, design @ along * (day - DAYS[end - 1]) / 10.0])
+        shift = long * design[:, :P] @ SPREAD @ design[:, :P].T
+        weighted = beside.T @ np.linalg.inv(data.within + shift)
+        certain, score = certain + weighted @ beside, score + weighted @ rest
+    level = np.eye(Q_UNKNOWNS) - np.outer(along, own_row) / (own_row @ along)
+    evidence, uncertain = data.evidence(), np.linalg.inv(certain)
+    found = surroundings(evidence.window, evidence.sums, own_row, along, end)
+    assert found.mean == pytest.approx(level @ (uncertain @ score)[:-1], rel=1e-6, abs=1e-12)
+    wanted = level @ uncertain[:-1, :-1] @ level.T
+    assert found.covariance == pytest.approx(wanted, rel=1e-6, abs=1e-12)
 
 
 def test_a_wander_from_few_nights_says_less() -> None:

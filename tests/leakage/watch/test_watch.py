@@ -20,6 +20,7 @@ from leakage.watch import (
     choices,
     wander,
 )
+from leakage.watch.adoption import with_new_wander
 from tests.leakage.watch.made_machine import (
     CB560,
     COEFFICIENTS,
@@ -245,6 +246,9 @@ def test_a_large_change_begins_an_era_that_carries_what_was_before(seed: int) ->
     before, after = (watches[night - FIRST + 1] for night in (55, 74))
     assert before.state.carried.value == pytest.approx(0.40, abs=0.02)
     assert before.state.n_baseline < FIRST
+    (undone,) = before.state.undone
+    assert (undone.mean, undone.spread) == (1.0, choices.BACK_SPREAD)
+    assert undone.direction @ before.state.baseline.own_row == pytest.approx(-0.4 / 1.4, abs=0.02)
     assert before.verdict().present.value == pytest.approx(0.40, abs=0.02)
     assert after.verdict().present.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.025)
     assert after.verdict().tonight.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.04)
@@ -269,7 +273,10 @@ def test_the_tank_is_named_while_it_settles_and_stays(by: float) -> None:
 def test_at_one_pressure_no_gap_is_named(seed: int) -> None:
     plant = Plant(duty="one pressure", growth=grown("sleeve", 0.30, BEGIN))
     watches = watched(plant.nights(45, seed), first=FIRST)
-    assert {c.cause for one in watches if (c := one.verdict().change)} == {"cannot_be_told"}
+    changes = [change for one in watches if (change := one.verdict().change)]
+    assert {change.cause for change in changes} == {"cannot_be_told"}
+    # One gap or all of them: together likely, each alone not.
+    assert min(change.probability for change in changes) > 0.8
     at = drives(np.array([50.0, 180.0, 30.0])) * COEFFICIENTS
     wanted = 0.30 * at[2] / at.sum()
     assert watches[-1].verdict().present.value == pytest.approx(wanted, abs=0.012)
@@ -316,6 +323,35 @@ def test_the_smallest_change_that_would_be_told_is_about_right() -> None:
             found.append(first_told(watched(plant.nights(50, seed), first=FIRST)) is not None)
     assert sum(enough) >= 3
     assert sum(half) <= 1
+
+
+def test_the_evidence_of_the_smallest_change_is_the_limit() -> None:
+    """Student's t of a step ten nights ago, with its share of the prior among causes and shapes."""
+    watch = story(HEALTHY, 50, 1)[40 - FIRST]
+    state, evidence = watch.state, watch.state.evidence_now()
+    told = evidence.of_starts(np.array([len(state.window) - 10]))
+    names = [one.name for one in evidence.causes.every]
+    sd = (float(told.second[0, 0, names.index("all_flows")]) + 0.3**-2) ** -0.5
+    freedom = state.wander.degrees_of_freedom(state.n_nights)
+    gain = (watch.verdict().smallest / sd) ** 2
+    ratio = 0.5 * (freedom + 1) * np.log1p(gain / freedom) + np.log(2 * sd / 0.3)
+    assert ratio - np.log(2 * len(names)) == pytest.approx(state.settings.limit)
+
+
+def test_the_wander_is_estimated_anew_as_the_nights_grow_by_three_tenths() -> None:
+    """Not where something may be about to be told: from evidence of 6 on."""
+    watches = story(HEALTHY, 50, 1)
+    assert sorted({watch.state.due for watch in watches}) == [20, 26, 34, 45, 59]
+    state = watches[-1].state
+    so_far = state.n_nights - 1
+    for due, evidence, is_anew in (
+        (so_far, 5.99, True),
+        (so_far, 6.0, False),
+        (so_far + 1, 0.0, False),
+        (0, 0.0, False),
+    ):
+        asked = replace(state, due=due, evidence=evidence)
+        assert (with_new_wander(asked) is not asked) == is_anew
 
 
 def test_leakage_at_conditions_follows_the_worn_path() -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from pathlib import Path
 
 import pytest
 
 from pipeline.config import ConfigError, Fault, load_fleet
+from pipeline.config.hashes import SettingsHashes, config_hash, reading_hash
+from pipeline.demo import shipped_configs
 from tests.pipeline.simulated import FLEET, write_configs
 
 DEFAULTS = """
@@ -73,3 +76,21 @@ def test_a_key_that_no_motor_has_is_a_fault(tmp_path: Path) -> None:
     path = configs(tmp_path, {"W1": 'motor_id = "W1"'}, DEFAULTS + "resolutoin = 0.1\n")
     (fault,) = faults_of(path)
     assert (fault.file, fault.key) == ("fleet.toml", "defaults.channels.leakage_flow.resolutoin")
+
+
+def test_hashes_of_the_shipped_motors_stay() -> None:
+    """Regression: another one makes every plant's nights anew, which the change log must say."""
+    found = [
+        (reading_hash(spec), dated.statistics(night), dated.figures(night), config_hash(spec))
+        for night in [dt.date(2026, 3, 1)]
+        for spec in load_fleet(shipped_configs() / "fleet.toml").motors
+        for dated in [SettingsHashes(spec)]
+    ]
+    assert found == [
+        ("38f0f28070caaced", "b2655957f9315310", "f183d1215fe95a41", "cc3a9ee3605b2229"),
+        ("bbd6f4694fb63749", "44ffe40b20d60db3", "50bea82a3980611c", "f36ecc296bcc5af7"),
+        ("c8ce36800478243a", "6ab6264f76cef782", "d4ff9581b5ff7999", "74334aac3de45494"),
+        ("ad67cbdd48f2775a", "0dcb336e93a1257d", "d4ff9581b5ff7999", "ba00fc68941a1119"),
+        ("f1c87f90e8e1a73e", "70a63ef4f9f4110a", "b7d067d194772636", "7613cad1276d25ab"),
+        ("f791ae6380505b7e", "431a95e0dc8579d4", "bcf4f72391a7b729", "7534bb3ab22c65bd"),
+    ]

@@ -11,7 +11,14 @@ from typing import Any
 import pytest
 
 from pipeline.config import MotorSpec
-from pipeline.config.hashes import SettingsHashes, config_hash, model_hash, reading_hash
+from pipeline.config.hashes import (
+    SettingsHashes,
+    config_hash,
+    model_hash,
+    reading_hash,
+    settings_of,
+    why_anew,
+)
 from pipeline.config.logs import Database
 from pipeline.config.motor_types import LaminarPath, LeakageLimits, Unknown
 from pipeline.config.motors import Event
@@ -245,6 +252,15 @@ def test_a_free_scale_of_the_rollers_is_fitted_anew_and_not_read(spec: MotorSpec
     assert {name for name in before if before[name] != after[name]} == {"figures", "all"}
 
 
+def test_another_version_of_a_reader_reads_anew(
+    spec: MotorSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = hashes(spec)
+    monkeypatch.setattr("pipeline.config.hashes.reader_version", lambda _: "2")
+    after = hashes(spec)
+    assert {name for name in before if before[name] != after[name]} == {"reading", "all"}
+
+
 def test_where_logs_and_output_lie_changes_nothing(spec: MotorSpec) -> None:
     moved = replace(spec, log_root=Path("/elsewhere"), log_url="s3://bucket/logs")
     assert hashes(moved) == hashes(spec)
@@ -261,3 +277,53 @@ def test_model_hash_changes_with_the_oil_and_not_with_the_mode(tmp_path: Path) -
     }
     assert hashes[before, "none"] == hashes[before, "estimated"] != hashes[after, "none"]
     assert len({hashes[after, mode] for mode in ("none", "estimated")}) == 1
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "words"),
+    [
+        ({}, {"nights": {"a": 1}}, "changed settings"),
+        ({}, {"versions": {"figures": 2}}, "changed settings"),
+        ({"nights": {"a": 1}}, {"nights": {"a": 1}}, "changed settings"),
+        ({"trends": {"a": 1}}, {"trends": {"a": 2}}, "changed settings"),
+        ({"nights": {"a": 1, "b": 1}}, {"nights": {"b": 2}}, "changed setting a, b"),
+        ({"nights": {"a": {"b": [1]}}}, {"nights": {"a": {"b": [2]}}}, "changed setting a.b"),
+        ({"nights": {"a": []}}, {"nights": {"a": [{"x": 1}]}}, "changed setting a, a.0.x"),
+        (
+            {"nights": {"path": [{"name": "o", "count": 1}]}},
+            {"nights": {"path": [{"name": "o", "count": 2}]}},
+            "changed setting path.o.count",
+        ),
+        ({"nights": {"a": 0}}, {"nights": dict.fromkeys("bcda", 1)}, "changed setting a, b, c, d"),
+        (
+            {"nights": {"a": 0}},
+            {"nights": dict.fromkeys("ebcda", 1)},
+            "changed setting a, b, c, d, …",
+        ),
+        (
+            {"versions": {"reading": 1}, "nights": {"a": 1}},
+            {"versions": {"reading": 1, "figures": 2}, "nights": {"a": 2}},
+            "another version of the program (figures ? to 2)",
+        ),
+    ],
+)
+def test_what_changed_is_named(before: dict[str, Any], now: dict[str, Any], words: str) -> None:
+    assert why_anew(before, now) == words
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "of_nights"),
+    [("cleaning", "standstill_rpm", True), ("alarms", "alarm_percent", False)],
+)
+def test_settings_of_nights_are_kept_apart_from_those_of_trends(
+    spec: MotorSpec, table: str, key: str, of_nights: bool
+) -> None:
+    one = getattr(spec.settings, table)
+    new = one.model_copy(update={key: getattr(one, key) + 1})
+    changed = replace(spec, settings=spec.settings.model_copy(update={table: new}))
+    before, now = settings_of(spec), settings_of(changed)
+    assert (before["nights"] != now["nights"], before["trends"] != now["trends"]) == (
+        of_nights,
+        not of_nights,
+    )
+    assert why_anew(before, now, trends=True) == f"changed setting {table}.{key}"

@@ -169,7 +169,7 @@ class TestJointRules:
 
         def halt(speed: Floats) -> None:
             speed *= sign
-            speed[1000:1100] = sign * 0.49
+            speed[500:600], speed[1000:1100] = sign * 0.51, sign * 0.49
 
         samples, quality = together(self.with_speed(halt))
         assert quality["time_base", "standstill"].n_refused == 100

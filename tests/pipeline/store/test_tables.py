@@ -32,7 +32,7 @@ from pipeline.schema import (
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
 from pipeline.store.encoding import ROWS_A_GROUP, prepare_table, write_table
 from pipeline.store.night_files import stage
-from pipeline.store.published import verify_tables
+from pipeline.store.published import is_called_as_ours, verify_tables
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import (
     files_of,
@@ -410,3 +410,20 @@ class TestMonths:
         in_the_way.unlink()
         publish(tmp_path, {"A": [LATER]})
         assert list(verify_tables(tmp_path)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "is_ours"),
+    [
+        ("fits/month=2026-01/2026-01.parquet", True),
+        ("predictions/month=2026-01/2026-01-05.parquet", True),
+        ("latest/latest.parquet", True),
+        ("fits/month=2026-01/2026-02.parquet", False),
+        ("fits/month=2026-13/2026-13.parquet", False),
+        ("fits/2026-01.parquet", False),
+        ("fits/month=2026-01/2026-01.csv", False),
+        ("others/month=2026-01/2026-01.parquet", False),
+    ],
+)
+def test_names_under_which_a_run_publishes(tmp_path: Path, name: str, is_ours: bool) -> None:
+    assert is_called_as_ours(tmp_path, name) == is_ours
