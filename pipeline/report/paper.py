@@ -104,7 +104,7 @@ def _charts(page: Figure, chart: Chart, top: float) -> None:
     marks = "; ".join(
         f"{number} {mark.night}: {mark.words}" for number, mark in enumerate(chart.marks, 1)
     )
-    page.text(LEFT, 0.274, _wrapped(textwrap.shorten(marks, 3 * LETTERS)), va="top", color="0.35")
+    page.text(LEFT, 0.274, _wrapped(marks, max_lines=3), va="top", color="0.35")
     if not chart.panels:
         return
     grid = page.subplots(
@@ -165,6 +165,7 @@ def _finding(page: Figure, paths: Sequence[str]) -> None:
         page.add_artist(Line2D([LEFT, RIGHT], [height, height], color="0.6", lw=0.6))
 
 
-def _wrapped(text: str, letters: int = LETTERS) -> str:
+def _wrapped(text: str, letters: int = LETTERS, max_lines: int | None = None) -> str:
     # No line begins with a unit.
-    return textwrap.fill(text.replace(" %", "\N{NO-BREAK SPACE}%"), letters)
+    text = text.replace(" %", "\N{NO-BREAK SPACE}%")
+    return textwrap.fill(text, letters, max_lines=max_lines, placeholder=" …")
