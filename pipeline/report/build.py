@@ -27,7 +27,7 @@ from pipeline.report.status import changed_by_rules, current_states, read_scores
 from pipeline.report.tables import MotorHistory, TableReader, by_motor, motor_histories
 from pipeline.report.words import STATUSES
 from pipeline.schema import ALARMS, FIT_KEY_NAMES, FITS, PREDICTIONS, RUNS, frame
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, read, remove_leftovers
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, remove_leftovers
 from pipeline.store.tables import files_of, table_folder
 from pipeline.telling.outbox import backlogs
 from pipeline.telling.receivers import Receiver
@@ -103,7 +103,7 @@ class Folder:
         if manifest.exists():
             # Without a sound one all files are made anew, over the present ones.
             with suppress(OSError, ValueError, KeyError, TypeError):
-                last = json.loads(read(manifest))
+                last = json.loads(manifest.read_bytes())
                 found = str(last["program"]), dict(last["nights"]), set(last["files"])
                 self.program, self.nights, self.before = found
             return
@@ -119,7 +119,7 @@ class Folder:
         """Write a file unless it is there with that content."""
         self.files.add(name)
         path = self.path / name
-        if not (path.exists() and read(path) == content):
+        if not (path.exists() and path.read_bytes() == content):
             put(path, content, durable=False)
             self.n_written += 1
 
@@ -143,7 +143,7 @@ class Folder:
         flush_disk(self.path)  # one flush for all pages, not one for each
         manifest = {"program": program, "nights": nights, "files": sorted(self.files)}
         content = json.dumps(manifest, separators=(",", ":"), sort_keys=True).encode()
-        if read(self.path / MANIFEST) != content:
+        if (self.path / MANIFEST).read_bytes() != content:
             put(self.path / MANIFEST, content)
         return len(gone)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,6 @@ import pytest
 
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.store.atomic_files import remove_all
 from pipeline.telling import outbox
 from tests.pipeline.calling import Call
 from tests.pipeline.remembered import change
@@ -60,7 +60,7 @@ def test_what_is_made_anew_with_the_same_content_is_not_told_again(tmp_path: Pat
     run_fleet(RunRequest(load_fleet(config), force=True))
     output = tmp_path / "out"
     change(output, "DELETE FROM trends")
-    remove_all(output / "tables" / "alarms")
+    shutil.rmtree(output / "tables" / "alarms")
     assert len(run(config).alarms) == 1  # new in the tables, and yet known
     assert (output / "tables" / "alarms").exists()
     assert len(told(tmp_path)) == 1
