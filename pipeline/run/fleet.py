@@ -99,7 +99,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
             is_new = make_ready(output)
             with open_state(output) as state:
                 damage = Damage(state)
-                take_over(state, damage.forget)
+                take_over(state, damage.forget, damage.take_stock)
                 if is_new:
                     restore_decisions(state)
                     damage.take_stock()
@@ -114,7 +114,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
             log.warning("no log of any motor is below %s: is the folder mounted?", place)
         heartbeat.say(stage="telling")
         deliver_alarms(fleet, receivers)
-        heartbeat.finished(result.run_id, interrupted=result.interrupted, good=result.is_good)
+        heartbeat.finished(interrupted=result.interrupted, good=result.is_good)
         measure(fleet, receivers, result)
     return result
 
@@ -165,7 +165,7 @@ def _run(
     try:
         for outcome in motor_outcomes(workers, tasks, fleet.execution, state):
             outcomes.append(outcome)
-            heartbeat.motor_done(is_news=bool(outcome.nights))
+            heartbeat.motor_done()
             progress(outcome)
     except KeyboardInterrupt:
         is_stopped = True

@@ -42,7 +42,6 @@ OLD_FOLDERS = ("manifest", "ledger", "history")
 OUTBOX = ("outbox.json", "outbox.copy.json")
 OLD_FILES = ("decisions.jsonl", "decisions.damaged", *OUTBOX, *(f"look/{one}" for one in OUTBOX))
 DECISION = ("motor_id", "indicator", "time", "kind", "night", "finding", "note", "worn", "sound")
-LISTED = "SELECT 1 FROM files WHERE name = ?"
 # SHA-256 that a file may have, by its name.
 Listed = Mapping[str, tuple[str | None, ...]]
 # Of a night, of a day of looks, and of a run.
@@ -51,28 +50,29 @@ MONTHLY = tuple(one for one in TABLES if one not in (*NIGHTLY_TABLES, *WHOLE_TAB
 OLD_TABLES = {table.name for table in MONTHLY}
 
 
-def take_over(state: State, forget: Forget) -> None:
+def take_over(state: State, forget: Forget, take_stock: Callable[[], object]) -> None:
     """Take an output of an older version over; the caller holds the lock.
+
+    `take_stock` lists the files that stay as they are, and prove themselves.
 
     Where that is broken off, the next run goes on; until then a query may see rows twice.
 
     Raises StoreError if a file cannot be written, or is of a newer version of the program.
     """
     output = state.output
-    if any((output / name).exists() for name in (*OLD_FOLDERS, *OLD_FILES)):
+    old = {(table, month) for table in MONTHLY for month in _old_months(output, table)}
+    if not old and not any((output / name).exists() for name in (*OLD_FOLDERS, *OLD_FILES)):
+        return
+    if not state.meta("taken over"):
         log.warning("the output is of an older version, and is taken over")
-        if not state.meta("taken over"):
-            _take_records(state)
+        _take_records(state)
     manifests = sorted((output / "manifest").glob("*/*.json"))
     listed = {name: some for path in manifests for name, some in _listed(path)}
-    old = {(table, month) for table in MONTHLY for month in _old_months(output, table)}
     for month in sorted({month for _, month in old}):
         tables = [table for table in MONTHLY if (table, month) in old]
         with suppress(LockedError), _looks_held(output, tables):
             _take_month(state, month, tables, listed, forget)
-    remaining = {name for name in listed if not state.rows(LISTED, name)}
-    there = {name: _digest(output / "tables" / name, listed[name]) for name in remaining}
-    note(state, {name: digest for name, digest in there.items() if digest is not None})
+    take_stock()
     for name in OLD_FOLDERS:
         rmtree(output / name, ignore_errors=True)
     for name in OLD_FILES:
@@ -224,12 +224,3 @@ def _rows(output: Path, path: Path, table: Table, listed: Listed) -> pl.DataFram
     if accepted and hashlib.sha256(content).hexdigest() not in accepted:
         raise damaged(path, table, "it is not what its manifest says")
     return from_parquet(path, table, content)
-
-
-def _digest(path: Path, accepted: Sequence[str | None]) -> str | None:
-    """Which of the digests a file has; None for another."""
-    try:
-        found = hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
-        return None
-    return found if found in accepted else None

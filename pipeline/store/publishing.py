@@ -225,12 +225,19 @@ def _with_rows(
     table: Table, rows: pl.DataFrame, present: pl.DataFrame, replaced: pl.DataFrame | None = None
 ) -> pl.DataFrame:
     """Rows that are there with new ones, in place of those of the same key and of some others."""
-    kept = present
+    before, kept, after = present.clear(), present, present.clear()
+    if replaced is not None and "night" in table.key:
+        # Other nights lie before and after them, and are neither copied nor sorted.
+        span = [pl.col("night").min().alias("first"), pl.col("night").max().alias("last")]
+        first, last = replaced.select(span).row(0)
+        begin = present["night"].search_sorted(first, "left")
+        end = present["night"].search_sorted(last, "right")
+        before, kept, after = present[:begin], present[begin:end], present[end:]
+    else:
+        kept = kept.join(rows, on=list(table.key), how="anti")
     if replaced is not None:
         kept = kept.join(replaced, on=replaced.columns, how="anti")
-    if replaced is None or "night" not in table.key:
-        kept = kept.join(rows, on=list(table.key), how="anti")
-    return pl.concat([kept, rows]).sort(table.order)
+    return pl.concat([before, pl.concat([kept, rows]).sort(table.order), after])
 
 
 def side_by_side(

@@ -152,7 +152,7 @@ def test_a_damaged_night_of_it_is_made_anew(tiny_fleet: TinyFleet, old: Path) ->
 def test_a_run_that_is_broken_off_meanwhile_costs_nothing(
     tiny_fleet: TinyFleet, old: Path, step: str
 ) -> None:
-    def broken(*_: object) -> None:
+    def broken(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
