@@ -47,7 +47,6 @@ Listed = Mapping[str, tuple[str | None, ...]]
 # Of a night, of a day of looks, and of a run.
 OLD_NAME = re.compile(r"(looks-)?\d{4}-\d{2}-\d{2}|\d{8}T\d{12}Z")
 MONTHLY = tuple(one for one in TABLES if one not in (*NIGHTLY_TABLES, *WHOLE_TABLES))
-OLD_TABLES = {table.name for table in MONTHLY}
 
 
 def take_over(state: State, forget: Forget, take_stock: Callable[[], object]) -> None:

@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
@@ -93,7 +94,7 @@ def accepted(state: State, name: str) -> tuple[str, ...]:
 
 
 def distrust(state: State, name: str) -> None:
-    """Let the next run look at a file, whatever it looks like.
+    """Let the next run look at a file, or fetch it anew from an object store, whatever it is now.
 
     Raises StoreError if it cannot be written.
     """
@@ -102,6 +103,8 @@ def distrust(state: State, name: str) -> None:
         " ON CONFLICT (name) DO UPDATE SET modified_ns = -1",
         name,
     )
+    with suppress(OSError):
+        os.utime(state.output / "tables" / name)
 
 
 def _stamp(output: Path, name: str) -> tuple[int, int]:

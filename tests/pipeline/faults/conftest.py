@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.run.mending import EVERY_DAY
 from pipeline.store.state import State
-from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
+from pipeline.trends.nights.decisions import Decision, record_decision
 from tests.conftest import made_once
 from tests.pipeline.faults.crash import Victim, victim_in
 from tests.pipeline.faults.fleet import TinyFleet, remembered_fits
@@ -34,14 +34,6 @@ def victim(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Victim]:
 def output(tiny_fleet: TinyFleet, tmp_path: Path) -> Path:
     """All that a run leaves; what is copied keeps its times."""
     return shutil.copytree(tiny_fleet.after, tmp_path / "out")
-
-
-@pytest.fixture
-def said(output: Path, tiny_fleet: TinyFleet) -> tuple[Decision, ...]:
-    """Decisions made by people, in the journal and in the table of the next run."""
-    say(output)
-    tiny_fleet.run(output)
-    return read_decisions(output)
 
 
 def say(output: Path) -> None:
