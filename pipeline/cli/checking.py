@@ -101,10 +101,10 @@ def _check_tables(config: Path, output: Path | None, *, as_json: bool, is_mended
     fleet = load(config, output, None, logs=False)
     folder = fleet.output
     if is_mended:
-        with locked(folder), working_copy(fleet.object_store, folder) as restore:
+        with locked(folder), working_copy(fleet.object_store, folder):
             make_ready(folder)
             with open_state(folder) as state:
-                found, left = repair(state, restore)
+                found, left = repair(state)
     else:
         found = left = tuple(verify_tables(folder))
     _say_faults(found, "table_fault", "", as_json=as_json)

@@ -198,12 +198,9 @@ def read_settings(state: State) -> dict[str, dict[str, Any]]:
 
 
 def forget_nights(
-    state: State,
-    nights: Collection[dt.date],
-    keep: Collection[str] = (),
-    refit: Collection[dt.date] = (),
+    state: State, nights: Collection[dt.date], refit: Collection[dt.date] = ()
 ) -> dict[str, set[dt.date]]:
-    """Let the next run make nights anew whose tables were lost, for all motors but those to keep.
+    """Let the next run make nights anew whose tables were lost.
 
     Nights with a fit are kept: if their log is gone, the night after is still judged with their
     model. Those of `refit` may be fitted from their statistics. Returns, by motor, those of the
@@ -212,11 +209,11 @@ def forget_nights(
     Raises StoreError if the state cannot be written.
     """
     fitted: dict[str, set[dt.date]] = {}
-    others = [one for (one,) in state.rows("SELECT motor_id FROM motors") if one not in keep]
+    motor_ids = [one for (one,) in state.rows("SELECT motor_id FROM motors")]
     with state.transaction():
         for night in nights:
             label = night.isoformat()
-            for motor_id in others:
+            for motor_id in motor_ids:
                 where, values = "WHERE (motor_id, night) = (?, ?)", (motor_id, label)
                 state.write(
                     "DELETE FROM logs WHERE motor_id = ? AND nights LIKE ?", motor_id, f"%{label}%"

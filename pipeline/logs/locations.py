@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import tempfile
 import weakref
 from collections import OrderedDict
@@ -22,7 +23,6 @@ from pipeline.errors import LogError
 from pipeline.logs.files import change_of, failed, growing, inspect_log
 from pipeline.logs.finding import GLOB_CHARACTERS, find_logs, legible, without_match
 from pipeline.logs.ledger import FileRecord
-from pipeline.store.atomic_files import remove_all, scratch
 from pipeline.store.object_store import ObjectChangedError, ObjectStore, StoredObject
 from pipeline.workers.process import reading
 
@@ -90,7 +90,7 @@ class StoredLogs(FolderLogs):
         self._found, self.absent, self._unmatched = _matching(self._store, spec.file.logs.files)
         self.names = tuple(sorted(self._found))
         self._folder = Path(tempfile.mkdtemp(prefix="motor-leakage-logs-"))
-        weakref.finalize(self, remove_all, self._folder)
+        weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
         self._copies: OrderedDict[str, Path] = OrderedDict()
 
     def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
@@ -123,7 +123,8 @@ class StoredLogs(FolderLogs):
         if found is None:
             return path
         try:
-            with reading(name), scratch(path) as stream:
+            folder.mkdir(exist_ok=True)
+            with reading(name), path.open("wb") as stream:
                 self._store.fetch(found, stream)
         except ObjectChangedError as error:
             if self._store.tag_of(found.key) is None:

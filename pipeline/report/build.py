@@ -26,7 +26,7 @@ from pipeline.report.plotly_json import figure, script_json
 from pipeline.report.status import current_states
 from pipeline.report.tables import MotorHistory, by_motor, finite_rows, motor_histories
 from pipeline.schema import ALARMS, FITS, PREDICTIONS, frame
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, read, remove_leftovers
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, remove_leftovers
 from pipeline.store.tables import files_of, read_rows, table_folder
 from pipeline.telling.outbox import backlogs
 from pipeline.telling.receivers import receivers_of
@@ -66,7 +66,7 @@ class Folder:
         if manifest.exists():
             # Without a sound one all files are made anew, over the present ones.
             with suppress(OSError, ValueError, KeyError, TypeError):
-                last = json.loads(read(manifest))
+                last = json.loads(manifest.read_bytes())
                 found = str(last["program"]), dict(last["nights"]), set(last["files"])
                 self.program, self.nights, self.before = found
             return
@@ -82,7 +82,7 @@ class Folder:
         """Write a file unless it is there with that content."""
         self.files.add(name)
         path = self.path / name
-        if not (path.exists() and read(path) == content):
+        if not (path.exists() and path.read_bytes() == content):
             put(path, content, durable=False)
             self.n_written += 1
 
@@ -106,7 +106,7 @@ class Folder:
         flush_disk(self.path)  # one flush for all pages, not one for each
         manifest = {"program": program, "nights": nights, "files": sorted(self.files)}
         content = json.dumps(manifest, separators=(",", ":"), sort_keys=True).encode()
-        if read(self.path / MANIFEST) != content:
+        if (self.path / MANIFEST).read_bytes() != content:
             put(self.path / MANIFEST, content)
         return len(gone)
 

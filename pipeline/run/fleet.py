@@ -20,7 +20,7 @@ from pipeline.config import Fleet
 from pipeline.config.fleet import LANDED_FOLDER
 from pipeline.errors import StoreError
 from pipeline.logs.finding import legible
-from pipeline.run.mending import Damage, restore_decisions
+from pipeline.run.mending import EVERY_DAY, Damage, restore_decisions
 from pipeline.run.motors import motor_outcomes
 from pipeline.run.publishing import (
     STAGES,
@@ -35,18 +35,13 @@ from pipeline.run.publishing import (
 from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
 from pipeline.run.telling import deliver_alarms, measure, queue_summary
 from pipeline.schema.fits import FAILED
-from pipeline.store.atomic_files import (
-    make_private_folder,
-    remove_all,
-    remove_leftovers,
-    store_errors,
-)
+from pipeline.store.atomic_files import make_folders, remove_leftovers, store_errors
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.locks import locked
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.old_layout import take_over
-from pipeline.store.published import TableFault, share_due, write_manifest
+from pipeline.store.published import write_manifest
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import make_ready, open_state
 from pipeline.store.working_copy import pull, working_copy
@@ -64,7 +59,6 @@ Progress = Callable[[MotorOutcome], None]
 
 # Folders of the output in which a killed run leaves temporary files.
 WRITTEN_FOLDERS = ("tables", LANDED_FOLDER)
-PUT_ASIDE_LATE = "it is not what was published, and was put aside when its night was published"
 
 
 def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunResult:
@@ -98,14 +92,14 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     ):
         remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in WRITTEN_FOLDERS])
-        with working_copy(fleet.object_store, output) as restore, staging_folder(output) as staging:
+        with working_copy(fleet.object_store, output), staging_folder(output) as staging:
             if fleet.object_store:
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (fleet.log_root, staging) if fleet.has_log_folder else (staging,)
             is_new = make_ready(output)
             with open_state(output) as state:
-                damage = Damage(state, restore)
-                take_over(state, damage.forget)
+                damage = Damage(state)
+                take_over(state, damage.forget, damage.take_stock)
                 if is_new:
                     restore_decisions(state)
                     damage.take_stock()
@@ -120,7 +114,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
             log.warning("no log of any motor is below %s: is the folder mounted?", place)
         heartbeat.say(stage="telling")
         deliver_alarms(fleet, receivers)
-        heartbeat.finished(result.run_id, interrupted=result.interrupted, good=result.is_good)
+        heartbeat.finished(interrupted=result.interrupted, good=result.is_good)
         measure(fleet, receivers, result)
     return result
 
@@ -164,15 +158,14 @@ def _run(
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet, state = request.fleet, damage.state
-    damage.look_around(share_due(state, fleet.execution.prove_within_days, started))
-    state.set_meta("share proven", f"{started:%Y-%m-%d}")
+    damage.look_around(fleet.execution.prove_within_days)
     tasks = [request.task(spec, staging) for spec in request.specs]
     outcomes: list[MotorOutcome] = []
     is_stopped = False
     try:
         for outcome in motor_outcomes(workers, tasks, fleet.execution, state):
             outcomes.append(outcome)
-            heartbeat.motor_done(is_news=bool(outcome.nights))
+            heartbeat.motor_done()
             progress(outcome)
     except KeyboardInterrupt:
         is_stopped = True
@@ -181,7 +174,9 @@ def _run(
     config_hash = config_hash_of(request.specs)
     run_id = run_id_of(outcomes, config_hash)
     heartbeat.say(stage="publishing", run_id=run_id)
-    publisher = Publisher(state, staging, run_id, fleet.execution.workers)
+    publisher = Publisher(
+        state, staging, run_id, fleet.execution.workers, missed=damage.found.keys()
+    )
     with interrupts_held() as came:
         n_nights = publish_motors(publisher, outcomes)
     is_stopped = is_stopped or bool(came)
@@ -201,9 +196,7 @@ def _run(
         outcomes = [_with_trends(one, failures.get(one.motor_id)) for one in outcomes]
         if any(one.error_code == "store_read" for one in outcomes):
             # What a task could not read is found and named; the next run makes it anew.
-            damage.look_around(None)
-        for name in publisher.damaged:  # the publisher has said so
-            damage.found.setdefault(name, TableFault(name, "table_altered", PUT_ASIDE_LATE))
+            damage.look_around(EVERY_DAY)
         ends.append(time.perf_counter())
         stages = zip(STAGES, [begin, *ends], ends, strict=False)
         result = RunResult(
@@ -229,15 +222,16 @@ def staging_folder(output: Path) -> Iterator[Path]:
     Nobody else may enter it: what tasks leave there is published.
     """
     root = output / "staging"
-    remove_all(root)
+    shutil.rmtree(root, ignore_errors=True)
     # A name of its own: a worker of a killed run may still write into the folder of that one.
     folder = root / secrets.token_hex(8)
     try:
         with store_errors(root):
-            make_private_folder(folder)
+            make_folders(root)
+            folder.mkdir(mode=0o700)
         yield folder
     finally:
-        remove_all(root)
+        shutil.rmtree(root, ignore_errors=True)
 
 
 def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:

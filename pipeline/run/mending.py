@@ -10,7 +10,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
@@ -30,6 +30,7 @@ from pipeline.store.published import (
     look_at_files,
     note,
     proof_of,
+    share_due,
     verify_tables,
 )
 from pipeline.store.state import State
@@ -39,10 +40,10 @@ from pipeline.trends.nights.trend_record import note_touched
 
 log = logging.getLogger(__name__)
 
-# Restores a file of the output, by its path below it, from the object store.
-Restore = Callable[[str], bool]
 # Rows of these are made anew from the night's stored blocks if its log is gone.
 FROM_BLOCKS = {"parameters"}
+# All files are due in each run.
+EVERY_DAY = 1
 LOST = ("table_altered", "table_missing")
 NO_LOGS = (
     "the logs of that night are gone, or were not asked for; the next run makes it anew where they "
@@ -58,8 +59,6 @@ class Damage:
     ----------
     state
         State of an output folder, of which the caller holds the lock.
-    restore
-        Restores a file from the object store.
 
     Attributes
     ----------
@@ -68,7 +67,6 @@ class Damage:
     """
 
     state: State
-    restore: Restore = lambda _: False
     found: dict[str, TableFault] = field(default_factory=dict)
     # By motor, the nights with a fit of which rows were lost.
     _fitted: defaultdict[str, set[dt.date]] = field(default_factory=lambda: defaultdict(set))
@@ -78,12 +76,12 @@ class Damage:
         """The output folder."""
         return self.state.output
 
-    def look_around(self, due: Collection[str] | None) -> None:
-        """Prove the files that are due (None: all), or were written to since.
+    def look_around(self, prove_within_days: int) -> None:
+        """Prove the files that were written to since, and a share of the others.
 
         Raises StoreError if something cannot be read or written; what was done before then holds.
         """
-        looked = list(look_at_files(self.state, due))
+        looked = list(look_at_files(self.state, share_due(self.state, prove_within_days)))
         note(self.state, {one.name: one.sha256 for one in looked if one.fault is None})
         self.mend([one.fault for one in looked if one.fault is not None])
 
@@ -118,7 +116,6 @@ class Damage:
             log.warning("%s", one)
         self.found |= {one.path: one for one in new}
         lost = [one for one in new if one.code in LOST and MONTH_PREFIX in one.path]
-        lost = [one for one in lost if not self.restore(f"tables/{one.path}")]
         self.forget([one.path for one in lost])
         for one in lost:
             path = self.output / "tables" / one.path
@@ -188,9 +185,7 @@ def restore_decisions(state: State) -> None:
         log.warning("put back from the table `decisions`: %s", counted(count, "decision"))
 
 
-def repair(
-    state: State, restore: Restore = lambda _: False
-) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
+def repair(state: State) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
     """Put aside what is not as published, and let the next run make it anew.
 
     The caller holds the lock. What was put aside before goes, and what no run can make anew is
@@ -201,8 +196,8 @@ def repair(
     for name in files_there(state.output):
         if name.endswith(PUT_ASIDE):
             remove(state.output / "tables" / name)
-    damage = Damage(state, restore)
-    damage.look_around(None)
+    damage = Damage(state)
+    damage.look_around(EVERY_DAY)
     lost = [one.path for one in damage.found.values() if one.code in LOST]
     note(state, {name: None for name in lost if not (state.output / "tables" / name).exists()})
     return tuple(damage.found.values()), tuple(verify_tables(state.output))

@@ -37,7 +37,7 @@ from pipeline.run.stored_nights import StoredNights
 from pipeline.run.tasks import MotorOutcome, MotorTask, Work, lost
 from pipeline.schema import INPUT_FILES, NIGHT_TABLES, OPERATION
 from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK
-from pipeline.store.night_files import stage
+from pipeline.store.staging import stage, staged_file
 from pipeline.store.tables import read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
@@ -242,7 +242,7 @@ class _Making(MotorNights):
         by_table["input_files"] = self._file_rows(by_table["input_files"].keys())
         staged = {table: by_table[table.name] for table in NIGHT_TABLES if by_table[table.name]}
         if staged:
-            stage(self.task.staging / "nights" / f"{self.spec.motor_id}.arrow", staged)
+            stage(staged_file(self.task.staging / "nights", self.spec.motor_id), staged)
 
     def _file_rows(self, staged: Collection[dt.date]) -> dict[dt.date, list[Row]]:
         """Rows of `input_files` of some nights, and of those which a file's row leaves or enters.

@@ -6,7 +6,7 @@ import datetime as dt
 import hashlib
 import logging
 import platform
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from math import ceil
@@ -21,7 +21,7 @@ from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, own_version
 from pipeline.config.nights import night_of
 from pipeline.errors import StoreError
-from pipeline.logs.ledger import forget_nights, write_change
+from pipeline.logs.ledger import write_change
 from pipeline.logs.motor_logs import FATES
 from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
 from pipeline.schema import (
@@ -42,7 +42,7 @@ from pipeline.store.tables import read_table, whole_file
 from pipeline.store.views import write_views
 from pipeline.telling.outbox import take_up
 from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.nights.trend_record import forget_records, note_touched, write_record
+from pipeline.trends.nights.trend_record import note_touched, write_record
 from pipeline.trends.rows.motor_states import latest_rows, latest_states
 from pipeline.trends.tasks import (
     Tonight,
@@ -82,12 +82,6 @@ MOTORS_A_TREND_TASK = 32
 def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> int:
     """Publish what the motors' tasks have staged, and their ledgers; returns how many nights."""
     state = publisher.state
-    forgotten: list[tuple[Collection[dt.date], Collection[str]]] = []
-
-    def forget(nights: Collection[dt.date], keep: Collection[str]) -> None:
-        forgotten.append((nights, keep))
-        forget_nights(state, nights, keep)
-
     note_touched(state, ((one.motor_id, min(one.nights)) for one in outcomes if one.nights))
 
     def published() -> None:
@@ -95,12 +89,10 @@ def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> in
             write_change(state, one.motor_id, one.change)
         if any(one.nights for one in outcomes):
             state.set_meta("latest", "")
-        for nights, keep in forgotten:  # what a task has found unchanged is to be read again
-            forget_nights(state, nights, keep)
 
     # Of a motor without a new night there may be the row of a log that is of none.
     staged = [one.motor_id for one in outcomes if one.finished]
-    publisher.nights("nights", NIGHT_TABLES, staged, forget, published)
+    publisher.nights("nights", NIGHT_TABLES, staged, published)
     return sum(len(one.nights) for one in outcomes)
 
 
@@ -149,22 +141,16 @@ def publish_trends(
     """Publish what the tasks have staged, and queue it; returns the new rows of `alarms`."""
     state = publisher.state
     records = {motor_id: one for some in made for motor_id, one in sorted(some.records.items())}
-    lost: list[Collection[str]] = []
-
-    def forget(_: Collection[dt.date], keep: Collection[str]) -> None:
-        lost.append(keep)
-        forget_records(state, keep)
 
     def published() -> None:
         for motor_id, record in records.items():
-            if all(motor_id in keep for keep in lost):
-                kept = kept_file(publisher.staging, motor_id).read_bytes()
-                write_record(state, motor_id, record, kept)
+            kept = kept_file(publisher.staging, motor_id).read_bytes()
+            write_record(state, motor_id, record, kept)
         if records:
             state.set_meta("latest", "")
         take_up(state, fleet.name)
 
-    publisher.nights("trends", TREND_TABLES, sorted(records), forget, published)
+    publisher.nights("trends", TREND_TABLES, sorted(records), published)
     new = [row for one in made for row in one.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))
 

@@ -15,7 +15,7 @@ from pipeline.night.refit import PublishedNight
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, SENSITIVITIES, Table
 from pipeline.schema.fits import OK
-from pipeline.store.tables import read_rows
+from pipeline.store.tables import days_of, read_rows
 
 log = logging.getLogger(__name__)
 
@@ -62,7 +62,7 @@ class StoredNights:
         every = tuple(name for name in table.schema if name != "run_id")
         columns = BLOCK_COLUMNS if table is BLOCK_STATISTICS else every
         try:
-            rows = read_rows(self._output, table, [self._motor_id], columns, month)
+            rows = read_rows(self._output, table, [self._motor_id], columns, days_of(month))
         except StoreError as error:
             log.warning("%s; no night of %s is made from it", error, month)
             return {}

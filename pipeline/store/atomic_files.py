@@ -1,8 +1,4 @@
-"""Files written whole or not at all, flushed and read back.
-
-The program writes to its output through this module and `journals` alone, by a few calls of `os`:
-tests make each of them fail.
-"""
+"""Files written whole or not at all, flushed and read back."""
 
 from __future__ import annotations
 
@@ -12,8 +8,7 @@ import hashlib
 import io
 import os
 import secrets
-import stat
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,34 +22,22 @@ if TYPE_CHECKING:
 TEMPORARY_PREFIX = ".writing-"
 # Tables hold no secrets, and analysts are other users.
 MODE = 0o644
-PRIVATE = 0o700
 BUFFER = 1 << 20
 
 Write = Callable[[BinaryIO], object]
 
 
-class Descriptor(io.RawIOBase):
-    """A file that is being written, and the hash of its content."""
+class _Hashed(io.FileIO):
+    """A new file, and the hash of what is written to it."""
 
-    def __init__(self, handle: int) -> None:
-        super().__init__()
-        self.handle = handle
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "x+")
         self.hash = hashlib.sha256()
 
-    def writable(self) -> bool:
-        return True
-
     def write(self, data: Buffer, /) -> int:
-        """Write all of it: a disk may take less at a time."""
-        rest = memoryview(data).cast("B")
-        size = len(rest)
-        self.hash.update(rest)
-        while len(rest):
-            taken = os.write(self.handle, rest)
-            if taken == 0:
-                raise OSError(errno.EIO, "nothing was written")
-            rest = rest[taken:]
-        return size
+        taken = super().write(data)
+        self.hash.update(memoryview(data).cast("B")[:taken])
+        return taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +56,7 @@ class Prepared:
         """
         with store_errors(self.path):
             try:
-                os.replace(self.temporary, self.path)
+                self.temporary.replace(self.path)
             except BaseException:
                 self.drop()
                 raise
@@ -83,7 +66,7 @@ class Prepared:
     def drop(self) -> None:
         """Remove it; its place stays as it is."""
         with suppress(OSError):
-            os.unlink(self.temporary)
+            self.temporary.unlink()
 
 
 def prepare(path: Path, write: Write | bytes, *, durable: bool = True) -> Prepared:
@@ -99,42 +82,27 @@ def prepare(path: Path, write: Write | bytes, *, durable: bool = True) -> Prepar
             sha256 = _written(temporary, write, durable=durable)
         except BaseException:
             with suppress(OSError):
-                os.unlink(temporary)
+                temporary.unlink()
             raise
     return Prepared(path, temporary, sha256, durable)
 
 
 def _written(path: Path, write: Write | bytes, *, durable: bool) -> str:
     """Write a new file and read it back; returns its SHA-256."""
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, MODE)
-    try:
-        os.fchmod(handle, MODE)
-        file = Descriptor(handle)
-        with io.BufferedWriter(file, BUFFER) as stream:
-            stream.write(write) if isinstance(write, bytes) else write(stream)
+    file = _Hashed(path)
+    with io.BufferedWriter(file, BUFFER) as stream:
+        os.fchmod(file.fileno(), MODE)
+        stream.write(write) if isinstance(write, bytes) else write(stream)
+        stream.flush()
         if durable:
-            os.fsync(handle)
+            os.fsync(file.fileno())
             # Read back from the disk, if possible, not from the cache.
             if hasattr(os, "posix_fadvise"):
-                os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
-        require_same(_hash_of(handle), file.hash.digest())
-    finally:
-        os.close(handle)
+                os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+        file.seek(0)
+        if hashlib.file_digest(file, "sha256").digest() != file.hash.digest():
+            raise OSError(errno.EIO, "what was read back is not what was written")
     return file.hash.hexdigest()
-
-
-def require_same(found: bytes, expected: bytes) -> None:
-    """Raise `OSError` where what was read back is not what was written."""
-    if found != expected:
-        raise OSError(errno.EIO, "what was read back is not what was written")
-
-
-def _hash_of(handle: int) -> bytes:
-    found, place = hashlib.sha256(), 0
-    while part := os.pread(handle, BUFFER, place):
-        found.update(part)
-        place += len(part)
-    return found.digest()
 
 
 def put(path: Path, write: Write | bytes, *, durable: bool = True) -> str:
@@ -165,35 +133,8 @@ def put(path: Path, write: Write | bytes, *, durable: bool = True) -> str:
     return prepared.sha256
 
 
-@contextmanager
-def scratch(path: Path, depth: int = 1) -> Iterator[BinaryIO]:
-    """A scratch file of a run; so many folders above it are made, the next must exist.
-
-    Raises OSError if it cannot be written.
-    """
-    for folder in reversed(path.parents[:depth]):
-        with suppress(FileExistsError):
-            os.mkdir(folder)
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, MODE)
-    try:
-        os.fchmod(handle, MODE)
-        with io.BufferedWriter(Descriptor(handle), BUFFER) as stream:
-            yield stream
-    finally:
-        os.close(handle)
-
-
-def make_private_folder(folder: Path) -> None:
-    """Make a new folder that only the user of this process may enter.
-
-    Raises OSError if it cannot be made, or is there already.
-    """
-    make_folders(folder.parent)
-    os.mkdir(folder, PRIVATE)
-
-
-def make_folders(folder: Path, *, flush: bool = True) -> None:
-    """Make a folder and the missing ones above it; without `flush` somebody flushes them later.
+def make_folders(folder: Path) -> None:
+    """Make a folder and the missing ones above it.
 
     Raises OSError if one cannot be made.
     """
@@ -205,9 +146,8 @@ def make_folders(folder: Path, *, flush: bool = True) -> None:
         raise NotADirectoryError(errno.ENOTDIR, "there is a file in the way", str(folder))
     for one in reversed(absent):
         with suppress(FileExistsError):
-            os.mkdir(one)
-        if flush:
-            flush_path(one.parent)
+            one.mkdir()
+        flush_path(one.parent)
 
 
 def flush_path(path: Path) -> None:
@@ -220,16 +160,6 @@ def flush_path(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def flush_folders(folders: Collection[Path]) -> None:
-    """Flush the names in some folders.
-
-    Raises StoreError if they cannot be flushed.
-    """
-    for folder in sorted(folders):
-        with store_errors(folder):
-            flush_path(folder)
 
 
 def flush_disk(path: Path) -> None:
@@ -257,29 +187,8 @@ def move(path: Path, place: Path) -> None:
     Raises StoreError if it cannot be renamed.
     """
     with store_errors(place):
-        os.replace(path, place)
+        path.replace(place)
         flush_path(place.parent)
-
-
-def take_over(staging: Path, places: Mapping[Path, Path]) -> None:
-    """Move scratch files of a run to places on the same disk, where they survive a power cut.
-
-    Raises StoreError if that fails; each file is at one of both places.
-    """
-    if not places:
-        return
-    flush_disk(staging)
-    for file, place in places.items():
-        with store_errors(place):
-            make_folders(place.parent, flush=False)
-            try:
-                os.replace(file, place)
-            except OSError as error:
-                if error.errno != errno.EXDEV:
-                    raise
-                put(place, read(file))
-                os.unlink(file)
-    flush_disk(place)
 
 
 def remove(path: Path) -> None:
@@ -288,22 +197,8 @@ def remove(path: Path) -> None:
     Raises StoreError if it cannot be removed.
     """
     with store_errors(path, "removed"), suppress(FileNotFoundError):
-        os.unlink(path)
+        path.unlink()
         flush_path(path.parent)
-
-
-def remove_all(folder: Path) -> None:
-    """Remove a folder of scratch files, as far as possible."""
-    with suppress(OSError):
-        if not stat.S_ISDIR(os.lstat(folder).st_mode):
-            return
-        for entry in os.scandir(folder):
-            if entry.is_dir(follow_symlinks=False):
-                remove_all(Path(entry.path))
-            else:
-                with suppress(OSError):
-                    os.unlink(entry.path)
-        os.rmdir(folder)
 
 
 def remove_leftovers(folders: Sequence[Path], *, below: bool = True) -> None:
@@ -311,37 +206,7 @@ def remove_leftovers(folders: Sequence[Path], *, below: bool = True) -> None:
     for folder in folders:
         for path in folder.glob(f"{'**/' if below else ''}{TEMPORARY_PREFIX}*"):
             with suppress(OSError):
-                os.unlink(path)
-
-
-def read(path: Path) -> bytes:
-    """Content of a file; a read that fails is tried once more.
-
-    Raises OSError if it cannot be read.
-    """
-    try:
-        return _read(path)
-    except FileNotFoundError:
-        raise
-    except OSError:
-        return _read(path)
-
-
-def _read(path: Path) -> bytes:
-    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        return content_of(handle)
-    finally:
-        os.close(handle)
-
-
-def content_of(handle: int) -> bytes:
-    """Content of an open file."""
-    parts, place = [], 0
-    while part := os.pread(handle, BUFFER, place):
-        parts.append(part)
-        place += len(part)
-    return b"".join(parts)
+                path.unlink()
 
 
 @contextmanager

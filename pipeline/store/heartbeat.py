@@ -1,6 +1,6 @@
 """Heartbeat of a run, ``heartbeat.json`` in the output folder: its progress, for monitors outside.
 
-It is replaced whole at every change of stage, after every motor, and every `INTERVAL_S` seconds. A
+It is replaced whole at every change of stage, and every `INTERVAL_S` seconds. A
 run that died leaves a last beat that says ``running`` and grows old.
 """
 
@@ -119,20 +119,16 @@ class Heartbeat:
             code = error.code if isinstance(error, MotorLeakageError) else None
             self.say(state=INTERRUPTED if interrupted else FAILED, error_code=code)
 
-    def motor_done(self, *, is_news: bool) -> None:
-        """Another motor is done; a motor with nothing new is told with the next beat."""
-        n_done = self._beat.n_motors_done + 1
-        if is_news:
-            self.say(n_motors_done=n_done)
-            return
+    def motor_done(self) -> None:
+        """Another motor is done, which the next beat tells."""
         with self._changing:
-            self._beat = replace(self._beat, n_motors_done=n_done)
+            self._beat = replace(self._beat, n_motors_done=self._beat.n_motors_done + 1)
 
-    def finished(self, run_id: str, *, interrupted: bool, good: bool) -> None:
+    def finished(self, *, interrupted: bool, good: bool) -> None:
         """The run has ended; good if it went through all motors and no failure stands."""
         ended = dt.datetime.now(dt.UTC) if good else self._beat.last_good_run
         state = INTERRUPTED if interrupted else FINISHED
-        self.say(state=state, run_id=run_id, last_good_run=ended)
+        self.say(state=state, last_good_run=ended)
 
     def say(self, **changes: str | int | dt.datetime | None) -> None:
         """Write a beat; a failure is logged once and stops nothing."""

@@ -13,14 +13,15 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import polars as pl
 
 from pipeline.errors import LockedError, StoreError
 from pipeline.schema import LOOKS, NIGHTLY_TABLES, TABLES, WHOLE_TABLES, Table
-from pipeline.store.atomic_files import move, read, remove, remove_all
-from pipeline.store.encoding import prepare_table
+from pipeline.store.atomic_files import move, remove
+from pipeline.store.encoding import damaged, from_parquet, write_table
 from pipeline.store.locks import locked
 from pipeline.store.published import note
 from pipeline.store.state import State
@@ -28,11 +29,9 @@ from pipeline.store.tables import (
     ENDING,
     MONTH_PREFIX,
     PUT_ASIDE,
-    damaged,
-    groups_of,
-    month_file,
-    month_stamps,
+    labelled_file,
     name_of,
+    table_folder,
 )
 
 log = logging.getLogger(__name__)
@@ -43,43 +42,42 @@ OLD_FOLDERS = ("manifest", "ledger", "history")
 OUTBOX = ("outbox.json", "outbox.copy.json")
 OLD_FILES = ("decisions.jsonl", "decisions.damaged", *OUTBOX, *(f"look/{one}" for one in OUTBOX))
 DECISION = ("motor_id", "indicator", "time", "kind", "night", "finding", "note", "worn", "sound")
-LISTED = "SELECT 1 FROM files WHERE name = ?"
 # SHA-256 that a file may have, by its name.
 Listed = Mapping[str, tuple[str | None, ...]]
 # Of a night, of a day of looks, and of a run.
 OLD_NAME = re.compile(r"(looks-)?\d{4}-\d{2}-\d{2}|\d{8}T\d{12}Z")
 MONTHLY = tuple(one for one in TABLES if one not in (*NIGHTLY_TABLES, *WHOLE_TABLES))
-OLD_TABLES = {table.name for table in MONTHLY}
 
 
-def take_over(state: State, forget: Forget) -> None:
+def take_over(state: State, forget: Forget, take_stock: Callable[[], object]) -> None:
     """Take an output of an older version over; the caller holds the lock.
+
+    `take_stock` lists the files that stay as they are, and prove themselves.
 
     Where that is broken off, the next run goes on; until then a query may see rows twice.
 
     Raises StoreError if a file cannot be written, or is of a newer version of the program.
     """
     output = state.output
-    if any((output / name).exists() for name in (*OLD_FOLDERS, *OLD_FILES)):
+    old = {(table, month) for table in MONTHLY for month in _old_months(output, table)}
+    if not old and not any((output / name).exists() for name in (*OLD_FOLDERS, *OLD_FILES)):
+        return
+    if not state.meta("taken over"):
         log.warning("the output is of an older version, and is taken over")
-        if not state.meta("taken over"):
-            _take_records(state)
+        _take_records(state)
     manifests = sorted((output / "manifest").glob("*/*.json"))
     listed = {name: some for path in manifests for name, some in _listed(path)}
-    old = {(table, month) for table in MONTHLY for month in _old_months(output, table)}
     for month in sorted({month for _, month in old}):
         tables = [table for table in MONTHLY if (table, month) in old]
         with suppress(LockedError), _looks_held(output, tables):
             _take_month(state, month, tables, listed, forget)
-    remaining = {name for name in listed if not state.rows(LISTED, name)}
-    there = {name: _digest(output / "tables" / name, listed[name]) for name in remaining}
-    note(state, {name: digest for name, digest in there.items() if digest is not None})
+    take_stock()
     for name in OLD_FOLDERS:
-        remove_all(output / name)
+        rmtree(output / name, ignore_errors=True)
     for name in OLD_FILES:
         remove(output / name)
     for path in output.glob("look/*/"):
-        remove_all(path)
+        rmtree(path, ignore_errors=True)
 
 
 @contextmanager
@@ -99,7 +97,7 @@ def _listed(path: Path) -> Iterator[tuple[str, tuple[str | None, ...]]]:
 def _document(path: Path) -> dict[str, Any]:
     """What stands in an old file with a seal of its own; empty where that does not hold."""
     try:
-        document: dict[str, Any] = json.loads(read(path))
+        document: dict[str, Any] = json.loads(path.read_bytes())
         seal = document.pop("sha256")
         digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
@@ -157,7 +155,7 @@ def _take_outbox(state: State, topic: str, document: Mapping[str, Any]) -> None:
 
 def _lines(path: Path) -> Iterator[dict[str, Any]]:
     """Lines of an old journal."""
-    content = read(path) if path.exists() else b""
+    content = path.read_bytes() if path.exists() else b""
     for line in content.splitlines():
         with suppress(ValueError):
             yield json.loads(line)
@@ -170,11 +168,13 @@ def _insert(state: State, table: str, row: Mapping[str, Any]) -> None:
 
 def _old_months(output: Path, table: Table) -> list[str]:
     """Months of a table with files that are not the month's."""
-    return [month for month in month_stamps(output, table) if _sources(output, table, month)]
+    folders = table_folder(output, table).glob(f"{MONTH_PREFIX}*")
+    months = (path.name.removeprefix(MONTH_PREFIX) for path in folders)
+    return [month for month in months if _sources(output, table, month)]
 
 
 def _sources(output: Path, table: Table, month: str) -> list[Path]:
-    paths = month_file(output, table, month).parent.glob(f"*{ENDING}")
+    paths = labelled_file(output, table, month).parent.glob(f"*{ENDING}")
     return sorted(path for path in paths if OLD_NAME.fullmatch(path.stem))
 
 
@@ -186,7 +186,7 @@ def _take_month(
     files: dict[str, str | None] = {}
     old: list[Path] = []
     for table in tables:
-        place, sources = month_file(output, table, month), _sources(output, table, month)
+        place, sources = labelled_file(output, table, month), _sources(output, table, month)
         name, there = name_of(output, place), {name_of(output, path) for path in sources}
         known = {one for one in listed if one.startswith(f"{table.name}/{folder}/")} - {name}
         # One that is there and was not listed has all of them: this was broken off.
@@ -204,9 +204,7 @@ def _take_month(
                 move(path, path.with_suffix(PUT_ASIDE))
         forget(sorted(gone - there))
         rows = pl.concat(parts).unique(table.key, keep="last", maintain_order=True)
-        prepared = prepare_table(place, [rows.sort(table.order)])
-        prepared.land()
-        files[name] = prepared.sha256
+        files[name] = write_table(place, rows.sort(table.order))
         old += sources
     note(state, files)
     for path in old:
@@ -215,23 +213,13 @@ def _take_month(
 
 def _rows(output: Path, path: Path, table: Table, listed: Listed) -> pl.DataFrame:
     """Rows of a file that is what its manifest says; none if there is no file."""
-    empty = pl.DataFrame(schema=table.schema)
     try:
-        content = read(path)
+        content = path.read_bytes()
     except FileNotFoundError:
-        return empty
+        return pl.DataFrame(schema=table.schema)
     except OSError as error:
         raise damaged(path, table, error) from error
     accepted = listed.get(name_of(output, path))
     if accepted and hashlib.sha256(content).hexdigest() not in accepted:
-        raise damaged(path, table, ValueError("it is not what its manifest says"))
-    return pl.concat([empty, *groups_of(path, table, content)])
-
-
-def _digest(path: Path, accepted: Sequence[str | None]) -> str | None:
-    """Which of the digests a file has; None for another."""
-    try:
-        found = hashlib.sha256(read(path)).hexdigest()
-    except OSError:
-        return None
-    return found if found in accepted else None
+        raise damaged(path, table, "it is not what its manifest says")
+    return from_parquet(path, table, content)

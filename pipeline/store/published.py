@@ -17,21 +17,18 @@ from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 
-import polars as pl
-
 from pipeline.errors import StoreError
 from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, read
-from pipeline.store.encoding import DAMAGE, opened, row_groups
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, put
+from pipeline.store.encoding import from_parquet
 from pipeline.store.state import STATE_FILE, State, is_sound, read_state_file
 from pipeline.store.tables import (
-    ENDING,
     MONTH_PREFIX,
     PUT_ASIDE,
-    damaged,
     days_of,
+    is_label,
+    labelled_file,
     name_of,
-    require_known,
     whole_file,
 )
 
@@ -96,6 +93,20 @@ def accepted(state: State, name: str) -> tuple[str, ...]:
     return tuple(one for row in rows for one in row if one is not None)
 
 
+def distrust(state: State, name: str) -> None:
+    """Let the next run look at a file, or fetch it anew from an object store, whatever it is now.
+
+    Raises StoreError if it cannot be written.
+    """
+    state.write(
+        "INSERT INTO files (name, sha256, modified_ns) VALUES (?, 'unknown', -1)"
+        " ON CONFLICT (name) DO UPDATE SET modified_ns = -1",
+        name,
+    )
+    with suppress(OSError):
+        os.utime(state.output / "tables" / name)
+
+
 def _stamp(output: Path, name: str) -> tuple[int, int]:
     """Size and time of a file, which differ once it was written to; zeros where it is gone."""
     try:
@@ -105,12 +116,14 @@ def _stamp(output: Path, name: str) -> tuple[int, int]:
     return found.st_size, found.st_mtime_ns
 
 
-def share_due(state: State, days: int, now: dt.datetime) -> set[str]:
+def share_due(state: State, days: int, now: dt.datetime | None = None) -> set[str]:
     """Files that a run proves, the longest unproven first, so that all are within some days."""
+    now = now or dt.datetime.now(dt.UTC)
     rows = state.rows("SELECT name, proven FROM files ORDER BY proven, name")
     before = state.meta("share proven")
     passed = (now.date() - dt.date.fromisoformat(before)).days if before else days
     n = ceil(len(rows) * min(max(passed, 1) / days, 1.0))
+    state.set_meta("share proven", f"{now:%Y-%m-%d}")
     overdue = (now - dt.timedelta(days)).isoformat()
     return {name for place, (name, proven) in enumerate(rows) if place < n or proven <= overdue}
 
@@ -145,7 +158,7 @@ def look_at(state: State, name: str) -> Looked:
 def _look_at(state: State, name: str) -> Looked:
     known = accepted(state, name)
     try:
-        found = hashlib.sha256(read(state.output / "tables" / name)).hexdigest()
+        found = hashlib.sha256((state.output / "tables" / name).read_bytes()).hexdigest()
     except (FileNotFoundError, NotADirectoryError):
         if not known or NO_FILE in known:
             return Looked(name, None)
@@ -218,19 +231,16 @@ def proof_of(output: Path, name: str) -> str | None:
         return None
     path = output / "tables" / name
     try:
-        content = read(path)
-        with opened(content) as file:
-            require_known(path, table, file)
-            rows = pl.concat(row_groups(file), rechunk=True)
-        if MONTH_PREFIX in name and "night" in rows.columns:
-            strangers = set(rows["night"].drop_nulls()) - set(days_of(path.stem))
-            if strangers:
-                raise damaged(path, table, ValueError("it has rows of other nights"))
+        content = path.read_bytes()
+        rows = from_parquet(path, table, content)
+    except OSError:
+        return None
     except StoreError as error:
         if error.code == "store_newer":
             raise
         return None
-    except DAMAGE:
+    has_nights = MONTH_PREFIX in name and "night" in rows.columns
+    if has_nights and set(rows["night"].drop_nulls()) - set(days_of(path.stem)):
         return None
     return hashlib.sha256(content).hexdigest()
 
@@ -240,22 +250,12 @@ def is_called_as_ours(output: Path, name: str) -> bool:
     table, path = TABLE_OF.get(name.split("/")[0]), output / "tables" / name
     if table is None:
         return False
-    if path == whole_file(output, table):
-        return True
-    with suppress(ValueError):
-        label = path.stem
-        return name == f"{table.name}/{MONTH_PREFIX}{label[:7]}/{label}{ENDING}" and bool(
-            days_of(label)
-        )
-    return False
+    return path == whole_file(output, table) or (
+        is_label(path.stem) and path == labelled_file(output, table, path.stem)
+    )
 
 
 def write_manifest(state: State) -> None:
     """Write the list of published files for others; raises StoreError."""
     files = dict(state.rows("SELECT name, sha256 FROM files ORDER BY name"))
-    content = json.dumps({"sha256": files}, indent=0).encode()
-    path = state.output / MANIFEST_FILE
-    with suppress(OSError):
-        if read(path) == content:
-            return
-    put(path, content)
+    put(state.output / MANIFEST_FILE, json.dumps({"sha256": files}, indent=0).encode())

@@ -6,42 +6,45 @@ noted as published, in one transaction with what the caller has to say of them.
 
 from __future__ import annotations
 
-import datetime as dt
+import hashlib
 import os
-from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from shutil import rmtree
 from typing import Any, TypeVar
 
 import polars as pl
 
-from pipeline.schema import NIGHTLY_TABLES, TREND_TABLES, Table, frame
-from pipeline.store.atomic_files import flush_folders, remove_all
-from pipeline.store.night_files import (
-    Change,
-    NewFile,
-    StagedRows,
-    new_rows,
-    prepare_file,
-    prepare_whole,
-    with_keys,
-    with_nights,
-)
-from pipeline.store.published import accepted, announce, note
+from pipeline.errors import StoreError
+from pipeline.schema import Table, frame
+from pipeline.store.atomic_files import Prepared, flush_path, prepare, store_errors
+from pipeline.store.encoding import as_parquet, damaged, from_parquet
+from pipeline.store.published import NO_FILE, accepted, announce, distrust, note
+from pipeline.store.staging import Staged, read_staged, staged_in
 from pipeline.store.state import State
-from pipeline.store.tables import days_of, month_file, name_of, night_file, whole_file
+from pipeline.store.tables import labelled_file, name_of, whole_file
+
+# In place of the SHA-256 of a file that is replaced in any case.
+UNREAD = "unread"
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# Lets the next run make nights anew for all motors but some.
-Forget = Callable[[Collection[dt.date], Collection[str]], object]
+# Rows of a table file, given those that are there.
+Change = Callable[[pl.DataFrame], pl.DataFrame]
 
-# Staged rows of a table by motor.
-_Staged = Mapping[str, StagedRows]
+
+@dataclass(frozen=True, slots=True)
+class NewFile:
+    """A table file as it comes to be; nothing is prepared where it stays as it is."""
+
+    path: Path
+    sha256: str | None  # None if there is neither a file nor a row
+    prepared: Prepared | None = None
 
 
 @dataclass(slots=True)
@@ -55,26 +58,23 @@ class Publisher:
     run_id
         Goes into every row.
     threads
-        Tables whose files are prepared at once.
-
-    Attributes
-    ----------
-    damaged
-        Files that were damaged and put aside, by path relative to the folder of the tables.
+        Files that are prepared at once.
+    missed
+        Files that are known to be gone, by path relative to the folder of the tables. Another one
+        that is gone or damaged is nothing to add rows to: the next run mends it.
     """
 
     state: State
     staging: Path
     run_id: str
     threads: int = 1
-    damaged: list[str] = field(default_factory=list)
+    missed: Collection[str] = ()
 
     def nights(
         self,
         folder: str,
         tables: Iterable[Table],
-        motor_ids: Sequence[str],
-        forget: Forget,
+        motor_ids: Collection[str],
         published: Callable[[], object] = lambda: None,
     ) -> None:
         """Publish the staged rows of some motors, the oldest month first.
@@ -85,162 +85,159 @@ class Publisher:
             Below the staging folder, with a file of staged rows a motor.
         tables, motor_ids
             Tables, and motors whose rows are published.
-        forget
-            Called before a damaged file is replaced: its rows are then made anew, even if this run
-            is broken off.
         published
             Called in the transaction that notes the last files.
 
         Raises
         ------
         StoreError
-            If a file cannot be written.
+            If a file cannot be written, or the present one is damaged.
         """
-        paths = {one: self.staging / folder / f"{one}.arrow" for one in motor_ids}
-        files = {one: StagedRows(path) for one, path in paths.items() if path.exists()}
-        months: defaultdict[str, set[dt.date]] = defaultdict(set)
-        for file in files.values():
-            for night in {night for heights in file.heights.values() for night in heights}:
-                months[f"{night:%Y-%m}"].add(night)
-        staged = {
-            table: {one: file for one, file in files.items() if table.name in file.heights}
-            for table in tables
-        }
-        for table, motors in staged.items():
-            if "night" not in table.key and len(months) > 1:
-                self._vacate(table, motors, months)
-        for month, nights in sorted(months.items()):
-            also = published if month == max(months) else lambda: None
-            self._publish_month(staged, sorted(nights), forget, also)
+        staged = staged_in(self.staging / folder, tables, motor_ids)
+        months = sorted({label[:7] for _, label in staged})
+        self._vacate(staged)
+        for month in months:
+            keys = [one for one in staged if one[1][:7] == month]
+            works = [partial(self._with_staged, *key, staged[key]) for key in keys]
+            self._publish(works, published if month == months[-1] else lambda: None)
         if not months:
             with self.state.transaction():
                 published()
         # Of no further use: what is not on the disk yet need not be written to it.
-        remove_all(self.staging / folder)
+        rmtree(self.staging / folder, ignore_errors=True)
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
-        """Publish a table that is one file; raises as `nights`."""
-        with ExitStack() as undone:
-            file = prepare_whole(whole_file(self.output, table), rows)
-            undone.callback(file.drop)
-            self._land([file])
-            undone.pop_all()
+        """Publish a table that is one file, whatever is there; raises as `nights`."""
+
+        def made() -> NewFile:
+            path = whole_file(self.output, table)
+            try:
+                before = hashlib.sha256(path.read_bytes()).hexdigest()
+            except OSError:
+                before = UNREAD
+            return _new_file(path, rows, before)
+
+        self._publish([made])
 
     def add(self, month: str, rows: Mapping[Table, Sequence[Mapping[str, Any]]]) -> None:
         """Add rows to a month (YYYY-MM) of tables; those of the same key go; raises as `nights`."""
-        with ExitStack() as undone:
-            files = []
-            for table, some in rows.items():
-                path = month_file(self.output, table, month)
-                change = with_keys(table, frame(table, some))
-                files.append(prepare_file(path, table, change, self._accepted(path)))
-                undone.callback(files[-1].drop)
-            self._land(files)
-            undone.pop_all()
+        works = []
+        for table, some in rows.items():
+            change = partial(_with_rows, table, frame(table, some))
+            works.append(partial(self._changed, table, month, change))
+        self._publish(works)
 
-    def _publish_month(
-        self,
-        staged: Mapping[Table, _Staged],
-        nights: Sequence[dt.date],
-        forget: Forget,
-        published: Callable[[], object],
-    ) -> None:
-        """Prepare all files with some nights of a month, and put them into their places."""
-        with ExitStack() as undone:
+    def _with_staged(self, table: Table, label: str, staged: Mapping[str, Staged]) -> NewFile:
+        """The file with the staged rows that go into it."""
+        rows, done = read_staged(table, staged, self.run_id)
+        return self._changed(table, label, partial(_with_rows, table, rows, replaced=done))
 
-            def prepare(table: Table) -> list[NewFile]:
-                files = []
-                for path, change in self._changes(table, staged[table], nights):
-                    files.append(prepare_file(path, table, change, self._accepted(path)))
-                    undone.callback(files[-1].drop)
-                return files
-
-            made = dict(zip(staged, side_by_side(prepare, staged, self.threads), strict=True))
-            for table, files in made.items():
-                for file in files:
-                    if file.lost_rows:
-                        self._give_up(file, table, staged[table], forget)
-            self._land([file for files in made.values() for file in files], published)
-            undone.pop_all()
-
-    def _changes(
-        self, table: Table, staged: _Staged, nights: Sequence[dt.date]
-    ) -> Iterator[tuple[Path, Change]]:
-        """What is new in the files of a table with some nights of a month."""
-        new = new_rows(table, staged, nights, self.run_id)
-        path = night_file(self.output, table, nights[0])
-        if table in NIGHTLY_TABLES:
-            for night, rows in new:
-                yield night_file(self.output, table, night), with_nights(table, [(night, rows)])
-        elif "night" in table.key:
-            yield path, with_nights(table, new)
-        else:
-            found = list(new)
-            every = [frame(table, []), *(piece for _, rows in found for piece in rows.pieces)]
-            done = [(one, night) for night, rows in found for one in rows.motor_ids]
-            replaced = pl.DataFrame(
-                done, schema={"motor_id": pl.String, "night": pl.Date}, orient="row"
-            )
-            yield path, with_keys(table, pl.concat(every), replaced)
-
-    def _vacate(
-        self, table: Table, staged: _Staged, months: Mapping[str, Collection[dt.date]]
-    ) -> None:
+    def _vacate(self, staged: Mapping[tuple[Table, str], Mapping[str, Staged]]) -> None:
         """Remove rows that move to another month before they are there.
 
         A key without the night would otherwise be in two files for a moment.
         """
+        moving = {key: files for key, files in staged.items() if "night" not in key[0].key}
+        if len(moving) < 2:
+            return
         keys = {
-            month: [
-                piece.select(table.key)
-                for _, rows in new_rows(table, staged, sorted(nights), self.run_id)
-                for piece in rows.pieces
-            ]
-            for month, nights in months.items()
+            (table, label): read_staged(table, files, "")[0].select(table.key)
+            for (table, label), files in moving.items()
         }
-        for month in sorted(months):
-            path = month_file(self.output, table, month)
-            others = [one for other, some in keys.items() if other != month for one in some]
-            if not (path.exists() and others):
-                continue
-            change = with_keys(table, frame(table, []), pl.concat(others))
-            file = prepare_file(path, table, change, self._accepted(path))
-            if file.lost_rows:  # nobody can read it, and it is replaced
-                file.drop()
-            else:
-                self._land([file])
+        for table, label in sorted(keys, key=lambda one: one[1]):
+            others = pl.concat(some for one, some in keys.items() if one != (table, label))
+            change = partial(_with_rows, table, frame(table, []), replaced=others)
+            self._publish([partial(self._changed, table, label, change)])
 
-    def _give_up(self, file: NewFile, table: Table, staged: _Staged, forget: Forget) -> None:
-        """Let the nights of a damaged file be made anew, but for what comes with the new one."""
-        if file.before is not None:
-            self.damaged.append(name_of(self.output, file.path))
-        elif table in TREND_TABLES:
-            return  # it was missed before its trends were made, and they are complete
-        for night in days_of(file.path.stem):
-            new = {one for one, rows in staged.items() if night in rows.heights[table.name]}
-            forget((night,), new)
+    def _changed(self, table: Table, label: str, change: Change) -> NewFile:
+        """A file with other rows."""
+        path = labelled_file(self.output, table, label)
+        before, rows = self._present(path, table)
+        return _new_file(path, change(rows), before)
+
+    def _present(self, path: Path, table: Table) -> tuple[str, pl.DataFrame]:
+        """SHA-256 and rows of a file that is there; an unlisted one is proven by its pages."""
+        name = name_of(self.output, path)
+        known = accepted(self.state, name)
+        try:
+            content = path.read_bytes()
+        except (FileNotFoundError, NotADirectoryError):
+            if not known or NO_FILE in known or name in self.missed:
+                return NO_FILE, frame(table, [])
+            distrust(self.state, name)
+            raise damaged(path, table, "it is gone; the next run makes it anew") from None
+        except OSError as error:
+            raise damaged(path, table, error) from error
+        digest = hashlib.sha256(content).hexdigest()
+        try:
+            if known and digest not in known:
+                raise damaged(path, table, "it is not what was published; the next run mends it")
+            return digest, from_parquet(path, table, content)
+        except StoreError as error:
+            if error.code == "store_read":
+                distrust(self.state, name)
+            raise
 
     @property
     def output(self) -> Path:
         """The output folder."""
         return self.state.output
 
-    def _accepted(self, path: Path) -> tuple[str, ...]:
-        return accepted(self.state, name_of(self.output, path))
-
-    def _land(
-        self, files: Sequence[NewFile], published: Callable[[], object] = lambda: None
+    def _publish(
+        self,
+        works: Collection[Callable[[], NewFile]],
+        published: Callable[[], object] = lambda: None,
     ) -> None:
-        """Put files into their places, and note them before and afterwards."""
-        named = {name_of(self.output, file.path): file for file in files}
-        coming = {name: one.after for name, one in named.items() if one.prepared is not None}
-        announce(self.state, coming)
-        for file in files:
-            file.land()
-        flush_folders({file.path.parent for file in files if file.prepared is not None})
-        with self.state.transaction():
-            note(self.state, {name: one.after for name, one in named.items()})
-            published()
+        """Prepare files, put them into their places, and note them before and afterwards."""
+        with ExitStack() as undone:
+
+            def prepared(work: Callable[[], NewFile]) -> NewFile:
+                file = work()
+                if file.prepared is not None:
+                    undone.callback(file.prepared.drop)
+                return file
+
+            files = side_by_side(prepared, works, self.threads)
+            named = {name_of(self.output, file.path): file for file in files}
+            new = {name: one.prepared for name, one in named.items() if one.prepared is not None}
+            announce(self.state, {name: one.sha256 for name, one in new.items()})
+            for one in new.values():
+                one.land(flush=False)
+            for folder in sorted({one.path.parent for one in new.values()}):
+                with store_errors(folder):
+                    flush_path(folder)
+            with self.state.transaction():
+                note(self.state, {name: one.sha256 for name, one in named.items()})
+                published()
+            undone.pop_all()
+
+
+def _new_file(path: Path, rows: pl.DataFrame, before: str) -> NewFile:
+    """A file with some rows; where none is there, and none is to come, none is made."""
+    if before == NO_FILE and rows.is_empty():
+        return NewFile(path, None)
+    content = as_parquet(rows)
+    digest = hashlib.sha256(content).hexdigest()
+    return NewFile(path, digest, None if digest == before else prepare(path, content))
+
+
+def _with_rows(
+    table: Table, rows: pl.DataFrame, present: pl.DataFrame, replaced: pl.DataFrame | None = None
+) -> pl.DataFrame:
+    """Rows that are there with new ones, in place of those of the same key and of some others."""
+    before, kept, after = present.clear(), present, present.clear()
+    if replaced is not None and "night" in table.key:
+        # Other nights lie before and after them, and are neither copied nor sorted.
+        span = [pl.col("night").min().alias("first"), pl.col("night").max().alias("last")]
+        first, last = replaced.select(span).row(0)
+        begin = present["night"].search_sorted(first, "left")
+        end = present["night"].search_sorted(last, "right")
+        before, kept, after = present[:begin], present[begin:end], present[end:]
+    else:
+        kept = kept.join(rows, on=list(table.key), how="anti")
+    if replaced is not None:
+        kept = kept.join(replaced, on=replaced.columns, how="anti")
+    return pl.concat([before, pl.concat([kept, rows]).sort(table.order), after])
 
 
 def side_by_side(

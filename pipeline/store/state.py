@@ -24,7 +24,6 @@ from pipeline.store.atomic_files import (
     make_folders,
     move,
     put,
-    read,
     remove,
     store_errors,
 )
@@ -179,16 +178,16 @@ def read_state_file(output: Path) -> Iterator[State]:
     Raises StoreError as `open_state`.
     """
     place = (output / STATE_FILE).resolve()
-    if not place.exists():
-        with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
-            state = State(output, connection)
-            _make_tables(state)
-            yield state
-        return
     with _errors("store_read"):
-        reader = _reader(place)
+        reader = _reader(place) if place.exists() else sqlite3.connect(":memory:")
+        is_made = reader.execute("PRAGMA user_version").fetchone()[0] > 0
+        if not is_made:  # also where a first run has only just begun
+            reader.close()
+            reader = sqlite3.connect(":memory:", isolation_level=None)
     with closing(reader) as connection:
         state = State(output, connection)
+        if not is_made:
+            _make_tables(state)
         state.write("PRAGMA query_only = ON")
         _version(state)
         yield state
@@ -244,7 +243,7 @@ def make_ready(output: Path) -> bool:
     if is_lost:
         _set_aside(place)
         if _version_of(backup):
-            put(place, read(backup))
+            put(place, backup.read_bytes())
         log.warning(
             "%s is damaged or gone; %s",
             STATE_FILE,

@@ -7,8 +7,6 @@ checksums of its pages are compared, and the run proves files by their SHA-256.
 from __future__ import annotations
 
 import datetime as dt
-import os
-import re
 from calendar import monthrange
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -16,18 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import polars as pl
-import pyarrow.parquet as pq
 
 from pipeline.errors import StoreError, UsageError
-from pipeline.schema import NIGHTLY_TABLES, SCHEMA_VERSION, Table
-from pipeline.store.atomic_files import read
-from pipeline.store.encoding import DAMAGE, VERSION_KEY, opened, row_groups
+from pipeline.schema import NIGHTLY_TABLES, Table
+from pipeline.store.encoding import damaged, from_parquet
 
 MONTH_PREFIX = "month="
 # Ending of a damaged file that a run has put aside.
 PUT_ASIDE = ".damaged"
 ENDING = ".parquet"
-MONTH_FOLDER = re.compile(r"month=\d{4}-(0[1-9]|1[0-2])")
 
 
 def existing_tables(output: Path) -> Path:
@@ -51,15 +46,19 @@ def whole_file(output: Path, table: Table) -> Path:
     return table_folder(output, table) / f"{table.name}{ENDING}"
 
 
-def month_file(output: Path, table: Table, month: str) -> Path:
-    """File of a month, YYYY-MM."""
-    return table_folder(output, table) / f"{MONTH_PREFIX}{month}" / f"{month}{ENDING}"
+def label_of(table: Table, night: dt.date) -> str:
+    """Name of the file that has a night: its own, YYYY-MM-DD, or that of its month, YYYY-MM."""
+    return str(night) if table in NIGHTLY_TABLES else f"{night:%Y-%m}"
+
+
+def labelled_file(output: Path, table: Table, label: str) -> Path:
+    """File of a night, YYYY-MM-DD, or of a month, YYYY-MM."""
+    return table_folder(output, table) / f"{MONTH_PREFIX}{label[:7]}" / f"{label}{ENDING}"
 
 
 def night_file(output: Path, table: Table, night: dt.date) -> Path:
-    """File that has a night: its own, or that of its month."""
-    path = month_file(output, table, f"{night:%Y-%m}")
-    return path.with_name(f"{night}{ENDING}") if table in NIGHTLY_TABLES else path
+    """File that has a night."""
+    return labelled_file(output, table, label_of(table, night))
 
 
 def name_of(output: Path, path: Path) -> str:
@@ -86,44 +85,41 @@ def days_of(label: str) -> list[dt.date]:
     return [dt.date.fromisoformat(label)]
 
 
-def files_of(
-    output: Path, table: Table, nights: Collection[dt.date] | None = None, month: str = "*"
-) -> list[Path]:
-    """Files of a table in time order: all, or those of a month (YYYY-MM), or of some nights.
+def is_label(text: str) -> bool:
+    """True for the name of a file of a month or of a night."""
+    try:
+        days = days_of(text)
+    except ValueError:
+        return False
+    return text in (str(days[0]), f"{days[0]:%Y-%m}")
+
+
+def files_of(output: Path, table: Table, nights: Collection[dt.date] | None = None) -> list[Path]:
+    """Files of a table in time order: all, or those that may have some nights.
 
     Files of other names are left out.
+
+    Raises StoreError if a folder cannot be listed.
     """
     whole = whole_file(output, table)
     if whole.exists():
         return [whole]
-    months = month_stamps(output, table) if month == "*" else [month]
-    asked = None if nights is None else {part for one in nights for part in _labels_of(one)}
-    return [
-        path
-        for one in sorted(months)
-        if asked is None or one in asked
-        for path in _files_in(month_file(output, table, one).parent, one)
-        if asked is None or path.stem in asked
-    ]
+    if nights is None:
+        return [labelled_file(output, table, label) for label in _labels(output, table)]
+    asked = {label for one in nights for label in (f"{one:%Y-%m}", str(one))}
+    paths = (labelled_file(output, table, label) for label in sorted(asked))
+    return [path for path in paths if path.exists()]
 
 
-def _labels_of(night: dt.date) -> tuple[str, str]:
-    """Names that a file with a night may have."""
-    return f"{night:%Y-%m}", str(night)
-
-
-def _files_in(folder: Path, month: str) -> Iterator[Path]:
-    for name in sorted(entry.name for entry in _entries(folder)):
-        label = name.removesuffix(ENDING)
-        if name.endswith(ENDING) and _is_of(label, month):
-            yield folder / name
-
-
-def _is_of(label: str, month: str) -> bool:
-    try:
-        return label == month or _labels_of(dt.date.fromisoformat(label)) == (month, label)
-    except ValueError:
-        return False
+def _labels(output: Path, table: Table) -> list[str]:
+    folder = table_folder(output, table)
+    return sorted(
+        label
+        for month in _names_in(folder)
+        for name in _names_in(folder / month)
+        if is_label(label := name.removesuffix(ENDING))
+        and (month, name) == (f"{MONTH_PREFIX}{label[:7]}", f"{label}{ENDING}")
+    )
 
 
 def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
@@ -145,22 +141,9 @@ def _nights_in(path: Path, table: Table, _: int) -> tuple[dt.date, ...]:
     return tuple(nights.drop_nulls().unique().sort(descending=True))
 
 
-def month_stamps(output: Path, table: Table) -> dict[str, int]:
-    """Time of the last change of each month's folder of a table, by YYYY-MM [ns].
-
-    It changes whenever a file is added, replaced or removed.
-    """
-    return {
-        entry.name.removeprefix(MONTH_PREFIX): entry.stat().st_mtime_ns
-        for entry in _entries(table_folder(output, table))
-        if MONTH_FOLDER.fullmatch(entry.name)
-    }
-
-
-def _entries(folder: Path) -> list[os.DirEntry[str]]:
+def _names_in(folder: Path) -> list[str]:
     try:
-        with os.scandir(folder) as entries:
-            return list(entries)
+        return [path.name for path in folder.iterdir()]
     except (FileNotFoundError, NotADirectoryError):
         return []
     except OSError as error:
@@ -180,8 +163,7 @@ def read_table(
     Raises StoreError if the file is damaged (``store_read``), or of a newer version of the program
     (``store_newer``).
     """
-    wanted = {} if nights is None else {"night": nights}
-    return _rows(path, table, wanted, list(columns or table.schema))
+    return _rows(path, table, columns, {} if nights is None else {"night": nights})
 
 
 def read_rows(
@@ -189,108 +171,28 @@ def read_rows(
     table: Table,
     motor_ids: Sequence[str],
     columns: Sequence[str] = (),
-    month: str = "*",
     nights: Collection[dt.date] | None = None,
 ) -> pl.DataFrame:
-    """The published rows of some motors in all files of a table, or in some of them.
+    """The published rows of some motors in all files of a table, or of some nights (None: all).
 
-    Parameters
-    ----------
-    output, table
-        Output folder and table.
-    motor_ids
-        Motors.
-    columns
-        Columns; all if none. Those that an older file lacks are null.
-    month
-        YYYY-MM; all by default.
-    nights
-        Labels; None: all.
+    In time order. Columns, all if none are named, that an older file lacks are null.
 
-    Returns
-    -------
-    polars.DataFrame
-        In no particular order.
-
-    Raises
-    ------
-    StoreError
-        If a file is damaged.
+    Raises StoreError if a file is damaged.
     """
-    chosen = list(columns or table.schema)
+    empty = pl.DataFrame(schema=table.schema).select(columns or pl.all())
     wanted: dict[str, Collection[Any]] = {"motor_id": motor_ids}
     if nights is not None:
         wanted["night"] = nights
-    found = [pl.DataFrame(schema={name: table.schema[name] for name in chosen})]
-    if all(wanted.values()):
-        paths = files_of(output, table, nights, month)
-        found += [_rows(path, table, wanted, chosen) for path in paths]
-    return pl.concat(found)
+    paths = files_of(output, table, nights) if all(wanted.values()) else []
+    return pl.concat([empty, *(_rows(path, table, columns, wanted) for path in paths)])
 
 
 def _rows(
-    path: Path, table: Table, wanted: Mapping[str, Collection[Any]], columns: Sequence[str]
+    path: Path, table: Table, columns: Sequence[str], wanted: Mapping[str, Collection[Any]]
 ) -> pl.DataFrame:
     """Rows of a file with wanted values, some columns of them; raises as `read_table`."""
     try:
-        content = read(path)
+        content = path.read_bytes()
     except OSError as error:
         raise damaged(path, table, error) from error
-    names = [*columns, *(name for name in wanted if name not in columns)]
-    found = [pl.DataFrame(schema={name: table.schema[name] for name in columns})]
-    chosen = [pl.col(name).is_in(list(values)) for name, values in wanted.items()]
-    groups = groups_of(path, table, content, names, wanted)
-    found += [rows.filter(chosen).select(columns) if chosen else rows for rows in groups]
-    return pl.concat(found, rechunk=True)
-
-
-def groups_of(
-    path: Path,
-    table: Table,
-    content: bytes,
-    columns: Sequence[str] = (),
-    wanted: Mapping[str, Collection[Any]] | None = None,
-) -> Iterator[pl.DataFrame]:
-    """Row groups of a table file's content, as `row_groups`; raises as `read_table`."""
-    schema = {name: table.schema[name] for name in columns or table.schema}
-    try:
-        with opened(content) as file:
-            require_known(path, table, file)
-            there = [name for name in schema if name in file.schema_arrow.names]
-            absent = [
-                pl.lit(None, dtype=kind).alias(name)
-                for name, kind in schema.items()
-                if name not in there
-            ]
-            for rows in row_groups(file, there, wanted):
-                yield rows.with_columns(absent).select(schema.keys()).cast(pl.Schema(schema))
-    except DAMAGE as error:
-        raise damaged(path, table, error) from error
-
-
-def require_known(path: Path, table: Table, file: pq.ParquetFile) -> int:
-    """Schema version of a table file, whose columns are known.
-
-    Raises StoreError (``store_newer``) or ValueError.
-    """
-    version = int((file.metadata.metadata or {}).get(VERSION_KEY.encode(), b"0"))
-    if version > SCHEMA_VERSION:
-        # This version of the program would lose its new columns.
-        raise StoreError(
-            "store_newer", f"{path.name} is of schema version {version}; update the program"
-        )
-    names = set(file.schema_arrow.names)
-    strange, absent = sorted(names - table.schema.keys()), sorted(set(table.key) - names)
-    if strange or absent:  # a damaged name would read as a column of nulls
-        raise ValueError(
-            f"it has schema version {version}, with unknown columns "
-            f"({', '.join(strange) or 'none'}) or without some of the key "
-            f"({', '.join(absent) or 'none'}); expected version {SCHEMA_VERSION}: "
-            "`fit-fleet --force` makes it anew from the logs"
-        )
-    return version
-
-
-def damaged(path: Path, table: Table, error: BaseException) -> StoreError:
-    """The error of a damaged file."""
-    return StoreError("store_read", f"{path.name} of {table.name} is damaged: {error}")
+    return from_parquet(path, table, content, columns, wanted)

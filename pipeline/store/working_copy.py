@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, read, remove
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.published import MANIFEST_FILE
@@ -62,7 +62,7 @@ class Snapshot:
 
 
 @contextmanager
-def working_copy(url: str, output: Path) -> Iterator[Callable[[str], bool]]:
+def working_copy(url: str, output: Path) -> Iterator[None]:
     """Bring an output folder up to date with an object store, and publish its changes at the end.
 
     Parameters
@@ -72,29 +72,17 @@ def working_copy(url: str, output: Path) -> Iterator[Callable[[str], bool]]:
     output
         The folder, of which the caller holds the lock.
 
-    Yields
-    ------
-    callable
-        Restores a file as published, by its path below the folder; False if it is not published.
-
     Raises
     ------
     StoreError
         If it cannot be brought up to date, or not be published as a whole.
     """
     if not url:
-        yield lambda _: False
+        yield
         return
     store = ObjectStore.at(url)
     snapshot = pull(store, output)
-
-    def restore(path: str) -> bool:
-        entry = snapshot.files.get(path)
-        if entry is not None:
-            put(output / path, _content(store, entry))
-        return entry is not None
-
-    yield restore
+    yield
     with interrupts_held():
         settle(output)
         push(store, output, snapshot)
@@ -167,7 +155,7 @@ def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:
     digests = _digests(output, _recorded(store, output) or {})
     files = {path: Entry(_key(path, digest), digest) for path, digest in digests.items()}
     new = [path for path, entry in files.items() if before.files.get(path) != entry]
-    in_turn(lambda path: store.create(files[path].key, read(output / path)), new)
+    in_turn(lambda path: store.create(files[path].key, (output / path).read_bytes()), new)
     present = {entry.key for entry in files.values()}
     gone = {entry.key for entry in before.files.values()} - present
     superseded = (
@@ -214,7 +202,7 @@ def _key(path: str, digest: str) -> str:
 def _recorded(store: ObjectStore, output: Path) -> dict[str, list[Any]] | None:
     """Files of the folder as it was recorded, with digest and stamp; None if it is no copy."""
     try:
-        document = json.loads(read(output / RECORD))
+        document = json.loads((output / RECORD).read_bytes())
         url, files = document["url"], document["files"]
     except FileNotFoundError:
         return None
@@ -244,7 +232,7 @@ def _digests(output: Path, known: Mapping[str, Any]) -> dict[str, str]:
         if before and is_kept and path != STATE_FILE:  # people add to it between runs
             found[path] = str(before[0])
         else:
-            found[path] = hashlib.sha256(read(output / path)).hexdigest()
+            found[path] = hashlib.sha256((output / path).read_bytes()).hexdigest()
     return found
 
 

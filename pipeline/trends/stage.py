@@ -10,17 +10,13 @@ import datetime as dt
 import logging
 from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import takewhile
-from pathlib import Path
 from typing import TypeVar
 
 from pipeline.errors import StoreError
-from pipeline.schema import ALARMS, WATCH, Table
-from pipeline.store.atomic_files import scratch, store_errors
-from pipeline.store.night_files import stage
-from pipeline.store.tables import nights_back, read_rows
+from pipeline.schema import ALARMS, Table
+from pipeline.store.atomic_files import store_errors
+from pipeline.store.staging import stage, staged_file
 from pipeline.trends.nights.from_tables import MotorNights, Wanted, read_nights
-from pipeline.trends.nights.history import History
 from pipeline.trends.nights.kept import decoded, key_of
 from pipeline.trends.nights.trend_record import Record
 from pipeline.trends.rows.alarm_rows import new_alarms, rules_now
@@ -137,26 +133,15 @@ def _stage_motor(
         return None
     motor_id, before = spec.motor_id, circuit.records[spec.motor_id]
     record = Record(circuit.hashes[motor_id], labels[-1], None, rules_now(spec))
-    gone = _withdrawn(task.output, history, trends.first)
     rows = trends.by_table(before, record)
     staged: dict[Table, dict[dt.date, list[Row]]] = {}
     for table, some in rows.items():
-        nights = staged[table] = {label: [] for label in [*labels, *gone]}
+        nights = staged[table] = {label: [] for label in labels}
         for row in some:
             nights[row["night"]].append(row)
-    stage(task.staging / "trends" / f"{motor_id}.arrow", staged)
-    kept = trends.course.kept(key_of(spec, history.decisions))
+    stage(staged_file(task.staging / "trends", motor_id), staged)
     path = kept_file(task.staging, motor_id)
-    with store_errors(path), scratch(path) as stream:
-        stream.write(kept.encoded())
+    with store_errors(path):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(trends.course.kept(key_of(spec, history.decisions)).encoded())
     return len(labels), record, new_alarms(rows[ALARMS], trends.course.nights.alarms)
-
-
-def _withdrawn(output: Path, history: History, first: dt.date) -> list[dt.date]:
-    """Nights from one on in which a motor has published trends, and that are none of its nights."""
-    published = takewhile(lambda night: night >= first, nights_back(output, WATCH))
-    others = set(published).difference(history.nights)
-    if not others:
-        return []
-    rows = read_rows(output, WATCH, [history.spec.motor_id], ("night",), nights=others)
-    return sorted(set(rows["night"]))

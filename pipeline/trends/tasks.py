@@ -72,8 +72,7 @@ class Circuit:
 
         New nights, and those from the first on that a late log of any motor has touched: what one
         does says what moves all. All of them where a motor's own settings, events or resets
-        changed; that touches no other. Where nights after a motor's last are published, its last:
-        it says that they are withdrawn. A motor that was not asked for gets no new nights.
+        changed; that touches no other. A motor that was not asked for gets no new nights.
         """
         touched = [
             night
@@ -90,8 +89,7 @@ class Circuit:
             elif record.trend_hash != self.hashes[motor_id]:
                 first = dt.date.min
             else:
-                after = last if record.last_night > last else record.last_night + DAY
-                first = min([after, *touched])
+                first = min([record.last_night + DAY, *touched])
             if record is not None and motor_id not in changed_from:
                 last = min(last, record.last_night)
             found[motor_id] = (first if first is not None and first <= last else None, last)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.config import MotorSpec
@@ -93,9 +93,3 @@ def note_touched(state: State, touched: Iterable[tuple[str, dt.date]]) -> None:
         " WHERE motor_id = ?1 AND last_night >= ?2",
         [(motor_id, str(night)) for motor_id, night in touched],
     )
-
-
-def forget_records(state: State, keep: Collection[str]) -> None:
-    """Let the next run make the trends of all motors but some anew."""
-    others = [(one,) for (one,) in state.rows("SELECT motor_id FROM trends") if one not in keep]
-    state.write_all("UPDATE trends SET trend_hash = '' WHERE motor_id = ?", others)

@@ -94,9 +94,6 @@ def _of_indicator(
             what = "told before" if last_raised is None else f"raised on {last_raised}"
             what = f"what was {what} is not in the figures as they are now"
             row = _closing(motor_id, name, one, told, what)
-        if one is course[-1]:
-            later = [said for night, said in sorted(published.items()) if night > one.night]
-            row = _with_withdrawn(motor_id, name, one, row, later)
         if row is not None:
             rows.append(row | {"reason": f"{row['reason']}. {advice}"} if advice else row)
             told = row["to_state"]
@@ -118,20 +115,6 @@ def _change(motor_id: str, name: str, one: NightState, before: str) -> Row:
         way = "baseline" if before == INSUFFICIENT else "recovered"
         return row | {"reason": f"{why}: {one.reason}", "way": way}
     return row | {"reason": one.reason, "way": one.way}
-
-
-def _with_withdrawn(
-    motor_id: str, name: str, one: NightState, row: Row | None, later: Sequence[Row]
-) -> Row | None:
-    """The row of the last night, where there is one, once what was told of later ones is gone."""
-    raised = [said for said in later if said["to_state"] in RAISED]
-    if not raised and (not later or later[-1]["to_state"] == one.state):
-        return row
-    what = f"the nights after {one.night} are withdrawn: no log has samples of them"
-    what += "".join(f"; {one['to_state']} on {one['night']}: {_said(one)}" for one in raised)
-    if row is not None:
-        return row | {"reason": f"{row['reason']}; {what}"}
-    return _closing(motor_id, name, one, later[-1]["to_state"], what)
 
 
 def _closing(motor_id: str, name: str, one: NightState, told: str, what: str) -> Row:

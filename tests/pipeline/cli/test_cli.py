@@ -18,7 +18,7 @@ import pytest
 import pipeline.cli
 import pipeline.run.fleet
 import pipeline.store.publishing
-from pipeline.store.night_files import NewFile, prepare_file
+from pipeline.store.atomic_files import Prepared, prepare
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change, without_workers
 
@@ -134,15 +134,15 @@ def test_130_and_143_while_publishing(
 ) -> None:
     came: list[int] = []
 
-    def interrupted(*arguments: Any) -> NewFile:
+    def interrupted(*arguments: Any) -> Prepared:
         if not came:
             came.append(number)
             os.kill(os.getpid(), number)
-        return prepare_file(*arguments)
+        return prepare(*arguments)
 
     fleet = without_workers(own_fleet(PARQUET))
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.store.publishing, "prepare_file", interrupted)
+        patched.setattr(pipeline.store.publishing, "prepare", interrupted)
         ended, out, err = call("fit-fleet", fleet)
     # What was begun is published whole, and nothing after it is begun.
     assert ended == code

@@ -9,8 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
+from pipeline.run.mending import EVERY_DAY
+from pipeline.store.state import State
+from pipeline.trends.nights.decisions import Decision, record_decision
 from tests.conftest import made_once
+from tests.pipeline.faults.crash import Victim, victim_in
 from tests.pipeline.faults.fleet import TinyFleet, remembered_fits
 from tests.pipeline.simulated import NIGHT
 
@@ -21,18 +24,16 @@ def tiny_fleet(shared_folder: Path) -> TinyFleet:
     return TinyFleet(made_once(shared_folder / "tiny", TinyFleet.at))
 
 
+@pytest.fixture(scope="session")
+def victim(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Victim]:
+    with victim_in(tmp_path_factory.mktemp("victim")) as made:
+        yield made
+
+
 @pytest.fixture
 def output(tiny_fleet: TinyFleet, tmp_path: Path) -> Path:
     """All that a run leaves; what is copied keeps its times."""
     return shutil.copytree(tiny_fleet.after, tmp_path / "out")
-
-
-@pytest.fixture
-def said(output: Path, tiny_fleet: TinyFleet) -> tuple[Decision, ...]:
-    """Decisions made by people, in the journal and in the table of the next run."""
-    say(output)
-    tiny_fleet.run(output)
-    return read_decisions(output)
 
 
 def say(output: Path) -> None:
@@ -67,4 +68,8 @@ def without_logs(tiny_fleet: TinyFleet, tmp_path: Path) -> Callable[..., TinyFle
 @pytest.fixture
 def _nothing_due(monkeypatch: pytest.MonkeyPatch) -> None:
     """Proofs of a run do not depend on the day on which the test is run."""
-    monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: set())
+
+    def share_due(_: State, days: int) -> set[str] | None:
+        return None if days == EVERY_DAY else set()
+
+    monkeypatch.setattr("pipeline.run.mending.share_due", share_due)

@@ -21,7 +21,6 @@ from pipeline.config import load_fleet
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.schema import LATEST, TABLES, TREND_TABLES, Table
-from pipeline.schema.fits import FAILED
 from pipeline.store.published import verify_tables
 from pipeline.store.state import STATE_FILE
 from pipeline.store.tables import files_of, name_of, read_table
@@ -152,37 +151,25 @@ def same(one: pl.DataFrame | None, two: pl.DataFrame | None) -> bool:
     return one.equals(two, null_equal=True)
 
 
-def check_old_or_new(output: Path, fleet: TinyFleet, failed: Collection[str] = ()) -> None:
+def check_old_or_new(output: Path, old: Path, new: Path, failed: Collection[str] = ()) -> None:
     """Every table file is whole, as it was or as it comes to be, and provable; no key twice.
 
     Of a motor that has failed alone nothing is new, while the others' rows in the same files are;
     but the trends of the night then say that there is nothing of it, and `latest` what there is.
-    A night that its worker died in each time is one that failed.
     """
-    now, before, after = (tables_in(one) for one in (output, fleet.before, fleet.after))
-    given_up = pl.concat(rows for name, rows in now.items() if name.startswith("fits/"))
-    given_up = given_up.filter(status=FAILED, error_code="worker_died")
-    nights = set(given_up["motor_id", "night"].rows())
+    now, before, after = (tables_in(one) for one in (output, old, new))
     for name in sorted(now.keys() | before.keys() | after.keys()):
         table = name.split("/")[0]
         if table in OF_RUNS:
             continue
         for motor in MOTORS if failed else (None,):
-            if motor in failed and (
-                table in {one.name for one in (*TREND_TABLES, LATEST)}
-                or (motor, _night_in(name)) in nights
-            ):
+            if motor in failed and table in {one.name for one in (*TREND_TABLES, LATEST)}:
                 continue
             states = [_of_motor(state.get(name), motor) for state in (now, before, after)]
             assert any(same(states[0], one) for one in states[1:]), name
     assert list(verify_tables(output)) == []
     for table in TABLES:
         check_keys(now, table)
-
-
-def _night_in(name: str) -> dt.date | None:
-    _, _, night = name.partition(" ")
-    return dt.date.fromisoformat(night) if night else None
 
 
 def _of_motor(rows: pl.DataFrame | None, motor: str | None) -> pl.DataFrame | None:
@@ -198,19 +185,19 @@ def check_keys(tables: Tables, table: Table) -> None:
         assert pl.concat(parts).is_unique().all(), table.name
 
 
-def check_repaired(output: Path, fleet: TinyFleet) -> None:
+def check_repaired(output: Path, expected: Path) -> None:
     """All is as if nothing had been."""
-    check_tables(output, fleet)
+    check_tables(output, expected)
     for motor in MOTORS:
-        assert ledger_of(output, motor) == ledger_of(fleet.after, motor)
-        assert record_of(output, motor) == record_of(fleet.after, motor)
+        assert ledger_of(output, motor) == ledger_of(expected, motor)
+        assert record_of(output, motor) == record_of(expected, motor)
     assert list(verify_tables(output)) == []
     assert temporary(output) == []
 
 
-def check_tables(output: Path, fleet: TinyFleet) -> None:
+def check_tables(output: Path, expected: Path) -> None:
     """All tables are those of a run that nothing disturbed."""
-    now, after = tables_in(output), tables_in(fleet.after)
+    now, after = tables_in(output), tables_in(expected)
     for name in sorted(now.keys() | after.keys()):
         if name.split("/")[0] not in OF_RUNS:
             assert same(now.get(name), after.get(name)), name

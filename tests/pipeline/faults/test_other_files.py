@@ -1,8 +1,7 @@
-"""Files beside the tables: what people said, CSV exports, reports. Each call fails in turn."""
+"""Files beside the tables: CSV exports, reports; and a second run."""
 
 from __future__ import annotations
 
-import datetime as dt
 import os
 import shutil
 import subprocess
@@ -13,80 +12,59 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.errors import StoreError
 from pipeline.export.csv import Selection, export_csv
 from pipeline.report.build import build_report
 from pipeline.run.fleet import run_fleet
 from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import FITS, PARAMETERS
 from tests.pipeline.calling import contents
-from tests.pipeline.faults.disk import KINDS, Disk, Killed, Kind, on
+from tests.pipeline.faults.crash import FAULTS, Fault, Victim
 from tests.pipeline.faults.fleet import ENVIRONMENT, TinyFleet, check_tables
 
-DEAD = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-MOMENT = dt.datetime(2026, 3, 4, 5, tzinfo=dt.UTC)
+TABLES = Selection(tables=(FITS, PARAMETERS))
 
 
-def points(kind: Kind, act: Callable[[], object]) -> int:
-    """Number of calls of an act that can fail."""
-    with on(Disk(kind, 0)) as disk:
-        act()
-    return disk.seen
+def export(tables: Path, folder: Path) -> None:
+    list(export_csv(tables, folder, TABLES))
 
 
-def fails(kind: Kind, point: int, act: Callable[[], object]) -> bool:
-    """True if an act reports its failure, or dies, when one of its calls fails."""
-    with on(Disk(kind, point)) as disk:
-        try:
-            act()
-        except (StoreError, Killed):
-            return True
-        finally:
-            assert disk.struck
-    return False
+def report(tables: Path, folder: Path) -> None:
+    build_report(TinyFleet(tables.parent).request(tables).fleet, folder)
 
 
-@DEAD
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_export_is_whole_or_as_it_was(tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind) -> None:
-    folder = tmp_path / "csv"
-
-    def export() -> None:
-        list(export_csv(tiny_fleet.after, folder, Selection(tables=(FITS, PARAMETERS))))
-
-    export()
-    n = points(kind, export)
-    new = contents(folder)
-    for point in range(1, n + 1):
-        for name in new:
-            (folder / name).write_bytes(b"old")
-        failed = fails(kind, point, export)
-        for name, content in new.items():
-            assert (folder / name).read_bytes() in ((b"old", content) if failed else (content,))
-        export()
-        assert contents(folder) == new
-
-
-@DEAD
+@pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize(
-    "n_points", [pytest.param(1, id="some"), pytest.param(25, marks=pytest.mark.full, id="many")]
+    ("work", "n_points"),
+    [
+        (export, 8),
+        (report, 1),
+        pytest.param(report, 25, marks=pytest.mark.full),
+    ],
 )
-@pytest.mark.parametrize("kind", ["EIO", "ENOSPC"])
-def test_a_report_is_made_whole_by_the_next(
-    tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind, n_points: int
+def test_what_is_made_of_the_tables_is_made_whole_by_the_next(
+    tiny_fleet: TinyFleet,
+    victim: Victim,
+    tmp_path: Path,
+    fault: Fault,
+    work: Callable[[Path, Path], None],
+    n_points: int,
 ) -> None:
-    folder = tmp_path / "report"
-
-    def make() -> None:
-        build_report(tiny_fleet.request(tiny_fleet.after).fleet, folder)
-
-    n = points(kind, make)
+    """And an export is whole meanwhile, or as it was."""
+    folder, tables = tmp_path / "made", tiny_fleet.after
+    n = victim.crash_at(0, work, tables, folder, fault).seen
     new = contents(folder)
-    chosen = np.random.default_rng(KINDS.index(kind)).choice(n, min(n, n_points), replace=False)
-    for point in chosen:
-        shutil.rmtree(folder)
-        fails(kind, int(point) + 1, make)
-        make()
+    for point in np.random.default_rng(n_points).choice(n, min(n, n_points), replace=False):
+        if work is export:
+            for name in new:
+                (folder / name).write_bytes(b"old")
+        else:
+            shutil.rmtree(folder)
+        end = victim.crash_at(int(point) + 1, work, tables, folder, fault)
+        if work is export:
+            for name, content in new.items():
+                found = (folder / name).read_bytes()
+                assert found in ((content,) if end.how == "ok" else (b"old", content))
+        work(tables, folder)
         assert contents(folder) == new
 
 
@@ -107,4 +85,4 @@ def test_a_second_run_is_turned_away_by_code_3(tiny_fleet: TinyFleet, tmp_path: 
     ((code, told),) = ends
     assert code == 3
     assert f"process {os.getpid()} on " in told
-    check_tables(output, tiny_fleet)
+    check_tables(output, tiny_fleet.after)

@@ -19,7 +19,6 @@ import polars as pl
 import pytest
 
 from pipeline.schema import FITS, INPUT_FILES, PARAMETERS, QUALITY, TRENDS, Table
-from pipeline.store.atomic_files import Prepared
 from pipeline.store.published import verify_tables
 from tests.pipeline.faults.fleet import LATER, TinyFleet, remembered_fits
 from tests.pipeline.simulated import NIGHT
@@ -188,32 +187,3 @@ def test_readers_during_runs(own: TinyFleet) -> None:
 @pytest.mark.full
 def test_readers_during_many_runs(own: TinyFleet) -> None:
     assert check_readers(own, 40) > 1000
-
-
-def test_a_file_that_moves_to_another_night_never_stands_in_two(
-    own: TinyFleet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The key of `input_files` has no night: a place is left before another is taken."""
-    output = own.after
-    first, later = (own.folder / "logs" / "M1" / f"{night}.parquet" for night in (NIGHT, LATER))
-    seen = []
-    land = Prepared.land
-
-    def watched(prepared: Prepared, *, flush: bool = True) -> None:
-        land(prepared, flush=flush)
-        rows = with_polars(pattern_of(output, INPUT_FILES))
-        assert rows.select(INPUT_FILES.key).is_unique().all()
-        seen.append(rows)
-
-    monkeypatch.setattr(Prepared, "land", watched)
-    contents = first.read_bytes(), later.read_bytes()
-    # Their contents change places; then what was the later file is all that there is of the first.
-    for here, there in (contents[::-1], contents):
-        first.write_bytes(here)
-        later.write_bytes(there)
-        own.run(output)
-        rows = with_polars(pattern_of(output, INPUT_FILES)).filter(motor_id="M1")
-        nights = (LATER, NIGHT) if here == contents[1] else (NIGHT, LATER)
-        places = dict(zip((f"M1/{NIGHT}.parquet", f"M1/{LATER}.parquet"), nights, strict=True))
-        assert dict(rows.select("path", "night").rows()) == places
-    assert len(seen) > 10

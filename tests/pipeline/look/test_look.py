@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import datetime as dt
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline.errors import LockedError, StoreError
+from pipeline.errors import LockedError
 from pipeline.look import look as module
 from pipeline.store.locks import locked
-from tests.pipeline.faults.disk import Disk, Killed, Kind, on
+from tests.pipeline.faults.crash import FAULTS, Fault, victim_in
 from tests.pipeline.look.fleet import (
     BEGIN,
     HEADER,
@@ -168,25 +167,27 @@ def test_a_log_that_cannot_be_read_costs_no_other_motor_and_is_said(fleet: Growi
     assert states(fleet)[-1] == TOLD[-1]
 
 
-KINDS: tuple[Kind, ...] = ("killed", "ENOSPC", "EIO", "short")
-EVERY = [pytest.param(kind, 1, marks=pytest.mark.full) for kind in KINDS]
+def look(folder: Path, _: Path) -> None:
+    Growing(folder).look()
 
 
-@pytest.mark.parametrize(("kind", "every"), [("killed", 31), ("ENOSPC", 31), *EVERY])
+EVERY = [pytest.param(fault, 1, marks=pytest.mark.full) for fault in FAULTS]
+
+
+@pytest.mark.parametrize(("fault", "every"), [("killed", 31), ("full", 31), *EVERY])
 def test_a_look_that_is_broken_off_anywhere_is_made_up_for(
-    fleet: Growing, tmp_path: Path, kind: Kind, every: int
+    fleet: Growing, tmp_path: Path, fault: Fault, every: int
 ) -> None:
     """Told once, and all of it, by the next look on a sound disk."""
     fleet.append(day(fleet))
     whole = fleet.copy(tmp_path / "whole")
-    with on(Disk(kind, 0)) as disk:
-        whole.look()
-    assert states(whole) == TOLD
-    (told,) = whole.told()
-    for point in range(1, disk.seen + 1, every):
-        other = fleet.copy(tmp_path / str(point))
-        with suppress(Killed, StoreError), on(Disk(kind, point)):
+    with victim_in(tmp_path) as victim:
+        n = victim.crash_at(0, look, whole.folder, whole.output, fault).seen
+        assert states(whole) == TOLD
+        (told,) = whole.told()
+        for point in range(1, n + 1, every):
+            other = fleet.copy(tmp_path / str(point))
+            victim.crash_at(point, look, other.folder, other.output, fault)
             other.look()
-        other.look()
-        assert other.rows() == whole.rows()
-        assert {one["id"] for one in other.told()} == {told["id"]}
+            assert other.rows() == whole.rows()
+            assert {one["id"] for one in other.told()} == {told["id"]}

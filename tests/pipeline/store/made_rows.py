@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
 from pipeline.schema import QUALITY, Table, frame
-from pipeline.store.night_files import NewFile, NewRows, prepare_file, with_nights
-from pipeline.store.tables import night_file
+from pipeline.store.publishing import Publisher
+from pipeline.store.staging import StagedNights, stage, staged_file
+from pipeline.store.state import open_state
 
 NIGHT = dt.date(2026, 1, 2)
 LATER = dt.date(2026, 2, 1)
@@ -33,29 +34,27 @@ def rows(*some: Row, run_id: str = "first") -> pl.DataFrame:
     return frame(QUALITY, [{**one, "run_id": run_id} for one in some])
 
 
-def new(*some: Row) -> pl.DataFrame:
-    """Rows as a motor's task leaves them."""
-    return frame(QUALITY, some)
+def publish(
+    output: Path,
+    motors: Mapping[str, Mapping[Table, StagedNights]],
+    run_id: str = "r",
+    missed: Collection[str] = (),
+) -> None:
+    """Stage nights of motors, and publish them, as a run does."""
+    staging = output / "staging" / "run"
+    staging.mkdir(parents=True, exist_ok=True)
+    for motor_id, tables in motors.items():
+        stage(staged_file(staging / "nights", motor_id), tables)
+    tables = list(dict.fromkeys(table for some in motors.values() for table in some))
+    with open_state(output) as state:
+        Publisher(state, staging, run_id, 2, missed).nights("nights", tables, list(motors))
 
 
 def publish_night(
-    output: Path,
-    table: Table,
-    night: dt.date,
-    some: Mapping[str, pl.DataFrame],
-    run_id: str,
-    *more: Any,
-) -> NewFile:
-    """Prepare the file with a night, and put it there."""
-    pieces = [
-        rows.with_columns(run_id=pl.lit(run_id)).select(table.schema.keys()).sort(table.order)
-        for _, rows in sorted(some.items())
-    ]
-    new = NewRows(tuple(some), sum(rows.height for rows in pieces), pieces)
-    change = with_nights(table, [(night, new)])
-    file = prepare_file(night_file(output, table, night), table, change, *more)
-    file.land()
-    return file
+    output: Path, some: Mapping[str, Sequence[Row]], run_id: str = "r", table: Table = QUALITY
+) -> None:
+    """Publish rows of one night by motor."""
+    publish(output, {one: {table: {NIGHT: rows}} for one, rows in some.items()}, run_id)
 
 
 def all_files(folder: Path) -> list[str]:

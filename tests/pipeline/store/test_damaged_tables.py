@@ -12,15 +12,13 @@ from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import QUALITY, TABLES, Table, frame
-from pipeline.store import tables as store
+from pipeline.store import encoding
 from pipeline.store.encoding import write_table
 from pipeline.store.tables import night_file, read_rows, read_table
 from tests.pipeline.store.made_rows import (
     LATER,
     NIGHT,
-    all_files,
     example,
-    new,
     publish_night,
     row,
     rows,
@@ -95,24 +93,13 @@ class TestDamage:
         with pytest.raises(StoreError):
             read_table(tmp_path / "2026-01-02.parquet", QUALITY)
 
-    def test_publishing_over_a_damaged_file_puts_it_aside_to_be_looked_at(
-        self, tmp_path: Path, file: Path, data: bytes
-    ) -> None:
-        damaged = data[:500] + b"\0" * 20 + data[520:]
-        file.write_bytes(damaged)
-        publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "run")
-        assert read_table(file, QUALITY)["motor_id"].to_list() == ["A"]
-        aside = file.with_suffix(".damaged")
-        assert aside.read_bytes() == damaged
-        assert sorted(all_files(tmp_path)) == sorted([file.name, aside.name])
-
     def test_a_file_of_a_newer_version_is_refused_and_stays(
         self, tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         before = file.read_bytes()
-        monkeypatch.setattr(store, "SCHEMA_VERSION", 0)
+        monkeypatch.setattr(encoding, "SCHEMA_VERSION", 0)
         with pytest.raises(StoreError) as refused:
-            publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "run")
+            publish_night(tmp_path, {"A": [row("A")]})
         assert refused.value.code == "store_newer"
         assert file.read_bytes() == before
 
@@ -140,7 +127,7 @@ class TestSchema:
     def test_older_file_takes_new_rows(self, tmp_path: Path) -> None:
         path = night_file(tmp_path, QUALITY, NIGHT)
         write_table(path, rows(row("A"), row("B")).drop("n_samples"))
-        publish_night(tmp_path, QUALITY, NIGHT, {"B": new(row("B", refused=7))}, "later")
+        publish_night(tmp_path, {"B": [row("B", refused=7)]})
         found = read_table(path, QUALITY)
         assert found["n_samples"].to_list() == [None, 864_000]
 

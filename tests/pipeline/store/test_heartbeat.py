@@ -50,7 +50,6 @@ def test_a_run_beats_at_every_stage_and_leaves_what_it_was(
     states = [(one.state, one.stage, one.n_motors_done) for one in seen]
     assert states == [
         ("running", "motors", 0),
-        ("running", "motors", 1),
         ("running", "publishing", 1),
         ("running", "trends", 1),
         ("running", "recording", 1),
@@ -105,9 +104,8 @@ def test_a_beat_that_cannot_be_written_ends_nothing(
 ) -> None:
     (tmp_path / "heartbeat.json").mkdir()
     with Heartbeat(tmp_path, 1, None) as heartbeat:
-        heartbeat.motor_done(is_news=True)
-        heartbeat.motor_done(is_news=True)
-        heartbeat.finished("abc", interrupted=False, good=True)
+        heartbeat.say()
+        heartbeat.finished(interrupted=False, good=True)
     assert [one.message[:13] for one in caplog.records] == ["no heartbeat:"]
     assert [one.name for one in tmp_path.iterdir()] == ["heartbeat.json"]
 
@@ -118,7 +116,7 @@ def test_a_beat_is_missing_when_several_are(tmp_path: Path) -> None:
         late = beat.beaten_at + dt.timedelta(seconds=61)
         assert not beat.is_missing(beat.beaten_at + dt.timedelta(seconds=59))
         assert beat.is_missing(late)
-        heartbeat.finished("abc", interrupted=False, good=True)
+        heartbeat.finished(interrupted=False, good=True)
     assert not beat_of(tmp_path).is_missing(late + DAY)
 
 
@@ -141,8 +139,9 @@ def test_a_time_without_a_zone_is_no_beat(tmp_path: Path) -> None:
 def test_status_tells_of_the_run_that_is_under_way(workshop: Workshop) -> None:
     assert fleet_status(workshop.output, ["M1"]).beat is None
     with Heartbeat(workshop.output, 4, None) as heartbeat:
-        heartbeat.motor_done(is_news=False)
-        heartbeat.motor_done(is_news=True)
+        heartbeat.motor_done()
+        heartbeat.motor_done()
+        heartbeat.say()
         beat = fleet_status(workshop.output, ["M1"]).beat
         assert beat is not None
         assert (beat.stage, beat.n_motors_done, beat.n_motors) == ("motors", 2, 4)

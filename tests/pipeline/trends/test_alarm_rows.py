@@ -111,13 +111,6 @@ def test_an_indicator_that_is_no_longer_watched_is_closed() -> None:
     assert brief(rows) == [(3, "alarm", "insufficient", "recomputed")]
 
 
-def test_withdrawn_nights_are_closed_in_the_last_one() -> None:
-    before = told(course(*WORN[:6]))
-    (row,) = told(course("ok", first=2), before)
-    assert brief([row]) == [(2, "alarm", "ok", "recomputed")]
-    assert "are withdrawn: no log has samples of them; warning on" in row["reason"]
-
-
 def test_alarms_are_new_only_once() -> None:
     def row(state: str, way: str = "change", night: int = 0, **more: Any) -> dict[str, Any]:
         said = {"night": night_of(night), "indicator": "x", "to_state": state, "way": way}

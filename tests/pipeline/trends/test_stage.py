@@ -12,8 +12,8 @@ import pytest
 from polars.testing import assert_frame_equal
 
 from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TREND_TABLES, TRENDS, WATCH
-from pipeline.store.night_files import stage
 from pipeline.store.published import verify_tables
+from pipeline.store.staging import stage
 from pipeline.store.state import open_state
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.nights.trend_record import (
@@ -253,7 +253,7 @@ def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
     }
     stage(tmp_path / "trends" / "M1.arrow", {ALARMS: by_old_rules})
     with publisher_of(output, "old", tmp_path) as publisher:
-        publisher.nights("trends", (ALARMS,), ["M1"], lambda *_: None)
+        publisher.nights("trends", (ALARMS,), ["M1"])
     record = record_of(output, "M1")
     assert record is not None
     rules = rules_now(motor())

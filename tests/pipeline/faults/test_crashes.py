@@ -1,0 +1,235 @@
+"""A run, an acknowledgement, a repair or a look that ends at any call that writes.
+
+Killed, refused once, or on a disk that is full from there on: every file is as it was or as it
+comes to be; the next run makes the tables that no crash disturbed; alarms are told at least once,
+and what people said is not lost.
+
+As SQLite is tested ("How SQLite Is Tested", crash and I/O error testing).
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.run.mending import repair
+from pipeline.schema import FITS, PREDICTIONS, TRENDS
+from pipeline.store.published import verify_tables
+from pipeline.store.state import make_ready, open_state
+from pipeline.store.tables import night_file
+from pipeline.trends.nights.decisions import read_decisions
+from tests.pipeline.faults.conftest import say
+from tests.pipeline.faults.crash import End, Fault, Victim
+from tests.pipeline.faults.damage import remove_aside, rot, rot_of_footer
+from tests.pipeline.faults.fleet import (
+    LATER,
+    TinyFleet,
+    check_old_or_new,
+    check_repaired,
+    check_tables,
+    remembered_fits,
+    temporary,
+)
+from tests.pipeline.simulated import NIGHT
+from tests.pipeline.telling.fleet import keep, told, told_fleet
+
+SLICES = 4
+
+
+def run(folder: Path, output: Path) -> list[str]:
+    """A run, one task at a time; the motors that failed."""
+    return [one.motor_id for one in TinyFleet(folder).run(output, workers=1).failed]
+
+
+def acknowledge(_: Path, output: Path) -> None:
+    say(output)
+
+
+def mend(_: Path, output: Path) -> None:
+    """What `check --repair` does."""
+    make_ready(output)
+    with open_state(output) as state:
+        repair(state)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A work on an output as it was before, and what holds after its crash, and after a run."""
+
+    work: Callable[[Path, Path], object]
+    fleet: TinyFleet
+    before: Path
+    crashed: Callable[[Path, End], None]
+    repaired: Callable[[Path], None]
+
+
+def nightly(fleet: TinyFleet, _: Path) -> Case:
+    """The next night comes, and a late log of the one before."""
+
+    def crashed(output: Path, end: End) -> None:
+        check_old_or_new(output, fleet.before, fleet.after, end.failed)
+        if end.how != "killed" and end.struck not in ("unlink", "rmdir", "open"):
+            assert temporary(output) == []
+        if end.how == "ok" and not end.failed:
+            # A run that says that all went well has published all.
+            check_tables(output, fleet.after)
+
+    return Case(run, fleet, fleet.before, crashed, lambda out: check_repaired(out, fleet.after))
+
+
+def first(fleet: TinyFleet, folder: Path) -> Case:
+    """There is nothing yet."""
+    (folder / "before").mkdir()
+    with remembered_fits():
+        fleet.run(folder / "whole")
+
+    def crashed(output: Path, end: End) -> None:
+        check_old_or_new(output, folder / "before", folder / "whole", end.failed)
+
+    def repaired(output: Path) -> None:
+        check_repaired(output, folder / "whole")
+
+    return Case(run, fleet, folder / "before", crashed, repaired)
+
+
+def acknowledging(fleet: TinyFleet, folder: Path) -> Case:
+    """Somebody says something: what was said is said for good."""
+    before = shutil.copytree(fleet.after, folder / "before")
+    said: list[int] = []
+
+    def crashed(output: Path, end: End) -> None:
+        said[:] = [len(read_decisions(output))]
+        assert said == [3] if end.how == "ok" else said[0] <= 3
+        check_old_or_new(output, before, before)
+
+    def repaired(output: Path) -> None:
+        assert [len(read_decisions(output))] == said
+        (output / "state.db").write_bytes(b"lost")
+        (output / "state.backup.db").unlink()
+        fleet.run(output)
+        assert [len(read_decisions(output))] == said
+
+    return Case(acknowledge, fleet, before, crashed, repaired)
+
+
+def harmed(fleet: TinyFleet, folder: Path) -> Path:
+    """An output with damaged and missing files, and with what people said."""
+    before = shutil.copytree(fleet.after, folder / "before")
+    say(before)
+    night_file(before, PREDICTIONS, NIGHT).unlink()
+    rot_of_footer(night_file(before, FITS, LATER))
+    rot(night_file(before, TRENDS, NIGHT))
+    for path in before.rglob("*.parquet"):  # all are looked at
+        os.utime(path)
+    return before
+
+
+def mending(fleet: TinyFleet, folder: Path) -> Case:
+    """A run that mends."""
+
+    def check(output: Path) -> None:
+        assert len(read_decisions(output)) == 3
+        remove_aside(output)
+        for name in ("decisions/decisions.parquet", "latest/latest.parquet"):
+            shutil.copy(fleet.after / "tables" / name, output / "tables" / name)
+        check_tables(output, fleet.after)
+
+    return Case(run, fleet, harmed(fleet, folder), lambda *_: None, check)
+
+
+def repairing(fleet: TinyFleet, folder: Path) -> Case:
+    """The command that repairs, done again."""
+    case = mending(fleet, folder)
+
+    def again(output: Path, _: End) -> None:
+        mend(folder, output)
+        assert list(verify_tables(output)) == []
+
+    return Case(mend, fleet, case.before, again, case.repaired)
+
+
+def telling(_: TinyFleet, folder: Path) -> Case:
+    """Somebody is told of an alarm: at least once, and what comes twice says so by its id."""
+    told_fleet(folder, keep(folder / "told"))
+    fleet = TinyFleet(folder)
+    before = shutil.copytree(folder / "out", folder / "before")
+
+    def check(output: Path) -> None:
+        found = told(folder)
+        assert len({one["id"] for one in found}) == 1
+        assert [one["to_state"] for one in found[0]["changes"]] == ["alarm"]
+        (folder / "told").write_text("")
+        fleet.run(output)
+        assert told(folder) == []
+
+    return Case(run, fleet, before, lambda *_: None, check)
+
+
+CASES = (nightly, first, acknowledging, mending, repairing, telling)
+WORKS = [(made, "killed") for made in CASES]
+WORKS += [(made, fault) for made in (nightly, first, telling) for fault in ("refused", "full")]
+
+
+def check_points(
+    made: Callable[[TinyFleet, Path], Case],
+    fleet: TinyFleet,
+    victim: Victim,
+    folder: Path,
+    fault: Fault,
+    choose: Callable[[int], list[int]],
+) -> None:
+    case, output = made(fleet, folder), folder / "crashed" / "out"
+    shutil.copytree(case.before, output)
+    n = victim.crash_at(0, case.work, case.fleet.folder, output, fault).seen
+    ends: Counter[str] = Counter()
+    for point in choose(n):
+        shutil.rmtree(output)
+        shutil.copytree(case.before, output)
+        (folder / "told").unlink(missing_ok=True)
+        end = victim.crash_at(point, case.work, case.fleet.folder, output, fault)
+        case.crashed(output, end)
+        with remembered_fits():
+            case.fleet.run(output)  # nobody holds the lock any more
+        case.repaired(output)
+        ends[f"{end.how} {end.struck}"] += 1
+    assert n > 10
+    sys.stdout.write(f"{made.__name__}, {fault}: {n} points, tried {dict(ends)}\n")
+
+
+@pytest.mark.parametrize(("made", "fault"), WORKS)
+def test_some_points(
+    tiny_fleet: TinyFleet,
+    victim: Victim,
+    tmp_path: Path,
+    made: Callable[[TinyFleet, Path], Case],
+    fault: Fault,
+) -> None:
+    rng = np.random.default_rng(len(f"{made.__name__}{fault}"))
+    check_points(
+        made, tiny_fleet, victim, tmp_path, fault,
+        lambda n: [int(one) + 1 for one in rng.choice(n, 3, replace=False)],
+    )  # fmt: skip
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("part", range(SLICES))
+@pytest.mark.parametrize(("made", "fault"), WORKS)
+def test_every_point(
+    tiny_fleet: TinyFleet,
+    victim: Victim,
+    tmp_path: Path,
+    made: Callable[[TinyFleet, Path], Case],
+    fault: Fault,
+    part: int,
+) -> None:
+    check_points(
+        made, tiny_fleet, victim, tmp_path, fault, lambda n: list(range(1 + part, n + 1, SLICES))
+    )

@@ -1,0 +1,264 @@
+"""Rows of motors as they are staged, and the files of tables that are made of them."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+
+import duckdb
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from polars.testing import assert_frame_equal
+
+from pipeline.errors import StoreError
+from pipeline.schema import BLOCK_STATISTICS, INPUT_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
+from pipeline.store.published import verify_tables
+from pipeline.store.staging import read_staged, stage, staged_file, staged_in
+from pipeline.store.state import open_state
+from pipeline.store.tables import (
+    files_of,
+    night_file,
+    nights_back,
+    read_rows,
+    read_table,
+    table_folder,
+)
+from tests.pipeline.store.made_rows import (
+    LATER,
+    NIGHT,
+    Row,
+    all_files,
+    example,
+    publish,
+    publish_night,
+    row,
+)
+from tests.pipeline.written import publisher_of
+
+NIGHTS = tuple(dt.date(2026, 1, day) for day in (3, 4, 9, 31))
+
+
+def published(output: Path) -> list[tuple[str, str, int, str]]:
+    found = read_table(night_file(output, QUALITY, NIGHT), QUALITY)
+    return [tuple(one) for one in found.select("motor_id", "reason", "n_refused", "run_id").rows()]
+
+
+def contents(output: Path) -> dict[str, bytes]:
+    tables = output / "tables"
+    return {path.relative_to(tables).as_posix(): path.read_bytes() for path in tables.rglob("*.*")}
+
+
+class TestStaged:
+    @pytest.mark.parametrize("table", NIGHT_TABLES, ids=[table.name for table in NIGHT_TABLES])
+    def test_every_type_survives_to_the_table(self, tmp_path: Path, table: Table) -> None:
+        one = {name: value for name, value in example(table).items() if name != "run_id"}
+        publish(tmp_path, {"A": {table: {NIGHT: [one], LATER: []}}}, "run")
+        (path,) = files_of(tmp_path, table)
+        expected = frame(table, [{**one, "run_id": "run"}])
+        assert_frame_equal(read_table(path, table), expected)
+
+    def test_by_table_file_and_motor_with_nights_that_have_no_rows(self, tmp_path: Path) -> None:
+        nights, blocks = {LATER: [], NIGHT: [row("A")]}, {LATER: [], NIGHT: []}
+        stage(staged_file(tmp_path / "nights", "A"), {QUALITY: nights, BLOCK_STATISTICS: blocks})
+        stage(staged_file(tmp_path / "nights", "B"), {QUALITY: {NIGHT: [row("B"), row("B", "x")]}})
+        tables = [QUALITY, BLOCK_STATISTICS]
+        found = staged_in(tmp_path / "nights", tables, ["C", "B", "A"])
+        assert {(table.name, label): list(some) for (table, label), some in found.items()} == {
+            ("quality", "2026-01"): ["A", "B"],
+            ("quality", "2026-02"): ["A"],
+            ("block_statistics", "2026-01-02"): ["A"],
+            ("block_statistics", "2026-02-01"): ["A"],
+        }
+        rows, done = read_staged(QUALITY, found[QUALITY, "2026-01"], "run")
+        assert rows.select("motor_id", "reason", "run_id").rows() == [
+            ("A", "gap", "run"), ("B", "gap", "run"), ("B", "x", "run")
+        ]  # fmt: skip
+        assert done.rows() == [("A", NIGHT), ("B", NIGHT)]
+        rows, done = read_staged(QUALITY, found[QUALITY, "2026-02"], "run")
+        assert (rows.height, done.rows()) == (0, [("A", LATER)])
+
+    def test_of_a_motor_that_is_lost_nothing_is_published(self, tmp_path: Path) -> None:
+        """Whatever its worker has staged."""
+        (tmp_path / "staging" / "run").mkdir(parents=True)
+        left = staged_file(tmp_path / "staging" / "run" / "nights", "B")
+        stage(left, {QUALITY: {NIGHT: [row("B")]}})
+        left.write_bytes(left.read_bytes()[:-5])
+        publish_night(tmp_path, {"A": [row("A")]})
+        assert [one[0] for one in published(tmp_path)] == ["A"]
+
+    def test_a_worker_that_outlives_its_run_leaves_nothing(self, tmp_path: Path) -> None:
+        """The run's folder is gone: the worker must not make it anew."""
+        with pytest.raises(StoreError, match="cannot be staged"):
+            stage(tmp_path / "gone" / "nights" / "A.arrow", {QUALITY: {NIGHT: []}})
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestRows:
+    def test_a_redone_motor_s_rows_are_replaced_and_those_of_others_stay(
+        self, tmp_path: Path
+    ) -> None:
+        """Also of one whose name begins another's."""
+        before = {"A": [row("A", "gap"), row("A", "spike")], "AB": [row("AB")], "B": [row("B")]}
+        publish_night(tmp_path, before, "one")
+        publish_night(tmp_path, {"A": [row("A", "frozen", 9)]}, "two")
+        publish_night(tmp_path, {"B": []}, "three")
+        assert published(tmp_path) == [("A", "frozen", 9, "two"), ("AB", "gap", 1, "one")]
+
+    def test_a_night_that_is_made_anew_leaves_the_others(self, tmp_path: Path) -> None:
+        whole = {m: {QUALITY: {n: [row(m, night=n)] for n in NIGHTS}} for m in "AB"}
+        publish(tmp_path, whole, "one")
+        publish(tmp_path, {"A": {QUALITY: {NIGHTS[1]: [row("A", night=NIGHTS[1])]}}}, "two")
+        found = read_rows(tmp_path, QUALITY, ["A", "B"])
+        keys = [(night, motor) for night in NIGHTS for motor in "AB"]
+        assert found.select("night", "motor_id").rows() == keys
+        assert found.filter(run_id="two").select("night", "motor_id").rows() == [(NIGHTS[1], "A")]
+        assert list(nights_back(tmp_path, QUALITY)) == list(NIGHTS[::-1])
+        assert read_rows(tmp_path, QUALITY, ["A"], nights=NIGHTS[:1]).height == 1
+        assert list(verify_tables(tmp_path)) == []
+
+    def test_file_keeps_its_place_without_rows(self, tmp_path: Path) -> None:
+        """A reader who has just listed it must not find it gone."""
+        publish_night(tmp_path, {"A": []})
+        assert all_files(tmp_path / "tables") == []
+        publish_night(tmp_path, {"A": [row("A")]})
+        publish_night(tmp_path, {"A": []})
+        assert all_files(tmp_path / "tables") == ["2026-01.parquet"]
+        assert published(tmp_path) == []
+        pattern = (table_folder(tmp_path, QUALITY) / "**" / "*.parquet").as_posix()
+        with duckdb.connect() as analyst:
+            assert analyst.read_parquet(pattern).fetchall() == []
+
+    @settings(max_examples=25)
+    @given(
+        st.lists(
+            st.dictionaries(st.sampled_from("ABCD"), st.sets(st.sampled_from("xyz")), max_size=4),
+            max_size=5,
+        )
+    )
+    def test_any_history_leaves_each_motor_s_last_rows(
+        self, tmp_path_factory: pytest.TempPathFactory, history: list[dict[str, set[str]]]
+    ) -> None:
+        output = tmp_path_factory.mktemp("history")
+        last: dict[str, tuple[int, set[str]]] = {}
+        for number, change in enumerate(history):
+            staged = {m: [row(m, one) for one in some] for m, some in change.items()}
+            publish_night(output, staged, f"{number}")
+            last |= {motor: (number, some) for motor, some in change.items()}
+        expected = sorted(
+            (motor, reason, 1, str(number))
+            for motor, (number, some) in last.items()
+            for reason in some
+        )
+        exists = night_file(output, QUALITY, NIGHT).exists()
+        assert exists == any(some for change in history for some in change.values())
+        assert (published(output) if exists else []) == expected
+
+    @settings(max_examples=15)
+    @given(st.permutations([(motor, night) for motor in "ABC" for night in NIGHTS]), st.data())
+    def test_bytes_do_not_tell_in_what_order_and_how_many_runs_they_were_made(
+        self,
+        tmp_path_factory: pytest.TempPathFactory,
+        order: list[tuple[str, dt.date]],
+        data: st.DataObject,
+    ) -> None:
+        """Row groups of two rows: their borders are the same as well."""
+        folder = tmp_path_factory.mktemp("runs")
+
+        def rows(motor: str, nights: list[dt.date]) -> dict[Table, dict[dt.date, list[Row]]]:
+            reasons = data.draw(st.permutations("ab"))
+            return {
+                QUALITY: {n: [row(motor, one, night=n) for one in reasons] for n in nights},
+                BLOCK_STATISTICS: {n: [{"motor_id": motor, "night": n}] for n in nights},
+            }
+
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr("pipeline.store.encoding.ROWS_A_GROUP", 2)
+            publish(folder / "at once", {motor: rows(motor, list(NIGHTS)) for motor in "ABC"})
+            while order:
+                count = data.draw(st.integers(1, len(order)))
+                now, order = order[:count], order[count:]
+                done = {motor: [n for one, n in now if one == motor] for motor, _ in now}
+                publish(folder / "in turn", {motor: rows(motor, n) for motor, n in done.items()})
+        assert contents(folder / "at once") == contents(folder / "in turn")
+
+    def test_runs_of_a_month_follow_each_other(self, tmp_path: Path) -> None:
+        """Also two in a microsecond; one that is added again replaces itself."""
+        start = dt.datetime(2026, 1, 31, 23, 59, 59, 5, tzinfo=dt.UTC)
+        earlier = start - dt.timedelta(1)
+        with publisher_of(tmp_path) as publisher:
+            for run_id, started in (("b", start), ("a", start), ("b", start), ("c", earlier)):
+                publisher.add("2026-01", {RUNS: [{"run_id": run_id, "started_at": started}]})
+        found = read_table(table_folder(tmp_path, RUNS) / "month=2026-01" / "2026-01.parquet", RUNS)
+        assert found["run_id"].to_list() == ["c", "a", "b"]
+
+    def test_a_key_without_the_night_is_never_there_twice(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """A log that moves to another month, either way, or to another night of its own."""
+        seen: list[pl.DataFrame] = []
+        replace = Path.replace
+
+        def watched(path: Path, place: Path) -> None:
+            replace(path, place)
+            seen.append(read_rows(tmp_path, INPUT_FILES, ["A"]))
+
+        monkeypatch.setattr(Path, "replace", watched)
+        for moved_to in (NIGHTS[0], LATER, NIGHTS[1], None, NIGHTS[0]):
+            logs = {n: [{"motor_id": "A", "path": str(n), "night": n}] for n in (*NIGHTS, LATER)}
+            moving = {"motor_id": "A", "path": "moving", "night": moved_to}
+            logs[moved_to or NIGHTS[0]].append(moving)
+            publish(tmp_path, {"A": {INPUT_FILES: logs}})
+            assert sorted(seen[-1]["path"]) == sorted([*map(str, (*NIGHTS, LATER)), "moving"])
+        assert all(one["path"].is_unique().all() for one in seen)
+
+
+class TestRefused:
+    """What is there is no sound file: the run ends, and the next one mends it."""
+
+    def test_damage(self, tmp_path: Path) -> None:
+        publish_night(tmp_path, {m: [row(m)] for m in "AB"})
+        path = night_file(tmp_path, QUALITY, NIGHT)
+        for damage in (path.read_bytes()[:-9], b"", None):
+            if damage is None:
+                path.unlink()
+            else:
+                path.write_bytes(damage)
+            before = contents(tmp_path)
+            with pytest.raises(StoreError, match=r"2026-01\.parquet of quality is") as raised:
+                publish_night(tmp_path, {"A": [row("A", "x")]})
+            assert raised.value.code == "store_read"
+            assert contents(tmp_path) == before
+        # It is known to be gone, and its nights are made anew.
+        name = path.relative_to(tmp_path / "tables").as_posix()
+        publish(tmp_path, {"A": {QUALITY: {NIGHT: [row("A")]}}}, missed=[name])
+        assert [one[0] for one in published(tmp_path)] == ["A"]
+
+    @pytest.mark.parametrize("is_listed", [True, False])
+    def test_damage_is_looked_at_by_the_next_run(self, tmp_path: Path, is_listed: bool) -> None:
+        path = night_file(tmp_path, QUALITY, NIGHT)
+        if is_listed:
+            publish_night(tmp_path, {"A": [row("A")]})
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"something else")
+        with pytest.raises(StoreError):
+            publish_night(tmp_path, {"A": [row("A")]})
+        with open_state(tmp_path) as state:
+            assert state.rows("SELECT modified_ns FROM files") == [(-1,)]
+
+    def test_a_failure_leaves_what_was_there(self, tmp_path: Path) -> None:
+        def rows(night: dt.date) -> dict[Table, dict[dt.date, list[Row]]]:
+            blocks = [{"motor_id": "A", "night": night}]
+            return {QUALITY: {night: [row("A", night=night)]}, BLOCK_STATISTICS: {night: blocks}}
+
+        publish(tmp_path, {"A": rows(NIGHT)})
+        before = contents(tmp_path)
+        in_the_way = table_folder(tmp_path, BLOCK_STATISTICS) / "month=2026-02"
+        in_the_way.touch()
+        with pytest.raises(StoreError):
+            publish(tmp_path, {"A": rows(LATER)})
+        assert contents(tmp_path) == before
+        in_the_way.unlink()
+        publish(tmp_path, {"A": rows(LATER)})
+        assert list(verify_tables(tmp_path)) == []
