@@ -220,7 +220,7 @@ def _parts(found: dict[str, Any]) -> Iterator[Part]:
         "With the reason.",
         "line | fault | reason",
         [
-            (str(one["line"]), f"`{one['key']}`", reasons.get(one["key"], ""))
+            (str(one["line"]), f"`{one['key']}`".replace("|", "\\|"), reasons.get(one["key"], ""))
             for one in together
             if not one["found"]
         ],
