@@ -168,7 +168,12 @@ def test_a_log_that_cannot_be_read_costs_no_other_motor_and_is_said(fleet: Growi
 
 
 def look(folder: Path, _: Path) -> None:
-    Growing(folder).look()
+    """A look in a process of its own."""
+    fleet = Growing(folder)
+    before = made_watch(fleet.fleet.motors[0])
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(module, "nights_before", lambda *_: before)
+        fleet.look()
 
 
 EVERY = [pytest.param(fault, 1, marks=pytest.mark.full) for fault in FAULTS]
