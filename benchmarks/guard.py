@@ -108,7 +108,7 @@ def _cases(folder: Path) -> list[Case]:
     from benchmarks.day_fleets import MOTORS, NIGHT, log_of, make_fleet, write_day
     from benchmarks.log_readers import READERS
     from leakage.estimation.block_statistics import factors
-    from leakage.estimation.certificate import fit
+    from leakage.estimation.proven_minimum import fit
     from pipeline.config import load_fleet
     from pipeline.config.nights import night
     from pipeline.ingest import read_log

@@ -42,7 +42,7 @@ def true_coefficients(of: Motor) -> Array:
     return np.array([path.configured_coefficient if path else 0.0 for path in paths])
 
 
-def duty(minutes: float, generator: np.random.Generator) -> OperatingConditions:
+def operating_point(minutes: float, generator: np.random.Generator) -> OperatingConditions:
     """Load cycles at 1 Hz, smoothed; temperature drifting over tens of minutes."""
     n = round(60.0 * minutes)
 

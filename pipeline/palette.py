@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-# Of Okabe and Ito, "Color universal design", 2008: told apart with any kind of colour vision, on
+# Of Okabe and Ito, "Color universal design", 2008: distinguished with any kind of colour vision, on
 # white and on black paper.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999")
 # Paths of the thesis's motors have the first places; others follow by name.

@@ -22,7 +22,7 @@ CELLS = cells()
 README = Path(__file__).parent.parent / "README.md"
 
 
-def test_a_seed_draws_the_same_duty_and_errors_whatever_changes() -> None:
+def test_a_seed_draws_the_same_operating_point_and_errors_whatever_changes() -> None:
     same = history(FITTED, lambda _: HEALTHY, 3, (2,))
     changed = history(FITTED, step(1, gain=1.06, paths={SLEEVE: 3.0}), 3, (2,))
     more = history(FITTED, step(1, gain=1.06), 3, (2,))
@@ -39,7 +39,7 @@ def test_a_sensor_that_reads_low_changes_the_flow_at_the_conditions_as_read() ->
     low = history(FITTED, step(1, reads_high_c=-3.0), 3, (3,))
     thinner = history(FITTED, lambda night: State(viscosity=0.88 if night else 1.0), 3, (3,))
     # An oil of VG 68 is some 12 % thinner at 58 °C than at 55 °C.
-    assert low.tonight[1:] == pytest.approx(thinner.tonight[1:], abs=0.02)
+    assert low.newest_night[1:] == pytest.approx(thinner.newest_night[1:], abs=0.02)
 
 
 # Gaps and all flow [l/min] at 200 bar, 50 °C and 6 rpm, and the power of the viscosity, by hand.
@@ -72,7 +72,7 @@ def test_what_is_true_of_a_machine_is_what_its_physics_says(
         return bar, celsius, rpm
 
     machine, (gaps, rest, power) = FOREIGN[name], BY_HAND[name]
-    monkeypatch.setattr(type(machine), "duty", steady)
+    monkeypatch.setattr(type(machine), "operating_point", steady)
     churning = 0.0025 * 6.0 if name == "winch" else 0.0
     nights = [Night(), Night(wear=1.25), Night(viscosity=0.8), Night(meter=1.06)]
     found = foreign_history(machine, nights.__getitem__, 4, (4,))
@@ -80,7 +80,7 @@ def test_what_is_true_of_a_machine_is_what_its_physics_says(
     whole = gaps + rest + churning
     expected = [0.0, 0.25 * gaps / whole, (0.8**-power - 1.0) * thinned / whole, 0.06]
     assert found.change == pytest.approx(expected)
-    assert found.tonight == pytest.approx(expected)
+    assert found.newest_night == pytest.approx(expected)
 
 
 def test_every_cell_can_be_made() -> None:
@@ -89,7 +89,7 @@ def test_every_cell_can_be_made() -> None:
         if cell.group != RIG:
             for one in cell.make((5,), 2):
                 assert [night.flow.min() >= 0.0 for night in one.nights] == [True, True]
-                assert one.change.shape == one.tonight.shape == (2,)
+                assert one.change.shape == one.newest_night.shape == (2,)
 
 
 def test_a_break_is_told_in_all_tables_that_have_it() -> None:

@@ -4,7 +4,8 @@ A night is an hour of load steps in a warm-up, up to a load and a speed that dif
 night. Its drain flow has short and slow errors as a real record has them
 (`benchmarks/results/noise.md`), its sensors wander from night to night. All nights of a motor are
 simulated at once, at one sample in ten seconds: their block means are those of samples at 1 Hz
-(`tests/test_watched_nights.py`). A seed draws the same duty and errors whatever changes.
+(`tests/test_watched_nights.py`). A seed draws the same operating conditions and errors whatever
+changes.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ class State:
 
     @property
     def as_first(self) -> State:
-        """The same duty of a machine in which nothing has changed."""
+        """The same operating conditions of a machine in which nothing has changed."""
         return State(warmer_k=self.warmer_k, load=self.load, speed=self.speed)
 
 
@@ -138,7 +139,7 @@ class Nights:
 
     @property
     def watched(self) -> Watched:
-        """What the watch is told of the machine."""
+        """What the watch is detected of the machine."""
         if self.one_path:
             return Watched(("all_gaps", "flushing"), ("all_gaps",), OIL_VG68)
         flushing = ("flushing",) if self.with_flushing else ()
@@ -189,18 +190,18 @@ def history(
     """A motor's nights, and by how much their flow has changed."""
     of_duty, of_errors, of_wander = (np.random.default_rng([*seed, part]) for part in range(3))
     states = [course(place) for place in range(nights)]
-    duty = _duty(of_duty, states, kind, step_s)
+    operating_point = _duty(of_duty, states, kind, step_s)
     wander = _wander(of_wander, nights, world)
-    flow = _flow(truth, states, duty, wander.paths, step_s)
-    read_c = _read_c(states, duty, step_s)
-    read = replace(duty, temperature_c=read_c)
+    flow = _flow(truth, states, operating_point, wander.paths, step_s)
+    read_c = _read_c(states, operating_point, step_s)
+    read = replace(operating_point, temperature_c=read_c)
     changes = _change(truth, states, read, flow, wander.paths, baseline)
     errors = (1.0 + wander.gain) * (1.0 + _errors(of_errors, flow.shape, step_s))
     measured = _metered(flow * errors, states)
     seen = Duty(
-        np.maximum(duty.pressure_bar + wander.pressure_bar, 0.5),
+        np.maximum(operating_point.pressure_bar + wander.pressure_bar, 0.5),
         read_c + wander.temperature_c,
-        duty.speed_rpm,
+        operating_point.speed_rpm,
     )
     drives = kind.drives(regressors(MODEL, seen.conditions()))
     drives = drives.reshape(nights, len(flow), -1).swapaxes(0, 1)
@@ -212,9 +213,9 @@ def history(
 def asked(truth: Truth, conditions: Sequence[float]) -> Asked:
     """The leakage of a machine in which nothing has changed, at some [°C], [bar] and [rpm]."""
     temperature_c, pressure_bar, speed_rpm = (np.array([[one]]) for one in conditions)
-    duty = Duty(pressure_bar, temperature_c, speed_rpm)
-    flow = _flow(truth, [HEALTHY], duty, np.ones((1, 3)), STEP_S)
-    columns = regressors(MODEL, duty.conditions())
+    operating_point = Duty(pressure_bar, temperature_c, speed_rpm)
+    flow = _flow(truth, [HEALTHY], operating_point, np.ones((1, 3)), STEP_S)
+    columns = regressors(MODEL, operating_point.conditions())
     drives = AN_HOUR.drives(columns)[0]
     return Asked(drives, np.array(conditions), float(flow[0, 0]))
 
@@ -279,14 +280,16 @@ def _errors(generator: np.random.Generator, shape: tuple[int, ...], step_s: floa
     return found
 
 
-def _flow(truth: Truth, states: Sequence[State], duty: Duty, wander: Array, step_s: float) -> Array:
+def _flow(
+    truth: Truth, states: Sequence[State], operating_point: Duty, wander: Array, step_s: float
+) -> Array:
     """Drain flow without errors of the sensors, shape (n, nights) [l/min]."""
-    flow = np.empty_like(duty.pressure_bar)
+    flow = np.empty_like(operating_point.pressure_bar)
     oils = {id(one.oil): one.oil for one in states}
     for key, oil in oils.items():
         places = [place for place, one in enumerate(states) if id(one.oil) == key]
         of = replace(MODEL, oil=oil or MODEL.oil, film_pressure=truth.film_pressure)
-        part = duty.part(places)
+        part = operating_point.part(places)
         columns = regressors(of, part.conditions(truth.charge_bar))
         factors = np.array([[states[at].paths.get(name, 1.0) for name in PATHS] for at in places])
         theta = np.tile(truth.coefficients, (len(places), 1))
@@ -294,8 +297,8 @@ def _flow(truth: Truth, states: Sequence[State], duty: Duty, wander: Array, step
         theta[:, [0, 1, 2, 4]] /= np.array([[states[at].viscosity] for at in places])
         by_night = columns.reshape(len(places), len(flow), -1)
         flow[:, places] = np.einsum("kni,ki->nk", by_night, theta)
-    flow *= 1.0 + truth.per_kelvin * (duty.temperature_c - 55.0)
-    low = flow * np.exp(-3e5 * duty.pressure_bar / RING_PA)
+    flow *= 1.0 + truth.per_kelvin * (operating_point.temperature_c - 55.0)
+    low = flow * np.exp(-3e5 * operating_point.pressure_bar / RING_PA)
     flow += low * [one.ring_like for one in states] * (flow.sum(axis=0) / low.sum(axis=0))
     flow *= [one.gain for one in states]
     return _late(flow, [one.drain_lag_s for one in states], step_s)
@@ -308,9 +311,9 @@ def _metered(flow: Array, states: Sequence[State]) -> Array:
     return found
 
 
-def _read_c(states: Sequence[State], duty: Duty, step_s: float) -> Array:
+def _read_c(states: Sequence[State], operating_point: Duty, step_s: float) -> Array:
     """Temperature as read, without wander, shape (n, nights) [°C]."""
-    late = _late(duty.temperature_c, [one.temperature_lag_s for one in states], step_s)
+    late = _late(operating_point.temperature_c, [one.temperature_lag_s for one in states], step_s)
     found: Array = late + [one.reads_high_c for one in states]
     return found
 
@@ -335,13 +338,13 @@ def _change(
 
     At each night's conditions, and at those of the baseline, shape (nights,) both.
     """
-    tonight, change = np.zeros((2, len(states)))
+    newest_night, change = np.zeros((2, len(states)))
     places = [place for place, one in enumerate(states) if one != one.as_first]
     if places:
         now = [replace(states[at], temperature_lag_s=0.0, drain_lag_s=0.0) for at in places]
         first = [one.as_first for one in now]
         before = _flow(truth, first, read.part(places), wander[places], STEP_S).mean(axis=0)
-        tonight[places] = _metered(flow[:, places], now).mean(axis=0) / before - 1.0
+        newest_night[places] = _metered(flow[:, places], now).mean(axis=0) / before - 1.0
         own = read.part(range(min(baseline, len(states))))
         channels = (own.pressure_bar, own.temperature_c, own.speed_rpm)
         step = max(1, own.pressure_bar.size // OWN_SAMPLES)
@@ -351,4 +354,4 @@ def _change(
         changed = _flow(truth, now, replace(seen, temperature_c=warm), same, STEP_S)
         unchanged = _flow(truth, first, seen, same, STEP_S).mean(axis=0)
         change[places] = _metered(changed, now).mean(axis=0) / unchanged - 1.0
-    return tonight, change
+    return newest_night, change

@@ -297,7 +297,7 @@ def _second() -> Iterator[Cell]:
 
 
 def _other_duty() -> Iterator[Cell]:
-    """+20 % of all gaps twenty nights after another duty."""
+    """+20 % of all gaps twenty nights after other operating conditions."""
     more = step(CHANGE + 20, paths=dict.fromkeys(PATHS, 1.2))
     for words in ("load halved", "speed cut by half"):
         course = after(NO_WEAR[words].course, more)

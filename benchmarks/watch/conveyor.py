@@ -24,7 +24,7 @@ def viscosity_mpa_s(temperature_c: Array) -> Array:
 class Conveyor:
     """It carries what comes: the belt's load changes in a quarter of an hour."""
 
-    def duty(self, generator: np.random.Generator, load: Array, warmer_k: Array) -> Duty:
+    def operating_point(self, generator: np.random.Generator, load: Array, warmer_k: Array) -> Duty:
         """A belt of one speed, or nearly; oil as warm as the day."""
         nights = len(load)
         level = generator.uniform(95.0, 125.0, nights)
@@ -34,9 +34,9 @@ class Conveyor:
         warm = generator.normal(46.0, 1.5, nights) + warmer_k
         return pressure, warm + 3.0 * levels(generator, nights, 1800.0, 900.0), speed
 
-    def flow(self, duty: Duty, wear: Array, thinning: Array) -> Array:
+    def flow(self, operating_point: Duty, wear: Array, thinning: Array) -> Array:
         """Gaps that wear, and what the speed pumps."""
-        pressure, temperature, speed = duty
+        pressure, temperature, speed = operating_point
         eta = viscosity_mpa_s(temperature) * thinning
         found: Array = GAP * wear * pressure**1.15 / eta**0.85 + PUMPED * speed**1.3
         return found

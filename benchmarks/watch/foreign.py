@@ -38,17 +38,17 @@ class Night:
 
     @property
     def as_first(self) -> Night:
-        """The same duty of a machine in which nothing has changed."""
+        """The same operating conditions of a machine in which nothing has changed."""
         return Night(load=self.load, warmer_k=self.warmer_k)
 
 
 class Foreign(Protocol):
     """A machine with physics of its own."""
 
-    def duty(self, generator: np.random.Generator, load: Array, warmer_k: Array) -> Duty:
+    def operating_point(self, generator: np.random.Generator, load: Array, warmer_k: Array) -> Duty:
         """What it does in its nights, by factor on the load and warmth of each."""
 
-    def flow(self, duty: Duty, wear: Array, thinning: Array) -> Array:
+    def flow(self, operating_point: Duty, wear: Array, thinning: Array) -> Array:
         """Drain flow [l/min], by factors on what wears and on the viscosity of each night."""
 
     def errors(self, generator: np.random.Generator, nights: int) -> Duty:
@@ -61,11 +61,14 @@ def history(
     """Nights of a machine, as the model that is none of it sees them."""
     of_duty, of_errors = (np.random.default_rng([*seed, part]) for part in range(2))
     told = [story(place) for place in range(nights)]
-    duty = machine.duty(of_duty, _each(told, "load"), _each(told, "warmer_k"))
-    flow = _measured(machine, duty, told)
-    tonight = flow.mean(axis=0) / _measured(machine, duty, [Night()] * nights).mean(axis=0) - 1.0
-    pressure, temperature, speed = duty
-    bar, celsius, rpm = (one[::12, :BASELINE].reshape(-1, 1) for one in duty)
+    operating_point = machine.operating_point(of_duty, _each(told, "load"), _each(told, "warmer_k"))
+    flow = _measured(machine, operating_point, told)
+    newest_night = (
+        flow.mean(axis=0) / _measured(machine, operating_point, [Night()] * nights).mean(axis=0)
+        - 1.0
+    )
+    pressure, temperature, speed = operating_point
+    bar, celsius, rpm = (one[::12, :BASELINE].reshape(-1, 1) for one in operating_point)
     own = _measured(machine, (bar, celsius, rpm), told).mean(axis=0)
     change = own / _measured(machine, (bar, celsius, rpm), [Night()]).mean() - 1.0
     gain, off_bar, off_c = machine.errors(of_errors, nights)
@@ -73,12 +76,12 @@ def history(
     at = OperatingConditions.from_bar(*(seen[..., one].T.ravel() for one in (1, 0, 2)))
     columns = AN_HOUR.drives(regressors(MODEL, at)).reshape(nights, ROWS, -1).swapaxes(0, 1)
     means = (block_means(one, STEP_S) for one in (columns, flow * (1.0 + gain), seen))
-    return History(AN_HOUR.watched, night_blocks(*means), tonight, change)
+    return History(AN_HOUR.watched, night_blocks(*means), newest_night, change)
 
 
-def _measured(machine: Foreign, duty: Duty, nights: Sequence[Night]) -> Array:
+def _measured(machine: Foreign, operating_point: Duty, nights: Sequence[Night]) -> Array:
     """What a good meter would have read, shape (n, nights) [l/min]."""
-    flow = machine.flow(duty, _each(nights, "wear"), _each(nights, "viscosity"))
+    flow = machine.flow(operating_point, _each(nights, "wear"), _each(nights, "viscosity"))
     return flow * _each(nights, "meter")
 
 

@@ -32,9 +32,9 @@ class Said:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """A change: as it was told, and as it was settled ten nights later.
+    """A change: as it was detected, and as it was settled ten nights later.
 
-    What a notice becomes is told when it becomes that.
+    What a notice becomes is detected when it becomes that.
     """
 
     is_notice: bool
@@ -47,7 +47,9 @@ class Heard:
     """All that the watch said of a motor."""
 
     told: tuple[Told, ...]
-    tonight: Array  # each night's change with its interval, shape (nights, 3); nan before the first
+    newest_night: (
+        Array  # each night's change with its interval, shape (nights, 3); nan before the first
+    )
     lack_of_fit: float  # of the baseline
     leakages: tuple[tuple[float, float, float], ...] = ()  # those asked for, with intervals
 
@@ -92,13 +94,13 @@ def _tank(others: Sequence[Watch], since: int) -> Estimate | None:
 
 
 def _heard(history: History, watch: Watch, verdicts: Sequence[Verdict]) -> Heard:
-    tonight = np.full((len(history.nights), 3), np.nan)
+    newest_night = np.full((len(history.nights), 3), np.nan)
     for place, verdict in enumerate(verdicts, start=len(history.nights) - len(verdicts)):
-        tonight[place] = _with_interval(verdict.tonight)
+        newest_night[place] = _with_interval(verdict.newest_night)
     leakages = (
         _with_interval(watch.leakage_at(one.drives, one.conditions)) for one in history.asked
     )
-    return Heard(_told(verdicts), tonight, verdicts[0].lack_of_fit, tuple(leakages))
+    return Heard(_told(verdicts), newest_night, verdicts[0].lack_of_fit, tuple(leakages))
 
 
 def _told(verdicts: Sequence[Verdict]) -> tuple[Told, ...]:

@@ -23,13 +23,13 @@ class Asked(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """A motor's nights, what the watch is told of it, and what is true."""
+    """A motor's nights, what the watch is detected of it, and what is true."""
 
     machine: Machine
     nights: tuple[NightBlocks, ...]
     # What is measured over what the machine as at first has at the conditions as read, less 1, of
     # each night and without errors: at the night's conditions, and at those of the baseline.
-    tonight: Array
+    newest_night: Array
     change: Array
     asked: tuple[Asked, ...] = ()
 

@@ -26,7 +26,7 @@ def viscosity_mpa_s(temperature_c: Array) -> Array:
 class Mill:
     """What it grinds is uneven: loads of minutes about a level of the night."""
 
-    def duty(self, generator: np.random.Generator, load: Array, warmer_k: Array) -> Duty:
+    def operating_point(self, generator: np.random.Generator, load: Array, warmer_k: Array) -> Duty:
         """Loads of three minutes, speeds of twenty; the oil follows the day."""
         nights = len(load)
         level = generator.uniform(150.0, 210.0, nights)
@@ -35,9 +35,9 @@ class Mill:
         warm = generator.normal(51.0, 2.0, nights) + warmer_k
         return pressure, warm + 4.0 * levels(generator, nights, 1200.0, 600.0), speed
 
-    def flow(self, duty: Duty, wear: Array, thinning: Array) -> Array:
+    def flow(self, operating_point: Duty, wear: Array, thinning: Array) -> Array:
         """Gaps that wear, drag, bleed."""
-        pressure, temperature, speed = duty
+        pressure, temperature, speed = operating_point
         both_sides = pressure + 2.0 * CHARGE_BAR
         gaps = GAP * wear * both_sides / (viscosity_mpa_s(temperature) * thinning)
         found: Array = gaps + DRAG * speed + BLEED * np.sqrt(pressure + CHARGE_BAR)

@@ -1,4 +1,4 @@
-"""What is kept of a motor of a cell: what was told of it beside the truth, in numbers."""
+"""What is kept of a motor of a cell: what was detected of it beside the truth, in numbers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
     against_baseline = _against_baseline(history, cell.baseline)
     found = {
         "told": [_told(one, against_baseline, cell) for one in said.told],
-        "tonight": _tonight(said.tonight, against_baseline, cell.baseline),
+        "tonight": _newest_night(said.newest_night, against_baseline, cell.baseline),
         "lack": round(said.lack_of_fit, 4),
         "reached": _reached(history, cell),
     }
@@ -48,11 +48,11 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
 
 def _against_baseline(history: History, baseline: int) -> History:
     """Changes against the baseline's nights, in which wear may have begun."""
-    tonight, change = (
+    newest_night, change = (
         (1.0 + one) / (1.0 + history.change[:baseline].mean()) - 1.0
-        for one in (history.tonight, history.change)
+        for one in (history.newest_night, history.change)
     )
-    return replace(history, tonight=tonight, change=change)
+    return replace(history, newest_night=newest_night, change=change)
 
 
 def _told(told: heard.Told, history: History, cell: Cell) -> Outcome:
@@ -72,14 +72,14 @@ def _told(told: heard.Told, history: History, cell: Cell) -> Outcome:
     }
 
 
-def _tonight(tonight: Array, history: History, baseline: int) -> list[float]:
+def _newest_night(newest_night: Array, history: History, baseline: int) -> list[float]:
     """Root mean square of the error, and share of nights within the interval.
 
     Against the truth at the night's conditions, and at the motor's own.
     """
-    value, lower, upper = tonight[baseline:].T
+    value, lower, upper = newest_night[baseline:].T
     found = []
-    for true in (history.tonight[baseline:], history.change[baseline:]):
+    for true in (history.newest_night[baseline:], history.change[baseline:]):
         inside = (lower <= true) & (true <= upper)
         found += [float(np.sqrt(np.mean((value - true) ** 2))), float(inside.mean())]
     return [round(one, 4) for one in found]

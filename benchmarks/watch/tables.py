@@ -42,7 +42,7 @@ def readme(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> list[str]:
 
 
 def _new(outcome: Outcome) -> list[Outcome]:
-    """What was told as an alarm and was not told before."""
+    """What was detected as an alarm and was not told before."""
     return [one for one in outcome["told"] if not (one["is_notice"] or one["goes_on"])]
 
 
@@ -61,9 +61,9 @@ def _early(cell: Cell, motors: Sequence[Outcome]) -> list[list[Outcome]]:
 
 
 def _firsts(cell: Cell, motors: Sequence[Outcome]) -> list[Outcome | None]:
-    """Of each motor what is told first of the change, or since the baseline.
+    """Of each motor what is detected first of the change, or since the baseline.
 
-    An alarm, or a notice that is right; the same again, where it was told before the change.
+    An alarm, or a notice that is right; the same again, where it was detected before the change.
     """
 
     def tells(one: Outcome) -> bool:
@@ -86,7 +86,7 @@ def verdict(cell: Cell, told: Outcome) -> str:
 
 
 def _counts(cell: Cell, motors: Sequence[Outcome]) -> str:
-    """Names: right / cannot be told / wrong, and the wrong ones."""
+    """Names: right / cannot be identified / wrong, and the wrong ones."""
     told = _known(_firsts(cell, motors))
     said = Counter(verdict(cell, one) for one in told)
     wrong = Counter(one["cause"][0] for one in told if verdict(cell, one) == "wrong")
@@ -277,7 +277,7 @@ def _sizes(found: Found) -> Rows:
         yield (*key, *map(_share, lists))
 
 
-def _tonight(found: Found) -> Rows:
+def _newest_night(found: Found) -> Rows:
     by: dict[tuple[str, str], list[Outcome]] = {}
     for cell, motors in found:
         by.setdefault((cell.group, cell.machine), []).extend(motors)
@@ -416,7 +416,7 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Found], Rows]], ..
         "night's own conditions / at the motor's.",
         "cells | machine | motors | error",
         (*CB560, "laminar"),
-        _tonight,
+        _newest_night,
     ),
     (
         "A healthy all-laminar machine",

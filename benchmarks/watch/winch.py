@@ -28,7 +28,7 @@ def viscosity_mpa_s(pressure_bar: Array, temperature_c: Array) -> Array:
 class Winch:
     """It lifts for a minute or two, and waits."""
 
-    def duty(self, generator: np.random.Generator, load: Array, warmer_k: Array) -> Duty:
+    def operating_point(self, generator: np.random.Generator, load: Array, warmer_k: Array) -> Duty:
         """Idling and lifts, each with a load and a speed of its own."""
         nights = len(load)
         lifts = np.zeros((ROWS, nights), dtype=np.bool_)
@@ -46,9 +46,9 @@ class Winch:
         temperature = warm - generator.uniform(3.0, 9.0, nights) * np.exp(-time_s / 1500.0)
         return np.where(lifts, lifting, idle), temperature, np.where(lifts, 12.0 + 45.0 * pace, 0.5)
 
-    def flow(self, duty: Duty, wear: Array, thinning: Array) -> Array:
+    def flow(self, operating_point: Duty, wear: Array, thinning: Array) -> Array:
         """Gaps that wear, the plate, churning."""
-        pressure, temperature, speed = duty
+        pressure, temperature, speed = operating_point
         drive = pressure / (viscosity_mpa_s(pressure, temperature) * thinning)
         height = 1.0 + GROWS_PER_K * (temperature - 45.0)
         found: Array = (GAP * wear * height**3 + PLATE * np.sqrt(pressure)) * drive

@@ -1,7 +1,7 @@
 r"""Time until an indicator reaches a limit: many shapes of wear, and wear that comes in jumps.
 
 A straight line holds for wear that is straight in the indicator, and for no other. So the course is
-a mixture of shapes over the position u, 0 at the first night and 1 tonight:
+a mixture of shapes over the position u, 0 at the first night and 1 in the newest night:
 
 .. math::
     y = a + b f(u) + \varepsilon, \qquad
@@ -99,11 +99,10 @@ def time_to_limit(
     back, and the wear does not come in jumps. ``benchmarks/results/dates.md`` says how often the
     sets hold.
 
-    `nights, position, values`: Numbers of the nights up to tonight, which say how far errors
-    remember, what wear goes by, such as running hours, both increasing, and the indicator, shape
-    (n,); nights that are not finite do not count.
-    `limit`: In the unit of the indicator, positive.
-    `horizon`: Time ahead beyond which nothing is said [unit of position].
+    `nights, position, values`: Numbers of the nights up to the newest night, which say how far
+    errors remember, what wear goes by, such as running hours, both increasing, and the indicator,
+    shape (n,); nights that are not finite do not count. `limit`: In the unit of the indicator,
+    positive. `horizon`: Time ahead beyond which nothing is said [unit of position].
 
     Examples
     --------

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import merge, with_free_known
-from leakage.estimation.certificate import Certificate, Fit, certify, fit
 from leakage.estimation.identifiability import Excitation, Identification, identify
 from leakage.estimation.misfit import Misfit, misfit
+from leakage.estimation.proven_minimum import Fit, ProvenMinimum, certify, fit
 from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
 from leakage.physics.motor import Motor
 
@@ -41,7 +41,7 @@ class BlockEstimate:
     """Estimates from blocks of samples."""
 
     fit: Fit  # estimates from all blocks
-    training: Certificate  # the fit to the blocks that train, which is validated on the others
+    training: ProvenMinimum  # the fit to the blocks that train, which is validated on the others
     whole: Array  # the merged factor of all blocks, shape (c, c)
     fitted: Array  # the one that the estimates are the minimum of, shape (c, c)
     slow: SlowErrors  # memory of the errors from block to block
@@ -67,7 +67,7 @@ def fit_blocks(blocks: SampleBlocks, motor: Motor) -> BlockEstimate:
     fitted = merge(white) if slow.are_slow else whole
     found = fit(fitted, motor)
     # An estimate on a bound: the slopes ask for what no gap can do.
-    if slow.are_slow and (slow.scales or not found.certificate.off_bounds[~fixed].all()):
+    if slow.are_slow and (slow.scales or not found.proven_minimum.off_bounds[~fixed].all()):
         fitted = with_level(blocks.factors, blocks.number, slow)
         found = fit(fitted, motor)
     if slow.hides_level(blocks.number):

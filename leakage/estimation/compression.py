@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import factor, factors, merge
-from leakage.estimation.certificate import certify
+from leakage.estimation.proven_minimum import certify
 from leakage.estimation.sample_blocks import Block, merge_neighbours, numbers_of
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """Identifiability of each coefficient from the samples of a window, with reasons in words.
 
-The thesis's parameters enter through a few products only, and whether these can be told apart
+The thesis's parameters enter through a few products only, and whether these can be distinguished
 depends on the pressures, temperatures and speeds that the motor saw. A figure without a verdict
 would mislead: a coefficient that is not identified never gets an interval.
 """
@@ -14,7 +14,6 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.estimation.certificate import Fit
 from leakage.estimation.choices import (
     FARTHEST,
     LARGEST_BLOCK_SHARE,
@@ -28,6 +27,7 @@ from leakage.estimation.choices import (
     WIDEST_IDENTIFIED,
     WIDEST_UNCERTAIN,
 )
+from leakage.estimation.proven_minimum import Fit
 from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors
 from leakage.estimation.uncertainty import ClusterRobust, Interval, cluster_robust
 from leakage.physics.conditions import OperatingConditions
@@ -102,7 +102,7 @@ def identify(
     `slow`: Memory of the errors from block to block; the same that whitened the factors.
     """
     # A bound on which the minimum lies is no knowledge: every coefficient that is not fixed counts.
-    free = ~fit.certificate.fixed
+    free = ~fit.proven_minimum.fixed
     widening = WIDENING if slow.are_slow else 1.0
     distribution = cluster_robust(factors, fit.coefficients, free, inflation * widening)
     paths = fit.motor.coefficient_paths
@@ -143,17 +143,17 @@ def _judge(
     excitation: Excitation,
 ) -> Judgement:
     """Verdict on one coefficient: excitation first, then bounds, then its interval."""
-    certificate = fit.certificate
-    if path is None or certificate.fixed[place]:
+    proven_minimum = fit.proven_minimum
+    if path is None or proven_minimum.fixed[place]:
         return Judgement("fixed", "held at its configured value", None)
     if distribution is None:
         return Judgement("too_little_data", ONE_BLOCK, None)
-    interval = distribution.interval(np.eye(len(certificate.fixed))[place])
+    interval = distribution.interval(np.eye(len(proven_minimum.fixed))[place])
     unseen = _unseen(place, path, fit, distribution, interval, excitation)
     if unseen is not None:
         return replace(unseen, information=interval)
-    if certificate.at_lower[place] or certificate.at_upper[place]:
-        side = "lower" if certificate.at_lower[place] else "upper"
+    if proven_minimum.at_lower[place] or proven_minimum.at_upper[place]:
+        side = "lower" if proven_minimum.at_lower[place] else "upper"
         return Judgement("at_bound", f"the minimum lies on the {side} bound", None, interval)
     taken = _taken_from_bounds(place, fit, interval)
     if taken:
@@ -167,9 +167,9 @@ def _taken_from_bounds(place: int, fit: Fit, interval: Interval | None) -> str:
     What a bound takes from one coefficient goes into the others. By less than a standard error
     that is noise, which a bound mends; by more, the samples ask for what no gap can do.
     """
-    certificate = fit.certificate
+    proven_minimum = fit.proven_minimum
     moved = abs(float(fit.coefficients[place] - fit.unbounded[place]))
-    on_bound = np.flatnonzero(certificate.at_lower | certificate.at_upper)
+    on_bound = np.flatnonzero(proven_minimum.at_lower | proven_minimum.at_upper)
     if not len(on_bound) or interval is None or moved <= interval.standard_error:
         return ""
     paths = fit.motor.coefficient_paths
@@ -222,8 +222,8 @@ def _too_little(interval: Interval, least_freedom: float = LEAST_FREEDOM) -> Jud
 def _size(path: LeakagePath, estimate: float) -> float:
     """Reference size for a half-width: the configured coefficient.
 
-    Dividing by tonight's own estimate would favour nights whose estimate happens to be high.
-    A flushing may be configured as 0; then the estimate is used.
+    Dividing by the newest night's own estimate would favour nights whose estimate happens to be
+    high. A flushing may be configured as 0; then the estimate is used.
     """
     return path.configured_coefficient or abs(estimate)
 
@@ -293,7 +293,7 @@ def judge_leakage(
     leakage = float(contrast @ fit.unbounded + row[-1])
     distribution = identification.distribution
     interval = None if distribution is None else distribution.interval(contrast)
-    if fit.certificate.fixed[:-1].all():
+    if fit.proven_minimum.fixed[:-1].all():
         reason = "nothing of the leakage is estimated"
         return LeakageJudgement(leakage, None, "fixed", reason, interval)
     if distribution is None:

@@ -3,7 +3,7 @@ r"""The search of the thesis: bounded least squares in gap heights and eccentric
 SciPy's trust-region-reflective method runs from several starting points over the triangular factor
 of the samples. h and e of one path enter only as K ∝ h³(1 + 1.5e²): runs from different points end
 at one minimum of the criterion with different (h, e). The starts therefore show that the thesis's
-search agrees with the certificate, and how far the thesis's parameters spread at the minimum: an
+search agrees with the proven minimum, and how far the thesis's parameters spread at the minimum: an
 audit, on request.
 
 The optimiser sees µm and l/min, never metres: its step test is on an unscaled norm.
@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import criterion, sample_count
-from leakage.estimation.certificate import Certificate, certify
+from leakage.estimation.proven_minimum import ProvenMinimum, certify
 from leakage.physics.law import Parameter
 from leakage.physics.motor import Motor
 
 Array = NDArray[np.float64]
 
-# A start is at the minimum when its criterion is within this share of the certificate's.
+# A start is at the minimum when its criterion is within this share of the proven minimum's.
 AT_MINIMUM = 1e-4
 # At e = 0 the derivative by e vanishes: a search that starts there never leaves.
 ECCENTRICITY_NUDGE = 1e-3
@@ -44,23 +44,23 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What came of each starting point, beside the certificate; no start where nothing is free."""
+    """Ends of all starting points beside the proven minimum; no start where nothing is free."""
 
-    certificate: Certificate
+    proven_minimum: ProvenMinimum
     starts: tuple[Start, ...]
 
     @property
     def at_minimum(self) -> tuple[Start, ...]:
-        """Starts whose criterion is within 1e-4 of the certificate's."""
-        most = max(self.certificate.cost * (1 + AT_MINIMUM), self.certificate.rounding)
+        """Starts whose criterion is within 1e-4 of the proven minimum's."""
+        most = max(self.proven_minimum.cost * (1 + AT_MINIMUM), self.proven_minimum.rounding)
         return tuple(start for start in self.starts if start.cost <= most)
 
     @property
     def gap(self) -> float | None:
         """(V of the best start − V*) / V*; None without one, or where V* is rounding."""
-        if not self.starts or self.certificate.cost <= self.certificate.rounding:
+        if not self.starts or self.proven_minimum.cost <= self.proven_minimum.rounding:
             return None
-        return min(start.cost for start in self.starts) / self.certificate.cost - 1.0
+        return min(start.cost for start in self.starts) / self.proven_minimum.cost - 1.0
 
 
 def free_parameters(motor: Motor) -> tuple[Parameter, ...]:
@@ -116,9 +116,9 @@ def search(
     `r` is the factor of the training samples, shape (c, c), columns as ``motor.columns``. MATLAB's
     own tolerances, 1e-6 and 1e-5, leave half of the starts short.
     """
-    certificate, free = certify(r, *motor.coefficient_bounds()), free_parameters(motor)
+    proven_minimum, free = certify(r, *motor.coefficient_bounds()), free_parameters(motor)
     if not free or not starting_points:
-        return Search(certificate, ())
+        return Search(proven_minimum, ())
     scale = np.sqrt(max(sample_count(r), 1))
     matrix, target = r[:, :-2] / scale, (r[:, -1] - r[:, -2]) / scale
 
@@ -144,4 +144,4 @@ def search(
             max_nfev=maximum_iterations,
         )
         starts.append(Start(criterion(r, coefficients_at(motor, found.x)), point, found.x))
-    return Search(certificate, tuple(starts))
+    return Search(proven_minimum, tuple(starts))

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import factors
-from leakage.estimation.certificate import certify
+from leakage.estimation.proven_minimum import certify
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors
 from leakage.physics.paths import LeakagePath
@@ -253,10 +253,10 @@ def _coefficients(motor: Motor, samples: Array) -> Array:
     """
     count, n, columns = samples.shape
     whole = factors(samples.reshape(-1, columns), n * np.arange(count + 1))
-    certificate = certify(whole[0], *motor.coefficient_bounds())
-    off = certificate.off_bounds
-    thetas = np.tile(certificate.coefficients, (count, 1))
-    matrix, held = whole[:, :, :-2], np.where(off, 0.0, certificate.coefficients)
+    proven_minimum = certify(whole[0], *motor.coefficient_bounds())
+    off = proven_minimum.off_bounds
+    thetas = np.tile(proven_minimum.coefficients, (count, 1))
+    matrix, held = whole[:, :, :-2], np.where(off, 0.0, proven_minimum.coefficients)
     targets = whole[:, :, -1] - whole[:, :, -2] - matrix @ held
     scales = np.linalg.norm(matrix[:, :, off], axis=1)
     for place in range(1, count):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.errors import LeakageError
-from leakage.estimation.certificate import Fit
+from leakage.estimation.proven_minimum import Fit
 from leakage.estimation.residual_analysis import ResidualAnalysis
 from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
 from leakage.frame.samples import FrameSamples

@@ -154,7 +154,7 @@ class FrameFit:
 
     def judged(self) -> FrameFit:
         """The fit with what the model and the sensors can do to its coefficients."""
-        free = np.flatnonzero(~self.estimate.fit.certificate.fixed).tolist()
+        free = np.flatnonzero(~self.estimate.fit.proven_minimum.fixed).tolist()
         beside = np.zeros_like(self.beside_samples)
         beside[free] = self._model_errors(np.eye(len(beside))[free], COEFFICIENT_FACTOR)
         sensors = self._sensors().coefficients()
@@ -174,7 +174,7 @@ class FrameFit:
         if estimate.misfit is None:
             return np.zeros(len(contrasts))
         size = factor * estimate.misfit.l_per_min
-        return model_errors(estimate.whole, estimate.fit.certificate.fixed, contrasts, size)
+        return model_errors(estimate.whole, estimate.fit.proven_minimum.fixed, contrasts, size)
 
     def _sensors(self, at: Sequence[OperatingConditions] = ()) -> ErrorBudget:
         """The stated tolerances of sensors carried through the fit; empty without, or beyond it."""

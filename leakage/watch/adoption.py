@@ -1,4 +1,4 @@
-"""A change told by the evidence of a night, and what it leaves behind: adoption, eras, rest."""
+"""A change detected by a night's evidence, and what it leaves: adoption, baseline periods, rest."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ from leakage.watch.nights import (
     WatchSettings,
     grown_as,
 )
-from leakage.watch.state import NOTHING, UNCHANGED, Standing, State, on_first_baseline, present
+from leakage.watch.state import NOTHING, UNCHANGED, ChangeInForce, State, on_first_baseline, present
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
 Days = NDArray[np.int64]
 
 
 def judged(state: State) -> State:
-    """With the evidence of the newest night; a change is told where it is enough."""
+    """With the evidence of the newest night; a change is detected where it is enough."""
     first = state.place(state.first_start)
     if first == len(state.window):
         return replace(state, evidence=NOTHING)
@@ -61,10 +61,10 @@ def with_evidence(state: State, evidence: Evidence, first: int) -> State:
     """With what the newest night and those before it say of starts from a place on."""
     starts, weights = starts_of(first, len(state.window) - 1)
     log_ratio = evidence.of_starts(starts).log_ratio
-    tonight = float(np.logaddexp.reduce(log_ratio[STEP, -1]))
-    odd = float(np.logaddexp(math.log(1 - choices.ODD), math.log(choices.ODD) + tonight))
+    newest_night = float(np.logaddexp.reduce(log_ratio[STEP, -1]))
+    odd = float(np.logaddexp(math.log(1 - choices.ODD), math.log(choices.ODD) + newest_night))
     often = np.logaddexp(0.0, state.often) - odd
-    often += np.logaddexp(math.log(1 - choices.OFTEN), math.log(choices.OFTEN) + tonight)
+    often += np.logaddexp(math.log(1 - choices.OFTEN), math.log(choices.OFTEN) + newest_night)
     window = state.window.with_odd(odd)
     told = np.logaddexp.reduce(log_ratio, axis=(0, 2))
     certain = told - of_odd_night(evidence, window, starts, told)
@@ -75,58 +75,58 @@ def with_evidence(state: State, evidence: Evidence, first: int) -> State:
 def of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array) -> Array:
     """What the oddest night since each start says alone, shape (k,): one odd night is no change.
 
-    At another duty the nights share an error, so that one says nearly as much as all: there it is
-    what all nights say less what they say without it.
+    At other operating conditions the nights share an error, so that one says nearly as much as all:
+    there it is what all nights say less what they say without it.
     """
     last = len(window) - 1
     oddest = np.array([start + int(window.odd[start:].argmax()) for start in starts])
     odd: Array = window.odd[oddest]
-    if last and evidence.is_other_duty(starts):
+    if last and evidence.operates_otherwise(starts):
         rest = evidence.of_starts(starts, without=oddest).log_ratio
         alone = told - np.logaddexp.reduce(rest, axis=(0, 2))
         by_all = np.logaddexp(math.log(1 - choices.ODD), math.log(choices.ODD) + alone)
-        is_other = evidence.duty_beyond(starts) > choices.DUTY_OTHER
+        is_other = evidence.operating_beyond(starts) > choices.OPERATING_OTHER
         odd = np.where(is_other, np.minimum(odd, np.maximum(by_all, 0.0)), odd)
     return odd
 
 
 def _told(state: State) -> State:
-    """A change told tonight, unless the flow has hardly changed."""
+    """A change detected in the newest night, unless the flow has hardly changed."""
     evidence = state.evidence_now()
     found = attribute(evidence, state.baseline, state.place(state.first_start))
     if abs(found.flow.value) < choices.LEAST_CHANGE:
         return state
-    return replace(state, standing=standing_of(state, evidence, found, told_on=state.day))
+    return replace(state, in_force=in_force_of(state, evidence, found, told_on=state.day))
 
 
 def settled(state: State) -> State:
-    """With the change that was told, as the nights up to now show it."""
-    assert state.standing is not None
+    """With the change that was detected, as the nights up to now show it."""
+    assert state.in_force is not None
     evidence = state.evidence_now()
     first = state.place(state.first_start)
     found = attribute(evidence, state.baseline, first)
-    told_on = state.standing.change.told_on
+    told_on = state.in_force.change.told_on
     if found.start > told_on:
         # A second change came before the first was settled: this one by its own nights.
         return state
-    tank = state.standing.tank
-    return replace(state, standing=standing_of(state, evidence, found, told_on, tank))
+    tank = state.in_force.tank
+    return replace(state, in_force=in_force_of(state, evidence, found, told_on, tank))
 
 
-def standing_of(
+def in_force_of(
     state: State,
     evidence: Evidence,
     found: Attribution,
     told_on: int,
     tank: Estimate | None = None,
-) -> Standing:
-    """The change that is told from a day on, with its name."""
+) -> ChangeInForce:
+    """The change that is detected from a day on, with its name."""
     name = name_of(evidence, state.machine, state.baseline, found.start, found.flow.value, tank)
     prior = _before(state, told_on)
     is_rise = found.flow.value > 0.0
     goes_on = prior is not None and _is_the_same(prior.change, name, is_rise=is_rise)
     cause, probability = name.cause, name.probability
-    # What goes on began where it was told first, and keeps its name.
+    # What goes on began where it was detected first, and keeps its name.
     lower, since, upper = found.since
     if prior is not None and goes_on:
         since, lower, upper = prior.change.dates
@@ -158,7 +158,7 @@ def standing_of(
         before = on_first_baseline(state, slice(max(0, start - choices.PRESENT_NIGHTS), start))
     elif name.cause == name.likeliest.name and name.cause not in (BACK, TEMPERATURE_EFFECT):
         along, of_flow = name.likeliest.direction, share_of_flow(name.likeliest, state.baseline)
-    return Standing(change, along, of_flow, before, found, prior, tank)
+    return ChangeInForce(change, along, of_flow, before, found, prior, tank)
 
 
 def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
@@ -170,12 +170,12 @@ def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
     return before.shape == RAMPS and bool(before.candidates.keys() & name.candidates.keys())
 
 
-def _before(state: State, told_on: int) -> Standing | None:
-    """What was in force before the change that is told from a day on."""
-    standing = state.standing
-    if standing is None or standing.change.told_on == told_on:
-        return None if standing is None else standing.prior
-    return replace(standing, prior=None)
+def _before(state: State, told_on: int) -> ChangeInForce | None:
+    """What was in force before the change that is detected from a day on."""
+    in_force = state.in_force
+    if in_force is None or in_force.change.told_on == told_on:
+        return None if in_force is None else in_force.prior
+    return replace(in_force, prior=None)
 
 
 def odd_nights(state: State) -> Days:
@@ -190,9 +190,9 @@ def odd_nights(state: State) -> Days:
 
 def _with_odd_nights(state: State) -> State:
     """With odd nights told that come again and again, unless another change is in force."""
-    if state.standing is not None and state.standing.change.cause != ODD_NIGHTS:
+    if state.in_force is not None and state.in_force.change.cause != ODD_NIGHTS:
         return replace(state, often=NOTHING)
-    days, again = odd_nights(state), state.standing is not None
+    days, again = odd_nights(state), state.in_force is not None
     level = state.level_along(state.baseline.all_flows)
     value = level.value[np.searchsorted(state.window.days, days)]
     size = Estimate(float(value.mean()), float(value.std() / math.sqrt(len(value))))
@@ -210,8 +210,8 @@ def _with_odd_nights(state: State) -> State:
         size,
         goes_on=again,
     )
-    standing = Standing(change, state.baseline.all_flows, 1.0, UNCHANGED)
-    return replace(state, standing=standing, often=NOTHING)
+    in_force = ChangeInForce(change, state.baseline.all_flows, 1.0, UNCHANGED)
+    return replace(state, in_force=in_force, often=NOTHING)
 
 
 Earlier = Callable[[int], Sequence[NightBlocks]]
@@ -254,14 +254,14 @@ def begin(
 
 
 def adopted(state: State) -> State:
-    """Ten nights after it was told a change is taken for granted, and the watch goes on."""
-    standing = state.standing
-    if standing is None or standing.found is None:
+    """Ten nights after it was detected a change is taken for granted, and the watch goes on."""
+    in_force = state.in_force
+    if in_force is None or in_force.found is None:
         return state
-    if len(state.window) - 1 - state.place(standing.change.told_on) < choices.SETTLE:
+    if len(state.window) - 1 - state.place(in_force.change.told_on) < choices.SETTLE:
         return state
     told = settled(state)
-    now = told.standing
+    now = told.in_force
     assert now is not None
     assert now.found is not None
     found = now.found
@@ -275,9 +275,9 @@ def adopted(state: State) -> State:
     window = state.window.from_night(
         start, np.linalg.solve(freed, before), np.linalg.solve(freed, score)
     )
-    # What rises on is of no era yet: its own begins where it was told.
+    # What rises on is of no baseline period yet: its own begins where it was detected.
     told_on = now.change.told_on
-    era_from = max(found.start, told_on) if found.shape == RAMPS else found.start
+    period_from = max(found.start, told_on) if found.shape == RAMPS else found.start
     return replace(
         told,
         window=window,
@@ -286,8 +286,8 @@ def adopted(state: State) -> State:
         first_start=told_on + 1,
         due=0,
         often=NOTHING,
-        era_from=era_from if flow > choices.OWN_ERA else None,
-        standing=replace(now, found=None, prior=None, tank=None),
+        period_from=period_from if flow > choices.OWN_PERIOD else None,
+        in_force=replace(now, found=None, prior=None, tank=None),
     )
 
 
@@ -306,7 +306,7 @@ def _left_free(state: State, causes: Causes, found: Attribution, size: float, fl
 
 
 def with_new_wander(state: State) -> State:
-    """With Q and φ of more nights, where it is time and nothing may be about to be told."""
+    """With Q and φ of more nights, where it is time and nothing may be about to be detected."""
     so_far = state.n_nights - 1
     if state.is_settling or not state.due or so_far < state.due:
         return state
@@ -319,45 +319,45 @@ def with_new_wander(state: State) -> State:
     return replace(state, wander=wander, sums=Sums.of(state.window, wander), due=due)
 
 
-def new_era(state: State, earlier: Earlier) -> State:
+def new_period(state: State, earlier: Earlier) -> State:
     """The watch by a baseline of the nights since a large change: it is another machine."""
-    assert state.era_from is not None
-    if len(state.window) - state.place(state.era_from) < choices.ERA_NIGHTS:
+    assert state.period_from is not None
+    if len(state.window) - state.place(state.period_from) < choices.PERIOD_NIGHTS:
         return state
-    nights = earlier(state.era_from)
-    if len(nights) < choices.ERA_NIGHTS:
+    nights = earlier(state.period_from)
+    if len(nights) < choices.PERIOD_NIGHTS:
         return state
     all_paths, p = state.baseline.all_paths, state.baseline.n_paths
     spread = float(all_paths[:p] @ state.wander.spread @ all_paths[:p])
     size = math.sqrt(spread) / float(all_paths @ all_paths)
-    era = begin(state.machine, nights, state.settings, WanderPrior(size, state.wander.memory))
-    columns, old = era.baseline.columns, state.baseline.columns
+    period = begin(state.machine, nights, state.settings, WanderPrior(size, state.wander.memory))
+    columns, old = period.baseline.columns, state.baseline.columns
     back = np.zeros(columns.n)
     back[:p] = (old.theta - columns.theta) / columns.unit
-    standing = state.standing
-    if standing is not None:
-        along = era.baseline.all_flows
-        standing = replace(standing, along=along, of_flow=1.0)
+    in_force = state.in_force
+    if in_force is not None:
+        along = period.baseline.all_flows
+        in_force = replace(in_force, along=along, of_flow=1.0)
     return replace(
-        era,
+        period,
         undone=(Cause(BACK, back, 1.0, choices.BACK_SPREAD),),
         carried=on_first_baseline(state, slice(-len(nights), None)),
         evidence=state.evidence,
-        standing=standing,
+        in_force=in_force,
     )
 
 
 def at_rest(state: State) -> State:
     """Without a change in force where the flow is back where it was."""
-    standing = state.standing
-    if standing is None or standing.found is not None:
+    in_force = state.in_force
+    if in_force is None or in_force.found is not None:
         return state
-    if standing.change.cause == ODD_NIGHTS:
+    if in_force.change.cause == ODD_NIGHTS:
         odd = state.window.days[state.window.odd > 1.0]
         is_over = not len(odd) or len(state.window) - state.place(odd[-1]) > QUIET_NIGHTS
     else:
         is_over = present(state).holds_zero
-    return replace(state, standing=None) if is_over else state
+    return replace(state, in_force=None) if is_over else state
 
 
 def shortened(state: State) -> State:

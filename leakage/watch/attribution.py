@@ -52,7 +52,7 @@ class Attribution:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """The cause that is told, its probability, and all candidates."""
+    """The cause that is detected, its probability, and all candidates."""
 
     cause: str
     probability: float
@@ -63,10 +63,11 @@ class Name:
 def attribute(evidence: Evidence, baseline: Baseline, first: int) -> Attribution:
     """The change whose start is at a place or later, by the nights up to the newest.
 
-    Neither another duty nor odd nights move its start: with them it moved by 2 to 8 nights.
+    Neither other operating conditions nor odd nights move its start: with them it moved by 2 to 8
+    nights.
     """
     starts = np.arange(first, len(evidence.window))
-    told = evidence.of_starts(starts, by_duty=False)
+    told = evidence.of_starts(starts, by_operation=False)
     weights = np.exp(told.log_ratio - told.log_ratio.max())
     weights /= weights.sum()
     of_starts, of_causes = weights.sum(axis=(0, 2)), weights.sum(axis=(0, 1))
@@ -160,8 +161,8 @@ def _log_ratios(
     after, score = of_after[0], of_score[0]
     before, score_before = (one[0] for one in evidence.sums.before(at, window))
     variance = np.full(len(score), error**2)
-    beyond = float(evidence.duty_beyond(at)[0])
-    variance[:p] = (error / baseline.share) ** 2 + (beyond * baseline.duty_error) ** 2
+    beyond = float(evidence.operating_beyond(at)[0])
+    variance[:p] = (error / baseline.share) ** 2 + (beyond * baseline.operating_error) ** 2
     blurred = np.eye(len(score)) + after * variance
     after, score = np.linalg.solve(blurred, after), np.linalg.solve(blurred, score)
     along = after @ causes.directions
@@ -182,15 +183,15 @@ def _log_ratios(
 def _together(
     by_name: Mapping[str, float], machine: Machine, baseline: Baseline
 ) -> dict[frozenset[str], float]:
-    """Probabilities of the names that can be told: some stand for several causes."""
+    """Probabilities of the names that can be identified: some stand for several causes."""
     groups: dict[str, frozenset[str]] = {}
     free = sum(name in machine.gaps for name in machine.paths)
-    if baseline.lack_of_fit > choices.LACK_TO_TELL_APART or free < 2:
+    if baseline.lack_of_fit > choices.LACK_TO_IDENTIFY or free < 2:
         groups |= dict.fromkeys(COMMON, frozenset(COMMON))
-    if not baseline.tells_gaps:
+    if not baseline.identifies_gaps:
         alike = frozenset(name for name in by_name if is_path(name) or name == ALL_GAPS)
         groups |= dict.fromkeys(alike, alike)
-    if not baseline.tells_speed:
+    if not baseline.identifies_speed:
         alike = groups.get(ALL_GAPS, frozenset((ALL_GAPS,))) | groups.get(
             ALL_FLOWS, frozenset((ALL_FLOWS,))
         )
@@ -214,7 +215,7 @@ def _together(
 def _told(
     groups: Mapping[frozenset[str], float], by_name: Mapping[str, float], likeliest: str
 ) -> tuple[str, float]:
-    """The name of the likeliest group, or that it cannot be told, and its probability."""
+    """The name of the likeliest group, or that it cannot be identified, and its probability."""
     group, probability = max(groups.items(), key=lambda one: one[1])
     if probability < choices.NAMED:
         return CANNOT_BE_TOLD, probability

@@ -1,4 +1,4 @@
-"""What the first nights of an era fix: expected flow, effect of temperature, surface, errors.
+"""What first nights fix: expected flow, effect of temperature, discrepancy surface, errors.
 
 A block's residual is r = (y − ŷ) / s with ŷ = θ₀'x and s = max(ŷ, 20 % of the mean flow). The
 unknowns z are the change of each path, in units of its own flow; the effect of temperature in 10 K,
@@ -94,7 +94,7 @@ class Columns:
         design = self.design(night.drives, night.conditions, scale)
         return design, (night.flow - expected) / scale
 
-    def duty(self, night: NightBlocks) -> Array:
+    def operating_point(self, night: NightBlocks) -> Array:
         """Share of each path in a night's flow, mean pressure and mean speed, shape (p + 2,)."""
         flows = night.drives * self.sign * self.theta
         shares = (flows / self.scale(flows.sum(axis=1))[:, None]).mean(axis=0)
@@ -149,18 +149,18 @@ class Baseline:
     columns: Columns  # Units of the unknowns z, and θ₀.
     unknowns: Array  # z of the baseline, shape (q,): 0 for the paths, whose share is in θ₀.
     errors: BlockErrors  # Errors within a night.
-    # duty_mean, duty_sd: Of the nights' duty, shape (p + 2,) each.
-    duty_mean: Array
-    duty_sd: Array
+    # operating_mean, operating_sd: Of the nights' operating conditions, shape (p + 2,) each.
+    operating_mean: Array
+    operating_sd: Array
     # What a unit of each unknown is of the flow at the motor's own conditions, shape (q,).
     own_row: Array
     path_sd: Array  # Standard errors of the paths, in their units, shape (p,).
     # Root mean square of what temperature and surface explain, which the model does not.
     lack_of_fit: float
-    # tells_gaps, tells_speed: Whether pressures, and speeds, vary by enough to tell paths apart by
-    # them.
-    tells_gaps: bool
-    tells_speed: bool
+    # identifies_gaps, identifies_speed: Whether pressures, and speeds, vary by enough to
+    # distinguish paths by them.
+    identifies_gaps: bool
+    identifies_speed: bool
 
     @property
     def n_paths(self) -> int:
@@ -185,12 +185,12 @@ class Baseline:
         return self.all_paths + self.unknowns
 
     @property
-    def duty_error(self) -> Array:
-        """Error of each path's unit a standard deviation of another duty, shape (p,)."""
-        error = choices.DUTY_ERROR
-        if self.tells_gaps and self.tells_speed:
-            by_lack = choices.DUTY_BY_LACK * self.lack_of_fit
-            error = min(error, max(by_lack, choices.DUTY_LEAST_ERROR))
+    def operating_error(self) -> Array:
+        """Error of each path's unit a standard deviation of the operating conditions, (p,)."""
+        error = choices.OPERATING_ERROR
+        if self.identifies_gaps and self.identifies_speed:
+            by_lack = choices.OPERATING_BY_LACK * self.lack_of_fit
+            error = min(error, max(by_lack, choices.OPERATING_LEAST_ERROR))
         return error / self.share
 
     def information(self, night: NightBlocks) -> tuple[Array, Array]:
@@ -200,8 +200,10 @@ class Baseline:
         return night_information(design, residuals, night.middle_s, self.errors, self.n_paths)
 
     def distance(self, night: NightBlocks) -> float:
-        """Largest distance of a night's duty from the baseline's, in standard deviations."""
-        apart = np.abs(self.columns.duty(night) - self.duty_mean) / self.duty_sd
+        """Largest distance of a night's operating conditions from the baseline's, in their sd."""
+        apart = (
+            np.abs(self.columns.operating_point(night) - self.operating_mean) / self.operating_sd
+        )
         return float(apart.max())
 
 
@@ -237,13 +239,13 @@ def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
         if not np.any(theta > 0.0):
             theta = _first_guess(drives, np.full(len(flow), mean_flow))
         columns = _with_theta(columns, theta, np.maximum(theta, least_unit))
-    duties = np.array([columns.duty(night) for night in nights])
+    operating_points = np.array([columns.operating_point(night) for night in nights])
     return Baseline(
         columns,
         unknowns,
         errors,
-        duties.mean(axis=0),
-        duties.std(axis=0, ddof=1) + _least_spread(columns.n_paths),
+        operating_points.mean(axis=0),
+        operating_points.std(axis=0, ddof=1) + _least_spread(columns.n_paths),
         _own_row(columns, nights),
         path_sd,
         _lack_of_fit(columns, unknowns, nights),
@@ -261,7 +263,7 @@ def varies(values: Array) -> bool:
     (False, True)
     """
     low, high = np.quantile(values, (0.05, 0.95))
-    return bool(high - low > choices.ONE_DUTY * (high + low))
+    return bool(high - low > choices.ONE_POINT * (high + low))
 
 
 def _first_guess(drives: Array, flow: Array) -> Array:
@@ -312,8 +314,8 @@ def _fit(
 
 
 def _least_spread(n_paths: int) -> Array:
-    least = np.full(n_paths + 2, choices.DUTY_LEAST_SHARE)
-    least[n_paths:] = choices.DUTY_LEAST_BAR, choices.DUTY_LEAST_RPM
+    least = np.full(n_paths + 2, choices.OPERATING_LEAST_SHARE)
+    least[n_paths:] = choices.OPERATING_LEAST_BAR, choices.OPERATING_LEAST_RPM
     return least
 
 

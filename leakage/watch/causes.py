@@ -52,7 +52,7 @@ def causes_of(machine: Machine, baseline: Baseline) -> tuple[Cause, ...]:
         *_both(ALL_FLOWS, baseline.all_flows),
         *(_both(ALL_FLOWS, _by_oil(machine, baseline)) if FLUSHING in machine.paths else ()),
         *_both(TEMPERATURE_EFFECT, _of_one(baseline.n_paths, baseline)),
-        *(_both(ZERO, _of_one(-1, baseline)) if _tells_zero(baseline) else ()),
+        *(_both(ZERO, _of_one(-1, baseline)) if _identifies_zero(baseline) else ()),
         *(() if machine.oil is None else _of_oil(machine, machine.oil, baseline)),
     )
 
@@ -85,14 +85,14 @@ def _of_gaps(machine: Machine, baseline: Baseline) -> Iterator[Cause]:
     if len(gaps) > 1 and not np.allclose(every, baseline.all_paths):
         yield from _both(ALL_GAPS, every)
     # Under a wrong model two gaps can do what one does.
-    if len(gaps) > 2 and baseline.lack_of_fit <= choices.LACK_TO_TELL_APART:
+    if len(gaps) > 2 and baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY:
         for (one, first), (other, second) in combinations(gaps.items(), 2):
             yield Cause(one + AND + other, first + second)
 
 
-def _tells_zero(baseline: Baseline) -> bool:
-    """True if a zero can be told: under a wrong model a gap can do what it does."""
-    return baseline.columns.has_zero and baseline.lack_of_fit <= choices.LACK_TO_TELL_APART
+def _identifies_zero(baseline: Baseline) -> bool:
+    """True if a zero can be identified: under a wrong model a gap can do what it does."""
+    return baseline.columns.has_zero and baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY
 
 
 def _of_one(place: int, baseline: Baseline) -> Array:

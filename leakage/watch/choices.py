@@ -37,7 +37,7 @@ WANDER_NIGHTS, WANDER_SIZE, WANDER_COMMON = 6.0, 0.012, 0.75
 # Variance of the mean of the nights, as a share of one night's, that Q is corrected for at most.
 MOST_OF_MEAN = 0.6
 # Wander and its memory are estimated anew when the nights have grown by this factor, from nights
-# up to a week ago, and not while something may be about to be told.
+# up to a week ago, and not while something may be about to be detected.
 ANEW_FACTOR, ANEW_DELAY, ANEW_BELOW = 1.3, 7, 6.0
 
 # -- the statistic ---------------------------------------------------------------------------------
@@ -51,20 +51,21 @@ LEAST_SHARE_TO_FALL = 0.05
 ODD, OFTEN = 0.003, 0.25
 # Odd nights are counted within so many nights; at least so many; at most this share of the nights.
 ODD_WITHIN, LEAST_ODD, MOST_ODD = 60, 3, 0.5
-# Model error a standard deviation of another duty beyond the first 1.5, at most 4 of them. Where
-# the baseline's pressures and speeds vary, half of the lack of fit stands in, but for this least.
-DUTY_ERROR, DUTY_FREE, DUTY_MOST = 0.01, 1.5, 4.0
-DUTY_BY_LACK, DUTY_LEAST_ERROR = 0.5, 0.0025
-# Standard deviations beyond those from which it is another duty, and no chance.
-DUTY_OTHER = 0.5
-# What a duty varies by at least: share of a path, bar, rpm.
-DUTY_LEAST_SHARE, DUTY_LEAST_BAR, DUTY_LEAST_RPM = 0.002, 0.1, 0.04
+# Model error a standard deviation of other operating conditions beyond the first 1.5, at most 4 of
+# them. Where the baseline's pressures and speeds vary, half of the lack of fit stands in, but for
+# this least.
+OPERATING_ERROR, OPERATING_FREE, OPERATING_MOST = 0.01, 1.5, 4.0
+OPERATING_BY_LACK, OPERATING_LEAST_ERROR = 0.5, 0.0025
+# Standard deviations beyond those from which the operating conditions are others, and no chance.
+OPERATING_OTHER = 0.5
+# What operating conditions vary by at least: share of a path, bar, rpm.
+OPERATING_LEAST_SHARE, OPERATING_LEAST_BAR, OPERATING_LEAST_RPM = 0.002, 0.1, 0.04
 # Starts of so many last nights stand one by one; older ones 2, 4, 8 … nights apart.
 DENSE_STARTS = 40
 # Nights that are kept one by one, and how many more until the oldest are summed up; no start lies
 # among those.
 WINDOW, WINDOW_SLACK = 300, 50
-# A change of the flow that is told at all.
+# A change of the flow that is reported at all.
 LEAST_CHANGE = 0.005
 
 # -- since, how much, which cause ------------------------------------------------------------------
@@ -75,24 +76,25 @@ OWN_SIZE = 25.0
 SIZE_BY_LACK, SHAPE_BY_LACK = 0.3, 2.0
 # A cause is named from this probability.
 NAMED = 0.9
-# Lack of fit up to which another grade, a sensor and a meter may be told apart, and two gaps from
-# one.
-LACK_TO_TELL_APART = 0.02
-# Pressures or speeds within ± this share are one pressure or one speed: gaps cannot be told apart.
-ONE_DUTY = 0.2
-# Share of the flow from which a path's own change is told.
-LEAST_SHARE_TO_TELL = 0.1
+# Lack of fit up to which another grade, a sensor and a meter may be distinguished, and two gaps
+# from one.
+LACK_TO_IDENTIFY = 0.02
+# Pressures or speeds within ± this share are one pressure or one speed: gaps cannot be
+# distinguished.
+ONE_POINT = 0.2
+# Share of the flow from which a path's own change is detected.
+LEAST_SHARE_TO_SHOW = 0.1
 # Nights behind the present change: after a step, and during a ramp.
 PRESENT_NIGHTS, PRESENT_OF_RAMP = 10, 3
 
 # -- after a change --------------------------------------------------------------------------------
-# Nights from the night on which a change is told to its adoption.
+# Nights from the night on which a change is detected to its adoption.
 SETTLE = 10
 # What an adopted change leaves unexplained: fixed, and relative to it on paths and temperature, and
 # on the surface.
 LEFT, LEFT_OF_PATHS, LEFT_OF_SURFACE = 0.02, 0.2, 0.1
-# A larger change of the flow begins an era of its own, which needs so many nights.
-OWN_ERA, ERA_NIGHTS = 0.15, 8
+# A larger change of the flow begins a baseline period of its own, which needs so many nights.
+OWN_PERIOD, PERIOD_NIGHTS = 0.15, 8
 # Spread of what counts as "back as before".
 BACK_SPREAD = 0.15
 # What the motors of a tank have in common beyond what the others' nights say.

@@ -30,8 +30,9 @@ class Comparison:
     cause_probability: float
     candidates: Mapping[str, float]
     lack_of_fit: float  # Root mean square share of the flow before that the model misses.
-    # True if the nights after have another duty: the interval is wider by the model's error.
-    is_other_duty: bool
+    # True if the nights after have other operating conditions: the interval is wider by the model's
+    # error.
+    operates_otherwise: bool
 
 
 def compare(
@@ -75,7 +76,7 @@ def compare(
         name.probability,
         name.candidates,
         state.baseline.lack_of_fit,
-        evidence.is_other_duty(starts),
+        evidence.operates_otherwise(starts),
     )
 
 

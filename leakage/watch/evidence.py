@@ -29,7 +29,7 @@ class Window:
     # information, score: Of each night, shapes (n, q, q) and (n, q).
     information: Array
     score: Array
-    distance: Array  # Of each night's duty from the baseline's, shape (n,).
+    distance: Array  # Of each night's operating conditions from the baseline's, shape (n,).
     # ln of how much likelier each night was as an odd one, shape (n,); 0 in the baseline.
     odd: Array
     # before, score_before: Prior, and what the nights before the window say, shapes (q, q) and
@@ -251,28 +251,28 @@ class _Freed:
 class Evidence:
     """All that the evidence of a night is made from.
 
-    `duty_error` is the error of each path a standard deviation of another duty, shape (p,);
-    `n_nights` all nights so far.
+    `operating_error` is the error of each path a standard deviation of other operating conditions,
+    shape (p,); `n_nights` all nights so far.
     """
 
     window: Window
     sums: Sums
     wander: Wander
     causes: Causes
-    duty_error: Array
+    operating_error: Array
     n_nights: int
 
     def of_starts(
-        self, starts: Places, *, by_duty: bool = True, without: Places | None = None
+        self, starts: Places, *, by_operation: bool = True, without: Places | None = None
     ) -> Told:
         """What some starts say, up to the newest night.
 
-        With `by_duty` the paths may err where the duty is not the baseline's; `without` is a night
-        that each start leaves out.
+        With `by_operation` the paths may err where the operating conditions are not the baseline's;
+        `without` is a night that each start leaves out.
         """
         (a0, a1, a2), (u0, u1) = self.since(starts, without)
         before = self.sums.before(starts, self.window)
-        freed = _Freed.of(self._duty_error(starts, a0, is_told=by_duty), a0, u0, before)
+        freed = _Freed.of(self._operating_error(starts, a0, is_told=by_operation), a0, u0, before)
         # On its first night a ramp has risen by a day.
         origin = (self.window.days[starts] - 1).astype(float)
         by_vector, by_matrix, tens = origin[:, None], origin[:, None, None], choices.RAMP_DAYS
@@ -290,8 +290,9 @@ class Evidence:
         """Information, (k, q, q), and scores, (k, q), of starts, weighted by powers of the day."""
         n_nights = (len(self.window) - starts).astype(float)
         share = self.wander.share_of_short(n_nights)
-        # At another duty the model's error is that of all nights alike, those within nights too.
-        is_other = self.duty_beyond(starts) > choices.DUTY_OTHER
+        # At other operating conditions the model's error is that of all nights alike, those within
+        # nights too.
+        is_other = self.operating_beyond(starts) > choices.OPERATING_OTHER
         inflated = 1.0 / self.wander.inflation(n_nights)
         weights = np.where(is_other, inflated, share), np.where(is_other, 0.0, 1.0 - share)
         information = [
@@ -301,23 +302,23 @@ class Evidence:
             self.sums.since(one, starts, weights, without) for one in self.sums.score
         ]
 
-    def is_other_duty(self, starts: Places) -> bool:
-        """True if a start's nights have another duty than the baseline's."""
-        return bool(np.any(self.duty_beyond(starts) > 0.0))
+    def operates_otherwise(self, starts: Places) -> bool:
+        """True if a start's nights have other operating conditions than the baseline's."""
+        return bool(np.any(self.operating_beyond(starts) > 0.0))
 
-    def duty_beyond(self, starts: Places) -> Array:
-        """Mean distance of the duty since each start beyond what is usual, shape (k,)."""
+    def operating_beyond(self, starts: Places) -> Array:
+        """Mean distance of the conditions since each start beyond what is usual, shape (k,)."""
         n = len(self.window)
         apart = (self.sums.distance[n] - self.sums.distance[starts]) / (n - starts)
-        beyond: Array = np.clip(apart - choices.DUTY_FREE, 0.0, choices.DUTY_MOST)
+        beyond: Array = np.clip(apart - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST)
         return beyond
 
-    def _duty_error(self, starts: Places, after: Array, *, is_told: bool) -> Array:
-        """(E⁻¹ + A₊)⁻¹ of the paths, shape (k, p, p), E their error at a duty not seen before."""
-        p = len(self.duty_error)
+    def _operating_error(self, starts: Places, after: Array, *, is_told: bool) -> Array:
+        """(E⁻¹ + A₊)⁻¹ of the paths, (k, p, p), E their error at conditions not seen before."""
+        p = len(self.operating_error)
         variance = np.zeros((len(starts), p, p))
         if is_told:
-            size = self.duty_beyond(starts)[:, None] * self.duty_error
+            size = self.operating_beyond(starts)[:, None] * self.operating_error
             variance[:, np.arange(p), np.arange(p)] = size**2
         inner = np.eye(p) + variance @ after[:, :p, :p]
         error: Array = np.linalg.solve(inner, variance).astype(np.float64)

@@ -14,16 +14,16 @@ from leakage.watch.baseline import Baseline, Columns
 from leakage.watch.causes import BACK, Cause
 from leakage.watch.evidence import Sums, Window
 from leakage.watch.nights import Array, Change, Estimate, Machine, WatchSettings
-from leakage.watch.state import Standing, State
+from leakage.watch.state import ChangeInForce, State
 from leakage.watch.wander import Wander
 from leakage.watch.within_night import BlockErrors
 
 Arrays = dict[str, Any]
 # Scalars of each part, in order; what has no value is nan.
 OF_COLUMNS = ("least_scale", "temperature_c", "has_zero")
-OF_BASELINE = ("lack_of_fit", "tells_gaps", "tells_speed")
+OF_BASELINE = ("lack_of_fit", "identifies_gaps", "identifies_speed")
 WHOLE_OF_STATE = ("first_start", "n_baseline", "n_nights", "due")
-OF_STATE = (*WHOLE_OF_STATE, "often", "evidence", "era_from")
+OF_STATE = (*WHOLE_OF_STATE, "often", "evidence", "period_from")
 
 
 def arrays_of(state: State) -> dict[str, Array]:
@@ -44,7 +44,7 @@ def arrays_of(state: State) -> dict[str, Array]:
         "carried": np.array([state.carried.value, state.carried.sd]),
         "state": _scalars(state, OF_STATE),
     }
-    return kept | _of_standing("standing", state.standing)
+    return kept | _of_in_force("standing", state.in_force)
 
 
 def state_of(machine: Machine, settings: WatchSettings, kept: Mapping[str, Any]) -> State:
@@ -61,15 +61,15 @@ def state_of(machine: Machine, settings: WatchSettings, kept: Mapping[str, Any])
         columns=columns,
         errors=BlockErrors(*kept["errors"].tolist()),
         lack_of_fit=lack,
-        tells_gaps=bool(tells[0]),
-        tells_speed=bool(tells[1]),
+        identifies_gaps=bool(tells[0]),
+        identifies_speed=bool(tells[1]),
         **{name: kept[f"baseline.{name}"] for name in _of_baseline()},
     )
     window = Window(**{one.name: kept[f"window.{one.name}"] for one in fields(Window)})
     wander = Wander(kept["wander.spread"], kept["wander.memory"])
     undone = zip(kept["undone"], kept["undone.size"].tolist(), strict=True)
     numbers = dict(zip(OF_STATE, kept["state"].tolist(), strict=True))
-    era_from = numbers.pop("era_from")
+    period_from = numbers.pop("period_from")
     numbers |= {name: int(numbers[name]) for name in WHOLE_OF_STATE}
     return State(
         machine,
@@ -79,9 +79,9 @@ def state_of(machine: Machine, settings: WatchSettings, kept: Mapping[str, Any])
         sums=Sums.of(window, wander),
         wander=wander,
         undone=tuple(Cause(BACK, along, mean, spread) for along, (mean, spread) in undone),
-        era_from=None if np.isnan(era_from) else int(era_from),
+        period_from=None if np.isnan(period_from) else int(period_from),
         carried=Estimate(*kept["carried"].tolist()),
-        standing=_standing_of("standing", kept),
+        in_force=_in_force_of("standing", kept),
         **numbers,
     )
 
@@ -99,27 +99,27 @@ def _scalars(part: Any, names: tuple[str, ...]) -> Array:
     return np.array([np.nan if one is None else float(one) for one in values])
 
 
-def _of_standing(name: str, standing: Standing | None) -> Arrays:
+def _of_in_force(name: str, in_force: ChangeInForce | None) -> Arrays:
     """A change in force: its words as the bytes of a text."""
-    if standing is None:
+    if in_force is None:
         return {}
-    found = standing.found
+    found = in_force.found
     words = {
-        "change": asdict(standing.change),
-        "of_flow": standing.of_flow,
-        "before": asdict(standing.before),
-        "tank": None if standing.tank is None else asdict(standing.tank),
+        "change": asdict(in_force.change),
+        "of_flow": in_force.of_flow,
+        "before": asdict(in_force.before),
+        "tank": None if in_force.tank is None else asdict(in_force.tank),
     }
     if found is not None:
         words["found"] = asdict(found) | {"weights": None}
     text = np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)
-    kept: Arrays = {name: text, f"{name}.along": standing.along}
+    kept: Arrays = {name: text, f"{name}.along": in_force.along}
     if found is not None:
         kept[f"{name}.weights"] = found.weights
-    return kept | _of_standing(f"{name}.prior", standing.prior)
+    return kept | _of_in_force(f"{name}.prior", in_force.prior)
 
 
-def _standing_of(name: str, kept: Mapping[str, Any]) -> Standing | None:
+def _in_force_of(name: str, kept: Mapping[str, Any]) -> ChangeInForce | None:
     if name not in kept:
         return None
     words = json.loads(bytes(kept[name]))
@@ -131,12 +131,12 @@ def _standing_of(name: str, kept: Mapping[str, Any]) -> Standing | None:
         sizes = {one: Estimate(**found[one]) for one in ("size", "flow")}
         since = {"since": tuple(found["since"]), "weights": kept[f"{name}.weights"]}
         found = Attribution(**(found | sizes | since))
-    return Standing(
+    return ChangeInForce(
         Change(**change),
         kept[f"{name}.along"],
         words["of_flow"],
         Estimate(**words["before"]),
         found,
-        _standing_of(f"{name}.prior", kept),
+        _in_force_of(f"{name}.prior", kept),
         None if words["tank"] is None else Estimate(**words["tank"]),
     )

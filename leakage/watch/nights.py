@@ -75,7 +75,7 @@ class WatchSettings:
 
     @property
     def limit(self) -> float:
-        """Evidence from which a change is told, ln(365 / rate)."""
+        """Evidence from which a change is detected, ln(365 / rate)."""
         return math.log(DAYS_A_YEAR / self.false_alarms_per_year)
 
 
@@ -122,12 +122,12 @@ STEPS, RAMPS, NOW_AND_THEN = "step", "ramp", "now and then"
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A change that has been told and is in force; dates are numbers of days."""
+    """A change that has been detected and is in force; dates are numbers of days."""
 
     # cause, probability: A path's name, ``all_gaps``, ``all_flows``, ``oil_grade``,
     # ``temperature_sensor``, ``temperature_effect``, ``flushing``, ``back_as_before``,
-    # ``odd_nights``, ``tank`` or ``cannot_be_told``; its probability, where it cannot be told that
-    # of the likeliest.
+    # ``odd_nights``, ``tank`` or ``cannot_be_told``; its probability, where it cannot be identified
+    # that of the likeliest.
     cause: str
     probability: float
     candidates: Mapping[str, float]  # Causes above 1 %, by probability.
@@ -137,12 +137,12 @@ class Change:
     since: int
     since_lower: int
     since_upper: int
-    told_on: int  # Day on which it was told.
+    told_on: int  # Day on which it was detected.
     size: Estimate  # Relative change of the flow at the motor's own conditions, now against before.
     # Relative change of the named path's own flow; None where its share is below a tenth.
     path_growth: Estimate | None = None
     grade: int | None = None  # ISO viscosity grade that does as much, of ``oil_grade``.
-    goes_on: bool = False  # Whether the same was told before.
+    goes_on: bool = False  # Whether the same was detected before.
 
     @property
     def dates(self) -> tuple[int, int, int]:
@@ -153,7 +153,8 @@ class Change:
 def grown_as(change: Change, flow: Estimate) -> Estimate | None:
     """Growth of a change's path where the flow has changed by so much; None where it has none.
 
-    The path's share is that of the baseline by which it was named, whatever era came since.
+    The path's share is that of the baseline by which it was named, whatever baseline period came
+    since.
     """
     told = change.path_growth
     if told is None or not change.size.value:
@@ -173,11 +174,11 @@ class Verdict:
     evidence: float
     limit: float
     lack_of_fit: float  # Root mean square share of the baseline's flow that the model misses.
-    change: Change | None  # The newest change in force; None where none is told.
-    # tonight, present: Relative change of the flow against the first baseline, along the named
-    # cause: of this night, and of the last nights since the change.
-    tonight: Estimate
+    change: Change | None  # The newest change in force; None where none is detected.
+    # newest_night, present: Relative change of the flow against the first baseline, along
+    # the named cause: of this night, and of the last nights since the change.
+    newest_night: Estimate
     present: Estimate
-    smallest: float  # Smallest change of all flows that ten nights like these would have told.
-    # Distance of the night's duty from the baseline's, in its standard deviations.
+    smallest: float  # Smallest change of all flows that ten nights like these would have detected.
+    # Distance of the night's operating conditions from the baseline's, in its standard deviations.
     distance: float = field(default=0.0)

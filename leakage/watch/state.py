@@ -1,4 +1,4 @@
-"""State of a motor's watch after a night, and its figures: levels, leakages, what would be told.
+"""State of a motor's watch after a night, and its figures: levels, leakages, smallest change.
 
 Along a direction d, λ = d'(u − Aẑ) / d'Ad of a night, ẑ what all nights say of the unknowns, but
 for what moves the flow at the motor's own conditions, which is d's: a baseline of few nights knows
@@ -62,9 +62,9 @@ class Level:
     """λ of some nights, and what their errors are made from.
 
     `value`, the variances `noise` of the errors within each night and `shift` of its own shift of
-    the paths, and `beyond`, how far its duty is from a usual one, have shape (n,); `of_others` and
-    `of_paths` are what an error of all unknowns, and of the paths, does to it, shapes (n, q) and
-    (n, p).
+    the paths, and `beyond`, how far its operating conditions are from usual ones, have shape (n,);
+    `of_others` and `of_paths` are what an error of all unknowns, and of the paths, does to it,
+    shapes (n, q) and (n, p).
     """
 
     value: Array
@@ -75,7 +75,7 @@ class Level:
     beyond: Array
     around: Surroundings
     wander: Wander
-    duty_error: Array
+    operating_error: Array
 
     def mean(self, nights: slice) -> Estimate:
         """Mean of some nights: they share their serial correlation, and the errors of the model."""
@@ -83,10 +83,10 @@ class Level:
         weights = 1.0 / (noise + shift) / np.sum(1.0 / (noise + shift))
         length = float(self.wander.inflation(np.array([len(value)], dtype=float))[0])
         of_others = weights @ self.of_others[nights]
-        by_duty = weights @ (self.of_paths[nights] * self.beyond[nights][:, None])
+        by_operation = weights @ (self.of_paths[nights] * self.beyond[nights][:, None])
         variance = float(weights**2 @ (noise + length * shift))
         variance += float(of_others @ self.around.covariance @ of_others)
-        variance += float(np.sum((by_duty * self.duty_error) ** 2))
+        variance += float(np.sum((by_operation * self.operating_error) ** 2))
         return Estimate(float(weights @ value), math.sqrt(variance))
 
 
@@ -105,10 +105,10 @@ def levels_along(
         shift,
         gain,
         gain[:, :p],
-        np.clip(window.distance - choices.DUTY_FREE, 0.0, choices.DUTY_MOST),
+        np.clip(window.distance - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST),
         around,
         wander,
-        baseline.duty_error,
+        baseline.operating_error,
     )
 
 
@@ -117,8 +117,8 @@ UNCHANGED = Estimate(0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """The change in force: as it is told, and the direction that its size is taken along.
+class ChangeInForce:
+    """The change in force: as it is detected, and the direction that its size is taken along.
 
     `along` has shape (q,) and `of_flow` is what a unit of it is of the flow; `before` is the change
     of the flow before it, against the first baseline. While it is not adopted, `found` is its
@@ -131,7 +131,7 @@ class Standing:
     of_flow: float
     before: Estimate
     found: Attribution | None = None
-    prior: Standing | None = None
+    prior: ChangeInForce | None = None
     tank: Estimate | None = None
 
 
@@ -149,16 +149,17 @@ class State:
     wander: Wander
     undone: tuple[Cause, ...]  # Causes that undo what was adopted.
     first_start: int  # Day of the first candidate start.
-    # n_baseline, n_nights: Nights of the era's baseline, and all of the era.
+    # n_baseline, n_nights: Nights of the baseline, and all of the baseline period.
     n_baseline: int
     n_nights: int
     due: int  # Number of nights with which the wander is estimated anew; 0: never.
     often: float = NOTHING  # Evidence that odd nights have become frequent.
     evidence: float = NOTHING  # ln R of the newest night.
-    era_from: int | None = None  # Day from which an era of its own is to begin; None: none is.
-    # Change of the flow at the era's beginning against the first baseline.
+    # period_from: Day from which a baseline period of its own is to begin; None: none is.
+    period_from: int | None = None
+    # Change of the flow at the baseline period's beginning against the first baseline.
     carried: Estimate = UNCHANGED
-    standing: Standing | None = None  # The change in force; None: none is told.
+    in_force: ChangeInForce | None = None  # The change in force; None: none is detected.
 
     @property
     def day(self) -> int:
@@ -167,8 +168,8 @@ class State:
 
     @property
     def is_settling(self) -> bool:
-        """A change has been told, and is not adopted yet."""
-        return self.standing is not None and self.standing.found is not None
+        """A change has been detected, and is not adopted yet."""
+        return self.in_force is not None and self.in_force.found is not None
 
     def place(self, day: int) -> int:
         """Place of the first night from a day on."""
@@ -178,8 +179,8 @@ class State:
         """Level of the window's nights along a direction of shape (q,)."""
         # A change in force is none of the surroundings.
         end = len(self.window)
-        if self.standing is not None and self.standing.found is not None:
-            end = self.place(self.standing.found.start)
+        if self.in_force is not None and self.in_force.found is not None:
+            end = self.place(self.in_force.found.start)
         around = surroundings(self.window, self.sums, self.baseline.own_row, direction, end)
         return levels_along(self.window, direction, self.wander, self.baseline, around)
 
@@ -194,7 +195,7 @@ class State:
         place = self.machine.paths.index(cause)
         own = float(self.baseline.all_paths[place])
         share = own * float(self.baseline.share[place])
-        if share < choices.LEAST_SHARE_TO_TELL:
+        if share < choices.LEAST_SHARE_TO_SHOW:
             return None
         growth, sd = flow.value / share, float(self.baseline.path_sd[place]) / own
         return Estimate(growth, math.hypot(flow.sd / share, growth * sd))
@@ -203,22 +204,27 @@ class State:
         """All that the evidence of the newest night is made from."""
         causes = Causes.of([*causes_of(self.machine, self.baseline), *self.undone])
         return Evidence(
-            self.window, self.sums, self.wander, causes, self.baseline.duty_error, self.n_nights
+            self.window,
+            self.sums,
+            self.wander,
+            causes,
+            self.baseline.operating_error,
+            self.n_nights,
         )
 
 
 def direction(state: State) -> tuple[Array, float]:
     """What the level is taken along, and what a unit of it is of the flow."""
-    if state.standing is None:
+    if state.in_force is None:
         return state.baseline.all_flows, 1.0
-    return state.standing.along, state.standing.of_flow
+    return state.in_force.along, state.in_force.of_flow
 
 
 def _n_present(state: State) -> int:
     """Nights behind the present change: those since it, ten at most."""
-    if state.standing is None:
+    if state.in_force is None:
         return choices.PRESENT_NIGHTS
-    change = state.standing.change
+    change = state.in_force.change
     most = choices.PRESENT_OF_RAMP if change.shape == RAMPS else choices.PRESENT_NIGHTS
     return max(1, min(most, len(state.window) - state.place(change.since)))
 
@@ -239,13 +245,13 @@ def present(state: State) -> Estimate:
 
 def change_in_force(state: State) -> Change | None:
     """The change in force; adopted, or going on, its size is that of now against before it."""
-    standing = state.standing
-    if standing is None or standing.change.cause == ODD_NIGHTS:
-        return None if standing is None else standing.change
-    change = standing.change
-    if standing.found is not None and not change.goes_on:
+    in_force = state.in_force
+    if in_force is None or in_force.change.cause == ODD_NIGHTS:
+        return None if in_force is None else in_force.change
+    change = in_force.change
+    if in_force.found is not None and not change.goes_on:
         return change
-    now, before = present(state), standing.before
+    now, before = present(state), in_force.before
     ratio = (1.0 + now.value) / (1.0 + before.value)
     sd = math.hypot(now.sd, ratio * before.sd) / (1.0 + before.value)
     size = Estimate(ratio - 1.0, sd)
@@ -254,7 +260,7 @@ def change_in_force(state: State) -> Change | None:
 
 
 def smallest_change(state: State) -> float:
-    """Smallest change of all flows, begun ten nights ago, that would be told tonight."""
+    """Smallest change of all flows, begun ten nights ago, that would be detected now."""
     evidence = state.evidence_now()
     start = max(0, len(state.window) - choices.PRESENT_NIGHTS)
     told = evidence.of_starts(np.array([start]))
@@ -272,8 +278,8 @@ def change_since(state: State, day: int) -> Estimate | None:
 
     An adopted change is in no window any more: where it may have begun since, it is the change.
     """
-    standing = state.standing
-    if standing is not None and standing.found is None and standing.change.cause != ODD_NIGHTS:
+    in_force = state.in_force
+    if in_force is not None and in_force.found is None and in_force.change.cause != ODD_NIGHTS:
         told = change_in_force(state)
         if told is not None and told.since_upper >= day:
             return told.size

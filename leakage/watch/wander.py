@@ -2,8 +2,8 @@
 
 Q is the covariance of these shifts, by expectation maximisation over the nights with a prior. Their
 memory is that of their common direction, by the likelihood of its levels beside a straight line in
-time: slow wear is no memory. A part of the wander may forget at once (duty, under a wrong model)
-and hide a long memory from the correlation of neighbours, so both parts are weighed.
+time: slow wear is no memory. A part of the wander may forget at once (operating conditions, under a
+wrong model) and hide a long memory from the correlation of neighbours, so both parts are weighed.
 """
 
 from __future__ import annotations

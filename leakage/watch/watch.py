@@ -17,11 +17,11 @@ from leakage.watch.adoption import (
     adopted,
     at_rest,
     begin,
+    in_force_of,
     judged,
-    new_era,
+    new_period,
     settled,
     shortened,
-    standing_of,
     with_new_wander,
 )
 from leakage.watch.nights import Array, Estimate, Machine, NightBlocks, Verdict, WatchSettings
@@ -71,15 +71,15 @@ class Watch:
     def after(self, night: NightBlocks, earlier: Earlier) -> Watch:
         """The watch after one more night.
 
-        `night`: Its blocks; later than all nights before.
-        `earlier`: The nights from a day on up to this one, which are asked for where an era begins.
+        `night`: Its blocks; later than all nights before. `earlier`: The nights from a day on up to
+        this one, which are asked for where a baseline period begins.
         """
         state = adopted(with_night(self.state, night))
         if state.is_settling:
             return Watch(shortened(settled(state)))
         state = judged(with_new_wander(state))
-        if not state.is_settling and state.era_from is not None:
-            state = new_era(state, earlier)
+        if not state.is_settling and state.period_from is not None:
+            state = new_period(state, earlier)
         return Watch(shortened(at_rest(state)))
 
     def with_tank(self, tank: Estimate) -> Watch:
@@ -87,17 +87,17 @@ class Watch:
 
         Only while a change settles: afterwards its name stays.
         """
-        standing = self.state.standing
-        if standing is None or standing.found is None:
+        in_force = self.state.in_force
+        if in_force is None or in_force.found is None:
             return self
-        named = standing_of(
+        named = in_force_of(
             self.state,
             self.state.evidence_now(),
-            standing.found,
-            standing.change.told_on,
+            in_force.found,
+            in_force.change.told_on,
             tank,
         )
-        return Watch(replace(self.state, standing=named))
+        return Watch(replace(self.state, in_force=named))
 
     def verdict(self) -> Verdict:
         """What is known after the newest night."""
@@ -139,7 +139,7 @@ class Watch:
 
 
 def with_night(state: State, night: NightBlocks) -> State:
-    """The state with one more night, of which nothing is told yet."""
+    """The state with one more night, of which nothing is detected yet."""
     information, score = state.baseline.information(night)
     distance = state.baseline.distance(night)
     window = state.window.with_night(night.day, information, score, distance)

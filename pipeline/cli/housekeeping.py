@@ -33,7 +33,7 @@ def prune(
 
     Example: motor-leakage prune configs/fleet.toml --tables predictions,starts --keep 400
     """
-    from pipeline.run.publishing import fleets_tonight
+    from pipeline.run.publishing import newest_of_fleet
     from pipeline.store.locks import locked
     from pipeline.store.retention import nights_kept, old_files
     from pipeline.store.retention import prune as remove
@@ -44,8 +44,8 @@ def prune(
     fleet = load(config, output, None, logs=False)
     existing_tables(fleet.output)
     kept = nights_kept(fleet.retention, tables.replace(",", " ").split(), keep)
-    tonight = fleets_tonight(fleet, now())
-    old = old_files(fleet.output, kept, None if tonight is None else tonight.night)
+    newest_night = newest_of_fleet(fleet, now())
+    old = old_files(fleet.output, kept, None if newest_night is None else newest_night.night)
     if yes and old:
         with locked(fleet.output), working_copy(fleet.object_store, fleet.output):
             make_ready(fleet.output)

@@ -114,10 +114,10 @@ def _measure(fleet: Fleet) -> None:
     """Write the metrics of the looks; that they cannot be written costs nobody the look."""
     if fleet.metrics_file is None:
         return
-    from pipeline.look.state import look_standings
+    from pipeline.look.state import look_statuses
     from pipeline.run.metrics import look_metrics_file, look_metrics_text, write_metrics
 
-    looks = look_standings(fleet.output, [spec.motor_id for spec in fleet.motors])
+    looks = look_statuses(fleet.output, [spec.motor_id for spec in fleet.motors])
     try:
         write_metrics(look_metrics_file(fleet.metrics_file), look_metrics_text(fleet, looks))
     except StoreError as error:

@@ -45,8 +45,8 @@ def status(
     Exit code 0; with --max-age 1 if the last good run is too old, or there was none.
     """
     from pipeline.cli.status_lines import print_status
+    from pipeline.notification.receivers import receivers_of
     from pipeline.report.status import fleet_status
-    from pipeline.telling.receivers import receivers_of
 
     fleet = load(config, output, None, logs=False)
     receivers = receivers_of(fleet.settings.alarms)

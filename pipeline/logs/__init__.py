@@ -1,4 +1,4 @@
-"""A motor's log files: their places, records and nights, and the ledger; nights of a database.
+"""A motor's log files: places, nights, the record of processed ones; nights of a database.
 
 Imports `ingest`, `store`, `config` and what lies below.
 """

@@ -19,7 +19,7 @@ from pipeline.config.nights import Night, night_of, nights_between, nights_of
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.logs.finding import legible
-from pipeline.logs.ledger import FileRecord, content_hash
+from pipeline.logs.processed import FileRecord, content_hash
 from pipeline.messages import counted
 from pipeline.workers.process import reading
 

@@ -22,7 +22,7 @@ from pipeline.config import MotorSpec
 from pipeline.errors import LogError
 from pipeline.logs.files import change_of, failed, growing, inspect_log
 from pipeline.logs.finding import GLOB_CHARACTERS, find_logs, legible, without_match
-from pipeline.logs.ledger import FileRecord
+from pipeline.logs.processed import FileRecord
 from pipeline.store.object_store import ObjectChangedError, ObjectStore, StoredObject
 from pipeline.workers.process import reading
 

@@ -20,8 +20,8 @@ from pipeline.ingest import RawLog, read_log
 from pipeline.logs.files import covered, failed, growing, labels_of, reaches_us
 from pipeline.logs.finding import require_answer
 from pipeline.logs.landing import land_nights
-from pipeline.logs.ledger import FileRecord
 from pipeline.logs.locations import FolderLogs, logs_of
+from pipeline.logs.processed import FileRecord
 from pipeline.workers.process import Loss, reading, still_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.

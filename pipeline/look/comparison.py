@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from leakage import LeakageError, regressors
 from leakage.estimation.sample_blocks import NONE_CHOSEN, split_into_blocks
 from leakage.watch import Estimate, NightBlocks, Watch
-from leakage.watch.choices import DUTY_ERROR, DUTY_FREE, DUTY_MOST
+from leakage.watch.choices import OPERATING_ERROR, OPERATING_FREE, OPERATING_MOST
 from pipeline.arrays import SECOND_US, Array, Mask, Times
 from pipeline.config import MotorSpec
 from pipeline.config.nights import DAY, Night, nights_between
@@ -190,12 +190,13 @@ class NightsBefore:
     def rise(self, blocks: Blocks, night: dt.date) -> tuple[Estimate, bool]:
         """Rise of some blocks of a night over the nights before, and True if the watch tells one.
 
-        Another duty than the baseline's adds its error, as it does to the watch's own figures.
+        Other operating conditions than the baseline's adds its error, as it does to the watch's own
+        figures.
         """
         found = self.watch.after(night_blocks(self.layout, blocks, night), _no_nights).verdict()
-        before, now = self.level, found.tonight
+        before, now = self.level, found.newest_night
         value = (1.0 + now.value) / (1.0 + before.value) - 1.0
-        far = DUTY_ERROR * min(max(found.distance - DUTY_FREE, 0.0), DUTY_MOST)
+        far = OPERATING_ERROR * min(max(found.distance - OPERATING_FREE, 0.0), OPERATING_MOST)
         sd = math.hypot(now.sd, before.sd, far) / (1.0 + before.value)
         change = found.change
         is_told = change is not None and change.told_on == found.day and change.is_rise
@@ -218,7 +219,7 @@ class NightsBefore:
             return None
         parts = (night.middle_s, night.drives, night.flow, night.conditions)
         found = watch.after(NightBlocks(night.day, *(one[late] for one in parts)), _no_nights)
-        return 1.0 + found.verdict().tonight.value
+        return 1.0 + found.verdict().newest_night.value
 
     def is_sudden(self, rise: Estimate) -> bool:
         """True for a rise beyond a tenth with as much evidence as a change of the nights needs.
@@ -243,7 +244,7 @@ def night_blocks(layout: Layout, blocks: Blocks, night: dt.date) -> NightBlocks:
 
 
 def _no_nights(_: int) -> Sequence[NightBlocks]:
-    """Within a day no era begins."""
+    """Within a day no baseline period begins."""
     return ()
 
 
@@ -261,14 +262,14 @@ def nights_before(
         return "other settings, events or resets than those of its watch: the nightly run redoes it"
     if kept.watch is None:
         return "too few nights for a baseline"
-    tonight, end = (kept.last_night + dt.timedelta(days=n) for n in (1, 2))
-    if any(tonight <= one.date <= end for one in spec.file.baseline_events):
+    newest_night, end = (kept.last_night + dt.timedelta(days=n) for n in (1, 2))
+    if any(newest_night <= one.date <= end for one in spec.file.baseline_events):
         return "a new baseline begins"
-    layout = Layout.of(spec, tonight)
-    machine = layout.machine(spec, kept.watch.era)
+    layout = Layout.of(spec, newest_night)
+    machine = layout.machine(spec, kept.watch.period)
     watch = Watch.of_arrays(machine, watch_settings(spec), kept.watch.arrays)
     first = dt.date.fromordinal(kept.watch.day + 1)
-    labels = [first + dt.timedelta(days=n) for n in range((tonight - first).days)]
+    labels = [first + dt.timedelta(days=n) for n in range((newest_night - first).days)]
     rows = read_rows(output, BLOCK_STATISTICS, [spec.motor_id], BLOCK_COLUMNS, nights=labels)
     merged, newest = 1, None
     for night in rows.sort("night", "block_start").partition_by("night", maintain_order=True):

@@ -15,7 +15,7 @@ from pipeline.clock import utc
 from pipeline.schema import LOOKS
 from pipeline.store.state import State, read_state_file
 from pipeline.store.tables import read_rows
-from pipeline.trends.rows.motor_states import LookStanding
+from pipeline.trends.rows.motor_states import LookStatus
 
 BLIND, NOT_READY = "blind", "not_ready"
 
@@ -99,7 +99,7 @@ def write_state(state: State, motor_id: str, now: LookState) -> None:
     state.write("INSERT OR REPLACE INTO looks VALUES (?, ?)", motor_id, json.dumps(asdict(now)))
 
 
-def look_standings(output: Path, motor_ids: Iterable[str]) -> dict[str, LookStanding]:
+def look_statuses(output: Path, motor_ids: Iterable[str]) -> dict[str, LookStatus]:
     """Standings of some motors that were looked at, by motor.
 
     Raises StoreError if they cannot be read.
@@ -114,5 +114,5 @@ def look_standings(output: Path, motor_ids: Iterable[str]) -> dict[str, LookStan
         one = states[motor_id]
         since = utc(one.since_us) if one.since_us else None
         scores = (verdicts[motor_id, name] for name in ("told", "confirmed", "withdrawn"))
-        found[motor_id] = LookStanding(one.state, since, one.reason, *scores)
+        found[motor_id] = LookStatus(one.state, since, one.reason, *scores)
     return found

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from leakage import EstimationError, Motor, OperatingConditions, regressors
 from leakage.estimation.block_fit import BlockEstimate, fit_blocks
 from leakage.estimation.block_statistics import merge, with_free_known
-from leakage.estimation.certificate import Certificate, Fit, fit
 from leakage.estimation.choices import COEFFICIENT_FACTOR, LEAKAGE_FACTOR
 from leakage.estimation.identifiability import (
     Excitation,
@@ -34,6 +33,7 @@ from leakage.estimation.identifiability import (
     judge_leakage,
 )
 from leakage.estimation.misfit import Misfit, model_errors
+from leakage.estimation.proven_minimum import Fit, ProvenMinimum, fit
 from leakage.estimation.sensitivities import SENSORS
 from pipeline.config import MotorSpec
 from pipeline.night.residuals import PartResiduals
@@ -127,7 +127,8 @@ class BlockFit:
     name: str  # none, fixed or estimated
     # fit, identification: estimates from all kept samples; verdicts and intervals.
     fit: Fit
-    training: Certificate  # the fit to the training samples alone, which is validated on the others
+    # training: The fit to the training samples alone, which is validated on the others
+    training: ProvenMinimum
     # Estimates of the model as it is stated: what the predictions and the misfit are of.
     stated: BlockEstimate
     identification: Identification
@@ -255,7 +256,7 @@ def _errors(
 ) -> dict[str, ErrorParts]:
     """Parts of the ± of each leakage, by the first misfit, and each coefficient, by the second."""
     fitted, distribution = made.fit, identification.distribution
-    fixed = fitted.certificate.fixed
+    fixed = fitted.proven_minimum.fixed
     sensors = of_sensors(sensitivities)
     rows = {name: regressors(fitted.motor, one)[0] for name, one in at.items()}
     leakages = {name: row[:-2] @ fitted.unbounded[:-1] + row[-1] for name, row in rows.items()}

@@ -100,7 +100,9 @@ def fit_night(
             )
         with _timed(seconds, "fit_s"):
             _require_training(statistics, spec)
-            blocks = StoredBlocks.of_tonight(spec, rows["block_statistics"], statistics.factors)
+            blocks = StoredBlocks.of_newest_night(
+                spec, rows["block_statistics"], statistics.factors
+            )
             statistics = statistics.with_viscosity(blocks.viscosity_ratios, motor.columns)
             modes, sensitivities = fit_modes(spec, night.date, statistics, blocks)
         with _timed(seconds, "residuals_s"):

@@ -180,9 +180,9 @@ def frozen(
 ) -> Mask:
     """Values that stay within one step of the sensor for too long.
 
-    Readings of the sensor's steps are told apart; noise of less than half a step between them, as a
-    conversion of units leaves it, is no change, wherever it lies. The gaps before `borders` add no
-    time.
+    Readings of the sensor's steps are distinguished; noise of less than half a step between them,
+    as a conversion of units leaves it, is no change, wherever it lies. The gaps before `borders`
+    add no time.
     """
     mask = np.zeros(len(value), dtype=np.bool_)
     gaps_us = np.append(0, np.cumsum(time_us[borders] - time_us[borders - 1]))

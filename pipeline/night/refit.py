@@ -1,7 +1,7 @@
 """Nights fitted anew from their published rows, when settings of the fit changed: without a log.
 
-Certificate, verdicts, intervals and figures by path are made from the blocks as stored, which give
-what the samples would give. What needs samples keeps its rows, and `fits` marks it.
+Proven minimum, verdicts, intervals and figures by path are made from the blocks as stored, which
+give what the samples would give. What needs samples keeps its rows, and `fits` marks it.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.estimation.certificate import Certificate
 from leakage.estimation.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
+from leakage.estimation.proven_minimum import ProvenMinimum
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from leakage.estimation.validation import Agreement, agreement
 from pipeline.clock import utc
@@ -166,7 +166,7 @@ def _mode_columns(
 
 
 def agreement_columns(
-    spec: MotorSpec, judged_on: Callable[[str], Array], fitted: Certificate
+    spec: MotorSpec, judged_on: Callable[[str], Array], fitted: ProvenMinimum
 ) -> Row:
     """Agreement of the training fit with the training and the validation samples."""
     theta, resolution = fitted.coefficients, spec.file.channels["leakage_flow"].resolution
@@ -199,16 +199,16 @@ def previous_model_columns(
 
 def block_fit_columns(mode: BlockFit) -> Row:
     """Columns of a fit that are computed from its blocks."""
-    certificate, fit, slow = mode.fit.certificate, mode.fit, mode.identification.slow
+    proven_minimum, fit, slow = mode.fit.proven_minimum, mode.fit, mode.identification.slow
     pressure, temperature, speed = mode.own_means
     rests_on = mode.reference.information
-    condition = certificate.condition_number
+    condition = proven_minimum.condition_number
     return {
-        "cost": certificate.cost,
-        "dual_residual": certificate.dual_residual,
-        "rank": certificate.rank,
+        "cost": proven_minimum.cost,
+        "dual_residual": proven_minimum.dual_residual,
+        "rank": proven_minimum.rank,
         "condition_number": condition if np.isfinite(condition) else None,
-        "singular_values": certificate.singular_values.tolist(),
+        "singular_values": proven_minimum.singular_values.tolist(),
         "coefficients": fit.coefficients.tolist(),
         **_covariance_columns(mode),
         "interval_status": _interval_status(mode),
@@ -229,7 +229,7 @@ def block_fit_columns(mode: BlockFit) -> Row:
 def _interval_status(mode: BlockFit) -> str:
     """``ok``, how long slow errors remember, or why there are no intervals."""
     found = mode.identification
-    if found.distribution is None and not mode.fit.certificate.fixed.all():
+    if found.distribution is None and not mode.fit.proven_minimum.fixed.all():
         return ONE_BLOCK
     if not found.slow.are_slow:
         return "ok"

@@ -1,4 +1,4 @@
-"""Blocks of samples of `block_statistics`, with the oil as measured: tonight's, or older ones."""
+"""Blocks of samples of `block_statistics`, with the oil as measured."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class StoredBlocks:
         return cls._scaled(spec, rows, factors, columns)
 
     @classmethod
-    def of_tonight(
+    def of_newest_night(
         cls, spec: MotorSpec, rows: Sequence[dict[str, Any]], factors: Array
     ) -> StoredBlocks:
         """Blocks that are about to be stored."""

@@ -1,7 +1,7 @@
 """Cells of a channel in the order of time, which of them are samples, and how regular they are.
 
 A sample written late has the right stamp in the wrong row; a clock that was set back has the wrong
-stamp. The two are told apart by whether the stamp falls into a free place among the others.
+stamp. The two are distinguished by whether the stamp falls into a free place among the others.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What the thesis adds to a night's fit, on request: its search, and information criteria.
 
-The published estimate is the certificate's. Starts from several points show that the thesis's
+The published estimate is the proven minimum's. Starts from several points show that the thesis's
 search ends there, and how little its gap heights and eccentricities mean.
 """
 

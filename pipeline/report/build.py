@@ -18,6 +18,8 @@ import polars as pl
 from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import StoreError
 from pipeline.messages import plain
+from pipeline.notification.outbox import backlogs
+from pipeline.notification.receivers import receivers_of
 from pipeline.report.charts import conditions_chart, night_chart, watch_chart
 from pipeline.report.explain import EXPLAINED, paragraphs
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
@@ -28,8 +30,6 @@ from pipeline.report.tables import MotorHistory, by_motor, finite_rows, motor_hi
 from pipeline.schema import ALARMS, FITS, PREDICTIONS, frame
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, remove_leftovers
 from pipeline.store.tables import files_of, read_rows, table_folder
-from pipeline.telling.outbox import backlogs
-from pipeline.telling.receivers import receivers_of
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.rows.motor_states import ORDER
 

@@ -201,7 +201,7 @@ def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
 
 
 def _styled(name: str, place: int, value: Array, lower: Array, upper: Array) -> Line:
-    """A line in the look of a place; dash and mark differ too, to be told apart in grey."""
+    """A line in the look of a place; dash and mark differ too, to be distinguished in grey."""
     dashes = ("solid", "dash", "dot", "dashdot", "longdash")
     symbols = ("circle", "square", "diamond", "triangle-up", "x")
     colour, dash, symbol = (one[place % len(one)] for one in (COLOURS, dashes, symbols))

@@ -10,13 +10,13 @@ from pathlib import Path
 import polars as pl
 
 from pipeline.errors import UsageError
-from pipeline.look.state import look_standings
+from pipeline.look.state import look_statuses
+from pipeline.notification.outbox import Backlog, backlogs
+from pipeline.notification.receivers import Receiver
 from pipeline.schema import ALARMS
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.published import TableFault, faults_of
 from pipeline.store.tables import read_rows
-from pipeline.telling.outbox import Backlog, backlogs
-from pipeline.telling.receivers import Receiver
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.rows.motor_states import CHANGED, MotorState, published_states, urgency
 
@@ -67,7 +67,7 @@ def current_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
 
     Raises StoreError if a table is damaged.
     """
-    looks = look_standings(output, motor_ids)
+    looks = look_statuses(output, motor_ids)
     found = published_states(output, motor_ids)
     return [replace(one, look=looks.get(one.motor_id)) for one in found]
 

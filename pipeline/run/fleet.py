@@ -20,8 +20,11 @@ from pipeline.config import Fleet
 from pipeline.config.fleet import LANDED_FOLDER
 from pipeline.errors import StoreError
 from pipeline.logs.finding import legible
+from pipeline.notification.outbox import open_outbox
+from pipeline.notification.receivers import receivers_of
 from pipeline.run.mending import EVERY_DAY, Damage, restore_decisions
 from pipeline.run.motors import motor_outcomes
+from pipeline.run.notification import deliver_alarms, measure, queue_summary
 from pipeline.run.publishing import (
     STAGES,
     config_hash_of,
@@ -33,7 +36,6 @@ from pipeline.run.publishing import (
     run_id_of,
 )
 from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
-from pipeline.run.telling import deliver_alarms, measure, queue_summary
 from pipeline.schema.fits import FAILED
 from pipeline.store.atomic_files import make_folders, remove_leftovers, store_errors
 from pipeline.store.heartbeat import Heartbeat, last_good_run
@@ -45,8 +47,6 @@ from pipeline.store.published import write_manifest
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import make_ready, open_state
 from pipeline.store.working_copy import pull, working_copy
-from pipeline.telling.outbox import open_outbox
-from pipeline.telling.receivers import receivers_of
 from pipeline.trends.tasks import TrendOutcome
 from pipeline.workers.engine import Workers, open_workers
 from pipeline.workers.process import Loss

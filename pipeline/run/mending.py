@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from pipeline.errors import StoreError
-from pipeline.logs.ledger import forget_nights
+from pipeline.logs.processed import forget_nights
 from pipeline.messages import counted
 from pipeline.schema import DECISIONS
 from pipeline.store.atomic_files import move, remove

@@ -10,10 +10,10 @@ from pipeline.config import Fleet
 from pipeline.config.nights import night
 from pipeline.errors import StoreError
 from pipeline.look.state import BLIND, NOT_READY
+from pipeline.notification.outbox import Backlog
 from pipeline.run.tasks import MotorOutcome
 from pipeline.store.atomic_files import put, remove_leftovers
-from pipeline.telling.outbox import Backlog
-from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW, ORDER, LookStanding, MotorState
+from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW, ORDER, LookStatus, MotorState
 
 HEAD = "# Made by motor-leakage"
 # Name of a metric, its column of `watch`, and what it is.
@@ -97,7 +97,7 @@ def look_metrics_file(path: Path) -> Path:
     return path.with_name(f"{path.stem}-look{path.suffix}")
 
 
-def look_metrics_text(fleet: Fleet, looks: Mapping[str, LookStanding]) -> str:
+def look_metrics_text(fleet: Fleet, looks: Mapping[str, LookStatus]) -> str:
     """The metrics of the looks within the day, by motor."""
     return _text(
         fleet,

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 from pipeline.config.hashes import ROLLER, SettingsHashes, hash_of, settings_of, why_anew
 from pipeline.config.nights import nights_between
 from pipeline.logs.files import labels_of
-from pipeline.logs.ledger import Ledger, LedgerChange, NightRecord
 from pipeline.logs.motor_logs import MotorLogs
+from pipeline.logs.processed import NightRecord, ProcessedChange, ProcessedLogs
 from pipeline.night.roller import is_roller_free
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
@@ -53,16 +53,16 @@ def _hash_of_items(items: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
     return hash_of(dict(items))
 
 
-def _without_failures(ledger: Ledger) -> Ledger:
-    """A ledger that knows nothing of the logs and nights that failed."""
-    nights = {label: one for label, one in ledger.nights.items() if one.status != FAILED}
-    failed = ledger.nights.keys() - nights.keys()
+def _without_failures(processed: ProcessedLogs) -> ProcessedLogs:
+    """A record of processed logs that knows nothing of the logs and nights that failed."""
+    nights = {label: one for label, one in processed.nights.items() if one.status != FAILED}
+    failed = processed.nights.keys() - nights.keys()
     files = {
         name: one
-        for name, one in ledger.files.items()
+        for name, one in processed.files.items()
         if one.status == "ok" and not labels_of(one) & failed
     }
-    return Ledger(files, nights)
+    return ProcessedLogs(files, nights)
 
 
 class MotorNights:
@@ -72,8 +72,8 @@ class MotorNights:
         self.task = task
         self.spec = task.spec
         self.seconds: defaultdict[str, float] = defaultdict(float)
-        self.settings_before = task.ledger.settings or {}
-        before = _without_failures(task.ledger) if task.retry else task.ledger
+        self.settings_before = task.processed.settings or {}
+        before = _without_failures(task.processed) if task.retry else task.processed
         with self.timed("read_s"):
             self.logs = MotorLogs(
                 self.spec, before.files, task.latest_us, task.silent, task.looked_at
@@ -193,7 +193,7 @@ class MotorNights:
             return set()
         failed = {
             label
-            for label, one in self.task.ledger.nights.items()
+            for label, one in self.task.processed.nights.items()
             if one.status == FAILED and self.task.wants(label)
         }
         return failed - self.logs.present()
@@ -245,7 +245,7 @@ class MotorNights:
             status = counts.most_common(1)[0][0] if counts else NO_NEW_DATA
         code, message = errors[0] if errors else (None, self._why_nothing(status))
         files = {**self.logs.before, **self.logs.finished(self.done)}
-        after = Ledger(files, self.records, settings_of(self.form))
+        after = ProcessedLogs(files, self.records, settings_of(self.form))
         return MotorOutcome(
             motor_id=self.spec.motor_id,
             status=status,
@@ -260,5 +260,5 @@ class MotorNights:
             n_standing=self._n_standing(),
             seconds=dict(self.seconds),
             peak_memory_mib=peak_memory_mib(),
-            change=LedgerChange.between(self.task.ledger, after),
+            change=ProcessedChange.between(self.task.processed, after),
         )

@@ -1,7 +1,8 @@
 """One motor's task: what is new in its logs, which nights that touches, and the fit of each.
 
-The task reads the logs and its own ledger, writes only into its own staging files, and returns a
-small outcome. Whatever goes wrong with a log or a night is a row, not an exception.
+The task reads the logs and its own record of processed logs, writes only into its own staging
+files, and returns a small outcome. Whatever goes wrong with a log or a night is a row, not an
+exception.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pipeline.config.nights import night
 from pipeline.errors import StoreError
 from pipeline.logs.files import labels_of, reaches_us, slice_night
 from pipeline.logs.finding import legible
-from pipeline.logs.ledger import FileRecord, Ledger, NightRecord
+from pipeline.logs.processed import FileRecord, NightRecord, ProcessedLogs
 from pipeline.messages import speak_as_told
 from pipeline.night.column_change import (
     COLUMNS,
@@ -230,7 +231,7 @@ class _Making(MotorNights):
         return usual_readings(rows)
 
     def _model_before(self, label: dt.date) -> PreviousModel:
-        return Ledger(nights=self.records).model_before(label)
+        return ProcessedLogs(nights=self.records).model_before(label)
 
     def _stage(self) -> None:
         by_table: defaultdict[str, dict[dt.date, list[Row]]] = defaultdict(dict)
@@ -253,9 +254,9 @@ class _Making(MotorNights):
         moved: defaultdict[dt.date, set[str]] = defaultdict(set)
         for row in self.logs.rows():
             name = row["path"]
-            now, known = self.logs.files[name], self.task.ledger.files.get(name)
+            now, known = self.logs.files[name], self.task.processed.files.get(name)
             here = _place_of(now, self.records)
-            there = None if known is None else _place_of(known, self.task.ledger.nights)
+            there = None if known is None else _place_of(known, self.task.processed.nights)
             is_new = row["night"] is None and now != known
             if here is None or not (here in staged or is_new):
                 continue

@@ -13,7 +13,7 @@ from polars.exceptions import PanicException
 
 from pipeline.config import Execution, MotorSpec
 from pipeline.logs.finding import find_logs
-from pipeline.logs.ledger import read_ledger
+from pipeline.logs.processed import read_processed
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.tasks import MotorOutcome, MotorTask, lost, without_lost_part
 from pipeline.store.state import State
@@ -35,9 +35,10 @@ def motor_outcomes(
     for outcome in unchanged_motors(tasks, execution, state):
         done.add(outcome.motor_id)
         yield outcome
-    # A ledger is read when its task is drawn: together they may not fit into the memory.
+    # A record of processed logs is read when its task is drawn: together they may not fit into the
+    # memory.
     others = (
-        replace(task, ledger=read_ledger(state, task.spec.motor_id))
+        replace(task, processed=read_processed(state, task.spec.motor_id))
         for task in tasks
         if task.spec.motor_id not in done
     )
@@ -78,14 +79,14 @@ def unchanged_motors(
             states = answers.get(timeout=execution.answer_s)
         except Empty:
             return
-        ledger = read_ledger(state, task.spec.motor_id)
-        known = {name: one for name, one in ledger.files.items() if name in (states or {})}
+        processed = read_processed(state, task.spec.motor_id)
+        known = {name: one for name, one in processed.files.items() if name in (states or {})}
         if not states or {name: one.state for name, one in known.items()} != states:
             continue
         if any(one.sha256 is None for one in known.values()):
             continue
         with suppress(Exception, PanicException):  # which the motor's task tells
-            nights = MotorNights(replace(task, ledger=ledger, looked_at=known))
+            nights = MotorNights(replace(task, processed=processed, looked_at=known))
             if nights.is_quiet:
                 yield nights.outcome()
 

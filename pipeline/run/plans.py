@@ -6,7 +6,7 @@ import datetime as dt
 from collections.abc import Iterator, Mapping
 
 from pipeline.config.hashes import settings_of, why_anew
-from pipeline.logs.ledger import as_published, read_ledger, read_settings
+from pipeline.logs.processed import as_published, read_processed, read_settings
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.tasks import RunRequest, Step
 from pipeline.store.state import read_state_file
@@ -22,8 +22,8 @@ def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step
     """
     with read_state_file(request.fleet.output) as state:
         for spec in request.specs:
-            ledger = read_ledger(state, spec.motor_id)
-            task = request.task(spec, request.fleet.output / "staging", ledger)
+            processed = read_processed(state, spec.motor_id)
+            task = request.task(spec, request.fleet.output / "staging", processed)
             yield spec.motor_id, dict(sorted(MotorNights(task).open_nights().items()))
 
 

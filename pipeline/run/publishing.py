@@ -21,8 +21,9 @@ from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, own_version
 from pipeline.config.nights import night_of
 from pipeline.errors import StoreError
-from pipeline.logs.ledger import write_change
 from pipeline.logs.motor_logs import FATES
+from pipeline.logs.processed import write_change
+from pipeline.notification.outbox import take_up
 from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
 from pipeline.schema import (
     ALARMS,
@@ -40,17 +41,16 @@ from pipeline.schema import (
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import read_table, whole_file
 from pipeline.store.views import write_views
-from pipeline.telling.outbox import take_up
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.nights.trend_record import note_touched, write_record
 from pipeline.trends.rows.motor_states import latest_rows, latest_states
 from pipeline.trends.tasks import (
-    Tonight,
+    NewestNight,
     TrendOutcome,
     TrendTask,
     kept_file,
     lost_trends,
-    tonight_of,
+    newest_night_of,
     trend_tasks,
     without_lost_motor,
 )
@@ -80,7 +80,7 @@ MOTORS_A_TREND_TASK = 32
 
 
 def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> int:
-    """Publish what the motors' tasks have staged, and their ledgers; returns how many nights."""
+    """Publish what the motors' tasks have staged; returns how many nights."""
     state = publisher.state
     note_touched(state, ((one.motor_id, min(one.nights)) for one in outcomes if one.nights))
 
@@ -101,11 +101,11 @@ def make_trends(
 ) -> list[TrendOutcome]:
     """Stage the trends of a run's motors, given the first night with new rows of each, or None."""
     try:
-        tonight = fleets_tonight(fleet, clock)
+        newest_night = newest_of_fleet(fleet, clock)
     except StoreError as error:
         loss = Loss(error.code, error.message)
         return [TrendOutcome(failures=dict.fromkeys(changed, loss))]
-    if tonight is None:
+    if newest_night is None:
         return []
     # As many tasks for each worker, as far as circuits allow.
     n_workers = fleet.execution.workers
@@ -115,7 +115,7 @@ def make_trends(
         publisher.state,
         publisher.staging,
         changed,
-        tonight,
+        newest_night,
         read_decisions(fleet.output),
         ceil(len(changed) / max(n_tasks, 1)),
     )
@@ -129,10 +129,10 @@ def run_trends(task: TrendTask) -> TrendOutcome:
     return stage.run_trends(task)
 
 
-def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:
-    """Tonight, as `tonight_of`, by the clock of a run."""
+def newest_of_fleet(fleet: Fleet, clock: dt.datetime) -> NewestNight | None:
+    """Newest night, as `newest_night_of`, by the clock of a run."""
     latest = night_of(latest_us(clock), fleet.settings.nights)
-    return tonight_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
+    return newest_night_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
 
 
 def publish_trends(

@@ -13,7 +13,7 @@ from typing import Any
 from pipeline.clock import latest_us, now
 from pipeline.config import Fleet, MotorSpec
 from pipeline.logs.finding import legible
-from pipeline.logs.ledger import FileRecord, Ledger, LedgerChange
+from pipeline.logs.processed import FileRecord, ProcessedChange, ProcessedLogs
 from pipeline.schema.fits import FAILED
 from pipeline.store.published import TableFault
 from pipeline.workers.process import Loss
@@ -44,13 +44,15 @@ class RunRequest:
             spec for spec in self.fleet.motors if not self.motors or spec.motor_id in self.motors
         )
 
-    def task(self, spec: MotorSpec, staging: Path, ledger: Ledger | None = None) -> MotorTask:
+    def task(
+        self, spec: MotorSpec, staging: Path, processed: ProcessedLogs | None = None
+    ) -> MotorTask:
         """The task of a motor."""
         return MotorTask(
             spec=spec,
             output=self.fleet.output,
             staging=staging,
-            ledger=ledger or Ledger(),
+            processed=processed or ProcessedLogs(),
             since=self.since,
             until=self.until,
             force=self.force,
@@ -82,7 +84,8 @@ class MotorTask:
     spec: MotorSpec  # the motor with its resolved config
     output: Path  # output folder, for the tables (read only)
     staging: Path  # folder for this run's staged rows
-    ledger: Ledger = field(default_factory=Ledger)  # the motor's, as the run before left it
+    # processed: The motor's, as the run before left it.
+    processed: ProcessedLogs = field(default_factory=ProcessedLogs)
     # since, until: labels of the first and last night to do; None: no limit.
     since: dt.date | None = None
     until: dt.date | None = None
@@ -135,7 +138,8 @@ class MotorOutcome:
     n_refitted: int = 0  # nights that were fitted anew from their stored statistics, without a log
     seconds: Mapping[str, float] = field(default_factory=dict)  # time by stage
     peak_memory_mib: float | None = None  # largest memory of the worker so far
-    change: LedgerChange = field(default_factory=LedgerChange)  # of the motor's ledger
+    # change: Of the motor's record of processed logs.
+    change: ProcessedChange = field(default_factory=ProcessedChange)
 
     @property
     def finished(self) -> bool:

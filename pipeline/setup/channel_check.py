@@ -18,7 +18,7 @@ from pipeline.config.channels import COUNTED, ChannelName
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.files import labels_of
-from pipeline.logs.ledger import FileRecord
+from pipeline.logs.processed import FileRecord
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
 from pipeline.setup.check_units import suspect_units, units_told

@@ -20,8 +20,8 @@ from pipeline.logs.files import (
 )
 from pipeline.logs.finding import find_logs
 from pipeline.logs.landing import land_newest
-from pipeline.logs.ledger import FileRecord
 from pipeline.logs.locations import FolderLogs, logs_of
+from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
 from pipeline.setup.channel_check import ChannelCheck, check_channels
 from pipeline.setup.column_changes import column_changes

@@ -18,7 +18,7 @@ from pipeline.config.channels import PORT_PRESSURES
 from pipeline.errors import LogError
 from pipeline.ingest import read_log
 from pipeline.logs.files import labels_of
-from pipeline.logs.ledger import FileRecord
+from pipeline.logs.processed import FileRecord
 from pipeline.night.column_change import COLUMNS, column_change
 from pipeline.night.sample_rows import conditions
 from pipeline.night.time_base import Samples

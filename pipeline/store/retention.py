@@ -84,19 +84,19 @@ def nights_kept(retention: Retention, tables: Sequence[str], keep: int | None) -
 
 
 def old_files(
-    output: Path, kept: Mapping[str, int], tonight: dt.date | None
+    output: Path, kept: Mapping[str, int], newest_night: dt.date | None
 ) -> tuple[OldFiles, ...]:
-    """Files older than the days kept of each table, counted back from tonight; None: none are.
+    """Files older than the days kept of each table, back from the newest night; None: none are.
 
     A file of a month is as old as the last night of it.
     """
-    if tonight is None:
+    if newest_night is None:
         return ()
     found = []
     for table in TABLES:
         if table.name not in kept:
             continue
-        first_kept = tonight - dt.timedelta(days=kept[table.name] - 1)
+        first_kept = newest_night - dt.timedelta(days=kept[table.name] - 1)
         days = {path: days_of(path.stem) for path in files_of(output, table)}
         old = [path for path in days if days[path][-1] < first_kept]
         if old:

@@ -11,7 +11,7 @@ from leakage import EstimationError
 from leakage.watch import Comparison, NightBlocks, compare
 from pipeline.config import MotorSpec
 from pipeline.errors import UsageError
-from pipeline.logs.ledger import as_published, read_settings
+from pipeline.logs.processed import as_published, read_settings
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.state import read_state_file
 from pipeline.store.tables import nights_back
@@ -50,12 +50,12 @@ class NightsCompared:
             "cause_probability": found.cause_probability,
             "candidates": dict(found.candidates),
             "lack_of_fit": found.lack_of_fit,
-            "is_other_duty": found.is_other_duty,
+            "is_other_duty": found.operates_otherwise,
         }
 
     @property
     def lines(self) -> list[str]:
-        """What is told of it."""
+        """What is reported of it."""
         found = self.found
         lines = [
             f"{self.motor_id}: {_nights(self.after)} against {_nights(self.before)}",
@@ -66,7 +66,7 @@ class NightsCompared:
             likeliest = sorted(found.candidates.items(), key=lambda one: -one[1])
             told = [f"{cause_words(name)} {percent(p)}" for name, p in likeliest[:MOST_CANDIDATES]]
             lines.append(f"cause: {', '.join(told)}")
-        if found.is_other_duty:
+        if found.operates_otherwise:
             lines.append("load or speed are others than before: the interval is wider by that")
         return [*lines, f"the model misses {100 * found.lack_of_fit:.1f} % of the flow before"]
 

@@ -1,4 +1,4 @@
-"""What is told of a motor, in plain words: its sentence, what to do, names and dates."""
+"""What is reported of a motor, in plain words: its sentence, what to do, names and dates."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _date_ahead(night: dt.date, days: float) -> str:
 
 
 def sentence(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[str]) -> str:
-    """What is told of a motor in a night: what, how much, since when, and what else it could be.
+    """A motor's sentence of a night: what, how much, since when, what else it could be.
 
     `quiet_since`: since when no change has been told, None without a baseline; `drifts`: zeros of
     sensors that have moved, in words.
@@ -218,7 +218,7 @@ def _stale(night: JudgedNight) -> str:
 
 def _insufficient(night: JudgedNight) -> str:
     watched = night.watched
-    begin = "" if watched.era.reason == "first nights" else f" since {watched.era.reason}"
+    begin = "" if watched.period.reason == "first nights" else f" since {watched.period.reason}"
     none = f"; {day(watched.night)} is none: {night.why_no_blocks}" if night.why_no_blocks else ""
     return f"{watched.n_waiting} of {night.needed} nights of a baseline{begin}{none}"
 
@@ -230,7 +230,7 @@ def _quiet(night: JudgedNight, since: dt.date) -> str:
     words = f"no change of more than {percent} % since {day(since)}"
     if verdict.smallest > TELLS_NOTHING:
         words = f"too few nights since {day(since)} to tell a change"
-    words = f"{words}; {_tonight(night)}"
+    words = f"{words}; {_newest_night(night)}"
     change = night.change
     if change is None:
         return words
@@ -244,7 +244,11 @@ def _changed(night: JudgedNight, change: Change) -> str:
     risen = "risen" if change.is_rise else "fallen"
     told = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
     goes_on = "; it goes on" if change.goes_on else ""
-    parts = (f"{told}: {_tonight(night)}, {_since(change)}{goes_on}", _gap(night), _others(change))
+    parts = (
+        f"{told}: {_newest_night(night)}, {_since(change)}{goes_on}",
+        _gap(night),
+        _others(change),
+    )
     return "; ".join(one for one in parts if one)
 
 
@@ -269,11 +273,11 @@ def _others(change: Change) -> str:
     return f"{percent(change.probability)} probable{else_}"
 
 
-def _tonight(night: JudgedNight) -> str:
+def _newest_night(night: JudgedNight) -> str:
     verdict = night.watched.verdict
     assert verdict is not None
     newest = night.watched.night - dt.timedelta(days=night.watched.silent)
-    return f"case drain flow {relative_change(verdict.tonight)} on {day(newest)}"
+    return f"case drain flow {relative_change(verdict.newest_night)} on {day(newest)}"
 
 
 def relative_change(size: Estimate) -> str:

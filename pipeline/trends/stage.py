@@ -47,7 +47,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
 
 def _wanted(task: TrendTask, circuit: Circuit) -> list[Wanted]:
     """What is needed of the motors of a circuit."""
-    spans = circuit.spans(task.changed_from, task.tonight)
+    spans = circuit.spans(task.changed_from, task.newest_night)
     found = []
     for spec in circuit.specs:
         motor_id, record = spec.motor_id, circuit.records[spec.motor_id]

@@ -12,7 +12,7 @@ from typing import Any
 import polars as pl
 
 from pipeline.config import MotorSpec
-from pipeline.logs.ledger import as_published, read_settings
+from pipeline.logs.processed import as_published, read_settings
 from pipeline.schema import FITS, OPERATION
 from pipeline.schema.fits import WITH_SAMPLES
 from pipeline.store.state import State
@@ -66,7 +66,7 @@ class Circuit:
         )
 
     def spans(
-        self, changed_from: Mapping[str, dt.date | None], tonight: Tonight
+        self, changed_from: Mapping[str, dt.date | None], newest_night: NewestNight
     ) -> dict[str, tuple[dt.date | None, dt.date]]:
         """First and last night of each motor whose trends are to be made; the first None: none are.
 
@@ -83,7 +83,7 @@ class Circuit:
         ]
         found: dict[str, tuple[dt.date | None, dt.date]] = {}
         for motor_id, record in self.records.items():
-            last, first = tonight.of(motor_id), None
+            last, first = newest_night.of(motor_id), None
             if record is None:
                 first = dt.date.min if motor_id in changed_from else None
             elif record.trend_hash != self.hashes[motor_id]:
@@ -108,7 +108,7 @@ def decisions_of(
 
 
 @dataclass(frozen=True, slots=True)
-class Tonight:
+class NewestNight:
     """The fleet's newest night with kept samples, since which motors without a log are silent.
 
     `further` has by motor its newest night with samples after that, of which it kept none.
@@ -122,11 +122,11 @@ class Tonight:
         return self.further.get(motor_id, self.night)
 
 
-def tonight_of(output: Path, motor_ids: Sequence[str], latest: dt.date) -> Tonight | None:
-    """Tonight by the published tables; None where no motor has kept a sample.
+def newest_night_of(output: Path, motor_ids: Sequence[str], latest: dt.date) -> NewestNight | None:
+    """Newest night by the published tables; None where no motor has kept a sample.
 
     A night that only an unreadable log tells, or that lies in the future, after `latest`, is not
-    tonight: it would make every other motor silent since."""
+    in the newest night: it would make every other motor silent since."""
     further: dict[str, dt.date] = {}
     for night in nights_back(output, FITS):
         fits = read_rows(output, FITS, motor_ids, ("motor_id", "status"), nights=[night])
@@ -134,13 +134,13 @@ def tonight_of(output: Path, motor_ids: Sequence[str], latest: dt.date) -> Tonig
             further.setdefault(motor_id, night)
         kept = read_rows(output, OPERATION, motor_ids, ("kept_hours",), nights=[night])
         if night <= latest and (kept["kept_hours"] > 0).any():
-            return Tonight(night, further)
+            return NewestNight(night, further)
     return None
 
 
 @dataclass(frozen=True, slots=True)
 class TrendTask:
-    """Whole oil circuits whose trends are to be made, up to tonight.
+    """Whole oil circuits whose trends are to be made, up to the newest night.
 
     `kept` has what the run before kept of a motor, if anything, as the state file has it;
     `changed_from` has the first night with new rows of each motor that was asked for, or None;
@@ -151,7 +151,7 @@ class TrendTask:
     output: Path
     staging: Path
     changed_from: Mapping[str, dt.date | None]
-    tonight: Tonight
+    newest_night: NewestNight
     kept: Mapping[str, bytes | None] = field(default_factory=dict)
     given_up: Mapping[str, Loss] = field(default_factory=dict)
 
@@ -181,7 +181,7 @@ def trend_tasks(
     state: State,
     staging: Path,
     changed_from: Mapping[str, dt.date | None],
-    tonight: Tonight,
+    newest_night: NewestNight,
     decisions: tuple[Decision, ...],
     motors_a_task: int,
 ) -> list[TrendTask]:
@@ -192,7 +192,7 @@ def trend_tasks(
         if not any(one.motor_id in changed_from for one in group):
             continue
         circuit = Circuit.of(group, decisions, records, settings)
-        if any(first for first, _ in circuit.spans(changed_from, tonight).values()):
+        if any(first for first, _ in circuit.spans(changed_from, newest_night).values()):
             if sum(len(one.specs) for one in batches[-1]) >= motors_a_task:
                 batches.append([])
             batches[-1].append(circuit)
@@ -202,7 +202,7 @@ def trend_tasks(
             state.output,
             staging,
             changed_from,
-            tonight,
+            newest_night,
             {name: read_kept(state, name) for circuit in batch for name in circuit.records},
         )
         for batch in batches

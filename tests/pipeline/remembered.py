@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pipeline.logs.ledger import Ledger, read_ledger
+from pipeline.logs.processed import ProcessedLogs, read_processed
 from pipeline.look.state import LookState, read_states
 from pipeline.store.published import MANIFEST_FILE
 from pipeline.store.state import BACKUP_FILE, STATE_FILE, open_state
@@ -18,10 +18,10 @@ LASTING = {
 }
 
 
-def ledger_of(output: Path, motor_id: str = "M1") -> Ledger:
-    """Ledger of a motor."""
+def processed_of(output: Path, motor_id: str = "M1") -> ProcessedLogs:
+    """Record of processed logs of a motor."""
     with open_state(output) as state:
-        return read_ledger(state, motor_id)
+        return read_processed(state, motor_id)
 
 
 def record_of(output: Path, motor_id: str = "M1") -> Record | None:
@@ -43,7 +43,7 @@ def change(output: Path, statement: str, *values: Any) -> None:
 
 
 def forget(output: Path, motor_id: str | None = None) -> None:
-    """Forget a motor's ledger, or those of all."""
+    """Forget a motor's record of processed logs, or those of all."""
     for table in ("logs", "nights", "motors"):
         where, values = ("", ()) if motor_id is None else (" WHERE motor_id = ?", (motor_id,))
         change(output, f"DELETE FROM {table}{where}", *values)

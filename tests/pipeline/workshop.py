@@ -13,7 +13,7 @@ import polars as pl
 from polars.testing import assert_frame_equal
 
 from pipeline.config import load_fleet
-from pipeline.logs.ledger import read_ledger
+from pipeline.logs.processed import read_processed
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import NIGHT_TABLES, TABLES
@@ -84,7 +84,7 @@ class Workshop:
         staging = self.folder / "staging"
         staging.mkdir(exist_ok=True)
         with read_state_file(self.output) as state:
-            return MotorTask(spec, self.output, staging, read_ledger(state, spec.motor_id))
+            return MotorTask(spec, self.output, staging, read_processed(state, spec.motor_id))
 
     def night(self, label: dt.date, seed: int = 1) -> tuple[Operation, dict[str, Any]]:
         """A night with a little noise, the same for the same seed."""

@@ -26,9 +26,9 @@ from pipeline.trends.nights.history import (
     History,
     Records,
     blank_records,
-    era_at,
-    eras_of,
     every_night,
+    period_at,
+    periods_of,
 )
 from pipeline.trends.nights.kept import Kept
 from pipeline.trends.nights.layout import Layout
@@ -229,13 +229,13 @@ def _beginning(wanted: Wanted, history: History, first: dt.date) -> tuple[dt.dat
     """
     if wanted.kept is None:
         return history.nights[0], False
-    # The nights to come may begin an era of their own: that of the night before decides.
+    # The nights to come may begin a baseline period of their own: that of the night before decides.
     place = max(history.place_from(first) - 1, 0)
-    era = history.nights[era_at(eras_of(history), place).first]
+    period = history.nights[period_at(periods_of(history), place).first]
     watch = wanted.kept.watch
-    if watch is not None and watch.era == era and watch.day < first.toordinal():
+    if watch is not None and watch.period == period and watch.day < first.toordinal():
         return min(first, wanted.kept.last_night), True
-    return era, False
+    return period, False
 
 
 def _add_blocks(output: Path, motors: Mapping[str, MotorNights]) -> None:

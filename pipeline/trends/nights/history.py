@@ -138,7 +138,7 @@ FIRST_NIGHTS = "first nights"
 
 
 @dataclass(frozen=True, slots=True)
-class Era:
+class BaselinePeriod:
     """Places of its nights, half open, and what it begins with, in words."""
 
     first: int
@@ -146,8 +146,8 @@ class Era:
     reason: str
 
 
-def eras_of(history: History, of_what: str = LEAKAGE) -> tuple[Era, ...]:
-    """The eras of the leakage, or of a sensor's zero."""
+def periods_of(history: History, of_what: str = LEAKAGE) -> tuple[BaselinePeriod, ...]:
+    """The baseline periods of the leakage, or of a sensor's zero."""
     starts: dict[int, list[str]] = {0: []}
     found = [] if of_what in SENSORS else _changed_settings(history)
     for event in sorted(history.spec.file.baseline_events, key=lambda one: one.date):
@@ -165,14 +165,14 @@ def eras_of(history: History, of_what: str = LEAKAGE) -> tuple[Era, ...]:
             starts.setdefault(place, []).append(words)
     borders = [*sorted(starts), len(history)]
     return tuple(
-        Era(first, end, "; ".join(starts[first]) or FIRST_NIGHTS)
+        BaselinePeriod(first, end, "; ".join(starts[first]) or FIRST_NIGHTS)
         for first, end in pairwise(borders)
     )
 
 
-def era_at(eras: tuple[Era, ...], place: int) -> Era:
-    """The era of a night; the last one's for nights to come."""
-    return next((one for one in eras if place < one.end), eras[-1])
+def period_at(periods: tuple[BaselinePeriod, ...], place: int) -> BaselinePeriod:
+    """The baseline period of a night; the last one's for nights to come."""
+    return next((one for one in periods if place < one.end), periods[-1])
 
 
 def _is_of(indicator: str, of_what: str) -> bool:

@@ -1,7 +1,7 @@
 """What is kept of a motor for the next run: records of its nights, and the state of its watch.
 
-It only saves work: without it the watch begins with the era's first night, by the stored blocks,
-and the same trends come out.
+It only saves work: without it the watch begins with the baseline period's first night, by the
+stored blocks, and the same trends come out.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from pipeline.trends.nights.trend_record import trend_hash
 class KeptWatch:
     """A motor's watch before its last night that was done, as numbers."""
 
-    era: dt.date  # first night of its era
+    period: dt.date  # first night of its baseline period
     own: Mapping[str, Any]  # what was frozen with its baseline
     day: int  # number of the newest day that it knows
     arrays: Mapping[str, NDArray[Any]]
@@ -38,7 +38,7 @@ class KeptWatch:
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """What is kept of a motor; the watch is None while its era has too few nights."""
+    """What is kept of a motor; the watch is None while its baseline period has too few nights."""
 
     key: str
     last_night: dt.date  # last night that was done
@@ -48,10 +48,10 @@ class Kept:
     def encoded(self) -> bytes:
         """As bytes, which prove themselves when they are decoded."""
         watch = self.watch
-        era = None if watch is None else [watch.era.isoformat(), watch.own, watch.day]
+        period = None if watch is None else [watch.period.isoformat(), watch.own, watch.day]
         arrays = {"records": self.records} | ({} if watch is None else dict(watch.arrays))
         forms = [(name, one.dtype.str, one.shape, one.nbytes) for name, one in arrays.items()]
-        head = json.dumps([self.key, self.last_night.isoformat(), era, forms]).encode()
+        head = json.dumps([self.key, self.last_night.isoformat(), period, forms]).encode()
         content = b"".join([head, b"\n", *(one.tobytes() for one in arrays.values())])
         packed: bytes = lz4.frame.compress(content, content_checksum=True)
         return packed
@@ -72,8 +72,8 @@ def decoded(content: bytes | None) -> Kept | None:
     kept = Kept(key, dt.date.fromisoformat(last_night), records, None)
     if watch is None:
         return kept
-    era, own, day = watch
-    return replace(kept, watch=KeptWatch(dt.date.fromisoformat(era), own, day, arrays))
+    period, own, day = watch
+    return replace(kept, watch=KeptWatch(dt.date.fromisoformat(period), own, day, arrays))
 
 
 def key_of(spec: MotorSpec, decisions: Sequence[Decision]) -> str:

@@ -1,4 +1,4 @@
-"""What the watch is told of a motor: its paths, its oil, and blocks of its nights."""
+"""What the watch knows of a motor: its paths, its oil, and blocks of its nights."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Layout:
         return tuple(path for path, name in pairs if name.startswith(LOSS_FACTOR))
 
     def machine(self, spec: MotorSpec, night: dt.date) -> Machine:
-        """The motor in an era that begins with a night."""
+        """The motor in a baseline period that begins with a night."""
         return Machine(self.watched, self.gaps, _viscosities(spec, night))
 
     @property

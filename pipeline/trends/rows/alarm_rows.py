@@ -169,7 +169,7 @@ def marked(
     """Rows of `alarms` with the marks of a change of rules since the record, if there is one.
 
     Rules change with the program, and with a motor whose first nights decide anew on its rollers. A
-    receiver is told of a past night only where the state that stands is not the one told last.
+    receiver is notified of a past night only where the state that stands is not the one told last.
 
     A row that says what its published one said keeps the marks of that.
     """

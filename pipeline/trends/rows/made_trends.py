@@ -89,8 +89,8 @@ class MadeTrends:
     def _note_states(self, night: JudgedNight, row: WatchRow) -> None:
         label, place = night.watched.night, night.watched.place
         time = utc(night_labelled(label, night.spec.settings.nights).end_us)
-        tonight = row.tonight_change
-        percent = None if tonight is None else 100.0 * tonight
+        newest_night = row.tonight_change
+        percent = None if newest_night is None else 100.0 * newest_night
         is_news = row.told_on == label and not row.goes_on
         advice = row.advice if night.state in (*CHANGED, "stale") else ""
         found = {
@@ -151,7 +151,7 @@ def _baseline_rows(watched: WatchedNight, motor_id: str) -> list[Row]:
         "mean": own.value if isinstance(own, Estimate) else None,
         "unit": "l/min",
         "phi": watch.state.wander.serial,
-        "reason": watched.era.reason,
+        "reason": watched.period.reason,
         "own_pressure_bar": baseline.own.pressure_bar,
         "own_temperature_c": baseline.own.temperature_c,
         "own_speed_rpm": baseline.own.speed_rpm,

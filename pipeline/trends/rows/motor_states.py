@@ -34,7 +34,7 @@ Row = dict[str, Any]
 # From what needs attention most to what needs none.
 CHANGED = ("alarm", "warning", "common_cause")
 ORDER = (*CHANGED, "stale", "insufficient", "ok")
-TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
+NEWEST_FITS = ("training_fit_percent", "validation_fit_percent")
 FITS_OF_A_NIGHT = {
     "training_fit_percent": "training",
     "validation_fit_percent": "validation",
@@ -54,7 +54,7 @@ AS_IN_WATCH = tuple(
 
 
 @dataclass(frozen=True, slots=True)
-class LookStanding:
+class LookStatus:
     """State of a motor's looks, for people."""
 
     # state, since, reason: as of `LookState`; since None: no change of state yet.
@@ -85,8 +85,8 @@ class MotorState:
 
     motor_id: str
     state: str
-    # reason, advice: what is told of it, and what to do: the watch's, or of a motor that is ok the
-    # drift of a sensor.
+    # reason, advice: what is reported of it, and what to do: the watch's, or of a motor that is ok
+    # the drift of a sensor.
     reason: str
     advice: str
     watch: WatchRow | None = None  # its newest row of `watch`; None without one
@@ -116,7 +116,7 @@ class MotorState:
     acknowledged: str = ""
     # Standing of the looks within the day, which the table `latest` does not hold; None where there
     # was none.
-    look: LookStanding | None = None
+    look: LookStatus | None = None
 
     @property
     def sentence(self) -> str:
@@ -156,9 +156,9 @@ class MotorState:
 
     @property
     def tonight_percent(self) -> float | None:
-        """Change of tonight's flow from the baseline [%]; None where it is not known."""
-        tonight = None if self.watch is None else self.watch.tonight_change
-        return None if tonight is None else 100.0 * tonight
+        """Change of the newest night's flow from the baseline [%]; None where it is not known."""
+        newest_night = None if self.watch is None else self.watch.tonight_change
+        return None if newest_night is None else 100.0 * newest_night
 
 
 # Fields of a state that are columns of `latest` as they are.
@@ -258,7 +258,7 @@ def with_acknowledgement(state: MotorState, decisions: Sequence[Decision]) -> Mo
 
 
 # Columns that a state is made from.
-FIT_COLUMNS = ("motor_id", "night", "status", "reason", "is_primary", *TONIGHTS_FITS)
+FIT_COLUMNS = ("motor_id", "night", "status", "reason", "is_primary", *NEWEST_FITS)
 TREND_COLUMNS = (
     *("motor_id", "night", "indicator", "value", "state_reason", "sensor_health", *LIMITS),
 )
@@ -410,7 +410,7 @@ def _poor_fit(last: Row) -> str:
     """Sentence on the fit of a motor's last good night if it is poor; else empty."""
     poor = [
         fit_words(FITS_OF_A_NIGHT[name], last[name])
-        for name in TONIGHTS_FITS
+        for name in NEWEST_FITS
         if last and is_poor(last[name])
     ]
     return f"fit of {last['night']}: {', '.join(poor)}" if poor else ""

@@ -37,7 +37,7 @@ NO_HALT, NO_FIGURE = "no settled halt without pressure", "no figure"
 def trend_rows(
     course: Course, night: JudgedNight, zeros: Mapping[str, Zero], words: str
 ) -> Iterator[Row]:
-    """Rows of a night; `words` is what is told of it."""
+    """Rows of a night; `words` is what is reported of it."""
     shared = _shared(course, night, zeros)
     state: Row = {"state": night.state, "state_reason": words}
     change = night.change
@@ -81,7 +81,7 @@ def _watched_row(course: Course, night: JudgedNight, name: str) -> Row:
     if name == REFERENCE:
         found = night.reference or watched.reference
     elif name == DEVIATION:
-        found = verdict.tonight if verdict is not None else watched.own
+        found = verdict.newest_night if verdict is not None else watched.own
     limits = night.spec.motor_type.limits
     row: Row = {
         "indicator": name,
@@ -100,7 +100,7 @@ def _watched_row(course: Course, night: JudgedNight, name: str) -> Row:
     level = night.spec.settings.alarms.alarm_percent / 100.0
     shift = 1.0 if name == DEVIATION else 0.0
     frozen = _frozen(watched, name)
-    row["deviation_percent"] = 100.0 * verdict.tonight.value
+    row["deviation_percent"] = 100.0 * verdict.newest_night.value
     if frozen is None:
         return row
     row["baseline_mean"] = frozen - shift
@@ -125,7 +125,7 @@ def _line(course: Course, night: JudgedNight, name: str, limit: float, shift: fl
     nights before a wear began, is none. Where nothing is told, since the baseline began.
     """
     history, watched = course.nights.history, night.watched
-    first, end = watched.era.first, watched.place + 1
+    first, end = watched.period.first, watched.place + 1
     if night.change is not None:
         first = max(first, history.place_from(dt.date.fromordinal(night.change.since)))
     trend, here = night.spec.settings.trend, slice(first, end)

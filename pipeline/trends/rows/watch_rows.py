@@ -1,4 +1,4 @@
-"""A row of the table `watch`: what is told of a motor in a night."""
+"""A row of the table `watch`: what is reported of a motor in a night."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def watch_row(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[
         }
         if watched.n_blocks:
             row |= {"duty_distance": verdict.distance}
-            row |= _estimate("tonight_change", verdict.tonight)
+            row |= _estimate("tonight_change", verdict.newest_night)
     return WatchRow(**row)
 
 

@@ -1,4 +1,4 @@
-"""A motor's watch night by night: eras, baseline periods, and what each night says."""
+"""A motor's watch night by night: baseline periods, and what each night says."""
 
 from __future__ import annotations
 
@@ -16,10 +16,18 @@ from leakage.watch import Estimate, NightBlocks, Verdict, Watch, WatchSettings
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
 from pipeline.trends.nights.from_tables import MotorNights, read_blocks
-from pipeline.trends.nights.history import WATCHED, Array, Era, Records, era_at, eras_of
+from pipeline.trends.nights.history import (
+    WATCHED,
+    Array,
+    BaselinePeriod,
+    Records,
+    period_at,
+    periods_of,
+)
 from pipeline.trends.nights.kept import Kept, KeptWatch
 
-# A leakage is told at conditions as far beyond those of the era's blocks [°C, bar, rpm].
+# A leakage is told at conditions as far beyond those of the baseline period's blocks [°C, bar,
+# rpm].
 REACH = np.array([10.0, 20.0, 10.0])
 OUT_OF_REACH = "the era's blocks do not reach these conditions"
 # Standard deviations by which another motor of the tank has moved, to be asked at all; what its
@@ -74,7 +82,7 @@ class WatchedNight:
 
     place: int
     night: dt.date
-    era: Era
+    period: BaselinePeriod
     n_blocks: int
     n_waiting: int
     silent: int
@@ -94,32 +102,32 @@ class Course:
 
     output: Path
     nights: MotorNights
-    eras: tuple[Era, ...]
+    periods: tuple[BaselinePeriod, ...]
     place: int  # of the next night
-    era: Era
+    period: BaselinePeriod
     figures: Array
     watch: Watch | None = None
     baseline: Baseline | None = None
     waiting: list[NightBlocks] = field(default_factory=list)
-    # Lowest and highest block means of the era, shape (2, 3).
+    # Lowest and highest block means of the baseline period, shape (2, 3).
     seen: Array = field(default_factory=lambda: NOTHING_SEEN)
     # The watch before the newest night, to be kept.
-    before: tuple[Era, dict[str, Any], Watch] | None = None
+    before: tuple[BaselinePeriod, dict[str, Any], Watch] | None = None
     # Flow a unit of each coefficient at some conditions, by oil and conditions.
     drives: dict[tuple[str, Conditions], Array | str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, output: Path, nights: MotorNights) -> Course | None:
-        """A motor whose watch goes on from what is kept, or begins with its era; None: neither."""
+        """A motor whose watch goes on from what is kept, or begins anew; None: neither."""
         history = nights.history
         if nights.beginning is None:
             return None
-        eras, place = eras_of(history), history.place_from(nights.beginning)
+        periods, place = periods_of(history), history.place_from(nights.beginning)
         figures = np.column_stack([history.records[name] for name in WATCHED])
-        course = cls(output, nights, eras, place, era_at(eras, max(place - 1, 0)), figures)
+        course = cls(output, nights, periods, place, period_at(periods, max(place - 1, 0)), figures)
         kept = nights.wanted.kept
         if nights.resumes and kept is not None and kept.watch is not None:
-            machine = history.layout.machine(history.spec, kept.watch.era)
+            machine = history.layout.machine(history.spec, kept.watch.period)
             settings = watch_settings(history.spec)
             course.watch = Watch.of_arrays(machine, settings, kept.watch.arrays)
             course.baseline = KEPT_BASELINE.validate_python(kept.watch.own["baseline"])
@@ -153,9 +161,9 @@ class Course:
         if self.watch is not None and self.baseline is not None:
             numbers = KEPT_BASELINE.dump_python(self.baseline, mode="json")
             own = {"baseline": numbers, "seen": self.seen.tolist()}
-            self.before = self.era, own, self.watch
-        if self.place in (self.era.first, self.era.end):
-            self.era = era_at(self.eras, self.place)
+            self.before = self.period, own, self.watch
+        if self.place in (self.period.first, self.period.end):
+            self.period = period_at(self.periods, self.place)
             self.watch, self.baseline, self.waiting, self.seen = None, None, [], NOTHING_SEEN
         blocks = self.nights.blocks.get(history.nights[self.place].toordinal())
         if blocks is not None:
@@ -173,9 +181,9 @@ class Course:
         settings = watch_settings(history.spec)
         if len(self.waiting) < settings.baseline_nights:
             return
-        machine = history.layout.machine(history.spec, history.nights[self.era.first])
+        machine = history.layout.machine(history.spec, history.nights[self.period.first])
         self.watch = Watch.begin(machine, self.waiting, settings)
-        charges = history.records["charge"][self.era.first : self.place + 1]
+        charges = history.records["charge"][self.period.first : self.place + 1]
         self.baseline = Baseline.of(self.watch, self.waiting, charges)
         self.baseline = replace(
             self.baseline,
@@ -218,7 +226,7 @@ class Course:
         night = WatchedNight(
             place,
             history.nights[place],
-            self.era,
+            self.period,
             int(history.records["blocks"][place]),
             len(self.waiting),
             int(history.numbers[place]) - last,
@@ -239,7 +247,7 @@ class Course:
                 np.nan if isinstance(one, str) else one.value
                 for one in (found.reference, found.own)
             )
-            self.figures[place] = *leakages, 1.0 + verdict.tonight.value
+            self.figures[place] = *leakages, 1.0 + verdict.newest_night.value
         return found
 
     @property
@@ -279,8 +287,8 @@ class Course:
         watch = None
         history = self.nights.history
         if self.before is not None:
-            era, own, before = self.before
-            watch = KeptWatch(history.nights[era.first], own, before.day, before.arrays())
+            period, own, before = self.before
+            watch = KeptWatch(history.nights[period.first], own, before.day, before.arrays())
         return Kept(key, history.nights[self.place - 1], self.records(), watch)
 
 

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from leakage.course.sensor_zero import zero_course
 from pipeline.config import MotorSpec
 from pipeline.trends.nights.decisions import FLOW_ZERO, PRESSURE_ZERO, SENSORS
-from pipeline.trends.nights.history import Era, History, eras_of
+from pipeline.trends.nights.history import BaselinePeriod, History, periods_of
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Zero:
     lower: Array
     upper: Array
     state: tuple[str, ...]  # insufficient, ok or warning
-    eras: tuple[Era, ...]  # nights that one zero at first serves
+    periods: tuple[BaselinePeriod, ...]  # nights that one zero at first serves
 
     def words(self, place: int) -> str:
         """That the sensor has drifted by a night, in words; empty where it has not."""
@@ -81,9 +81,9 @@ def _zero(history: History, name: str) -> Zero:
     n = len(history)
     first, move, lower, upper = (np.full(n, np.nan) for _ in range(4))
     state = np.full(n, "insufficient", dtype=object)
-    eras = eras_of(history, name)
-    for era in eras if np.isfinite(value).any() else ():
-        here = slice(era.first, era.end)
+    periods = periods_of(history, name)
+    for period in periods if np.isfinite(value).any() else ():
+        here = slice(period.first, period.end)
         found = zero_course(
             value[here],
             np.nan_to_num(error[here]),
@@ -95,7 +95,7 @@ def _zero(history: History, name: str) -> Zero:
         known = np.isfinite(found.change)
         state[here] = np.where(known, np.where(told, "warning", "ok"), "insufficient")
     return Zero(
-        name, UNITS[name], value, error, first, move, lower, upper, tuple(state.tolist()), eras
+        name, UNITS[name], value, error, first, move, lower, upper, tuple(state.tolist()), periods
     )
 
 

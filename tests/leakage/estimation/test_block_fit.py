@@ -36,7 +36,7 @@ def laminar_l_per_min(bar: Array | float, celsius: Array | float) -> Array:
     return flow
 
 
-def duty(
+def operating_point(
     n: int, generator: np.random.Generator, bar: tuple[float, float], rpm: tuple[float, float]
 ) -> list[Array]:
     """Steps of load and speed of 45 s; one sample a second."""
@@ -56,7 +56,7 @@ def blocks_of(bar: Array, celsius: Array, rpm: Array, flow: Array) -> SampleBloc
 def foreign_night(mean_c: float, slow_share: float, generator: np.random.Generator) -> SampleBlocks:
     """An hour of the foreign machine, the oil warming up; its errors drift, and scale."""
     n = 3600
-    bar, rpm = duty(n, generator, (60.0, 260.0), (8.0, 45.0))
+    bar, rpm = operating_point(n, generator, (60.0, 260.0), (8.0, 45.0))
     celsius = mean_c - 2.0 + 4.0 * (1.0 - np.exp(-np.arange(n) / 1500.0))
     slow = autoregression(math.exp(-1.0 / 1200.0), n, generator)
     flow = laminar_l_per_min(bar, celsius) * (1.0 + slow_share * slow)
@@ -66,7 +66,7 @@ def foreign_night(mean_c: float, slow_share: float, generator: np.random.Generat
 def drifting_night(generator: np.random.Generator) -> SampleBlocks:
     """90 minutes in which the flow drifts evenly by 8 % against the model."""
     n = 45 * BLOCK
-    bar, rpm = duty(n, generator, (20.0, 300.0), (5.0, 45.0))
+    bar, rpm = operating_point(n, generator, (20.0, 300.0), (5.0, 45.0))
     celsius = 50.0 + 5.0 * np.sin(np.arange(n) / 1000.0)
     columns = regressors(MODEL, OperatingConditions.from_bar(bar, celsius, rpm))
     theta = [path.configured_coefficient for path in MODEL.column_paths]

@@ -1,4 +1,4 @@
-"""Verdicts: what a duty can tell, what it cannot, and what is said of it."""
+"""Verdicts: what operating conditions can tell, what it cannot, and what is said of it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 from leakage import Motor, OperatingConditions, leakage_l_per_min
 from leakage.estimation import identifiability
 from leakage.estimation.block_statistics import factors, merge
-from leakage.estimation.certificate import Fit, fit
 from leakage.estimation.identifiability import Excitation, Identification, identify, judge_leakage
+from leakage.estimation.proven_minimum import Fit, fit
 from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors
 from leakage.estimation.uncertainty import Interval
 from leakage.physics.annular_gap import AnnularGap
@@ -23,7 +23,7 @@ REFERENCE = OperatingConditions.from_bar(200.0, 50.0, 30.0)
 PER_BLOCK, BLOCKS = 120, 60
 
 
-def duty(low_bar: float, high_bar: float, seed: int = 1) -> OperatingConditions:
+def operating_point(low_bar: float, high_bar: float, seed: int = 1) -> OperatingConditions:
     generator = np.random.default_rng(seed)
     n = PER_BLOCK * BLOCKS
     return OperatingConditions.from_bar(
@@ -52,9 +52,9 @@ def verdicts(identification: Identification) -> list[str]:
     return [judgement.verdict for judgement in identification.coefficients]
 
 
-def test_a_wide_duty_identifies_every_gap_with_an_interval_that_holds() -> None:
+def test_a_wide_operating_point_identifies_every_gap_with_an_interval_that_holds() -> None:
     motor = placeholder_motor("CB560")
-    estimate, found, seen = judged(motor, duty(10.0, 300.0))
+    estimate, found, seen = judged(motor, operating_point(10.0, 300.0))
     assert verdicts(found) == ["identified"] * 3 + ["fixed"]
     truth = [path.configured_coefficient for path in motor.column_paths]
     for value, true, judgement in zip(
@@ -71,7 +71,7 @@ def test_a_wide_duty_identifies_every_gap_with_an_interval_that_holds() -> None:
 
 def test_a_motor_at_one_pressure_shows_no_gap_but_its_own_leakage() -> None:
     motor = placeholder_motor("CB1120")
-    conditions = duty(179.7, 180.3)
+    conditions = operating_point(179.7, 180.3)
     estimate, found, seen = judged(motor, conditions)
     assert "identified" not in verdicts(found)
     assert all(judgement.interval is None for judgement in found.coefficients)
@@ -95,7 +95,7 @@ def test_paths_that_noise_hides_together_name_their_partner() -> None:
         for path in motor.paths
     )
     twins = replace(motor, paths=paths)
-    _, found, _ = judged(twins, duty(10.0, 300.0))
+    _, found, _ = judged(twins, operating_point(10.0, 300.0))
     gap, piston, sleeve, _ = found.coefficients
     assert gap.verdict == "identified"
     for judgement, other in ((piston, twins.column_paths[2]), (sleeve, twins.column_paths[1])):
@@ -107,7 +107,7 @@ def test_paths_that_noise_hides_together_name_their_partner() -> None:
 @pytest.mark.parametrize(("blocks", "reason"), [(1, "a single block"), (4, "degrees of freedom")])
 def test_too_few_blocks_say_so(blocks: int, reason: str) -> None:
     estimate, found, seen = judged(
-        placeholder_motor("CB560"), duty(10.0, 300.0), noise=1e-4, blocks_kept=blocks
+        placeholder_motor("CB560"), operating_point(10.0, 300.0), noise=1e-4, blocks_kept=blocks
     )
     assert "identified" not in verdicts(found)
     assert found.coefficients[1].verdict == "too_little_data"
@@ -120,7 +120,7 @@ def test_too_few_blocks_say_so(blocks: int, reason: str) -> None:
 
 
 def test_slow_errors_widen_every_interval_by_a_quarter() -> None:
-    motor, conditions = placeholder_motor("CB560"), duty(10.0, 300.0)
+    motor, conditions = placeholder_motor("CB560"), operating_point(10.0, 300.0)
     halves = []
     for slow in (NOT_SLOW, replace(NOT_SLOW, memory=0.9, evidence=20.0)):
         _, found, _ = judged(motor, conditions, slow=slow)
@@ -136,7 +136,9 @@ def test_slow_errors_widen_every_interval_by_a_quarter() -> None:
 def test_a_leakage_is_as_sure_as_statistics_and_tolerances_leave_it(
     systematic_percent: float, verdict: str
 ) -> None:
-    estimate, found, seen = judged(placeholder_motor("CB560"), duty(10.0, 300.0), noise=1e-4)
+    estimate, found, seen = judged(
+        placeholder_motor("CB560"), operating_point(10.0, 300.0), noise=1e-4
+    )
     systematic = systematic_percent / 100 * 1.371423
     leakage = judge_leakage(estimate, found, seen, REFERENCE, systematic)
     assert leakage.verdict == verdict
@@ -160,7 +162,9 @@ def test_a_leakage_near_what_was_seen_is_extrapolated(
     high_bar: float, celsius: float, rpm: float, systematic_percent: float, verdict: str
 ) -> None:
     """Model.md: up to 20 bar or 10 K short of the reference, up to 12 %."""
-    estimate, found, seen = judged(placeholder_motor("CB560"), duty(10.0, high_bar), noise=1e-3)
+    estimate, found, seen = judged(
+        placeholder_motor("CB560"), operating_point(10.0, high_bar), noise=1e-3
+    )
     seen = replace(seen, pressure_bar=(10.0, high_bar))
     at = OperatingConditions.from_bar(200.0, celsius, rpm)
     systematic = systematic_percent / 100 * float(leakage_l_per_min(estimate.motor, at)[0])
@@ -200,7 +204,9 @@ def test_what_a_bound_takes_from_others_leaves_them_unidentified(
     seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
     identified, held = 0, 0
     for seed in range(20):
-        z = made_samples(motor, seed=seed, conditions=duty(10.0, 300.0, seed), noise_l_per_min=0.05)
+        z = made_samples(
+            motor, seed=seed, conditions=operating_point(10.0, 300.0, seed), noise_l_per_min=0.05
+        )
         z[:, -1] += meter
         blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
         estimate = fit(merge(blocks), fitted)
@@ -223,7 +229,7 @@ def test_a_bound_is_no_knowledge() -> None:
     Intervals that took the bound for the truth held the reference leakage in 67 % of nights.
     """
     motor = placeholder_motor("CB560", flushing="estimated", flushing_l_per_min=0.001)
-    conditions = duty(10.0, 300.0)
+    conditions = operating_point(10.0, 300.0)
     held, on_bound = 0, 0
     seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
     truth = float(leakage_l_per_min(motor, REFERENCE)[0])
@@ -234,7 +240,7 @@ def test_a_bound_is_no_knowledge() -> None:
         leakage = judge_leakage(estimate, identify(estimate, blocks, seen), seen, REFERENCE)
         assert leakage.interval is not None
         held += abs(leakage.leakage_l_per_min - truth) <= leakage.interval.half_width
-        on_bound += bool(estimate.certificate.at_lower[-1])
+        on_bound += bool(estimate.proven_minimum.at_lower[-1])
     assert on_bound > 10
     assert held >= 54
 
@@ -293,7 +299,7 @@ def test_verdicts_just_below_and_just_above_each_limit(
 
 
 def test_a_leakage_needs_two_degrees_of_freedom() -> None:
-    estimate, found, seen = judged(placeholder_motor("CB560"), duty(10.0, 300.0))
+    estimate, found, seen = judged(placeholder_motor("CB560"), operating_point(10.0, 300.0))
     for freedom, verdict in ((1.9, "too_little_data"), (2.1, "identified")):
         told: Any = Told(Interval(0.01, 0.005, freedom, 0.2))
         one = judge_leakage(estimate, replace(found, distribution=told), seen, REFERENCE)
@@ -304,7 +310,7 @@ def test_one_stretch_at_low_pressure_does_not_identify_the_ring() -> None:
     motor = placeholder_motor("CB560")
     bar = np.repeat(np.random.default_rng(3).uniform(230, 300, PER_BLOCK * BLOCKS // 30), 30)
     bar[PER_BLOCK * 20 : PER_BLOCK * 20 + 100] = 40.0
-    wide = duty(230.0, 300.0)
+    wide = operating_point(230.0, 300.0)
     conditions = OperatingConditions.from_bar(bar, wide.oil_temperature_c, wide.speed_rpm)
     _, found, _ = judged(motor, conditions, noise=0.002)
     assert found.coefficients[0].verdict == "not_excited"
@@ -324,7 +330,7 @@ def test_leakage_of_which_only_the_flushing_is_estimated_is_fixed() -> None:
         else path
         for path in motor.paths
     )
-    estimate, found, seen = judged(replace(motor, paths=known), duty(10.0, 300.0))
+    estimate, found, seen = judged(replace(motor, paths=known), operating_point(10.0, 300.0))
     assert verdicts(found) == ["identified"]
     leakage = judge_leakage(estimate, found, seen, REFERENCE)
     assert (leakage.verdict, leakage.interval) == ("fixed", None)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leakage.estimation.block_statistics import Array, factor
-from leakage.estimation.certificate import Fit, fit
+from leakage.estimation.proven_minimum import Fit, fit
 from leakage.physics.annular_gap import AnnularGap
 from leakage.physics.motor import Motor
 from leakage.physics.paths import LeakagePath
@@ -62,7 +62,7 @@ def test_noise_scatters_the_estimate_as_least_squares_says(seed: int) -> None:
     spread = np.sqrt(np.diag(np.linalg.inv((z[:, :4] / scale).T @ (z[:, :4] / scale))))
     deviation = (found.coefficients - true_coefficients(FLUSHED)) * scale / (0.02 * spread)
     assert np.abs(deviation).max() < 4.0
-    assert np.sqrt(found.certificate.cost) == pytest.approx(0.02, rel=0.05)
+    assert np.sqrt(found.proven_minimum.cost) == pytest.approx(0.02, rel=0.05)
 
 
 @given(seed=st.integers(0, 1000), flow=st.sampled_from([4.0, 0.25, 12.0]))
@@ -73,7 +73,7 @@ def test_a_flow_added_to_the_measured_moves_only_the_flushing(seed: int, flow: f
     before, after = fitted(z, FLUSHED), fitted(shifted, FLUSHED)
     np.testing.assert_allclose(after.coefficients[:3], before.coefficients[:3], rtol=1e-10)
     assert after.coefficients[3] - before.coefficients[3] == pytest.approx(flow, rel=1e-11)
-    assert after.certificate.cost == pytest.approx(before.certificate.cost, rel=1e-10)
+    assert after.proven_minimum.cost == pytest.approx(before.proven_minimum.cost, rel=1e-10)
 
 
 def test_fixed_flushing_is_taken_off_the_flow() -> None:

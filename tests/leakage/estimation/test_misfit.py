@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from leakage.estimation.block_statistics import factors, merge
-from leakage.estimation.certificate import certify
 from leakage.estimation.misfit import Misfit, misfit, model_errors
+from leakage.estimation.proven_minimum import certify
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors, total_flow_l_per_min
 from leakage.physics.oil import FilmPressure
@@ -130,11 +130,11 @@ def test_the_size_is_that_of_the_flow_which_the_fit_cannot_follow() -> None:
     generator = np.random.default_rng(3)
     blocks, means = night(truth, generator)
     whole = merge(blocks)
-    certificate = certify(whole, np.zeros(4), np.array([1e-9] * 3 + [0.0]))
+    proven_minimum = certify(whole, np.zeros(4), np.array([1e-9] * 3 + [0.0]))
     number = np.arange(len(blocks))
-    told = misfit(blocks, number, certificate.coefficients, FIXED, means)
+    told = misfit(blocks, number, proven_minimum.coefficients, FIXED, means)
     assert told is not None
-    assert 0.9 * certificate.cost < told.l_per_min**2 < certificate.cost
+    assert 0.9 * proven_minimum.cost < told.l_per_min**2 < proven_minimum.cost
 
 
 def test_a_shift_of_the_flow_along_its_misfit_moves_no_figure_further_than_the_model_error() -> (

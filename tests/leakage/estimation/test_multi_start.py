@@ -1,4 +1,4 @@
-"""The thesis's search: where it starts, where it ends, and that it agrees with the certificate."""
+"""The thesis's search: its starts, its ends, and that it agrees with the proven minimum."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_all_starts_reach_the_certificate_and_none_goes_below(motor: Motor) -> N
     assert len(found.starts) == 5
     assert found.gap == pytest.approx(0.0, abs=1e-7)
     for start, same in zip(found.starts, again.starts, strict=True):
-        assert start.cost >= found.certificate.cost * (1.0 - 1e-10)
+        assert start.cost >= found.proven_minimum.cost * (1.0 - 1e-10)
         # Same seed, same start to the bit.
         assert (start.cost, start.final.tobytes()) == (same.cost, same.final.tobytes())
 
@@ -66,7 +66,7 @@ def test_a_start_is_at_the_minimum_within_a_ten_thousandth_of_the_cost() -> None
     found = search(factor(made_samples(PLAIN)), PLAIN, generator(), starting_points=1)
     (start,) = found.starts
     near, far = (
-        replace(start, cost=found.certificate.cost * (1.0 + above)) for above in (0.9e-4, 1.1e-4)
+        replace(start, cost=found.proven_minimum.cost * (1.0 + above)) for above in (0.9e-4, 1.1e-4)
     )
     told = replace(found, starts=(near, far))
     assert told.at_minimum == (near,)
@@ -101,7 +101,7 @@ def test_a_start_at_no_eccentricity_with_the_gap_at_its_maximum_moves() -> None:
     (start,) = found.starts
     assert start.initial.tolist() == [8.0, 10.0, ECCENTRICITY_NUDGE, 12.0, 0.3]
     assert start.final[2] > 0.39
-    assert start.cost == pytest.approx(found.certificate.cost, rel=1e-9)
+    assert start.cost == pytest.approx(found.proven_minimum.cost, rel=1e-9)
 
 
 def test_nothing_to_search_gives_no_starts() -> None:

@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import least_squares
 
 from leakage.estimation.block_statistics import factor
-from leakage.estimation.certificate import certify
 from leakage.estimation.compression import (
     MAD_TO_SD,
     TUNING,
@@ -15,6 +14,7 @@ from leakage.estimation.compression import (
     huber_weights,
     weight_inflation,
 )
+from leakage.estimation.proven_minimum import certify
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION, Block
 
 FREE = np.array([-99.0, -99.0]), np.array([99.0, 99.0])

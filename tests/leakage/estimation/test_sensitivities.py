@@ -34,7 +34,7 @@ def effects(motor: Motor, tolerances: Tolerances) -> tuple[dict[str, np.ndarray]
 
 
 def test_effects_are_of_the_size_and_sign_that_the_model_states() -> None:
-    """model.md section 5, in % of K_o, K_p, K_s and reference leakage; they depend on the duty."""
+    """model.md section 5, in % of K_o, K_p, K_s and reference leakage, of these nights."""
     found, _ = effects(
         placeholder_motor("CB560"),
         Tolerances(

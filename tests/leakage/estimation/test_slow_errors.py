@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from leakage.estimation.block_statistics import factors, merge
-from leakage.estimation.certificate import certify
+from leakage.estimation.proven_minimum import certify
 from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
 from leakage.estimation.uncertainty import cluster_robust
 from tests.leakage.estimation.made_errors import autoregression

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from scipy.stats import t as student_t
 
 from leakage.estimation.block_statistics import factors, merge
-from leakage.estimation.certificate import certify
+from leakage.estimation.proven_minimum import certify
 from leakage.estimation.uncertainty import Interval, cluster_robust
 
 Array = NDArray[np.float64]

@@ -60,14 +60,14 @@ def drives(conditions: Array, oil: tuple[float, float] = VG_68, film: Film = "ba
 
 @dataclass(frozen=True, slots=True)
 class Plant:
-    """A machine, its duty, its errors, and what happens to it; nights are counted from 0."""
+    """A machine, its conditions, its errors, and what happens to it; nights count from 0."""
 
     growth: Callable[[int], Array | float] = lambda _: 1.0
     oil: Callable[[int], tuple[float, float]] = lambda _: VG_68
     offset_c: Callable[[int], float] = lambda _: 0.0
     warmer_c: Callable[[int], float] = lambda _: 0.0
     film: Film = "barus"
-    duty: Literal["varied", "one pressure"] = "varied"
+    operating_point: Literal["varied", "one pressure"] = "varied"
     load: Callable[[int], float] = lambda _: 1.0
     blocks: int = 30
     wander: float = 0.006
@@ -103,7 +103,7 @@ class Plant:
         shape = len(middle_s), SAMPLES
         warm = 44.0 + 8.0 * (1.0 - np.exp(-middle_s / 1200.0)) + 1.5 * generator.standard_normal()
         warm += self.warmer_c(night)
-        if self.duty == "one pressure":
+        if self.operating_point == "one pressure":
             bar, rpm = np.full(shape, 180.0), np.full(shape, 30.0)
             bar, rpm = bar + generator.normal(0, 0.3, shape), rpm + generator.normal(0, 0.05, shape)
         else:
@@ -172,4 +172,4 @@ def earlier_of(nights: Sequence[NightBlocks]) -> Callable[[int], Sequence[NightB
 
 def first_told(watches: Sequence[Watch]) -> Watch | None:
     """The watch on the night on which a change is first in force."""
-    return next((one for one in watches if one.state.standing is not None), None)
+    return next((one for one in watches if one.state.in_force is not None), None)

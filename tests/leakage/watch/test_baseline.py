@@ -36,7 +36,7 @@ def test_coefficients_of_the_fitted_machine_are_found_again() -> None:
         Plant(),
         Plant(film="slot"),
         Plant(film="turbulent"),
-        Plant(duty="one pressure"),
+        Plant(operating_point="one pressure"),
         Plant(blocks=5),
         Plant(wander=0.03),
     ],
@@ -83,10 +83,11 @@ def test_low_flow_has_a_floor_in_the_scale_only() -> None:
 
 def test_one_pressure_tells_no_gap_from_another() -> None:
     still, varied = (
-        baseline_of(CB560, Plant(duty=duty).nights(15, 7)) for duty in ("one pressure", "varied")
+        baseline_of(CB560, Plant(operating_point=operating_point).nights(15, 7))
+        for operating_point in ("one pressure", "varied")
     )
-    assert (still.tells_gaps, still.tells_speed) == (False, False)
-    assert (varied.tells_gaps, varied.tells_speed) == (True, True)
+    assert (still.identifies_gaps, still.identifies_speed) == (False, False)
+    assert (varied.identifies_gaps, varied.identifies_speed) == (True, True)
 
 
 def test_information_of_a_night_is_about_what_is_left_of_the_baseline() -> None:

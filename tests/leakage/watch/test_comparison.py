@@ -63,13 +63,13 @@ def test_a_worn_gap_is_named_where_the_model_is_right() -> None:
     assert all(one.cause_probability >= 0.9 for one in found)
 
 
-def test_another_duty_is_said_and_widens_the_interval() -> None:
+def test_another_operating_point_is_said_and_widens_the_interval() -> None:
     usual, other = (
         comparisons(Plant(film="slot", load=lambda night, to=to: to if night >= BEFORE else 1.0))
         for to in (1.0, 0.6)
     )
-    assert not any(one.is_other_duty for one in usual)
-    assert all(one.is_other_duty for one in other)
+    assert not any(one.operates_otherwise for one in usual)
+    assert all(one.operates_otherwise for one in other)
     assert min(one.change.sd for one in other) > 2.0 * max(one.change.sd for one in usual)
 
 

@@ -27,9 +27,9 @@ Array = NDArray[np.float64]
 KNOWN = 10**9
 P, Q_UNKNOWNS, BLOCKS = 2, 4, 5
 DAYS = np.array([100, 101, 102, 105, 106, 107])
-# The last three nights have another duty.
+# The last three nights have other operating conditions.
 DISTANCE = np.array([0.5, 1.0, 0.7, 3.0, 2.5, 6.0])
-DUTY_ERROR = np.array([0.02, 0.05])
+OPERATING_ERROR = np.array([0.02, 0.05])
 SPREAD = 1e-4 * np.array([[2.0, 0.7], [0.7, 1.5]])
 PRIOR = np.diag([1.0, 1.0, 25.0, 1000.0])
 CAUSES = (
@@ -81,14 +81,14 @@ class Dense:
         )
         wander = Wander(SPREAD, one_memory(serial))
         sums = Sums.of(window, wander)
-        return Evidence(window, sums, wander, Causes.of(CAUSES), DUTY_ERROR, n_nights)
+        return Evidence(window, sums, wander, Causes.of(CAUSES), OPERATING_ERROR, n_nights)
 
-    def covariance(self, start: int, serial: float, *, by_duty: bool) -> Array:
+    def covariance(self, start: int, serial: float, *, by_operation: bool) -> Array:
         """Of all blocks without a change.
 
         Shifts of correlated nights vary by more in their mean, of a long record by L: nights before
         the start have L Q, those since lie between Q and L Q so that m precise ones have f(m) Q. At
-        another duty errors within nights are inflated by f(m), too.
+        other operating conditions errors within nights are inflated by f(m), too.
         """
         n = len(DAYS) - start
         lags = np.arange(1, n)
@@ -105,10 +105,10 @@ class Dense:
             nights.append(np.linalg.inv(mixed))
         every = np.concatenate(self.designs)
         covariance = block_diag(*nights) + every @ np.linalg.inv(PRIOR) @ every.T
-        if by_duty:
+        if by_operation:
             beyond = min(max(float(DISTANCE[start:].mean()) - 1.5, 0.0), 4.0)
             late = every[:, :P] * np.repeat(np.arange(len(DAYS)) >= start, BLOCKS)[:, None]
-            covariance = covariance + late @ np.diag((beyond * DUTY_ERROR) ** 2) @ late.T
+            covariance = covariance + late @ np.diag((beyond * OPERATING_ERROR) ** 2) @ late.T
         return np.asarray(covariance)
 
     def moved(self, start: int, cause: Cause, shape: int) -> Array:
@@ -138,13 +138,13 @@ def log_ratio_by_quadrature(
 
 
 @pytest.mark.parametrize("serial", [0.3, 0.8])
-@pytest.mark.parametrize("by_duty", [False, True])
-def test_sums_and_ratios_are_those_of_the_whole_model(serial: float, by_duty: bool) -> None:
+@pytest.mark.parametrize("by_operation", [False, True])
+def test_sums_and_ratios_are_those_of_the_whole_model(serial: float, by_operation: bool) -> None:
     data = Dense.of_seed(1)
     starts = np.arange(1, len(DAYS))
-    told = data.evidence(serial).of_starts(starts, by_duty=by_duty)
+    told = data.evidence(serial).of_starts(starts, by_operation=by_operation)
     for place, start in enumerate(starts.tolist()):
-        covariance = data.covariance(start, serial, by_duty=by_duty)
+        covariance = data.covariance(start, serial, by_operation=by_operation)
         precise = np.linalg.inv(covariance)
         for shape in (STEP, RAMP):
             for of_cause, cause in enumerate(CAUSES):
@@ -161,8 +161,8 @@ def test_sums_and_ratios_are_those_of_the_whole_model(serial: float, by_duty: bo
 
 def test_posterior_of_the_size_is_of_a_normal_prior() -> None:
     data = Dense.of_seed(2)
-    told, start = data.evidence().of_starts(np.array([3]), by_duty=False), 3
-    precise = np.linalg.inv(data.covariance(start, 0.3, by_duty=False))
+    told, start = data.evidence().of_starts(np.array([3]), by_operation=False), 3
+    precise = np.linalg.inv(data.covariance(start, 0.3, by_operation=False))
     for of_cause, cause in enumerate(CAUSES):
         moved = data.moved(start, cause, STEP)
         certain = moved @ precise @ moved + cause.spread**-2
@@ -176,9 +176,9 @@ def test_posterior_of_the_size_is_of_a_normal_prior() -> None:
 def test_a_start_without_one_of_its_nights_forgets_that_night() -> None:
     data, start, left_out = Dense.of_seed(3), 2, 4
     evidence = data.evidence()
-    told = evidence.of_starts(np.array([start]), without=np.array([left_out]), by_duty=False)
+    told = evidence.of_starts(np.array([start]), without=np.array([left_out]), by_operation=False)
     kept = np.repeat(np.arange(len(DAYS)) != left_out, BLOCKS)
-    precise = np.linalg.inv(data.covariance(start, 0.3, by_duty=False)[np.ix_(kept, kept)])
+    precise = np.linalg.inv(data.covariance(start, 0.3, by_operation=False)[np.ix_(kept, kept)])
     moved = data.moved(start, CAUSES[0], STEP)[kept]
     every = np.concatenate(data.residuals)[kept]
     assert told.first[STEP, 0, 0] == pytest.approx(moved @ precise @ every, rel=1e-6)

@@ -49,7 +49,7 @@ def story(plant: Plant, n: int, seed: int) -> tuple[Watch, ...]:
 
 
 def told_of(plant: Plant, n: int, seed: int) -> tuple[Watch, Change, Change]:
-    """The watch when a change was told, that change, and the one in force at the end."""
+    """The watch when a change was detected, that change, and the one in force at the end."""
     watches = story(plant, n, seed)
     told = first_told(watches)
     assert told is not None
@@ -77,7 +77,7 @@ SMALL = Machine(("gap",), ("gap",))
 
 
 def small_nights(n: int, seed: int, growth: Callable[[int], float]) -> list[NightBlocks]:
-    """A cheap machine of one path and five blocks at one duty."""
+    """A cheap machine of one path and five blocks at one operating conditions."""
     generator = np.random.default_rng(seed)
     middle_s, made = 120.0 * np.arange(5.0) + 60.0, []
     conditions = np.tile([50.0, 180.0, 30.0], (5, 1))
@@ -123,7 +123,7 @@ def test_kept_arrays_stay_of_one_size_and_resume_in_a_long_history(
     watches = assert_resumes(nights, SMALL, 8)
     sizes = [sum(array.nbytes for array in watch.arrays().values()) for watch in watches]
     assert max(sizes[70:]) < 1.1 * max(sizes[:70])
-    # Summed up or not, the same change is told.
+    # Summed up or not, the same change is detected.
     change = watches[-1].verdict().change
     assert change is not None
     assert change.since == nights[78].day
@@ -184,7 +184,7 @@ def test_what_is_common_to_all_flows(plant: Plant, cause: str, flow: float, seed
     assert told.day < BEGIN + 5
     assert last.since == BEGIN
     assert last.size.value == pytest.approx(flow, abs=0.012)
-    # Where it cannot be told, the right one is the likeliest: never another.
+    # Where it cannot be identified, the right one is the likeliest: never another.
     assert last.cause in (cause, "cannot_be_told")
     assert next(iter(last.candidates)) == cause
     assert last.grade == (46 if cause == "oil_grade" else None)
@@ -241,7 +241,7 @@ def test_a_second_change_keeps_its_own_size(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_large_change_begins_an_era_that_carries_what_was_before(seed: int) -> None:
+def test_a_large_change_begins_an_baseline_period_that_carries_what_was_before(seed: int) -> None:
     watches = story(ERA, 75, seed)
     before, after = (watches[night - FIRST + 1] for night in (55, 74))
     assert before.state.carried.value == pytest.approx(0.40, abs=0.02)
@@ -251,7 +251,7 @@ def test_a_large_change_begins_an_era_that_carries_what_was_before(seed: int) ->
     assert undone.direction @ before.state.baseline.own_row == pytest.approx(-0.4 / 1.4, abs=0.02)
     assert before.verdict().present.value == pytest.approx(0.40, abs=0.02)
     assert after.verdict().present.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.025)
-    assert after.verdict().tonight.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.04)
+    assert after.verdict().newest_night.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.04)
 
 
 @pytest.mark.parametrize("by", [0.08, -0.08])
@@ -271,7 +271,7 @@ def test_the_tank_is_named_while_it_settles_and_stays(by: float) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_at_one_pressure_no_gap_is_named(seed: int) -> None:
-    plant = Plant(duty="one pressure", growth=grown("sleeve", 0.30, BEGIN))
+    plant = Plant(operating_point="one pressure", growth=grown("sleeve", 0.30, BEGIN))
     watches = watched(plant.nights(45, seed), first=FIRST)
     changes = [change for one in watches if (change := one.verdict().change)]
     assert {change.cause for change in changes} == {"cannot_be_told"}
@@ -339,7 +339,7 @@ def test_the_evidence_of_the_smallest_change_is_the_limit() -> None:
 
 
 def test_the_wander_is_estimated_anew_as_the_nights_grow_by_three_tenths() -> None:
-    """Not where something may be about to be told: from evidence of 6 on."""
+    """Not where something may be about to be detected: from evidence of 6 on."""
     watches = story(HEALTHY, 50, 1)
     assert sorted({watch.state.due for watch in watches}) == [20, 26, 34, 45, 59]
     state = watches[-1].state
@@ -371,10 +371,11 @@ def test_change_since_is_what_others_on_the_tank_are_asked() -> None:
     assert told.lower < 0.10 < told.upper
     assert watch.change_since(0) is None
     assert watch.change_since(36) is None
-    # Adopted ten nights after it was told, it is what has changed for others that are told later.
+    # Adopted ten nights after it was detected, it is what has changed for others that are told
+    # later.
     adopted = story(METER, 45, 2)[-1]
-    assert adopted.state.standing is not None
-    assert adopted.state.standing.found is None
+    assert adopted.state.in_force is not None
+    assert adopted.state.in_force.found is None
     later = adopted.change_since(BEGIN)
     assert later is not None
     assert later.lower < 0.10 < later.upper

@@ -121,7 +121,7 @@ def spec(tmp_path_factory: pytest.TempPathFactory) -> MotorSpec:
 
 @pytest.fixture(autouse=True)
 def one_motor(spec: MotorSpec, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Values that no physics takes are told apart by the hashes all the same."""
+    """Values that no physics takes are distinguished by the hashes all the same."""
     plain = spec.motor(NIGHT, "none")
     monkeypatch.setattr(MotorSpec, "motor", lambda *_: plain)
 

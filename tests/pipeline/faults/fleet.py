@@ -24,7 +24,7 @@ from pipeline.schema import LATEST, TABLES, TREND_TABLES, Table
 from pipeline.store.published import verify_tables
 from pipeline.store.state import STATE_FILE
 from pipeline.store.tables import files_of, name_of, read_table
-from tests.pipeline.remembered import LASTING, ledger_of, record_of
+from tests.pipeline.remembered import LASTING, processed_of, record_of
 from tests.pipeline.simulated import NIGHT, motor_toml, write_configs, write_log
 from tests.pipeline.workshop import MINI, QUICK, Workshop
 
@@ -189,7 +189,7 @@ def check_repaired(output: Path, expected: Path) -> None:
     """All is as if nothing had been."""
     check_tables(output, expected)
     for motor in MOTORS:
-        assert ledger_of(output, motor) == ledger_of(expected, motor)
+        assert processed_of(output, motor) == processed_of(expected, motor)
         assert record_of(output, motor) == record_of(expected, motor)
     assert list(verify_tables(output)) == []
     assert temporary(output) == []

@@ -38,8 +38,8 @@ from tests.pipeline.faults.fleet import (
     remembered_fits,
     temporary,
 )
+from tests.pipeline.notification.fleet import keep, told, told_fleet
 from tests.pipeline.simulated import NIGHT
-from tests.pipeline.telling.fleet import keep, told, told_fleet
 
 SLICES = 4
 
@@ -156,7 +156,7 @@ def repairing(fleet: TinyFleet, folder: Path) -> Case:
     return Case(mend, fleet, case.before, again, case.repaired)
 
 
-def telling(_: TinyFleet, folder: Path) -> Case:
+def notification(_: TinyFleet, folder: Path) -> Case:
     """Somebody is told of an alarm: at least once, and what comes twice says so by its id."""
     told_fleet(folder, keep(folder / "told"))
     fleet = TinyFleet(folder)
@@ -173,9 +173,9 @@ def telling(_: TinyFleet, folder: Path) -> Case:
     return Case(run, fleet, before, lambda *_: None, check)
 
 
-CASES = (nightly, first, acknowledging, mending, repairing, telling)
+CASES = (nightly, first, acknowledging, mending, repairing, notification)
 WORKS = [(made, "killed") for made in CASES]
-WORKS += [(made, fault) for made in (nightly, first, telling) for fault in ("refused", "full")]
+WORKS += [(made, fault) for made in (nightly, first, notification) for fault in ("refused", "full")]
 
 
 def check_points(

@@ -44,7 +44,7 @@ from tests.pipeline.faults.damage import (
     rot_of_footer,
 )
 from tests.pipeline.faults.fleet import LATER, MOTORS, TinyFleet, check_repaired
-from tests.pipeline.remembered import change, ledger_of
+from tests.pipeline.remembered import change, processed_of
 from tests.pipeline.simulated import NIGHT
 from tests.pipeline.workshop import DAY
 
@@ -247,7 +247,7 @@ def test_rows_of_a_motor_whose_logs_are_gone_are_named(
     assert result.damage_left[0].message.startswith("rows of M2 are not made anew: ")
     assert pl.read_parquet(path)["motor_id"].unique().to_list() == ["M1"]
     # What is known of its night still is: the night after is not judged anew.
-    assert NIGHT in ledger_of(output, "M2").nights
+    assert NIGHT in processed_of(output, "M2").nights
     assert fleet.run(output).damage == ()
 
 

@@ -21,7 +21,7 @@ TinyFleet(Path(folder)).run(Path(output), workers=int(workers), backend=backend)
 
 
 def hashes(output: Path) -> dict[str, str]:
-    """SHA-256 of every file of tables, ledgers and manifests but those that tell of the run."""
+    """SHA-256 of every file of tables and state but those of the run itself."""
     return {
         path.relative_to(output).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for name in ("tables", "manifest")

@@ -18,7 +18,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
 from pipeline.ingest.conformance import CHANNELS, T0_US, Format, Row
 from pipeline.logs.files import covered
-from pipeline.logs.ledger import FileRecord
+from pipeline.logs.processed import FileRecord
 from tests.pipeline.simulated import motor_toml, write_configs
 
 from .sources import Source, column

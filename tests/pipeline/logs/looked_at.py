@@ -9,7 +9,7 @@ from pathlib import Path
 from pipeline.config import Channel, MotorSpec
 from pipeline.config.logs import Logs
 from pipeline.logs.files import inspect_log
-from pipeline.logs.ledger import FileRecord
+from pipeline.logs.processed import FileRecord
 
 UNITS = {
     "pressure_difference": "bar",

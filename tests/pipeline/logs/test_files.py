@@ -17,7 +17,7 @@ from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.logs import files as logs
 from pipeline.logs.files import LONGEST_LOG_DAYS, covered, labels_of, slice_night
 from pipeline.logs.finding import find_logs
-from pipeline.logs.ledger import FileRecord, content_hash
+from pipeline.logs.processed import FileRecord, content_hash
 from tests.pipeline.logs.looked_at import EVENING, UNITS, looked_at, us, with_files
 
 LABEL = dt.date(2026, 1, 2)

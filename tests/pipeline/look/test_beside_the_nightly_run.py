@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.look.state import look_standings
+from pipeline.look.state import look_statuses
 from tests.pipeline.calling import contents
 from tests.pipeline.look.fleet import MINUTES, TODAY, Growing, night_rows, published
 
@@ -36,7 +36,7 @@ def test_a_day_of_looks_leaves_the_tables_of_the_night_as_they_are_without(tmp_p
     moves = [(row["to_state"], row["verdict"]) for row in looked.rows()]
     assert moves[:3] == [("blind", None), ("clear", None), ("look_now", "told")]
     assert moves[3] == ("look_now", "confirmed")
-    scores = look_standings(looked.output, ["M1"])["M1"]
+    scores = look_statuses(looked.output, ["M1"])["M1"]
     assert (scores.told, scores.confirmed, scores.withdrawn) == (1, 1, 0)
     assert [one["verdict"] for one in looked.told() if "verdict" in one] == ["told", "confirmed"]
 

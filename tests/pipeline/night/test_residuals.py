@@ -217,7 +217,7 @@ def test_mean_errors_and_sizes_are_those_of_the_errors(spec: MotorSpec) -> None:
     assert row["validation_mean_error_l_per_min"] > 0.03
 
 
-def test_the_model_before_has_its_error_on_all_of_tonight(spec: MotorSpec) -> None:
+def test_the_model_before_has_its_error_on_all_of_the_newest_night(spec: MotorSpec) -> None:
     flow = configured_flow(spec, LONG) + white(N)
     first = fitted(spec, LONG, flow)
     assert fit_of(first.rows)["previous_model_rmse_l_per_min"] is None

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from pipeline.report.status import last_findings
 from pipeline.report.words import STATES
-from pipeline.trends.rows.motor_states import ORDER, LookStanding, urgency
+from pipeline.trends.rows.motor_states import ORDER, LookStatus, urgency
 from tests.pipeline.report.states import said, state_of
 
 
@@ -25,9 +25,9 @@ def test_of_an_alarm_that_was_inspected_twice_the_last_word_counts() -> None:
 
 def test_a_sudden_rise_within_the_day_comes_first_and_a_clear_look_is_not_shown() -> None:
     since = dt.datetime(2026, 3, 2, 14, 30, tzinfo=dt.UTC)
-    rise = LookStanding("look_now", since, "drain flow +82 % [75, 90]", told=1)
+    rise = LookStatus("look_now", since, "drain flow +82 % [75, 90]", told=1)
     broken = state_of("M2", look=rise)
-    quiet = state_of("M3", look=LookStanding("clear", since, "x"))
+    quiet = state_of("M3", look=LookStatus("clear", since, "x"))
     assert min((state_of("M1", "alarm"), quiet, broken), key=urgency).motor_id == "M2"
     assert "look now since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
     assert "clear" not in quiet.why

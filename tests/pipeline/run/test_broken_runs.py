@@ -19,14 +19,15 @@ import pipeline.run.motors
 import pipeline.store.publishing
 from pipeline.config import load_fleet
 from pipeline.errors import LockedError, StoreError
-from pipeline.logs.ledger import Ledger
+from pipeline.logs.processed import ProcessedLogs
 from pipeline.run.fleet import RunRequest, run_fleet, staging_folder
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from tests.conftest import OwnFleet
 from tests.pipeline.mini_fleet import mini_fleet
 from tests.pipeline.misbehaviour import MISBEHAVIOUR
-from tests.pipeline.remembered import ledger_of
+from tests.pipeline.notification.fleet import keep, told
+from tests.pipeline.remembered import processed_of
 from tests.pipeline.run.demo_runs import (
     CSV,
     FIRST,
@@ -42,7 +43,6 @@ from tests.pipeline.run.demo_runs import (
     status_of,
     table_files,
 )
-from tests.pipeline.telling.fleet import keep, told
 
 # Room on the disk
 
@@ -84,7 +84,7 @@ def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
     assert status_of(result) == {CSV: "failed", PARQUET: "ok", MCAP: "ok"}
     (lost,) = result.failed
     assert lost.error_code == "worker_died"
-    assert ledger_of(output_of(fleet), CSV) == Ledger()
+    assert processed_of(output_of(fleet), CSV) == ProcessedLogs()
     check_same_tables(output_of(fleet), fitted_output, PARQUET, MCAP)
     assert rows(output_of(fleet), "fits", CSV).is_empty()
     (last,) = rows(output_of(fleet), "motor_outcomes", CSV).to_dicts()

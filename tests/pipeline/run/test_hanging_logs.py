@@ -24,7 +24,7 @@ from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorTask
 from pipeline.workers.process import Loss
 from tests.pipeline.mini_fleet import FIRST, mini_fleet
-from tests.pipeline.remembered import ledger_of
+from tests.pipeline.remembered import processed_of
 from tests.pipeline.workshop import DAY, Workshop
 
 BLOCKS = FIRST + 2 * DAY
@@ -98,14 +98,14 @@ def workshop(tmp_path: Path) -> Workshop:
 
 
 def shelf(workshop: Workshop, *silent: str) -> MotorLogs:
-    spec, known = workshop.task().spec, ledger_of(workshop.output).files
+    spec, known = workshop.task().spec, processed_of(workshop.output).files
     return MotorLogs(spec, known, latest_us(), dict.fromkeys(silent, SILENCE))
 
 
 def test_one_that_was_read_before_is_as_it_was(workshop: Workshop) -> None:
     name = f"M1/{FIRST}.parquet"
     found = shelf(workshop, name)
-    assert found.files[name] == ledger_of(workshop.output).files[name]
+    assert found.files[name] == processed_of(workshop.output).files[name]
     assert found.news_of(name) is None
     # Its night cannot be made anew, and the next run tries again.
     assert found.content(name) is None

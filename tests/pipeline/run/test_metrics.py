@@ -12,6 +12,7 @@ import pytest
 from pipeline.config import Fleet
 from pipeline.config.settings import Settings
 from pipeline.errors import StoreError
+from pipeline.notification.outbox import Backlog
 from pipeline.run.metrics import (
     HEAD,
     look_metrics_file,
@@ -20,8 +21,7 @@ from pipeline.run.metrics import (
     write_metrics,
 )
 from pipeline.run.tasks import MotorOutcome
-from pipeline.telling.outbox import Backlog
-from pipeline.trends.rows.motor_states import LookStanding, MotorState
+from pipeline.trends.rows.motor_states import LookStatus, MotorState
 from pipeline.trends.rows.watch_rows import WatchRow
 
 WHEN = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
@@ -100,7 +100,7 @@ def test_an_absent_folder_is_not_made(tmp_path: Path) -> None:
 
 def test_looks_have_a_file_of_their_own() -> None:
     assert look_metrics_file(Path("/a/mill.prom")) == Path("/a/mill-look.prom")
-    looks = {"M1": LookStanding("look_now", WHEN, "+82 %"), "M2": LookStanding("blind", None, "x")}
+    looks = {"M1": LookStatus("look_now", WHEN, "+82 %"), "M2": LookStatus("blind", None, "x")}
     lines = look_metrics_text(cast(Fleet, SomeFleet()), looks).splitlines()
     assert lines[0] == HEAD
     assert [line for line in lines if "look_now" in line and line.endswith(" 1.0")] == [

@@ -182,11 +182,11 @@ def test_nights_in_any_order_come_to_the_same(
     assert other.run().nights == ()
 
 
-# The ledger
+# The record of processed logs
 
 
 def test_tables_that_somebody_removed_are_made_anew(workshop: Workshop) -> None:
-    """The ledger stands beside the tables; it must not speak for tables that are gone."""
+    """Processed logs stand beside the tables, and must not speak for tables that are gone."""
     for day in range(3):
         workshop.log(NIGHT + day * DAY, seed=day)
     workshop.run()

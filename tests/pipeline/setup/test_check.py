@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.typing import ArrayLike
 
-from benchmarks.simulated_nights import duty
 from benchmarks.simulated_nights import motor as simulated_motor
+from benchmarks.simulated_nights import operating_point
 from pipeline.config import load_fleet
 from pipeline.setup.channel_check import ChannelCheck
 from pipeline.setup.check import MotorCheck, check_fleet, unclaimed
@@ -225,7 +225,7 @@ def test_half_widths_are_those_of_the_benchmark() -> None:
     for minutes, published in ((30, 8.46), (60, 5.59)):
         found = []
         for seed in range(5):
-            conditions = duty(minutes, np.random.default_rng(seed))
+            conditions = operating_point(minutes, np.random.default_rng(seed))
             found.append(100.0 * half_widths(simulated_motor(), conditions, minutes)["piston_ring"])
         assert np.median(found) == pytest.approx(published, rel=0.2)
 

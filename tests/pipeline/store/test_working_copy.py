@@ -23,16 +23,16 @@ import pipeline.store.working_copy
 from pipeline.cli.arguments import load
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
+from pipeline.notification.outbox import waiting
 from pipeline.run.fleet import RunRequest, RunResult, refresh, run_fleet
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.state import STATE_FILE, open_state
 from pipeline.store.working_copy import ROOT, Snapshot, pull, push, read_snapshot
-from pipeline.telling.outbox import waiting
 from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
 from tests.conftest import OwnFleet
+from tests.pipeline.notification.fleet import keep, told_fleet, write_config
 from tests.pipeline.run.demo_runs import CSV, PARQUET, output_of, status_of, table_files
 from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
-from tests.pipeline.telling.fleet import keep, told_fleet, write_config
 from tests.pipeline.workshop import DAY, Workshop
 
 BUCKET = "test-working-copy"

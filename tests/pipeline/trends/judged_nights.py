@@ -10,7 +10,7 @@ from typing import Any
 from leakage.watch import Change, Estimate, Verdict
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
-from pipeline.trends.nights.history import Era
+from pipeline.trends.nights.history import BaselinePeriod
 from pipeline.trends.states.course import Baseline, WatchedNight
 from pipeline.trends.states.judged import JudgedNight, judged
 from tests.pipeline.trends.nights import motor, night_of
@@ -45,7 +45,7 @@ def watched(found: Change | None = None, **more: Any) -> WatchedNight:
     machine = SimpleNamespace(paths=(*PATHS, "known"), gaps=PATHS)
     watch: Any = SimpleNamespace(state=SimpleNamespace(machine=machine))
     night = WatchedNight(
-        AT, night_of(AT), Era(0, 40, "first nights"), 20, 0, 0, own, watch, verdict,
+        AT, night_of(AT), BaselinePeriod(0, 40, "first nights"), 20, 0, 0, own, watch, verdict,
         Estimate(1.2, 0.01), Estimate(1.5, 0.02),
     )  # fmt: skip
     names = {"lack_of_fit", "present", "tonight", "smallest", "evidence"}
@@ -54,9 +54,11 @@ def watched(found: Change | None = None, **more: Any) -> WatchedNight:
 
 
 def waiting(n: int, **more: Any) -> WatchedNight:
-    """A night of an era that has so many nights of its baseline period."""
-    era = more.pop("era", Era(0, 40, "first nights"))
-    return WatchedNight(AT, night_of(AT), era, more.pop("n_blocks", 20), n, more.pop("silent", 0))
+    """A night of a baseline period that has so many nights of its baseline period."""
+    period = more.pop("period", BaselinePeriod(0, 40, "first nights"))
+    return WatchedNight(
+        AT, night_of(AT), period, more.pop("n_blocks", 20), n, more.pop("silent", 0)
+    )
 
 
 def judge(

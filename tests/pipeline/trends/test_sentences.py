@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from leakage.watch import Estimate
-from pipeline.trends.nights.history import Era
+from pipeline.trends.nights.history import BaselinePeriod
 from pipeline.trends.sentences import WHAT, advice, sentence
 from pipeline.trends.states.judged import JudgedNight
 from tests.pipeline.trends.judged_nights import change, judge, waiting, watched
@@ -85,7 +85,7 @@ def told(night: JudgedNight, *drifts: str) -> tuple[str, str]:
             "Nights at other pressures and speeds would tell.",
         ),
         (
-            judge(waiting(5, era=Era(10, 40, "oil change on 2026-01-12"))),
+            judge(waiting(5, period=BaselinePeriod(10, 40, "oil change on 2026-01-12"))),
             "5 of 8 nights of a baseline since oil change on 2026-01-12",
             "Wait for more nights.",
         ),

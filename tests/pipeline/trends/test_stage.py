@@ -27,7 +27,14 @@ from pipeline.trends.nights.trend_record import (
 from pipeline.trends.rows.alarm_rows import rules_now
 from pipeline.trends.stage import run_trends
 from pipeline.trends.states.course import Course
-from pipeline.trends.tasks import Circuit, Tonight, TrendTask, circuits_of, kept_file, trend_tasks
+from pipeline.trends.tasks import (
+    Circuit,
+    NewestNight,
+    TrendTask,
+    circuits_of,
+    kept_file,
+    trend_tasks,
+)
 from pipeline.workers.process import Loss
 from tests.pipeline.remembered import record_of
 from tests.pipeline.trends.nights import (
@@ -310,12 +317,12 @@ OTHER_A = named(motor(), "A", "t", [event(20, "oil_change", oil="vg46")])
 def task(changed: dict[str, dt.date | None], output: Path, *said: Decision) -> TrendTask:
     with open_state(output) as state:
         circuit = Circuit.of(SPECS[:2], said, read_records(state), {})
-    return TrendTask((circuit,), output, output, changed, Tonight(night_of(39)))
+    return TrendTask((circuit,), output, output, changed, NewestNight(night_of(39)))
 
 
 def to_do(one: TrendTask) -> dict[str, tuple[dt.date, dt.date]]:
     (circuit,) = one.circuits
-    spans = circuit.spans(one.changed_from, one.tonight)
+    spans = circuit.spans(one.changed_from, one.newest_night)
     return {name: (begin, end) for name, (begin, end) in spans.items() if begin is not None}
 
 
@@ -387,9 +394,9 @@ def test_tasks_hold_whole_circuits(tmp_path: Path) -> None:
     assert [[one.motor_id for one in group] for group in circuits_of(SPECS)] == [["C"], ["A", "B"]]
 
     def motors(*changed: str) -> list[list[str]]:
-        asked, tonight = dict.fromkeys(changed), Tonight(night_of(0))
+        asked, newest_night = dict.fromkeys(changed), NewestNight(night_of(0))
         with open_state(tmp_path) as state:
-            made = trend_tasks(SPECS, state, tmp_path, asked, tonight, (), motors_a_task=1)
+            made = trend_tasks(SPECS, state, tmp_path, asked, newest_night, (), motors_a_task=1)
         return [[spec.motor_id for spec in one.specs] for one in made]
 
     assert motors("A") == [["A", "B"]]
@@ -413,7 +420,7 @@ def test_a_broken_motor_takes_no_other_down(
     asked = {"A": night_of(0), "B": night_of(0)}
     circuit = Circuit.of(SPECS[:2], (), {}, {})
     found = run_trends(
-        TrendTask((circuit,), tmp_path, tmp_path / "staging", asked, Tonight(night_of(4)))
+        TrendTask((circuit,), tmp_path, tmp_path / "staging", asked, NewestNight(night_of(4)))
     )
     assert found.failures == {"A": Loss("internal", "ZeroDivisionError: in one motor")}
     assert found.nights == {"B": 5}

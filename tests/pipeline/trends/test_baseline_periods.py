@@ -1,4 +1,4 @@
-"""Eras: what begins a new baseline."""
+"""Baseline periods: what begins a new baseline."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pipeline.trends.nights.history import (
     LONGEST_SILENCE,
     History,
     blank_records,
-    era_at,
-    eras_of,
     every_night,
+    period_at,
+    periods_of,
 )
 from pipeline.trends.nights.layout import Layout
 from tests.pipeline.trends.nights import event, motor, named, night_of, reset
@@ -36,7 +36,7 @@ def history(
 
 
 def begins(found: History, of_what: str = "leakage") -> list[tuple[int, str]]:
-    return [(one.first, one.reason) for one in eras_of(found, of_what)]
+    return [(one.first, one.reason) for one in periods_of(found, of_what)]
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,8 @@ def test_what_begins_an_era(events: tuple[Event, ...], further: list[tuple[int, 
     found = history(named(motor(), "M1", events=events))
     assert begins(found) == [(0, "first nights"), *further]
     for place, reason in further:
-        assert era_at(eras_of(found), place - 1).reason == "first nights"
-        assert era_at(eras_of(found), place).reason == reason
+        assert period_at(periods_of(found), place - 1).reason == "first nights"
+        assert period_at(periods_of(found), place).reason == reason
 
 
 def test_other_settings_of_the_statistics_begin_one() -> None:

@@ -23,10 +23,10 @@ from typing import Any
 from pipeline.clock import now
 from pipeline.errors import StoreError
 from pipeline.messages import counted
+from pipeline.notification.receivers import Delivery, Receiver, UndeliveredError
 from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
 from pipeline.store.state import State, read_state_file
 from pipeline.store.tables import read_table
-from pipeline.telling.receivers import Delivery, Receiver, UndeliveredError
 
 log = logging.getLogger(__name__)
 

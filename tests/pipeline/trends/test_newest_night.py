@@ -1,4 +1,4 @@
-"""Tonight is told by samples: no junk file, no future and no empty night makes motors stale."""
+"""The newest night is that of samples: no junk file, future or empty night makes motors stale."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.schema import FITS, OPERATION, WATCH, Table, frame
 from pipeline.store.tables import nights_back, read_rows
-from pipeline.trends.tasks import Tonight, tonight_of
+from pipeline.trends.tasks import NewestNight, newest_night_of
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.trends.nights import DAY, Nights, night_of, part_of, publish
 from tests.pipeline.workshop import QUICK, Workshop
@@ -93,8 +93,8 @@ def test_a_motor_without_logs_is_stale_when_the_others_go_on(fleet: Path) -> Non
     more = Nights(m1, N + 9).frames()
     publish(fleet / "out", part_of(more, N, N + 9))
     run(fleet)
-    tonight = rows(fleet, WATCH).filter(night=LAST + 9 * DAY)
-    assert dict(tonight.select("motor_id", "state").iter_rows()) == {"M1": "ok", "M2": "stale"}
+    newest_night = rows(fleet, WATCH).filter(night=LAST + 9 * DAY)
+    assert dict(newest_night.select("motor_id", "state").iter_rows()) == {"M1": "ok", "M2": "stale"}
 
 
 # Which night
@@ -113,7 +113,7 @@ def tables(output: Path, *nights: tuple[int, str, str, float | None]) -> None:
         write_nights(output, OPERATION, frame(OPERATION, kept))
 
 
-def test_tonight_is_the_newest_night_of_which_samples_are_kept(tmp_path: Path) -> None:
+def test_the_newest_night_is_the_newest_night_of_which_samples_are_kept(tmp_path: Path) -> None:
     tables(
         tmp_path,
         (0, "M1", "ok", 8.0),
@@ -123,8 +123,8 @@ def test_tonight_is_the_newest_night_of_which_samples_are_kept(tmp_path: Path) -
         (4, "M2", "failed", None),
         (5, "M2", "no_new_data", None),
     )
-    found = tonight_of(tmp_path, MOTORS, night_of(9))
-    assert found == Tonight(night_of(1), {"M1": night_of(2), "M2": night_of(1)})
+    found = newest_night_of(tmp_path, MOTORS, night_of(9))
+    assert found == NewestNight(night_of(1), {"M1": night_of(2), "M2": night_of(1)})
     # A motor's own nights with samples count for itself.
     assert (found.of("M1"), found.of("M2"), found.of("M4")) == (
         night_of(2),
@@ -133,16 +133,16 @@ def test_tonight_is_the_newest_night_of_which_samples_are_kept(tmp_path: Path) -
     )
 
 
-def test_no_night_of_the_future_is_tonight(tmp_path: Path) -> None:
+def test_no_night_of_the_future_is_the_newest_night(tmp_path: Path) -> None:
     tables(tmp_path, (0, "M1", "ok", 8.0), (7, "M1", "ok", 8.0))
-    found = tonight_of(tmp_path, MOTORS, night_of(6))
+    found = newest_night_of(tmp_path, MOTORS, night_of(6))
     assert found is not None
     assert found.night == night_of(0)
-    assert tonight_of(tmp_path, MOTORS, night_of(0) - DAY) is None
+    assert newest_night_of(tmp_path, MOTORS, night_of(0) - DAY) is None
 
 
 def test_without_tables_there_is_none(tmp_path: Path) -> None:
-    assert tonight_of(tmp_path, MOTORS, CENTURY) is None
+    assert newest_night_of(tmp_path, MOTORS, CENTURY) is None
     (tmp_path / "tables" / "fits" / "month=2026-01").mkdir(parents=True)
     (tmp_path / "tables" / "fits" / "month=2026-01" / "strange.parquet").touch()
     assert list(nights_back(tmp_path, FITS)) == []

@@ -1,7 +1,7 @@
-"""Ledger of a motor: the files that were read, and the outcome of each night.
+"""Record of processed logs of a motor: the files that were read, and the outcome of each night.
 
-It stands in the state file. A task gets its motor's ledger with it, and returns what has changed.
-It only saves work: without it all logs are read again and give the same tables.
+It stands in the state file. A task gets its motor's record of processed logs with it, and returns
+what has changed. It only saves work: without it all logs are read again and give the same tables.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class NightRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Ledger:
+class ProcessedLogs:
     """Files and nights of a motor, and the settings of its last run."""
 
     # By path relative to the log root.
@@ -89,16 +89,16 @@ class Ledger:
 
 
 @dataclass(frozen=True, slots=True)
-class LedgerChange:
-    """What a run changes in a motor's ledger; None for what goes."""
+class ProcessedChange:
+    """What a run changes in a motor's record of processed logs; None for what goes."""
 
     files: Mapping[str, FileRecord | None] = field(default_factory=dict)
     nights: Mapping[dt.date, NightRecord | None] = field(default_factory=dict)
     settings: Mapping[str, Any] | None = None  # None where they stay
 
     @classmethod
-    def between(cls, before: Ledger, after: Ledger) -> LedgerChange:
-        """The change from one ledger to another."""
+    def between(cls, before: ProcessedLogs, after: ProcessedLogs) -> ProcessedChange:
+        """The change from one record of processed logs to another."""
         return cls(
             _changed(before.files, after.files),
             _changed(before.nights, after.nights),
@@ -117,16 +117,16 @@ _LOG_COLUMNS = tuple(one.name for one in fields(FileRecord))
 _NIGHT_COLUMNS = tuple(one.name for one in fields(NightRecord))
 
 
-def read_ledger(state: State, motor_id: str) -> Ledger:
-    """A motor's ledger."""
+def read_processed(state: State, motor_id: str) -> ProcessedLogs:
+    """A motor's record of processed logs."""
     settings = state.rows("SELECT settings FROM motors WHERE motor_id = ?", motor_id)
     if not settings:
-        return Ledger()
+        return ProcessedLogs()
     logs = state.rows(f"SELECT {', '.join(_LOG_COLUMNS)} FROM logs WHERE motor_id = ?", motor_id)
     nights = state.rows(
         f"SELECT night, {', '.join(_NIGHT_COLUMNS)} FROM nights WHERE motor_id = ?", motor_id
     )
-    return Ledger(
+    return ProcessedLogs(
         {row[0]: _file_record(dict(zip(_LOG_COLUMNS, row, strict=True))) for row in logs},
         {
             dt.date.fromisoformat(night): _night_record(dict(zip(_NIGHT_COLUMNS, row, strict=True)))
@@ -148,9 +148,9 @@ def _night_record(row: dict[str, Any]) -> NightRecord:
     )
 
 
-def write_change(state: State, motor_id: str, change: LedgerChange) -> None:
-    """Change a motor's ledger; raises StoreError."""
-    if change == LedgerChange():
+def write_change(state: State, motor_id: str, change: ProcessedChange) -> None:
+    """Change a motor's record of processed logs; raises StoreError."""
+    if change == ProcessedChange():
         return
     with state.transaction():
         state.write("INSERT OR IGNORE INTO motors VALUES (?, '{}')", motor_id)

@@ -1,4 +1,4 @@
-"""The ledger: what is written comes back, and nights are forgotten with their files."""
+"""Processed logs: what is written comes back, and nights are forgotten with their files."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.logs.ledger import (
+from pipeline.logs.processed import (
     FileRecord,
-    Ledger,
-    LedgerChange,
     NightRecord,
+    ProcessedChange,
+    ProcessedLogs,
     forget_nights,
-    read_ledger,
+    read_processed,
     write_change,
 )
 from pipeline.store.state import open_state
@@ -47,13 +47,13 @@ RECORDS = st.builds(
     message=st.none() | TEXTS,
 )
 LEDGERS = st.builds(
-    Ledger,
+    ProcessedLogs,
     st.lists(RECORDS, max_size=3).map(lambda some: {one.path: one for one in some}),
     st.dictionaries(st.dates(), NIGHTS, max_size=4),
     st.fixed_dictionaries({"reference": st.dictionaries(TEXTS, st.floats(0.0, 1.0))}),
 )
 NEW_YEAR = dt.date(2026, 1, 2)
-SOME = Ledger(
+SOME = ProcessedLogs(
     {"A/1.csv": FileRecord("A/1.csv", 100, 17, "ab" * 32, "", 5, 1, 2, ("2026-01-02",))},
     {
         NEW_YEAR: NightRecord("ok", {"none": (7.5e-14, 1.56e-14, 4.37e-14, 0.0)}),
@@ -61,32 +61,32 @@ SOME = Ledger(
     },
     {},
 )
-TWO_MONTHS = Ledger(
+TWO_MONTHS = ProcessedLogs(
     SOME.files, {**SOME.nights, dt.date(2026, 2, 1): NightRecord("ok", {"none": (1.0, 2.0)})}, {}
 )
 
 
-def write_whole(output: Path, motor_id: str, ledger: Ledger) -> None:
+def write_whole(output: Path, motor_id: str, processed: ProcessedLogs) -> None:
     with open_state(output) as state:
-        change = LedgerChange.between(read_ledger(state, motor_id), ledger)
+        change = ProcessedChange.between(read_processed(state, motor_id), processed)
         write_change(state, motor_id, change)
 
 
-def read(output: Path, motor_id: str) -> Ledger:
+def read(output: Path, motor_id: str) -> ProcessedLogs:
     with open_state(output) as state:
-        return read_ledger(state, motor_id)
+        return read_processed(state, motor_id)
 
 
 @given(LEDGERS, LEDGERS)
 def test_round_trip(
-    tmp_path_factory: pytest.TempPathFactory, first: Ledger, second: Ledger
+    tmp_path_factory: pytest.TempPathFactory, first: ProcessedLogs, second: ProcessedLogs
 ) -> None:
-    """To the last bit: last night's model is part of tonight's figures."""
+    """To the last bit: last night's model is part of the newest night's figures."""
     output = tmp_path_factory.mktemp("ledger")
     write_whole(output, "B", TWO_MONTHS)
-    for ledger in (first, second):
-        write_whole(output, "A", ledger)
-        assert read(output, "A") == ledger
+    for processed in (first, second):
+        write_whole(output, "A", processed)
+        assert read(output, "A") == processed
     assert read(output, "B") == TWO_MONTHS
 
 
@@ -98,16 +98,16 @@ def test_a_forgotten_night_is_forgotten_with_its_files(tmp_path: Path) -> None:
         assert forget_nights(state, {NEW_YEAR, third}) == {"A": {NEW_YEAR}, "B": {NEW_YEAR}}
     # The night after is still judged with the model of one whose log may be gone.
     kept = {night: one for night, one in TWO_MONTHS.nights.items() if night != third}
-    assert read(tmp_path, "A") == read(tmp_path, "B") == Ledger({}, kept, {})
+    assert read(tmp_path, "A") == read(tmp_path, "B") == ProcessedLogs({}, kept, {})
 
 
 def test_a_forgotten_night_can_be_fitted_anew_from_its_statistics(tmp_path: Path) -> None:
     made = replace(SOME.nights[NEW_YEAR], figures_hash="0123456789abcdef")
-    write_whole(tmp_path, "A", Ledger(SOME.files, {NEW_YEAR: made}, {}))
+    write_whole(tmp_path, "A", ProcessedLogs(SOME.files, {NEW_YEAR: made}, {}))
     with open_state(tmp_path) as state:
         forget_nights(state, {NEW_YEAR}, refit={NEW_YEAR})
     expected = replace(made, figures_hash="")
-    assert read(tmp_path, "A") == Ledger({}, {NEW_YEAR: expected}, {})
+    assert read(tmp_path, "A") == ProcessedLogs({}, {NEW_YEAR: expected}, {})
 
 
 @pytest.mark.parametrize(
@@ -127,6 +127,8 @@ def test_the_model_before_is_that_of_the_last_fitted_night(
     """Not the night's own, nor a later one's, whatever their order."""
     models = {one: {"none": (float(one),)} for one in fitted}
     nights = {one: NightRecord("ok", models.get(one, {})) for one in (*fitted, *without)}
-    ledger = Ledger(nights={dt.date(2026, 1, one): record for one, record in nights.items()})
+    processed = ProcessedLogs(
+        nights={dt.date(2026, 1, one): record for one, record in nights.items()}
+    )
     expected = {} if found is None else models[found]
-    assert ledger.model_before(dt.date(2026, 1, day)) == expected
+    assert processed.model_before(dt.date(2026, 1, day)) == expected

@@ -18,9 +18,9 @@ from typing import Any
 import psutil
 import pytest
 
-from pipeline.telling.receivers import Command, Delivery, Receiver, UndeliveredError
-from pipeline.telling.web_hook import WebHook
-from tests.pipeline.telling.servers import Hook, hook, raw
+from pipeline.notification.receivers import Command, Delivery, Receiver, UndeliveredError
+from pipeline.notification.web_hook import WebHook
+from tests.pipeline.notification.servers import Hook, hook, raw
 
 CONTENT = '{"reason": "; rm -rf $HOME `id` ñ"}'.encode()
 DELIVERY = Delivery("msg_17", CONTENT)

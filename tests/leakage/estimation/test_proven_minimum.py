@@ -1,4 +1,4 @@
-"""The certificate: the global minimum over a box, against solvers and proofs of other kinds."""
+"""The proven minimum: the global minimum over a box, against solvers and proofs of other kinds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from leakage.errors import EstimationError
 from leakage.estimation.block_statistics import Array, criterion, factor
-from leakage.estimation.certificate import Certificate, certify
+from leakage.estimation.proven_minimum import ProvenMinimum, certify
 from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
 from tests.leakage.placeholders import placeholder_motor
 
@@ -45,7 +45,7 @@ def minimum_by_enumeration(z: Array, lower: Array, upper: Array) -> float:
     return best
 
 
-def largest_violation(z: Array, found: Certificate, lower: Array, upper: Array) -> float:
+def largest_violation(z: Array, found: ProvenMinimum, lower: Array, upper: Array) -> float:
     """Karush-Kuhn-Tucker over the samples, in extended precision, scaled columns."""
     norms = column_norms(z)
     matrix = (z[:, :-2] / norms).astype(np.longdouble)

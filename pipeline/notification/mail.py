@@ -16,8 +16,8 @@ from pipeline.config.receivers import mail_server
 from pipeline.config.settings import Email
 from pipeline.errors import one_line
 from pipeline.messages import as_sentence, plain
-from pipeline.telling.outbox import SUMMARY
-from pipeline.telling.receivers import DEADLINE_S, Delivery, fault_words, filled, talk
+from pipeline.notification.outbox import SUMMARY
+from pipeline.notification.receivers import DEADLINE_S, Delivery, fault_words, filled, talk
 
 # Name of the receiver in the outbox.
 EMAIL = "email"

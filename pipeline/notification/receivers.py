@@ -63,13 +63,13 @@ def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
     if settings.command:
         found.append(Command(settings.command))
     if settings.webhook_url:
-        from pipeline.telling.web_hook import WebHook
+        from pipeline.notification.web_hook import WebHook
 
         found.append(
             WebHook(settings.webhook_url, settings.webhook_headers, settings.webhook_secret)
         )
     if settings.email.to:
-        from pipeline.telling.mail import Mail
+        from pipeline.notification.mail import Mail
 
         found.append(Mail(settings.email))
     return tuple(found)

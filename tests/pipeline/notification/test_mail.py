@@ -24,8 +24,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from pipeline.config.settings import Email
-from pipeline.telling.mail import Mail
-from pipeline.telling.receivers import Delivery, UndeliveredError
+from pipeline.notification.mail import Mail
+from pipeline.notification.receivers import Delivery, UndeliveredError
 
 PASSWORD = "correct horse"  # noqa: S105
 
@@ -105,7 +105,7 @@ def serving(certificate: Path | None = None, *, tls: bool = False) -> Iterator[S
 
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Key and certificate for 127.0.0.1, signed by itself."""
+    """Key and proven minimum for 127.0.0.1, signed by itself."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "127.0.0.1")])
     now = dt.datetime.now(dt.UTC)

@@ -41,7 +41,7 @@ MOST_EXCHANGES = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Certificate:
+class ProvenMinimum:
     """The minimum of a box-bounded linear least squares problem, with its proof."""
 
     # θ: loss factors in the order of the columns, then the constant flow; shape (p + 1,).
@@ -78,7 +78,7 @@ class Certificate:
         return off
 
 
-def certify(r: Array, lower: Array, upper: Array) -> Certificate:
+def certify(r: Array, lower: Array, upper: Array) -> ProvenMinimum:
     """Global minimum of the criterion over a box of coefficients; equal bounds fix one.
 
     Where the minimum is a set (dependent columns), its element of least norm in scaled columns if
@@ -112,7 +112,7 @@ def certify(r: Array, lower: Array, upper: Array) -> Certificate:
     gradient = scaled.T @ (scaled @ (solution * scale) - target)
     violation = np.where(at_lower, -gradient, np.where(at_upper, gradient, np.abs(gradient)))
     size = float(np.linalg.norm(target)) or 1.0
-    return Certificate(
+    return ProvenMinimum(
         coefficients=solution,
         unbounded=unbounded,
         cost=criterion(r, solution),
@@ -203,17 +203,17 @@ class Fit:
     """A fitted motor."""
 
     motor: Motor  # the motor as declared
-    certificate: Certificate  # global minimum of the criterion: the published estimate
+    proven_minimum: ProvenMinimum  # global minimum of the criterion: the published estimate
 
     @property
     def coefficients(self) -> Array:
         """θ: loss factors in the order of the columns, then the constant flow; shape (p + 1,)."""
-        return self.certificate.coefficients
+        return self.proven_minimum.coefficients
 
     @property
     def unbounded(self) -> Array:
         """θ without its bounds, by which leakages are told; shape (p + 1,)."""
-        return self.certificate.unbounded
+        return self.proven_minimum.unbounded
 
     @property
     def coefficients_by_path(self) -> dict[str, float]:

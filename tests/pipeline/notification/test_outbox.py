@@ -12,10 +12,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.schema import ALARM_CONTENT, ALARMS, frame
-from pipeline.store.state import open_state
-from pipeline.store.tables import night_file
-from pipeline.telling.outbox import (
+from pipeline.notification.outbox import (
     MOST_CHANGES,
     MOST_FAILURES,
     PAUSES_S,
@@ -26,7 +23,10 @@ from pipeline.telling.outbox import (
     take_up,
     waiting,
 )
-from pipeline.telling.receivers import Delivery, UndeliveredError
+from pipeline.notification.receivers import Delivery, UndeliveredError
+from pipeline.schema import ALARM_CONTENT, ALARMS, frame
+from pipeline.store.state import open_state
+from pipeline.store.tables import night_file
 from tests.pipeline.written import write_nights
 
 FLEET = "Mill"

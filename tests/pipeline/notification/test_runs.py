@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.telling import outbox
+from pipeline.notification import outbox
 from tests.pipeline.calling import Call
-from tests.pipeline.telling.fleet import run, told_fleet
-from tests.pipeline.telling.servers import Hook, hook
+from tests.pipeline.notification.fleet import run, told_fleet
+from tests.pipeline.notification.servers import Hook, hook
 
 
 @pytest.fixture(autouse=True)

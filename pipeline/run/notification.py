@@ -8,14 +8,14 @@ from collections.abc import Sequence
 
 from pipeline.config import Fleet
 from pipeline.errors import StoreError
+from pipeline.notification.mail import EMAIL
+from pipeline.notification.outbox import add_summary, backlogs, deliver, waiting
+from pipeline.notification.receivers import Receiver
 from pipeline.run.metrics import metrics_text, write_metrics
 from pipeline.run.tasks import RunResult
 from pipeline.store.heartbeat import last_good_run
 from pipeline.store.state import State, open_state
 from pipeline.store.working_copy import working_copy
-from pipeline.telling.mail import EMAIL
-from pipeline.telling.outbox import add_summary, backlogs, deliver, waiting
-from pipeline.telling.receivers import Receiver
 from pipeline.trends.rows.motor_states import published_states, urgency
 
 log = logging.getLogger(__name__)
