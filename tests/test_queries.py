@@ -175,7 +175,7 @@ def test_11_last_fits(ask: Any) -> None:
 def test_1_motors_that_have_changed(ask: Any) -> None:
     worn, slow = ask(1)
     assert (worn["motor_id"], worn["state"], worn["cause"]) == (WORN, "alarm", "balance_sleeve")
-    assert worn["tonight_percent"] == pytest.approx(40.0)
+    assert worn["change_percent"] == pytest.approx(40.0)
     assert (worn["since"], worn["told_on"]) == (SINCE, TOLD_ON)
     assert (slow["motor_id"], slow["cause"]) == (SLOW, "cannot_be_told")
 

@@ -155,7 +155,7 @@ class MotorState:
         return None if self.watch is None else self.watch.path
 
     @property
-    def tonight_percent(self) -> float | None:
+    def change_percent(self) -> float | None:
         """Change of the newest night's flow from the baseline [%]; None where it is not known."""
         newest_night = None if self.watch is None else self.watch.tonight_change
         return None if newest_night is None else 100.0 * newest_night
@@ -196,7 +196,7 @@ def _latest_row(state: MotorState) -> Row:
             "path": watch.path,
             "known_since": watch.told_on,
             "change_start": watch.since,
-            "deviation_percent": state.tonight_percent,
+            "deviation_percent": state.change_percent,
             "gap_path": None if gap[0] is None else watch.path,
             "gap_change_percent": gap_percent[0],
             "gap_change_lower": gap_percent[1],
@@ -239,7 +239,7 @@ def urgency(motor: MotorState) -> tuple[int, float, str]:
     place = -1 if motor.is_sudden else ORDER.index(motor.state)
     if motor.failure:
         place = min(place, ORDER.index("stale"))
-    return place, -(motor.tonight_percent or 0.0), motor.motor_id
+    return place, -(motor.change_percent or 0.0), motor.motor_id
 
 
 def with_acknowledgement(state: MotorState, decisions: Sequence[Decision]) -> MotorState:

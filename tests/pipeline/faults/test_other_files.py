@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.export.csv import Selection, export_csv
+from pipeline.export.csv import CsvRequest, export_csv
 from pipeline.report.build import build_report
 from pipeline.run.fleet import run_fleet
 from pipeline.run.tasks import MotorOutcome
@@ -21,7 +21,7 @@ from tests.pipeline.calling import contents
 from tests.pipeline.faults.crash import FAULTS, Fault, Victim
 from tests.pipeline.faults.fleet import ENVIRONMENT, TinyFleet, check_tables
 
-TABLES = Selection(tables=(FITS, PARAMETERS))
+TABLES = CsvRequest(tables=(FITS, PARAMETERS))
 
 
 def export(tables: Path, folder: Path) -> None:

@@ -161,7 +161,7 @@ class TestCovered:
         path = write(tmp_path / "a.csv", [*every_minute(), *every_minute(EVENING + 9 * DAY)])
         assert len(looked_at(path, spec).nights) == 10
         assert fully_read(path, spec).nights == ("2026-01-02", "2026-01-11")
-        empty = covered(FileRecord("a.csv", 1, 1, "x"), RawLog({}, 0, None, None), spec)
+        empty = covered(FileRecord("a.csv", 1, 1, "x"), RawLog({}, 0), spec)
         assert (empty.nights, empty.message) == ((), "no samples")
 
     def test_what_was_left_out(self, spec: MotorSpec, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
-from pipeline.config import Event
+from pipeline.config.motors import Event
 from pipeline.report.build import build_report
 from pipeline.schema import NIGHT_TABLES, TREND_TABLES
 from tests.pipeline.report.browser import (

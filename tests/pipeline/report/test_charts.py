@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import Event
+from pipeline.config.motors import Event
 from pipeline.report.charts import Chart, Line, Mark, Panel, night_chart, watch_chart
 from pipeline.report.fleet_page import HEIGHT, MARGIN, WIDTH, sparkline
 from pipeline.report.plotly_json import figure, numbers, script_json

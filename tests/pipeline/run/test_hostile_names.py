@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from pipeline.config import ConfigError, load_fleet
-from pipeline.export.csv import Selection, export_csv
+from pipeline.export.csv import CsvRequest, export_csv
 from pipeline.logs.finding import find_logs
 from pipeline.report.build import build_report
 from pipeline.run.fleet import RunRequest, run_fleet
@@ -103,7 +103,7 @@ def test_links_that_go_round_end(tmp_path: Path) -> None:
 
 
 def test_names_in_spreadsheets_are_no_formulas(made: Path, tmp_path: Path) -> None:
-    list(export_csv(made / "out", tmp_path, Selection()))
+    list(export_csv(made / "out", tmp_path, CsvRequest()))
     with (tmp_path / "input_files.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(set(FILE_NAMES))
