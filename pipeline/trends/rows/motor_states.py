@@ -72,7 +72,7 @@ class LookStatus:
 
         Examples
         --------
-        >>> LookStanding("not_ready", None, "5 of 8 nights").words
+        >>> LookStatus("not_ready", None, "5 of 8 nights").words
         'within the day not ready: 5 of 8 nights'
         """
         since = "" if self.since is None else f" since {self.since:%Y-%m-%d %H:%M} UTC"

@@ -15,18 +15,18 @@ from typing import Any
 import polars as pl
 import pytest
 
+from pipeline.notification.outbox import open_outbox, waiting
 from pipeline.schema import FITS, NIGHTLY_TABLES, TABLES, WHOLE_TABLES
 from pipeline.store.encoding import write_table
 from pipeline.store.old_layout import MONTHLY
 from pipeline.store.published import verify_tables
 from pipeline.store.state import open_state
 from pipeline.store.tables import files_of, name_of, night_file, read_table
-from pipeline.telling.outbox import open_outbox, waiting
 from pipeline.trends.nights.decisions import read_decisions
 from tests.pipeline.faults.conftest import say
 from tests.pipeline.faults.damage import remove_aside
 from tests.pipeline.faults.fleet import MOTORS, TinyFleet, check_tables
-from tests.pipeline.remembered import LASTING, change, ledger_of, record_of
+from tests.pipeline.remembered import LASTING, change, processed_of, record_of
 from tests.pipeline.simulated import NIGHT
 
 pytestmark = pytest.mark.usefixtures("_quick")
@@ -73,13 +73,13 @@ def make_old(output: Path) -> None:
 def write_records(output: Path) -> None:
     """What is known of motors, what people said, and what waits, in the files of version 0.9."""
     for motor in MOTORS:
-        folder, ledger = output / "ledger" / motor, ledger_of(output, motor)
-        files = {name: asdict(one) for name, one in ledger.files.items()}
+        folder, processed = output / "ledger" / motor, processed_of(output, motor)
+        files = {name: asdict(one) for name, one in processed.files.items()}
         for one in files.values():
             del one["changed_ns"]  # which they did not know
-        nights = {str(night): asdict(one) for night, one in ledger.nights.items()}
+        nights = {str(night): asdict(one) for night, one in processed.nights.items()}
         put_sealed(folder / f"{NIGHT:%Y-%m}.json", {"files": files, "nights": nights})
-        put_sealed(folder / "settings", dict(ledger.settings or {}))
+        put_sealed(folder / "settings", dict(processed.settings or {}))
         record = record_of(output, motor)
         assert record is not None
         put_sealed(folder / "trends", asdict(record))
@@ -113,12 +113,12 @@ def check_taken_over(output: Path, fleet: TinyFleet) -> None:
 
 
 def test_an_old_output_is_taken_over(tiny_fleet: TinyFleet, old: Path) -> None:
-    before = {motor: ledger_of(tiny_fleet.after, motor) for motor in MOTORS}
+    before = {motor: processed_of(tiny_fleet.after, motor) for motor in MOTORS}
     result = tiny_fleet.run(old)
     assert (result.n_nights, result.damage, result.failed) == (0, (), ())
     check_taken_over(old, tiny_fleet)
     for motor in MOTORS:
-        assert ledger_of(old, motor) == before[motor]
+        assert processed_of(old, motor) == before[motor]
         assert record_of(old, motor) == record_of(tiny_fleet.after, motor)
     names = {name_of(old, path) for one in TABLES for path in files_of(old, one)}
     assert all("/month=2026-03/2026-03.parquet" in n for n in names if n.startswith("fits/"))
