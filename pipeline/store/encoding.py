@@ -21,6 +21,7 @@ ROWS_A_GROUP = 16_384
 # Sizes of packed columns tell one state of a file from another: an engine that opens a file before
 # and after it is replaced finds no pages where the old footer has them. With Snappy, which is three
 # times as quick, columns of as many numbers are often of one size.
+OF_ARROW = pl.CompatLevel.oldest()  # its types, not those of Polars alone
 COMPRESSION = "zstd"
 # Raised by reading a damaged file; a damaged name gives UnicodeDecodeError, a ValueError.
 DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
@@ -33,17 +34,19 @@ def write_table(path: Path, rows: pl.DataFrame) -> str:
 
 def as_parquet(rows: pl.DataFrame) -> bytes:
     """Rows as the bytes of a Parquet file."""
-    stream = pa.BufferOutputStream()
-    table = rows.rechunk().to_arrow(compat_level=pl.CompatLevel.oldest())
+    stream, rows = pa.BufferOutputStream(), rows.rechunk()
+    schema = rows.clear().to_arrow(compat_level=OF_ARROW).schema
     with pq.ParquetWriter(
         stream,
-        table.schema,
+        schema,
         compression=COMPRESSION,
-        use_dictionary=[one.name for one in table.schema if pa.types.is_large_string(one.type)],
+        use_dictionary=[one.name for one in schema if pa.types.is_large_string(one.type)],
         write_page_checksum=True,
         store_schema=False,
     ) as file:
-        file.write_table(table, row_group_size=ROWS_A_GROUP)
+        # One at a time: Arrow's strings are copies.
+        for group in rows.iter_slices(ROWS_A_GROUP) if len(rows) else [rows]:
+            file.write_table(group.to_arrow(compat_level=OF_ARROW), row_group_size=ROWS_A_GROUP)
         # Metadata of the schema would be left out with it.
         file.add_key_value_metadata({VERSION_KEY: str(SCHEMA_VERSION)})
     encoded: bytes = stream.getvalue().to_pybytes()

@@ -29,6 +29,8 @@ from pipeline.store.state import State
 from pipeline.store.tables import labelled_file, name_of, whole_file
 
 # In place of the SHA-256 of a file that is replaced in any case.
+# Staged rows of a month from which on its files are prepared one by one, to bound the memory.
+LARGE_BYTES = 64_000_000
 UNREAD = "unread"
 
 Item = TypeVar("Item")
@@ -99,7 +101,9 @@ class Publisher:
         for month in months:
             keys = [one for one in staged if one[1][:7] == month]
             works = [partial(self._with_staged, *key, staged[key]) for key in keys]
-            self._publish(works, published if month == months[-1] else lambda: None)
+            size = sum(one.size for key in keys for one in staged[key].values())
+            at_once = self.threads if size < LARGE_BYTES else 1
+            self._publish(works, published if month == months[-1] else lambda: None, at_once)
         if not months:
             with self.state.transaction():
                 published()
@@ -187,6 +191,7 @@ class Publisher:
         self,
         works: Collection[Callable[[], NewFile]],
         published: Callable[[], object] = lambda: None,
+        at_once: int | None = None,
     ) -> None:
         """Prepare files, put them into their places, and note them before and afterwards."""
         with ExitStack() as undone:
@@ -197,7 +202,7 @@ class Publisher:
                     undone.callback(file.prepared.drop)
                 return file
 
-            files = side_by_side(prepared, works, self.threads)
+            files = side_by_side(prepared, works, at_once or self.threads)
             named = {name_of(self.output, file.path): file for file in files}
             new = {name: one.prepared for name, one in named.items() if one.prepared is not None}
             announce(self.state, {name: one.sha256 for name, one in new.items()})

@@ -98,6 +98,7 @@ def read_staged(
     # As one chunk: Polars takes chunks over one by one.
     rows = pl.from_arrow(pa.concat_tables(one.rows() for one in staged.values()).combine_chunks())
     assert isinstance(rows, pl.DataFrame)
+    pa.default_memory_pool().release_unused()  # the motors' own copies
     rows = rows.with_columns(run_id=pl.lit(run_id)).select(table.schema.keys())
     done = [(motor_id, night) for motor_id, one in staged.items() for night in one.nights]
     key = {name: table.schema[name] for name in ("motor_id", "night")}

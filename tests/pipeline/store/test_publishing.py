@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import polars as pl
@@ -14,7 +15,9 @@ from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, INPUT_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
+from pipeline.store import publishing
 from pipeline.store.published import verify_tables
+from pipeline.store.publishing import side_by_side
 from pipeline.store.staging import read_staged, stage, staged_file, staged_in
 from pipeline.store.state import open_state
 from pipeline.store.tables import (
@@ -182,6 +185,29 @@ class TestRows:
                 done = {motor: [n for one, n in now if one == motor] for motor, _ in now}
                 publish(folder / "in turn", {motor: rows(motor, n) for motor, n in done.items()})
         assert contents(folder / "at once") == contents(folder / "in turn")
+
+    @pytest.mark.parametrize(("spare", "at_once"), [(1, 2), (0, 1)])
+    def test_files_of_many_rows_are_prepared_one_by_one(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spare: int, at_once: int
+    ) -> None:
+        """For the memory's sake, from a number of staged bytes on."""
+        staging, rows = tmp_path / "staging" / "run", {QUALITY: {NIGHT: [row("A")]}}
+        staging.mkdir(parents=True)
+        stage(staged_file(staging / "nights", "A"), rows)
+        (((_, one),),) = (
+            found.items() for found in staged_in(staging / "nights", rows, "A").values()
+        )
+        monkeypatch.setattr(publishing, "LARGE_BYTES", one.size + spare)
+        asked: list[int] = []
+
+        def prepared(work: Any, items: Any, threads: int) -> list[Any]:
+            asked.append(threads)
+            return side_by_side(work, items, threads)
+
+        monkeypatch.setattr(publishing, "side_by_side", prepared)
+        with publisher_of(tmp_path, threads=2) as publisher:
+            publisher.nights("nights", (QUALITY,), ["A"])
+        assert asked == [at_once]
 
     def test_runs_of_a_month_follow_each_other(self, tmp_path: Path) -> None:
         """Also two in a microsecond; one that is added again replaces itself."""
