@@ -23,6 +23,8 @@ FREE_SHARE = 0.75
 NEAR_PERIODS = 5.0
 # A step further than this share of a period from a whole number of periods is jitter.
 JITTER_SHARE = 0.25
+# Steps that a guess at their median is made from.
+LOOKED_AT = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +151,14 @@ def _distance_of_nearest(ordered: Times, stamps: Times, *, own: int) -> NDArray[
 
 def typical_period_us(time_us: Times) -> float | None:
     """Median distance of consecutive samples [µs]; None for fewer than two."""
-    return float(np.median(np.diff(time_us))) if len(time_us) > 1 else None
+    steps = np.diff(time_us)
+    if not len(steps):
+        return None
+    # Where most are alike, which is where sorting takes longest, their length is the median.
+    some = np.sort(steps[:: max(1, len(steps) // LOOKED_AT)])
+    likely = some[len(some) // 2]
+    is_of_most = 2 * np.count_nonzero(steps == likely) > len(steps)
+    return float(likely if is_of_most else np.median(steps))
 
 
 def n_jittered(time_us: Times, period_us: float | None) -> int:
@@ -157,6 +166,7 @@ def n_jittered(time_us: Times, period_us: float | None) -> int:
     if not period_us:
         return 0
     steps = np.diff(time_us)
+    steps = steps[steps != period_us]
     whole = np.maximum(np.round(steps / period_us), 1.0)
     return int(np.count_nonzero(np.abs(steps - whole * period_us) > JITTER_SHARE * period_us))
 

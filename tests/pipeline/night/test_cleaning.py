@@ -73,6 +73,8 @@ def test_channel_of_few_samples(n: int) -> None:
 
 def test_typical_period_is_a_median() -> None:
     assert typical_period_us(np.array([0, 10, 20, 5000, 5010])) == 10.0
+    assert typical_period_us(np.array([0, 1, 3, 6, 10])) == 2.5  # of 1, 2, 3, 4: none is of most
+    assert typical_period_us(np.array([0, 4, 8, 11, 14])) == 3.5  # two of four are not most
     assert typical_period_us(np.array([7])) is None
 
 
