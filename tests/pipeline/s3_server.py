@@ -1,22 +1,28 @@
-"""An S3-compatible server on loopback whose requests can be made to fail."""
+"""A small S3 server on loopback whose requests can be made to fail.
+
+What the clients ask for: buckets by their path, objects with tags, conditional puts and gets, byte
+ranges, listings in one page, removals one by one or many at once.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.client import HTTPConnection
+from email.utils import formatdate
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+from urllib.parse import parse_qs, unquote, urlsplit
+from xml.etree import ElementTree as ET
 
 import pytest
-from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
-from werkzeug.serving import make_server
 
 from pipeline.store.object_store import ObjectStore
 
-SIGNATURE = "AWS4-HMAC-SHA256 Credential=a/20260101/us-east-1/s3/aws4_request, Signature=x"
+S3 = "{http://s3.amazonaws.com/doc/2006-03-01/}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,30 +31,31 @@ class Request:
     path: str
 
 
+@dataclass(frozen=True, slots=True)
+class Stored:
+    content: bytes
+    put_on: float
+
+    @property
+    def tag(self) -> str:
+        return f'"{hashlib.md5(self.content, usedforsecurity=False).hexdigest()}"'
+
+
 def never(_: Request) -> bool:
     return False
 
 
 @dataclass(slots=True)
 class Server:
-    """The server, what was asked of it, and what it is to refuse."""
+    """The server, what it holds and was asked, and what it is to refuse."""
 
+    bucket: str
+    objects: dict[str, Stored] = field(default_factory=dict)
     requests: list[Request] = field(default_factory=list)
     fails: Callable[[Request], bool] = never
     before: Callable[[Request], object] = never
     port: int = 0
-    app: Any = None
-
-    def __call__(self, environ: Any, start_response: Any) -> Any:
-        request = Request(environ["REQUEST_METHOD"], environ["PATH_INFO"])
-        self.requests.append(request)
-        self.before(request)
-        if self.fails(request):
-            # The body has to be taken, or the client is cut off.
-            environ["wsgi.input"].read(int(environ.get("CONTENT_LENGTH") or 0))
-            start_response("503 Slow Down", [("Content-Length", "0")])
-            return [b""]
-        return self.app(environ, start_response)
+    lock: Any = field(default_factory=threading.Lock)
 
     def asked(self, method: str) -> list[str]:
         return [request.path for request in self.requests if request.method == method]
@@ -57,37 +64,129 @@ class Server:
         self.requests.clear()
 
 
+class Handler(BaseHTTPRequestHandler):
+    """One request. Answers are a status, a body and headers."""
+
+    protocol_version = "HTTP/1.1"
+    served: ClassVar[Server]
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+    def do(self) -> None:
+        # The body has to be taken, or the client is cut off.
+        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        place = urlsplit(self.path)
+        request = Request(self.command, unquote(place.path))
+        self.served.requests.append(request)
+        self.served.before(request)
+        bucket, _, key = request.path.removeprefix("/").partition("/")
+        if self.served.fails(request):
+            self._answer(503)
+        elif bucket != self.served.bucket:
+            self._answer(404, b"<Error><Code>NoSuchBucket</Code></Error>")
+        else:
+            with self.served.lock:
+                self._serve(key, parse_qs(place.query, keep_blank_values=True), body)
+
+    do_GET = do_HEAD = do_PUT = do_POST = do_DELETE = do  # noqa: N815
+
+    def _serve(self, key: str, query: dict[str, list[str]], body: bytes) -> None:
+        objects = self.served.objects
+        if self.command == "PUT":
+            self._put(key, body)
+        elif self.command == "DELETE":
+            objects.pop(key, None)
+            self._answer(204)
+        elif self.command == "POST":
+            self._remove([one.text or "" for one in ET.fromstring(body).iter(S3 + "Key")])  # noqa: S314
+        elif not key:
+            self._list(*(query.get(name, [""])[0] for name in ("prefix", "delimiter")))
+        elif (found := objects.get(key)) is None:
+            self._answer(404, b"<Error><Code>NoSuchKey</Code></Error>")
+        else:
+            self._get(found)
+
+    def _put(self, key: str, body: bytes) -> None:
+        objects = self.served.objects
+        found = objects.get(key)
+        wanted = self.headers.get("If-Match")
+        is_taken = found is not None and self.headers.get("If-None-Match") == "*"
+        if is_taken or (wanted and (found is None or found.tag != wanted)):
+            self._answer(412, b"<Error><Code>PreconditionFailed</Code></Error>")
+            return
+        objects[key] = Stored(body, float(len(self.served.requests)))
+        self._answer(200, ETag=objects[key].tag)
+
+    def _get(self, found: Stored) -> None:
+        headers = {"ETag": found.tag, "Last-Modified": formatdate(found.put_on, usegmt=True)}
+        content, (begin, _, end) = found.content, self._range()
+        if (wanted := self.headers.get("If-Match")) and wanted != found.tag:
+            self._answer(412)
+        elif not (begin or end):
+            self._answer(200, content, **headers)
+        else:
+            first = int(begin) if begin else max(len(content) - int(end), 0)
+            last = min(int(end), len(content) - 1) if begin and end else len(content) - 1
+            of_all = f"bytes {first}-{last}/{len(content)}"
+            self._answer(206, content[first : last + 1], **headers, **{"Content-Range": of_all})
+
+    def _remove(self, keys: Sequence[str]) -> None:
+        root = ET.Element("DeleteResult")
+        for key in keys:
+            self.served.objects.pop(key, None)
+            ET.SubElement(ET.SubElement(root, "Deleted"), "Key").text = key
+        self._answer(200, ET.tostring(root))
+
+    def _range(self) -> tuple[str, str, str]:
+        return self.headers.get("Range", "").removeprefix("bytes=").partition("-")
+
+    def _list(self, prefix: str, delimiter: str) -> None:
+        root = ET.Element("ListBucketResult")
+        ET.SubElement(root, "IsTruncated").text = "false"
+        folders = set()
+        for key, one in sorted(self.served.objects.items()):
+            if not key.startswith(prefix):
+                continue
+            if delimiter and delimiter in key[len(prefix) :]:
+                folders.add(prefix + key[len(prefix) :].partition(delimiter)[0] + delimiter)
+                continue
+            found = ET.SubElement(root, "Contents")
+            said = {"Key": key, "Size": str(len(one.content)), "ETag": one.tag}
+            said["LastModified"] = f"2026-01-01T00:00:00.{int(one.put_on) % 1000:03d}Z"
+            for name, text in said.items():
+                ET.SubElement(found, name).text = text
+        for folder in sorted(folders):
+            ET.SubElement(ET.SubElement(root, "CommonPrefixes"), "Prefix").text = folder
+        self._answer(200, ET.tostring(root))
+
+    def _answer(self, status: int, body: bytes = b"", **headers: str) -> None:
+        self.send_response(status)
+        for name, value in {"Content-Length": str(len(body)), **headers}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(body)
+
+
 @contextmanager
 def s3_server(monkeypatch: pytest.MonkeyPatch, bucket: str) -> Iterator[Server]:
-    """A server with a bucket, and the environment that leads to it."""
-    found = Server(app=DomainDispatcherApplication(create_backend_app))
-    server = make_server("127.0.0.1", 0, found, threaded=True)
-    server.log = lambda *_: None  # type: ignore[method-assign]
-    server.RequestHandlerClass.log = lambda *_: None  # type: ignore[attr-defined]
-    # Looked at this often whether it is to end [s].
-    thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
-    thread.start()
-    found.port = server.server_port
-    try:
+    """A server with an empty bucket, and the environment that leads to it."""
+    found = Server(bucket)
+    handler = type("Handler", (Handler,), {"served": found})
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        server.daemon_threads = True
+        # Looked at this often whether it is to end [s].
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
+        thread.start()
+        found.port = server.server_port
         environment = {"ACCESS_KEY_ID": "a", "SECRET_ACCESS_KEY": "b", "REGION": "us-east-1"}
         environment |= {"ENDPOINT_URL": f"http://127.0.0.1:{found.port}", "ALLOW_HTTP": "true"}
         for name, value in environment.items():
             monkeypatch.setenv(f"AWS_{name}", value)
-        _make_bucket(found.port, bucket)
         yield found
-    finally:
         server.shutdown()
         thread.join()
-        server.server_close()
-
-
-def _make_bucket(port: int, bucket: str) -> None:
-    """A new bucket, and nothing of what tests before had left."""
-    for method, path in (("POST", "/moto-api/reset"), ("PUT", f"/{bucket}")):
-        connection = HTTPConnection("127.0.0.1", port)
-        connection.request(method, path, headers={"Authorization": SIGNATURE})
-        assert connection.getresponse().status == 200
-        connection.close()
 
 
 def upload(folder: Path, url: str) -> None:
