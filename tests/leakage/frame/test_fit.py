@@ -158,7 +158,7 @@ def test_a_bad_frame_is_refused_with_what_to_do(
 
 
 def test_columns_of_other_lengths_and_what_is_no_frame_are_refused() -> None:
-    with pytest.raises(ShapeError, match="differ in length"):
+    with pytest.raises(ShapeError, match=r"no columns of one frame: .*speed_rpm"):
         fit_frame(changed(speed_rpm=np.zeros(3)), MOTOR)
     with pytest.raises(ShapeError, match="int is no frame"):
         fit_frame(3, MOTOR)
@@ -201,5 +201,3 @@ def test_plots_are_axes_and_show_what_they_say(found: FrameFit) -> None:
     at_200 = float(np.interp(200.0, total.get_xdata(), total.get_ydata()))
     assert at_200 == pytest.approx(found.leakage(200.0, 50.0, 30.0).leakage_l_per_min, rel=1e-3)
     assert found.plot(axes) is axes
-    with pytest.raises(LeakageError, match="4 axes are needed"):
-        found.plot_residuals(axes=[axes])
