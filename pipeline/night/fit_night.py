@@ -113,21 +113,12 @@ def fit_night(
             rows["predictions"] = prediction_rows(
                 spec.motor_id, night.date, statistics, modes, errors[0]
             )
-    except Insufficient as outcome:
-        return unfitted(
-            spec,
-            night.date,
-            outcome.status,
-            outcome.reason,
-            code=outcome.code,
-            rows=rows,
-            seconds=seconds,
-        )
     except EstimationError as error:
         return unfitted(spec, night.date, INSUFFICIENT_DATA, str(error), rows=rows, seconds=seconds)
-    except LeakageError as error:
+    except (Insufficient, LeakageError) as error:
+        status, reason = getattr(error, "status", FAILED), getattr(error, "reason", str(error))
         return unfitted(
-            spec, night.date, FAILED, str(error), code=error.code, rows=rows, seconds=seconds
+            spec, night.date, status, reason, code=error.code, rows=rows, seconds=seconds
         )
     model = {mode.name: tuple(mode.fit.coefficients.tolist()) for mode in modes}
     return NightOutcome(night.date, OK, None, None, rows, model, seconds)
