@@ -205,21 +205,21 @@ def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorS
     if not samples.n_running and 2 * still > samples.n_grid:
         raise Insufficient(STOOD_STILL, "the motor stood still all night")
     if samples.kept_share < spec.settings.windows.minimum_kept_share:
-        worst = sorted(
-            (q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")),
-            key=lambda q: -q.n_refused / max(q.n_samples, 1),
-        )[:2]
-        causes = "; ".join(
-            f"{q.channel} {q.reason} {100 * q.n_refused / q.n_samples:.0f} %"
-            for q in worst
-            if q.n_refused
-        )
+        told = [q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")]
+        told.sort(key=lambda q: -q.n_refused / max(q.n_samples, 1))
+        causes = _shares({f"{q.channel} {q.reason}": q for q in told[:2]})
         limit = 100 * spec.settings.windows.minimum_kept_share
         raise Insufficient(
             INSUFFICIENT_DATA,
             f"only {100 * samples.kept_share:.0f} % of the running motor's samples are kept, "
             f"{limit:.0f} % are needed" + (f" ({causes})" if causes else ""),
         )
+
+
+def _shares(found: Mapping[str, Quality]) -> str:
+    """Refused shares of what refused any."""
+    shares = {name: 100 * q.n_refused / q.n_samples for name, q in found.items() if q.n_refused}
+    return "; ".join(f"{name} {share:.0f} %" for name, share in shares.items())
 
 
 def choose_parts(
@@ -241,11 +241,7 @@ def choose_parts(
 def _require_parts(samples: Samples, outside: tuple[Quality, ...]) -> None:
     if len(samples.index):
         return
-    causes = "; ".join(
-        f"{one.reason.replace('_', ' ')} {100 * one.n_refused / max(one.n_samples, 1):.0f} %"
-        for one in outside
-        if one.n_refused
-    )
+    causes = _shares({q.reason.replace("_", " "): q for q in outside})
     raise Insufficient(
         INSUFFICIENT_DATA,
         f"no part of the night is good enough to fit ({causes} of the kept samples)",

@@ -93,9 +93,7 @@ class StoredBlocks:
             *places_on_clock(begins, ends),
             (self.rows["part"] == TRAINING).to_numpy(),
             self.block_means(),
-            Excitation(
-                self.span("pressure_bar"), self.span("temperature_c"), self.span("speed_rpm")
-            ),
+            Excitation(*map(self.span, CHANNELS)),
         )
 
     @property

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,11 @@ INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
 # The oil's own measurement: no sample needs it.
 VISCOSITIES = ("kinematic_viscosity", "dynamic_viscosity")
+# Arrays of `Samples`.
+OF_SAMPLES = (
+    *("index", "time_us", "pressure_difference_bar"),
+    *("oil_temperature_c", "speed_rpm", "leakage_l_per_min"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,19 +83,10 @@ class Samples:
 
     def only(self, chosen: Mask) -> Samples:
         """These samples without those that are not chosen; the night stays as long as it was."""
-        return replace(
-            self,
-            index=self.index[chosen],
-            time_us=self.time_us[chosen],
-            pressure_difference_bar=self.pressure_difference_bar[chosen],
-            oil_temperature_c=self.oil_temperature_c[chosen],
-            speed_rpm=self.speed_rpm[chosen],
-            leakage_l_per_min=self.leakage_l_per_min[chosen],
-            low_pressures_bar={
-                name: value[chosen] for name, value in self.low_pressures_bar.items()
-            },
-            viscosities={name: value[chosen] for name, value in self.viscosities.items()},
-        )
+        found: dict[str, Any] = {name: getattr(self, name)[chosen] for name in OF_SAMPLES}
+        for name in ("low_pressures_bar", "viscosities"):
+            found[name] = {of: value[chosen] for of, value in getattr(self, name).items()}
+        return replace(self, **found)
 
     @property
     def kept_share(self) -> float:
