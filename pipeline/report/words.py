@@ -85,6 +85,19 @@ def figure(value: float | None, digits: int = 3) -> str:
     return text.removesuffix(".").replace("-", "−")
 
 
+def conditions(
+    pressure_bar: float | None, temperature_c: float | None, speed_rpm: float | None
+) -> str:
+    """Conditions of a leakage.
+
+    Examples
+    --------
+    >>> conditions(131.3, 48.62, 24.7)
+    '131 bar, 48.6 °C, 24.7 rpm'
+    """
+    return f"{figure(pressure_bar)} bar, {figure(temperature_c)} °C, {figure(speed_rpm)} rpm"
+
+
 def percent(share: float | None, decimals: int = 1) -> str:
     """A change with its sign, in percent.
 
