@@ -185,15 +185,7 @@ def clean_channels(
         raise Insufficient(INSUFFICIENT_DATA, f"no samples of {', '.join(silent)} in this night")
     if all(channel.period_us is None for channel in cleaned.values()):
         raise Insufficient(INSUFFICIENT_DATA, "fewer than two samples in this night")
-    samples, joint = bring_together(
-        cleaned,
-        night.start_us,
-        night.end_us,
-        settings.time_base,
-        cleaning,
-        settings.transport_delay,
-        settings.sensor_health,
-    )
+    samples, joint = bring_together(cleaned, night, settings)
     return samples, counted + joint
 
 

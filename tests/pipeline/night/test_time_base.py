@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -11,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import Cleaning, TimeBase
+from pipeline.config import Cleaning, Settings, TimeBase
+from pipeline.config.nights import Night
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.time_base import Quality, Samples, bring_together, grid_period_us
 from tests.pipeline.night.channels import SECOND, STEP, Floats, cleaned
@@ -45,7 +47,9 @@ def running(seconds: float, begin_us: int = START, rate_hz: int = 10) -> dict[st
 def together(
     channels: Mapping[str, CleanChannel], **settings: Any
 ) -> tuple[Samples, dict[tuple[str, str], Quality]]:
-    samples, found = bring_together(channels, START, END, TimeBase(), Cleaning(**settings))
+    here = Night(dt.date(2026, 1, 3), START, END)
+    own = Settings().model_copy(update={"cleaning": Cleaning(**settings)})
+    samples, found = bring_together(channels, here, own)
     keys = [(one.channel, one.reason) for one in found]
     assert len(keys) == len(set(keys))
     return samples, {(one.channel, one.reason): one for one in found}
