@@ -217,7 +217,10 @@ class FrameTable:
         """Microseconds, and whether they are dates."""
         column = self._column(TIME) if self.has(TIME) or self._index is None else self._index
         if isinstance(column.dtype, nw.String):
-            column = column.str.to_datetime()
+            try:
+                column = column.str.to_datetime()
+            except Exception as error:  # each backend has errors of its own
+                raise ShapeError("column_type", f"column time holds no times: {error}") from error
         on_clock = isinstance(column.dtype, nw.Datetime)
         if on_clock:
             column = column.dt.timestamp("us")

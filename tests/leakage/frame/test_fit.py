@@ -144,6 +144,7 @@ def changed(**columns: Any) -> Mapping[str, Any]:
         (changed(time=np.zeros(600)), "time_order", "time repeats at row 1"),
         (changed(time=-np.arange(600.0)), "time_order", "time falls at row 1"),
         (changed(time=np.full(600, np.nan)), "time_missing", "drop such rows"),
+        (changed(time=np.array(["noon"] * 600)), "column_type", "time holds no times"),
         (changed(speed_rpm=np.full(600, np.nan)), "no_samples", "speed_rpm has no values"),
         (changed(speed_rpm=np.array(["fast"] * 600)), "column_type", "speed_rpm holds no numbers"),
     ],
