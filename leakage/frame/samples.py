@@ -205,10 +205,9 @@ class FrameTable:
         )
 
     def numbers(self, name: str) -> Array:
+        column = self._column(name)
         try:
-            values: Array = self._column(name).cast(nw.Float64).to_numpy()
-        except ShapeError:
-            raise
+            values: Array = column.cast(nw.Float64).to_numpy()
         except Exception as error:  # each backend has errors of its own
             raise ShapeError("column_type", f"column {name} holds no numbers: {error}") from error
         return values
