@@ -16,9 +16,17 @@ _ALWAYS = {"time_zone", "time_format", "decimal", "time", "motor_type", "oil"}
 
 
 class Asked:
-    """Questions, and which of them have no answer yet."""
+    """Questions, and which of them have no answer yet.
+
+    Raises UsageError (``answer``) for a time zone that there is not, asked for or not.
+    """
 
     def __init__(self, answers: Mapping[str, str]) -> None:
+        try:
+            known_zone(answers.get("time_zone", "UTC"))
+        except ValueError as error:
+            message = f"time_zone: got {answers['time_zone']!r}; {error}"
+            raise UsageError("answer", message) from None
         self.answers = answers
         self.log = ""  # in which it is asked
         self.open: dict[str, Question] = {}
@@ -43,10 +51,7 @@ class Asked:
         if allowed and answer not in allowed:
             message = f"{key}: got {answer!r}; expected one of {', '.join(allowed)}"
             raise UsageError("answer", message)
-        try:
-            return known_zone(answer) if key == "time_zone" else answer
-        except ValueError as error:
-            raise UsageError("answer", f"time_zone: got {answer!r}; {error}") from None
+        return answer
 
     def keys_of(self, table: Table) -> dict[str, Any]:
         """Keys of ``[logs]`` with the answers to what the log does not tell.

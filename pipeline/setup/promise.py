@@ -38,6 +38,7 @@ _FOLLOWS = 0.2
 _FEWEST = 200
 # Oil in a line warms and cools slower than this, but for a few spikes.
 _JUMP_C, _JUMP_S, _JUMPS_SHARE = 2.0, 10.0, 0.02
+SWAPPED = "are columns swapped?"
 
 
 def night_of_log(spec: MotorSpec, label: dt.date, log: RawLog) -> Samples | None:
@@ -137,11 +138,9 @@ def swapped(samples: Samples) -> Iterator[str]:
     )
     close = np.diff(samples.time_us) <= _JUMP_S * SECOND_US
     if float(np.mean(np.abs(np.diff(t))[close] > _JUMP_C)) > _JUMPS_SHARE:
-        yield "oil_temperature jumps as no oil does: are columns swapped?"
+        yield f"oil_temperature jumps as no oil does: {SWAPPED}"
     widths = ((p, _VARIES * np.median(p)), (t, _VARIES_K))
     drives = [one for one, width in widths if np.ptp(np.percentile(one, (5, 95))) > width]
     # Hotter oil is thinner: the flow rises with either.
     if drives and np.ptp(q) > 0 and all(spearmanr(one, q).statistic < _FOLLOWS for one in drives):
-        yield (
-            "the drain flow follows neither pressure nor the oil's viscosity: are columns swapped?"
-        )
+        yield f"the drain flow follows neither pressure nor the oil's viscosity: {SWAPPED}"

@@ -18,7 +18,7 @@ from pipeline.setup.channel_check import ChannelCheck
 from pipeline.setup.check import MotorCheck, check_fleet, unclaimed
 from pipeline.setup.promise import half_widths
 from tests.conftest import OwnFleet
-from tests.pipeline.calling import change, refused
+from tests.pipeline.calling import Call, change, refused
 from tests.pipeline.simulated import (
     NIGHT,
     load_motor,
@@ -253,7 +253,9 @@ HALTS = np.where(np.arange(2400) % 40 < 20, 20.0, 60.0)
         ({"oil_temperature": HALTS}, "oil_temperature jumps as no oil does"),
     ],
 )
-def test_columns_that_look_swapped(tmp_path: Path, values: dict[str, ArrayLike], told: str) -> None:
+def test_columns_that_look_swapped(
+    tmp_path: Path, call: Call, values: dict[str, ArrayLike], told: str
+) -> None:
     operation = operate(minutes=40.0)
     spec = load_motor(tmp_path, motor_toml("M1"))
     flow = operation.flow(spec.motor(NIGHT, "none"))
@@ -261,6 +263,14 @@ def test_columns_that_look_swapped(tmp_path: Path, values: dict[str, ArrayLike],
     notes = [one for one in logged(tmp_path, **own).notes if "swapped" in one]
     assert bool(notes) == bool(told)
     assert all(told in note for note in notes)
+    # The first run repeats it.
+    fleet = tmp_path / "configs" / "fleet.toml"
+    with fleet.open("a", encoding="utf-8") as file:
+        file.write('[execution]\nbackend = "sequential"\n')
+    _, _, said = call("fit-fleet", fleet)
+    assert [line for line in said.splitlines() if "swapped" in line] == [
+        f"M1: {note}" for note in notes
+    ]
 
 
 def test_logs_that_no_motor_claims(tmp_path: Path) -> None:

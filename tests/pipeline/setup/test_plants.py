@@ -295,6 +295,8 @@ def test_answers_that_cannot_be_are_refused(tmp_path: Path) -> None:
     log = seconds(tmp_path / "a.csv", header, ",9.5,45.5,30.5,1.5")
     with refused("answer", "dpp: there is no such question; open: none is open"):
         propose(log, {"dpp": "bar"})
+    with refused("answer", "time_zone: got 'Mars/Phobos'; expected the name of an IANA time zone"):
+        propose(log, {"time_zone": "Mars/Phobos"})
     with pytest.raises(UsageError, match=r"expected one of .*q \[l/min\]"):
         propose(log, {"a.leakage_flow": "Flow 3 [l/min]"})
     # What was not asked can be put right.
