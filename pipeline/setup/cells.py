@@ -5,12 +5,14 @@ from __future__ import annotations
 import datetime as dt
 import re
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise, product
 
-from pipeline.clock import latest_us
+import pyarrow as pa
+
+from pipeline.clock import latest_us, utc
 from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
+from pipeline.ingest.time_stamps import EARLIEST_US, written
 from pipeline.logs.motor_logs import date_in
 from pipeline.setup.names import is_in, words_of
 
@@ -149,25 +151,25 @@ def is_stamp(cell: str) -> bool:
     return bool(_ISO.fullmatch(cell) or _STAMP.fullmatch(cell))
 
 
-def _parsed(text: str, form: str) -> dt.datetime | None:
-    # No more digits than Python's %f takes; a logger may leave out a fraction that is none.
-    plain = re.sub(r"([:\d][.,]\d{6})\d+", r"\1", text)
-    for one in (form, re.sub(r"[.,]%f", "", form)):
-        with suppress(ValueError):
-            return dt.datetime.strptime(plain, one).replace(tzinfo=dt.UTC)
-    return None
-
-
 def _shapes(stamp: str) -> list[str]:
-    """Formats that a stamp may have."""
+    """Formats that a stamp may have by its marks."""
     match = _STAMP.fullmatch(stamp)
     if match is None:
         return []
     behind = re.sub(r"Z|[+-].*", "%z", match["zone"] or "")
     has_fraction = bool(re.search(r"[:.]\d\d[:.]\d\d[.,]", match["clock"]))
     clocks = [form for form in _CLOCKS if ("%f" in form) == has_fraction]
-    forms = (a + match["between"] + b + behind for a, b in product(_DATES, clocks))
-    return [form for form in forms if _parsed(stamp, form)]
+    return [a + match["between"] + b + behind for a, b in product(_DATES, clocks)]
+
+
+def _read(stamps: Sequence[str], form: str) -> list[dt.datetime]:
+    """Stamps as the readers of logs have them, those apart that they cannot read.
+
+    Of two digits of a year, which they take for the whole of it, the year is none of a log.
+    """
+    found = written([pa.chunked_array([pa.array(stamps, pa.string())])], form)
+    is_read = (found.kind != 0) & (found.time_us >= EARLIEST_US)
+    return [utc(time_us) for time_us in found.time_us[is_read].tolist()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,12 +200,13 @@ def time_formats(stamps: Sequence[str], decimal: str = ".", file_name: str = "")
     has_zone = bool(stamps) and all(re.search(rf"\d{_ZONE[:-1]}$", one) for one in stamps)
     if stamps and all(map(_ISO.fullmatch, stamps)):
         return TimeFormats({"iso8601": ""}, has_zone)
-    ends = (stamps[0], stamps[-1]) if stamps else ()
-    forms = list(dict.fromkeys(form for stamp in ends for form in _shapes(stamp)))
-    read = {form: [one for stamp in stamps if (one := _parsed(stamp, form))] for form in forms}
+    ends = stamps[:: max(len(stamps) - 1, 1)]
+    likely = dict.fromkeys(form for stamp in ends for form in _shapes(stamp))
+    forms = [form for form in likely if len(_read(ends, form)) == len(ends)]
+    read = {form: _read(stamps, form) for form in forms}
     whole = {form: own for form, own in read.items() if len(own) == len(stamps)}
-    likely = _likeliest(whole, file_name).items()
-    return TimeFormats({form: f"{day.day} {day:%B %Y}" for day, form in likely}, has_zone)
+    days = _likeliest(whole, file_name).items()
+    return TimeFormats({form: f"{day.day} {day:%B %Y}" for day, form in days}, has_zone)
 
 
 def count_format(numbers: Sequence[float]) -> str | None:
