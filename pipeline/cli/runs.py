@@ -94,12 +94,12 @@ def fit_fleet(
 def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
     """Say what `check` says of the logs: those without a motor, and before the first run, which
     opens them all, what may be wrong with units and columns. What cannot be read the run says."""
-    from pipeline.setup.check import check_motor, strays_told
+    from pipeline.setup.check import check_motor, strays_told, unclaimed
     from pipeline.setup.promise import SWAPPED
 
     if as_json:
         return
-    if strays := strays_told(fleet):
+    if strays := strays_told(unclaimed(fleet)):
         say(strays, err=True)
     if (fleet.output / "tables").is_dir() or fleet.log_url:
         return

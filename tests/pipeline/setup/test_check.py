@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 from benchmarks.simulated_nights import motor as simulated_motor
 from benchmarks.simulated_nights import operating_point
 from pipeline.config import load_fleet
-from pipeline.setup.channel_check import ChannelCheck
-from pipeline.setup.check import MotorCheck, check_fleet, unclaimed
+from pipeline.setup.check import ChannelCheck, MotorCheck, check_fleet, unclaimed
 from pipeline.setup.promise import half_widths
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import Call, change, refused

@@ -17,8 +17,7 @@ from pipeline.demo import shipped_configs
 from pipeline.errors import UsageError
 from pipeline.ingest import read_log
 from pipeline.logs.finding import find_logs
-from pipeline.setup.fleet_files import fleet_files, write_fleet
-from pipeline.setup.observe import observed_of
+from pipeline.setup.fleet_files import fleet_files, observed_of, write_fleet
 from pipeline.setup.propose import propose
 from tests.pipeline.calling import refused
 from tests.pipeline.setup.plants import (

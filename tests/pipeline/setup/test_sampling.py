@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from pipeline.config import Channel
 from pipeline.ingest import RawChannel
-from pipeline.setup.channel_check import sampling_note
+from pipeline.setup.check import sampling_note
 
 Array = NDArray[np.float64]
 Logged = tuple[Array, Array]
