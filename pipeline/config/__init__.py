@@ -7,10 +7,10 @@ days of a fleet.
 """
 
 from pipeline.config.channels import Channel
-from pipeline.config.faults import ConfigError, Fault
 from pipeline.config.fleet import Fleet, MotorSpec, absolute, overlap
 from pipeline.config.loading import load_fleet
 from pipeline.config.motors import MotorFile
+from pipeline.config.section import ConfigError, Fault
 from pipeline.config.settings import (
     Alarms,
     Cleaning,

@@ -10,9 +10,9 @@ from zoneinfo import ZoneInfo
 
 from pydantic import Field
 
-from pipeline.config.faults import Misfit
 from pipeline.config.receivers import Secret, WebAddress, WebHeaders, is_mail_address, mail_server
 from pipeline.config.section import (
+    Misfit,
     NonNegative,
     Positive,
     Seconds,

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import Fault
+from pipeline.config import Fault, load_fleet
+from pipeline.config.hashes import SettingsHashes, config_hash, reading_hash
 from pipeline.demo import shipped_configs
 from tests.pipeline.config.shipped import MOTOR, OIL, TYPE, add, change, faults, load, only_fault
 
@@ -35,6 +36,24 @@ def test_shipped_counts_are_those_of_the_model(motor_type: str, count: int) -> N
     # model.md, section 3: 8 interfaces a cam row, 3, 4 and 8 rows.
     document = tomllib.loads((shipped_configs() / f"motor_types/{motor_type}.toml").read_text())
     assert [path["count"] for path in document["path"]] == [count] * 4
+
+
+def test_hashes_of_the_shipped_motors_stay() -> None:
+    """Regression: another one makes every plant's nights anew, which the change log must say."""
+    found = [
+        (reading_hash(spec), dated.statistics(night), dated.figures(night), config_hash(spec))
+        for night in [dt.date(2026, 3, 1)]
+        for spec in load_fleet(shipped_configs() / "fleet.toml").motors
+        for dated in [SettingsHashes(spec)]
+    ]
+    assert found == [
+        ("38f0f28070caaced", "b2655957f9315310", "f183d1215fe95a41", "cc3a9ee3605b2229"),
+        ("bbd6f4694fb63749", "44ffe40b20d60db3", "50bea82a3980611c", "f36ecc296bcc5af7"),
+        ("c8ce36800478243a", "6ab6264f76cef782", "d4ff9581b5ff7999", "74334aac3de45494"),
+        ("ad67cbdd48f2775a", "0dcb336e93a1257d", "d4ff9581b5ff7999", "ba00fc68941a1119"),
+        ("f1c87f90e8e1a73e", "70a63ef4f9f4110a", "b7d067d194772636", "7613cad1276d25ab"),
+        ("f791ae6380505b7e", "431a95e0dc8579d4", "bcf4f72391a7b729", "7534bb3ab22c65bd"),
+    ]
 
 
 def test_the_source_of_a_constant_must_be_named(configs: Path) -> None:
