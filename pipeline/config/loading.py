@@ -80,7 +80,11 @@ def load_fleet(path: Path) -> Fleet:
             faults += _impossible(file, spec)
             specs.append(spec)
     faults += _claimed_twice(specs)
-    faults += _oil_faults(specs, motors.documents.values(), circuits.documents)
+    faults += _oil_faults(specs)
+    # A motor's file that cannot be read may be of any circuit.
+    if all(motors.own.values()):
+        known_circuits = {its.get("oil_circuit") for its in motors.documents.values()}
+        faults += _lonely(circuits.documents.keys() - known_circuits)
     if not motors.documents and not faults:
         faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
     if faults or fleet is None:
@@ -158,15 +162,15 @@ def _strangers(
             yield fault_at(file, (key,), f"expected one of {choice}", given)
 
 
-def _oil_faults(
-    specs: Iterable[MotorSpec], motors: Iterable[Document], circuits: Iterable[str]
-) -> Iterator[Fault]:
+def _lonely(circuits: Iterable[str]) -> Iterator[Fault]:
+    """Files of oil circuits that no motor is of."""
+    for name in sorted(circuits):
+        message = "no motor is of this oil circuit; expected the name that a motor's file has"
+        yield Fault(f"oil_circuits/{name}.toml", "", message)
+
+
+def _oil_faults(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
     """Faults of analyses that only show beside the oil, the date, or the other file."""
-    named = [document.get("oil_circuit") for document in motors]
-    for name in circuits:
-        if name not in named:
-            message = "no motor is of this oil circuit; expected the name that a motor's file has"
-            yield Fault(f"oil_circuits/{name}.toml", "", message)
     for spec in specs:
         own, shared = spec.file.oil_samples, spec.circuit_samples
         file = f"motors/{spec.motor_id}.toml"
