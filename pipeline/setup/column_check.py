@@ -90,7 +90,7 @@ def units_told(path: Path, file: MotorFile) -> dict[str, str]:
 def columns_of(path: Path, logs: Logs) -> dict[str, str] | None:
     """Columns of a table, each with what stands in its header as a unit; None: it is no table."""
     is_table = logs.layout == "wide" and logs.format in ("csv", "parquet")
-    return header_of(path) if is_table else None
+    return header_of(path, logs) if is_table else None
 
 
 def _typical(raw: RawChannel) -> float | None:

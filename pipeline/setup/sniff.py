@@ -20,7 +20,7 @@ import pyarrow as pa
 from charset_normalizer import from_bytes
 
 from pipeline.config.field_paths import FieldPath, path_text
-from pipeline.config.logs import MISSING_TOKENS
+from pipeline.config.logs import MISSING_TOKENS, Logs
 from pipeline.errors import LogError
 from pipeline.ingest.contract import readable
 from pipeline.ingest.csv_text import read_lines, unpacked
@@ -56,6 +56,10 @@ _HEAD_BYTES = 2**16
 _SCANNED_BYTES = 2**23
 _SEPARATORS = (";", "\t", "|", ",")
 Leaf = tuple[str, pa.Field, pa.Array]
+_MARKED = {
+    **dict.fromkeys((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE), "utf-32"),
+    **dict.fromkeys((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"),
+}
 _ENCODINGS = ["cp1252", "cp1250", "cp1251", "cp1254", "gb18030", "shift_jis"]
 # Fields beside a reading that are none.
 _NO_READINGS = {
@@ -81,16 +85,19 @@ def sniff(path: Path) -> Table:
         return _csv(path)
 
 
-def header_of(path: Path) -> dict[str, str]:
-    """Columns of a table, each with what stands beside its name as a unit; raises as `sniff`."""
-    with readable(path), path.open("rb") as file:
-        is_parquet = file.read(4) == b"PAR1"
-    if is_parquet:
-        columns = _parquet_columns(path)
-        return {one.name: one.unit if one.kind != "typed" else "" for one in columns}
-    _, table, header, units = _csv_head(path)
-    names = table.rows[header]
-    return dict(zip(names, units or ("",) * len(names), strict=False))
+def header_of(path: Path, logs: Logs) -> dict[str, str]:
+    """Columns of a table that is configured, each with what its header says as a unit.
+
+    Raises LogError if the file cannot be read.
+    """
+    with readable(path):
+        if logs.format == "parquet":
+            columns = _parquet_columns(path)
+            return {one.name: one.unit if one.kind != "typed" else "" for one in columns}
+        lines = islice(_text_lines(path, logs.encoding, _HEAD_BYTES), logs.skip_rows, HEAD_ROWS)
+        rows = [_cells(line, logs.separator) for line in lines if line.strip()]
+        names, *units = rows[: 1 + logs.unit_rows] or [()]
+        return dict.fromkeys(names, "") | dict(zip(names, _units_among(units), strict=False))
 
 
 # Delimited text
@@ -107,8 +114,7 @@ class _Lines:
     fit: tuple[bool, float, int] = (False, 0.0, 0)
 
 
-def _csv_head(path: Path) -> tuple[str, _Lines, int, Cells]:
-    """Encoding, first lines taken apart, the line of the names, and the cells of one of units."""
+def _csv(path: Path) -> Table:
     encoding = _encoding(next(unpacked(path, _HEAD_BYTES), b""))
     lines = list(islice(_text_lines(path, encoding, _HEAD_BYTES), HEAD_ROWS))
     table = max((_taken_apart(lines, mark) for mark in _SEPARATORS), key=lambda one: one.fit)
@@ -119,11 +125,6 @@ def _csv_head(path: Path) -> tuple[str, _Lines, int, Cells]:
     header, units = _header(table)
     if header is None:
         raise LogError("log_not_csv", path, "no line above the first rows has names of the columns")
-    return encoding, table, header, units
-
-
-def _csv(path: Path) -> Table:
-    encoding, table, header, units = _csv_head(path)
     names = table.rows[header]
     unit_rows = sum(any(row) for row in table.rows[header + 1 : table.first])
     found = [row for row in table.rows[table.first :] if len(row) == table.width and row != names]
@@ -168,11 +169,12 @@ def _csv(path: Path) -> Table:
 
 
 def _encoding(head: bytes) -> str:
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    # Text has no NUL: of plain letters in UTF-16 every other byte is one.
-    if head.count(0) > 0.4 * len(head):
-        return "utf-16-le"
+    if marked := next((name for mark, name in _MARKED.items() if head.startswith(mark)), ""):
+        return marked
+    # Text has no NUL: of plain letters in UTF-16 every other byte is one, in UTF-32 three of four.
+    nul = head.count(0) / max(len(head), 1)
+    if nul > 0.4:
+        return f"utf-{32 if nul > 0.7 else 16}-{'le' if head[0] else 'be'}"
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
@@ -255,7 +257,12 @@ def _header(table: _Lines) -> tuple[int | None, Cells]:
     below = [table.rows[at] for at in block if at > header]
     # The same in all cells are types of numbers, such as "F".
     units = [cells for cells in below if len(set(cells[1:]) - {""}) > 1 or len(cells) == 2]
-    return header, max(units, key=lambda cells: sum(map(bool, map(unit_named, cells))), default=())
+    return header, _units_among(units)
+
+
+def _units_among(rows: Iterable[Cells]) -> Cells:
+    """The line that has the most names of units."""
+    return max(rows, key=lambda cells: sum(map(bool, map(unit_named, cells))), default=())
 
 
 # Parquet

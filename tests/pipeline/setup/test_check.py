@@ -281,9 +281,12 @@ def test_logs_that_no_motor_claims(tmp_path: Path) -> None:
     assert unclaimed(fleet) == ("M1/old.csv", "M7/b.parquet")
 
 
-def test_a_unit_of_another_dimension_is_a_fault(tmp_path: Path) -> None:
-    """`[L/min]` read as rpm."""
-    fleet = daily_logs(tmp_path, lambda _: COLUMNS.replace(",rpm,", ",L/min,"))
+@pytest.mark.parametrize("above", [(), ("Time,p,T,n,q",)], ids=["first", "second"])
+def test_a_unit_of_another_dimension_is_a_fault(tmp_path: Path, above: tuple[str, ...]) -> None:
+    """`[L/min]` read as rpm, in the header that the config names."""
+    header = "\n".join((*above, COLUMNS.replace(",rpm,", ",L/min,")))
+    fleet = daily_logs(tmp_path, lambda _: header)
+    change(fleet, "motors/M1.toml", "unit_rows = 1", f"unit_rows = 1\nskip_rows = {len(above)}")
     faults = checks_of(fleet)["M1"].faults
     assert any(
         fault.startswith("unit_dimension: speed: configured in rpm, and the log says l/min")
