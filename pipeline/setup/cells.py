@@ -8,11 +8,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
+import numpy as np
 import pyarrow as pa
 
-from pipeline.clock import latest_us, utc
+from pipeline.clock import latest_us, microseconds, utc
 from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
-from pipeline.ingest.time_stamps import EARLIEST_US, written
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
+from pipeline.ingest.time_stamps import EARLIEST_US, written, written_as_numbers
 from pipeline.logs.motor_logs import date_in
 from pipeline.setup.names import is_in, words_of
 
@@ -38,9 +40,7 @@ _STAMP = re.compile(
 )
 _ONLY_DATE, _ONLY_CLOCK = re.compile(_DATE), re.compile(rf"(?=.*:){_CLOCK}{_ZONE}")
 _ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?")
-_EPOCHS = {"epoch_s": 1.0, "epoch_ms": 1e3, "epoch_us": 1e6, "epoch_ns": 1e9}
-_EARLIEST_S = dt.datetime(2001, 1, 1, tzinfo=dt.UTC).timestamp()
-_EXCEL_ZERO_DAYS = 25569  # 1 January 1970
+_EARLIEST_COUNT_US = microseconds(dt.datetime(2001, 1, 1, tzinfo=dt.UTC))
 _MONTH_S = 20 * 86400.0
 
 
@@ -196,7 +196,7 @@ def time_formats(stamps: Sequence[str], decimal: str = ".", file_name: str = "")
     counts = [number for number in numbers if number is not None]
     if stamps and len(counts) == len(stamps):
         form = count_format(counts)
-        return TimeFormats({form: ""} if form else {}, form in _EPOCHS)
+        return TimeFormats({form: ""} if form else {}, form in EPOCH_UNITS)
     has_zone = bool(stamps) and all(re.search(rf"\d{_ZONE[:-1]}$", one) for one in stamps)
     if stamps and all(map(_ISO.fullmatch, stamps)):
         return TimeFormats({"iso8601": ""}, has_zone)
@@ -211,14 +211,11 @@ def time_formats(stamps: Sequence[str], decimal: str = ".", file_name: str = "")
 
 def count_format(numbers: Sequence[float]) -> str | None:
     """Format of stamps that are counts, by their size; None: no count of a time after 2001."""
-    seconds = {form: [one / factor for one in numbers] for form, factor in _EPOCHS.items()}
-    seconds["excel_days"] = [86400.0 * (one - _EXCEL_ZERO_DAYS) for one in numbers]
-    within = (
-        form
-        for form, own in seconds.items()
-        if own and min(own) > _EARLIEST_S and max(own) < latest_us() / 1e6
-    )
-    return next(within, None)
+    for form in (*EPOCH_UNITS, EXCEL_DAYS) if numbers else ():
+        time_us = written_as_numbers(np.array(numbers, np.float64), form).time_us
+        if time_us.min() > _EARLIEST_COUNT_US and time_us.max() < latest_us():
+            return form
+    return None
 
 
 def _likeliest(times: dict[str, list[dt.datetime]], file_name: str) -> dict[dt.datetime, str]:
