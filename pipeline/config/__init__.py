@@ -6,13 +6,13 @@
 days of a fleet.
 """
 
+from pipeline.config.alarms import Alarms
 from pipeline.config.channels import Channel
 from pipeline.config.fleet import Fleet, MotorSpec, absolute, overlap
 from pipeline.config.loading import load_fleet
 from pipeline.config.motors import MotorFile
 from pipeline.config.section import ConfigError, Fault
 from pipeline.config.settings import (
-    Alarms,
     Cleaning,
     Execution,
     Nights,

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator
 
+from pipeline.config.alarms import Secret
 from pipeline.config.field_paths import FieldText
 from pipeline.config.readers import FormatName
-from pipeline.config.receivers import Secret
 from pipeline.config.section import Misfit, NonNegative, Positive, Section, Stage, TimeZone
 from pipeline.config.time_formats import TimeFormat
 
