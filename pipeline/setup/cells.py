@@ -202,10 +202,9 @@ def time_formats(stamps: Sequence[str], decimal: str = ".", file_name: str = "")
         return TimeFormats({"iso8601": ""}, has_zone)
     ends = stamps[:: max(len(stamps) - 1, 1)]
     likely = dict.fromkeys(form for stamp in ends for form in _shapes(stamp))
-    forms = [form for form in likely if len(_read(ends, form)) == len(ends)]
-    read = {form: _read(stamps, form) for form in forms}
-    whole = {form: own for form, own in read.items() if len(own) == len(stamps)}
-    days = _likeliest(whole, file_name).items()
+    forms = (form for form in likely if len(_read(ends, form)) == len(ends))
+    read = {form: own for form in forms if len(own := _read(stamps, form)) == len(stamps)}
+    days = _likeliest(read, file_name).items()
     return TimeFormats({form: f"{day.day} {day:%B %Y}" for day, form in days}, has_zone)
 
 

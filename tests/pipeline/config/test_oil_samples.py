@@ -100,6 +100,6 @@ def test_a_circuit_is_one_of_a_motor_and_has_the_only_analyses(configs: Path) ->
 def test_a_motors_file_that_is_no_toml_leaves_its_circuit_alone(configs: Path) -> None:
     (configs / "oil_circuits").mkdir()
     add(configs, "oil_circuits/winch.toml", SAMPLE)
-    for motor in ("CB1120-01", "CB1120-02"):
-        add(configs, f"motors/{motor}.toml", "broken =")
+    for name in ("CB1120-01", "CB1120-02"):
+        add(configs, f"motors/{name}.toml", "broken =")
     assert {one.file[:13] for one in faults(configs)} == {"motors/CB1120"}
