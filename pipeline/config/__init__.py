@@ -1,7 +1,7 @@
 """Typed config: the only door for settings.
 
-`loading` reads a fleet's files, with the faults that only show between them (`cross_checks`), into
-`fleet`. A module a file: `settings` (fleet file), `motors` (with `logs` and `channels`),
+`loading` reads a fleet's files, with the faults that only show between them, into `fleet`. A module
+a file: `settings` (fleet file, with `alarms`), `motors` (with `logs` and `channels`),
 `motor_types`, `oil_samples`. `hashes` says what a change of settings makes anew; `nights` are the
 days of a fleet.
 """
