@@ -194,48 +194,42 @@ def test_folders_that_cannot_be(configs: Path, key: str, name: str) -> None:
     assert fault.message.startswith(f'got "{name}"; expected ')
 
 
+REACHES = "{} of CB400-01 reaches into it"
+
+
 @pytest.mark.parametrize(
-    ("logs", "output", "words"),
+    ("logs", "output", "pattern", "words"),
     [
-        ("../logs", "../logs", "expected another folder than that of the logs"),
-        ("../logs", "../x/../logs/.", "expected another folder than that of the logs"),
-        ("..", "../CB400-01/", "CB400-01/*.csv of CB400-01 reaches into it"),
-        ("../out/staging", "../out", "expected a folder without the logs"),
-        ("../out/tables/fits", "../out", "expected a folder without the logs"),
+        *(
+            ("../logs", output, "CB400-01/*.csv", "another folder than that of the logs")
+            for output in ("../logs", "../x/../logs/.")
+        ),
+        *(
+            (logs, "../out", "CB400-01/*.csv", "expected a folder without the logs")
+            for logs in ("../out/staging", "../out/tables/fits")
+        ),
+        ("..", "../CB400-01/", "CB400-01/*.csv", REACHES),
+        *(
+            ("..", "../out", pattern, REACHES)
+            for pattern in ("**/*.csv", "o?t/**/*.csv", "*/*.csv")
+        ),
+        ("..", "../out/deep", "*/*.csv", ""),
+        *(("..", "../out", glob, "") for glob in ("logs/**/*.csv", "*.csv")),
     ],
 )
 def test_output_and_logs_that_spoil_each_other(
-    configs: Path, logs: str, output: str, words: str
+    configs: Path, logs: str, output: str, pattern: str, words: str
 ) -> None:
     change(configs, "fleet.toml", '"../demo/logs"', f'"{logs}"')
     change(configs, "fleet.toml", '"../out"', f'"{output}"')
+    change(configs, MOTOR, "CB400-01/*.csv", pattern)
+    if not words:
+        assert load(configs).output == (configs / output).resolve()
+        return
     fault = only_fault(configs)
     assert (fault.file, fault.key) == ("fleet.toml", "folders.output")
     assert fault.message.startswith(f'got "{output}"; expected ')
-    assert words in fault.message
-
-
-@pytest.mark.parametrize(
-    ("pattern", "output", "is_spoilt"),
-    [
-        ("**/*.csv", "../out", True),
-        ("o?t/**/*.csv", "../out", True),
-        ("*/*.csv", "../out", True),
-        ("*/*.csv", "../out/deep", False),
-        ("logs/**/*.csv", "../out", False),
-        ("*.csv", "../out", False),
-    ],
-)
-def test_an_output_below_the_logs_is_one_where_no_log_is_looked_for(
-    configs: Path, pattern: str, output: str, is_spoilt: bool
-) -> None:
-    change(configs, "fleet.toml", '"../demo/logs"', '".."')
-    change(configs, "fleet.toml", '"../out"', f'"{output}"')
-    change(configs, MOTOR, "CB400-01/*.csv", pattern)
-    if is_spoilt:
-        assert f"{pattern} of CB400-01 reaches into it" in only_fault(configs).message
-    else:
-        assert load(configs).output == (configs / output).resolve()
+    assert words.format(pattern) in fault.message
 
 
 def test_logs_beside_the_tables_and_files_that_are_no_toml_spoil_nothing(configs: Path) -> None:
