@@ -15,6 +15,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.nights import night
 from pipeline.ingest import RawLog
 from pipeline.logs.files import reaches_us, slice_night
+from pipeline.messages import plain
 from pipeline.night.fit_night import Insufficient, clean_channels
 from pipeline.night.time_base import Samples
 
@@ -98,7 +99,7 @@ def _paths_told(
     enough = _ENOUGH_MINUTES / max(speed_share, 1e-3) ** 2
     nights = {name: max(enough / minutes, (w / _WIDEST) ** 2) for name, w in widths.items()}
     told = [math.ceil(number) for number in nights.values() if number <= _MOST_NIGHTS]
-    untold = [name.replace("_", " ") for name, number in nights.items() if number > _MOST_NIGHTS]
+    untold = [plain(name) for name, number in nights.items() if number > _MOST_NIGHTS]
     words = "no path by itself"
     if told:
         after = "every night" if max(told) == 1 else f"after {max(told)} nights"

@@ -14,6 +14,7 @@ from typing import Any
 from pipeline.config.channels import PORT_PRESSURES
 from pipeline.config.section import known_zone
 from pipeline.errors import UsageError
+from pipeline.messages import plain
 from pipeline.setup.cells import Marks, as_number
 from pipeline.setup.names import QUANTITY_OF, Group, likely_units, meaning_of, missing_channels
 from pipeline.setup.tables import Column, Question, Table
@@ -154,7 +155,7 @@ class Chooser:
         if bare:
             found |= self._ports(sorted(bare, key=self._size, reverse=True), found)
         for channel in missing_channels(found):
-            text = f"no {_words(channel)} was found: which is it?"
+            text = f"no {plain(channel)} was found: which is it?"
             found[channel] = self._which(channel, text, list(self.columns))
         return found
 
@@ -186,7 +187,7 @@ class Chooser:
         """The one column that fits a channel, or that is answered; None: it is asked."""
         key = f"{self.motor_id}.{channel}"
         if len(names) > 1:
-            text = f"{', '.join(names)} may be the {_words(channel)}: which is it?"
+            text = f"{', '.join(names)} may be the {plain(channel)}: which is it?"
             return self._which(channel, text, names)
         # An answer has the last word, asked for or not.
         is_told = key in self.asked.answers
@@ -202,7 +203,7 @@ class Chooser:
         def ask(channel: str, places: Sequence[str], more: str = "") -> str | None:
             text = (
                 f"the log does not say whose pressure {told} is: which is the "
-                f"{_words(channel)}?{more}"
+                f"{plain(channel)}?{more}"
             )
             return self._which(channel, text, places)
 
@@ -240,14 +241,10 @@ class Chooser:
         if said is not None and QUANTITY_OF.get(said) == QUANTITIES[channel]:
             return said
         shown = "; ".join(column.filled[:3])
-        text = f"unit of {_words(channel)} ({column.name}: {shown}): which is it?"
+        text = f"unit of {plain(channel)} ({column.name}: {shown}): which is it?"
         units = tuple(UNITS[QUANTITIES[channel]])
         likely = likely_units(channel, self._numbers(column)) or units
         key = f"unit of {without_motor(column.name, self.name) or channel}"
         if key in self.asked.answers and self.asked.answers[key] not in likely:
             key = f"{key} in {self.asked.log}"
         return self.asked.ask(key, text, likely, units)
-
-
-def _words(channel: str) -> str:
-    return channel.replace("_", " ")
