@@ -5,8 +5,7 @@ included, beside two fresh processes that read the same files into columns with 
 there is, each half of them. Cases take turns, and a ratio is one of medians of one run; absolute
 times are of the machine that it ran on. Logs come from the page cache on both sides.
 
-`--only PART` measures one part, `--repeats N` as many passes. The other parts stay as they were
-stored (`speed.json`); some of these were measured once.
+The other parts were measured once and stay as they were stored (`speed.json`).
 """
 
 from __future__ import annotations
@@ -27,14 +26,13 @@ from pathlib import Path
 
 import polars as pl
 
-from benchmarks.day_fleets import MOTORS, logs_of, make_fleet, write_day
-from benchmarks.results_file import Part, store, stored, write_parts
+from benchmarks.day_fleets import logs_of, make_fleet, write_day
+from benchmarks.results_file import Part, description, store, stored, write_parts
 
 READERS = {"parquet": "pyarrow_parquet", "csv": "pyarrow_csv", "mcap": "plain_mcap"}
 GOALS = {"parquet": 9.0, "csv": 4.0, "mcap": 1.4}
 DAY_MINUTES = 1440.0
-# Motors of `motor_day` and of `hundred`.
-MORE, HUNDRED = 12, 100
+HUNDRED = 100
 ENVIRONMENT = {**os.environ, "POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
@@ -54,36 +52,15 @@ class Cost:
 def main(options: Sequence[str] = ()) -> None:
     """Measure, and write `benchmarks/results/speed.md`."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks speed")
-    parser.add_argument("--only", choices=PARTS)
     parser.add_argument("--repeats", type=int, default=3)
-    asked = parser.parse_args(list(options))
-    for name in [asked.only] if asked.only else PARTS:
-        load = os.getloadavg()[0]
-        with tempfile.TemporaryDirectory() as folder:
-            part = PARTS[name](Path(folder), asked.repeats)
-        words = f"{part.text} Load before it began: {load:.1f}."
-        store("speed", name, asdict(replace(part, text=words)))
+    repeats = parser.parse_args(list(options)).repeats
+    load = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory() as folder:
+        part = hundred(Path(folder), repeats)
+    words = f"{part.text} Load before it began: {load:.1f}."
+    store("speed", "hundred", asdict(replace(part, text=words)))
     parts = [Part(**one) for one in stored("speed").values()]
-    write_parts("speed", "As fast as reading the logs", __doc__ or "", parts)
-
-
-def motor_day(folder: Path, repeats: int) -> Part:
-    """Processor time of one more motor-day: without the start of the processes."""
-    rows = []
-    write_day(folder / "day", DAY_MINUTES, 10.0, *MOTORS)
-    for name in MOTORS:
-        one, many = (
-            partial(first_night, make_fleet(folder / "day", folder / str(n), name, n), 1)
-            for n in (1, MORE)
-        )
-        costs = interleaved({"one": one, "many": many}, repeats)
-        more = costs["many"].processor_s - costs["one"].processor_s
-        rows.append([name, f"{1000 * more / (MORE - 1):.0f} ms"])
-    text = (
-        f"24 h × 10 Hz, one worker: a run over {MORE} motors less one over one, a motor; medians "
-        f"of {repeats} passes. Goal from Parquet: 250 ms."
-    )
-    return Part("A motor-day", text, "format | processor time", rows)
+    write_parts("speed", "As fast as reading the logs", description(__doc__), parts)
 
 
 def hundred(folder: Path, repeats: int) -> Part:
@@ -166,6 +143,3 @@ def worker_peak_mib(config: Path) -> float:
     tables = config.parent.parent / "out" / "tables" / "motor_outcomes"
     outcomes = pl.concat(pl.read_parquet(path) for path in tables.rglob("*.parquet"))
     return float(outcomes["peak_memory_mib"].max() or 0.0)  # type: ignore[arg-type]
-
-
-PARTS: dict[str, Callable[[Path, int], Part]] = {"motor_day": motor_day, "hundred": hundred}

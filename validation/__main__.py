@@ -21,12 +21,11 @@ def main() -> None:
     default = os.environ.get("MOTOR_LEAKAGE_TEST_DATA")
     parser.add_argument("folder", nargs="?", default=default, help="of records *UT*.csv")
     parser.add_argument("--page", type=Path, help="Markdown page to put the tables into")
-    parser.add_argument("--work", type=Path, help="folder for logs and tables, to look at later")
     asked = parser.parse_args()
     if asked.subject == "pump_rig" and not asked.folder:
         parser.error("name the folder of the records")
     with tempfile.TemporaryDirectory() as scratch:
-        work = asked.work or Path(scratch) / "work"
+        work = Path(scratch) / "work"
         if asked.subject == "machines":
             show(published.judge(work), asked.page)
         else:

@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pipeline.arrays import Array
 from pipeline.notebook import Tables
 from pipeline.palette import COLOURS as PENS
 from validation.record import FLOW, TIME, Record
@@ -43,20 +42,13 @@ def draw(record: Record, predicted: pl.Series, cuts: Tables, folder: Path) -> No
     picture.quantize(COLOURS).save(path, optimize=True)
 
 
-def line(axes: Axes, x: Array, y: Array, place: int, name: str | None = None) -> None:
-    axes.plot(x, y, color=PENS[place], label=name)
-
-
-def label(axes: Axes, title: str, x: str, y: str) -> None:
-    axes.set(title=title, xlabel=x, ylabel=y)
-
-
 def _course(axes: Axes, rows: pl.DataFrame, predicted: pl.Series) -> None:
     minutes = (rows[TIME] - rows[TIME][0]).dt.total_seconds().cast(pl.Float64).to_numpy() / 60.0
     shown = (minutes >= SHOWN_MINUTES[0]) & (minutes < SHOWN_MINUTES[1])
-    line(axes, minutes[shown], rows[FLOW].to_numpy()[shown], 0, "measured")
-    line(axes, minutes[shown], predicted.to_numpy()[shown], 1, "predicted")
-    label(axes, "Leak-line flow, ten held-out minutes", "minutes", "l/min")
+    flows = {"measured": rows[FLOW], "predicted": predicted}
+    for pen, (name, flow) in zip(PENS, flows.items(), strict=False):
+        axes.plot(minutes[shown], flow.to_numpy()[shown], color=pen, label=name)
+    axes.set(title="Leak-line flow, ten held-out minutes", xlabel="minutes", ylabel="l/min")
     axes.legend()
 
 
@@ -65,6 +57,7 @@ def _windows(axes: Axes, cuts: Tables, motor_id: str) -> None:
     leakage = fits["reference_leakage_l_per_min"].to_numpy()
     total = fits["reference_leakage_total_half_width"].to_numpy()
     minutes = np.arange(0.0, 5.0 * len(leakage), 5.0)
-    line(axes, minutes, leakage, 0)
+    axes.plot(minutes, leakage, color=PENS[0])
     axes.fill_between(minutes, leakage - total, leakage + total, alpha=0.2)
-    label(axes, "Reference leakage of 20-minute windows, total ±", "begin, minutes", "l/min")
+    title = "Reference leakage of 20-minute windows, total ±"
+    axes.set(title=title, xlabel="begin, minutes", ylabel="l/min")

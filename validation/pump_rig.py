@@ -1,11 +1,13 @@
 """The pump rig: what the program finds on its records, in five tables.
 
-`python -m validation pump_rig FOLDER` reads the records of FOLDER, fits cuts of them with the
-program's own command, and writes the tables and the picture of docs/evidence.md.
+`python -m validation pump_rig FOLDER` reads the records of FOLDER, fits cuts of them (held-out
+blocks, quarters, windows) with the program's own command, and writes the tables and the picture of
+docs/evidence.md.
 """
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,26 +15,35 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from leakage import total_flow_l_per_min
+from leakage import Motor, OperatingConditions, total_flow_l_per_min
+from pipeline.config import load_fleet
 from pipeline.notebook import Tables
-from validation.cuts import (
-    METER_READS_FROM,
-    SHORT,
-    STEP,
-    VALUE,
-    VARIANTS,
-    add_cuts,
-    conditions,
-    fits_of,
-    labelled,
-    law_of,
-)
-from validation.fleet import DAY, fitted, new_fleet
+from validation.fleet import DAY, FIRST, add_motor, fitted, new_fleet
 from validation.pictures import draw
-from validation.record import FLOW, PRESSURE, TEMPERATURE, Record, read_records
+from validation.record import FLOW, PRESSURE, TEMPERATURE, TIME, Record, read_records, windows
 from validation.tables import NONE, Row, Table
 
 Fit = dict[str, Any]
+BLOCK = dt.timedelta(minutes=10)
+SHORT = dt.timedelta(minutes=20)
+STEP = dt.timedelta(minutes=5)
+METER_READS_FROM = 1.7  # l/min, as in the config
+SPEED_RPM = 1485.0
+VALUE = "reference_leakage_l_per_min"
+VARIANTS = {
+    "held-out-all": (
+        "every sample",
+        "[channels.leakage_flow]\nsource = 'Flow - leak line'\n"
+        "unit = 'l/min'\nvalid_range = [0.0, 100.0]\n",
+    ),
+    "held-out": ("meter reads", ""),
+    "held-out-warm": ("meter reads, 48 °C and above", ""),
+    "held-out-late-warm": (
+        "the same, temperature 15 s earlier",
+        "[channels.oil_temperature]\nsource = 'Temperature - leak line'\n"
+        "unit = 'degC'\ntime_offset_s = -15.0\n",
+    ),
+}
 
 
 def judge(folder: Path, work: Path, pictures: Path | None = None) -> list[Table]:
@@ -58,6 +69,52 @@ def judge(folder: Path, work: Path, pictures: Path | None = None) -> list[Table]
     ]
 
 
+def add_cuts(fleet: Path, record: Record) -> None:
+    """Motors for held-out blocks, quarters of the warm part, and short windows."""
+    warm = record.warm()
+    for variant, (_, channel) in VARIANTS.items():
+        rows = warm if variant.endswith("warm") else record.rows
+        if not rows.is_empty():
+            add_motor(fleet, f"{record.name}-{variant}", [rows], channel + _periods(rows))
+    if short := windows(warm, SHORT, STEP):
+        quarter = (warm[TIME][-1] - warm[TIME][0]) / 4
+        add_motor(fleet, f"{record.name}-quarters", windows(warm, quarter, quarter))
+        add_motor(fleet, f"{record.name}-windows", short)
+
+
+def _periods(rows: pl.DataFrame) -> str:
+    """Alternate blocks: the first, third, … train, the others validate."""
+    count = (rows[TIME][-1] - rows[TIME][0]) // BLOCK + 1
+    pairs = [
+        f"[{FIRST + i * BLOCK:%FT%TZ}, {FIRST + (i + 1) * BLOCK:%FT%TZ}]" for i in range(count)
+    ]
+    training, validation = ", ".join(pairs[::2]), ", ".join(pairs[1::2])
+    return f"[periods]\ntraining = [{training}]\nvalidation = [{validation}]\n"
+
+
+def law_of(fleet: Path, tables: Tables, record: Record) -> tuple[Motor, dict[str, float]]:
+    """The motor type's law, and its coefficients from the training blocks of the warm part."""
+    (fit,) = labelled(tables, record)
+    law = load_fleet(fleet).motors[0].motor(fit["night"], "estimated")
+    return law, dict(zip((path.name for path in law.paths), fit["coefficients"], strict=True))
+
+
+def conditions(rows: pl.DataFrame) -> OperatingConditions:
+    return OperatingConditions.from_bar(
+        rows[PRESSURE].to_numpy(), rows[TEMPERATURE].to_numpy(), SPEED_RPM
+    )
+
+
+def fits_of(tables: Tables, motor_id: str) -> list[dict[str, Any]]:
+    return tables.fits().filter(pl.col("motor_id") == motor_id).collect().to_dicts()
+
+
+def labelled(tables: Tables, record: Record) -> list[dict[str, Any]]:
+    """Fit of the training blocks of the warm part; empty where it tells no leakage."""
+    fits = fits_of(tables, f"{record.name}-held-out-warm")
+    return [fit for fit in fits if fit[VALUE] is not None]
+
+
 def _record(record: Record) -> Row:
     at_floor = float((record.rows[FLOW] < METER_READS_FROM).to_numpy().mean())
     return {
@@ -67,7 +124,6 @@ def _record(record: Record) -> Row:
         "bar (5–95 %)": _range(record.rows[PRESSURE]),
         "°C (5–95 %)": _range(record.rows[TEMPERATURE]),
         "meter at its floor": f"{100.0 * at_floor:.0f} %",
-        "notes": "; ".join(record.notes) or NONE,
     }
 
 

@@ -27,10 +27,10 @@ from leakage.estimation.sample_blocks import (
 )
 from leakage.estimation.sensitivities import Tolerances
 from leakage.estimation.validation import agreement
-from leakage.frame.result import FrameFit, columns_of
+from leakage.frame.result import FrameFit
 from leakage.frame.samples import FrameSamples, Period, read_samples
 from leakage.physics.law import Parameter
-from leakage.physics.motor import Motor
+from leakage.physics.motor import Motor, regressors
 from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, Constant
 
 HIGHEST_FLUSHING_L_PER_MIN = 20.0
@@ -133,7 +133,7 @@ def fit_frame(
     days = 1 + int(samples.time_us[-1] - samples.time_us[0]) // DAY_US
     index, period_us = samples.index, samples.period_us
     made = compress(
-        columns_of(motor, samples),
+        _columns(motor, samples),
         index,
         period_us,
         short,
@@ -185,6 +185,15 @@ def _with_flushing(motor: Motor, flushing: float | str | None) -> Motor:
         limits = (float(flushing),) * 3
     flow = Parameter(FLUSHING_PARAMETER, "l_per_min", *limits, fixed=flushing != "estimated")
     return replace(motor, paths=(*others, Constant(FLUSHING_PATH, flow)))
+
+
+def _columns(motor: Motor, samples: FrameSamples) -> NDArray[np.float64]:
+    """Columns of the samples as ``motor.columns``, shape (n, c)."""
+    # Column by column in memory as in the nightly run: other sums differ in their last bits.
+    z = np.empty((len(samples.time_us), len(motor.columns)), order="F")
+    regressors(motor, samples.conditions, out=z[:, :-1])
+    z[:, -1] = samples.measured_l_per_min
+    return z
 
 
 def _sample_blocks(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.errors import LeakageError
 from leakage.estimation.proven_minimum import Fit
 from leakage.estimation.residual_analysis import ResidualAnalysis
 from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
@@ -61,13 +60,12 @@ def plot(samples: FrameSamples, parts: NDArray[np.str_], predicted: Array, ax: A
     return axes
 
 
-def plot_residuals(
-    tests: ResidualAnalysis, period_s: float, axes: Sequence[Axes] | None
-) -> list[Axes]:
+def plot_residuals(tests: ResidualAnalysis, period_s: float) -> list[Axes]:
     """Autocorrelation of the errors, and their correlation with each input, with 99 % bands."""
     panels = {"errors": tests.whiteness, **tests.independence}
-    found_axes = _panels(axes, len(panels))
-    for ax, (name, test) in zip(found_axes, panels.items(), strict=True):
+    size = (3.2 * len(panels), 3.0)
+    axes = plt.subplots(1, len(panels), squeeze=False, figsize=size, layout="constrained")[1][0]
+    for ax, (name, test) in zip(axes, panels.items(), strict=True):
         ax.axhline(0.0, color="0.7", lw=0.8)
         ax.set(title=f"{name.replace('_', ' ')}: {test.verdict.replace('_', ' ')}")
         ax.set_xlabel("lag [s]")
@@ -77,8 +75,8 @@ def plot_residuals(
         lags = test.lags * period_s
         ax.fill_between(lags, -test.bounds, test.bounds, color="tab:blue", alpha=0.15, lw=0)
         ax.vlines(lags, 0.0, test.values, lw=1.5)
-    found_axes[0].set_ylabel("correlation [-]")
-    return found_axes
+    axes[0].set_ylabel("correlation [-]")
+    return list(axes)
 
 
 def plot_leakage(
@@ -108,12 +106,3 @@ def plot_leakage(
 def _legend_beside(axes: Axes) -> None:
     """A legend that hides no data."""
     axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-
-
-def _panels(axes: Sequence[Axes] | None, n: int) -> list[Axes]:
-    if axes is None:
-        size = (3.2 * n, 3.0)
-        return list(plt.subplots(1, n, squeeze=False, figsize=size, layout="constrained")[1][0])
-    if len(axes) != n:
-        raise LeakageError("axes", f"{n} axes are needed, not {len(axes)}")
-    return list(axes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import narwhals as nw
@@ -26,8 +26,8 @@ from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_resid
 from leakage.estimation.sample_blocks import SECOND_US
 from leakage.estimation.sensitivities import ErrorBudget, Tolerances, error_budget
 from leakage.estimation.validation import Agreement
+from leakage.frame import words
 from leakage.frame.samples import FrameSamples, read_samples
-from leakage.frame.words import Part, Summary, summary
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors
 from leakage.physics.paths import LeakagePath
@@ -63,7 +63,6 @@ class FrameFit:
     identification: Identification
     # ± of each coefficient of θ by the model and the sensors, shape (p + 1,).
     beside_samples: Array
-    _tests: dict[str, ResidualAnalysis] = field(default_factory=dict)
 
     @property
     def paths(self) -> dict[int, LeakagePath]:
@@ -173,8 +172,9 @@ class FrameFit:
         estimate = self.estimate
         if estimate.misfit is None:
             return np.zeros(len(contrasts))
-        size = factor * estimate.misfit.l_per_min
-        return model_errors(estimate.whole, estimate.fit.proven_minimum.fixed, contrasts, size)
+        # In the order of the nightly run: another one differs in the last bits.
+        reach = model_errors(estimate.whole, estimate.fit.proven_minimum.fixed, contrasts, 1.0)
+        return factor * reach * estimate.misfit.l_per_min
 
     def _sensors(self, at: Sequence[OperatingConditions] = ()) -> ErrorBudget:
         """The stated tolerances of sensors carried through the fit; empty without, or beyond it."""
@@ -191,25 +191,36 @@ class FrameFit:
         except LeakageError:
             return ErrorBudget(())
 
-    def residual_tests(self, part: Part = "validation") -> ResidualAnalysis:
+    def residual_tests(self, part: str = "validation") -> ResidualAnalysis:
         """Whiteness and independence of what the fit to the training samples leaves in a part."""
-        if part not in self._tests:
-            rows, samples = self.parts == part, self.samples
-            theta = np.append(self.estimate.training.coefficients, 1.0)
-            chosen = samples.only(rows)
-            error = chosen.measured_l_per_min - regressors(self.motor, chosen.conditions) @ theta
-            self._tests[part] = analyse_residuals(
-                error,
-                chosen.inputs,
-                samples.index[rows],
-                self.memory_s * SECOND_US / samples.period_us,
-                samples.rounding_l_per_min,
-            )
-        return self._tests[part]
+        chosen, index = self.samples.only(self.parts == part), self.samples.index
+        theta = np.append(self.estimate.training.coefficients, 1.0)
+        return analyse_residuals(
+            chosen.measured_l_per_min - regressors(self.motor, chosen.conditions) @ theta,
+            chosen.inputs,
+            index[self.parts == part],
+            self.memory_s * SECOND_US / self.samples.period_us,
+            self.samples.rounding_l_per_min,
+        )
 
-    def summary(self) -> Summary:
+    def summary(self) -> words.Summary:
         """Summary: warnings first, then estimates with intervals and verdicts, then the fit."""
-        return summary(self)
+        columns, misfit = self.columns(), self.estimate.misfit
+        rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        parts = {"training": self.training, "validation": self.validation}
+        left_out = int(np.count_nonzero(~self.samples.kept))
+        used, seen = self.samples.only(self.used), self.blocks.excitation
+        tested = [part for part in parts if (self.parts == part).any()]
+        return words.Summary(
+            words.title(self.motor.motor_type, used, seen),
+            tuple(words.warnings(left_out, rows, parts, misfit)),
+            (words.HEADINGS, *map(words.cells, rows)),
+            (
+                *(words.fits(part, judged) for part, judged in parts.items() if judged.n),
+                *(words.errors(part, self.residual_tests(part)) for part in tested),
+                words.model(misfit),
+            ),
+        )
 
     def __repr__(self) -> str:
         return str(self.summary())
@@ -247,14 +258,12 @@ class FrameFit:
 
         return plots.plot(self.samples, self.parts, self.predict(), ax)
 
-    def plot_residuals(
-        self, part: Part = "validation", axes: Sequence[Axes] | None = None
-    ) -> list[Axes]:
+    def plot_residuals(self, part: str = "validation") -> list[Axes]:
         """Autocorrelation of the errors, and their correlation with each input, with 99 % bands."""
         from leakage.frame import plots
 
         period_s = self.samples.period_us / SECOND_US
-        return plots.plot_residuals(self.residual_tests(part), period_s, axes)
+        return plots.plot_residuals(self.residual_tests(part), period_s)
 
     def plot_leakage(
         self,
@@ -273,15 +282,6 @@ class FrameFit:
             None if charge is None else charge.mean(),
         )
         return plots.plot_leakage(self.estimate.fit, at, self._total_half_widths, ax)
-
-
-def columns_of(motor: Motor, samples: FrameSamples) -> Array:
-    """Columns of the samples as ``motor.columns``, shape (n, c)."""
-    # Column by column in memory as in the nightly run: other sums differ in their last bits.
-    z = np.empty((len(samples.time_us), len(motor.columns)), order="F")
-    regressors(motor, samples.conditions, out=z[:, :-1])
-    z[:, -1] = samples.measured_l_per_min
-    return z
 
 
 def _on_rows(values: Array, samples: FrameSamples, frame: Any) -> Array:

@@ -24,13 +24,12 @@ TIME = "time"
 INPUTS = ("pressure_bar", "oil_temperature_c", "speed_rpm")
 FLOW = "leakage_l_per_min"
 CHARGE = "charge_over_case_bar"
-# Unit of each column, in words; what stands before the unit tells a column of another one.
-UNITS = {"pressure_bar": "bar", "oil_temperature_c": "°C", "speed_rpm": "rpm", FLOW: "l/min"}
+# Quantity and unit of each column: the quantity in front tells a column of another unit.
 QUANTITIES = {
-    "pressure_bar": "pressure",
-    "oil_temperature_c": "oil_temperature",
-    "speed_rpm": "speed",
-    FLOW: "leakage",
+    "pressure_bar": ("pressure", "bar"),
+    "oil_temperature_c": ("oil_temperature", "°C"),
+    "speed_rpm": ("speed", "rpm"),
+    FLOW: ("leakage", "l/min"),
 }
 
 
@@ -145,9 +144,6 @@ def read_samples(
     values = {name: table.numbers(name) for name in (*INPUTS, FLOW)[: 3 + with_flow]}
     if table.has(CHARGE):
         values[CHARGE] = table.numbers(CHARGE)
-    sizes = {name: len(one) for name, one in ({TIME: time_us} | values).items()}
-    if len(set(sizes.values())) > 1:
-        raise ShapeError("shape", f"columns differ in length: {sizes}")
     kept = np.logical_and.reduce([np.isfinite(one) for one in values.values()])
     if not kept.any():
         empty = [name for name, one in values.items() if not np.isfinite(one).any()]
@@ -180,20 +176,11 @@ class FrameTable:
 
     def __init__(self, frame: Any, names: Mapping[str, str]) -> None:
         self._names = names
-        self._index: Any = None
-        if isinstance(frame, Mapping):
-            self._columns: Any = frame
-            self._known = list(frame)
-            return
-        try:
-            table = nw.from_native(frame)
-        except TypeError as error:
-            raise ShapeError(
-                "frame_type", f"{type(frame).__name__} is no frame and no mapping of arrays"
-            ) from error
-        self._columns = table.collect() if isinstance(table, nw.LazyFrame) else table
+        self._columns = _opened(frame)
         self._known = list(self._columns.columns)
+        # Dates may be the index of a frame of pandas.
         index = nw.maybe_get_index(self._columns)
+        self._index: Any = None
         if index is not None and index.dtype.kind == "M":
             self._index = nw.from_native(index.to_series(), series_only=True)
 
@@ -204,12 +191,12 @@ class FrameTable:
         if self.has(name):
             return self._columns[self._names.get(name, name)]
         known = ", ".join(map(str, self._known))
-        stem = QUANTITIES.get(name, name)
-        other = [one for one in self._known if str(one).startswith(stem) and one != CHARGE]
-        if other and name in UNITS:
+        stem, unit = QUANTITIES.get(name, ("", ""))
+        other = [one for one in self._known if str(one).startswith(stem)]
+        if stem and other:
             raise ShapeError(
                 "column_unit",
-                f"column {other[0]} is not in {UNITS[name]} by its name: convert it and call it"
+                f"column {other[0]} is not in {unit} by its name: convert it and call it"
                 f' {name}, or, if it is, say columns={{"{name}": "{other[0]}"}}',
             )
         raise ShapeError(
@@ -220,31 +207,38 @@ class FrameTable:
     def numbers(self, name: str) -> Array:
         column = self._column(name)
         try:
-            if isinstance(column, nw.Series):
-                column = column.cast(nw.Float64).to_numpy()
-            values = np.asarray(column, dtype=np.float64)
+            values: Array = column.cast(nw.Float64).to_numpy()
         except Exception as error:  # each backend has errors of its own
             raise ShapeError("column_type", f"column {name} holds no numbers: {error}") from error
-        if values.ndim != 1:
-            raise ShapeError("shape", f"column {name} is of shape {values.shape}, not a row")
         return values
 
     def times(self) -> tuple[NDArray[np.int64], bool]:
         """Microseconds, and whether they are dates."""
         column = self._column(TIME) if self.has(TIME) or self._index is None else self._index
-        if isinstance(column, nw.Series):
-            if isinstance(column.dtype, nw.String):
+        if isinstance(column.dtype, nw.String):
+            try:
                 column = column.str.to_datetime()
-            if isinstance(column.dtype, nw.Datetime):
-                if column.null_count():
-                    raise StatisticsError("time_missing", "a row has no time: drop such rows")
-                return column.dt.timestamp("us").to_numpy().astype(np.int64), True
-        elif np.asarray(column).dtype.kind in "MUO":
-            dates = np.asarray(column, dtype="datetime64[us]")
-            if np.isnat(dates).any():
-                raise StatisticsError("time_missing", "a row has no time: drop such rows")
-            return dates.astype(np.int64), True
-        seconds = self.numbers(TIME)
-        if not np.isfinite(seconds).all():
+            except Exception as error:  # each backend has errors of its own
+                raise ShapeError("column_type", f"column time holds no times: {error}") from error
+        on_clock = isinstance(column.dtype, nw.Datetime)
+        if on_clock:
+            column = column.dt.timestamp("us")
+        time_us = column.to_numpy() if on_clock else SECOND_US * self.numbers(TIME)
+        if column.null_count() or not np.isfinite(time_us).all():
             raise StatisticsError("time_missing", "a row has no time: drop such rows")
-        return np.round(seconds * SECOND_US).astype(np.int64), False
+        return np.round(time_us).astype(np.int64), on_clock
+
+
+def _opened(frame: Any) -> nw.DataFrame[Any]:
+    """A frame of any kind, or arrays by name, as one of narwhals."""
+    try:
+        if isinstance(frame, Mapping):
+            return nw.from_dict(frame, backend="polars")
+        table = nw.from_native(frame)
+    except TypeError as error:
+        raise ShapeError(
+            "frame_type", f"{type(frame).__name__} is no frame and no mapping of arrays"
+        ) from error
+    except Exception as error:  # of Polars
+        raise ShapeError("shape", f"these are no columns of one frame: {error}") from error
+    return table.collect() if isinstance(table, nw.LazyFrame) else table

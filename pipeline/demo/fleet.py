@@ -69,7 +69,7 @@ class Plan:
 
     nights: int
     minutes: float  # length of a night's log, [min]
-    rate_hz: float  # rate of all channels but the temperature, which is logged every second, [Hz]
+    rate_hz: float  # rate of all channels that are not logged every second, [Hz]
     seed: int  # seed of the whole fleet
     first_night: dt.date  # label of night 1: the date on which it ends
 

@@ -79,9 +79,10 @@ def record_night(night: DemoNight) -> Recording:
             delays[name] = OWN_DELAY_US * place + rng.integers(0, OWN_JITTER_US, time_s.size)
             signals[name] = np.interp(time_s + 1e-6 * delays[name], time_s, signals[name])
     values = {name: _logged(night, name, signal, rng) for name, signal in signals.items()}
-    # The temperature is logged every second.
+    # The temperature is logged every second, and so is all that has a message of its own.
     is_first = np.diff(np.floor(time_s + 1e-6), prepend=-1.0) > 0.0
-    values["oil_temperature"] = np.where(is_first, values["oil_temperature"], np.nan)
+    for name in values if delays else ("oil_temperature",):
+        values[name] = np.where(is_first, values[name], np.nan)
     return _with_log_faults(night, Recording(_stamps_us(night, time_s), values, delays), rng)
 
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage import EstimationError, Motor, OperatingConditions, regressors
 from leakage.estimation.block_fit import BlockEstimate, fit_blocks
@@ -35,6 +34,7 @@ from leakage.estimation.identifiability import (
 from leakage.estimation.misfit import Misfit, model_errors
 from leakage.estimation.proven_minimum import Fit, ProvenMinimum, fit
 from leakage.estimation.sensitivities import SENSORS
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.night.residuals import PartResiduals
 from pipeline.night.stored_blocks import StoredBlocks
@@ -103,8 +103,6 @@ def _by_squares(rows: Sequence[Row]) -> dict[str, float]:
         effects[row["indicator"]].append(row["effect"])
     return {indicator: math.hypot(*found) for indicator, found in effects.items()}
 
-
-Array = NDArray[np.float64]
 
 REFERENCE, OWN = "reference_leakage", "own_conditions_leakage"
 # ± of a change of all loss factors with temperature, which one night cannot tell (model.md,

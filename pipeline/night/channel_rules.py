@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -176,8 +176,6 @@ class ChannelRules:
         cls, name: str, channel: Channel, cleaning: Cleaning, logs: Logs | None = None
     ) -> ChannelRules:
         """The rules of a channel: its own keys where stated, else the fleet's."""
-        if channel.constant is not None:
-            return cls.of_a_constant(cleaning)
         is_temperature = name == "oil_temperature"
         fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else cleaning.frozen_after_s
         # A value that did not change was not sent: silence is no sign of a frozen sensor.
@@ -186,7 +184,7 @@ class ChannelRules:
         temperature_gap_s = max(
             cleaning.temperature_gap_s, cleaning.gap_sample_periods * (channel.mean_of_s or 0.0)
         )
-        return cls(
+        rules = cls(
             valid_range=channel.valid_range or FALLBACK_VALID_RANGE[name],
             sensor_maximum=channel.sensor_maximum,
             resolution=channel.resolution,
@@ -200,18 +198,7 @@ class ChannelRules:
             puts_in_order=cleaning.out_of_order == "sort",
             has_rows_of_its_own=logs is not None and logs.layout != "wide",
         )
-
-    @classmethod
-    def of_a_constant(cls, cleaning: Cleaning) -> ChannelRules:
-        """The rules of a value that is stated: none refuses it."""
-        return cls(
-            valid_range=(-math.inf, math.inf),
-            sensor_maximum=None,
-            resolution=0.0,
-            hampel_window=cleaning.hampel_window,
-            hampel_threshold=cleaning.hampel_threshold,
-            frozen_after_s=math.inf,
-            gap_sample_periods=cleaning.gap_sample_periods,
-            longest_gap_s=math.inf,
-            puts_in_order=cleaning.out_of_order == "sort",
-        )
+        # A value that is stated is refused by none.
+        anything, ever = (-math.inf, math.inf), math.inf
+        stated = replace(rules, valid_range=anything, frozen_after_s=ever, longest_gap_s=ever)
+        return rules if channel.constant is None else stated

@@ -113,21 +113,12 @@ def fit_night(
             rows["predictions"] = prediction_rows(
                 spec.motor_id, night.date, statistics, modes, errors[0]
             )
-    except Insufficient as outcome:
-        return unfitted(
-            spec,
-            night.date,
-            outcome.status,
-            outcome.reason,
-            code=outcome.code,
-            rows=rows,
-            seconds=seconds,
-        )
     except EstimationError as error:
         return unfitted(spec, night.date, INSUFFICIENT_DATA, str(error), rows=rows, seconds=seconds)
-    except LeakageError as error:
+    except (Insufficient, LeakageError) as error:
+        status, reason = getattr(error, "status", FAILED), getattr(error, "reason", str(error))
         return unfitted(
-            spec, night.date, FAILED, str(error), code=error.code, rows=rows, seconds=seconds
+            spec, night.date, status, reason, code=error.code, rows=rows, seconds=seconds
         )
     model = {mode.name: tuple(mode.fit.coefficients.tolist()) for mode in modes}
     return NightOutcome(night.date, OK, None, None, rows, model, seconds)
@@ -194,15 +185,7 @@ def clean_channels(
         raise Insufficient(INSUFFICIENT_DATA, f"no samples of {', '.join(silent)} in this night")
     if all(channel.period_us is None for channel in cleaned.values()):
         raise Insufficient(INSUFFICIENT_DATA, "fewer than two samples in this night")
-    samples, joint = bring_together(
-        cleaned,
-        night.start_us,
-        night.end_us,
-        settings.time_base,
-        cleaning,
-        settings.transport_delay,
-        settings.sensor_health,
-    )
+    samples, joint = bring_together(cleaned, night, settings)
     return samples, counted + joint
 
 
@@ -214,21 +197,21 @@ def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorS
     if not samples.n_running and 2 * still > samples.n_grid:
         raise Insufficient(STOOD_STILL, "the motor stood still all night")
     if samples.kept_share < spec.settings.windows.minimum_kept_share:
-        worst = sorted(
-            (q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")),
-            key=lambda q: -q.n_refused / max(q.n_samples, 1),
-        )[:2]
-        causes = "; ".join(
-            f"{q.channel} {q.reason} {100 * q.n_refused / q.n_samples:.0f} %"
-            for q in worst
-            if q.n_refused
-        )
+        told = [q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")]
+        told.sort(key=lambda q: -q.n_refused / max(q.n_samples, 1))
+        causes = _shares({f"{q.channel} {q.reason}": q for q in told[:2]})
         limit = 100 * spec.settings.windows.minimum_kept_share
         raise Insufficient(
             INSUFFICIENT_DATA,
             f"only {100 * samples.kept_share:.0f} % of the running motor's samples are kept, "
             f"{limit:.0f} % are needed" + (f" ({causes})" if causes else ""),
         )
+
+
+def _shares(found: Mapping[str, Quality]) -> str:
+    """Refused shares of what refused any."""
+    shares = {name: 100 * q.n_refused / q.n_samples for name, q in found.items() if q.n_refused}
+    return "; ".join(f"{name} {share:.0f} %" for name, share in shares.items())
 
 
 def choose_parts(
@@ -250,11 +233,7 @@ def choose_parts(
 def _require_parts(samples: Samples, outside: tuple[Quality, ...]) -> None:
     if len(samples.index):
         return
-    causes = "; ".join(
-        f"{one.reason.replace('_', ' ')} {100 * one.n_refused / max(one.n_samples, 1):.0f} %"
-        for one in outside
-        if one.n_refused
-    )
+    causes = _shares({q.reason.replace("_", " "): q for q in outside})
     raise Insufficient(
         INSUFFICIENT_DATA,
         f"no part of the night is good enough to fit ({causes} of the kept samples)",

@@ -6,17 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage import Motor, regressors
 from leakage.estimation.identifiability import Judgement
 from leakage.estimation.sensitivities import Effect, ErrorBudget
 from leakage.physics.motor import path_flows_l_per_min
 from leakage.physics.paths import LeakagePath
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 MICROMETRE = 1e-6

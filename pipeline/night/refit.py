@@ -7,16 +7,17 @@ give what the samples would give. What needs samples keeps its rows, and `fits` 
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from leakage import EstimationError, Motor, OperatingConditions
 from leakage.estimation.block_statistics import merge, with_free_known, with_path_known
 from leakage.estimation.sensitivities import effects_elsewhere
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import (
     REFERENCE,
@@ -26,6 +27,7 @@ from pipeline.night.block_fit import (
     in_form,
     scale_of,
 )
+from pipeline.night.fit import tolerances
 from pipeline.night.fit_night import NightOutcome, PreviousModel
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.rows import (
@@ -36,19 +38,19 @@ from pipeline.night.rows import (
     leakage_columns,
     mark_modes,
     previous_model_columns,
+    reference_columns,
     upper_triangle,
 )
-from pipeline.night.stored_blocks import BLOCK_COLUMNS, CHANNELS, StoredBlocks
-from pipeline.night.tolerances import tolerances
+from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.schema.fits import OK
-
-Array = NDArray[np.float64]
 
 REFITTED_TABLES = ("fits", "parameters")
 SENSITIVITIES_TABLES = ("sensitivities",)
 JUDGED_TABLES = ("fits",)
 KEPT_TABLES = ("fits", "sensitivities")
+# Part of a baseline's first nights that are to tell the scale: later nights are like most of them.
+MOST = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,8 @@ def refit(spec: MotorSpec, night: PublishedNight) -> NightOutcome | None:
         return None
     charge_bar = next(iter(fits.values()))["mean_charge_over_case_bar"]
     at = conditions(spec, blocks, charge_bar)
-    is_elsewhere = any(_is_elsewhere(spec, row) for row in fits.values())
+    reference = reference_columns(spec)
+    is_elsewhere = any(row | reference != row for row in fits.values())
     tables = REFITTED_TABLES + SENSITIVITIES_TABLES * is_elsewhere
     rows: Rows = {name: [] for name in tables}
     model = {}
@@ -137,6 +140,23 @@ def refit_in_form(
     tables = outcome.tables and tuple(dict.fromkeys((*outcome.tables, *(made.tables or ()))))
     rows = {**rows, **made.rows, "fits": fits}
     return replace(outcome, rows=rows, model=made.model, tables=tables)
+
+
+def is_roller_free(
+    tells: Mapping[dt.date, bool | None], begins: Sequence[dt.date], needed: int
+) -> bool:
+    """Decide by the first nights of the latest stretch that has enough: it is frozen with them.
+
+    `tells` says by night whether it tells the scale, None without a fit; `begins` are the dates of
+    the events that begin a baseline, and so many nights with a fit as are `needed` decide.
+    """
+    borders = sorted({dt.date.min, *begins, dt.date.max})
+    for begin, end in reversed(list(pairwise(borders))):
+        nights = sorted(label for label in tells if begin <= label < end)
+        first = [tells[label] for label in nights if tells[label] is not None][:needed]
+        if len(first) == needed:
+            return sum(map(bool, first)) >= MOST * needed
+    return False
 
 
 def _as_measured(blocks: StoredBlocks, motor: Motor, before: Row) -> Row:
@@ -198,14 +218,8 @@ def is_refit(outcome: NightOutcome) -> bool:
 
 def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlocks) -> Row:
     """A row of `fits`; what needs samples is as before."""
-    reference = spec.settings.reference
     row = before | block_fit_columns(found) | leakage_columns(spec, found)
-    row |= {
-        "is_refitted": True,
-        "reference_pressure_bar": reference.pressure_bar,
-        "reference_temperature_c": reference.temperature_c,
-        "reference_speed_rpm": reference.speed_rpm,
-    }
+    row |= {"is_refitted": True} | reference_columns(spec)
     # Blocks under a robust loss are weighted: they cannot tell how the samples agree.
     if spec.settings.estimation.loss == "squared":
         motor = found.stated.fit.motor
@@ -215,12 +229,6 @@ def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlock
 
         row |= agreement_columns(spec, judged_on, found.training)
     return row
-
-
-def _is_elsewhere(spec: MotorSpec, before: Row) -> bool:
-    """True if the reference conditions are others than those of a row of `fits`."""
-    reference = spec.settings.reference
-    return any(getattr(reference, name) != before[f"reference_{name}"] for name in CHANNELS)
 
 
 def _sensitivities(

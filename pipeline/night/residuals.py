@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage.estimation.choices import LEVEL, ROUNDING
 from leakage.estimation.compression import smooth
@@ -22,11 +21,10 @@ from leakage.estimation.residual_analysis import (
 )
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION, numbers_of
 from leakage.estimation.validation import effective_sample_count
-from pipeline.arrays import chosen_rows
+from pipeline.arrays import Array, chosen_rows
 from pipeline.config import Smoothing
 from pipeline.night.statistics import NightStatistics
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 INPUTS = ("pressure_difference", "oil_temperature", "speed")

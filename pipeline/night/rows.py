@@ -7,22 +7,22 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage.estimation.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
 from leakage.estimation.proven_minimum import ProvenMinimum
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from leakage.estimation.validation import Agreement, agreement
+from pipeline.arrays import Array
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit, in_form
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.residuals import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
+from pipeline.night.stored_blocks import CHANNELS
 from pipeline.night.time_base import Samples
 from pipeline.night.viscosity import mean_ratio
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 Rows = dict[str, list[Row]]
 
@@ -84,7 +84,6 @@ def fit_rows(
 def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics) -> Row:
     """Columns that a night's fits have in common."""
     samples, model = statistics.samples, spec.settings.model
-    reference = spec.settings.reference
     share = "" if model.film_pressure == "slot" else f" {model.film_pressure_share:g}"
     return {
         "motor_type": spec.file.motor_type,
@@ -94,9 +93,7 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "n_training": sum(one.n for one in statistics.blocks if one.part == TRAINING),
         "n_validation": sum(one.n for one in statistics.blocks if one.part == VALIDATION),
         "smoothing_s": spec.settings.smoothing.window_s,
-        "reference_pressure_bar": reference.pressure_bar,
-        "reference_temperature_c": reference.temperature_c,
-        "reference_speed_rpm": reference.speed_rpm,
+        **reference_columns(spec),
         "mean_flow_l_per_min": float(samples.leakage_l_per_min.mean()),
         "kept_share": samples.kept_share,
         "film_pressure": f"{model.film_pressure}{share}",
@@ -114,6 +111,11 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
             statistics.viscosity_ratios, [block.n for block in statistics.blocks]
         ),
     }
+
+
+def reference_columns(spec: MotorSpec) -> Row:
+    """The fleet's reference conditions."""
+    return {f"reference_{name}": getattr(spec.settings.reference, name) for name in CHANNELS}
 
 
 def _mean_delay_s(samples: Samples) -> float | None:
@@ -170,15 +172,18 @@ def agreement_columns(
 ) -> Row:
     """Agreement of the training fit with the training and the validation samples."""
     theta, resolution = fitted.coefficients, spec.file.channels["leakage_flow"].resolution
-    training = agreement(judged_on(TRAINING), theta, resolution)
-    validation = agreement(judged_on(VALIDATION), theta, resolution)
+
+    def of(part: str) -> Row:
+        return _agreement(part, agreement(judged_on(part), theta, resolution))
+
+    return of(TRAINING) | of(VALIDATION)
+
+
+def _agreement(of: str, found: Agreement) -> Row:
     return {
-        "training_fit_percent": training.fit_percent,
-        "validation_fit_percent": validation.fit_percent,
-        "training_rmse_l_per_min": training.rmse_l_per_min,
-        "validation_rmse_l_per_min": validation.rmse_l_per_min,
-        "training_mean_error_l_per_min": training.mean_error_l_per_min,
-        "validation_mean_error_l_per_min": validation.mean_error_l_per_min,
+        f"{of}_fit_percent": found.fit_percent,
+        f"{of}_rmse_l_per_min": found.rmse_l_per_min,
+        f"{of}_mean_error_l_per_min": found.mean_error_l_per_min,
     }
 
 
@@ -190,11 +195,7 @@ def previous_model_columns(
     if previous is not None and len(previous) == len(night_factor) - 2:
         resolution = spec.file.channels["leakage_flow"].resolution
         found = agreement(night_factor, np.array(previous), resolution)
-    return {
-        "previous_model_fit_percent": found.fit_percent,
-        "previous_model_rmse_l_per_min": found.rmse_l_per_min,
-        "previous_model_mean_error_l_per_min": found.mean_error_l_per_min,
-    }
+    return _agreement("previous_model", found)
 
 
 def block_fit_columns(mode: BlockFit) -> Row:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from itertools import repeat
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage import Motor
 from leakage.physics.motor import speed_beyond_curve
+from pipeline.arrays import Array
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night
@@ -23,7 +24,6 @@ from pipeline.night.viscosity import SensorRatio
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.thinning import keep_extremes
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 HOUR_US = 3_600_000_000
@@ -104,18 +104,7 @@ PREDICTION_POINTS = 720
 
 def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> list[Row]:
     """Rows of `quality`: every rule that was applied, those that refused nothing too."""
-    return [
-        {
-            "motor_id": motor_id,
-            "night": night,
-            "channel": one.channel,
-            "reason": one.reason,
-            "n_samples": one.n_samples,
-            "n_refused": one.n_refused,
-            "n_noted": one.n_noted,
-        }
-        for one in found
-    ]
+    return [{"motor_id": motor_id, "night": night} | asdict(one) for one in found]
 
 
 def statistics_rows(

@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 from leakage import Motor, OperatingConditions, regressors
 from leakage.estimation.compression import CompressedSamples, compress
 from leakage.estimation.sample_blocks import ChosenPeriods, split_into_blocks, within
-from pipeline.arrays import SECOND_US, Mask, Times
+from pipeline.arrays import SECOND_US, Array, Mask, Times
 from pipeline.config import MotorSpec, Windows
 from pipeline.config.hashes import model_hash
 from pipeline.config.nights import Night
 from pipeline.config.settings import Model
 from pipeline.night.time_base import Samples
 from pipeline.night.viscosity import driven
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,17 +9,15 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from leakage.estimation.block_fit import SampleBlocks
 from leakage.estimation.block_statistics import merge
 from leakage.estimation.identifiability import Excitation
 from leakage.estimation.sample_blocks import TRAINING, places_on_clock
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.night.viscosity import driven, mean_ratio, viscosity_ratios
 from pipeline.schema import BLOCK_STATISTICS, staged_table
-
-Array = NDArray[np.float64]
 
 CHANNELS = ("pressure_bar", "temperature_c", "speed_rpm")
 # Columns of `block_statistics` that a fit needs.
@@ -95,19 +93,13 @@ class StoredBlocks:
             *places_on_clock(begins, ends),
             (self.rows["part"] == TRAINING).to_numpy(),
             self.block_means(),
-            Excitation(
-                self.span("pressure_bar"), self.span("temperature_c"), self.span("speed_rpm")
-            ),
+            Excitation(*map(self.span, CHANNELS)),
         )
 
     @property
     def viscosity_ratio(self) -> float | None:
         """Mean of the measured viscosity over the data sheet's; None where that holds."""
         return mean_ratio(self.viscosity_ratios, self.rows["n"].to_list())
-
-    @property
-    def n_samples(self) -> int:
-        return int(self.rows["n"].sum())
 
     @property
     def duration_s(self) -> float:

@@ -10,11 +10,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from math import ceil
+from typing import Any
 
 import numpy as np
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values
-from pipeline.config import Cleaning, SensorHealth, TimeBase, TransportDelay
+from pipeline.config import Cleaning, Settings, TimeBase
+from pipeline.config.nights import Night
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.halts import Halts, settled_halts
 from pipeline.night.masks import ROUNDING, near, stretches, transient
@@ -27,6 +29,11 @@ INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
 # The oil's own measurement: no sample needs it.
 VISCOSITIES = ("kinematic_viscosity", "dynamic_viscosity")
+# Arrays of `Samples`.
+OF_SAMPLES = (
+    *("index", "time_us", "pressure_difference_bar"),
+    *("oil_temperature_c", "speed_rpm", "leakage_l_per_min"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,19 +84,10 @@ class Samples:
 
     def only(self, chosen: Mask) -> Samples:
         """These samples without those that are not chosen; the night stays as long as it was."""
-        return replace(
-            self,
-            index=self.index[chosen],
-            time_us=self.time_us[chosen],
-            pressure_difference_bar=self.pressure_difference_bar[chosen],
-            oil_temperature_c=self.oil_temperature_c[chosen],
-            speed_rpm=self.speed_rpm[chosen],
-            leakage_l_per_min=self.leakage_l_per_min[chosen],
-            low_pressures_bar={
-                name: value[chosen] for name, value in self.low_pressures_bar.items()
-            },
-            viscosities={name: value[chosen] for name, value in self.viscosities.items()},
-        )
+        found: dict[str, Any] = {name: getattr(self, name)[chosen] for name in OF_SAMPLES}
+        for name in ("low_pressures_bar", "viscosities"):
+            found[name] = {of: value[chosen] for of, value in getattr(self, name).items()}
+        return replace(self, **found)
 
     @property
     def kept_share(self) -> float:
@@ -118,23 +116,18 @@ def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> 
 
 
 def bring_together(
-    channels: Mapping[str, CleanChannel],
-    night_start_us: int,
-    night_end_us: int,
-    time_base: TimeBase,
-    cleaning: Cleaning,
-    transport_delay: TransportDelay | None = None,
-    sensor_health: SensorHealth | None = None,
+    channels: Mapping[str, CleanChannel], night: Night, settings: Settings
 ) -> tuple[Samples, tuple[Quality, ...]]:
     """All channels on one time base, and the joint rules: gap, standstill, guard, transient."""
     measured = {name: channel for name, channel in channels.items() if name in VISCOSITIES}
     channels = {name: channel for name, channel in channels.items() if name not in VISCOSITIES}
-    period = grid_period_us(channels, time_base)
+    cleaning, delay = settings.cleaning, settings.transport_delay
+    period = grid_period_us(channels, settings.time_base)
     last = max(int(channel.time_us[-1]) for channel in channels.values())
-    begin = max(-(-(_first_us(channels, night_start_us) - night_start_us) // period), 0)
-    end = min((last - night_start_us) // period, (night_end_us - night_start_us - 1) // period)
-    first = night_start_us + begin * period
-    grid = np.arange(first, night_start_us + (end + 1) * period, period, dtype=np.int64)
+    start = night.start_us
+    begin = max(-(-(_first_us(channels, start) - start) // period), 0)
+    end = min(last - start, night.end_us - start - 1) // period
+    grid = start + period * np.arange(begin, end + 1, dtype=np.int64)
     values: dict[str, Values] = {}
     present: dict[str, Mask] = {}
     found: list[Quality] = []
@@ -150,10 +143,8 @@ def bring_together(
     low_pressures = [name for name in LOW_PRESSURES if name in channels]
     unpaired: dict[str, Mask] = {}
     delay_s = None
-    if transport_delay is not None and transport_delay.mode != "off":
-        values, present, late, delay_s = delay_inputs(
-            values, present, period / SECOND_US, transport_delay
-        )
+    if delay.mode != "off":
+        values, present, late, delay_s = delay_inputs(values, present, period / SECOND_US, delay)
         unpaired["transport_delay"] = late
     incomplete = ~reduce(np.logical_and, (present[name] for name in (*INPUTS, *low_pressures)))
     together = Together(grid, period / SECOND_US, values, present)
@@ -186,9 +177,7 @@ def bring_together(
             delay_s=delay_s,
             n_logged=n_logged,
             n_turning=n_turning,
-            halts=settled_halts(
-                masks["standstill"], grid, channels, sensor_health or SensorHealth()
-            ),
+            halts=settled_halts(masks["standstill"], grid, channels, settings.sensor_health),
             viscosities={
                 name: on_grid(channel, grid, period)[0][kept] for name, channel in measured.items()
             },

@@ -10,12 +10,9 @@ from __future__ import annotations
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Mask, Values
 from pipeline.config import TransportDelay
-
-Values = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 L_PER_MIN_PER_M3_PER_S = 60_000.0
 

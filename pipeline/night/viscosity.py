@@ -13,15 +13,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage.physics.oil import Oil, density_kg_per_m3
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s
+from pipeline.arrays import Array, Mask
 from pipeline.config import MotorSpec
 from pipeline.night.time_base import VISCOSITIES, Samples
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Columns of the statistics that no viscosity scales.
 UNDRIVEN = ("one", "measured")

@@ -164,7 +164,10 @@ def _leakage_panel(motor: MotorHistory) -> Panel:
         return Panel("Drain flow, mean of the night", "l/min", (flow,))
     own = _styled("leakage", 0, *motor.leakage)
     level = Line("baseline", motor.level, GREY, dash="dash")
-    ends = _ends([own.value, level.value], LEAST_REACH * float(np.nanmedian(own.value)))
+    low, high = _ends([own.value, level.value], LEAST_REACH * float(np.nanmedian(own.value)))
+    # Of older nights an interval may be cut; the newest is shown as a whole.
+    _, lower, upper = (one[-1] for one in motor.leakage)
+    ends = float(np.fmin(low, lower)), float(np.fmax(high, upper))
     return Panel("Leakage at its own conditions", "l/min", (own, level), ends, 210)
 
 

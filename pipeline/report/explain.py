@@ -12,7 +12,7 @@ from typing import Any
 
 from pipeline.errors import UsageError
 from pipeline.messages import counted, plain, statement
-from pipeline.report.words import UNITS, figure, refusal
+from pipeline.report.words import UNITS, conditions, refusal
 from pipeline.schema import (
     FITS,
     INPUT_FILES,
@@ -183,8 +183,9 @@ def _leakages(fit: Row, watch: list[Row]) -> Iterator[str]:
 
 def _conditions(row: Row, kind: str) -> str:
     """Conditions of a leakage; `kind` is how their columns begin."""
-    units = {"pressure_bar": "bar", "temperature_c": "°C", "speed_rpm": "rpm"}
-    return ", ".join(f"{figure(row[f'{kind}_{name}'])} {unit}" for name, unit in units.items())
+    return conditions(
+        *(row[f"{kind}_{one}"] for one in ("pressure_bar", "temperature_c", "speed_rpm"))
+    )
 
 
 def _figure(fit: Row) -> str:

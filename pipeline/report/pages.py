@@ -10,7 +10,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from pipeline.messages import as_sentence, plain
 from pipeline.report.fleet_page import HEIGHT, WIDTH
-from pipeline.report.words import ABSENT, GLOSSARY, STATES, candidates, figure, percent
+from pipeline.report.words import ABSENT, STATES, candidates, conditions, figure, percent
 from pipeline.trends.sentences import day, name_of
 
 FOLDER = Path(__file__).parent
@@ -41,8 +41,8 @@ def _environment() -> Environment:
     }
     environment.globals |= {
         "absent": ABSENT,
+        "conditions": conditions,
         "states": STATES,
-        "terms": GLOSSARY,
         "spark_width": WIDTH,
         "spark_height": HEIGHT,
     }

@@ -24,6 +24,7 @@ from pipeline.report.build import newest_changes
 from pipeline.report.charts import Chart, Panel, watch_chart
 from pipeline.report.status import current_states
 from pipeline.report.tables import MotorHistory, motor_histories
+from pipeline.report.words import conditions
 from pipeline.schema import ALARMS
 from pipeline.store.atomic_files import put
 from pipeline.store.tables import read_rows
@@ -82,7 +83,11 @@ def page_of(
     page = Figure(figsize=PAGE)
     FigureCanvasPdf(page)
     page.text(LEFT, 0.955, motor.motor_id, fontsize=20, weight="bold")
-    page.text(LEFT, 0.935, f"{plain(state.state)}; data up to {day(motor.nights[-1])}")
+    words, watch = f"{plain(state.state)}; data up to {day(motor.nights[-1])}", state.watch
+    if watch is not None and watch.own_pressure_bar is not None:
+        at = watch.own_pressure_bar, watch.own_temperature_c, watch.own_speed_rpm
+        words += f"; its own conditions: {conditions(*at)}"
+    page.text(LEFT, 0.935, words)
     top = 0.915
     for words, letters, look in (
         (as_sentence(state.sentence), 90, {"fontsize": 11}),

@@ -22,7 +22,7 @@ from pipeline.config.nights import nights_between
 from pipeline.logs.files import labels_of
 from pipeline.logs.motor_logs import MotorLogs
 from pipeline.logs.processed import NightRecord, ProcessedChange, ProcessedLogs
-from pipeline.night.roller import is_roller_free
+from pipeline.night.refit import is_roller_free
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
 

@@ -144,6 +144,7 @@ def changed(**columns: Any) -> Mapping[str, Any]:
         (changed(time=np.zeros(600)), "time_order", "time repeats at row 1"),
         (changed(time=-np.arange(600.0)), "time_order", "time falls at row 1"),
         (changed(time=np.full(600, np.nan)), "time_missing", "drop such rows"),
+        (changed(time=np.array(["noon"] * 600)), "column_type", "time holds no times"),
         (changed(speed_rpm=np.full(600, np.nan)), "no_samples", "speed_rpm has no values"),
         (changed(speed_rpm=np.array(["fast"] * 600)), "column_type", "speed_rpm holds no numbers"),
     ],
@@ -158,7 +159,7 @@ def test_a_bad_frame_is_refused_with_what_to_do(
 
 
 def test_columns_of_other_lengths_and_what_is_no_frame_are_refused() -> None:
-    with pytest.raises(ShapeError, match="differ in length"):
+    with pytest.raises(ShapeError, match=r"no columns of one frame: .*speed_rpm"):
         fit_frame(changed(speed_rpm=np.zeros(3)), MOTOR)
     with pytest.raises(ShapeError, match="int is no frame"):
         fit_frame(3, MOTOR)
@@ -201,5 +202,3 @@ def test_plots_are_axes_and_show_what_they_say(found: FrameFit) -> None:
     at_200 = float(np.interp(200.0, total.get_xdata(), total.get_ydata()))
     assert at_200 == pytest.approx(found.leakage(200.0, 50.0, 30.0).leakage_l_per_min, rel=1e-3)
     assert found.plot(axes) is axes
-    with pytest.raises(LeakageError, match="4 axes are needed"):
-        found.plot_residuals(axes=[axes])

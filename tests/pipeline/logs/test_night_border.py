@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.config import Channel, Cleaning, TimeBase, load_fleet
+from pipeline.config import Channel, Cleaning, Settings, TimeBase, load_fleet
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
@@ -30,7 +30,6 @@ from tests.pipeline.simulated import (
 from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop, check_same_figures
 
 START = night_of().start_us
-END = night_of().end_us
 SILENCE_S = 600.0
 Log = Mapping[str, pa.Array]
 Make = Callable[[], Workshop]
@@ -95,7 +94,8 @@ def test_a_sample_before_the_night_carries_over(
 
 
 def together(**channels: CleanChannel) -> Samples:
-    samples, _ = bring_together(channels, START, END, TimeBase(rate_hz=1.0), Cleaning())
+    settings = Settings().model_copy(update={"time_base": TimeBase(rate_hz=1.0)})
+    samples, _ = bring_together(channels, night_of(), settings)
     return samples
 
 

@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.config import Channel, Cleaning, MotorSpec
+from pipeline.config import Channel, Cleaning
 from pipeline.config.logs import Logs
-from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
-from pipeline.night.fit_night import fit_night
 from pipeline.night.resampling import on_grid
 from tests.pipeline.night.channels import SECOND, Times, as_read, refused_by
-from tests.pipeline.night.noise_free import configured_flow, refused_of
-from tests.pipeline.simulated import CANONICAL, Array, night_of, operate, raw
+from tests.pipeline.simulated import Array
 
 Mask = NDArray[np.bool_]
 ON_CHANGE: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
@@ -122,21 +119,3 @@ class TestOnChange:
         assert np.flatnonzero(~present).tolist() == [*range(200, 260), *range(801, 900)]
         assert np.flatnonzero(silent).tolist() == [*range(201, 260), *range(801, 900)]
         assert value[[0, 99, 100, 260, 499, 800]].tolist() == [10, 10, 20, 40, 40, 50]
-
-
-def test_a_night_with_bad_samples_is_the_night_without_them(spec: MotorSpec) -> None:
-    """The same model to the last digit, whatever stands in the samples that the log calls bad."""
-    moving = operate(minutes=60.0)
-    channels = raw(moving.time_us, moving.channels(configured_flow(spec, moving)))
-    bad = np.zeros(len(moving.time_us), np.bool_)
-    bad[300:420] = bad[2000:2010] = True
-    flagged, without = dict(channels), dict(channels)
-    for name in CANONICAL:
-        one = channels[name]
-        nonsense = np.where(bad, 1.0, one.value)
-        flagged[name] = RawChannel(one.time_us, nonsense, one.missing, 0, bad)
-        without[name] = RawChannel(one.time_us, np.where(bad, np.nan, one.value), bad, 0)
-    outcomes = [fit_night(spec, night_of(), channels) for channels in (flagged, without)]
-    assert outcomes[0].model == outcomes[1].model != {}
-    counted = refused_of(outcomes[0])
-    assert {counted[name, "bad_quality"] for name in CANONICAL} == {130}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +11,6 @@ import pytest
 
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
-from pipeline.ingest import read_log
-from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import Rows
 from pipeline.schema import NIGHT_TABLES, frame
 from pipeline.schema.fits import OK
@@ -22,7 +18,6 @@ from tests.pipeline.night.noise_free import (
     TRUTH,
     fit,
     fit_of,
-    refused_of,
     simulate,
     true_coefficients,
     values_of,
@@ -31,13 +26,10 @@ from tests.pipeline.night.noise_free import (
 from tests.pipeline.simulated import (
     CANONICAL,
     NIGHT,
-    Array,
     load_motor,
     motor_toml,
-    night_of,
     operate,
     with_settings,
-    write_log,
 )
 
 ALL_MODES = '[flushing]\nmode = "estimated"\nalso = ["none", "fixed"]\n'
@@ -140,76 +132,3 @@ def test_rows_fit_their_tables_and_no_key_stands_twice(tmp_path: Path) -> None:
         assert rows.select(key).is_unique().all(), table.name
         if table.name not in ("input_files", "starts"):
             assert rows.height, table.name
-
-
-OTHER_UNITS = [
-    {"pressure_difference": "kPa", "oil_temperature": "K", "leakage_flow": "m3/h"},
-    {"pressure_difference": "MPa", "oil_temperature": "degF", "speed": "1/s"},
-    {"pressure_difference": "psi", "speed": "rad/s", "leakage_flow": "us_gal/min"},
-]
-FROM_CANONICAL: dict[str, Callable[[Array], Array]] = {
-    "kPa": lambda bar: bar * 100.0,
-    "MPa": lambda bar: bar / 10.0,
-    "psi": lambda bar: bar * 1e5 / 6894.757293168361,
-    "K": lambda c: c + 273.15,
-    "degF": lambda c: c * 1.8 + 32.0,
-    "1/s": lambda rpm: rpm / 60.0,
-    "rad/s": lambda rpm: rpm * np.pi / 30.0,
-    "m3/h": lambda lpm: lpm * 0.06,
-    "us_gal/min": lambda lpm: lpm / 3.785411784,
-}
-
-
-@pytest.mark.parametrize("units", OTHER_UNITS, ids=lambda units: "-".join(units.values()))
-def test_the_same_night_in_other_units_is_the_same_fit(
-    tmp_path: Path, units: dict[str, str]
-) -> None:
-    operation = operate()
-    fits = []
-    for name, own in (("plain", {}), ("other", units)):
-        spec = load_motor(tmp_path / name, motor_toml("M1", units=CANONICAL | own))
-        values = simulate(spec, operation)
-        values["leakage_flow"] += white(2400, 0.02)
-        logged = {
-            channel: FROM_CANONICAL[own[channel]](value) if channel in own else value
-            for channel, value in values.items()
-        }
-        path = tmp_path / name / "logs" / "M1" / "a.parquet"
-        write_log(path, operation.time_us, logged)
-        channels = read_log(path, spec.file.logs, spec.file.channels).channels
-        fits.append(fit_night(spec, night_of(), channels))
-    plain, other = fits
-    assert plain.status == other.status == OK
-    found = values_of(plain.rows, "none"), values_of(other.rows, "none")
-    assert found[1] == pytest.approx(found[0], rel=1e-9)
-    exempt = {"model_hash", "certificate_gap", "dual_residual"}
-    for key, value in fit_of(plain.rows).items():
-        if isinstance(value, float) and key not in exempt:
-            assert fit_of(other.rows)[key] == pytest.approx(value, rel=1e-9), key
-    assert refused_of(plain) == refused_of(other)
-
-
-def test_what_came_before_a_gap_changes_nothing_after_it(spec: MotorSpec) -> None:
-    """Half an hour of anything, a gap, then a smoothed night: its samples and columns are alike."""
-    smoothed = with_settings(spec, "smoothing", window_s=5.0)
-    operation = operate(minutes=70.0)
-    values = simulate(spec, operation)
-    seen = np.delete(np.arange(4200), np.arange(1800, 1860))
-    other = {name: value.copy() for name, value in values.items()}
-    rng = np.random.default_rng(3)
-    other["leakage_flow"][:1800] += rng.standard_t(2, 1800)
-    other["pressure_difference"][:1800] *= 0.7
-    short = replace(operation, time_us=operation.time_us[seen])
-    found = [
-        fit(smoothed, short, {name: value[seen] for name, value in one.items()}).rows[
-            "block_statistics"
-        ]
-        for one in (values, other)
-    ]
-    border = dt.datetime.fromtimestamp(operation.time_us[1860] / 1e6, dt.UTC)
-    after = [
-        [(row["n"], row["statistics"]) for row in rows if row["block_start"] >= border]
-        for rows in found
-    ]
-    assert len(after[0]) >= 18
-    assert after[0] == after[1]

@@ -12,8 +12,8 @@ import pytest
 from leakage import OperatingConditions, regressors, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import ErrorParts, of_extrapolation, of_sensors, of_stated
+from pipeline.night.fit import assumed_sensors, tolerances
 from pipeline.night.fit_night import NightOutcome
-from pipeline.night.tolerances import assumed_sensors, tolerances
 from tests.pipeline.night.noise_free import configured_flow, fitted, white
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
 

@@ -12,13 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import Cleaning, Nights, TimeBase
-from pipeline.config.nights import night
-from pipeline.ingest import RawChannel, RawLog
-from pipeline.logs.files import slice_night
+from pipeline.config import Cleaning, Settings, TimeBase
+from pipeline.config.nights import Night
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.time_base import Quality, Samples, bring_together, grid_period_us
-from tests.pipeline.night.channels import SECOND, STEP, Floats, Times, cleaned
+from tests.pipeline.night.channels import SECOND, STEP, Floats, cleaned
 
 START = 1_767_333_600 * SECOND  # 2026-01-02 06:00 UTC
 END = START + 24 * 3600 * SECOND
@@ -49,7 +47,9 @@ def running(seconds: float, begin_us: int = START, rate_hz: int = 10) -> dict[st
 def together(
     channels: Mapping[str, CleanChannel], **settings: Any
 ) -> tuple[Samples, dict[tuple[str, str], Quality]]:
-    samples, found = bring_together(channels, START, END, TimeBase(), Cleaning(**settings))
+    here = Night(dt.date(2026, 1, 3), START, END)
+    own = Settings().model_copy(update={"cleaning": Cleaning(**settings)})
+    samples, found = bring_together(channels, here, own)
     keys = [(one.channel, one.reason) for one in found]
     assert len(keys) == len(set(keys))
     return samples, {(one.channel, one.reason): one for one in found}
@@ -91,16 +91,6 @@ class TestGrid:
         samples, _ = together(running(30, START))
         assert samples.time_us[0] == START
 
-    @pytest.mark.parametrize("cut", [1, 333, 334, 5999])
-    def test_a_night_in_two_files_is_the_same_night(self, cut: int) -> None:
-        here = night(dt.date(2026, 1, 3), Nights())
-        time = here.start_us + 77 * SECOND + np.arange(6000, dtype=np.int64) * STEP
-        halves = slice_night([raw_log(time[:cut]), raw_log(time[cut:])], here)
-        whole = slice_night([raw_log(time)], here)
-        for name, one in whole.items():
-            for part in ("time_us", "value", "missing"):
-                np.testing.assert_array_equal(getattr(halves[name], part), getattr(one, part))
-
     @pytest.mark.parametrize("rate_hz", [10, 20, 100])
     @pytest.mark.parametrize("n", [1, 2, 5])
     def test_a_log_that_touches_the_night_with_a_few_samples(self, rate_hz: int, n: int) -> None:
@@ -116,17 +106,6 @@ class TestGrid:
 
 
 FLEET = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
-
-
-def raw_log(time: Times) -> RawLog:
-    """A wide log in which the temperature has a sample in the first row of each second."""
-    blank = {name: np.zeros(len(time), np.bool_) for name in FLEET}
-    blank["oil_temperature"] = time % SECOND != 0
-    channels = {
-        name: RawChannel(time, np.where(missing, np.nan, time / SECOND), missing, 0)
-        for name, missing in blank.items()
-    }
-    return RawLog(channels, len(time))
 
 
 class TestPorts:

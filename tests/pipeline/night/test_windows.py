@@ -111,15 +111,6 @@ def test_seven_train_three_validate_a_guard_at_each_border() -> None:
     assert parts(interleaved(96)) == "tttttttgvvvg" * 4
 
 
-@pytest.mark.parametrize("hours", [8, 12, 16, 18, 18.5, 20, 23, 24, 25])
-def test_at_most_96_are_stored(hours: float) -> None:
-    short = interleaved(int(hours * 60))
-    assert len(merge_neighbours(short, 96)) <= 96
-    training = sum(block.n for block in short if block.part == TRAINING)
-    validation = sum(block.n for block in short if block.part == VALIDATION)
-    assert 0.65 < training / (training + validation) < 0.78
-
-
 @given(st.integers(60, 1500), st.integers(1, 5))
 def test_training_and_validation_never_touch(n_minutes: int, guard: int) -> None:
     letters = runs(parts(interleaved(n_minutes, guard)))

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from leakage.frame.result import FrameFit
 from pipeline.config import MotorSpec
 from pipeline.errors import UsageError
+from pipeline.night.fit import tolerances
 from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import Row
-from pipeline.night.tolerances import tolerances
 from pipeline.notebook import open_tables, prepare, prepare_log
 from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (

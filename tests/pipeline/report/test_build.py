@@ -15,6 +15,7 @@ import pytest
 
 from pipeline.errors import StoreError
 from pipeline.report.build import ReportResult, build_report
+from pipeline.report.words import STATES
 from pipeline.schema import FITS, PREDICTIONS
 from pipeline.store.encoding import VERSION_KEY
 from pipeline.store.tables import night_file
@@ -64,6 +65,10 @@ def test_the_folder_is_complete_and_leads_nowhere_else(report: Path) -> None:
             if not target.startswith(("#", "data:,")):
                 assert (page.parent / target.split("#")[0]).resolve().is_relative_to(report)
                 assert (page.parent / target.split("#")[0]).exists(), target
+    # Ten terms and the states, a link away from each page.
+    glossary, *others = pages
+    assert glossary.read_text("utf-8").count("<dd>") == 10 + len(STATES)
+    assert all(any("glossary.html" in one for one in Links(page).targets) for page in others)
 
 
 def test_pages_and_nights_are_small_and_hold_no_clock_and_no_path(report: Path) -> None:

@@ -97,6 +97,9 @@ def test_noise_of_the_leakage_looks_like_noise() -> None:
     motor = history([fit(n) for n in range(3)], [watch(n, 2.0 + 0.01 * n) for n in range(3)])
     (panel,) = watch_chart(motor, ()).panels
     assert panel.ends == pytest.approx((1.67835, 2.34165))
+    wide = [watch(n, 2.0, own_leakage_lower=1.0, own_leakage_upper=3.0 - n) for n in range(2)]
+    (panel,) = watch_chart(history([fit(n) for n in range(2)], wide), ()).panels
+    assert panel.ends == pytest.approx((1.0, 2.33))
 
 
 def test_a_night_of_the_watch_without_a_fit_is_none_of_the_motor_s_nights() -> None:

@@ -13,15 +13,15 @@ from matplotlib.figure import Figure
 from pipeline.errors import UsageError
 from pipeline.messages import statement
 from pipeline.report.paper import STYLE, page_of, write_paper
-from pipeline.report.status import current_states
 from pipeline.report.tables import motor_histories
 from tests.pipeline.report.conftest import demo_fleet
+from tests.pipeline.report.states import state_of
 
 
 def drawn(output: Path, motor_id: str) -> tuple[Figure, str]:
-    """The page of a motor, and the words of its state."""
+    """The page of a motor in alarm, and the words of its state."""
     (motor,) = motor_histories(output, [motor_id])
-    (state,) = current_states(output, [motor_id])
+    state = state_of(motor_id, "alarm")
     with mpl.rc_context(STYLE):
         # More changes than there is room for: their words are cut after three lines.
         change = {"indicator": "leakage", "from_state": "ok", "to_state": "alarm"}
@@ -36,9 +36,10 @@ def test_page_says_what_happened_and_has_room_for_the_finding(
     fitted_output: Path, motor_id: str
 ) -> None:
     page, said = drawn(fitted_output, motor_id)
-    words = " ".join(text.get_text().replace("\n", " ") for text in page.texts)
+    words = " ".join(" ".join(text.get_text().split()) for text in page.texts)
     assert motor_id in words
     assert said in words
+    assert "its own conditions: 150 bar, 48.0 °C, 26.0 rpm" in words
     assert words.count("not opened") == 4  # three gaps, and the cam rollers
     assert [axes.get_title("left") for axes in page.axes]
     # No text lies on another.
