@@ -28,8 +28,7 @@ CHANNEL_COLUMNS = ("channel", "rate", "median", "missing", "refused", "refused b
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
-    from pipeline.setup.channel_check import ChannelCheck
-    from pipeline.setup.check import MotorCheck
+    from pipeline.setup.check import ChannelCheck, MotorCheck
     from pipeline.store.published import TableFault
 
 
@@ -70,7 +69,7 @@ def check(
         names = ", ".join(placeholders)
         typer.echo(f"placeholders, to be replaced with the manufacturer's values: {names}")
     if strays := unclaimed(fleet):
-        tell({"event": "unclaimed", "logs": strays}, strays_told(fleet), as_json=as_json)
+        tell({"event": "unclaimed", "logs": strays}, strays_told(strays), as_json=as_json)
     faults = list(_fleet_faults(fleet, checks))
     for fault in faults:
         line = error_line(fault.code, fault.message, EXIT_MOTORS_FAILED, as_json=as_json)

@@ -93,19 +93,21 @@ def fit_fleet(
 
 def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
     """Say what `check` says of the logs: those without a motor, and before the first run, which
-    opens them all, faults of units and columns. What cannot be read the run says itself."""
-    from pipeline.setup.check import check_motor, strays_told
+    opens them all, what may be wrong with units and columns. What cannot be read the run says."""
+    from pipeline.setup.check import check_motor, strays_told, unclaimed
+    from pipeline.setup.promise import SWAPPED
 
     if as_json:
         return
-    if strays := strays_told(fleet):
+    if strays := strays_told(unclaimed(fleet)):
         say(strays, err=True)
     if (fleet.output / "tables").is_dir() or fleet.log_url:
         return
     for spec in (one for one in fleet.motors if one.file.logs.database is None):
-        for fault in check_motor(spec).faults:
-            if fault.startswith(("unit_", "column")):
-                say(f"{spec.motor_id}: {fault}", err=True)
+        seen = check_motor(spec)
+        for told in (*seen.faults, *seen.notes):
+            if told.startswith(("unit_", "column")) or told.endswith(SWAPPED):
+                say(f"{spec.motor_id}: {told}", err=True)
 
 
 def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn:

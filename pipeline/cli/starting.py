@@ -14,7 +14,7 @@ from pipeline.errors import UsageError
 from pipeline.messages import counted
 
 if TYPE_CHECKING:
-    from pipeline.setup.observe import Observed
+    from pipeline.setup.fleet_files import Observed
     from pipeline.setup.propose import Proposal, ProposedMotor
     from pipeline.setup.tables import Question
 
@@ -87,8 +87,13 @@ def init(
     written; 2: wrong usage, or a file is there already; 4: a database does not answer.
     """
     from pipeline.demo import shipped_configs
-    from pipeline.setup.fleet_files import added_files, defaults_of, fleet_files, write_fleet
-    from pipeline.setup.observe import observed_of
+    from pipeline.setup.fleet_files import (
+        added_files,
+        defaults_of,
+        fleet_files,
+        observed_of,
+        write_fleet,
+    )
 
     fleet = load(to / "fleet.toml", None, None) if add else None
     defaults = defaults_of(to / "fleet.toml") if add else {}

@@ -7,9 +7,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, Field, field_validator
 
-from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import FieldText
-from pipeline.config.section import NonNegative, Positive, Section, Stage
+from pipeline.config.section import Misfit, NonNegative, Positive, Section, Stage
 
 ChannelName = Literal[
     "pressure_difference",

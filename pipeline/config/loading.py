@@ -1,7 +1,11 @@
-"""Read all config files of a fleet and report every fault of every file at once."""
+"""Read all config files of a fleet and report every fault of every file at once.
+
+Some faults no file shows alone: names of other files, and figures that do not go together.
+"""
 
 from __future__ import annotations
 
+import datetime as dt
 import errno
 import json
 import tomllib
@@ -12,12 +16,12 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from pipeline.config.cross_checks import claimed_twice, impossible, oil_faults, strangers
-from pipeline.config.faults import ConfigError, Fault, fault_at, faults_of
+from pipeline.config.channels import COUNTED
 from pipeline.config.fleet import LOW_SIDE, Fleet, MotorSpec, absolute, is_url, overlap
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
-from pipeline.config.oil_samples import OilCircuitFile
+from pipeline.config.oil_samples import FURTHEST, OilCircuitFile
+from pipeline.config.section import ConfigError, Fault, fault_at, faults_of
 from pipeline.config.settings import FleetFile, Folders, Settings
 
 # Bytes of a config file.
@@ -61,7 +65,7 @@ def load_fleet(path: Path) -> Fleet:
             continue
         file, before = f"motors/{name}.toml", len(faults)
         faults += _misnamed("motors", "motor_id", {name: its})
-        faults += strangers(file, its, types.documents, oils.documents)
+        faults += _strangers(file, its, types.documents, oils.documents)
         motor, motor_type = motors.parsed.get(name), types.parsed.get(its.get("motor_type", ""))
         is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
         key = json.dumps([is_logged, its.get("override")], default=str)
@@ -73,10 +77,14 @@ def load_fleet(path: Path) -> Fleet:
                 motor, motor_type, oils.parsed, settings, log_root, log_url,
                 circuit_samples=circuit.oil_samples,
             )  # fmt: skip
-            faults += impossible(file, spec)
+            faults += _impossible(file, spec)
             specs.append(spec)
-    faults += claimed_twice(specs)
-    faults += oil_faults(specs, motors.documents.values(), circuits.documents)
+    faults += _claimed_twice(specs)
+    faults += _oil_faults(specs)
+    # A motor's file that cannot be read may be of any circuit.
+    if all(motors.own.values()):
+        known_circuits = {its.get("oil_circuit") for its in motors.documents.values()}
+        faults += _lonely(circuits.documents.keys() - known_circuits)
     if not motors.documents and not faults:
         faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
     if faults or fleet is None:
@@ -131,6 +139,96 @@ def _settings(
     two_sided = settings.model.is_two_sided(is_logged=is_logged)
     model = settings.model.model_copy(update={"two_sided": two_sided})
     return settings.model_copy(update={"model": model})
+
+
+# Faults that no file shows alone
+
+
+def _strangers(
+    file: str, document: Document, types: Iterable[str], oils: Iterable[str]
+) -> Iterator[Fault]:
+    """Names of motor types and oils that there are not; other faults of the file do not matter."""
+    events = document.get("events")
+    named = [("motor_type", document, types), ("oil", document, oils)]
+    named += [
+        (f"events.{index}.oil", event, oils)
+        for index, event in enumerate(events if isinstance(events, list) else ())
+        if isinstance(event, dict)
+    ]
+    for key, table, known in named:
+        given = table.get(key.rpartition(".")[2])
+        if isinstance(given, str) and given not in known:
+            choice = ", ".join(sorted(known)) or "those in its folder, which has none"
+            yield fault_at(file, (key,), f"expected one of {choice}", given)
+
+
+def _lonely(circuits: Iterable[str]) -> Iterator[Fault]:
+    """Files of oil circuits that no motor is of."""
+    for name in sorted(circuits):
+        message = "no motor is of this oil circuit; expected the name that a motor's file has"
+        yield Fault(f"oil_circuits/{name}.toml", "", message)
+
+
+def _oil_faults(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
+    """Faults of analyses that only show beside the oil, the date, or the other file."""
+    for spec in specs:
+        own, shared = spec.file.oil_samples, spec.circuit_samples
+        file = f"motors/{spec.motor_id}.toml"
+        if own and shared:
+            message = "expected the analyses in this file or in that of the oil circuit, not both"
+            yield Fault(file, "oil_samples", message)
+        if shared:
+            file = f"oil_circuits/{spec.file.oil_circuit}.toml"
+        yield from _faults_of_samples(file, spec)
+
+
+def _faults_of_samples(file: str, spec: MotorSpec) -> Iterator[Fault]:
+    from leakage.physics.walther import kinematic_viscosity_mm2_per_s
+
+    tomorrow = dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1)
+    for index, sample in enumerate(spec.file.oil_samples or spec.circuit_samples):
+        place = ("oil_samples", index)
+        if sample.date > tomorrow:
+            message = "expected a day that has come: an analysis holds from its date on"
+            yield fault_at(file, (*place, "date"), message, sample.date.isoformat())
+        oil, at_40 = spec.oil_on(sample.date).oil(), sample.viscosity_40_c_mm2_per_s
+        sheet = float(kinematic_viscosity_mm2_per_s(40.0, oil.walther_a, oil.walther_b))
+        if at_40 is not None and not 1.0 / FURTHEST <= at_40 / sheet <= FURTHEST:
+            message = (
+                f"expected {sheet / FURTHEST:.3g} to {FURTHEST * sheet:.3g}, as {oil.name} has "
+                f"{sheet:.3g}; another oil is an event"
+            )
+            yield fault_at(file, (*place, "viscosity_40_c_mm2_per_s"), message, at_40)
+
+
+def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
+    """Motors that take their drain flow from one place."""
+    first: dict[object, str] = {}
+    for spec in specs:
+        flow, logs = spec.file.channels[COUNTED], spec.file.logs
+        query = logs.database and (logs.database.connection, logs.database.query)
+        place = (query or logs.files, logs.motor_name, flow.source, flow.field, flow.value_column)
+        other = first.setdefault(place, spec.motor_id)
+        if other != spec.motor_id:
+            message = (
+                f"expected logs or a column of its own: this is the drain flow of {other}, too"
+            )
+            key = ("channels", COUNTED, "source")
+            yield fault_at(f"motors/{spec.motor_id}.toml", key, message, flow.source)
+
+
+def _impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
+    """Faults that only show when type, oil, flushing and settings come together."""
+    from leakage import LeakageError, leakage_l_per_min
+
+    conditions = spec.settings.reference.conditions().operating
+    oils = {spec.file.oil, *(event.oil for event in spec.file.events)}
+    for name in sorted(spec.oils.keys() & oils):
+        for mode in spec.file.flushing.modes:
+            try:
+                leakage_l_per_min(spec.motor_with(spec.oils[name], mode), conditions)
+            except LeakageError as error:
+                yield Fault(file, "", f"with {name}: {error}")
 
 
 # Files

@@ -9,11 +9,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator
 
-from pipeline.config.faults import Misfit
+from pipeline.config.alarms import Secret
 from pipeline.config.field_paths import FieldText
 from pipeline.config.readers import FormatName
-from pipeline.config.receivers import Secret
-from pipeline.config.section import NonNegative, Positive, Section, Stage, TimeZone
+from pipeline.config.section import Misfit, NonNegative, Positive, Section, Stage, TimeZone
 from pipeline.config.time_formats import TimeFormat
 
 LogLayout = Literal["wide", "long", "file_per_channel"]

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.config.faults import Misfit
-from pipeline.config.section import Id, NonNegative, Positive, Section, Stage, left_out
+from pipeline.config.section import Id, Misfit, NonNegative, Positive, Section, Stage, left_out
 
 if TYPE_CHECKING:
     from leakage import AnnularGap, Laminar, Oil, Parameter, SpeedCurve

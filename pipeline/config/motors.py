@@ -18,11 +18,10 @@ from pipeline.config.channels import (
     Channel,
     ChannelName,
 )
-from pipeline.config.faults import Misfit
 from pipeline.config.field_paths import field_path
 from pipeline.config.logs import Logs
 from pipeline.config.oil_samples import OilSample, order_faults
-from pipeline.config.section import Id, NonNegative, Section, Stage, left_out
+from pipeline.config.section import Id, Misfit, NonNegative, Section, Stage, left_out
 from pipeline.units import QUANTITIES, UNITS
 
 if TYPE_CHECKING:

@@ -9,9 +9,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pipeline.config.faults import Misfit
 from pipeline.config.motor_types import OilFile
-from pipeline.config.section import Section, Stage
+from pipeline.config.section import Misfit, Section, Stage
 
 Walther = tuple[float, float]
 # A viscosity further from the data sheet, by this factor, is a slip or another oil.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,9 +9,9 @@ from zoneinfo import ZoneInfo
 
 from pydantic import Field
 
-from pipeline.config.faults import Misfit
-from pipeline.config.receivers import Secret, WebAddress, WebHeaders, is_mail_address, mail_server
+from pipeline.config.alarms import Alarms
 from pipeline.config.section import (
+    Misfit,
     NonNegative,
     Positive,
     Seconds,
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 Rate = Annotated[float, Field(gt=0, le=1000)]
 InputName = Literal["pressure_difference", "oil_temperature", "speed"]
 RelativeFolder = Annotated[str, Field(min_length=1)]
-DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
 
 class Nights(Section):
@@ -288,69 +286,6 @@ class Trend(Section):
     """Coverage of the slope's interval."""
     horizon_years: Positive = 5.0
     """Time beyond which a limit is `beyond_horizon`."""
-
-
-class Email(Section):
-    """Mail of changes of state over SMTP, and of all states once a week; off without `to`."""
-
-    shapes = Stage.NOTHING
-
-    to: tuple[str, ...] = ()
-    """Addresses that get the mail."""
-    sender: str = ""
-    """Address that it comes from; required with `to`."""
-    server: str = ""
-    """`host` or `host:port` of the mail server; required with `to`."""
-    security: Literal["starttls", "tls", "none"] = "starttls"
-    """Encryption; port 587, 465 or 25 where `server` states none."""
-    user: str = ""
-    """Name to log in with; empty: no log-in."""
-    password: Secret = ""
-    """`${NAME}`: variable with the password."""
-    weekly: Literal["", "mon", "tue", "wed", "thu", "fri", "sat", "sun"] = "mon"
-    """Weekday on which all motors' states are sent, or empty."""
-    report_url: WebAddress = ""
-    """Address of the report, for links."""
-
-    def summary_due(self, today: dt.date) -> dt.date | None:
-        """Date on which the latest weekly summary is due; None without any."""
-        if not self.to or not self.weekly:
-            return None
-        return today - dt.timedelta(days=(today.weekday() - DAYS.index(self.weekly)) % 7)
-
-    def misfits(self) -> Iterator[Misfit]:
-        for key, address in [("to", one) for one in self.to] + [("sender", self.sender)]:
-            if self.to and not is_mail_address(address):
-                yield (key,), "expected an address such as shift@plant.example", address
-        if self.to and mail_server(self.server) is None:
-            yield self.at("server", "expected host or host:port")
-        if bool(self.user) != bool(self.password):
-            yield (), "expected user and password together", None
-        if self.user and self.security == "none":
-            yield self.at("security", "expected starttls or tls with a password")
-
-
-class Alarms(Section):
-    """Rules for the states `warning` and `alarm`, and who is told."""
-
-    shapes = Stage.NOTHING
-
-    alarm_percent: Annotated[Positive, Stage.TRENDS] = 30.0
-    """Rise that is an alarm, with 97.5 % probability."""
-    stale_after_nights: Annotated[int, Stage.TRENDS] = Field(7, ge=1)
-    """Nights without data after which a motor is `stale`."""
-    false_alarms_per_year: Annotated[Positive, Stage.TRENDS] = Field(0.04, le=12)
-    """False alarms per motor and year."""
-    command: tuple[str, ...] = ()
-    """Program that gets new alarms as JSON on standard input."""
-    webhook_url: WebAddress = ""
-    """Address that the same is posted to, http or https."""
-    webhook_headers: WebHeaders = Field({})
-    """Headers of the post; `${NAME}`: a variable."""
-    webhook_secret: Secret = ""
-    """`${NAME}`: variable with the secret that signs posts (Standard Webhooks)."""
-    email: Email = left_out()
-    """Mail over SMTP."""
 
 
 class Look(Section):

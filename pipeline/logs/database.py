@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 import pyarrow as pa
 
+from pipeline.config.alarms import VARIABLE
 from pipeline.config.logs import Database
-from pipeline.config.receivers import VARIABLE
 from pipeline.errors import StoreError, one_line
 from pipeline.workers.process import still_alive
 

@@ -12,8 +12,7 @@ from email.message import EmailMessage
 from email.utils import formatdate
 from typing import Any
 
-from pipeline.config.receivers import mail_server
-from pipeline.config.settings import Email
+from pipeline.config.alarms import Email, mail_server
 from pipeline.errors import one_line
 from pipeline.messages import as_sentence, plain
 from pipeline.notification.outbox import SUMMARY

@@ -15,7 +15,7 @@ from tempfile import TemporaryFile
 from typing import BinaryIO, Protocol
 
 from pipeline.config import Alarms
-from pipeline.config.receivers import HEADER_VALUE, VARIABLE
+from pipeline.config.alarms import HEADER_VALUE, VARIABLE
 from pipeline.errors import one_line
 
 # Longest time for one delivery to one receiver [s].

@@ -5,12 +5,16 @@ from __future__ import annotations
 import datetime as dt
 import re
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise, product
 
-from pipeline.clock import latest_us
+import numpy as np
+import pyarrow as pa
+
+from pipeline.clock import latest_us, microseconds, utc
 from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
+from pipeline.ingest.time_stamps import EARLIEST_US, written, written_as_numbers
 from pipeline.logs.motor_logs import date_in
 from pipeline.setup.names import is_in, words_of
 
@@ -36,9 +40,7 @@ _STAMP = re.compile(
 )
 _ONLY_DATE, _ONLY_CLOCK = re.compile(_DATE), re.compile(rf"(?=.*:){_CLOCK}{_ZONE}")
 _ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?")
-_EPOCHS = {"epoch_s": 1.0, "epoch_ms": 1e3, "epoch_us": 1e6, "epoch_ns": 1e9}
-_EARLIEST_S = dt.datetime(2001, 1, 1, tzinfo=dt.UTC).timestamp()
-_EXCEL_ZERO_DAYS = 25569  # 1 January 1970
+_EARLIEST_COUNT_US = microseconds(dt.datetime(2001, 1, 1, tzinfo=dt.UTC))
 _MONTH_S = 20 * 86400.0
 
 
@@ -149,25 +151,25 @@ def is_stamp(cell: str) -> bool:
     return bool(_ISO.fullmatch(cell) or _STAMP.fullmatch(cell))
 
 
-def _parsed(text: str, form: str) -> dt.datetime | None:
-    # No more digits than Python's %f takes; a logger may leave out a fraction that is none.
-    plain = re.sub(r"([:\d][.,]\d{6})\d+", r"\1", text)
-    for one in (form, re.sub(r"[.,]%f", "", form)):
-        with suppress(ValueError):
-            return dt.datetime.strptime(plain, one).replace(tzinfo=dt.UTC)
-    return None
-
-
 def _shapes(stamp: str) -> list[str]:
-    """Formats that a stamp may have."""
+    """Formats that a stamp may have by its marks."""
     match = _STAMP.fullmatch(stamp)
     if match is None:
         return []
     behind = re.sub(r"Z|[+-].*", "%z", match["zone"] or "")
     has_fraction = bool(re.search(r"[:.]\d\d[:.]\d\d[.,]", match["clock"]))
     clocks = [form for form in _CLOCKS if ("%f" in form) == has_fraction]
-    forms = (a + match["between"] + b + behind for a, b in product(_DATES, clocks))
-    return [form for form in forms if _parsed(stamp, form)]
+    return [a + match["between"] + b + behind for a, b in product(_DATES, clocks)]
+
+
+def _read(stamps: Sequence[str], form: str) -> list[dt.datetime]:
+    """Stamps as the readers of logs have them, those apart that they cannot read.
+
+    Of two digits of a year, which they take for the whole of it, the year is none of a log.
+    """
+    found = written([pa.chunked_array([pa.array(stamps, pa.string())])], form)
+    is_read = (found.kind != 0) & (found.time_us >= EARLIEST_US)
+    return [utc(time_us) for time_us in found.time_us[is_read].tolist()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,28 +196,25 @@ def time_formats(stamps: Sequence[str], decimal: str = ".", file_name: str = "")
     counts = [number for number in numbers if number is not None]
     if stamps and len(counts) == len(stamps):
         form = count_format(counts)
-        return TimeFormats({form: ""} if form else {}, form in _EPOCHS)
+        return TimeFormats({form: ""} if form else {}, form in EPOCH_UNITS)
     has_zone = bool(stamps) and all(re.search(rf"\d{_ZONE[:-1]}$", one) for one in stamps)
     if stamps and all(map(_ISO.fullmatch, stamps)):
         return TimeFormats({"iso8601": ""}, has_zone)
-    ends = (stamps[0], stamps[-1]) if stamps else ()
-    forms = list(dict.fromkeys(form for stamp in ends for form in _shapes(stamp)))
-    read = {form: [one for stamp in stamps if (one := _parsed(stamp, form))] for form in forms}
-    whole = {form: own for form, own in read.items() if len(own) == len(stamps)}
-    likely = _likeliest(whole, file_name).items()
-    return TimeFormats({form: f"{day.day} {day:%B %Y}" for day, form in likely}, has_zone)
+    ends = stamps[:: max(len(stamps) - 1, 1)]
+    likely = dict.fromkeys(form for stamp in ends for form in _shapes(stamp))
+    forms = (form for form in likely if len(_read(ends, form)) == len(ends))
+    read = {form: own for form in forms if len(own := _read(stamps, form)) == len(stamps)}
+    days = _likeliest(read, file_name).items()
+    return TimeFormats({form: f"{day.day} {day:%B %Y}" for day, form in days}, has_zone)
 
 
 def count_format(numbers: Sequence[float]) -> str | None:
     """Format of stamps that are counts, by their size; None: no count of a time after 2001."""
-    seconds = {form: [one / factor for one in numbers] for form, factor in _EPOCHS.items()}
-    seconds["excel_days"] = [86400.0 * (one - _EXCEL_ZERO_DAYS) for one in numbers]
-    within = (
-        form
-        for form, own in seconds.items()
-        if own and min(own) > _EARLIEST_S and max(own) < latest_us() / 1e6
-    )
-    return next(within, None)
+    for form in (*EPOCH_UNITS, EXCEL_DAYS) if numbers else ():
+        time_us = written_as_numbers(np.array(numbers, np.float64), form).time_us
+        if time_us.min() > _EARLIEST_COUNT_US and time_us.max() < latest_us():
+            return form
+    return None
 
 
 def _likeliest(times: dict[str, list[dt.datetime]], file_name: str) -> dict[dt.datetime, str]:

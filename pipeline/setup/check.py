@@ -1,31 +1,41 @@
-"""`motor-leakage check`: the config, and a look at the logs, before a night depends on them."""
+"""`motor-leakage check`: the config, and a look at the logs, before a night depends on them.
+
+Samples that a clock writes lie evenly; those sent on change, or left by a historian's compression,
+leave silences: which of the two it was makes no difference to the config. A running total rises.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from pipeline.config import Fleet, MotorSpec
+import numpy as np
+
+from pipeline.arrays import SECOND_US, Array
+from pipeline.config import Channel, Fleet, MotorSpec
+from pipeline.config.channels import COUNTED, ChannelName
 from pipeline.errors import LogError
+from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.database import DatabaseError
-from pipeline.logs.files import (
-    change_of,
-    failed,
-    growing,
-    labels_of,
-    look_at,
-    spanned,
-)
+from pipeline.logs.files import change_of, failed, growing, labels_of, look_at, spanned
 from pipeline.logs.finding import find_logs
 from pipeline.logs.landing import land_newest
 from pipeline.logs.locations import FolderLogs, logs_of
 from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
-from pipeline.setup.channel_check import ChannelCheck, check_channels
-from pipeline.setup.column_changes import column_changes
-from pipeline.setup.propose import logs_below
+from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.cleaning import clean_channel
+from pipeline.setup.column_check import (
+    Records,
+    changed_readings,
+    column_changes,
+    suspect_units,
+    units_told,
+)
+from pipeline.setup.promise import night_of_log, promise, swapped
+from pipeline.setup.propose import LARGEST_LOG_BYTES, logs_below
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
@@ -33,6 +43,29 @@ MOST_STRAYS = 8
 # A line end in UTF-16 or UTF-32 is up to four bytes long.
 LINE_END_BYTES = 4
 PACKED = (".gz", ".zst")
+# Samples of the head of a log that are looked at, and fewest that tell anything.
+HEAD, FEWEST = 20_000, 30
+# Larger figures are no readings, and their squares no numbers.
+LARGEST = 1e100
+# A step is a silence beyond so many of the shortest tenth of steps; a log is irregular where
+# silences are so frequent, and take up so much of the time.
+SILENCE_STEPS, SILENT_STEPS_SHARE, SILENT_TIME_SHARE = 3.5, 0.02, 0.2
+# A running total may be reset or roll over so often; below, it rises all the time.
+FALLS_SHARE, FEWEST_RISES = 0.005, 20
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelCheck:
+    """A channel in one log."""
+
+    channel: str
+    unit: str  # as configured
+    n_samples: int  # missing ones included
+    rate_hz: float | None  # typical; None for fewer than two samples
+    median: float | None  # of what was kept, in the unit of the tables; None where nothing was
+    share_missing: float
+    share_refused: float  # by any rule, missing ones included
+    refused_by: Mapping[str, float]  # share by rule, of those that refused any
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +161,7 @@ def _looked_at(name: str, logs: FolderLogs, spec: MotorSpec) -> FileRecord:
     return found if why is None else growing(found, why)
 
 
-def _cut(spec: MotorSpec, records: Mapping[str, FileRecord], logs: FolderLogs) -> Iterator[str]:
+def _cut(spec: MotorSpec, records: Records, logs: FolderLogs) -> Iterator[str]:
     """Text logs that end within a line."""
     if spec.file.logs.format != "csv":
         return
@@ -163,8 +196,116 @@ def unclaimed(fleet: Fleet) -> tuple[str, ...]:
     )
 
 
-def strays_told(fleet: Fleet) -> str:
-    """The logs that no motor claims, in words; empty for none."""
-    strays = unclaimed(fleet)
+def strays_told(strays: Sequence[str]) -> str:
+    """Logs that no motor claims, in words; empty for none."""
     named = ", ".join(strays[:MOST_STRAYS]) + ", …" * (len(strays) > MOST_STRAYS)
     return f"no motor claims {counted(len(strays), 'log')}: {named}" if strays else ""
+
+
+# Channels
+
+
+def check_channels(
+    spec: MotorSpec, records: Records, path_of: Callable[[str], Path]
+) -> tuple[tuple[ChannelCheck, ...], tuple[str, ...], tuple[str, ...]]:
+    """Look into the newest log of a motor that can be read and is not too large.
+
+    Returned are its configured channels, none where there is no such log; faults, of a log that
+    looks sound from outside and cannot be read, and of units; and notes, on what a night gives and
+    on samples that do not look as configured.
+    """
+    readable = [
+        name
+        for name, record in records.items()
+        if record.status == "ok" and record.nights and record.size <= LARGEST_LOG_BYTES
+    ]
+    if not readable:
+        return (), (), ()
+    newest = max(readable, key=lambda name: (max(labels_of(records[name])), name))
+    try:
+        log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
+    except LogError as error:
+        return (), (f"{error.code}: {error.message}",), ()
+    label = max(labels_of(records[newest]))
+    found = tuple(_channel_check(spec, name, log.channels[name]) for name in spec.file.channels)
+    kept = night_of_log(spec, label, log)
+    readings = {name: records[name] for name in readable}
+    if kept and (changed := changed_readings(spec, readings, path_of, kept)):
+        # What else is odd follows from it.
+        return found, (changed,), ()
+    told = units_told(path_of(newest), spec.file)
+    suspects = suspect_units(spec, label, log.channels)
+    faults = [
+        fault
+        for name in spec.file.channels
+        for fault in (told.get(name), suspects.get(name))
+        if fault
+    ]
+    notes = [f"no sample of the night {label} is kept"]
+    if kept:
+        notes = [promise(spec, label, kept), *swapped(kept)]
+    looks = (
+        sampling_note(name, channel, log.channels[name])
+        for name, channel in spec.file.channels.items()
+        if channel.constant is None
+    )
+    return found, tuple(faults), (*notes, *filter(None, looks))
+
+
+def _channel_check(spec: MotorSpec, name: ChannelName, raw: RawChannel) -> ChannelCheck:
+    channel = spec.file.channels[name]
+    clean = clean_channel(
+        raw, ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
+    )
+    n = max(clean.n_samples, 1)
+    kept = clean.value[~clean.refused]
+    return ChannelCheck(
+        channel=name,
+        unit=channel.unit,
+        n_samples=clean.n_samples,
+        rate_hz=SECOND_US / clean.period_us if clean.period_us else None,
+        median=float(np.median(kept)) if len(kept) else None,
+        share_missing=clean.counts["missing"] / n,
+        share_refused=clean.counts["any"] / n,
+        refused_by={
+            reason: count / n
+            for reason, count in clean.counts.items()
+            if count and reason not in ("any", "missing")
+        },
+    )
+
+
+def sampling_note(name: str, channel: Channel, raw: RawChannel) -> str:
+    """Where a channel's samples do not look as it is configured, and what to set; else empty."""
+    rows = np.flatnonzero(~raw.missing & (np.abs(raw.value) < LARGEST))[:HEAD]
+    time_us, first = np.unique(raw.time_us[rows], return_index=True)
+    value, steps = raw.value[rows][first], np.diff(time_us) / 1e6
+    if value.size < FEWEST or not np.ptp(value):
+        return ""
+    if name == COUNTED and _rises(value) != (channel.counts == "cumulative"):
+        if channel.counts == "cumulative":
+            return f"{name}: configured as a running total, and falls again and again"
+        keys = 'counts = "cumulative", unit = "count" and volume_per_count_cm3'
+        return f"{name}: looks like a running total: then {keys}"
+    # Silences are frequent and take up much of the time: a clock did not write these samples.
+    silent = steps > SILENCE_STEPS * np.quantile(steps, 0.1)
+    in_silence = steps[silent].sum() / steps.sum()
+    is_irregular = silent.mean() >= SILENT_STEPS_SHARE and in_silence >= SILENT_TIME_SHARE
+    if not is_irregular or channel.sampling == "on_change" or channel.counts is not None:
+        return ""
+    # Without the longest hundredth.
+    reach = float(np.quantile(steps, 0.99, method="higher"))
+    return (
+        f"{name}: looks sent on change, compressed, or lost in part: then sampling = "
+        f'"on_change" and longest_silence_s; silences here reach {reach:.3g} s'
+    )
+
+
+def _rises(value: Array) -> bool:
+    """True if values only rise, resets and roll-overs apart."""
+    changes = np.diff(value)
+    falls = changes < 0
+    if int(np.sum(changes > 0)) < FEWEST_RISES or float(np.mean(falls)) > FALLS_SHARE:
+        return False
+    # A reading that warms up falls now and then by its step; a total falls to its begin.
+    return bool(np.all(-changes[falls] > 0.3 * np.ptp(value)))

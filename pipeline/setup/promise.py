@@ -15,6 +15,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.nights import night
 from pipeline.ingest import RawLog
 from pipeline.logs.files import reaches_us, slice_night
+from pipeline.messages import plain
 from pipeline.night.fit_night import Insufficient, clean_channels
 from pipeline.night.time_base import Samples
 
@@ -38,6 +39,7 @@ _FOLLOWS = 0.2
 _FEWEST = 200
 # Oil in a line warms and cools slower than this, but for a few spikes.
 _JUMP_C, _JUMP_S, _JUMPS_SHARE = 2.0, 10.0, 0.02
+SWAPPED = "are columns swapped?"
 
 
 def night_of_log(spec: MotorSpec, label: dt.date, log: RawLog) -> Samples | None:
@@ -97,7 +99,7 @@ def _paths_told(
     enough = _ENOUGH_MINUTES / max(speed_share, 1e-3) ** 2
     nights = {name: max(enough / minutes, (w / _WIDEST) ** 2) for name, w in widths.items()}
     told = [math.ceil(number) for number in nights.values() if number <= _MOST_NIGHTS]
-    untold = [name.replace("_", " ") for name, number in nights.items() if number > _MOST_NIGHTS]
+    untold = [plain(name) for name, number in nights.items() if number > _MOST_NIGHTS]
     words = "no path by itself"
     if told:
         after = "every night" if max(told) == 1 else f"after {max(told)} nights"
@@ -137,11 +139,9 @@ def swapped(samples: Samples) -> Iterator[str]:
     )
     close = np.diff(samples.time_us) <= _JUMP_S * SECOND_US
     if float(np.mean(np.abs(np.diff(t))[close] > _JUMP_C)) > _JUMPS_SHARE:
-        yield "oil_temperature jumps as no oil does: are columns swapped?"
+        yield f"oil_temperature jumps as no oil does: {SWAPPED}"
     widths = ((p, _VARIES * np.median(p)), (t, _VARIES_K))
     drives = [one for one, width in widths if np.ptp(np.percentile(one, (5, 95))) > width]
     # Hotter oil is thinner: the flow rises with either.
     if drives and np.ptp(q) > 0 and all(spearmanr(one, q).statistic < _FOLLOWS for one in drives):
-        yield (
-            "the drain flow follows neither pressure nor the oil's viscosity: are columns swapped?"
-        )
+        yield f"the drain flow follows neither pressure nor the oil's viscosity: {SWAPPED}"

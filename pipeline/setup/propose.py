@@ -17,10 +17,9 @@ from typing import Any
 from pipeline.config.channels import GOOD_QUALITY
 from pipeline.config.logs import MISSING_TOKENS
 from pipeline.errors import LogError
-from pipeline.setup.answers import Asked
 from pipeline.setup.cells import Marks, marks_of
-from pipeline.setup.channels import Chooser, Place
 from pipeline.setup.names import FEWEST_CHANNELS, groups_of, is_in, meaning_of, unit_in, words_of
+from pipeline.setup.questions import Asked, Chooser, Place
 from pipeline.setup.sniff import sniff
 from pipeline.setup.tables import SAMPLES, Cells, Column, Question, Table
 
@@ -29,6 +28,7 @@ SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mcap")
 VARYING = re.compile(
     r"(?<!\d)(?:20\d\d[-_.]?\d\d[-_.]?\d\d(?:[-_T. ]?\d\d[-_.]?\d\d(?:[-_.]?\d\d)?)?|\d{6,})(?!\d)"
 )
+LARGEST_LOG_BYTES = 200 << 20  # of one that is read to look into it
 _SHOWN = 12
 _SHARED_BY_CHANCE = 0.5  # stamps of a second in which a state changes
 

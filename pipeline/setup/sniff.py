@@ -1,6 +1,6 @@
 """What is in a log of any format: its dialect, its columns with their first cells, its time.
 
-Delimited text and Parquet here, messages in `sniff_mcap`: all end up as a `Table`.
+Delimited text, Parquet, and MCAP with its topics and their fields: all end up as a `Table`.
 """
 
 from __future__ import annotations
@@ -8,24 +8,37 @@ from __future__ import annotations
 import codecs
 import csv
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 import pyarrow as pa
 from charset_normalizer import from_bytes
 
-from pipeline.config.logs import MISSING_TOKENS
+from pipeline.config.field_paths import FieldPath, path_text
+from pipeline.config.logs import MISSING_TOKENS, Logs
 from pipeline.errors import LogError
 from pipeline.ingest.contract import readable
 from pipeline.ingest.csv_text import read_lines, unpacked
+from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
+from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.ingest.parquet import decoded, opened, text_paths
-from pipeline.setup.cells import is_number, is_time_name, kind_of, marks_of, strange_tokens
+from pipeline.setup.cells import (
+    TimeFormats,
+    count_format,
+    is_number,
+    is_stamp,
+    is_time_name,
+    kind_of,
+    marks_of,
+    strange_tokens,
+    time_formats,
+)
 from pipeline.setup.names import VOCABULARY, is_in, unit_named, words_of
-from pipeline.setup.sniff_mcap import sniff_mcap
 from pipeline.setup.tables import (
     HEAD_ROWS,
     SAMPLES,
@@ -35,6 +48,7 @@ from pipeline.setup.tables import (
     Question,
     Rows,
     Table,
+    set_formats,
     timed,
 )
 
@@ -42,7 +56,18 @@ _HEAD_BYTES = 2**16
 _SCANNED_BYTES = 2**23
 _SEPARATORS = (";", "\t", "|", ",")
 Leaf = tuple[str, pa.Field, pa.Array]
+_MARKED = {
+    **dict.fromkeys((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE), "utf-32"),
+    **dict.fromkeys((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"),
+}
 _ENCODINGS = ["cp1252", "cp1250", "cp1251", "cp1254", "gb18030", "shift_jis"]
+# Fields beside a reading that are none.
+_NO_READINGS = {
+    *("seq", "sequence", "sec", "secs", "nanosec", "nsec", "nsecs", "nanos", "seconds"),
+    *("nanoseconds", "variance", "covariance", "id", "status", "quality", "index", "stamp"),
+}
+# Units that messages of ROS 2's sensor_msgs are in by their definition.
+_STANDARD_UNITS = {("FluidPressure", "fluid_pressure"): "Pa", ("Temperature", "temperature"): "°C"}
 
 
 def sniff(path: Path) -> Table:
@@ -56,20 +81,23 @@ def sniff(path: Path) -> Table:
         if magic.startswith(b"PAR1"):
             return _parquet(path)
         if magic.startswith(b"\x89MCAP"):
-            return sniff_mcap(path)
+            return _mcap(path)
         return _csv(path)
 
 
-def header_of(path: Path) -> dict[str, str]:
-    """Columns of a table, each with what stands beside its name as a unit; raises as `sniff`."""
-    with readable(path), path.open("rb") as file:
-        is_parquet = file.read(4) == b"PAR1"
-    if is_parquet:
-        columns = _parquet_columns(path)
-        return {one.name: one.unit if one.kind != "typed" else "" for one in columns}
-    _, table, header, units = _csv_head(path)
-    names = table.rows[header]
-    return dict(zip(names, units or ("",) * len(names), strict=False))
+def header_of(path: Path, logs: Logs) -> dict[str, str]:
+    """Columns of a table that is configured, each with what its header says as a unit.
+
+    Raises LogError if the file cannot be read.
+    """
+    with readable(path):
+        if logs.format == "parquet":
+            columns = _parquet_columns(path)
+            return {one.name: one.unit if one.kind != "typed" else "" for one in columns}
+        lines = islice(_text_lines(path, logs.encoding, _HEAD_BYTES), logs.skip_rows, HEAD_ROWS)
+        rows = [_cells(line, logs.separator) for line in lines if line.strip()]
+        names, *units = rows[: 1 + logs.unit_rows] or [()]
+        return dict.fromkeys(names, "") | dict(zip(names, _units_among(units), strict=False))
 
 
 # Delimited text
@@ -86,8 +114,7 @@ class _Lines:
     fit: tuple[bool, float, int] = (False, 0.0, 0)
 
 
-def _csv_head(path: Path) -> tuple[str, _Lines, int, Cells]:
-    """Encoding, first lines taken apart, the line of the names, and the cells of one of units."""
+def _csv(path: Path) -> Table:
     encoding = _encoding(next(unpacked(path, _HEAD_BYTES), b""))
     lines = list(islice(_text_lines(path, encoding, _HEAD_BYTES), HEAD_ROWS))
     table = max((_taken_apart(lines, mark) for mark in _SEPARATORS), key=lambda one: one.fit)
@@ -98,11 +125,6 @@ def _csv_head(path: Path) -> tuple[str, _Lines, int, Cells]:
     header, units = _header(table)
     if header is None:
         raise LogError("log_not_csv", path, "no line above the first rows has names of the columns")
-    return encoding, table, header, units
-
-
-def _csv(path: Path) -> Table:
-    encoding, table, header, units = _csv_head(path)
     names = table.rows[header]
     unit_rows = sum(any(row) for row in table.rows[header + 1 : table.first])
     found = [row for row in table.rows[table.first :] if len(row) == table.width and row != names]
@@ -147,11 +169,12 @@ def _csv(path: Path) -> Table:
 
 
 def _encoding(head: bytes) -> str:
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    # Text has no NUL: of plain letters in UTF-16 every other byte is one.
-    if head.count(0) > 0.4 * len(head):
-        return "utf-16-le"
+    if marked := next((name for mark, name in _MARKED.items() if head.startswith(mark)), ""):
+        return marked
+    # Text has no NUL: of plain letters in UTF-16 every other byte is one, in UTF-32 three of four.
+    nul = head.count(0) / max(len(head), 1)
+    if nul > 0.4:
+        return f"utf-{32 if nul > 0.7 else 16}-{'le' if head[0] else 'be'}"
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
@@ -234,7 +257,12 @@ def _header(table: _Lines) -> tuple[int | None, Cells]:
     below = [table.rows[at] for at in block if at > header]
     # The same in all cells are types of numbers, such as "F".
     units = [cells for cells in below if len(set(cells[1:]) - {""}) > 1 or len(cells) == 2]
-    return header, max(units, key=lambda cells: sum(map(bool, map(unit_named, cells))), default=())
+    return header, _units_among(units)
+
+
+def _units_among(rows: Iterable[Cells]) -> Cells:
+    """The line that has the most names of units."""
+    return max(rows, key=lambda cells: sum(map(bool, map(unit_named, cells))), default=())
 
 
 # Parquet
@@ -301,3 +329,100 @@ def _column(name: str, field: pa.Field, values: pa.Array) -> Column | None:
 
 def _text(cell: object) -> str:
     return "" if cell is None else str(cell)
+
+
+# MCAP
+
+
+def _mcap(path: Path) -> Table:
+    topics = read_topics(path)
+    columns = [one for topic in topics for one in _fields(topic, is_lone=len(topics) == 1)]
+    logs: dict[str, Any] = {"format": "mcap", "time": "log_time"}
+    questions: list[Question] = []
+    of_readings = [one for one in topics if any(c.keys["source"] == one.name for c in columns)]
+    stamp, formats = _stamp(of_readings)
+    if stamp:
+        logs["stamp"] = stamp
+        if formats is not None:
+            set_formats(logs, questions, formats)
+    else:
+        questions += _time_of_messages(of_readings)
+    return Table(logs, tuple(questions), tuple(columns), ())
+
+
+def _fields(topic: Topic, *, is_lone: bool) -> Iterator[Column]:
+    stamps = {path[:-1] for path in _stamp_paths(topic)}
+    paths = [
+        path
+        for path, numbers in topic.fields.items()
+        if path[:-1] not in stamps and _key(path).lower() not in _NO_READINGS and _finite(numbers)
+        if not (is_time_name(_key(path)) and count_format(_finite(numbers)))
+    ]
+    for path in paths:
+        text = path_text(path)
+        # A field that is called nothing of its own is its topic's reading.
+        is_value = is_in(words_of(_key(path)), "column", "value")
+        whole = text if is_lone and len(paths) > 1 else f"{topic.name}.{text}"
+        name = topic.name if is_value and len(path) == 1 else whole
+        texts = topic.texts.items()
+        beside = [
+            said for at, said in texts if at[:-1] == path[:-1] and at[-1] in ("unit", "units")
+        ]
+        kind = topic.schema.split("/")[-1].split(".")[-1]
+        unit = _STANDARD_UNITS.get((kind, text)) or next(iter(beside), "")
+        cells = tuple(f"{number:.6g}" for number in _finite(topic.fields[path]))
+        keys = {"source": topic.name} | ({"field": text} if text != "value" else {})
+        yield Column(name, cells, "number", unit or (text if unit_named(text) else ""), keys)
+
+
+def _key(path: FieldPath) -> str:
+    return next(step for step in reversed(path) if isinstance(step, str))
+
+
+def _finite(numbers: Sequence[float]) -> list[float]:
+    return [number for number in numbers if np.isfinite(number)]
+
+
+def _stamp_paths(topic: Topic) -> list[FieldPath]:
+    """Paths of the seconds of stamps that have nanoseconds beside them."""
+    return [
+        path
+        for path in topic.fields
+        if path[-1] in SECONDS and any((*path[:-1], name) in topic.fields for name in NANOSECONDS)
+    ]
+
+
+def _stamp(topics: Sequence[Topic]) -> tuple[str, TimeFormats | None]:
+    """Path of a stamp that all messages have, and how it is written; None: as a pair of numbers."""
+    found = [_stamps_of(topic) for topic in topics]
+    for path, formats in found[0].items() if found else ():
+        if all(one.get(path, TimeFormats({"": ""})) == formats for one in found):
+            return path_text(path), formats
+    return "", None
+
+
+def _stamps_of(topic: Topic) -> dict[FieldPath, TimeFormats | None]:
+    found: dict[FieldPath, TimeFormats | None] = {}
+    for path in _stamp_paths(topic):
+        if path[:-1] and count_format(_finite(topic.fields[path])) == "epoch_s":
+            found[path[:-1]] = None
+    for path, numbers in topic.fields.items():
+        form = count_format(_finite(numbers)) if is_time_name(str(path[-1])) else None
+        if form:
+            found[path] = TimeFormats({form: ""}, form != "excel_days")
+    for path, text in topic.texts.items():
+        if is_stamp(text):
+            found[path] = time_formats([text])
+    return found
+
+
+def _time_of_messages(topics: Iterable[Topic]) -> Iterator[Question]:
+    """A question where messages were recorded later than they were published."""
+    log = np.array([t for one in topics for t in one.log_ns], dtype=np.float64)
+    publish = np.array([t for one in topics for t in one.publish_ns], dtype=np.float64)
+    if log.size and (log != publish).any() and (publish > 0).all():
+        text = (
+            f"publish_time is {float(np.median(log - publish)) / 1e6:.3g} ms before log_time: "
+            "which is when it was measured?"
+        )
+        yield Question("time", text, ("log_time", "publish_time"))

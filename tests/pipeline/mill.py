@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 
 FIRST = dt.date(2026, 3, 2)
 # Days are numbered from 0.
-WORSENS_ON, CUT_ON, SWAPPED_FROM, DAYS = 12, 15, 18, 21
+WORSENS_ON, SWAPPED_FROM, DAYS = 12, 18, 21
+CUT_ON = DAYS - 1
 WORSE_BY = 0.25
 SHIFT_BEGINS, PERIOD_S = dt.time(6), 5
 ATTEMPERED_C, COLD_C, WARMS_IN_S = 46.0, 30.0, 5400.0

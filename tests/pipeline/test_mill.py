@@ -22,17 +22,23 @@ def test_a_mills_first_day_in_four_commands(
     answers = [one for key in ANSWERS for one in ("--answer", f"{key}={ANSWERS[key]}")]
     fleet = Path("fleet/fleet.toml")
 
-    code, _, _ = call("init", "logs", *answers, "--write")
+    code, shown, _ = call("init", "logs", *answers, "--write")
     assert code == 0
+    days = "21 files, 2026-03-02 to 2026-03-22 (21 days)"
+    assert f"Walze1: {days}, time Zeit %d.%m.%Y %H:%M:%S, zone Europe/Berlin" in shown
+    stray = Path("logs/Walze1/old.csv")
+    stray.write_bytes(next(Path("logs/Walze1").iterdir()).read_bytes())
     code, noted, said = call("check", fleet)
     assert code == 1
     assert "Walze2_20260320.csv on: columns changed? oil temperature and speed look swap" in said
-    assert "Walze3_20260317.csv: the last line has no end" in noted
+    assert "Walze3_20260322.csv: the last line has no end" in noted
+    assert "no motor claims 1 log: Walze1/old.csv" in noted
     code, _, said = call("fit-fleet", fleet)
     assert code == 1
     assert "Walze2: columns_changed: from Walze2/Walze2_20260320.csv on:" in said
     assert "Walze2: columns_changed: night 2026-03-20: columns changed?" in said
-    assert "Walze3_20260317.csv: 1 last row without a line end" in said
+    assert "no motor claims 1 log: Walze1/old.csv" in said
+    assert "Walze3_20260322.csv: 1 last row without a line end" in said
     code, _, _ = call("report", fleet)
     assert code == 0
 
@@ -50,3 +56,7 @@ def test_a_mills_first_day_in_four_commands(
         page = (output / f"report/motors/{drive.name}.html").read_text("utf-8")
         assert "No change of more than" in page
     assert "columns changed?" in latest[SWAPPED.name]["failure"]
+    # Cut after 70 % of the shift.
+    for words in ("2.8 h of log, 4.0 h in the nights before", "1 last row without a line end"):
+        assert words in latest[CUT.name]["log_note"]
+        assert words in (output / f"report/motors/{CUT.name}.html").read_text("utf-8")

@@ -11,6 +11,7 @@ from pipeline.config import ConfigError, Fault, Fleet, load_fleet
 MOTOR = "motors/CB400-01.toml"
 TYPE = "motor_types/CB400.toml"
 OIL = "oils/vg46.toml"
+SAMPLE = "[[oil_samples]]\ndate = 2020-01-05\nviscosity_40_c_mm2_per_s = 46.0\n"
 
 
 def change(configs: Path, file: str, before: str, after: str) -> None:
@@ -30,8 +31,12 @@ def load(configs: Path) -> Fleet:
 
 
 def faults(configs: Path) -> tuple[Fault, ...]:
+    return faults_in(configs / "fleet.toml")
+
+
+def faults_in(fleet_file: Path) -> tuple[Fault, ...]:
     with pytest.raises(ConfigError) as caught:
-        load(configs)
+        load_fleet(fleet_file)
     for fault in caught.value.faults:
         assert str(fault) in str(caught.value)
     return caught.value.faults

@@ -1,4 +1,4 @@
-"""The fleet file: faults of its settings, and of those who are told."""
+"""The fleet file: its settings, those who are told, and what its motors have in common."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline.config.shipped import check_fault, faults, load
+from pipeline.config import load_fleet
+from pipeline.logs.landing import nightly_query
+from tests.pipeline.config.shipped import check_fault, faults, faults_in, load
+from tests.pipeline.plant_database import FILES, QUERY, logs_toml
+from tests.pipeline.postgres_server import SECRET
+from tests.pipeline.simulated import CANONICAL, FLEET, motor_toml, write_configs
+from tests.pipeline.workshop import MINI, QUICK
 
 
 @pytest.mark.parametrize(
@@ -84,3 +90,108 @@ def test_a_web_hook_with_all_that_it_may_have(configs: Path) -> None:
     path.write_text(path.read_text("utf-8") + lines, "utf-8")
     alarms = load(configs).settings.alarms
     assert alarms.webhook_headers["X-Plant"] == "3, hall ${HALL}"
+
+
+# `[defaults]`: motors that differ by a name in their log
+
+DEFAULTS = """
+[defaults]
+motor_type = "CB560"
+oil = "vg68"
+logs = { format = "csv", files = ["plant/*.csv"], separator = ";" }
+[defaults.channels]
+pressure_difference = { source = "{name_in_log}_dp", unit = "bar", resolution = 0.1 }
+oil_temperature = { source = "{name_in_log}_T", unit = "degC" }
+speed = { source = "{name_in_log}_n", unit = "rpm" }
+[defaults.channels.leakage_flow]
+source = "{name_in_log}_q"
+unit = "l/min"
+"""
+
+
+def fleet_with(folder: Path, motors: dict[str, str], defaults: str = DEFAULTS) -> Path:
+    return write_configs(folder, motors, fleet=FLEET + defaults)
+
+
+def test_a_line_a_motor(tmp_path: Path) -> None:
+    motors = {name: f'motor_id = "{name}"' for name in ("W1", "W2")}
+    motors["M3"] = 'motor_id = "M3"\nname_in_log = "Mill3/Motor2"'
+    fleet = load_fleet(fleet_with(tmp_path, motors))
+    sources = {one.motor_id: one.file.channels["speed"].source for one in fleet.motors}
+    assert sources == {"W1": "W1_n", "W2": "W2_n", "M3": "Mill3/Motor2_n"}
+    assert {one.file.logs.separator for one in fleet.motors} == {";"}
+
+
+def test_a_motor_has_the_last_word(tmp_path: Path) -> None:
+    own = """
+motor_id = "W1"
+oil = "vg46"
+logs.files = ["W1/*.csv"]
+channels.pressure_difference.resolution = 0.5
+channels.speed = { constant = 24.5, unit = "rpm" }
+"""
+    (spec,) = load_fleet(fleet_with(tmp_path, {"W1": own})).motors
+    assert (spec.file.oil, spec.file.motor_type) == ("vg46", "CB560")
+    assert (spec.file.logs.files, spec.file.logs.separator) == (("W1/*.csv",), ";")
+    pressure, speed = (spec.file.channels[name] for name in ("pressure_difference", "speed"))
+    assert (pressure.source, pressure.resolution) == ("W1_dp", 0.5)
+    assert (speed.source, speed.constant) == ("", 24.5)
+
+
+def test_a_fault_of_the_defaults_is_told_once_and_of_the_fleet_file(tmp_path: Path) -> None:
+    motors = {name: f'motor_id = "{name}"' for name in ("W1", "W2", "W3")}
+    path = fleet_with(tmp_path, motors, DEFAULTS.replace('"rpm"', '"turns"'))
+    (fault,) = faults_in(path)
+    assert (fault.file, fault.key) == ("fleet.toml", "defaults.channels.speed.unit")
+    motors["W2"] += '\n[channels.speed]\nunit = "rounds"\n'
+    found = {(fault.file, fault.key) for fault in faults_in(fleet_with(tmp_path, motors))}
+    assert found == {("motors/W2.toml", "channels.speed.unit")}
+
+
+def test_a_key_that_no_motor_has_is_a_fault(tmp_path: Path) -> None:
+    path = fleet_with(tmp_path, {"W1": 'motor_id = "W1"'}, DEFAULTS + "resolutoin = 0.1\n")
+    (fault,) = faults_in(path)
+    assert (fault.file, fault.key) == ("fleet.toml", "defaults.channels.leakage_flow.resolutoin")
+
+
+# `[logs.database]`
+
+
+def test_forty_motors_of_one_table_are_one_line_each(tmp_path: Path) -> None:
+    shared = (
+        'name = "Mill"\n[defaults]\nmotor_type = "MINI"\noil = "vg68"\n[defaults.logs]\n'
+        + logs_toml(QUERY.replace(" *", "\t*"))
+    ).replace("[logs.database]", "[defaults.logs.database]")
+    channels = "".join(
+        f'[defaults.channels.{name}]\nsource = "{{name_in_log}}_{name}"\nunit = "{unit}"\n'
+        for name, unit in CANONICAL.items()
+    )
+    motors = {f"W{number}": f'motor_id = "W{number}"\n' for number in range(40)}
+    fleet = load_fleet(write_configs(tmp_path, motors, {"MINI": MINI}, shared + channels))
+    assert not fleet.has_log_folder
+    queries = [nightly_query(spec) for spec in fleet.motors]
+    assert '"W7_leakage_flow"' in queries[[one.motor_id for one in fleet.motors].index("W7")]
+    assert len(set(queries)) == 40
+    elsewhere = fleet.at_output(tmp_path / "private")
+    assert elsewhere.motors[0].log_root == tmp_path / "private" / "landed" / "W0"
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (logs_toml().replace("{end}", ""), "expected the marks {start} and {end}"),
+        (logs_toml("DELETE FROM log {start} {end}"), "begins with SELECT or WITH"),
+        (
+            logs_toml(more=f'connection = "postgresql://me:{SECRET}@h/d"\n'),
+            "logs.database.connection: expected ${NAME}",
+        ),
+        (logs_toml(logs='files = ["*.csv"]\n'), 'expected no files with format = "sql"'),
+        (logs_toml(logs='layout = "file_per_channel"\n'), 'expected "wide" or "long"'),
+        ('format = "sql"\n', "logs.database: expected together with"),
+        ('format = "csv"\n', "logs.files: got []; expected at least one"),
+    ],
+)
+def test_faults_of_a_database_in_a_config(tmp_path: Path, text: str, fault: str) -> None:
+    motor = motor_toml("M1", "MINI").replace(FILES, text)
+    told = map(str, faults_in(write_configs(tmp_path, {"M1": motor}, {"MINI": MINI}, QUICK)))
+    assert any(fault in one and SECRET not in one for one in told)

@@ -10,6 +10,7 @@ import pytest
 from tests.pipeline.config.shipped import (
     MOTOR,
     OIL,
+    SAMPLE,
     TYPE,
     add,
     change,
@@ -221,6 +222,8 @@ def test_an_override_holds_for_its_motor_alone(configs: Path) -> None:
     assert settings["CB400-02"].nights.end_hour == 6
 
 
+NU, ETA = (f'[channels.{name}_viscosity]\nsource = "{name}"\n' for name in ("kinematic", "dynamic"))
+VISCOSITY, AT_100 = "viscosity_40_c_mm2_per_s", "viscosity_100_c_mm2_per_s"
 MARCH = "[[events]]\ndate = 2026-03-01\n"
 ADDED = [
     ('[flushing]\nmode = "fixed"\nalso = ["fixed"]', "flushing", "each mode once"),
@@ -244,6 +247,19 @@ ADDED = [
     ("[override.execution]\nworkers = 99", "override.execution", "is no key"),
     ('[override]\noutput = "/tmp"', "override.output", "is no key"),
     ("[[override]]\nx = 5", "override", "expected"),
+    # Analyses of the oil, and viscosities in the log
+    *(
+        (SAMPLE.replace("46.0", at_40), f"oil_samples.0.{VISCOSITY}", words)
+        for at_40, words in (("0.5", "or equal to 2"), ("440.0", "another oil is an event"))
+    ),
+    (f"{SAMPLE}viscosity_100_c_mm2_per_s = 46.0", f"oil_samples.0.{AT_100}", "less than"),
+    (SAMPLE.replace("2020", "9998"), "oil_samples.0.date", "a day that has come"),
+    ("[[oil_samples]]\ndate = 2020-01-05", "oil_samples.0", "or water_mg_per_kg"),
+    (f"{SAMPLE}water_mg_per_kg = -1.0", "oil_samples.0.water_mg_per_kg", "or equal to 0"),
+    (SAMPLE + SAMPLE, "oil_samples.1.date", "expected a date after 2020-01-05"),
+    (NU, "channels.kinematic_viscosity.unit", "is missing"),
+    (f'{NU}unit = "cP"', "channels.kinematic_viscosity.unit", "expected one of mm2/s"),
+    (f'{NU}unit = "cSt"\n{ETA}unit = "cP"', "channels", "not both"),
 ]
 
 

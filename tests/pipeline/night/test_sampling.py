@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import Channel, Cleaning, MotorSpec, TimeBase
-from pipeline.config.faults import ConfigError
+from pipeline.config import Channel, Cleaning, ConfigError, MotorSpec, TimeBase
 from pipeline.night.channel_rules import ChannelRules, Sampling, flow_from_counts
 from pipeline.night.cleaning import CleanChannel, clean_channel
 from pipeline.night.resampling import on_grid

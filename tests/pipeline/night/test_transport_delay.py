@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import MotorSpec, TransportDelay
-from pipeline.config.faults import ConfigError
+from pipeline.config import ConfigError, MotorSpec, TransportDelay
 from pipeline.night.transport_delay import (
     delay_inputs,
     delay_on_grid_s,

@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from pipeline.config.settings import Email
+from pipeline.config.alarms import Email
 from pipeline.notification.mail import Mail
 from pipeline.notification.receivers import Delivery, UndeliveredError
 

@@ -193,23 +193,7 @@ def _quality() -> Plant:
     return Plant(name, {"da.csv": text}, {"Drum": places}, named="da.csv")
 
 
-# Grafana, InfluxDB, a folder
-
-
-def _folder() -> Plant:
-    kinds = {"dp [bar]": "dp", "oil temperature [°C]": "temp", "speed [rpm]": "speed"}
-    kinds |= {"case drain [l/min]": "flow"}
-    text = table(["time", *kinds], [(kind, 1) for kind in kinds.values()])
-    return Plant(
-        "A folder a motor, a file a day",
-        {
-            f"logs/winch-{n}/2026-01-{day}.csv": text.replace("2026-01-13", f"2026-01-{day}")
-            for n in (1, 2, 3)
-            for day in (13, 14)
-        },
-        {f"winch-{n}": mapped(kinds) for n in (1, 2, 3)},
-        named="logs",
-    )
+# Grafana, InfluxDB, a file a channel
 
 
 def _several_files() -> Plant:
@@ -280,7 +264,6 @@ PLANTS = (
     _ignition_dataset(),
     _wincc_archive(),
     _quality(),
-    _folder(),
     _several_files(),
     _grafana_prometheus(),
     _influx_dutch(),

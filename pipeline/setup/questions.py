@@ -1,23 +1,114 @@
-"""Which column is which channel of a motor; asks where several fit, or none."""
+"""Questions to whoever knows the plant: which column is which channel of a motor, and its unit.
+
+What several columns fit, or none, is asked; an answer is taken as it stands.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
+from typing import Any
 
 from pipeline.config.channels import PORT_PRESSURES
-from pipeline.setup.answers import Asked, without_motor
+from pipeline.config.section import known_zone
+from pipeline.errors import UsageError
+from pipeline.messages import plain
 from pipeline.setup.cells import Marks, as_number
-from pipeline.setup.names import (
-    QUANTITY_OF,
-    Group,
-    likely_units,
-    meaning_of,
-    missing_channels,
-)
-from pipeline.setup.tables import Column
+from pipeline.setup.names import QUANTITY_OF, Group, likely_units, meaning_of, missing_channels
+from pipeline.setup.tables import Column, Question, Table
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
+
+# What may be answered before it is asked.
+_ALWAYS = {"time_zone", "time_format", "decimal", "time", "motor_type", "oil"}
+
+
+class Asked:
+    """Questions, and which of them have no answer yet.
+
+    Raises UsageError (``answer``) for a time zone that there is not, asked for or not.
+    """
+
+    def __init__(self, answers: Mapping[str, str]) -> None:
+        try:
+            known_zone(answers.get("time_zone", "UTC"))
+        except ValueError as error:
+            message = f"time_zone: got {answers['time_zone']!r}; {error}"
+            raise UsageError("answer", message) from None
+        self.answers = answers
+        self.log = ""  # in which it is asked
+        self.open: dict[str, Question] = {}
+        self.unused: dict[str, None] = {}  # names of columns and tags that are no channel's
+        self._asked: dict[str, tuple[str, ...]] = {}
+        self._alike: dict[tuple[str, ...], tuple[str, Sequence[str]]] = {}
+
+    def ask(
+        self, key: str, text: str, choices: Iterable[str] = (), known: Iterable[str] = ()
+    ) -> str | None:
+        """The answer to a question; None, and the question is open, without one.
+
+        The answer has to be `known`, by default one of the choices, where there are any.
+        """
+        likely = tuple(choices)
+        allowed = tuple(known) or likely
+        self._asked[key] = likely
+        if key not in self.answers:
+            self.open.setdefault(key, Question(key, text, likely))
+            return None
+        answer = self.answers[key]
+        if allowed and answer not in allowed:
+            message = f"{key}: got {answer!r}; expected one of {', '.join(allowed)}"
+            raise UsageError("answer", message)
+        return answer
+
+    def keys_of(self, table: Table) -> dict[str, Any]:
+        """Keys of ``[logs]`` with the answers to what the log does not tell.
+
+        Logs that read alike have one answer.
+        """
+        logs = dict(table.logs)
+        for one in table.questions:
+            is_other = self._asked.get(one.key, one.choices) != one.choices
+            key = f"{one.key} of {self.log}" if is_other else one.key
+            answer = self.ask(key, f"{self.log}: {one.text}", one.choices)
+            if answer is not None:
+                logs[one.key] = answer
+                if one.key == "decimal" and answer != table.marks.decimal:
+                    logs["thousands"] = table.marks.decimal
+        return logs
+
+    def which(
+        self, own: str, motor: str, text: str, places: Sequence[str], known: Iterable[str]
+    ) -> str | None:
+        """The place of a motor's channel, ``motor_id.channel``, by its name.
+
+        Motors whose places are called alike but for the motor take the answer of the first.
+        """
+        rests = (re.sub(r"[\[(].*?[\])]", "", without_motor(place, motor)) for place in places)
+        kind = (own.rpartition(".")[2], *rests)
+        first, alike = self._alike.setdefault(kind, (own, places))
+        if own in self.answers or first == own:
+            return self.ask(own, text, places, (*places, *known))
+        answer = self.answers.get(first)
+        return places[alike.index(answer)] if answer in alike else None
+
+    def require_known(self, motor_ids: Iterable[str]) -> None:
+        """Refuse answers to what nobody asked; a motor's channel may always be named."""
+        named = {f"{motor}.{channel}" for motor in motor_ids for channel in CHANNELS}
+        strange = sorted(self.answers.keys() - self._asked.keys() - named - _ALWAYS)
+        if strange:
+            there = ", ".join(self.open) or "none is open"
+            raise UsageError("answer", f"{strange[0]}: there is no such question; open: {there}")
+
+
+def without_motor(place: str, motor: str) -> str:
+    """The name of a column or tag without the motor's."""
+    whole = rf"(?<![^\W_]){re.escape(motor)}(?![^\W_])"
+    return re.sub(r"([._/: -])[._/: -]+", r"\1", re.sub(whole, "", place)).strip("._/: -")
+
+
+# The channels of a motor
 
 NONE = "none"
 _DIFFERENCE = "pressure_difference"
@@ -64,7 +155,7 @@ class Chooser:
         if bare:
             found |= self._ports(sorted(bare, key=self._size, reverse=True), found)
         for channel in missing_channels(found):
-            text = f"no {_words(channel)} was found: which is it?"
+            text = f"no {plain(channel)} was found: which is it?"
             found[channel] = self._which(channel, text, list(self.columns))
         return found
 
@@ -96,7 +187,7 @@ class Chooser:
         """The one column that fits a channel, or that is answered; None: it is asked."""
         key = f"{self.motor_id}.{channel}"
         if len(names) > 1:
-            text = f"{', '.join(names)} may be the {_words(channel)}: which is it?"
+            text = f"{', '.join(names)} may be the {plain(channel)}: which is it?"
             return self._which(channel, text, names)
         # An answer has the last word, asked for or not.
         is_told = key in self.asked.answers
@@ -112,7 +203,7 @@ class Chooser:
         def ask(channel: str, places: Sequence[str], more: str = "") -> str | None:
             text = (
                 f"the log does not say whose pressure {told} is: which is the "
-                f"{_words(channel)}?{more}"
+                f"{plain(channel)}?{more}"
             )
             return self._which(channel, text, places)
 
@@ -150,14 +241,10 @@ class Chooser:
         if said is not None and QUANTITY_OF.get(said) == QUANTITIES[channel]:
             return said
         shown = "; ".join(column.filled[:3])
-        text = f"unit of {_words(channel)} ({column.name}: {shown}): which is it?"
+        text = f"unit of {plain(channel)} ({column.name}: {shown}): which is it?"
         units = tuple(UNITS[QUANTITIES[channel]])
         likely = likely_units(channel, self._numbers(column)) or units
         key = f"unit of {without_motor(column.name, self.name) or channel}"
         if key in self.asked.answers and self.asked.answers[key] not in likely:
             key = f"{key} in {self.asked.log}"
         return self.asked.ask(key, text, likely, units)
-
-
-def _words(channel: str) -> str:
-    return channel.replace("_", " ")
