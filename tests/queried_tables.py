@@ -21,8 +21,7 @@ from pipeline.schema import (
     Table,
     frame,
 )
-from pipeline.store.encoding import write_table
-from pipeline.store.tables import table_folder, whole_file
+from pipeline.store.tables import table_folder, whole_file, write_table
 from pipeline.store.views import write_views
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.rows.motor_states import MotorState, latest_rows

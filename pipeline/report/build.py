@@ -28,7 +28,13 @@ from pipeline.report.plotly_json import figure, script_json
 from pipeline.report.status import current_states
 from pipeline.report.tables import MotorHistory, by_motor, finite_rows, motor_histories
 from pipeline.schema import ALARMS, FITS, PREDICTIONS, frame
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_disk, put, remove_leftovers
+from pipeline.store.atomic_files import (
+    TEMPORARY_PREFIX,
+    flush_path,
+    put,
+    remove_leftovers,
+    store_errors,
+)
 from pipeline.store.tables import files_of, read_rows, table_folder
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.rows.motor_states import ORDER
@@ -57,7 +63,7 @@ class Folder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.files: set[str] = set()  # that the report has now
-        self.n_written = 0
+        self.written: list[Path] = []
         # What the last report left: hash of the program, states of the nights, names of the files.
         self.program = ""
         self.nights: dict[str, str] = {}
@@ -84,7 +90,7 @@ class Folder:
         path = self.path / name
         if not (path.exists() and path.read_bytes() == content):
             put(path, content, durable=False)
-            self.n_written += 1
+            self.written.append(path)
 
     def keep(self, names: Iterable[str]) -> bool:
         """Keep files of the last report as they are; False if one is gone."""
@@ -103,7 +109,10 @@ class Folder:
                 with suppress(OSError):
                     path.unlink()
                     path.parent.rmdir()
-        flush_disk(self.path)  # one flush for all pages, not one for each
+        with store_errors(self.path):
+            # At the end: what the first ones wait for is true of the later ones as well.
+            for path in (*self.written, *{one.parent for one in self.written}):
+                flush_path(path)
         manifest = {"program": program, "nights": nights, "files": sorted(self.files)}
         content = json.dumps(manifest, separators=(",", ":"), sort_keys=True).encode()
         if (self.path / MANIFEST).read_bytes() != content:
@@ -134,7 +143,7 @@ def build_report(
     states, n_nights = _make_nights(fleet, report, nights, program)
     _make_pages(fleet, made, report, program)
     n_removed = report.close(program, states)
-    return ReportResult(len(fleet.motors), n_nights, report.n_written, n_removed)
+    return ReportResult(len(fleet.motors), n_nights, len(report.written), n_removed)
 
 
 def _motors_by_night(fleet: Fleet, newest: int | None) -> dict[dt.date, list[str]]:

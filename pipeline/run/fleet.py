@@ -39,8 +39,7 @@ from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
 from pipeline.schema.fits import FAILED
 from pipeline.store.atomic_files import make_folders, remove_leftovers, store_errors
 from pipeline.store.heartbeat import Heartbeat, last_good_run
-from pipeline.store.interrupts import interrupts_held
-from pipeline.store.locks import locked
+from pipeline.store.locks import interrupts_held, locked
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.old_layout import take_over
 from pipeline.store.published import write_manifest

@@ -38,7 +38,7 @@ from pipeline.run.stored_nights import StoredNights
 from pipeline.run.tasks import MotorOutcome, MotorTask, Work, lost
 from pipeline.schema import INPUT_FILES, NIGHT_TABLES, OPERATION
 from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK
-from pipeline.store.staging import stage, staged_file
+from pipeline.store.publishing import stage, staged_file
 from pipeline.store.tables import read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import hashlib
 import io
@@ -24,7 +23,8 @@ TEMPORARY_PREFIX = ".writing-"
 MODE = 0o644
 BUFFER = 1 << 20
 
-Write = Callable[[BinaryIO], object]
+# Content of a file, or a function that writes it to a stream.
+Write = Callable[[BinaryIO], object] | bytes
 
 
 class _Hashed(io.FileIO):
@@ -47,7 +47,6 @@ class Prepared:
     path: Path  # its place
     temporary: Path  # the file
     sha256: str  # of its content
-    durable: bool = True  # True if it must survive a power cut
 
     def land(self, *, flush: bool = True) -> None:
         """Rename it to its place; not to `flush` its folder is for one who does so later.
@@ -60,7 +59,7 @@ class Prepared:
             except BaseException:
                 self.drop()
                 raise
-            if self.durable and flush:
+            if flush:
                 flush_path(self.path.parent)
 
     def drop(self) -> None:
@@ -69,7 +68,7 @@ class Prepared:
             self.temporary.unlink()
 
 
-def prepare(path: Path, write: Write | bytes, *, durable: bool = True) -> Prepared:
+def prepare(path: Path, write: Write, *, durable: bool = True) -> Prepared:
     """Write a temporary file in the folder of its place, flush it, and read it back.
 
     Raises StoreError if it cannot be written, or is not read back as it was written; nothing is
@@ -84,10 +83,10 @@ def prepare(path: Path, write: Write | bytes, *, durable: bool = True) -> Prepar
             with suppress(OSError):
                 temporary.unlink()
             raise
-    return Prepared(path, temporary, sha256, durable)
+    return Prepared(path, temporary, sha256)
 
 
-def _written(path: Path, write: Write | bytes, *, durable: bool) -> str:
+def _written(path: Path, write: Write, *, durable: bool) -> str:
     """Write a new file and read it back; returns its SHA-256."""
     file = _Hashed(path)
     with io.BufferedWriter(file, BUFFER) as stream:
@@ -105,56 +104,29 @@ def _written(path: Path, write: Write | bytes, *, durable: bool) -> str:
     return file.hash.hexdigest()
 
 
-def put(path: Path, write: Write | bytes, *, durable: bool = True) -> str:
-    """Write a file whole or not at all.
+def put(path: Path, write: Write, *, durable: bool = True) -> str:
+    """Write a file whole or not at all, and the folders above it; returns its SHA-256.
 
-    Parameters
-    ----------
-    path
-        The file; folders above it are made.
-    write
-        Its content, or a function that writes it to a stream.
-    durable
-        False for a file that need not survive a power cut.
+    One that is not `durable` need not survive a power cut.
 
-    Returns
-    -------
-    str
-        SHA-256 of the file.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written; the old file then stays. If only the last flush, of its folder,
-        fails, the new file may be there already.
+    Raises StoreError if it cannot be written; the old file then stays. If only the last flush, of
+    its folder, fails, the new file may be there already.
     """
     prepared = prepare(path, write, durable=durable)
-    prepared.land()
+    prepared.land(flush=durable)
     return prepared.sha256
 
 
 def make_folders(folder: Path) -> None:
-    """Make a folder and the missing ones above it.
-
-    Raises OSError if one cannot be made.
-    """
-    absent = []
-    while not folder.exists():
-        absent.append(folder)
-        folder = folder.parent
+    """Make a folder and the missing ones above it; raises OSError if one cannot be made."""
     if not folder.is_dir():
-        raise NotADirectoryError(errno.ENOTDIR, "there is a file in the way", str(folder))
-    for one in reversed(absent):
-        with suppress(FileExistsError):
-            one.mkdir()
-        flush_path(one.parent)
+        make_folders(folder.parent)
+        folder.mkdir(exist_ok=True)
+        flush_path(folder.parent)
 
 
 def flush_path(path: Path) -> None:
-    """Flush a file, or the names in a folder.
-
-    Raises OSError if they cannot be flushed.
-    """
+    """Flush a file, or the names in a folder; raises OSError if they cannot be flushed."""
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(handle)
@@ -162,40 +134,15 @@ def flush_path(path: Path) -> None:
         os.close(handle)
 
 
-def flush_disk(path: Path) -> None:
-    """Flush all that was written to the disk of a file or folder; one call costs less than many.
-
-    Other disks are left alone: one that hangs would be waited for. (`syncfs`, Linux 2.6.39.)
-
-    Raises StoreError if it cannot be flushed.
-    """
-    library = ctypes.CDLL(None, use_errno=True)
-    with store_errors(path, "flushed"):
-        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-        try:
-            if not hasattr(library, "syncfs"):
-                os.sync()
-            elif library.syncfs(handle):
-                raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-        finally:
-            os.close(handle)
-
-
 def move(path: Path, place: Path) -> None:
-    """Rename a file within its folder; a file of that name is replaced.
-
-    Raises StoreError if it cannot be renamed.
-    """
+    """Rename a file within its folder, over one of that name; raises StoreError if it cannot be."""
     with store_errors(place):
         path.replace(place)
         flush_path(place.parent)
 
 
 def remove(path: Path) -> None:
-    """Remove a file if it is there.
-
-    Raises StoreError if it cannot be removed.
-    """
+    """Remove a file if it is there; raises StoreError if it cannot be removed."""
     with store_errors(path, "removed"), suppress(FileNotFoundError):
         path.unlink()
         flush_path(path.parent)

@@ -12,7 +12,6 @@ import logging
 import os
 import socket
 import threading
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
@@ -88,19 +87,12 @@ class Heartbeat:
         last_good_run: dt.datetime | None,
         interval_s: float = INTERVAL_S,
     ) -> None:
-        now = dt.datetime.now(dt.UTC)
-        self._output = output
-        self._interval_s = interval_s
+        now, host = dt.datetime.now(dt.UTC), socket.gethostname()
         self._beat = Beat(
-            RUNNING,
-            "motors",
-            now,
-            now,
-            os.getpid(),
-            socket.gethostname(),
-            n_motors,
-            last_good_run=last_good_run,
+            RUNNING, "motors", now, now, os.getpid(), host, n_motors, last_good_run=last_good_run
         )
+        self._file = heartbeat_file(output)
+        self._interval_s = interval_s
         self._changing = threading.Lock()
         self._over = threading.Event()
         self._told = False
@@ -127,17 +119,16 @@ class Heartbeat:
     def finished(self, *, interrupted: bool, good: bool) -> None:
         """The run has ended; good if it went through all motors and no failure stands."""
         ended = dt.datetime.now(dt.UTC) if good else self._beat.last_good_run
-        state = INTERRUPTED if interrupted else FINISHED
-        self.say(state=state, last_good_run=ended)
+        self.say(state=INTERRUPTED if interrupted else FINISHED, last_good_run=ended)
 
     def say(self, **changes: str | int | dt.datetime | None) -> None:
         """Write a beat; a failure is logged once and stops nothing."""
         with self._changing:
             now = dt.datetime.now(dt.UTC)
             self._beat = replace(self._beat, beaten_at=now, **changes)  # type: ignore[arg-type]
-            text = json.dumps(_as_text(asdict(self._beat)), indent=1) + "\n"
+            text = json.dumps(asdict(self._beat), default=dt.datetime.isoformat, indent=1)
             try:
-                put(heartbeat_file(self._output), text.encode(), durable=False)
+                put(self._file, f"{text}\n".encode(), durable=False)
             except StoreError as error:
                 if not self._told:
                     log.warning("no heartbeat: %s", error)
@@ -146,13 +137,6 @@ class Heartbeat:
     def _keep_beating(self) -> None:
         while not self._over.wait(self._interval_s):
             self.say()
-
-
-def _as_text(values: Mapping[str, object]) -> dict[str, object]:
-    return {
-        name: value.isoformat() if isinstance(value, dt.datetime) else value
-        for name, value in values.items()
-    }
 
 
 def last_good_run(output: Path) -> dt.datetime | None:

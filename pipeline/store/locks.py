@@ -1,17 +1,22 @@
-"""Locks on folders: one run at a time writes there."""
+"""One run at a time writes to a folder, and no signal breaks off what belongs together."""
 
 from __future__ import annotations
 
 import datetime as dt
 import fcntl
 import os
+import signal
 import socket
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import FrameType
 
 from pipeline.errors import LockedError, StoreError
 from pipeline.store.atomic_files import make_folders
+
+INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
@@ -47,3 +52,28 @@ def locked(folder: Path) -> Iterator[None]:
             os.truncate(stream.fileno(), 0)
             os.write(stream.fileno(), holder.encode())
         yield
+
+
+@contextmanager
+def interrupts_held() -> Iterator[list[int]]:
+    """Hold back a first signal, and yield the list of those that came; a second one acts."""
+    came: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield came  # signals go to the main thread
+        return
+
+    def hold(number: int, _: FrameType | None) -> None:
+        if came:
+            signal.signal(number, before[number])
+            signal.raise_signal(number)
+        came.append(number)
+
+    before = {int(number): signal.signal(number, hold) for number in INTERRUPTS}
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for number in came:
+        with suppress(KeyboardInterrupt):  # the caller stops where it thinks fit
+            signal.raise_signal(number)

@@ -10,28 +10,30 @@ import hashlib
 import json
 import logging
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
 import polars as pl
 
-from pipeline.errors import LockedError, StoreError
-from pipeline.schema import LOOKS, NIGHTLY_TABLES, TABLES, WHOLE_TABLES, Table
+from pipeline.errors import StoreError
+from pipeline.schema import NIGHTLY_TABLES, TABLES, WHOLE_TABLES, Table
 from pipeline.store.atomic_files import move, remove
-from pipeline.store.encoding import damaged, from_parquet, write_table
 from pipeline.store.locks import locked
-from pipeline.store.published import note
+from pipeline.store.published import TABLE_OF, note
 from pipeline.store.state import State
 from pipeline.store.tables import (
     ENDING,
     MONTH_PREFIX,
     PUT_ASIDE,
+    damaged,
+    from_parquet,
     labelled_file,
     name_of,
     table_folder,
+    write_table,
 )
 
 log = logging.getLogger(__name__)
@@ -40,7 +42,7 @@ log = logging.getLogger(__name__)
 Forget = Callable[[list[str]], object]
 OLD_FOLDERS = ("manifest", "ledger", "history")
 OUTBOX = ("outbox.json", "outbox.copy.json")
-OLD_FILES = ("decisions.jsonl", "decisions.damaged", *OUTBOX, *(f"look/{one}" for one in OUTBOX))
+OLD_FILES = ("decisions.jsonl", "decisions.damaged", *OUTBOX)
 DECISION = ("motor_id", "indicator", "time", "kind", "night", "finding", "note", "worn", "sound")
 # SHA-256 that a file may have, by its name.
 Listed = Mapping[str, tuple[str | None, ...]]
@@ -56,35 +58,28 @@ def take_over(state: State, forget: Forget, take_stock: Callable[[], object]) ->
 
     Where that is broken off, the next run goes on; until then a query may see rows twice.
 
-    Raises StoreError if a file cannot be written, or is of a newer version of the program.
+    Raises StoreError if a file cannot be written, or is of a newer version of the program;
+    LockedError if a look is under way.
     """
     output = state.output
-    old = {(table, month) for table in MONTHLY for month in _old_months(output, table)}
-    if not old and not any((output / name).exists() for name in (*OLD_FOLDERS, *OLD_FILES)):
+    months = sorted(
+        (month, table.name) for table in MONTHLY for month in _old_months(output, table)
+    )
+    if not months and not any((output / name).exists() for name in (*OLD_FOLDERS, *OLD_FILES)):
         return
-    if not state.meta("taken over"):
-        log.warning("the output is of an older version, and is taken over")
-        _take_records(state)
-    manifests = sorted((output / "manifest").glob("*/*.json"))
-    listed = {name: some for path in manifests for name, some in _listed(path)}
-    for month in sorted({month for _, month in old}):
-        tables = [table for table in MONTHLY if (table, month) in old]
-        with suppress(LockedError), _looks_held(output, tables):
-            _take_month(state, month, tables, listed, forget)
-    take_stock()
-    for name in OLD_FOLDERS:
-        rmtree(output / name, ignore_errors=True)
-    for name in OLD_FILES:
-        remove(output / name)
-    for path in output.glob("look/*/"):
-        rmtree(path, ignore_errors=True)
-
-
-@contextmanager
-def _looks_held(output: Path, tables: Sequence[Table]) -> Iterator[None]:
-    """Hold the lock of looks, if their tables are taken over."""
-    with locked(output / "look") if LOOKS in tables else nullcontext():
-        yield
+    with locked(output / "look"):
+        if not state.meta("taken over"):
+            log.warning("the output is of an older version, and is taken over")
+            _take_records(state)
+        manifests = sorted((output / "manifest").glob("*/*.json"))
+        listed = {name: some for path in manifests for name, some in _listed(path)}
+        for month, name in months:
+            _take_month(state, TABLE_OF[name], month, listed, forget)
+        take_stock()
+        for folder in ("look", *OLD_FOLDERS):
+            rmtree(output / folder, ignore_errors=True)
+        for name in OLD_FILES:
+            remove(output / name)
 
 
 def _listed(path: Path) -> Iterator[tuple[str, tuple[str | None, ...]]]:
@@ -178,36 +173,31 @@ def _sources(output: Path, table: Table, month: str) -> list[Path]:
     return sorted(path for path in paths if OLD_NAME.fullmatch(path.stem))
 
 
-def _take_month(
-    state: State, month: str, tables: Sequence[Table], listed: Listed, forget: Forget
-) -> None:
-    """Take the tables of a month over."""
-    output, folder = state.output, f"{MONTH_PREFIX}{month}"
-    files: dict[str, str | None] = {}
-    old: list[Path] = []
-    for table in tables:
-        place, sources = labelled_file(output, table, month), _sources(output, table, month)
-        name, there = name_of(output, place), {name_of(output, path) for path in sources}
-        known = {one for one in listed if one.startswith(f"{table.name}/{folder}/")} - {name}
-        # One that is there and was not listed has all of them: this was broken off.
-        gone = set() if place.exists() and name not in listed else known - there
-        parts = []
-        for path in (place, *sources):
-            try:
-                parts.append(_rows(output, path, table, listed))
-            except StoreError as error:
-                if error.code != "store_read":
-                    raise
-                log.warning("%s; its nights are made anew", error)
-                gone.add(name_of(output, path))
-                forget([name_of(output, path)])
-                move(path, path.with_suffix(PUT_ASIDE))
-        forget(sorted(gone - there))
-        rows = pl.concat(parts).unique(table.key, keep="last", maintain_order=True)
-        files[name] = write_table(place, rows.sort(table.order))
-        old += sources
-    note(state, files)
-    for path in old:
+def _take_month(state: State, table: Table, month: str, listed: Listed, forget: Forget) -> None:
+    """Make one file of those of a month's nights; lost ones are forgotten, to be made anew."""
+    output, place = state.output, labelled_file(state.output, table, month)
+    sources, name = _sources(output, table, month), name_of(output, place)
+    lost: set[str] = set()
+    # One that is there and was not listed has all of them: this was broken off.
+    if name in listed or not place.exists():
+        folder = name.removesuffix(f"{month}{ENDING}")
+        lost = {one for one in listed if one.startswith(folder)} - {name}
+        lost -= {name_of(output, path) for path in sources}
+    parts, damaged_files = [], []
+    for path in (place, *sources):
+        try:
+            parts.append(_rows(output, path, table, listed))
+        except StoreError as error:
+            if error.code != "store_read":
+                raise
+            log.warning("%s; its nights are made anew", error)
+            damaged_files.append(path)
+    forget(sorted(lost.union(name_of(output, path) for path in damaged_files)))
+    for path in damaged_files:
+        move(path, path.with_suffix(PUT_ASIDE))
+    rows = pl.concat(parts).unique(table.key, keep="last", maintain_order=True)
+    note(state, {name: write_table(place, rows.sort(table.order))})
+    for path in sources:
         remove(path)
 
 

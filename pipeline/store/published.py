@@ -12,7 +12,6 @@ import hashlib
 import json
 import os
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
@@ -20,15 +19,15 @@ from pathlib import Path
 from pipeline.errors import StoreError
 from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put
-from pipeline.store.encoding import from_parquet
 from pipeline.store.state import STATE_FILE, State, is_sound, read_state_file
 from pipeline.store.tables import (
     MONTH_PREFIX,
     PUT_ASIDE,
     days_of,
-    is_label,
-    labelled_file,
+    from_parquet,
+    is_named_as_ours,
     name_of,
+    table_folder,
     whole_file,
 )
 
@@ -103,8 +102,6 @@ def distrust(state: State, name: str) -> None:
         " ON CONFLICT (name) DO UPDATE SET modified_ns = -1",
         name,
     )
-    with suppress(OSError):
-        os.utime(state.output / "tables" / name)
 
 
 def _stamp(output: Path, name: str) -> tuple[int, int]:
@@ -118,14 +115,10 @@ def _stamp(output: Path, name: str) -> tuple[int, int]:
 
 def share_due(state: State, days: int, now: dt.datetime | None = None) -> set[str]:
     """Files that a run proves, the longest unproven first, so that all are within some days."""
-    now = now or dt.datetime.now(dt.UTC)
+    overdue = ((now or dt.datetime.now(dt.UTC)) - dt.timedelta(days)).isoformat()
     rows = state.rows("SELECT name, proven FROM files ORDER BY proven, name")
-    before = state.meta("share proven")
-    passed = (now.date() - dt.date.fromisoformat(before)).days if before else days
-    n = ceil(len(rows) * min(max(passed, 1) / days, 1.0))
-    state.set_meta("share proven", f"{now:%Y-%m-%d}")
-    overdue = (now - dt.timedelta(days)).isoformat()
-    return {name for place, (name, proven) in enumerate(rows) if place < n or proven <= overdue}
+    share = ceil(len(rows) / days)
+    return {name for place, (name, proven) in enumerate(rows) if place < share or proven <= overdue}
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +130,19 @@ class Looked:
     fault: TableFault | None = None
 
 
+def digests_here(state: State) -> dict[str, str]:
+    """SHA-256 of listed files as they were noted; those that were written to since are left out."""
+    rows = state.rows("SELECT name, sha256, size, modified_ns FROM files WHERE coming IS NULL")
+    return {
+        name: sha256 for name, sha256, *kept in rows if tuple(kept) == _stamp(state.output, name)
+    }
+
+
 def look_at_files(state: State, due: Collection[str] | None = ()) -> Iterator[Looked]:
     """Read the published files that are gone, were written to since, or are due; None: all are."""
-    rows = state.rows("SELECT name, sha256, coming, size, modified_ns FROM files ORDER BY name")
-    for name, _, coming, *stamp in rows:
-        is_due = due is None or name in due or coming is not None
-        if is_due or tuple(stamp) != _stamp(state.output, name):
+    as_noted = digests_here(state)
+    for (name,) in state.rows("SELECT name FROM files ORDER BY name"):
+        if due is None or name in due or name not in as_noted:
             yield look_at(state, name)
 
 
@@ -160,17 +160,16 @@ def _look_at(state: State, name: str) -> Looked:
     try:
         found = hashlib.sha256((state.output / "tables" / name).read_bytes()).hexdigest()
     except (FileNotFoundError, NotADirectoryError):
-        if not known or NO_FILE in known:
-            return Looked(name, None)
-        fault = TableFault(name, "table_missing", f"the file is gone; {_again(name)}")
+        found, code = NO_FILE, "table_missing"
+        message = f"the file is gone; {_again(name)}"
     except OSError as error:
         message = f"it cannot be read: {error.strerror}; correct its permissions, or the disk"
-        fault = TableFault(name, "table_unreadable", message)
+        return Looked(name, None, TableFault(name, "table_unreadable", message))
     else:
-        if not known or found in known:
-            return Looked(name, found)
-        fault = TableFault(name, "table_altered", f"it is not what was published; {_again(name)}")
-    return Looked(name, None, fault)
+        code, message = "table_altered", f"it is not what was published; {_again(name)}"
+    if known and found not in known:
+        return Looked(name, None, TableFault(name, code, message))
+    return Looked(name, found or None)
 
 
 def _again(name: str) -> str:
@@ -226,10 +225,7 @@ def proof_of(output: Path, name: str) -> str | None:
 
     Raises StoreError if it is of a newer version of the program.
     """
-    table = TABLE_OF.get(name.split("/")[0])
-    if table is None:
-        return None
-    path = output / "tables" / name
+    path, table = output / "tables" / name, TABLE_OF[name.split("/")[0]]
     try:
         content = path.read_bytes()
         rows = from_parquet(path, table, content)
@@ -250,9 +246,8 @@ def is_called_as_ours(output: Path, name: str) -> bool:
     table, path = TABLE_OF.get(name.split("/")[0]), output / "tables" / name
     if table is None:
         return False
-    return path == whole_file(output, table) or (
-        is_label(path.stem) and path == labelled_file(output, table, path.stem)
-    )
+    is_of_table = path.parent.parent == table_folder(output, table)
+    return path == whole_file(output, table) or (is_of_table and is_named_as_ours(path))
 
 
 def write_manifest(state: State) -> None:

@@ -1,43 +1,136 @@
-"""Publishing of staged rows, month by month.
+"""Rows on their way into tables: staged by the tasks of motors, published by the run.
 
-New files are written beside their places, flushed and read back; noted as coming; renamed; and
-noted as published, in one transaction with what the caller has to say of them.
+A task leaves its rows in one file. In its first line that has an index: of each table file that
+rows go into the nights, also those without rows, which replace rows of before. An Arrow stream each
+follows.
+
+Month by month the run writes new table files beside their places, flushes and reads them back;
+notes them as coming; renames them; and notes them as published, in one transaction with what the
+caller has to say of them.
 """
 
 from __future__ import annotations
 
+import datetime as dt
 import hashlib
+import json
 import os
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from contextlib import ExitStack
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain, groupby
 from pathlib import Path
 from shutil import rmtree
-from typing import Any, TypeVar
+from typing import Any
 
 import polars as pl
+import pyarrow as pa
 
 from pipeline.errors import StoreError
-from pipeline.schema import Table, frame
+from pipeline.schema import Table, frame, staged_table
 from pipeline.store.atomic_files import Prepared, flush_path, prepare, store_errors
-from pipeline.store.encoding import as_parquet, damaged, from_parquet
-from pipeline.store.published import NO_FILE, accepted, announce, distrust, note
-from pipeline.store.staging import Staged, read_staged, staged_in
+from pipeline.store.published import NO_FILE, accepted, announce, distrust, look_at, note
 from pipeline.store.state import State
-from pipeline.store.tables import labelled_file, name_of, whole_file
+from pipeline.store.tables import (
+    as_parquet,
+    damaged,
+    from_parquet,
+    label_of,
+    labelled_file,
+    name_of,
+    whole_file,
+)
 
-# In place of the SHA-256 of a file that is replaced in any case.
 # Staged rows of a month from which on its files are prepared one by one, to bound the memory.
 LARGE_BYTES = 64_000_000
+# In place of the SHA-256 of a file that is replaced in any case.
 UNREAD = "unread"
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
+# Rows of one table, by night.
+StagedNights = Mapping[dt.date, Sequence[Mapping[str, object]]]
 # Rows of a table file, given those that are there.
 Change = Callable[[pl.DataFrame], pl.DataFrame]
+
+
+@dataclass(frozen=True, slots=True)
+class Staged:
+    """Staged rows of a motor that go into one table file, not read yet."""
+
+    path: Path
+    begin: int
+    size: int
+    nights: tuple[dt.date, ...]
+
+    def rows(self) -> pa.Table:
+        """The rows; the file is open only while it is read: a fleet has many."""
+        with self.path.open("rb") as file:
+            file.seek(self.begin)
+            return pa.ipc.open_stream(file.read(self.size)).read_all()
+
+
+def stage(path: Path, tables: Mapping[Table, StagedNights]) -> None:
+    """Write a motor's rows by table and night; the folder above the file's must be there.
+
+    Raises StoreError if they cannot be written.
+    """
+    streams, index = [], []
+    for table, nights in tables.items():
+        for label, some in groupby(sorted(nights), partial(label_of, table)):
+            own = list(some)
+            rows = staged_table(table, chain.from_iterable(nights[night] for night in own))
+            sink = pa.BufferOutputStream()
+            with pa.ipc.new_stream(sink, rows.schema) as stream:
+                stream.write_table(rows)
+            streams.append(sink.getvalue())
+            index.append((table.name, label, streams[-1].size, [str(night) for night in own]))
+    line = json.dumps(index).encode() + b"\n"
+    try:
+        with suppress(FileExistsError):
+            path.parent.mkdir()
+        path.write_bytes(b"".join([line, *streams]))
+    except OSError as error:
+        raise StoreError("store_write", f"rows cannot be staged: {error}") from error
+
+
+def staged_in(
+    folder: Path, tables: Iterable[Table], motor_ids: Collection[str]
+) -> Mapping[tuple[Table, str], Mapping[str, Staged]]:
+    """What some motors have staged, by table, name of the table file, and motor, in order."""
+    named = {table.name: table for table in tables}
+    found: defaultdict[tuple[Table, str], dict[str, Staged]] = defaultdict(dict)
+    paths = {motor_id: staged_file(folder, motor_id) for motor_id in sorted(motor_ids)}
+    for motor_id, path in paths.items():
+        if not path.exists():
+            continue
+        with path.open("rb") as file:
+            index, begin = json.loads(file.readline()), file.tell()
+        for name, label, size, nights in index:
+            own = Staged(path, begin, size, tuple(map(dt.date.fromisoformat, nights)))
+            found[named[name], label][motor_id] = own
+            begin += size
+    return found
+
+
+def staged_file(folder: Path, motor_id: str) -> Path:
+    """File of a motor's staged rows."""
+    return folder / f"{motor_id}.arrow"
+
+
+def read_staged(
+    table: Table, staged: Mapping[str, Staged], run_id: str
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Rows of motors for a table file, and the motors and nights of which they are all rows."""
+    # As one chunk: Polars takes chunks over one by one.
+    rows = pl.from_arrow(pa.concat_tables(one.rows() for one in staged.values()).combine_chunks())
+    assert isinstance(rows, pl.DataFrame)
+    pa.default_memory_pool().release_unused()  # the motors' own copies
+    rows = rows.with_columns(run_id=pl.lit(run_id)).select(table.schema.keys())
+    done = [(motor_id, night) for motor_id, one in staged.items() for night in one.nights]
+    key = {name: table.schema[name] for name in ("motor_id", "night")}
+    return rows, pl.DataFrame(done, schema=key, orient="row")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,25 +144,14 @@ class NewFile:
 
 @dataclass(slots=True)
 class Publisher:
-    """Publishes the rows that the tasks of a run have staged.
-
-    Parameters
-    ----------
-    state, staging
-        State of the output, and the run's folder of staged rows.
-    run_id
-        Goes into every row.
-    threads
-        Files that are prepared at once.
-    missed
-        Files that are known to be gone, by path relative to the folder of the tables. Another one
-        that is gone or damaged is nothing to add rows to: the next run mends it.
-    """
+    """Publishes the rows that the tasks of a run have staged."""
 
     state: State
-    staging: Path
-    run_id: str
-    threads: int = 1
+    staging: Path  # the run's folder of staged rows
+    run_id: str  # goes into every row
+    threads: int = 1  # files that are prepared at once
+    # Names of files that are known to be gone. Another one that is gone or damaged is nothing to
+    # add rows to: the next run mends it.
     missed: Collection[str] = ()
 
     def nights(
@@ -79,21 +161,11 @@ class Publisher:
         motor_ids: Collection[str],
         published: Callable[[], object] = lambda: None,
     ) -> None:
-        """Publish the staged rows of some motors, the oldest month first.
+        """Publish what some motors have staged in a folder, the oldest month first.
 
-        Parameters
-        ----------
-        folder
-            Below the staging folder, with a file of staged rows a motor.
-        tables, motor_ids
-            Tables, and motors whose rows are published.
-        published
-            Called in the transaction that notes the last files.
+        `published` is called in the transaction that notes the last files.
 
-        Raises
-        ------
-        StoreError
-            If a file cannot be written, or the present one is damaged.
+        Raises StoreError if a file cannot be written, or the present one is damaged.
         """
         staged = staged_in(self.staging / folder, tables, motor_ids)
         months = sorted({label[:7] for _, label in staged})
@@ -112,16 +184,9 @@ class Publisher:
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is one file, whatever is there; raises as `nights`."""
-
-        def made() -> NewFile:
-            path = whole_file(self.output, table)
-            try:
-                before = hashlib.sha256(path.read_bytes()).hexdigest()
-            except OSError:
-                before = UNREAD
-            return _new_file(path, rows, before)
-
-        self._publish([made])
+        path = whole_file(self.output, table)
+        before = look_at(self.state, name_of(self.output, path)).sha256 or UNREAD
+        self._publish([partial(_new_file, path, rows, before)])
 
     def add(self, month: str, rows: Mapping[Table, Sequence[Mapping[str, Any]]]) -> None:
         """Add rows to a month (YYYY-MM) of tables; those of the same key go; raises as `nights`."""
@@ -202,7 +267,9 @@ class Publisher:
                     undone.callback(file.prepared.drop)
                 return file
 
-            files = side_by_side(prepared, works, at_once or self.threads)
+            # After a failure those that wait are not begun.
+            with ThreadPoolExecutor(min(at_once or self.threads, os.cpu_count() or 1)) as pool:
+                files = list(pool.map(prepared, works))
             named = {name_of(self.output, file.path): file for file in files}
             new = {name: one.prepared for name, one in named.items() if one.prepared is not None}
             announce(self.state, {name: one.sha256 for name, one in new.items()})
@@ -243,19 +310,3 @@ def _with_rows(
     if replaced is not None:
         kept = kept.join(replaced, on=replaced.columns, how="anti")
     return pl.concat([before, pl.concat([kept, rows]).sort(table.order), after])
-
-
-def side_by_side(
-    work: Callable[[Item], Result], items: Collection[Item], threads: int
-) -> list[Result]:
-    """Results by item in their order; after a failure those that wait are not begun."""
-    threads = min(threads, len(items), os.cpu_count() or 1)
-    if threads < 2:
-        return list(map(work, items))
-    with ThreadPoolExecutor(threads) as pool:
-        under_way = [pool.submit(work, item) for item in items]
-        try:
-            wait(under_way, return_when=FIRST_EXCEPTION)
-            return [one.result() for one in under_way if one.done()]
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)

@@ -46,21 +46,11 @@ class OldFiles:
 
 
 def nights_kept(retention: Retention, tables: Sequence[str], keep: int | None) -> dict[str, int]:
-    """Number of nights to keep, by table.
+    """Number of nights to keep of each table that is asked for, or of those of the config.
 
-    Parameters
-    ----------
-    retention
-        The config.
-    tables
-        Tables that are asked for; none: those of the config.
-    keep
-        Nights to keep of them; None: as configured.
+    `keep`: nights to keep of the tables that are asked for; None: as configured.
 
-    Raises
-    ------
-    UsageError
-        ``prune_table``: a table that cannot be pruned, or without a number of nights.
+    Raises UsageError (``prune_table``) for a table that cannot be pruned, or that has no number.
     """
     configured = {name: n for name, n in retention.model_dump().items() if n is not None}
     if not tables:
@@ -90,21 +80,17 @@ def old_files(
 
     A file of a month is as old as the last night of it.
     """
-    if newest_night is None:
-        return ()
     found = []
     for table in TABLES:
-        if table.name not in kept:
+        if newest_night is None or table.name not in kept:
             continue
         first_kept = newest_night - dt.timedelta(days=kept[table.name] - 1)
-        days = {path: days_of(path.stem) for path in files_of(output, table)}
-        old = [path for path in days if days[path][-1] < first_kept]
+        old = [one for one in files_of(output, table) if days_of(one.stem)[-1] < first_kept]
         if old:
+            first, last = days_of(old[0].stem)[0], days_of(old[-1].stem)[-1]
             names = tuple(name_of(output, path) for path in old)
             size = sum(path.stat().st_size for path in old)
-            last = days[old[-1]][-1]
-            first, loss = days[old[0]][0], LOSSES[table.name]
-            found.append(OldFiles(table.name, first, last, names, size, loss))
+            found.append(OldFiles(table.name, first, last, names, size, LOSSES[table.name]))
     return tuple(found)
 
 

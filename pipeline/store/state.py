@@ -18,15 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import (
-    TEMPORARY_PREFIX,
-    flush_path,
-    make_folders,
-    move,
-    put,
-    remove,
-    store_errors,
-)
+from pipeline.store.atomic_files import make_folders, move, put, remove, store_errors
 
 log = logging.getLogger(__name__)
 
@@ -108,6 +100,28 @@ class State:
         with self.transaction(), _errors("store_write"):
             self._connection.executemany(statement, rows)
 
+    def content(self) -> bytes:
+        """The file as it is now, with what is in SQLite's log; raises StoreError."""
+        with _errors("store_read"):
+            return self._connection.serialize()
+
+    def replace(self, content: bytes) -> None:
+        """Take the content of another state file over; decisions of the present one are kept.
+
+        Raises StoreError (``store_read``) if it is none; ``store_newer`` if it is of a newer
+        version of the program; else as `write`.
+        """
+        with _errors("store_read"), closing(sqlite3.connect(":memory:")) as other:
+            # Not in the mode of a log, which there is not in memory: "Database File Format", 1.3.3.
+            other.deserialize(content[:18] + b"\1\1" + content[20:])
+            new = State(self.output, other)
+            _version(new)
+            known = set(new.rows("SELECT * FROM decisions"))
+            own = [one for one in self.rows("SELECT * FROM decisions") if one not in known]
+            new.write_all("INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", own)
+            with _errors("store_write"):
+                other.backup(self._connection)
+
     def meta(self, name: str) -> str:
         """A value by its name; empty where there is none."""
         found = self.rows("SELECT value FROM meta WHERE name = ?", name)
@@ -179,17 +193,14 @@ def read_state_file(output: Path) -> Iterator[State]:
     """
     place = (output / STATE_FILE).resolve()
     with _errors("store_read"):
-        reader = _reader(place) if place.exists() else sqlite3.connect(":memory:")
-        is_made = reader.execute("PRAGMA user_version").fetchone()[0] > 0
-        if not is_made:  # also where a first run has only just begun
-            reader.close()
-            reader = sqlite3.connect(":memory:", isolation_level=None)
-    with closing(reader) as connection:
+        connection = _reader(place) if place.exists() else None
+        # Where a first run has only just begun there is nothing in it yet.
+        if connection is None or not _version(State(output, connection)):
+            connection = sqlite3.connect(":memory:", isolation_level=None)
+            _make_tables(State(output, connection))
+    with closing(connection):
         state = State(output, connection)
-        if not is_made:
-            _make_tables(state)
         state.write("PRAGMA query_only = ON")
-        _version(state)
         yield state
 
 
@@ -210,8 +221,7 @@ def _reader(place: Path) -> sqlite3.Connection:
 
 def _make_tables(state: State) -> None:
     for statement in SCHEMA.split(";\n"):
-        if statement.strip():
-            state.write(statement)
+        state.write(statement)
     state.write(f"PRAGMA user_version = {VERSION}")
 
 
@@ -226,22 +236,19 @@ def _version(state: State) -> int:
 def make_ready(output: Path) -> bool:
     """At a run's start: check the state file, restore a lost one, and keep a backup of it.
 
-    Returns
-    -------
-    bool
-        True where it was lost, or is new: what a run before left is then known from the backup
-        alone, or not at all.
+    Returns True where it was lost, or is new: what a run before left is then known from the backup
+    alone, or not at all.
 
-    Raises
-    ------
-    StoreError
-        If the files cannot be written, or are of a newer version of the program.
+    Raises StoreError if the files cannot be written, or are of a newer version of the program.
     """
     place, backup = output / STATE_FILE, output / BACKUP_FILE
     version = _version_of(place)
     is_lost = version is None or (version == 0 and backup.exists())
     if is_lost:
-        _set_aside(place)
+        if place.exists():
+            move(place, output / DAMAGED_FILE)
+        for ending in ("-wal", "-shm"):
+            remove(output / f"{STATE_FILE}{ending}")
         if _version_of(backup):
             put(place, backup.read_bytes())
         log.warning(
@@ -250,7 +257,7 @@ def make_ready(output: Path) -> bool:
             "the backup of the run before is taken" if place.exists() else "it is made anew",
         )
     with open_state(output) as state:
-        _back_up(state, backup)
+        put(backup, state.content())
     return is_lost or version == 0
 
 
@@ -275,46 +282,3 @@ def _version_of(place: Path) -> int | None:
         raise StoreError("store_write", f"{place.name} cannot be opened: {error}") from error
     except sqlite3.DatabaseError:
         return None
-
-
-def settle(output: Path) -> None:
-    """Put all that is in SQLite's log into the file itself; raises StoreError."""
-    with open_state(output) as state:
-        state.rows("PRAGMA wal_checkpoint(TRUNCATE)")
-
-
-def replace_state(output: Path, content: bytes) -> None:
-    """Put another state file into the place of the present one, whose decisions are kept.
-
-    Raises StoreError if one cannot be read or written.
-    """
-    with read_state_file(output) as state:
-        own = state.rows("SELECT * FROM decisions")
-    _set_aside(output / STATE_FILE)
-    put(output / STATE_FILE, content)
-    with open_state(output) as state:
-        known = set(state.rows("SELECT * FROM decisions"))
-        lost = [one for one in own if one not in known]
-        state.write_all("INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", lost)
-
-
-def _set_aside(place: Path) -> None:
-    """Put a damaged file aside, and remove what SQLite keeps beside it."""
-    if place.exists():
-        move(place, place.with_name(DAMAGED_FILE))
-    for ending in ("-wal", "-shm"):
-        remove(place.with_name(place.name + ending))
-
-
-def _back_up(state: State, backup: Path) -> None:
-    """Copy the state as it is, and put the copy into the place of the last one."""
-    made = backup.with_name(f"{TEMPORARY_PREFIX}{backup.name}")
-    remove(made)
-    try:
-        state.write("VACUUM INTO ?", str(made))
-        with store_errors(backup):
-            flush_path(made)
-        move(made, backup)
-    except StoreError:
-        remove(made)
-        raise

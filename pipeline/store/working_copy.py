@@ -18,14 +18,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove
-from pipeline.store.interrupts import interrupts_held
+from pipeline.store.atomic_files import put, remove
+from pipeline.store.locks import interrupts_held
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.published import MANIFEST_FILE
-from pipeline.store.state import STATE_FILE, replace_state, settle
+from pipeline.store.published import MANIFEST_FILE, digests_here, files_there
+from pipeline.store.state import STATE_FILE, State, open_state, read_state_file
 
 log = logging.getLogger(__name__)
 
@@ -33,10 +33,7 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 ROOT = "current.json"
-# Published parts of an output folder: not the lock, the staging folder, or a report.
-FOLDERS = ("tables",)
-FILES = (STATE_FILE, MANIFEST_FILE)
-# File of the folder that says of which store it is, and what it held.
+# File of the folder that says of which store it is a copy.
 RECORD = ".object-store.json"
 # Replaced objects stay this long, for readers of an older `current.json`.
 KEEP = dt.timedelta(days=7)
@@ -65,17 +62,9 @@ class Snapshot:
 def working_copy(url: str, output: Path) -> Iterator[None]:
     """Bring an output folder up to date with an object store, and publish its changes at the end.
 
-    Parameters
-    ----------
-    url
-        Such as s3://bucket/fleet; empty: nothing is published elsewhere.
-    output
-        The folder, of which the caller holds the lock.
+    The caller holds the folder's lock. Without a URL nothing is published elsewhere.
 
-    Raises
-    ------
-    StoreError
-        If it cannot be brought up to date, or not be published as a whole.
+    Raises StoreError if it cannot be brought up to date, or not be published as a whole.
     """
     if not url:
         yield
@@ -84,7 +73,6 @@ def working_copy(url: str, output: Path) -> Iterator[None]:
     snapshot = pull(store, output)
     yield
     with interrupts_held():
-        settle(output)
         push(store, output, snapshot)
 
 
@@ -116,34 +104,32 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
     Raises StoreError: ``store_copy``: the folder holds an output of its own, or is a copy of
     another.
     """
-    snapshot = read_snapshot(store)
-    known = _recorded(store, output)
+    snapshot, is_copy = read_snapshot(store), _is_copy(store, output)
     if snapshot.tag is None:
         return snapshot
-    here = _digests(output, known or {})
     published = {path: entry.sha256 for path, entry in snapshot.files.items()}
+    with read_state_file(output) as state:
+        here, own_state = _digests(state), _hash(state.content())
     strange = sorted(path for path in here if here[path] != published.get(path))
-    if strange and known is None:
+    if strange and not is_copy:
         raise StoreError(
             "store_copy",
             f"{output} holds files that are not those at {store.url}, such as {strange[0]}: "
             "choose an empty output",
         )
-    _record(store, output, {})  # from here on it is a copy, also if this is broken off
+    _mark_as_copy(store, output)  # also if this is broken off
     for path in strange:
-        if path not in published and path != STATE_FILE:
+        if path not in published:
             remove(output / path)
 
     def bring(path: str) -> None:
-        content = _content(store, snapshot.files[path])
-        if path == STATE_FILE:
-            replace_state(output, content)
-        else:
-            put(output / path, content, durable=False)
+        put(output / path, _content(store, snapshot.files[path]), durable=False)
 
-    in_turn(bring, [path for path in published if here.get(path) != published[path]])
-    # The state may have decisions of its own.
-    _record(store, output, {path: one for path, one in published.items() if path != STATE_FILE})
+    others = published.keys() - {STATE_FILE}
+    in_turn(bring, [path for path in others if here.get(path) != published[path]])
+    if published.get(STATE_FILE, own_state) != own_state:
+        with open_state(output) as state:
+            state.replace(_content(store, snapshot.files[STATE_FILE]))
     return snapshot
 
 
@@ -152,10 +138,16 @@ def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:
 
     Raises StoreError if it cannot be published; what was published before then stays.
     """
-    digests = _digests(output, _recorded(store, output) or {})
+    with read_state_file(output) as state:
+        digests, own_state = _digests(state), state.content()
+    digests[STATE_FILE] = _hash(own_state)
     files = {path: Entry(_key(path, digest), digest) for path, digest in digests.items()}
-    new = [path for path, entry in files.items() if before.files.get(path) != entry]
-    in_turn(lambda path: store.create(files[path].key, (output / path).read_bytes()), new)
+
+    def upload(path: str) -> None:
+        content = own_state if path == STATE_FILE else (output / path).read_bytes()
+        store.create(files[path].key, content)
+
+    in_turn(upload, [path for path in files if before.files.get(path) != files[path]])
     present = {entry.key for entry in files.values()}
     gone = {entry.key for entry in before.files.values()} - present
     superseded = (
@@ -169,7 +161,7 @@ def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:
     listed = {path: (entry.key, entry.sha256) for path, entry in sorted(files.items())}
     document = {"tables": tables, "files": listed, "superseded": superseded}
     tag = store.replace(ROOT, json.dumps(document, indent=0).encode(), before.tag)
-    _record(store, output, digests)
+    _mark_as_copy(store, output)
     after = Snapshot(tag, files, superseded)
     _clear(store, after)
     return after
@@ -184,7 +176,7 @@ def in_turn(function: Callable[[Item], Made], items: Iterable[Item]) -> list[Mad
 def _content(store: ObjectStore, entry: Entry) -> bytes:
     """Content of an object, compared with its digest."""
     found = store.get(entry.key)
-    if found is None or hashlib.sha256(found[0]).hexdigest() != entry.sha256:
+    if found is None or _hash(found[0]) != entry.sha256:
         what = "is gone" if found is None else "is not what was published"
         raise StoreError(
             "store_read",
@@ -199,13 +191,12 @@ def _key(path: str, digest: str) -> str:
     return f"files/{stem}.{digest[:16]}{dot}{ending}"
 
 
-def _recorded(store: ObjectStore, output: Path) -> dict[str, list[Any]] | None:
-    """Files of the folder as it was recorded, with digest and stamp; None if it is no copy."""
+def _is_copy(store: ObjectStore, output: Path) -> bool:
+    """True if the folder is a copy of the store; raises StoreError if it is one of another."""
     try:
-        document = json.loads((output / RECORD).read_bytes())
-        url, files = document["url"], document["files"]
+        url = json.loads((output / RECORD).read_bytes())["url"]
     except FileNotFoundError:
-        return None
+        return False
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise StoreError("store_read", f"{output / RECORD} cannot be read: {error}") from error
     if url != store.url:
@@ -214,41 +205,24 @@ def _recorded(store: ObjectStore, output: Path) -> dict[str, list[Any]] | None:
             f"{output} is the working copy of {url}, expected one of {store.url}: choose another "
             "output",
         )
-    return files if isinstance(files, dict) else {}
+    return True
 
 
-def _record(store: ObjectStore, output: Path, digests: Mapping[str, str]) -> None:
-    """Record of which store the folder is a copy, and what its files hold."""
-    files = {path: (digest, *_stamp(output / path)) for path, digest in digests.items()}
-    put(output / RECORD, json.dumps({"url": store.url, "files": files}, indent=0).encode())
+def _mark_as_copy(store: ObjectStore, output: Path) -> None:
+    put(output / RECORD, json.dumps({"url": store.url}).encode())
 
 
-def _digests(output: Path, known: Mapping[str, Any]) -> dict[str, str]:
-    """SHA-256 of the folder's files that are published; those as recorded are not read."""
-    found = {}
-    for path in _paths(output):
-        before = known.get(path)
-        is_kept = isinstance(before, list) and before[1:] == _stamp(output / path)
-        if before and is_kept and path != STATE_FILE:  # people add to it between runs
-            found[path] = str(before[0])
-        else:
-            found[path] = hashlib.sha256((output / path).read_bytes()).hexdigest()
-    return found
+def _digests(state: State) -> dict[str, str]:
+    """SHA-256 of the files that are published beside the state; those as noted are not read."""
+    noted = {f"tables/{name}": sha256 for name, sha256 in digests_here(state).items()}
+    paths = [f"tables/{name}" for name in files_there(state.output)]
+    if (state.output / MANIFEST_FILE).exists():
+        paths.append(MANIFEST_FILE)
+    return {path: noted.get(path) or _hash((state.output / path).read_bytes()) for path in paths}
 
 
-def _stamp(path: Path) -> list[int]:
-    """Size, time and inode of a file: one that is replaced has others."""
-    status = path.stat()
-    return [status.st_size, status.st_mtime_ns, status.st_ino]
-
-
-def _paths(output: Path) -> Iterator[str]:
-    """Files of an output folder that are published, by path below it."""
-    for folder in FOLDERS:
-        for path in sorted((output / folder).rglob("*")):
-            if path.is_file() and not path.name.startswith(TEMPORARY_PREFIX):
-                yield path.relative_to(output).as_posix()
-    yield from (name for name in FILES if (output / name).exists())
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def _today() -> str:

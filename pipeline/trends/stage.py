@@ -15,7 +15,7 @@ from typing import TypeVar
 from pipeline.errors import StoreError
 from pipeline.schema import ALARMS, Table
 from pipeline.store.atomic_files import store_errors
-from pipeline.store.staging import stage, staged_file
+from pipeline.store.publishing import stage, staged_file
 from pipeline.trends.nights.from_tables import MotorNights, Wanted, read_nights
 from pipeline.trends.nights.kept import decoded, key_of
 from pipeline.trends.nights.trend_record import Record

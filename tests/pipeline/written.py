@@ -10,11 +10,10 @@ from pathlib import Path
 import polars as pl
 
 from pipeline.schema import Table
-from pipeline.store.encoding import write_table
 from pipeline.store.published import note
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import open_state
-from pipeline.store.tables import name_of, night_file
+from pipeline.store.tables import name_of, night_file, write_table
 
 
 @contextmanager

@@ -28,8 +28,7 @@ from pipeline.schema import (
     Table,
     frame,
 )
-from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file, read_table, table_folder
+from pipeline.store.tables import night_file, read_table, table_folder, write_table
 from tests.pipeline.calling import Call, refused
 
 NIGHT = dt.date(2026, 1, 3)

@@ -10,7 +10,7 @@ import pytest
 from pipeline.errors import StoreError
 from pipeline.schema import QUALITY
 from pipeline.store.published import verify_tables
-from pipeline.store.staging import stage, staged_file
+from pipeline.store.publishing import stage, staged_file
 from pipeline.store.tables import night_file
 from tests.pipeline.faults.conftest import say
 from tests.pipeline.simulated import NIGHT

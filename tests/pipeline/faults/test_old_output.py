@@ -17,11 +17,10 @@ import pytest
 
 from pipeline.notification.outbox import open_outbox, waiting
 from pipeline.schema import FITS, NIGHTLY_TABLES, TABLES, WHOLE_TABLES
-from pipeline.store.encoding import write_table
 from pipeline.store.old_layout import MONTHLY
 from pipeline.store.published import verify_tables
 from pipeline.store.state import open_state
-from pipeline.store.tables import files_of, name_of, night_file, read_table
+from pipeline.store.tables import files_of, name_of, night_file, read_table, write_table
 from pipeline.trends.nights.decisions import read_decisions
 from tests.pipeline.faults.conftest import say
 from tests.pipeline.faults.damage import remove_aside

@@ -15,8 +15,7 @@ from pipeline.config import Fleet, load_fleet
 from pipeline.demo import shipped_configs
 from pipeline.report.build import build_report
 from pipeline.schema import TABLES
-from pipeline.store.encoding import write_table
-from pipeline.store.tables import read_table
+from pipeline.store.tables import read_table, write_table
 from tests.conftest import made_once
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 from pipeline.schema import ALARMS, FITS, LATEST, WATCH, Table, frame
-from pipeline.store.encoding import write_table
-from pipeline.store.tables import whole_file
+from pipeline.store.tables import whole_file, write_table
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.rows.motor_states import MotorState, latest_rows
 from pipeline.trends.rows.watch_rows import WatchRow

@@ -17,8 +17,7 @@ from pipeline.errors import StoreError
 from pipeline.report.build import ReportResult, build_report
 from pipeline.report.words import STATES
 from pipeline.schema import FITS, PREDICTIONS
-from pipeline.store.encoding import VERSION_KEY
-from pipeline.store.tables import night_file
+from pipeline.store.tables import VERSION_KEY, night_file
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.report.conftest import change_table, demo_fleet, rows_with, rows_without
 

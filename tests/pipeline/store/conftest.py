@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.schema import QUALITY
-from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file
+from pipeline.store.tables import night_file, write_table
 from tests.pipeline.store.made_rows import NIGHT, row, rows
 
 

@@ -10,8 +10,7 @@ from typing import Any
 import polars as pl
 
 from pipeline.schema import QUALITY, Table, frame
-from pipeline.store.publishing import Publisher
-from pipeline.store.staging import StagedNights, stage, staged_file
+from pipeline.store.publishing import Publisher, StagedNights, stage, staged_file
 from pipeline.store.state import open_state
 
 NIGHT = dt.date(2026, 1, 2)

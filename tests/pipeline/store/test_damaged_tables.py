@@ -12,9 +12,8 @@ from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import QUALITY, TABLES, Table, frame
-from pipeline.store import encoding
-from pipeline.store.encoding import write_table
-from pipeline.store.tables import night_file, read_rows, read_table
+from pipeline.store import tables
+from pipeline.store.tables import night_file, read_rows, read_table, write_table
 from tests.pipeline.store.made_rows import (
     LATER,
     NIGHT,
@@ -97,7 +96,7 @@ class TestDamage:
         self, tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         before = file.read_bytes()
-        monkeypatch.setattr(encoding, "SCHEMA_VERSION", 0)
+        monkeypatch.setattr(tables, "SCHEMA_VERSION", 0)
         with pytest.raises(StoreError) as refused:
             publish_night(tmp_path, {"A": [row("A")]})
         assert refused.value.code == "store_newer"

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from pipeline.store.interrupts import INTERRUPTS, interrupts_held
+from pipeline.store.locks import INTERRUPTS, interrupts_held
 
 
 @pytest.fixture

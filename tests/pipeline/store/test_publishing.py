@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import duckdb
 import polars as pl
@@ -17,8 +17,7 @@ from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, INPUT_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
 from pipeline.store import publishing
 from pipeline.store.published import verify_tables
-from pipeline.store.publishing import side_by_side
-from pipeline.store.staging import read_staged, stage, staged_file, staged_in
+from pipeline.store.publishing import read_staged, stage, staged_file, staged_in
 from pipeline.store.state import open_state
 from pipeline.store.tables import (
     files_of,
@@ -177,7 +176,7 @@ class TestRows:
             }
 
         with pytest.MonkeyPatch.context() as patched:
-            patched.setattr("pipeline.store.encoding.ROWS_A_GROUP", 2)
+            patched.setattr("pipeline.store.tables.ROWS_A_GROUP", 2)
             publish(folder / "at once", {motor: rows(motor, list(NIGHTS)) for motor in "ABC"})
             while order:
                 count = data.draw(st.integers(1, len(order)))
@@ -200,11 +199,12 @@ class TestRows:
         monkeypatch.setattr(publishing, "LARGE_BYTES", one.size + spare)
         asked: list[int] = []
 
-        def prepared(work: Any, items: Any, threads: int) -> list[Any]:
+        def pool(threads: int) -> ThreadPoolExecutor:
             asked.append(threads)
-            return side_by_side(work, items, threads)
+            return ThreadPoolExecutor(threads)
 
-        monkeypatch.setattr(publishing, "side_by_side", prepared)
+        monkeypatch.setattr(publishing, "ThreadPoolExecutor", pool)
+        monkeypatch.setattr("os.cpu_count", lambda: 2)
         with publisher_of(tmp_path, threads=2) as publisher:
             publisher.nights("nights", (QUALITY,), ["A"])
         assert asked == [at_once]

@@ -22,13 +22,14 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
-from pipeline.store.encoding import ROWS_A_GROUP, write_table
 from pipeline.store.tables import (
+    ROWS_A_GROUP,
     files_of,
     night_file,
     nights_back,
     read_rows,
     table_folder,
+    write_table,
 )
 from tests.pipeline.store.made_rows import (
     LATER,

@@ -8,8 +8,7 @@ import duckdb
 import pytest
 
 from pipeline.schema import FITS, LATEST, TABLES, frame
-from pipeline.store.encoding import write_table
-from pipeline.store.tables import whole_file
+from pipeline.store.tables import whole_file, write_table
 from pipeline.store.views import JOINS, NAME, write_views
 
 

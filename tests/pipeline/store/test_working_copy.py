@@ -269,10 +269,10 @@ def test_objects_that_nobody_needs_are_removed_after_a_week(
     snapshot = push(store, tmp_path, Snapshot())
     path.write_bytes(b"new")
     snapshot = push(store, tmp_path, snapshot)
-    assert len(list(store.list("files"))) == 2
+    assert len(list(store.list("files/tables"))) == 2
     monkeypatch.setattr(pipeline.store.working_copy, "KEEP", dt.timedelta(days=-1))
     push(store, tmp_path, snapshot)
-    (left,) = store.list("files")
+    (left,) = store.list("files/tables")
     assert store.get(left.key) is not None
     assert (store.get(left.key) or (b"", ""))[0] == b"new"
 

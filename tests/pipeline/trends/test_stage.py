@@ -13,7 +13,7 @@ from polars.testing import assert_frame_equal
 
 from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TREND_TABLES, TRENDS, WATCH
 from pipeline.store.published import verify_tables
-from pipeline.store.staging import stage
+from pipeline.store.publishing import stage
 from pipeline.store.state import open_state
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.nights.trend_record import (
