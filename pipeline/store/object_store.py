@@ -19,26 +19,17 @@ from pipeline.errors import StoreError
 # machines for minutes.
 CREDENTIALS = {
     "s3": (
-        "AWS_ACCESS_KEY_ID",
-        "AWS_WEB_IDENTITY_TOKEN_FILE",
-        "AWS_CONTAINER_CREDENTIALS_RELATIVE_URI",
-        "AWS_CONTAINER_CREDENTIALS_FULL_URI",
-        "AWS_METADATA_ENDPOINT",
+        *("AWS_ACCESS_KEY_ID", "AWS_WEB_IDENTITY_TOKEN_FILE", "AWS_METADATA_ENDPOINT"),
+        *("AWS_CONTAINER_CREDENTIALS_RELATIVE_URI", "AWS_CONTAINER_CREDENTIALS_FULL_URI"),
         "AWS_SKIP_SIGNATURE",
     ),
     "az": (
-        "AZURE_STORAGE_ACCOUNT_KEY",
-        "AZURE_STORAGE_SAS_KEY",
-        "AZURE_STORAGE_TOKEN",
-        "AZURE_CLIENT_ID",
-        "AZURE_FEDERATED_TOKEN_FILE",
-        "AZURE_MSI_ENDPOINT",
+        *("AZURE_STORAGE_ACCOUNT_KEY", "AZURE_STORAGE_SAS_KEY", "AZURE_STORAGE_TOKEN"),
+        *("AZURE_CLIENT_ID", "AZURE_FEDERATED_TOKEN_FILE", "AZURE_MSI_ENDPOINT"),
     ),
     "gs": (
-        "GOOGLE_APPLICATION_CREDENTIALS",
-        "GOOGLE_SERVICE_ACCOUNT",
-        "GOOGLE_SERVICE_ACCOUNT_KEY",
-        "GOOGLE_SKIP_SIGNATURE",
+        *("GOOGLE_APPLICATION_CREDENTIALS", "GOOGLE_SERVICE_ACCOUNT"),
+        *("GOOGLE_SERVICE_ACCOUNT_KEY", "GOOGLE_SKIP_SIGNATURE"),
     ),
 }
 # Variables that name another S3-compatible server; the client takes the first.
@@ -109,17 +100,9 @@ class ObjectStore:
                 return
 
     def replace(self, key: str, content: bytes, tag: str | None) -> str:
-        """Replace the object that has a tag, or make it where the tag is None.
+        """Replace the object that has a tag, or make it where the tag is None; returns the new tag.
 
-        Returns
-        -------
-        str
-            The new tag.
-
-        Raises
-        ------
-        StoreError
-            ``object_store_conflict``: another writer has replaced it since.
+        Raises StoreError (``object_store_conflict``) if another writer has replaced it since.
         """
         from obstore.exceptions import AlreadyExistsError, PreconditionError
 
@@ -144,11 +127,11 @@ class ObjectStore:
         with self._store_errors(key, "read"):
             try:
                 got = self._client.get(key)
-                return bytes(got.bytes()), str(got.meta["e_tag"])
             except FileNotFoundError as error:
                 if _is_absent_bucket(error):
                     raise
                 return None
+            return bytes(got.bytes()), str(got.meta["e_tag"])
 
     def fetch(self, one: StoredObject, stream: BinaryIO) -> None:
         """Write an object's content to a stream.
@@ -161,9 +144,7 @@ class ObjectStore:
             try:
                 got = self._client.get(one.key, options={"if_match": one.tag})
                 stream.writelines(got.stream(min_chunk_size=PART))
-            except PreconditionError as error:
-                raise ObjectChangedError(one.key) from error
-            except FileNotFoundError as error:
+            except (PreconditionError, FileNotFoundError) as error:
                 if _is_absent_bucket(error):
                     raise
                 raise ObjectChangedError(one.key) from error
@@ -209,14 +190,12 @@ class ObjectStore:
                 f"({_first_line(error)})",
             ) from error
         except (BaseError, OSError) as error:
-            if _is_absent_bucket(error):
-                raise StoreError(
-                    "object_store_bucket",
-                    f"{place} cannot be {what}: there is no such bucket; make it, or correct the "
-                    "URL",
-                ) from error
             code = "store_read" if what in ("read", "listed") else "store_write"
-            raise StoreError(code, f"{place} cannot be {what}: {_first_line(error)}") from error
+            why = _first_line(error)
+            if _is_absent_bucket(error):
+                code = "object_store_bucket"
+                why = "there is no such bucket; make it, or correct the URL"
+            raise StoreError(code, f"{place} cannot be {what}: {why}") from error
 
 
 class ObjectChangedError(Exception):

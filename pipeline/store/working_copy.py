@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 from pipeline.errors import StoreError
@@ -26,6 +26,7 @@ from pipeline.store.locks import interrupts_held
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.published import MANIFEST_FILE, digests_here, files_there
 from pipeline.store.state import STATE_FILE, State, open_state, read_state_file
+from pipeline.store.tables import ENDING
 
 log = logging.getLogger(__name__)
 
@@ -42,19 +43,11 @@ REQUESTS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """Key of a file's object, and SHA-256 of its content."""
-
-    key: str
-    sha256: str
-
-
-@dataclass(frozen=True, slots=True)
 class Snapshot:
     """The published output, as `current.json` lists it."""
 
     tag: str | None = None  # of `current.json`; None where there is none
-    files: Mapping[str, Entry] = field(default_factory=dict)  # by path below the output folder
+    files: Mapping[str, str] = field(default_factory=dict)  # SHA-256 by path below the output
     superseded: tuple[tuple[str, str], ...] = ()  # replaced objects, with the day since when
 
 
@@ -89,13 +82,13 @@ def read_snapshot(store: ObjectStore) -> Snapshot:
         document = json.loads(content)
         superseded = [(str(key), str(day)) for key, day in document["superseded"]]
         files = dict(document.get("files", {}))
-        for key, digest in document.get("parts", {}).values():  # of a version before 1.0
-            files |= json.loads(_content(store, Entry(key, digest)))
+        for key, digest in document.get("parts", {}).values():  # of an earlier version
+            files |= json.loads(_content(store, key, digest))
             superseded.append((key, _today()))
-        entries = {path: Entry(*pair) for path, pair in files.items()}
+        digests = {path: str(digest) for path, (_, digest) in files.items()}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise StoreError("store_read", f"{store.url}/{ROOT} is damaged: {error}") from error
-    return Snapshot(tag, entries, tuple(superseded))
+    return Snapshot(tag, digests, tuple(superseded))
 
 
 def pull(store: ObjectStore, output: Path) -> Snapshot:
@@ -107,7 +100,7 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
     snapshot, is_copy = read_snapshot(store), _is_copy(store, output)
     if snapshot.tag is None:
         return snapshot
-    published = {path: entry.sha256 for path, entry in snapshot.files.items()}
+    published = snapshot.files
     with read_state_file(output) as state:
         here, own_state = _digests(state), _hash(state.content())
     strange = sorted(path for path in here if here[path] != published.get(path))
@@ -122,14 +115,17 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
         if path not in published:
             remove(output / path)
 
+    def content(path: str) -> bytes:
+        return _content(store, key_of(path, published[path]), published[path])
+
     def bring(path: str) -> None:
-        put(output / path, _content(store, snapshot.files[path]), durable=False)
+        put(output / path, content(path), durable=False)
 
     others = published.keys() - {STATE_FILE}
     in_turn(bring, [path for path in others if here.get(path) != published[path]])
     if published.get(STATE_FILE, own_state) != own_state:
         with open_state(output) as state:
-            state.replace(_content(store, snapshot.files[STATE_FILE]))
+            state.replace(content(STATE_FILE))
     return snapshot
 
 
@@ -141,28 +137,27 @@ def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:
     with read_state_file(output) as state:
         digests, own_state = _digests(state), state.content()
     digests[STATE_FILE] = _hash(own_state)
-    files = {path: Entry(_key(path, digest), digest) for path, digest in digests.items()}
+    keys = {path: key_of(path, digest) for path, digest in sorted(digests.items())}
 
     def upload(path: str) -> None:
-        content = own_state if path == STATE_FILE else (output / path).read_bytes()
-        store.create(files[path].key, content)
+        store.create(keys[path], own_state if path == STATE_FILE else (output / path).read_bytes())
 
-    in_turn(upload, [path for path in files if before.files.get(path) != files[path]])
-    present = {entry.key for entry in files.values()}
-    gone = {entry.key for entry in before.files.values()} - present
+    in_turn(upload, [path for path in keys if before.files.get(path) != digests[path]])
+    present = set(keys.values())
+    gone = {key_of(*one) for one in before.files.items()} - present
     superseded = (
         *(one for one in before.superseded if one[0] not in present),
         *((key, _today()) for key in sorted(gone)),
     )
     tables: defaultdict[str, list[str]] = defaultdict(list)  # for query engines
-    for path, entry in sorted(files.items()):
-        if path.startswith("tables/") and path.endswith(".parquet"):
-            tables[path.split("/")[1]].append(entry.key)
-    listed = {path: (entry.key, entry.sha256) for path, entry in sorted(files.items())}
+    for path, key in keys.items():
+        if path.startswith("tables/") and path.endswith(ENDING):
+            tables[path.split("/")[1]].append(key)
+    listed = {path: (key, digests[path]) for path, key in keys.items()}
     document = {"tables": tables, "files": listed, "superseded": superseded}
     tag = store.replace(ROOT, json.dumps(document, indent=0).encode(), before.tag)
     _mark_as_copy(store, output)
-    after = Snapshot(tag, files, superseded)
+    after = Snapshot(tag, digests, superseded)
     _clear(store, after)
     return after
 
@@ -173,22 +168,22 @@ def in_turn(function: Callable[[Item], Made], items: Iterable[Item]) -> list[Mad
         return list(pool.map(function, items))
 
 
-def _content(store: ObjectStore, entry: Entry) -> bytes:
+def _content(store: ObjectStore, key: str, digest: str) -> bytes:
     """Content of an object, compared with its digest."""
-    found = store.get(entry.key)
-    if found is None or _hash(found[0]) != entry.sha256:
+    found = store.get(key)
+    if found is None or _hash(found[0]) != digest:
         what = "is gone" if found is None else "is not what was published"
         raise StoreError(
             "store_read",
-            f"{store.url}/{entry.key} {what}; restore it from the bucket's versions or a backup",
+            f"{store.url}/{key} {what}; restore it from the bucket's versions or a backup",
         )
     return found[0]
 
 
-def _key(path: str, digest: str) -> str:
-    """A file's key: the hash of its content stands before the ending."""
-    stem, dot, ending = path.rpartition(".") if "." in path.rpartition("/")[2] else (path, "", "")
-    return f"files/{stem}.{digest[:16]}{dot}{ending}"
+def key_of(path: str, digest: str) -> str:
+    """Key of a file's object: the hash of its content stands before the ending."""
+    place = PurePosixPath(path)
+    return f"files/{place.with_name(f'{place.stem}.{digest[:16]}{place.suffix}')}"
 
 
 def _is_copy(store: ObjectStore, output: Path) -> bool:
