@@ -66,7 +66,7 @@ def history(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 def fits(history: Path, **values: object) -> Rows:
     """Primary rows of `fits` with the given values, of the newer nights."""
     nights = [NEWEST - dt.timedelta(days=day) for day in range(3)]
-    newer = read_table(night_file(history / "out", FITS, NEWEST), FITS, nights)
+    newer = read_table(night_file(history / "out", FITS, NEWEST), FITS, wanted={"night": nights})
     rows = newer.filter("is_primary").to_dicts()
     return [row for row in rows if all(row[name] == value for name, value in values.items())]
 
@@ -121,7 +121,7 @@ def test_8_refused_data(ask: Any, history: Path) -> None:
     rows = ask(8)
     newer = [NEWEST - dt.timedelta(days=day) for day in range(3)]
     path = night_file(history / "out", QUALITY, NEWEST)
-    nights = read_table(path, QUALITY, newer).to_dicts()
+    nights = read_table(path, QUALITY, wanted={"night": newer}).to_dicts()
     found = {(row["motor_id"], row["channel"], row["reason"]): row for row in rows}
     assert len(found) == len(rows)
     for key, row in found.items():
@@ -139,7 +139,11 @@ def test_9_error_budget(ask: Any, history: Path) -> None:
     assert len(rows) == 3
     (fit,) = fits(history, motor_id=STEADY, night=NEWEST)
     leakage = fit["reference_leakage_l_per_min"]
-    known = read_table(night_file(history / "out", SENSITIVITIES, NEWEST), SENSITIVITIES, [NEWEST])
+    known = read_table(
+        night_file(history / "out", SENSITIVITIES, NEWEST),
+        SENSITIVITIES,
+        wanted={"night": [NEWEST]},
+    )
     own = known.filter(motor_id=STEADY, indicator="reference_leakage")
     effects = dict(own.select("source", "effect").rows())
     largest = sorted(effects, key=lambda source: -abs(effects[source]))[:3]

@@ -80,22 +80,17 @@ def name_of(output: Path, path: Path) -> str:
 
 
 def days_of(label: str) -> list[dt.date]:
-    """Nights that a file's name says: one, or all of a month.
-
-    Raises
-    ------
-    ValueError
-        If it is neither.
+    """Nights that a file's name says: one, or all of a month; raises ValueError if it is neither.
 
     Examples
     --------
     >>> days_of("2026-02-03"), len(days_of("2026-02"))
     ([datetime.date(2026, 2, 3)], 28)
     """
-    if len(label) == len("2026-02"):
-        first = dt.date.fromisoformat(f"{label}-01")
-        return [first.replace(day=one + 1) for one in range(monthrange(first.year, first.month)[1])]
-    return [dt.date.fromisoformat(label)]
+    if len(label) > len("2026-02"):
+        return [dt.date.fromisoformat(label)]
+    first = dt.date.fromisoformat(f"{label}-01")
+    return [first.replace(day=one + 1) for one in range(monthrange(first.year, first.month)[1])]
 
 
 def is_named_as_ours(path: Path) -> bool:
@@ -158,15 +153,15 @@ def _nights_in(path: Path, table: Table, _: int) -> tuple[dt.date, ...]:
 def read_table(
     path: Path,
     table: Table,
-    nights: Collection[dt.date] | None = None,
     columns: Sequence[str] = (),
+    wanted: Mapping[str, Collection[Any]] | None = None,
 ) -> pl.DataFrame:
-    """Rows of a table file, or of some nights in it; columns that an older version lacks are null.
-
-    Raises StoreError if the file is damaged (``store_read``), or of a newer version of the program
-    (``store_newer``).
-    """
-    return _rows(path, table, columns, {} if nights is None else {"night": nights})
+    """Rows of a table file; raises as `from_parquet`."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise damaged(path, table, error) from error
+    return from_parquet(path, table, content, columns, wanted)
 
 
 def read_rows(
@@ -187,18 +182,7 @@ def read_rows(
     if nights is not None:
         wanted["night"] = nights
     paths = files_of(output, table, nights) if all(wanted.values()) else []
-    return pl.concat([empty, *(_rows(path, table, columns, wanted) for path in paths)])
-
-
-def _rows(
-    path: Path, table: Table, columns: Sequence[str], wanted: Mapping[str, Collection[Any]]
-) -> pl.DataFrame:
-    """Rows of a file with wanted values, some columns of them; raises as `read_table`."""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise damaged(path, table, error) from error
-    return from_parquet(path, table, content, columns, wanted)
+    return pl.concat([empty, *(read_table(path, table, columns, wanted) for path in paths)])
 
 
 def write_table(path: Path, rows: pl.DataFrame) -> str:
@@ -234,7 +218,7 @@ def from_parquet(
     columns: Sequence[str] = (),
     wanted: Mapping[str, Collection[Any]] | None = None,
 ) -> pl.DataFrame:
-    """Rows of a table file's content, with some columns, and some values of others.
+    """Rows of a table file's content: all or some columns, with wanted values in others.
 
     Columns that an older version lacks are null.
 
@@ -272,19 +256,16 @@ def _may_hold(file: pq.ParquetFile, place: int, name: str, values: Collection[An
         return True
     column = file.metadata.row_group(place).column(file.schema_arrow.get_field_index(name))
     known = column.statistics
-    if known is None or not known.has_min_max:
-        return True
-    return any(known.min <= one <= known.max for one in values)
+    is_known = known is not None and known.has_min_max
+    return not is_known or any(known.min <= one <= known.max for one in values)
 
 
 def _require_known(path: Path, table: Table, file: pq.ParquetFile) -> None:
     """Raise StoreError (``store_newer``) or ValueError for a file with unknown columns."""
     version = int((file.metadata.metadata or {}).get(VERSION_KEY.encode(), b"0"))
-    if version > SCHEMA_VERSION:
-        # This version of the program would lose its new columns.
-        raise StoreError(
-            "store_newer", f"{path.name} is of schema version {version}; update the program"
-        )
+    if version > SCHEMA_VERSION:  # whose new columns would be lost
+        why = f"{path.name} is of schema version {version}; update the program"
+        raise StoreError("store_newer", why)
     names = set(file.schema_arrow.names)
     strange, absent = sorted(names - table.schema.keys()), sorted(set(table.key) - names)
     if strange or absent:  # a damaged name would read as a column of nulls

@@ -19,6 +19,7 @@ TYPES = {
     pl.Float32: "FLOAT",
     pl.Boolean: "BOOLEAN",
     pl.Date: "DATE",
+    TIMESTAMP: "TIMESTAMPTZ",
 }
 # Views of what is asked for most, with their words; each may use those above it.
 JOINS = {
@@ -77,11 +78,7 @@ def _columns(table: Table) -> Iterator[tuple[str, str]]:
     """Columns of a table with DuckDB's names of their types."""
     for name, kind in table.schema.items():
         inner = kind.inner if isinstance(kind, pl.List) else kind
-        known = (
-            "TIMESTAMPTZ"
-            if inner == TIMESTAMP
-            else next(text for one, text in TYPES.items() if inner == one)
-        )
+        known = next(text for one, text in TYPES.items() if inner == one)
         yield f'"{name}"', f"{known}[]" if isinstance(kind, pl.List) else known
 
 

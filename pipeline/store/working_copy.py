@@ -18,7 +18,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import TypeVar
 
 from pipeline.errors import StoreError
 from pipeline.store.atomic_files import put, remove
@@ -29,9 +28,6 @@ from pipeline.store.state import STATE_FILE, State, open_state, read_state_file
 from pipeline.store.tables import ENDING
 
 log = logging.getLogger(__name__)
-
-Item = TypeVar("Item")
-Made = TypeVar("Made")
 
 ROOT = "current.json"
 # File of the folder that says of which store it is a copy.
@@ -122,7 +118,7 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
         put(output / path, content(path), durable=False)
 
     others = published.keys() - {STATE_FILE}
-    in_turn(bring, [path for path in others if here.get(path) != published[path]])
+    _in_turn(bring, [path for path in others if here.get(path) != published[path]])
     if published.get(STATE_FILE, own_state) != own_state:
         with open_state(output) as state:
             state.replace(content(STATE_FILE))
@@ -142,7 +138,7 @@ def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:
     def upload(path: str) -> None:
         store.create(keys[path], own_state if path == STATE_FILE else (output / path).read_bytes())
 
-    in_turn(upload, [path for path in keys if before.files.get(path) != digests[path]])
+    _in_turn(upload, [path for path in keys if before.files.get(path) != digests[path]])
     present = set(keys.values())
     gone = {key_of(*one) for one in before.files.items()} - present
     superseded = (
@@ -162,10 +158,10 @@ def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:
     return after
 
 
-def in_turn(function: Callable[[Item], Made], items: Iterable[Item]) -> list[Made]:
-    """Apply a function to items, several requests at a time."""
+def _in_turn(request: Callable[[str], None], paths: Iterable[str]) -> None:
+    """Send requests for some files, several at a time."""
     with ThreadPoolExecutor(REQUESTS) as pool:
-        return list(pool.map(function, items))
+        list(pool.map(request, paths))
 
 
 def _content(store: ObjectStore, key: str, digest: str) -> bytes:
