@@ -133,9 +133,7 @@ class Looked:
 def digests_here(state: State) -> dict[str, str]:
     """SHA-256 of listed files as they were noted; those that were written to since are left out."""
     rows = state.rows("SELECT name, sha256, size, modified_ns FROM files WHERE coming IS NULL")
-    return {
-        name: sha256 for name, sha256, *kept in rows if tuple(kept) == _stamp(state.output, name)
-    }
+    return {name: one for name, one, *stamp in rows if tuple(stamp) == _stamp(state.output, name)}
 
 
 def look_at_files(state: State, due: Collection[str] | None = ()) -> Iterator[Looked]:

@@ -225,12 +225,13 @@ def from_parquet(
     Raises StoreError if the file is damaged (``store_read``), or of a newer version of the program
     (``store_newer``).
     """
-    chosen = {name: table.schema[name] for name in columns or table.schema}
-    read = {name: table.schema[name] for name in {**chosen, **(wanted or {})}}
+    schema = table.schema
+    chosen = list(columns or schema)
+    read = {name: schema[name] for name in dict.fromkeys((*chosen, *(wanted or ())))}
     try:
         with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
-            _require_known(path, table, file)
-            there = [name for name in read if name in file.schema_arrow.names]
+            names = _known_names(path, table, file)
+            there = [name for name in read if name in names]
             groups = [
                 place
                 for place in range(file.num_row_groups)
@@ -243,9 +244,9 @@ def from_parquet(
         rows = rows.with_columns(
             pl.lit(None, dtype=read[name]).alias(name) for name in read if name not in there
         )
-        for name, values in (wanted or {}).items():
-            rows = rows.filter(pl.col(name).is_in(list(values)))
-        return rows.select(chosen.keys()).rechunk()
+        if wanted:
+            rows = rows.filter(pl.col(name).is_in(list(some)) for name, some in wanted.items())
+        return rows.select(chosen).rechunk()
     except DAMAGE as error:
         raise damaged(path, table, error) from error
 
@@ -260,8 +261,8 @@ def _may_hold(file: pq.ParquetFile, place: int, name: str, values: Collection[An
     return not is_known or any(known.min <= one <= known.max for one in values)
 
 
-def _require_known(path: Path, table: Table, file: pq.ParquetFile) -> None:
-    """Raise StoreError (``store_newer``) or ValueError for a file with unknown columns."""
+def _known_names(path: Path, table: Table, file: pq.ParquetFile) -> set[str]:
+    """Names of a file's columns; raises StoreError (``store_newer``) or ValueError for others."""
     version = int((file.metadata.metadata or {}).get(VERSION_KEY.encode(), b"0"))
     if version > SCHEMA_VERSION:  # whose new columns would be lost
         why = f"{path.name} is of schema version {version}; update the program"
@@ -275,6 +276,7 @@ def _require_known(path: Path, table: Table, file: pq.ParquetFile) -> None:
             f"({', '.join(absent) or 'none'}); expected version {SCHEMA_VERSION}: "
             "`fit-fleet --force` makes it anew from the logs"
         )
+    return names
 
 
 def damaged(path: Path, table: Table, error: BaseException | str) -> StoreError:

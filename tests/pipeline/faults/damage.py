@@ -17,7 +17,7 @@ EVERY_RUN = {"prove_within_days": 1}
 
 
 def flip(path: Path, place: int) -> None:
-    """Flip a bit of a byte of a file; its time stays."""
+    """Flip a bit of a byte of a file; its time stays, as it does on a disk."""
     state = path.stat()
     content = bytearray(path.read_bytes())
     content[place] ^= 4

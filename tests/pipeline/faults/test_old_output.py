@@ -111,10 +111,21 @@ def check_taken_over(output: Path, fleet: TinyFleet) -> None:
         assert state.rows("SELECT key, said, times FROM queued") == [("key", "said", 0)]
 
 
-def test_an_old_output_is_taken_over(tiny_fleet: TinyFleet, old: Path) -> None:
+def test_an_old_output_is_taken_over(
+    tiny_fleet: TinyFleet, old: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = {motor: processed_of(tiny_fleet.after, motor) for motor in MOTORS}
-    result = tiny_fleet.run(old)
+    waited: list[Any] = []
+
+    def opened(state: Any, *_: Any) -> None:
+        waited.extend(waiting(state, "command"))
+        open_outbox(state, ["command"], "Tests")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.run.fleet.open_outbox", opened)
+        result = tiny_fleet.run(old)
     assert (result.n_nights, result.damage, result.failed) == (0, (), ())
+    assert [(one.id, list(one.changes)) for one in waited] == [("msg_1", [{"id": "a"}])]
     check_taken_over(old, tiny_fleet)
     for motor in MOTORS:
         assert processed_of(old, motor) == before[motor]
@@ -123,19 +134,6 @@ def test_an_old_output_is_taken_over(tiny_fleet: TinyFleet, old: Path) -> None:
     assert all("/month=2026-03/2026-03.parquet" in n for n in names if n.startswith("fits/"))
     assert any(name.startswith(f"{NIGHTLY_TABLES[0].name}/") for name in names)
     assert tiny_fleet.run(old).n_nights == 0
-
-
-def test_what_waited_for_a_receiver_still_does(tiny_fleet: TinyFleet, old: Path) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        kept: list[Any] = []
-
-        def opened(state: Any, *_: Any) -> None:
-            kept.extend(waiting(state, "command"))
-            open_outbox(state, ["command"], "Tests")
-
-        patch.setattr("pipeline.run.fleet.open_outbox", opened)
-        tiny_fleet.run(old)
-    assert [(one.id, list(one.changes)) for one in kept] == [("msg_1", [{"id": "a"}])]
 
 
 def test_a_damaged_night_of_it_is_made_anew(tiny_fleet: TinyFleet, old: Path) -> None:

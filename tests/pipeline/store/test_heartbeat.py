@@ -13,7 +13,7 @@ import pytest
 from pipeline.cli.status_lines import print_status
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
-from pipeline.report.status import FleetStatus, fleet_status
+from pipeline.report.status import FleetStatus
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.store.heartbeat import Beat, Heartbeat, heartbeat_file, read_heartbeat
 from tests.pipeline.workshop import DAY, Workshop
@@ -111,8 +111,13 @@ def test_a_beat_that_cannot_be_written_ends_nothing(
 
 
 def test_a_beat_is_missing_when_several_are(tmp_path: Path) -> None:
-    with Heartbeat(tmp_path, 1, None) as heartbeat:
+    """And it tells the motors that are done."""
+    with Heartbeat(tmp_path, 4, None) as heartbeat:
+        heartbeat.motor_done()
+        heartbeat.motor_done()
+        heartbeat.say()
         beat = beat_of(tmp_path)
+        assert (beat.stage, beat.n_motors_done, beat.n_motors) == ("motors", 2, 4)
         late = beat.beaten_at + dt.timedelta(seconds=61)
         assert not beat.is_missing(beat.beaten_at + dt.timedelta(seconds=59))
         assert beat.is_missing(late)
@@ -121,30 +126,16 @@ def test_a_beat_is_missing_when_several_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{}", "3", '{"state": "running"}', "\x00", '{"started_at": 3}']
+    "text",
+    ["", "[]", "{}", "3", '{"state": "running"}', "\x00", '{"started_at": 3}', "without a zone"],
 )
 def test_what_is_no_beat_is_none(tmp_path: Path, text: str) -> None:
+    if text == "without a zone":
+        with Heartbeat(tmp_path, 1, None):
+            document = json.loads(heartbeat_file(tmp_path).read_text("utf-8"))
+        text = json.dumps(document | {"beaten_at": "2026-03-01T07:00:00"})
     heartbeat_file(tmp_path).write_text(text, "utf-8")
     assert read_heartbeat(tmp_path) is None
-
-
-def test_a_time_without_a_zone_is_no_beat(tmp_path: Path) -> None:
-    with Heartbeat(tmp_path, 1, None):
-        document = json.loads(heartbeat_file(tmp_path).read_text("utf-8"))
-    document["beaten_at"] = "2026-03-01T07:00:00"
-    heartbeat_file(tmp_path).write_text(json.dumps(document), "utf-8")
-    assert read_heartbeat(tmp_path) is None
-
-
-def test_status_tells_of_the_run_that_is_under_way(workshop: Workshop) -> None:
-    assert fleet_status(workshop.output, ["M1"]).beat is None
-    with Heartbeat(workshop.output, 4, None) as heartbeat:
-        heartbeat.motor_done()
-        heartbeat.motor_done()
-        heartbeat.say()
-        beat = fleet_status(workshop.output, ["M1"]).beat
-        assert beat is not None
-        assert (beat.stage, beat.n_motors_done, beat.n_motors) == ("motors", 2, 4)
 
 
 @pytest.mark.parametrize(

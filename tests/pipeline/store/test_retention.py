@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -14,11 +14,12 @@ from pipeline.config import Retention, load_fleet
 from pipeline.errors import UsageError
 from pipeline.run.plans import plan_fleet
 from pipeline.run.tasks import RunRequest
-from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES
+from pipeline.schema import NIGHT_TABLES, TREND_TABLES
 from pipeline.store.locks import locked
 from pipeline.store.published import verify_tables
 from pipeline.store.retention import LOSSES, nights_kept, old_files, prune
 from pipeline.store.state import STATE_FILE, open_state
+from tests.pipeline.calling import Call, contents
 from tests.pipeline.remembered import record_of
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
@@ -27,7 +28,6 @@ FIRST = dt.date(2026, 2, 26)
 NIGHTS = tuple(FIRST + number * DAY for number in range(6))
 HEAVY = ("predictions", "sensitivities")
 KEPT = dict.fromkeys(HEAVY, 2)
-Command = Callable[..., tuple[object, str, str]]
 
 
 @pytest.fixture(scope="module")
@@ -54,19 +54,15 @@ def nights_of(workshop: Workshop, table: str) -> list[dt.date]:
     return sorted(set(workshop.rows(table)["night"]))
 
 
-def contents(workshop: Workshop) -> dict[str, bytes]:
-    return {
-        path.relative_to(workshop.output).as_posix(): path.read_bytes()
-        for path in workshop.output.rglob("*")
-        if path.is_file()
-    }
-
-
 def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Workshop) -> None:
-    before = contents(workshop)
+    before, trends = contents(workshop.output), workshop.rows("trends")
+    record = record_of(workshop.output, "M1")
+    (_, old) = old_files(workshop.output, KEPT, NIGHTS[-1])
+    assert (old.table, old.first, old.last) == ("predictions", NIGHTS[0], NIGHTS[3])
     pruned(workshop)
-    after = contents(workshop)
+    after = contents(workshop.output)
     gone = {f"tables/predictions/month={night:%Y-%m}/{night}.parquet" for night in NIGHTS[:-2]}
+    assert old.size_bytes == sum(len(before[name]) for name in gone)
     # A month is as old as its last night.
     gone.add("tables/sensitivities/month=2026-02/2026-02.parquet")
     assert before.keys() - after.keys() == gone
@@ -77,17 +73,12 @@ def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Worksho
     for table in HEAVY:
         assert not (workshop.output / "tables" / table / "month=2026-02").exists()
     assert list(verify_tables(workshop.output)) == []
-
-
-def test_a_pruned_night_is_not_made_anew(workshop: Workshop) -> None:
-    pruned(workshop)
-    request = RunRequest(load_fleet(workshop.fleet))
-    assert dict(plan_fleet(request)) == {"M1": {}}
+    # No night is made anew, and trends do not notice.
+    assert dict(plan_fleet(RunRequest(load_fleet(workshop.fleet)))) == {"M1": {}}
     assert workshop.run().nights == ()
-
-
-def test_a_late_log_makes_a_pruned_night_whole_again(workshop: Workshop) -> None:
-    pruned(workshop)
+    assert workshop.rows("trends").equals(trends)
+    assert record_of(workshop.output, "M1") == record
+    # A late log makes its night whole again.
     workshop.log(NIGHTS[0], seed=3)
     assert workshop.run().nights == NIGHTS[:2]
     assert nights_of(workshop, "predictions") == [NIGHTS[0], *NIGHTS[-2:]]
@@ -129,20 +120,8 @@ def test_a_crash_between_list_and_file_is_mended_by_pruning_again(
     assert nights_of(workshop, "sensitivities") == list(NIGHTS[3:])
 
 
-def test_what_is_told_is_what_goes(workshop: Workshop) -> None:
-    (old,) = old_files(workshop.output, {"predictions": 4}, NIGHTS[-1])
-    assert (old.first, old.last) == NIGHTS[:2]
-    folder = workshop.output / "tables" / "predictions" / "month=2026-02"
-    assert old.size_bytes == sum(
-        (folder / f"{night}.parquet").stat().st_size for night in NIGHTS[:2]
-    )
-
-
-def test_nothing_is_old_in_an_empty_output(tmp_path: Path) -> None:
+def test_figures_trends_and_decisions_cannot_be_pruned(tmp_path: Path) -> None:
     assert old_files(tmp_path, KEPT, None) == ()
-
-
-def test_figures_trends_and_decisions_cannot_be_pruned() -> None:
     made_from = {table.name for table in (*NIGHT_TABLES, *TREND_TABLES)} - LOSSES.keys()
     assert {"fits", "parameters", "operation", "quality", "input_files", "trends"} <= made_from
     for name in sorted(made_from):
@@ -163,55 +142,21 @@ def test_the_config_says_how_many_nights_or_the_caller_does() -> None:
         nights_kept(retention, [], 5)
 
 
-# The command
-
-
-@pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Command:
-    from pipeline.cli import main
-
-    def run(*arguments: str) -> tuple[object, str, str]:
-        monkeypatch.setattr("sys.argv", ["motor-leakage", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        out, err = capfd.readouterr()
-        return ended.value.code, out, err
-
-    return run
-
-
-def test_nothing_is_removed_without_yes(workshop: Workshop, command: Command) -> None:
+def test_the_command_lists_and_with_yes_removes(workshop: Workshop, call: Call) -> None:
     workshop.configure(fleet=QUICK + "[retention]\npredictions = 2\n")
-    before = contents(workshop)
-    code, out, err = command("prune", str(workshop.fleet))
+    before = contents(workshop.output)
+    code, out, err = call("prune", workshop.fleet)
     assert (code, err) == (0, "")
     assert out.startswith("predictions: 4 files, 2026-02-26 to 2026-03-01, 0.")
     assert LOSSES["predictions"] in out
     assert "say --yes" in out
-    assert contents(workshop) == before
-    code, out, _ = command("prune", str(workshop.fleet), "--yes", "--json")
+    assert contents(workshop.output) == before
+    with locked(workshop.output):
+        code, _, err = call("prune", workshop.fleet, "--yes")
+    assert (code, err.startswith("motor-leakage: locked: ")) == (3, True)
+    assert nights_of(workshop, "predictions") == list(NIGHTS)
+    code, out, _ = call("prune", workshop.fleet, "--yes", "--json")
     line = json.loads(out)
     assert (line["event"], line["n_files"], line["removed"]) == ("prune", 4, True)
     assert nights_of(workshop, "predictions") == list(NIGHTS[-2:])
-    assert command("prune", str(workshop.fleet), "--yes")[1] == "0.0 MiB removed\n"
-
-
-def test_pruning_waits_for_no_run(workshop: Workshop, command: Command) -> None:
-    before = contents(workshop)
-    with locked(workshop.output):
-        arguments = ("--tables", "sensitivities", "--keep", "1", "--yes")
-        code, _, err = command("prune", str(workshop.fleet), *arguments)
-    assert code == 3
-    assert "motor-leakage: locked: " in err
-    after = contents(workshop)
-    assert after.pop("lock") != before.pop("lock")
-    assert after == before
-    assert nights_of(workshop, FITS.name) == list(NIGHTS)
-
-
-def test_trends_do_not_notice(workshop: Workshop) -> None:
-    before, record = workshop.rows("trends"), record_of(workshop.output, "M1")
-    pruned(workshop)
-    workshop.run()
-    assert workshop.rows("trends").equals(before)
-    assert record_of(workshop.output, "M1") == record
+    assert call("prune", workshop.fleet, "--yes")[1] == "0.0 MiB removed\n"

@@ -1,15 +1,17 @@
-"""Tables on disk: whole or not at all; rows of others stay."""
+"""Tables on disk: whole or not at all; damage and strange schemas are reported."""
 
 from __future__ import annotations
 
 import errno
+import itertools
+import struct
 from pathlib import Path
 from typing import BinaryIO
 
-import duckdb
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
+from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import (
@@ -19,8 +21,11 @@ from pipeline.schema import (
     QUALITY,
     RESIDUAL_TESTS,
     SCHEMA_VERSION,
+    TABLES,
+    Table,
     frame,
 )
+from pipeline.store import tables
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
 from pipeline.store.tables import (
     ROWS_A_GROUP,
@@ -28,6 +33,7 @@ from pipeline.store.tables import (
     night_file,
     nights_back,
     read_rows,
+    read_table,
     table_folder,
     write_table,
 )
@@ -35,9 +41,18 @@ from tests.pipeline.store.made_rows import (
     LATER,
     NIGHT,
     all_files,
+    example,
+    publish_night,
     row,
     rows,
 )
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = night_file(tmp_path, QUALITY, NIGHT)
+    write_table(path, rows(*(row(f"M{number:03}", refused=number) for number in range(200))))
+    return path
 
 
 class TestLayout:
@@ -74,15 +89,6 @@ class TestLayout:
             wanted = [f"M{number:05}"]
             found = read_rows(tmp_path, BLOCK_STATISTICS, wanted, ("n",), nights=[NIGHT])
             assert found["n"].to_list() == [2 * number, 2 * number + 1]
-
-    def test_an_analyst_s_plain_read_sees_each_row(self, tmp_path: Path) -> None:
-        for night in (NIGHT, LATER):
-            write_table(night_file(tmp_path, QUALITY, night), rows(row("A", night=night)))
-        pattern = (table_folder(tmp_path, QUALITY) / "**" / "*.parquet").as_posix()
-        with duckdb.connect() as analyst:
-            found = analyst.read_parquet(pattern).order("night").project("night").fetchall()
-        assert found == [(NIGHT,), (LATER,)]
-        assert pl.read_parquet(pattern).height == 2
 
     def test_a_file_that_is_no_night_s_holds_no_rows(self, file: Path, tmp_path: Path) -> None:
         later = night_file(tmp_path, QUALITY, LATER)
@@ -138,11 +144,6 @@ class TestWhole:
             assert file.name in error.message
             assert "No space left on device" in error.message
 
-    def test_folder_that_cannot_be_made(self, tmp_path: Path) -> None:
-        (tmp_path / "tables").write_text("in the way")
-        with pytest.raises(StoreError):
-            write_table(night_file(tmp_path, QUALITY, NIGHT), rows(row("X")))
-
     def test_what_is_being_written_is_no_table_yet(self, file: Path) -> None:
         """A reader's glob must not see it, and a reader sees the old rows till the end."""
         content, seen = file.read_bytes(), []
@@ -164,3 +165,113 @@ class TestWhole:
         (file.parent / f"{TEMPORARY_PREFIX}abc").write_bytes(b"half")
         remove_leftovers([tmp_path / "tables", tmp_path / "nowhere"])
         assert all_files(tmp_path) == [file.name]
+
+
+def footer_begin(data: bytes) -> int:
+    (length,) = struct.unpack("<I", data[-8:-4])
+    return len(data) - 8 - int(length)
+
+
+class TestDamage:
+    @pytest.fixture
+    def data(self, file: Path) -> bytes:
+        return file.read_bytes()
+
+    def test_every_flipped_bit_of_the_pages_is_told(self, file: Path, data: bytes) -> None:
+        """Or lies where it means nothing: never other rows."""
+        expected = read_table(file, QUALITY)
+        told = 0
+        places = range(0, 8 * footer_begin(data), 7)
+        for place in places:
+            flipped = bytearray(data)
+            flipped[place // 8] ^= 1 << place % 8
+            file.write_bytes(flipped)
+            try:
+                assert_frame_equal(read_table(file, QUALITY), expected)
+            except StoreError:
+                told += 1
+        assert told > 0.75 * len(places)
+
+    @pytest.mark.parametrize("column", [column.name for column in QUALITY.columns])
+    def test_a_damaged_name_is_no_column_of_nulls(
+        self, file: Path, data: bytes, column: str
+    ) -> None:
+        """Checksums do not cover the footer."""
+        begin = data.index(column.encode(), footer_begin(data))
+        for place, bit in itertools.product(range(begin, begin + len(column)), (0, 7)):
+            flipped = bytearray(data)
+            flipped[place] ^= 1 << bit
+            file.write_bytes(flipped)
+            with pytest.raises(StoreError):
+                read_table(file, QUALITY)
+
+    @pytest.mark.parametrize("length", [0, 3, 4, 100, -1, -4, -8, -100])
+    def test_truncated(self, file: Path, data: bytes, length: int) -> None:
+        with pytest.raises(StoreError):
+            read_table(file.with_name("absent"), QUALITY)
+        file.write_bytes(data[:length] or b"PAR1" * 100)
+        with pytest.raises(StoreError, match=r"2026-01\.parquet of quality") as caught:
+            read_table(file, QUALITY)
+        assert caught.value.code == "store_read"
+
+    @pytest.mark.parametrize("content", ["junk", "other types"])
+    def test_one_of_many_is_told_by_name(self, file: Path, content: str) -> None:
+        output = file.parents[3]
+        path = night_file(output, QUALITY, LATER)
+        path.parent.mkdir()
+        if content == "junk":
+            path.write_bytes(b"junk")
+        else:
+            pl.DataFrame({"motor_id": ["M001"], "night": ["today"]}).write_parquet(path)
+        with pytest.raises(StoreError, match=r"2026-02\.parquet of quality is") as raised:
+            read_rows(output, QUALITY, ["M001"])
+        assert raised.value.code == "store_read"
+
+    def test_a_file_of_a_newer_version_is_refused_and_stays(
+        self, tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        before = file.read_bytes()
+        monkeypatch.setattr(tables, "SCHEMA_VERSION", 0)
+        with pytest.raises(StoreError) as refused:
+            publish_night(tmp_path, {"A": [row("A")]})
+        assert refused.value.code == "store_newer"
+        assert file.read_bytes() == before
+
+
+class TestSchema:
+    def test_column_that_an_older_file_has_not(self, tmp_path: Path) -> None:
+        """Columns are only ever added: at its end, or between those there were."""
+        older = rows(row("A"), row("B")).drop("n_samples", "run_id")
+        path = tmp_path / "old.parquet"
+        write_table(path, older)
+        found = read_table(path, QUALITY)
+        assert found.columns == list(QUALITY.schema)
+        assert found["n_samples"].dtype == pl.Int64
+        assert found["n_samples"].null_count() == found["run_id"].null_count() == 2
+        assert_frame_equal(found.select(older.columns), older)
+
+    def test_older_file_takes_new_rows(self, tmp_path: Path) -> None:
+        path = night_file(tmp_path, QUALITY, NIGHT)
+        write_table(path, rows(row("A"), row("B")).drop("n_samples"))
+        publish_night(tmp_path, {"B": [row("B", refused=7)]})
+        found = read_table(path, QUALITY)
+        assert found["n_samples"].to_list() == [None, 864_000]
+
+    @pytest.mark.parametrize("name", QUALITY.key)
+    def test_file_without_a_key_column_is_none_of_ours(self, tmp_path: Path, name: str) -> None:
+        path = tmp_path / "no_key.parquet"
+        write_table(path, rows(row("A")).drop(name))
+        with pytest.raises(StoreError, match=f"key \\({name}\\).*`fit-fleet --force`"):
+            read_table(path, QUALITY)
+
+    def test_column_of_a_newer_version_is_not_dropped_silently(self, tmp_path: Path) -> None:
+        path = tmp_path / "newer.parquet"
+        write_table(path, rows(row("A")).with_columns(later=1))
+        with pytest.raises(StoreError, match="later"):
+            read_table(path, QUALITY)
+
+    @pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])
+    def test_every_table_survives_the_disk(self, tmp_path: Path, table: Table) -> None:
+        whole = frame(table, [example(table), dict.fromkeys(table.key, None)])
+        write_table(tmp_path / "t.parquet", whole)
+        assert_frame_equal(read_table(tmp_path / "t.parquet", table), whole)
