@@ -29,7 +29,7 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.store.tables import night_file, read_table, table_folder, write_table
-from tests.pipeline.calling import Call, refused
+from tests.pipeline.calling import Call, contents, refused
 
 NIGHT = dt.date(2026, 1, 3)
 HOSTILE = [
@@ -43,10 +43,6 @@ HARMLESS = ["", "1 - 2", "a=b", "x, -2; +3", "ok", "'quoted'", "é − 漢", "li
 def export(output: Path, folder: Path, *tables: Table, **others: object) -> dict[str, int]:
     request = CsvRequest(tables=tables or TABLES, **others)  # type: ignore[arg-type]
     return {file.table: file.n_rows for file in export_csv(output, folder, request)}
-
-
-def names(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir())
 
 
 def published(output: Path, table: Table) -> pl.DataFrame:
@@ -84,12 +80,9 @@ def test_round_trip_through_polars(fitted_output: Path, exported: Path, table: T
     assert_frame_equal(rows.with_columns(back), expected, check_exact=True)
 
 
-def test_null_is_empty_and_an_empty_text_is_not_and_numbers_keep_their_sign() -> None:
+def test_how_values_are_written() -> None:
     rows = pl.DataFrame({"a": [None, ""], "b": [-1, 2], "c": [-1.5e-14, 2.0]})
     assert as_text(rows).write_csv() == 'a,b,c\n,-1,-1.5e-14\n"",2,2.0\n'
-
-
-def test_times_dates_and_lists_as_text() -> None:
     night = dt.datetime(2026, 1, 2, 3, 4, 5, 67, dt.UTC)
     row = {"motor_id": "A", "night": NIGHT, "window_start": night, "is_primary": True}
     (text,) = as_text(frame(FITS, [row | {"singular_values": [1.5, 2e-14, math.nan]}])).to_dicts()
@@ -98,6 +91,7 @@ def test_times_dates_and_lists_as_text() -> None:
     assert text["singular_values"] == "[1.5, 2e-14, null]"
     line = as_text(frame(FITS, [row])).write_csv().splitlines()[1]
     assert line.startswith("A,,2026-01-03,2026-01-02T03:04:05.000067Z,,,true,")
+    assert as_text(pl.DataFrame({"a": HARMLESS}))["a"].to_list() == HARMLESS
 
 
 def cells(text: str, separator: str) -> list[str]:
@@ -114,10 +108,6 @@ def hides_a_formula(cell: str) -> bool:
     """True if a spreadsheet with another separator would find one, with or without blanks."""
     parts = re.split("[;\t\r\n]", cell)
     return any(part.lstrip("\x00")[:1] in set("=+-@＝＋－＠") for part in parts)
-
-
-def test_other_text_is_left_as_it_is() -> None:
-    assert as_text(pl.DataFrame({"a": HARMLESS}))["a"].to_list() == HARMLESS
 
 
 @given(st.text(alphabet=st.sampled_from("=+-@;,\t\r\n\x00'\"ab ＝"), max_size=12))
@@ -161,40 +151,31 @@ def test_motors_and_nights(fitted_output: Path, tmp_path: Path) -> None:
 
 
 def test_runs_are_chosen_by_the_day_they_began(fitted_output: Path, tmp_path: Path) -> None:
-    (runs,) = tables_named(["runs"])
+    runs, parameters, fits = tables_named(["runs", "parameters", "fits", "fits"])
+    assert (parameters, fits, tables_named([])) == (PARAMETERS, FITS, TABLES)
     day = published(fitted_output, runs)["started_at"][0].date()
     next_day = day + dt.timedelta(days=1)
     assert export(fitted_output, tmp_path, runs, since=day, until=day) == {"runs": 1}
     assert export(fitted_output, tmp_path, runs, since=next_day) == {"runs": 0}
-    header = (tmp_path / "runs.csv").read_text()
-    assert header == ",".join(runs.schema) + "\n"
+    assert (tmp_path / "runs.csv").read_text() == ",".join(runs.schema) + "\n"
 
 
-def test_tables_by_name() -> None:
-    assert tables_named(["parameters", "fits", "fits"]) == (PARAMETERS, FITS)
-    assert tables_named([]) == TABLES
-    with refused("unknown_table", "no table ../fits, fit; there are latest, fits, parameters"):
-        tables_named(["fits", "../fits", "fit"])
-
-
-def test_damaged_table_leaves_the_file_before(fitted_output: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_exported_leaves_the_file_before(
+    fitted_output: Path, tmp_path: Path
+) -> None:
     output, folder = tmp_path / "out", tmp_path / "csv"
     shutil.copytree(table_folder(fitted_output, FITS), table_folder(output, FITS))
     export(output, folder, FITS)
-    before = (folder / "fits.csv").read_bytes()
+    before = contents(folder)
     path = night_file(output, FITS, NIGHT)
     path.write_bytes(path.read_bytes()[:-100])
     with refused("store_read", "2026-01.parquet of fits"):
         export(output, folder, FITS)
-    assert (folder / "fits.csv").read_bytes() == before
-    assert names(folder) == ["fits.csv"]
-
-
-def test_refuses_the_folder_of_the_tables(fitted_output: Path, tmp_path: Path) -> None:
-    (tmp_path / "link").symlink_to(fitted_output / "tables")
-    for folder in (fitted_output / "tables" / "fits", tmp_path / "link"):
+    assert contents(folder) == before
+    (tmp_path / "link").symlink_to(output / "tables")
+    for own in (output / "tables" / "fits", tmp_path / "link"):
         with refused("csv_folder"):
-            export(fitted_output, folder, FITS)
+            export(output, own, FITS)
 
 
 def test_command_says_what_it_wrote(
@@ -210,7 +191,7 @@ def test_command_says_what_it_wrote(
     fits, parameters = out.splitlines()
     assert fits == f"{folder / 'fits.csv'}: 2 rows"
     assert parameters.startswith(f"{folder / 'parameters.csv'}: ")
-    assert names(folder) == ["fits.csv", "parameters.csv"]
+    assert list(contents(folder)) == ["fits.csv", "parameters.csv"]
     assert (folder / "fits.csv").read_bytes().startswith(b"\xef\xbb\xbfmotor_id,")
     for read in (pl.read_csv, pd.read_csv):
         assert read(folder / "fits.csv").columns[0] == "motor_id"

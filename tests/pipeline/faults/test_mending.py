@@ -25,7 +25,6 @@ from pipeline.schema import (
     PREDICTIONS,
     QUALITY,
     TRENDS,
-    WATCH,
     Table,
 )
 from pipeline.store.published import share_due, verify_tables
@@ -46,7 +45,7 @@ from tests.pipeline.faults.damage import (
     rot,
     rot_of_footer,
 )
-from tests.pipeline.faults.fleet import LATER, MOTORS, TinyFleet, check_repaired
+from tests.pipeline.faults.fleet import MOTORS, TinyFleet, check_repaired
 from tests.pipeline.remembered import change, processed_of
 from tests.pipeline.simulated import NIGHT
 from tests.pipeline.workshop import DAY
@@ -55,35 +54,30 @@ from tests.pipeline.written import publisher_of
 pytestmark = pytest.mark.usefixtures("_quick")
 
 
-@pytest.mark.parametrize("table", [PREDICTIONS, BLOCK_STATISTICS, INPUT_FILES, TRENDS])
-def test_a_file_that_is_gone_is_made_anew_by_the_next_run(
-    tiny_fleet: TinyFleet, output: Path, table: Table, caplog: pytest.LogCaptureFixture
-) -> None:
-    path = night_file(output, table, NIGHT)
-    path.unlink()
-    result = tiny_fleet.run(output)
-    assert found(result) == [(name_of(path, output), "table_missing")]
-    assert result.damage_left == ()
-    assert f"table_missing: {name_of(path, output)}: the file is gone" in caplog.text
-    check_repaired(output, tiny_fleet.after)
-    told = pl.read_parquet(max((output / "tables" / "runs").rglob("*.parquet")))["damage"]
-    assert told.list.first().to_list()[-1].startswith(f"table_missing: {name_of(path, output)}: ")
-
-
 @pytest.mark.parametrize(
-    ("table", "damage"), [(FITS, rot), (FITS, cut_off), (PREDICTIONS, rot), (TRENDS, rot_of_footer)]
+    ("table", "damage", "code"),
+    [(one, Path.unlink, "table_missing") for one in (PREDICTIONS, INPUT_FILES, TRENDS)]
+    + [(one, rot, "table_altered") for one in (BLOCK_STATISTICS, FITS)]
+    + [(FITS, cut_off, "table_altered"), (TRENDS, rot_of_footer, "table_altered")],
 )
-def test_a_damaged_file_is_put_aside_and_made_anew_by_the_run_that_proves_it(
-    tiny_fleet: TinyFleet, output: Path, table: Table, damage: Callable[[Path], None]
+def test_a_file_that_is_gone_or_damaged_is_named_and_made_anew_by_the_run_that_proves_it(
+    tiny_fleet: TinyFleet,
+    output: Path,
+    table: Table,
+    damage: Callable[[Path], None],
+    code: str,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     path = night_file(output, table, NIGHT)
     damage(path)
-    damaged = path.read_bytes()
+    left_over = [path.read_bytes()] if path.exists() else []
     result = tiny_fleet.run(output, **EVERY_RUN)
-    assert found(result) == [(name_of(path, output), "table_altered")]
-    assert result.damage_left == ()
-    assert not result.failed
-    assert path.with_suffix(".damaged").read_bytes() == damaged
+    assert found(result) == [(name_of(path, output), code)]
+    assert (result.damage_left, result.failed) == ((), ())
+    assert f"{code}: {name_of(path, output)}: " in caplog.text
+    told = pl.read_parquet(max((output / "tables" / "runs").rglob("*.parquet")))["damage"]
+    assert told.list.first().to_list()[-1].startswith(f"{code}: {name_of(path, output)}: ")
+    assert [one.read_bytes() for one in output.rglob("*.damaged")] == left_over
     remove_aside(output)
     check_repaired(output, tiny_fleet.after)
 
@@ -140,24 +134,6 @@ def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     assert {outcome.error_code for outcome in result.failed} == {"store_read"}
     assert found(result) == [(name_of(path, output), "table_altered")]
     result = tiny_fleet.run(output)
-    assert (result.failed, result.damage_left) == ((), ())
-    remove_aside(output)
-    check_repaired(output, tiny_fleet.after)
-
-
-@pytest.mark.usefixtures("_nothing_due")
-def test_damage_that_is_met_where_a_night_is_published_ends_the_run_and_the_next_is_well(
-    tiny_fleet: TinyFleet, output: Path
-) -> None:
-    """Trends of a night are made anew, and with them those of later nights."""
-    night_file(output, WATCH, NIGHT).unlink()
-    damaged = night_file(output, TRENDS, LATER)
-    rot(damaged)
-    with pytest.raises(StoreError) as raised:
-        tiny_fleet.run(output)
-    assert raised.value.code == "store_read"
-    result = tiny_fleet.run(output)
-    assert (name_of(damaged, output), "table_altered") in found(result)
     assert (result.failed, result.damage_left) == ((), ())
     remove_aside(output)
     check_repaired(output, tiny_fleet.after)

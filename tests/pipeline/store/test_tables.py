@@ -21,8 +21,6 @@ from pipeline.schema import (
     QUALITY,
     RESIDUAL_TESTS,
     SCHEMA_VERSION,
-    TABLES,
-    Table,
     frame,
 )
 from pipeline.store import tables
@@ -41,7 +39,6 @@ from tests.pipeline.store.made_rows import (
     LATER,
     NIGHT,
     all_files,
-    example,
     publish_night,
     row,
     rows,
@@ -269,9 +266,3 @@ class TestSchema:
         write_table(path, rows(row("A")).with_columns(later=1))
         with pytest.raises(StoreError, match="later"):
             read_table(path, QUALITY)
-
-    @pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])
-    def test_every_table_survives_the_disk(self, tmp_path: Path, table: Table) -> None:
-        whole = frame(table, [example(table), dict.fromkeys(table.key, None)])
-        write_table(tmp_path / "t.parquet", whole)
-        assert_frame_equal(read_table(tmp_path / "t.parquet", table), whole)

@@ -27,7 +27,7 @@ from pipeline.notification.outbox import waiting
 from pipeline.run.fleet import RunRequest, RunResult, refresh, run_fleet
 from pipeline.schema import FITS, TRENDS
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.state import STATE_FILE, open_state
+from pipeline.store.state import open_state
 from pipeline.store.tables import night_file
 from pipeline.store.working_copy import ROOT, Snapshot, key_of, pull, push, read_snapshot
 from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
@@ -297,29 +297,22 @@ def test_a_run_into_another_output_is_private(
 # Those who are told of alarms
 
 
-def test_what_was_told_is_known_on_every_machine(server: Server, tmp_path: Path) -> None:
-    fleet = told_fleet(tmp_path, keep(tmp_path / "none" / "told"))
-    run(fleet, tmp_path / "out")
-    write_config(tmp_path, keep(tmp_path / "told"))
-    for machine in ("second", "third", "out"):
-        run(fleet, tmp_path / machine)
-        assert len((tmp_path / "told").read_text().splitlines()) == 1
-        with open_state(tmp_path / machine) as state:
-            assert waiting(state, "command") == []
-    assert STATE_FILE in read_snapshot(ObjectStore.at(URL)).files
-
-
-def test_nothing_is_told_that_is_not_published(
+def test_what_is_told_is_published_and_known_on_every_machine(
     server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def denied(*_: object) -> Snapshot:
         raise StoreError("object_store_denied", "cannot be written")
 
-    fleet = told_fleet(tmp_path, keep(tmp_path / "told"))
+    fleet = told_fleet(tmp_path, keep(tmp_path / "none" / "told"))
+    run(fleet, tmp_path / "out")
+    write_config(tmp_path, keep(tmp_path / "told"))
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.store.working_copy, "push", denied)
         with pytest.raises(StoreError):
             run(fleet, tmp_path / "out")
     assert not (tmp_path / "told").exists()
-    run(fleet, tmp_path / "out")
-    assert len((tmp_path / "told").read_text().splitlines()) == 1
+    for machine in ("second", "third", "out"):
+        run(fleet, tmp_path / machine)
+        assert len((tmp_path / "told").read_text().splitlines()) == 1
+        with open_state(tmp_path / machine) as state:
+            assert waiting(state, "command") == []
