@@ -51,7 +51,7 @@ class StoredObject:
 
 @dataclass(frozen=True, slots=True)
 class ObjectStore:
-    """All objects below a URL such as s3://bucket/folder."""
+    """All objects below a URL such as s3://bucket/folder; all requests raise StoreError."""
 
     url: str
     _client: Any = field(repr=False, compare=False)
@@ -87,10 +87,7 @@ class ObjectStore:
         return cls(url.rstrip("/"), client(url, retry_config=retries))
 
     def create(self, key: str, content: bytes) -> None:
-        """Put an object that never changes; a present one has the same content.
-
-        Raises StoreError if it cannot be put.
-        """
+        """Put an object that never changes; a present one has the same content."""
         from obstore.exceptions import AlreadyExistsError
 
         with self._store_errors(key, "written"):

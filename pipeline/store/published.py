@@ -3,6 +3,8 @@
 The state file lists them. Before a file is put into its place the digest that comes is noted
 beside its own, afterwards alone: wherever a run was broken off, a file is as it was or as it comes,
 and both are right. Page checksums do not cover a footer, and a query engine compares neither.
+
+All raise StoreError if the state file cannot be read or written.
 """
 
 from __future__ import annotations
@@ -56,10 +58,7 @@ class TableFault:
 
 
 def announce(state: State, coming: Mapping[str, str | None]) -> None:
-    """Note what comes into the places of files: SHA-256 by name; None: the file goes.
-
-    Raises StoreError if it cannot be written.
-    """
+    """Note what comes into the places of files: SHA-256 by name; None: the file goes."""
     state.write_all(
         "INSERT INTO files (name, sha256, coming) VALUES (?, '', ?)"
         " ON CONFLICT (name) DO UPDATE SET coming = excluded.coming",
@@ -68,10 +67,7 @@ def announce(state: State, coming: Mapping[str, str | None]) -> None:
 
 
 def note(state: State, files: Mapping[str, str | None]) -> None:
-    """Note files that are in their places: SHA-256 by name; None: there is none.
-
-    Raises StoreError if it cannot be written.
-    """
+    """Note files that are in their places: SHA-256 by name; None: there is none."""
     now = dt.datetime.now(dt.UTC).isoformat()
     rows = [
         (name, digest, *_stamp(state.output, name), now)
@@ -93,10 +89,7 @@ def accepted(state: State, name: str) -> tuple[str, ...]:
 
 
 def distrust(state: State, name: str) -> None:
-    """Let the next run look at a file, or fetch it anew from an object store, whatever it is now.
-
-    Raises StoreError if it cannot be written.
-    """
+    """Let the next run look at a file, or fetch it anew, whatever it is now."""
     state.write(
         "INSERT INTO files (name, sha256, modified_ns) VALUES (?, 'unknown', -1)"
         " ON CONFLICT (name) DO UPDATE SET modified_ns = -1",
@@ -181,19 +174,13 @@ def _again(name: str) -> str:
 
 
 def faults_of(output: Path, due: Collection[str] | None = ()) -> tuple[TableFault, ...]:
-    """Faults of the published files that are due (None: all), gone, or written to since.
-
-    Raises StoreError if the state file cannot be read.
-    """
+    """Faults of the published files that are due (None: all), gone, or written to since."""
     with read_state_file(output) as state:
         return tuple(one.fault for one in look_at_files(state, due) if one.fault is not None)
 
 
 def verify_tables(output: Path) -> Iterator[TableFault]:
-    """Faults of all files of an output: each is read; a run may be publishing meanwhile.
-
-    Raises StoreError if the state file cannot be read.
-    """
+    """Faults of all files of an output: each is read; a run may be publishing meanwhile."""
     if not is_sound(output):
         message = "the next run takes its backup, or makes it anew"
         yield TableFault(STATE_FILE, "state_damaged", message)
@@ -249,6 +236,6 @@ def is_called_as_ours(output: Path, name: str) -> bool:
 
 
 def write_manifest(state: State) -> None:
-    """Write the list of published files for others; raises StoreError."""
+    """Write the list of published files for others."""
     files = dict(state.rows("SELECT name, sha256 FROM files ORDER BY name"))
     put(state.output / MANIFEST_FILE, json.dumps({"sha256": files}, indent=0).encode())

@@ -72,9 +72,9 @@ class Staged:
 
 
 def stage(path: Path, tables: Mapping[Table, StagedNights]) -> None:
-    """Write a motor's rows by table and night; the folder above the file's must be there.
+    """Write a motor's rows by table and night; raises StoreError if they cannot be written.
 
-    Raises StoreError if they cannot be written.
+    The folder above the file's must be there.
     """
     streams, index = [], []
     for table, nights in tables.items():

@@ -2,6 +2,10 @@
 
 Rows of a night lie together in its month's file. A reader sees a file as it was or as it is: the
 checksums of its pages are compared, and the run proves files by their SHA-256.
+
+All that read raise StoreError: ``store_read``: a file is damaged, or a folder cannot be listed;
+``store_newer``: a file is of a newer version of the program. Columns that an older file lacks are
+null.
 """
 
 from __future__ import annotations
@@ -107,8 +111,6 @@ def files_of(output: Path, table: Table, nights: Collection[dt.date] | None = No
     """Files of a table in time order: all, or those that may have some nights.
 
     Files of other names are left out.
-
-    Raises StoreError if a folder cannot be listed.
     """
     whole = whole_file(output, table)
     if whole.exists():
@@ -132,10 +134,7 @@ def _listed(folder: Path) -> list[Path]:
 
 
 def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
-    """Nights of a table, the newest first; one with a file of its own may have no rows.
-
-    Raises StoreError if a file is damaged.
-    """
+    """Nights of a table, the newest first; one with a file of its own may have no rows."""
     for path in reversed(files_of(output, table)):
         if len(path.stem) > len("2026-02"):
             yield dt.date.fromisoformat(path.stem)
@@ -156,7 +155,7 @@ def read_table(
     columns: Sequence[str] = (),
     wanted: Mapping[str, Collection[Any]] | None = None,
 ) -> pl.DataFrame:
-    """Rows of a table file; raises as `from_parquet`."""
+    """Rows of a table file: all or some columns, with wanted values in others."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -171,12 +170,7 @@ def read_rows(
     columns: Sequence[str] = (),
     nights: Collection[dt.date] | None = None,
 ) -> pl.DataFrame:
-    """The published rows of some motors in all files of a table, or of some nights (None: all).
-
-    In time order. Columns, all if none are named, that an older file lacks are null.
-
-    Raises StoreError if a file is damaged.
-    """
+    """The published rows of some motors in time order, of some nights or all, as `read_table`."""
     empty = pl.DataFrame(schema=table.schema).select(columns or pl.all())
     wanted: dict[str, Collection[Any]] = {"motor_id": motor_ids}
     if nights is not None:
@@ -218,13 +212,7 @@ def from_parquet(
     columns: Sequence[str] = (),
     wanted: Mapping[str, Collection[Any]] | None = None,
 ) -> pl.DataFrame:
-    """Rows of a table file's content: all or some columns, with wanted values in others.
-
-    Columns that an older version lacks are null.
-
-    Raises StoreError if the file is damaged (``store_read``), or of a newer version of the program
-    (``store_newer``).
-    """
+    """Rows of a table file's content, as `read_table`."""
     schema = table.schema
     chosen = list(columns or schema)
     read = {name: schema[name] for name in dict.fromkeys((*chosen, *(wanted or ())))}

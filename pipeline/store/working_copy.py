@@ -4,6 +4,8 @@ An object store has no rename, so objects are never changed: the key of each hol
 content, and one object, `current.json`, lists those that are the output. A run puts what is new and
 then replaces `current.json`, on condition that nobody has replaced it since the run began: it is
 published as a whole or not at all. No listing is needed, and only new objects are read.
+
+All raise StoreError if the store or the folder cannot be read or written.
 """
 
 from __future__ import annotations
@@ -52,8 +54,6 @@ def working_copy(url: str, output: Path) -> Iterator[None]:
     """Bring an output folder up to date with an object store, and publish its changes at the end.
 
     The caller holds the folder's lock. Without a URL nothing is published elsewhere.
-
-    Raises StoreError if it cannot be brought up to date, or not be published as a whole.
     """
     if not url:
         yield
@@ -66,10 +66,7 @@ def working_copy(url: str, output: Path) -> Iterator[None]:
 
 
 def read_snapshot(store: ObjectStore) -> Snapshot:
-    """The published output.
-
-    Raises StoreError if `current.json` cannot be read or is damaged.
-    """
+    """The published output."""
     found = store.get(ROOT)
     if found is None:
         return Snapshot()
@@ -126,10 +123,7 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
 
 
 def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:
-    """Publish a folder: what is new in it, then `current.json`.
-
-    Raises StoreError if it cannot be published; what was published before then stays.
-    """
+    """Publish a folder: what is new in it, then `current.json`; where that fails, all stays."""
     with read_state_file(output) as state:
         digests, own_state = _digests(state), state.content()
     digests[STATE_FILE] = _hash(own_state)
