@@ -38,11 +38,9 @@ class CsvRequest:
     By default all, in the dialect that most programs read.
     """
 
-    tables: tuple[Table, ...] = TABLES  # tables, in the order in which they are written
-    # Ids; empty: all. Tables without a motor are not affected.
-    motors: tuple[str, ...] = ()
-    # since, until: first and last night, or day (UTC) of what has a time instead. Others are not
-    # affected.
+    tables: tuple[Table, ...] = TABLES  # in the order in which they are written
+    motors: tuple[str, ...] = ()  # empty: all; tables without a motor are not affected
+    # First and last night, or day (UTC) of what has a time instead; others are not affected.
     since: dt.date | None = None
     until: dt.date | None = None
     separator: str = ","
@@ -109,23 +107,17 @@ def _export_table(output: Path, folder: Path, table: Table, request: CsvRequest)
 
 
 def _chosen(table: Table, request: CsvRequest) -> pl.Expr:
+    """Rows of the motors, and of the nights or else the days of the time in the key."""
     chosen = pl.lit(value=True)
     if request.motors and "motor_id" in table.schema:
         chosen &= pl.col("motor_id").is_in(request.motors)
-    day = _day(table)
-    if day is not None and request.since is not None:
-        chosen &= day >= request.since
-    if day is not None and request.until is not None:
-        chosen &= day <= request.until
+    times = [pl.col(one).dt.date() for one in table.key if table.schema[one] == TIMESTAMP]
+    for day in [pl.col("night")] if "night" in table.schema else times[:1]:
+        if request.since is not None:
+            chosen &= day >= request.since
+        if request.until is not None:
+            chosen &= day <= request.until
     return chosen
-
-
-def _day(table: Table) -> pl.Expr | None:
-    """The night of a row, or the day of the time in its key; None: it has neither."""
-    if "night" in table.schema:
-        return pl.col("night")
-    times = [name for name in table.key if table.schema[name] == TIMESTAMP]
-    return pl.col(times[0]).dt.date() if times else None
 
 
 def as_text(rows: pl.DataFrame, separator: str = ",") -> pl.DataFrame:

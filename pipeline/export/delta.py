@@ -13,7 +13,7 @@ from pipeline.errors import StoreError, UsageError
 from pipeline.export import Exported
 from pipeline.schema import TABLES, Table
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.tables import existing_tables, files_of, read_table
+from pipeline.store.tables import OF_ARROW, existing_tables, files_of, read_table
 
 
 def export_delta(
@@ -43,33 +43,26 @@ def export_delta(
         paths = files_of(output, table)
         if not paths:
             continue
-        count = [0]
         try:
             write_deltalake(
                 target,
-                _reader(paths, table, count),
+                _rows(paths, table),
                 mode="overwrite",
                 schema_mode="overwrite",
                 description=f"One row is {table.row}",
             )
-            version = DeltaTable(target).version()
+            written = DeltaTable(target)
         except (DeltaError, OSError) as error:
             raise StoreError("store_write", f"{target} cannot be written: {error}") from error
-        yield Exported(table.name, target, count[0], version)
+        yield Exported(table.name, target, written.count(), written.version())
 
 
-def _reader(paths: list[Path], table: Table, count: list[int]) -> pa.RecordBatchReader:
+def _rows(paths: list[Path], table: Table) -> pa.RecordBatchReader:
     """The rows file after file: memory does not grow with the history."""
-    schema = (
-        pl.DataFrame(schema=pl.Schema(table.schema))
-        .to_arrow(compat_level=pl.CompatLevel.oldest())
-        .schema
+    schema = pl.DataFrame(schema=table.schema).to_arrow(compat_level=OF_ARROW).schema
+    batches = (
+        batch
+        for path in paths
+        for batch in read_table(path, table).to_arrow(compat_level=OF_ARROW).to_batches()
     )
-
-    def batches() -> Iterator[pa.RecordBatch]:
-        for path in paths:
-            rows = read_table(path, table)
-            count[0] += rows.height
-            yield from rows.to_arrow(compat_level=pl.CompatLevel.oldest()).to_batches()
-
-    return pa.RecordBatchReader.from_batches(schema, batches())
+    return pa.RecordBatchReader.from_batches(schema, batches)
