@@ -1,11 +1,8 @@
-"""Files beside the tables: CSV exports, reports; and a second run."""
+"""Files beside the tables: CSV exports and reports."""
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,12 +11,10 @@ import pytest
 
 from pipeline.export.csv import CsvRequest, export_csv
 from pipeline.report.build import build_report
-from pipeline.run.fleet import run_fleet
-from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import FITS, PARAMETERS
 from tests.pipeline.calling import contents
 from tests.pipeline.faults.crash import FAULTS, Fault, Victim
-from tests.pipeline.faults.fleet import ENVIRONMENT, TinyFleet, check_tables
+from tests.pipeline.faults.fleet import TinyFleet
 
 TABLES = CsvRequest(tables=(FITS, PARAMETERS))
 
@@ -66,23 +61,3 @@ def test_what_is_made_of_the_tables_is_made_whole_by_the_next(
                 assert found in ((content,) if end.how == "ok" else (b"old", content))
         work(tables, folder)
         assert contents(folder) == new
-
-
-def test_a_second_run_is_turned_away_by_code_3(tiny_fleet: TinyFleet, tmp_path: Path) -> None:
-    """While the first one runs; it loses nothing by it."""
-    output = tiny_fleet.copy(tmp_path / "out")
-    program = "from pipeline.cli import main; main()"
-    command = [sys.executable, "-c", program, "fit-fleet", str(tiny_fleet.fleet)]
-    ends = []
-
-    def second(_: MotorOutcome) -> None:
-        if not ends:
-            plain = {"capture_output": True, "text": True, "env": ENVIRONMENT}
-            done = subprocess.run([*command, "--output", output], **plain)
-            ends.append((done.returncode, done.stderr))
-
-    run_fleet(tiny_fleet.request(output), second)
-    ((code, told),) = ends
-    assert code == 3
-    assert f"process {os.getpid()} on " in told
-    check_tables(output, tiny_fleet.after)

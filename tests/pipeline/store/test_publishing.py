@@ -6,7 +6,6 @@ import datetime as dt
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import duckdb
 import polars as pl
 import pytest
 from hypothesis import given, settings
@@ -27,11 +26,11 @@ from pipeline.store.tables import (
     read_table,
     table_folder,
 )
+from tests.pipeline.calling import contents, refused
 from tests.pipeline.store.made_rows import (
     LATER,
     NIGHT,
     Row,
-    all_files,
     example,
     publish,
     publish_night,
@@ -48,11 +47,6 @@ def published(output: Path) -> list[tuple[str, str, int, str]]:
     return [tuple(one) for one in found.select("motor_id", "reason", "n_refused", "run_id").rows()]
 
 
-def contents(output: Path) -> dict[str, bytes]:
-    tables = output / "tables"
-    return {path.relative_to(tables).as_posix(): path.read_bytes() for path in tables.rglob("*.*")}
-
-
 class TestStaged:
     @pytest.mark.parametrize("table", NIGHT_TABLES, ids=[table.name for table in NIGHT_TABLES])
     def test_every_type_survives_to_the_table(self, tmp_path: Path, table: Table) -> None:
@@ -67,6 +61,8 @@ class TestStaged:
         stage(staged_file(tmp_path / "nights", "A"), {QUALITY: nights, BLOCK_STATISTICS: blocks})
         stage(staged_file(tmp_path / "nights", "B"), {QUALITY: {NIGHT: [row("B"), row("B", "x")]}})
         tables = [QUALITY, BLOCK_STATISTICS]
+        # Of a motor that is lost nothing is published, whatever its worker has staged.
+        staged_file(tmp_path / "nights", "D").write_bytes(b"half")
         found = staged_in(tmp_path / "nights", tables, ["C", "B", "A"])
         assert {(table.name, label): list(some) for (table, label), some in found.items()} == {
             ("quality", "2026-01"): ["A", "B"],
@@ -81,15 +77,6 @@ class TestStaged:
         assert done.rows() == [("A", NIGHT), ("B", NIGHT)]
         rows, done = read_staged(QUALITY, found[QUALITY, "2026-02"], "run")
         assert (rows.height, done.rows()) == (0, [("A", LATER)])
-
-    def test_of_a_motor_that_is_lost_nothing_is_published(self, tmp_path: Path) -> None:
-        """Whatever its worker has staged."""
-        (tmp_path / "staging" / "run").mkdir(parents=True)
-        left = staged_file(tmp_path / "staging" / "run" / "nights", "B")
-        stage(left, {QUALITY: {NIGHT: [row("B")]}})
-        left.write_bytes(left.read_bytes()[:-5])
-        publish_night(tmp_path, {"A": [row("A")]})
-        assert [one[0] for one in published(tmp_path)] == ["A"]
 
     def test_a_worker_that_outlives_its_run_leaves_nothing(self, tmp_path: Path) -> None:
         """The run's folder is gone: the worker must not make it anew."""
@@ -110,18 +97,6 @@ class TestRows:
         assert list(nights_back(tmp_path, QUALITY)) == list(NIGHTS[::-1])
         assert read_rows(tmp_path, QUALITY, ["A"], nights=NIGHTS[:1]).height == 1
         assert list(verify_tables(tmp_path)) == []
-
-    def test_file_keeps_its_place_without_rows(self, tmp_path: Path) -> None:
-        """A reader who has just listed it must not find it gone."""
-        publish_night(tmp_path, {"A": []})
-        assert all_files(tmp_path / "tables") == []
-        publish_night(tmp_path, {"A": [row("A")]})
-        publish_night(tmp_path, {"A": []})
-        assert all_files(tmp_path / "tables") == ["2026-01.parquet"]
-        assert published(tmp_path) == []
-        pattern = (table_folder(tmp_path, QUALITY) / "**" / "*.parquet").as_posix()
-        with duckdb.connect() as analyst:
-            assert analyst.read_parquet(pattern).fetchall() == []
 
     @settings(max_examples=25)
     @given(
@@ -176,7 +151,7 @@ class TestRows:
                 now, order = order[:count], order[count:]
                 done = {motor: [n for one, n in now if one == motor] for motor, _ in now}
                 publish(folder / "in turn", {motor: rows(motor, n) for motor, n in done.items()})
-        assert contents(folder / "at once") == contents(folder / "in turn")
+        assert contents(folder / "at once" / "tables") == contents(folder / "in turn" / "tables")
 
     @pytest.mark.parametrize(("spare", "at_once"), [(1, 2), (0, 1)])
     def test_files_of_many_rows_are_prepared_one_by_one(
@@ -236,35 +211,25 @@ class TestRows:
 class TestRefused:
     """What is there is no sound file: the run ends, and the next one mends it."""
 
-    def test_damage(self, tmp_path: Path) -> None:
-        publish_night(tmp_path, {m: [row(m)] for m in "AB"})
-        path = night_file(tmp_path, QUALITY, NIGHT)
-        for damage in (path.read_bytes()[:-9], b"", None):
-            if damage is None:
-                path.unlink()
-            else:
-                path.write_bytes(damage)
-            before = contents(tmp_path)
-            with pytest.raises(StoreError, match=r"2026-01\.parquet of quality is") as raised:
-                publish_night(tmp_path, {"A": [row("A", "x")]})
-            assert raised.value.code == "store_read"
-            assert contents(tmp_path) == before
-        # It is known to be gone, and its nights are made anew.
-        name = path.relative_to(tmp_path / "tables").as_posix()
-        publish(tmp_path, {"A": {QUALITY: {NIGHT: [row("A")]}}}, missed=[name])
-        assert [one[0] for one in published(tmp_path)] == ["A"]
-
     @pytest.mark.parametrize("is_listed", [True, False])
     def test_damage_is_looked_at_by_the_next_run(self, tmp_path: Path, is_listed: bool) -> None:
         path = night_file(tmp_path, QUALITY, NIGHT)
         if is_listed:
-            publish_night(tmp_path, {"A": [row("A")]})
+            publish_night(tmp_path, {m: [row(m)] for m in "AB"})
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(b"something else")
-        with pytest.raises(StoreError):
-            publish_night(tmp_path, {"A": [row("A")]})
-        with open_state(tmp_path) as state:
-            assert state.rows("SELECT modified_ns FROM files") == [(-1,)]
+        for damage in (b"", b"something else", None) if is_listed else (b"", b"something else"):
+            path.unlink(missing_ok=True) if damage is None else path.write_bytes(damage)
+            before = contents(tmp_path / "tables")
+            with refused("store_read", "2026-01.parquet of quality is"):
+                publish_night(tmp_path, {"A": [row("A", "x")]})
+            assert contents(tmp_path / "tables") == before
+            with open_state(tmp_path) as state:
+                assert state.rows("SELECT modified_ns FROM files") == [(-1,)]
+        # It is known to be gone, and its nights are made anew.
+        path.unlink(missing_ok=True)
+        name = path.relative_to(tmp_path / "tables").as_posix()
+        publish(tmp_path, {"A": {QUALITY: {NIGHT: [row("A")]}}}, missed=[name])
+        assert [one[0] for one in published(tmp_path)] == ["A"]
 
     def test_a_failure_leaves_what_was_there(self, tmp_path: Path) -> None:
         def rows(night: dt.date) -> dict[Table, dict[dt.date, list[Row]]]:
@@ -272,12 +237,12 @@ class TestRefused:
             return {QUALITY: {night: [row("A", night=night)]}, BLOCK_STATISTICS: {night: blocks}}
 
         publish(tmp_path, {"A": rows(NIGHT)})
-        before = contents(tmp_path)
         in_the_way = table_folder(tmp_path, BLOCK_STATISTICS) / "month=2026-02"
         in_the_way.touch()
+        before = contents(tmp_path / "tables")
         with pytest.raises(StoreError):
             publish(tmp_path, {"A": rows(LATER)})
-        assert contents(tmp_path) == before
+        assert contents(tmp_path / "tables") == before
         in_the_way.unlink()
         publish(tmp_path, {"A": rows(LATER)})
         assert list(verify_tables(tmp_path)) == []
