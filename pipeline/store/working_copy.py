@@ -26,7 +26,14 @@ from pipeline.store.atomic_files import put, remove
 from pipeline.store.locks import interrupts_held
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.published import MANIFEST_FILE, digests_here, files_there
-from pipeline.store.state import STATE_FILE, State, open_state, read_state_file
+from pipeline.store.state import (
+    STATE_FILE,
+    State,
+    is_sound,
+    make_ready,
+    open_state,
+    read_state_file,
+)
 from pipeline.store.tables import ENDING
 
 log = logging.getLogger(__name__)
@@ -94,6 +101,8 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
     if snapshot.tag is None:
         return snapshot
     published = snapshot.files
+    if not is_sound(output):
+        make_ready(output)
     with read_state_file(output) as state:
         here, own_state = _digests(state), _hash(state.content())
     strange = sorted(path for path in here if here[path] != published.get(path))

@@ -27,7 +27,7 @@ from pipeline.notification.outbox import waiting
 from pipeline.run.fleet import RunRequest, RunResult, refresh, run_fleet
 from pipeline.schema import FITS, TRENDS
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.state import open_state
+from pipeline.store.state import STATE_FILE, open_state
 from pipeline.store.tables import night_file
 from pipeline.store.working_copy import ROOT, Snapshot, key_of, pull, push, read_snapshot
 from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
@@ -203,6 +203,7 @@ def test_what_a_folder_lacks_or_has_too_much_is_as_the_store_says(shop: Workshop
             fits.write_bytes(b"half a run")
             (fits.parent / f"{FIRST + DAY}.parquet").write_bytes(b"and a file too many")
             night_file(shop.output, TRENDS, FIRST).unlink()
+            (shop.output / STATE_FILE).write_bytes(b"no state" * 999)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
