@@ -10,6 +10,7 @@ import hashlib
 import json
 import logging
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -62,10 +63,8 @@ def take_over(state: State, forget: Forget, take_stock: Callable[[], object]) ->
     LockedError if a look is under way.
     """
     output = state.output
-    months = sorted(
-        (month, table.name) for table in MONTHLY for month in _old_months(output, table)
-    )
-    if not months and not any((output / name).exists() for name in (*OLD_FOLDERS, *OLD_FILES)):
+    old = _old_files(output)
+    if not old and not any((output / name).exists() for name in (*OLD_FOLDERS, *OLD_FILES)):
         return
     with locked(output / "look"):
         if not state.meta("taken over"):
@@ -73,8 +72,8 @@ def take_over(state: State, forget: Forget, take_stock: Callable[[], object]) ->
             _take_records(state)
         manifests = sorted((output / "manifest").glob("*/*.json"))
         listed = {name: some for path in manifests for name, some in _listed(path)}
-        for month, name in months:
-            _take_month(state, TABLE_OF[name], month, listed, forget)
+        for (month, name), files in sorted(old.items()):
+            _take_month(state, TABLE_OF[name], month, files, listed, forget)
         take_stock()
         for folder in ("look", *OLD_FOLDERS):
             rmtree(output / folder, ignore_errors=True)
@@ -161,22 +160,22 @@ def _insert(state: State, table: str, row: Mapping[str, Any]) -> None:
     state.write(f"INSERT OR REPLACE INTO {table} ({names}) VALUES ({places})", *row.values())
 
 
-def _old_months(output: Path, table: Table) -> list[str]:
-    """Months of a table with files that are not the month's."""
-    folders = table_folder(output, table).glob(f"{MONTH_PREFIX}*")
-    months = (path.name.removeprefix(MONTH_PREFIX) for path in folders)
-    return [month for month in months if _sources(output, table, month)]
+def _old_files(output: Path) -> Mapping[tuple[str, str], list[Path]]:
+    """Files that are not a month's, in order, by month and table."""
+    found: defaultdict[tuple[str, str], list[Path]] = defaultdict(list)
+    for table in MONTHLY:
+        for path in sorted(table_folder(output, table).glob(f"{MONTH_PREFIX}*/*{ENDING}")):
+            if OLD_NAME.fullmatch(path.stem):
+                found[path.parent.name.removeprefix(MONTH_PREFIX), table.name].append(path)
+    return found
 
 
-def _sources(output: Path, table: Table, month: str) -> list[Path]:
-    paths = labelled_file(output, table, month).parent.glob(f"*{ENDING}")
-    return sorted(path for path in paths if OLD_NAME.fullmatch(path.stem))
-
-
-def _take_month(state: State, table: Table, month: str, listed: Listed, forget: Forget) -> None:
+def _take_month(
+    state: State, table: Table, month: str, sources: list[Path], listed: Listed, forget: Forget
+) -> None:
     """Make one file of those of a month's nights; lost ones are forgotten, to be made anew."""
     output, place = state.output, labelled_file(state.output, table, month)
-    sources, name = _sources(output, table, month), name_of(output, place)
+    name = name_of(output, place)
     lost: set[str] = set()
     # One that is there and was not listed has all of them: this was broken off.
     if name in listed or not place.exists():
