@@ -23,7 +23,7 @@ from typing import Any
 from pipeline.clock import now
 from pipeline.errors import StoreError
 from pipeline.messages import counted
-from pipeline.notification.receivers import Delivery, Receiver, UndeliveredError
+from pipeline.notification.delivery import SUMMARY, Delivery, Receiver, UndeliveredError
 from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
 from pipeline.store.state import State, read_state_file
 from pipeline.store.tables import read_table
@@ -36,8 +36,6 @@ MOST_CHANGES = 500
 PAUSES_S = (1.0, 4.0)
 # After so many failed deliveries the rest waits for the next run.
 MOST_FAILURES = 2
-# Kind of a delivery with the state of every motor.
-SUMMARY = "summary"
 OF_RECEIVER = "WHERE topic = ? AND receiver = ?"
 NOT_TAKEN_UP = (
     "SELECT files.name, files.sha256 FROM files LEFT JOIN taken_up"
