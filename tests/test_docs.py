@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import re
 import shutil
+import subprocess
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -205,3 +206,13 @@ def test_make_targets_that_are_named_exist() -> None:
     for path in HAND_WRITTEN:
         for words in re.findall(r"`make ([a-z -]+)", path.read_text("utf-8")):
             assert set(words.split()) <= set(targets), words
+
+
+@pytest.mark.parametrize(("given", "expected"), [((), ""), (("JOBS=3",), "--jobs 3")])
+def test_make_leaves_the_workers_to_the_config_unless_told(
+    given: tuple[str, ...], expected: str
+) -> None:
+    command = ("make", "--dry-run", "fit-fleet", *given)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    (line,) = re.findall(r"motor-leakage fit-fleet .*", done.stdout)
+    assert line.removeprefix("motor-leakage fit-fleet configs/fleet.toml").strip() == expected
