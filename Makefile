@@ -122,7 +122,7 @@ requirements:    ## make the pins of requirements/ anew of pyproject.toml
 	sed -i '1i -r run.txt' requirements/dev.txt
 	$(call PINS,full) --group full $(call BEYOND,,dev)
 	sed -i '1i -r dev.txt' requirements/full.txt
-	$(call PINS,image) --extra protobuf --extra s3 -c requirements/dev.txt $(call BEYOND)
+	$(call PINS,image) $(addprefix --extra ,dask protobuf s3) -c requirements/dev.txt $(call BEYOND)
 	sed -i '1i -r run.txt' requirements/image.txt
 
 wheelhouse: $(DEV) ## all packages for an installation without a network, in wheelhouse/

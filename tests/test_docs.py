@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tomllib
 from collections.abc import Iterator
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import duckdb
@@ -216,3 +217,16 @@ def test_make_leaves_the_workers_to_the_config_unless_told(
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     (line,) = re.findall(r"motor-leakage fit-fleet .*", done.stdout)
     assert line.removeprefix("motor-leakage fit-fleet configs/fleet.toml").strip() == expected
+
+
+def test_the_image_has_what_the_page_on_clusters_starts() -> None:
+    pins = (ROOT / "requirements" / "image.txt").read_text("utf-8")
+    text = (ROOT / "docs" / "scale.md").read_text("utf-8")
+    started = set(re.findall(r"command: \[(\w+), (\w+)", text))
+    assert started == {("dask", "scheduler"), ("dask", "worker")}
+    for command, name in started:
+        (program,) = entry_points(group="console_scripts", name=command)
+        (part,) = entry_points(group=f"{command}_cli", name=name)
+        for one in (program, part):
+            assert one.dist is not None
+            assert f"\n{one.dist.name}==" in pins
