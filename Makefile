@@ -73,7 +73,7 @@ lint: $(DEV)     ## style, types, law of imports, and up-to-date docs
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pipeline.cli.reference --check docs
+	$(BIN)/python -m tests.reference_pages --check docs
 
 format: $(DEV)
 	$(BIN)/ruff check --fix .
@@ -96,7 +96,7 @@ bench-guard: $(DEV) ## compare speed with the last committed results
 	$(BIN)/python -m benchmarks guard
 
 docs: $(DEV)   ## regenerate the config and table reference
-	$(BIN)/python -m pipeline.cli.reference docs
+	$(BIN)/python -m tests.reference_pages docs
 
 docs-site: $(FULL) ## the documentation as pages that can be browsed and searched, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

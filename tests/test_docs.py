@@ -16,7 +16,6 @@ import polars as pl
 import pytest
 
 from pipeline.cli import arguments
-from pipeline.cli.reference import PAGES
 from pipeline.config import Alarms, load_fleet
 from pipeline.config.channels import Channel
 from pipeline.config.logs import Logs
@@ -25,6 +24,7 @@ from pipeline.ingest import csv as csv_log
 from pipeline.ingest import csv_text, parquet
 from pipeline.ingest.mcap import layout as mcap_layout
 from tests.pipeline.cli.test_reference import keys
+from tests.reference_pages import PAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
