@@ -210,17 +210,10 @@ def _receivers(state: State, told: Told) -> set[str]:
 
 
 def _queue(state: State, name: str, told: Told, one: Waiting) -> None:
-    state.write(
-        "INSERT INTO outbox (topic, receiver, id, since, kind, changes) VALUES (?, ?, ?, ?, ?, ?)",
-        *(
-            told.table.name,
-            name,
-            one.id,
-            now().isoformat(),
-            one.kind,
-            json.dumps(one.changes, default=str),
-        ),
-    )
+    insert = "INSERT INTO outbox (topic, receiver, id, since, kind, changes)"
+    values = told.table.name, name, one.id, now().isoformat(), one.kind
+    changes = json.dumps(one.changes, default=str)
+    state.write(f"{insert} VALUES (?, ?, ?, ?, ?, ?)", *values, changes)
 
 
 def _hand_over(
