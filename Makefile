@@ -73,7 +73,7 @@ lint: $(DEV)     ## style, types, law of imports, and up-to-date docs
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pipeline.cli.reference --check docs
+	$(BIN)/python -m tests.reference_pages --check docs
 
 format: $(DEV)
 	$(BIN)/ruff check --fix .
@@ -96,7 +96,7 @@ bench-guard: $(DEV) ## compare speed with the last committed results
 	$(BIN)/python -m benchmarks guard
 
 docs: $(DEV)   ## regenerate the config and table reference
-	$(BIN)/python -m pipeline.cli.reference docs
+	$(BIN)/python -m tests.reference_pages docs
 
 docs-site: $(FULL) ## the documentation as pages that can be browsed and searched, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
@@ -122,7 +122,7 @@ requirements:    ## make the pins of requirements/ anew of pyproject.toml
 	sed -i '1i -r run.txt' requirements/dev.txt
 	$(call PINS,full) --group full $(call BEYOND,,dev)
 	sed -i '1i -r dev.txt' requirements/full.txt
-	$(call PINS,image) --extra protobuf --extra s3 -c requirements/dev.txt $(call BEYOND)
+	$(call PINS,image) $(addprefix --extra ,dask protobuf s3) -c requirements/dev.txt $(call BEYOND)
 	sed -i '1i -r run.txt' requirements/image.txt
 
 wheelhouse: $(DEV) ## all packages for an installation without a network, in wheelhouse/

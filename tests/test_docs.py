@@ -5,8 +5,10 @@ from __future__ import annotations
 import doctest
 import re
 import shutil
+import subprocess
 import tomllib
 from collections.abc import Iterator
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import duckdb
@@ -14,7 +16,6 @@ import polars as pl
 import pytest
 
 from pipeline.cli import arguments
-from pipeline.cli.reference import PAGES
 from pipeline.config import Alarms, load_fleet
 from pipeline.config.channels import Channel
 from pipeline.config.logs import Logs
@@ -23,6 +24,7 @@ from pipeline.ingest import csv as csv_log
 from pipeline.ingest import csv_text, parquet
 from pipeline.ingest.mcap import layout as mcap_layout
 from tests.pipeline.cli.test_reference import keys
+from tests.reference_pages import PAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -205,3 +207,26 @@ def test_make_targets_that_are_named_exist() -> None:
     for path in HAND_WRITTEN:
         for words in re.findall(r"`make ([a-z -]+)", path.read_text("utf-8")):
             assert set(words.split()) <= set(targets), words
+
+
+@pytest.mark.parametrize(("given", "expected"), [((), ""), (("JOBS=3",), "--jobs 3")])
+def test_make_leaves_the_workers_to_the_config_unless_told(
+    given: tuple[str, ...], expected: str
+) -> None:
+    command = ("make", "--dry-run", "fit-fleet", *given)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    (line,) = re.findall(r"motor-leakage fit-fleet .*", done.stdout)
+    assert line.removeprefix("motor-leakage fit-fleet configs/fleet.toml").strip() == expected
+
+
+def test_the_image_has_what_the_page_on_clusters_starts() -> None:
+    pins = (ROOT / "requirements" / "image.txt").read_text("utf-8")
+    text = (ROOT / "docs" / "scale.md").read_text("utf-8")
+    started = set(re.findall(r"command: \[(\w+), (\w+)", text))
+    assert started == {("dask", "scheduler"), ("dask", "worker")}
+    for command, name in started:
+        (program,) = entry_points(group="console_scripts", name=command)
+        (part,) = entry_points(group=f"{command}_cli", name=name)
+        for one in (program, part):
+            assert one.dist is not None
+            assert f"\n{one.dist.name}==" in pins

@@ -53,7 +53,8 @@ def check(
     Exit code 0: no fault; 1: a log cannot be read, there is no log, the folder of the metrics is
     missing, or a file of the output is damaged; 2: a fault in the config.
     """
-    from pipeline.setup.check import check_fleet, strays_told, unclaimed
+    from pipeline.logs.finding import strays_told, unclaimed
+    from pipeline.setup.check import check_fleet
 
     if tables or repair:
         raise typer.Exit(_check_tables(config, output, as_json=as_json, is_mended=repair))

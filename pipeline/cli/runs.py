@@ -94,8 +94,7 @@ def fit_fleet(
 def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
     """Say what `check` says of the logs: those without a motor, and before the first run, which
     opens them all, what may be wrong with units and columns. What cannot be read the run says."""
-    from pipeline.setup.check import check_motor, strays_told, unclaimed
-    from pipeline.setup.promise import SWAPPED
+    from pipeline.logs.finding import strays_told, unclaimed
 
     if as_json:
         return
@@ -103,6 +102,9 @@ def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
         say(strays, err=True)
     if (fleet.output / "tables").is_dir() or fleet.log_url:
         return
+    from pipeline.setup.check import check_motor
+    from pipeline.setup.promise import SWAPPED
+
     for spec in (one for one in fleet.motors if one.file.logs.database is None):
         seen = check_motor(spec)
         for told in (*seen.faults, *seen.notes):

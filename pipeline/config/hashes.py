@@ -23,6 +23,7 @@ from pipeline.config.section import Stage
 
 if TYPE_CHECKING:
     from leakage import Motor
+    from leakage.estimation.sample_blocks import ChosenPeriods
 
 # Raise one when the code makes other samples of the same file; other statistics of the same
 # samples, so that old blocks never merge with new ones; other figures of the same statistics.
@@ -78,7 +79,7 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
     """Hash of all that shapes the statistics of a night; blocks of different hash never merge."""
     free = {path.name for path in motor.column_paths}
     settings = spec.settings.shaping(Stage.BLOCKS)
-    by_hand = spec.file.periods.within(night_labelled(night, spec.settings.nights))
+    by_hand = _chosen(spec, night)
     document = {
         "version": STATISTICS_VERSION,
         "columns": motor.columns,
@@ -97,6 +98,14 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
     return hash_of(document)
 
 
+def _chosen(spec: MotorSpec, night: dt.date) -> ChosenPeriods | None:
+    """Periods of a night that are chosen by hand; None in a motor without any."""
+    periods = spec.file.periods
+    if not (periods.training or periods.validation):
+        return None
+    return periods.within(night_labelled(night, spec.settings.nights))
+
+
 @dataclass(slots=True)
 class SettingsHashes:
     """Hashes of the settings that shape a motor's nights; a night's oil and periods are dated."""
@@ -108,8 +117,7 @@ class SettingsHashes:
     def statistics(self, night: dt.date) -> str:
         """Hash of all that is made of a night's samples: its statistics, and what else is."""
         spec = self.spec
-        by_hand = spec.file.periods.within(night_labelled(night, spec.settings.nights))
-        key = (spec.file.oil_on(night), by_hand)
+        key = (spec.file.oil_on(night), _chosen(spec, night))
         if key not in self._statistics:
             motor = spec.stated.motor(night, spec.file.flushing.mode)
             windows = spec.settings.windows.shaping(Stage.BLOCKS | Stage.NIGHT)

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import Flag, auto
 from functools import cache
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, get_args
 from zoneinfo import ZoneInfo
 
 from pydantic import (
@@ -209,24 +209,41 @@ class Section(BaseModel):
 
     def shaping(self, stage: Stage, inherited: Stage | None = None) -> dict[str, Any]:
         """All settings of a stage, by key."""
-        return {
+        values, tables = self._keys_of(stage, inherited)
+        return {key: getattr(self, key) for key in values} | {
             key: found
-            for key in type(self).model_fields
-            for found in _shaping(getattr(self, key), stage, self.stage_of(key, inherited))
+            for key, own in tables
+            for found in _of_tables(getattr(self, key), stage, own)
         }
 
+    @classmethod
+    @cache
+    def _keys_of(
+        cls, stage: Stage, inherited: Stage | None
+    ) -> tuple[tuple[str, ...], tuple[tuple[str, Stage | None], ...]]:
+        """Keys of a stage, and those of tables that may have some, with their stage."""
+        stages = {key: cls.stage_of(key, inherited) for key in cls.model_fields}
+        tables = [key for key, one in cls.model_fields.items() if _has_tables(one.annotation)]
+        values = [key for key, own in stages.items() if own and own & stage and key not in tables]
+        return tuple(values), tuple((key, stages[key]) for key in tables)
 
-def _shaping(value: Any, stage: Stage, own: Stage | None) -> Iterator[Any]:
-    """The value, or what of a table is of the stage; nothing where it is of another."""
+
+def _has_tables(annotation: Any) -> bool:
+    is_table = isinstance(annotation, type) and issubclass(annotation, Section)
+    return is_table or any(map(_has_tables, get_args(annotation)))
+
+
+def _of_tables(value: Any, stage: Stage, own: Stage | None) -> Iterator[Any]:
+    """What of a table, or of several, is of a stage; nothing where that is nothing."""
     if isinstance(value, Section):
         if found := value.shaping(stage, own):
             yield found
-    elif isinstance(value, tuple) and value and isinstance(value[0], Section):
+    elif isinstance(value, tuple) and value:
         if any(parts := [one.shaping(stage, own) for one in value]):
             yield parts
-    elif isinstance(value, Mapping) and any(isinstance(one, Section) for one in value.values()):
+    elif isinstance(value, Mapping) and value:
         yield {key: one.shaping(stage, own) for key, one in value.items()}
-    elif own and own & stage:
+    elif own and own & stage:  # there is none
         yield value
 
 

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import re
 from bisect import bisect_left
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from fnmatch import filter as fitting
 from functools import lru_cache
 from pathlib import Path
 
-from pipeline.config import MotorSpec
+from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import one_line
+from pipeline.messages import counted
 from pipeline.workers.process import reading, still_alive
 
 LONGEST_PATH = 4096
+# Of logs; a packed one has another behind it.
+SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mcap")
+# Logs without a motor that are named.
+MOST_STRAYS = 8
 GLOB_CHARACTERS = frozenset("*?[")
 
 
@@ -98,6 +104,45 @@ def without_match(root: Path, patterns: Iterable[str]) -> tuple[str, ...]:
         and not (root / pattern).exists()
         and not any(not path.is_dir() for path in _matching(root, pattern))
     )
+
+
+def suffix_of(path: Path) -> str:
+    """Ending of a log's name, that of a packed one with what it packs: ".csv.gz"."""
+    packed = path.suffix.lower() in (".gz", ".zst")
+    return "".join(path.suffixes[-2:]) if packed else path.suffix
+
+
+def logs_below(folder: Path) -> Iterator[Path]:
+    """Files of a folder that are logs by their names."""
+    for place, _, names in os.walk(folder.resolve()):
+        for path in (Path(place, name) for name in names):
+            if suffix_of(path).lower().startswith(SUFFIXES) and path.is_file():
+                yield path
+
+
+def unclaimed(fleet: Fleet) -> tuple[str, ...]:
+    """Logs in the folder of the logs that no motor claims, by their path in it."""
+    if fleet.log_url or not fleet.has_log_folder:
+        return ()
+    claimed = {path for spec in fleet.motors for path in find_logs(spec)[0].values()}
+    others = [path for path in logs_below(fleet.log_root) if path not in claimed]
+    if not others:
+        return ()
+    # Links may lead to the same file.
+    real, own = {path.resolve() for path in claimed}, fleet.output.resolve()
+    return tuple(
+        sorted(
+            path.relative_to(fleet.log_root).as_posix()
+            for path in others
+            if path.resolve() not in real and not path.resolve().is_relative_to(own)
+        )
+    )
+
+
+def strays_told(strays: Sequence[str]) -> str:
+    """Logs that no motor claims, in words; empty for none."""
+    named = ", ".join(strays[:MOST_STRAYS]) + ", …" * (len(strays) > MOST_STRAYS)
+    return f"no motor claims {counted(len(strays), 'log')}: {named}" if strays else ""
 
 
 def legible(text: str) -> str:

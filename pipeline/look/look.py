@@ -21,8 +21,9 @@ from pipeline.errors import MotorLeakageError, StoreError
 from pipeline.look.comparison import nights_before
 from pipeline.look.motor import Change, looked_at, verdicts, without_watch
 from pipeline.look.state import LookState, Rise, read_states, write_state
+from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import TOLD_LOOKS, deliver, open_outbox, take_up
-from pipeline.notification.receivers import Receiver, receivers_of
+from pipeline.notification.receivers import receivers_of
 from pipeline.schema import LOOKS
 from pipeline.store.locks import locked
 from pipeline.store.publishing import Publisher

@@ -7,9 +7,8 @@ give what the samples would give. What needs samples keeps its rows, and `fits` 
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import polars as pl
@@ -49,8 +48,6 @@ REFITTED_TABLES = ("fits", "parameters")
 SENSITIVITIES_TABLES = ("sensitivities",)
 JUDGED_TABLES = ("fits",)
 KEPT_TABLES = ("fits", "sensitivities")
-# Part of a baseline's first nights that are to tell the scale: later nights are like most of them.
-MOST = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,23 +137,6 @@ def refit_in_form(
     tables = outcome.tables and tuple(dict.fromkeys((*outcome.tables, *(made.tables or ()))))
     rows = {**rows, **made.rows, "fits": fits}
     return replace(outcome, rows=rows, model=made.model, tables=tables)
-
-
-def is_roller_free(
-    tells: Mapping[dt.date, bool | None], begins: Sequence[dt.date], needed: int
-) -> bool:
-    """Decide by the first nights of the latest stretch that has enough: it is frozen with them.
-
-    `tells` says by night whether it tells the scale, None without a fit; `begins` are the dates of
-    the events that begin a baseline, and so many nights with a fit as are `needed` decide.
-    """
-    borders = sorted({dt.date.min, *begins, dt.date.max})
-    for begin, end in reversed(list(pairwise(borders))):
-        nights = sorted(label for label in tells if begin <= label < end)
-        first = [tells[label] for label in nights if tells[label] is not None][:needed]
-        if len(first) == needed:
-            return sum(map(bool, first)) >= MOST * needed
-    return False
 
 
 def _as_measured(blocks: StoredBlocks, motor: Motor, before: Row) -> Row:

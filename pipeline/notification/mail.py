@@ -15,8 +15,7 @@ from typing import Any
 from pipeline.config.alarms import Email, mail_server
 from pipeline.errors import one_line
 from pipeline.messages import as_sentence, plain
-from pipeline.notification.outbox import SUMMARY
-from pipeline.notification.receivers import DEADLINE_S, Delivery, fault_words, filled, talk
+from pipeline.notification.delivery import DEADLINE_S, SUMMARY, Delivery, fault_words, filled, talk
 
 # Name of the receiver in the outbox.
 EMAIL = "email"

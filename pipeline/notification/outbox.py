@@ -23,7 +23,7 @@ from typing import Any
 from pipeline.clock import now
 from pipeline.errors import StoreError
 from pipeline.messages import counted
-from pipeline.notification.receivers import Delivery, Receiver, UndeliveredError
+from pipeline.notification.delivery import SUMMARY, Delivery, Receiver, UndeliveredError
 from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
 from pipeline.store.state import State, read_state_file
 from pipeline.store.tables import read_table
@@ -36,8 +36,6 @@ MOST_CHANGES = 500
 PAUSES_S = (1.0, 4.0)
 # After so many failed deliveries the rest waits for the next run.
 MOST_FAILURES = 2
-# Kind of a delivery with the state of every motor.
-SUMMARY = "summary"
 OF_RECEIVER = "WHERE topic = ? AND receiver = ?"
 NOT_TAKEN_UP = (
     "SELECT files.name, files.sha256 FROM files LEFT JOIN taken_up"
@@ -212,17 +210,10 @@ def _receivers(state: State, told: Told) -> set[str]:
 
 
 def _queue(state: State, name: str, told: Told, one: Waiting) -> None:
-    state.write(
-        "INSERT INTO outbox (topic, receiver, id, since, kind, changes) VALUES (?, ?, ?, ?, ?, ?)",
-        *(
-            told.table.name,
-            name,
-            one.id,
-            now().isoformat(),
-            one.kind,
-            json.dumps(one.changes, default=str),
-        ),
-    )
+    insert = "INSERT INTO outbox (topic, receiver, id, since, kind, changes)"
+    values = told.table.name, name, one.id, now().isoformat(), one.kind
+    changes = json.dumps(one.changes, default=str)
+    state.write(f"{insert} VALUES (?, ?, ?, ?, ?, ?)", *values, changes)
 
 
 def _hand_over(

@@ -18,7 +18,7 @@ from urllib.error import HTTPError, URLError
 from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
-from pipeline.notification.receivers import (
+from pipeline.notification.delivery import (
     DEADLINE_S,
     Delivery,
     UndeliveredError,

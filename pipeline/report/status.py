@@ -11,8 +11,8 @@ import polars as pl
 
 from pipeline.errors import UsageError
 from pipeline.look.state import look_statuses
+from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import Backlog, backlogs
-from pipeline.notification.receivers import Receiver
 from pipeline.schema import ALARMS
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.published import TableFault, faults_of

@@ -1,4 +1,4 @@
-"""The nightly run: plan, tasks of motors and chunks, publishing, trends, telling.
+"""The nightly run: plan, tasks of motors, publishing, trends, notification.
 
 Imports every room but `cli`, `report`, `export`, `setup` and `demo`.
 """

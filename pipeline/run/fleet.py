@@ -113,8 +113,9 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
             log.warning("no log of any motor is below %s: is the folder mounted?", place)
         heartbeat.say(stage="telling")
         deliver_alarms(fleet, receivers)
-        heartbeat.finished(interrupted=result.interrupted, good=result.is_good)
         measure(fleet, receivers, result)
+        # Whoever waits for this may run at once.
+        heartbeat.finished(interrupted=result.interrupted, good=result.is_good)
     return result
 
 

@@ -9,7 +9,7 @@ import datetime as dt
 import resource
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
@@ -22,7 +22,6 @@ from pipeline.config.nights import nights_between
 from pipeline.logs.files import labels_of
 from pipeline.logs.motor_logs import MotorLogs
 from pipeline.logs.processed import NightRecord, ProcessedChange, ProcessedLogs
-from pipeline.night.refit import is_roller_free
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
 
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
 LONGEST_HOLE = dt.timedelta(days=366)
 # Nights that decide on the scale of the rollers.
 FIRST_NIGHTS = 15
+# Part of a baseline's first nights that are to tell the scale: later nights are like most of them.
+MOST = 0.8
 
 
 def peak_memory_mib() -> float:
@@ -63,6 +64,23 @@ def _without_failures(processed: ProcessedLogs) -> ProcessedLogs:
         if one.status == "ok" and not labels_of(one) & failed
     }
     return ProcessedLogs(files, nights)
+
+
+def is_roller_free(
+    tells: Mapping[dt.date, bool | None], begins: Sequence[dt.date], needed: int
+) -> bool:
+    """Decide by the first nights of the latest stretch that has enough: it is frozen with them.
+
+    `tells` says by night whether it tells the scale, None without a fit; `begins` are the dates of
+    the events that begin a baseline, and so many nights with a fit as are `needed` decide.
+    """
+    borders = sorted({dt.date.min, *begins, dt.date.max})
+    for begin, end in reversed(list(pairwise(borders))):
+        nights = sorted(label for label in tells if begin <= label < end)
+        first = [tells[label] for label in nights if tells[label] is not None][:needed]
+        if len(first) == needed:
+            return sum(map(bool, first)) >= MOST * needed
+    return False
 
 
 class MotorNights:

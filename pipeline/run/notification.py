@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 from pipeline.config import Fleet
 from pipeline.errors import StoreError
+from pipeline.notification.delivery import Receiver
 from pipeline.notification.mail import EMAIL
 from pipeline.notification.outbox import add_summary, backlogs, deliver, waiting
-from pipeline.notification.receivers import Receiver
 from pipeline.run.metrics import metrics_text, write_metrics
 from pipeline.run.tasks import RunResult
 from pipeline.store.heartbeat import last_good_run

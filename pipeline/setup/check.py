@@ -20,11 +20,9 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.database import DatabaseError
 from pipeline.logs.files import change_of, failed, growing, labels_of, look_at, spanned
-from pipeline.logs.finding import find_logs
 from pipeline.logs.landing import land_newest
 from pipeline.logs.locations import FolderLogs, logs_of
 from pipeline.logs.processed import FileRecord
-from pipeline.messages import counted
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
 from pipeline.setup.column_check import (
@@ -35,11 +33,10 @@ from pipeline.setup.column_check import (
     units_told,
 )
 from pipeline.setup.promise import night_of_log, promise, swapped
-from pipeline.setup.propose import LARGEST_LOG_BYTES, logs_below
+from pipeline.setup.propose import LARGEST_LOG_BYTES
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
-MOST_STRAYS = 8
 # A line end in UTF-16 or UTF-32 is up to four bytes long.
 LINE_END_BYTES = 4
 PACKED = (".gz", ".zst")
@@ -178,28 +175,6 @@ def _cut(spec: MotorSpec, records: Records, logs: FolderLogs) -> Iterator[str]:
 def check_fleet(fleet: Fleet) -> tuple[MotorCheck, ...]:
     """Look at the logs of every motor."""
     return tuple(map(check_motor, fleet.motors))
-
-
-def unclaimed(fleet: Fleet) -> tuple[str, ...]:
-    """Logs in the folder of the logs that no motor claims, by their path in it."""
-    if fleet.log_url or not fleet.has_log_folder:
-        return ()
-    there = {path: path.resolve() for path in logs_below(fleet.log_root)}
-    claimed = {path.resolve() for spec in fleet.motors for path in find_logs(spec)[0].values()}
-    own = fleet.output.resolve()
-    return tuple(
-        sorted(
-            path.relative_to(fleet.log_root).as_posix()
-            for path, real in there.items()
-            if real not in claimed and not real.is_relative_to(own)
-        )
-    )
-
-
-def strays_told(strays: Sequence[str]) -> str:
-    """Logs that no motor claims, in words; empty for none."""
-    named = ", ".join(strays[:MOST_STRAYS]) + ", …" * (len(strays) > MOST_STRAYS)
-    return f"no motor claims {counted(len(strays), 'log')}: {named}" if strays else ""
 
 
 # Channels

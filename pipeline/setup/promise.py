@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+import polars as pl
 
 from leakage import LeakageError, Motor, OperatingConditions
 from leakage.physics.motor import path_flows_l_per_min
@@ -128,8 +129,6 @@ def half_widths(motor: Motor, conditions: OperatingConditions, minutes: float) -
 
 def swapped(samples: Samples) -> Iterator[str]:
     """Notes on channels whose columns may be another's."""
-    from scipy.stats import spearmanr
-
     if samples.index.size < _FEWEST:
         return
     p, t, q = (
@@ -143,5 +142,11 @@ def swapped(samples: Samples) -> Iterator[str]:
     widths = ((p, _VARIES * np.median(p)), (t, _VARIES_K))
     drives = [one for one, width in widths if np.ptp(np.percentile(one, (5, 95))) > width]
     # Hotter oil is thinner: the flow rises with either.
-    if drives and np.ptp(q) > 0 and all(spearmanr(one, q).statistic < _FOLLOWS for one in drives):
+    if drives and np.ptp(q) > 0 and all(_rank_correlation(one, q) < _FOLLOWS for one in drives):
         yield f"the drain flow follows neither pressure nor the oil's viscosity: {SWAPPED}"
+
+
+def _rank_correlation(x: Array, y: Array) -> float:
+    """Spearman's coefficient."""
+    # Not SciPy's, which takes half a second to load before the first run of a fleet.
+    return float(pl.select(pl.corr(pl.Series(x), pl.Series(y), method="spearman")).item())

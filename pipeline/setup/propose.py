@@ -17,13 +17,13 @@ from typing import Any
 from pipeline.config.channels import GOOD_QUALITY
 from pipeline.config.logs import MISSING_TOKENS
 from pipeline.errors import LogError
+from pipeline.logs.finding import SUFFIXES, logs_below, suffix_of
 from pipeline.setup.cells import Marks, marks_of
 from pipeline.setup.names import FEWEST_CHANNELS, groups_of, is_in, meaning_of, unit_in, words_of
 from pipeline.setup.questions import Asked, Chooser, Place
 from pipeline.setup.sniff import sniff
 from pipeline.setup.tables import SAMPLES, Cells, Column, Question, Table
 
-SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mcap")
 # A date, with a time or without, or a long number: what differs from file to file of one kind.
 VARYING = re.compile(
     r"(?<!\d)(?:20\d\d[-_.]?\d\d[-_.]?\d\d(?:[-_T. ]?\d\d[-_.]?\d\d(?:[-_.]?\d\d)?)?|\d{6,})(?!\d)"
@@ -104,19 +104,6 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
     asked.require_known(one.motor_id for one in motors)
     questions, unused = tuple(asked.open.values()), tuple(asked.unused)
     return Proposal(root, _apart(motors), questions, unused, tuple(faults))
-
-
-def suffix_of(path: Path) -> str:
-    """Ending of a log's name, that of a packed one with what it packs: ".csv.gz"."""
-    packed = path.suffix.lower() in (".gz", ".zst")
-    return "".join(path.suffixes[-2:]) if packed else path.suffix
-
-
-def logs_below(folder: Path) -> Iterator[Path]:
-    """Files of a folder that are logs by their names."""
-    for path in folder.resolve().rglob("*"):
-        if path.is_file() and suffix_of(path).lower().startswith(SUFFIXES):
-            yield path
 
 
 def _kinds(files: Sequence[Path], root: Path) -> Iterator[_Kind]:

@@ -27,8 +27,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.config import Execution
 from pipeline.errors import EngineError
 from pipeline.store.atomic_files import put
-from pipeline.workers.engine import Tried
-from pipeline.workers.process import Loss, do, loss_of
+from pipeline.workers.process import Loss, Tried, do, loss_of
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -38,6 +37,7 @@ log = logging.getLogger(__name__)
 # What a task's bytes, and its way through the scheduler, depend on.
 CODE = "code of motor-leakage"
 PACKAGES = ("distributed", "msgpack", "numpy", "polars", "pyarrow", "scipy")
+SCHEDULER_LOST = "scheduler_lost"
 REMEDY = "start it anew with the same program, packages and folders, and --nthreads 1"
 # How often to look whether there are workers while nothing finishes [s].
 LOOK_S = 1.0
@@ -140,31 +140,29 @@ def _tried(
     expected: Mapping[str, str],
     function: Callable[[Any], Any],
     tasks: Iterable[Any],
-    at_a_time: int,
 ) -> Iterator[tuple[Any, Any]]:
-    """Each task with what came of it, as they finish; never more than so many under way.
+    """Each task with what came of it, as they finish; never more than stated under way.
 
     Raises StoreError if what a task staged cannot be written.
     """
-    waiting = iter(tasks)
+    waiting, wait_s = iter(tasks), execution.scheduler_wait_s
     under_way: dict[Future[Any], Any] = {}
     ended: SimpleQueue[Future[Any]] = SimpleQueue()
+    arguments = {"limits": execution, "expected": expected, "pure": False}
     try:
-        while True:
-            for task in islice(waiting, at_a_time - len(under_way)):
-                future = client.submit(
-                    do_on_worker, function, task, execution, expected, pure=False
-                )
+        while client.status == "running":
+            for task in islice(waiting, execution.tasks_in_flight - len(under_way)):
+                future = client.submit(do_on_worker, function, task, **arguments)
                 under_way[future] = task
                 future.add_done_callback(ended.put)
             if not under_way:
                 return
-            future = _next(client, ended, execution.scheduler_wait_s)
-            outcome = _outcome(client, future, under_way[future])
-            yield under_way.pop(future), outcome
-    except EngineError as error:
-        log.warning("%s; what is finished is kept", error)
-        lost = Loss(error.code, error.message)
+            if (ready := _next(client, ended, wait_s)) is None:
+                break
+            outcome = _outcome(client, ready, under_way[ready])
+            yield under_way.pop(ready), outcome
+        lost = Loss(SCHEDULER_LOST, f"the scheduler or its workers are gone for {wait_s:g} s")
+        log.warning("%s; what is finished is kept", lost.how)
         yield from ((task, lost) for task in (*under_way.values(), *waiting))
     finally:
         if under_way and client.status == "running":
@@ -172,8 +170,8 @@ def _tried(
                 client.cancel(list(under_way), force=True)
 
 
-def _next(client: Client, ended: SimpleQueue[Future[Any]], wait_s: float) -> Future[Any]:
-    """The next task that ended, however it did; EngineError where none can end any more."""
+def _next(client: Client, ended: SimpleQueue[Future[Any]], wait_s: float) -> Future[Any] | None:
+    """The next task that ended, however it did; None where none can end any more."""
     until = time.monotonic() + wait_s
     while client.status == "running" and time.monotonic() < until:
         with suppress(Empty):
@@ -181,7 +179,7 @@ def _next(client: Client, ended: SimpleQueue[Future[Any]], wait_s: float) -> Fut
         with suppress(OSError):  # it does not answer for now
             if client.nthreads():
                 until = time.monotonic() + wait_s
-    raise EngineError("scheduler_lost", f"the scheduler or its workers are gone for {wait_s:g} s")
+    return None
 
 
 def _outcome(client: Client, future: Future[Any], task: Any) -> Any:
@@ -193,9 +191,8 @@ def _outcome(client: Client, future: Future[Any], task: Any) -> Any:
     except KilledWorker as error:
         return Loss("worker_died", f"{error.allowed_failures + 1} workers died of it")
     except Exception as error:
-        if client.status != "running":
-            raise EngineError("scheduler_lost", str(error)) from error
-        return loss_of(error)
+        is_there = client.status == "running"
+        return loss_of(error) if is_there else Loss(SCHEDULER_LOST, str(error))
     for name, content in staged.items():
         put(task.staging / name, content, durable=False)
     return outcome

@@ -23,18 +23,12 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path, PurePath
 from threading import Event, Thread
-from typing import Any, TypeVar
+from typing import Any
 
 from pipeline.config import Execution
-from pipeline.workers.process import Loss, Mark, attempt, begin_worker, do
+from pipeline.workers.process import Loss, Mark, Result, Task, Tried, attempt, begin_worker, do
 
 log = logging.getLogger(__name__)
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
-
-# Gives each task with its result or loss, as they finish, with at most so many under way.
-Tried = Callable[[Callable[[Any], Any], Iterable[Any], int], Iterator[tuple[Any, Any]]]
 
 # Read by the libraries as a worker loads them. With all threads each, workers would fight for the
 # cores; Arrow's own allocator reserves a gibibyte at once, which would count as used. The C library
@@ -74,23 +68,22 @@ def open_workers(execution: Execution, folders: Sequence[Path] = ()) -> Iterator
     """
     if execution.backend == "sequential":
         # In the run's own process: a task that hangs or dies takes the run with it.
-        yield Workers(lambda do, tasks, _: ((one, attempt(do, one)) for one in tasks), 1)
+        yield Workers(lambda function, tasks: ((one, attempt(function, one)) for one in tasks))
     elif execution.backend == "dask":
         from pipeline.workers.cluster import open_cluster
 
         with open_cluster(execution, folders) as tried:
-            yield Workers(tried, execution.tasks_in_flight)
+            yield Workers(tried)
     else:
         with open_pool(execution) as pool:
-            yield Workers(pool.tried, execution.workers)
+            yield Workers(pool.tried)
 
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """The way in which tasks are tried, and how many of them at a time."""
+    """The way in which tasks are tried."""
 
     tried: Tried
-    at_a_time: int
 
     def run(
         self,
@@ -109,7 +102,7 @@ class Workers:
         that is not known, or too much.
         """
         losses: list[tuple[Task, Loss]] = []
-        for task, outcome in self.tried(function, tasks, self.at_a_time):
+        for task, outcome in self.tried(function, tasks):
             if isinstance(outcome, Loss):
                 losses.append((task, outcome))
             else:
@@ -119,7 +112,7 @@ class Workers:
             while again is not None and loss.code != "scheduler_lost":
                 log.warning("a task is tried again, alone: %s", loss.how)
                 task = again
-                ((_, outcome),) = self.tried(function, [task], 1)
+                ((_, outcome),) = self.tried(function, [task])
                 if not isinstance(outcome, Loss):
                     yield outcome
                     break
@@ -163,9 +156,9 @@ class Pool:
     left: Event = field(default_factory=Event)
 
     def tried(
-        self, function: Callable[[Any], Any], tasks: Iterable[Any], n_workers: int
+        self, function: Callable[[Any], Any], tasks: Iterable[Any]
     ) -> Iterator[tuple[Any, Any]]:
-        """Each task with what came of it, as they finish; never more than so many under way."""
+        """Each task with what came of it, as they finish; never more than workers under way."""
         waiting: Iterator[tuple[int, Any]] = enumerate(tasks)
         under_way: dict[int, Any] = {}
 
@@ -180,7 +173,7 @@ class Pool:
             parallel = Parallel(
                 # One would be the run's own process.
                 n_jobs=max(2, self.execution.workers),
-                pre_dispatch=n_workers,
+                pre_dispatch=self.execution.workers,
                 batch_size=1,
                 return_as="generator_unordered",
                 # Otherwise arrays go through shared memory, which may be small.

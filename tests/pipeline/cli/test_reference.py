@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.cli.reference import FILES, PAGES, main
 from pipeline.config import load_fleet
 from pipeline.config.section import Section
 from pipeline.schema import TABLES, Table
+from tests.reference_pages import FILES, PAGES, main
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCS = ROOT / "docs"

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.cli.reference import table_reference
 from pipeline.schema import QUALITY_REASONS
 from tests.pipeline.night.noise_free import configured_flow, fit, refused_of
 from tests.pipeline.simulated import CANONICAL, load_motor, motor_toml, operate
+from tests.reference_pages import table_reference
 
 COUNTED = 'counts = "cumulative"\nvolume_per_count_cm3 = 1.0\n'
 ALL_RULES = """

@@ -14,7 +14,8 @@ from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.demo import shipped_configs
 from pipeline.night.fit_night import NightOutcome
-from pipeline.night.refit import PublishedNight, is_roller_free, refit, refit_in_form
+from pipeline.night.refit import PublishedNight, refit, refit_in_form
+from pipeline.run.motor_nights import is_roller_free
 from pipeline.schema import BLOCK_STATISTICS, FITS, NIGHT_TABLES, frame
 from tests.pipeline.night.noise_free import fitted, white
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate

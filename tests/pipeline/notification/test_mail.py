@@ -24,8 +24,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from pipeline.config.alarms import Email
+from pipeline.notification.delivery import Delivery, UndeliveredError
 from pipeline.notification.mail import Mail
-from pipeline.notification.receivers import Delivery, UndeliveredError
 
 PASSWORD = "correct horse"  # noqa: S105
 

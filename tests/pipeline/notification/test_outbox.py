@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from pipeline.notification.delivery import Delivery, UndeliveredError
 from pipeline.notification.outbox import (
     MOST_CHANGES,
     MOST_FAILURES,
@@ -23,7 +24,6 @@ from pipeline.notification.outbox import (
     take_up,
     waiting,
 )
-from pipeline.notification.receivers import Delivery, UndeliveredError
 from pipeline.schema import ALARM_CONTENT, ALARMS, frame
 from pipeline.store.state import open_state
 from pipeline.store.tables import night_file

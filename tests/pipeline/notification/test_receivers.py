@@ -18,7 +18,8 @@ from typing import Any
 import psutil
 import pytest
 
-from pipeline.notification.receivers import Command, Delivery, Receiver, UndeliveredError
+from pipeline.notification.delivery import Delivery, Receiver, UndeliveredError
+from pipeline.notification.receivers import Command
 from pipeline.notification.web_hook import WebHook
 from tests.pipeline.notification.servers import Hook, hook, raw
 

@@ -246,3 +246,18 @@ def test_a_fleet_whose_logs_are_gone_says_so(
     shutil.rmtree(log_file(fleet, PARQUET, NIGHTS[1]).parent)
     assert run(fleet).n_nights == 0
     assert "no log of any motor is below" in caplog.text
+
+
+def test_rows_that_cannot_be_staged_are_told_as_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refused(*_: object) -> None:
+        raise StoreError("store_write", "File too large")
+
+    fleet = mini_fleet(tmp_path, 1, 1)
+    monkeypatch.setattr("pipeline.run.motor_task.stage", refused)
+    (lost,) = run(fleet).failed
+    assert (lost.error_code, lost.message) == ("store_write", "File too large")
+    assert "no log of any motor" not in caplog.text
+    monkeypatch.undo()
+    assert run(fleet).n_nights == 1

@@ -10,8 +10,8 @@ from polars.testing import assert_frame_equal
 
 import pipeline.run.motor_nights
 from pipeline.config import load_fleet
-from pipeline.night.refit import is_roller_free
 from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.run.motor_nights import is_roller_free
 from tests.pipeline.simulated import NIGHT, motor_toml, write_configs
 from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop, check_same_figures
 

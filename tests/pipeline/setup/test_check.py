@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,12 @@ from benchmarks.simulated_nights import motor as simulated_motor
 from benchmarks.simulated_nights import operating_point
 from pipeline.config import Channel, load_fleet
 from pipeline.ingest import RawChannel
+from pipeline.logs.finding import unclaimed
 from pipeline.setup.check import (
     ChannelCheck,
     MotorCheck,
     check_fleet,
     sampling_note,
-    unclaimed,
 )
 from pipeline.setup.promise import half_widths
 from tests.conftest import OwnFleet
@@ -287,6 +288,9 @@ def test_logs_that_no_motor_claims(tmp_path: Path) -> None:
         (tmp_path / "logs" / name).parent.mkdir(exist_ok=True)
         (tmp_path / "logs" / name).write_bytes(b"x")
     fleet = load_fleet(tmp_path / "configs" / "fleet.toml")
+    (tmp_path / "logs" / "linked.parquet").symlink_to("M1/a.parquet")
+    (tmp_path / "logs" / "M7" / "folder.csv").mkdir()
+    os.mkfifo(tmp_path / "logs" / "M7" / "pipe.csv")
     assert unclaimed(fleet) == ("M1/old.csv", "M7/b.parquet")
 
 

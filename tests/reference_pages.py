@@ -1,6 +1,6 @@
 """Reference pages `docs/config.md` and `docs/tables.md`, made from the code.
 
-``python -m pipeline.cli.reference docs`` writes them. With ``--check`` nothing is written:
+``python -m tests.reference_pages docs`` writes them. With ``--check`` nothing is written:
 pages that are out of date are named on stderr, and the exit code is 1.
 """
 
@@ -256,7 +256,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write the pages into a folder, or check that those in it are what the code says."""
-    parser = argparse.ArgumentParser(prog="python -m pipeline.cli.reference", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.reference_pages", description=__doc__)
     parser.add_argument("folder", type=Path, help="folder of the pages, such as docs")
     parser.add_argument("--check", action="store_true", help="write nothing, compare")
     options = parser.parse_args(arguments)
