@@ -20,9 +20,8 @@ from pipeline.config.channels import Channel, QualityValue
 from pipeline.config.field_paths import FieldPath, field_path, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import judged, raw_log, span
+from pipeline.ingest.assembly import Gathered, judged, raw_log, span
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog, Reader
-from pipeline.ingest.gathering import Gathered
 from pipeline.ingest.mcap.decoding import (
     Decoded,
     Decoder,
