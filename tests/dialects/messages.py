@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from mcap.writer import Writer
@@ -35,37 +35,23 @@ Reading = Mapping[str, float]
 Schema = tuple[str, str, bytes]
 
 
-class Encoding(Protocol):
-    """Encoding of the readings of one time as messages."""
-
-    name: str  # of the encoding in MCAP
-    schema: Schema | None  # name, encoding and text
-    stamp: str  # field of the stamp
-    together: bool  # all channels are in one message; else each has its own topic
-    says_blank: bool  # a message may state that it has no reading
-
-    def place(self, channel: str) -> tuple[str, str]:
-        """Topic and field of a channel."""
-
-    def payload(self, time_us: int, reading: Reading) -> bytes:
-        """Content of a message."""
-
-
 @dataclass(frozen=True, slots=True)
 class Json:
     """Null where there is no reading."""
 
-    together: bool = False
-    name: str = "json"
-    schema: Schema | None = None
-    stamp: str = "header.stamp"
-    says_blank: bool = True
+    together: bool = False  # all channels are in one message; else each has its own topic
+    name: str = "json"  # of the encoding in MCAP
+    schema: Schema | None = None  # name, encoding and text
+    stamp: str = "header.stamp"  # field of the stamp
+    says_blank: bool = True  # a message may state that it has no reading
 
     def place(self, channel: str) -> tuple[str, str]:
+        """Topic and field of a channel."""
         topic = TOPIC if self.together else f"{TOPIC}/{channel}"
         return topic, f"hydraulics.{channel}.readings[1]"
 
     def payload(self, time_us: int, reading: Reading) -> bytes:
+        """Content of a message of the readings of one time."""
         parts = {
             name: {"unit": "as configured", "readings": [0, None if math.isnan(value) else value]}
             for name, value in reading.items()
@@ -129,7 +115,7 @@ class Ros2:
 class Mcap(Dialect):
     """Messages."""
 
-    encoding: Encoding = field(default_factory=Json)  # of the messages
+    encoding: Json | Protobuf | Ros2 = field(default_factory=Json)
     stamped: str = "log_time"  # where the stamp is: "log_time", "publish_time", or "message"
     options: Mapping[str, Any] = field(default_factory=dict)  # of `mcap.writer.Writer`
 

@@ -197,7 +197,7 @@ REFUSED: dict[str, tuple[bytes | str, dict[str, Any], str]] = {
     "blanks": (b"   \n", {}, "log_empty: no header"),
     "a mark of the encoding alone": (b"\xef\xbb\xbf", {}, "log_empty: no header"),
     "a header that is cut": ("time,dp", {}, "log_truncated: the header has no line end"),
-    "a header without end": (b"x" * (2**20 + 1), {}, "log_not_csv: longer than"),
+    "a header without end": (b"x" * (2**20 + 1), {}, "log_not_csv: line 1: the header is longer"),
     "a row without end": (
         f"{HEAD}{ROWS * 12_000}{DAY}0Z,{'1' * (5 * 2**20)},2\n{ROWS * 12_000}",
         *({}, "log_damaged: told apart"),
