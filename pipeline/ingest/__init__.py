@@ -5,7 +5,7 @@ Imports config, units and errors, nothing else of the pipeline.
 
 from pipeline.ingest.assembly import Samples, log_of_samples
 from pipeline.ingest.contract import LogFile, Place, RawChannel, RawLog, Reader, validate
-from pipeline.ingest.readers import can_grow, header_units, read_log, read_piece, time_span
+from pipeline.ingest.readers import can_grow, read_log, read_piece, time_span
 
 __all__ = [
     "LogFile",
@@ -15,7 +15,6 @@ __all__ = [
     "Reader",
     "Samples",
     "can_grow",
-    "header_units",
     "log_of_samples",
     "read_log",
     "read_piece",

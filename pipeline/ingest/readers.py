@@ -90,13 +90,6 @@ def time_span(
         return first, last
 
 
-def header_units(path: Path, logs: Logs, channels: Channels) -> dict[str, str]:
-    """Units that a log's header states, as written, by channel; errors as `read_log`."""
-    with _opened(path, logs, channels) as (reader, file):
-        units = {} if reader.units is None else reader.units(file)
-        return {name: str(units.get(one.source, "")) for name, one in file.channels.items()}
-
-
 def _with_constants(log: RawLog, channels: Channels) -> RawLog:
     """A log with the channels that are stated: they have the samples of the drain flow."""
     stated = {name: one for name, one in channels.items() if one.constant is not None}
