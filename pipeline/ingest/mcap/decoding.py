@@ -63,18 +63,13 @@ class Payloads:
 
     def by_length(self) -> Iterator[tuple[NDArray[np.intp], int, memoryview]]:
         """Rows of messages of one length, the length, and their text: a byte and a payload each."""
-        if self.are_of_one_length:
+        if (self.length == self.length[0]).all():
             yield np.arange(self.length.size), int(self.length[0]), self.text.data
             return
         for length in np.flatnonzero(np.bincount(self.length)).tolist():
             rows = np.flatnonzero(self.length == length)
             text = fields_at(self.text.data, self.start[rows] - 1, f"V{length + 1}")
             yield rows, length, text.view(np.uint8).data
-
-    @property
-    def are_of_one_length(self) -> bool:
-        """True if all are of one length."""
-        return bool((self.length == self.length[0]).all())
 
 
 @dataclass(frozen=True, slots=True)
