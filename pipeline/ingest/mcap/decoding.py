@@ -94,7 +94,7 @@ Value = Callable[[Any], Any]
 
 def payloads_of(messages: Messages, chosen: Rows, time_ns: NDArray[np.uint64]) -> Payloads:
     """Payloads of the chosen messages, one at least, with the times of all messages."""
-    starts, ends = messages.payload_start[chosen], messages.payload_end[chosen]
+    starts, ends = messages.payload_start(chosen), messages.payload_end[chosen]
     length = ends - starts
     if (length == length[0]).all():
         size = int(length[0]) + 1
