@@ -28,6 +28,7 @@ from .sources import Source, column
 
 T0_NS = T0_US * 1000
 TOPIC = "/hydraulics"
+PUBLISHED_BEFORE_NS = 5_000_000_000
 JSON = ("V", "jsonschema", b"{}")
 
 Value = float | None
@@ -64,7 +65,7 @@ def mcap_bytes(
     names = dict.fromkeys([*topics, *(topic for topic, _, _ in messages)])
     ids = {name: writer.register_channel(name, encoding, number) for name in names}
     for topic, time_ns, payload in messages:
-        writer.add_message(ids[topic], time_ns, payload, max(time_ns - 5_000_000_000, 0))
+        writer.add_message(ids[topic], time_ns, payload, max(time_ns - PUBLISHED_BEFORE_NS, 0))
     writer.finish()
     return buffer.getvalue()
 
