@@ -175,8 +175,6 @@ class Reader:
         the log is read for them.
     options
         Keys that ``[logs.options]`` may have, with their defaults; `LogFile.logs` has them all.
-    units
-        Units that the header states beside its columns, as written, by column.
     can_grow
         True for a log to which rows are appended, and which is then read by `piece`.
     piece
@@ -186,7 +184,6 @@ class Reader:
     read: Callable[[LogFile], RawLog]
     span: Callable[[LogFile], tuple[int, int]] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
-    units: Callable[[LogFile], Mapping[str, str]] | None = None
     can_grow: Callable[[LogFile], bool] | None = None
     piece: Callable[[LogFile, Place, int], tuple[RawLog | None, Place]] | None = None
 

@@ -50,17 +50,6 @@ def _read(file: LogFile) -> RawLog:
     return reader.log()
 
 
-def _units(file: LogFile) -> dict[str, str]:
-    """Units in the line below the header, by column; none without such a line."""
-    if not file.logs.unit_rows:
-        return {}
-    data = next(read_lines(file.path, file.logs.encoding, _SPAN_PIECE))
-    names, size = _header(file.path, file.logs, data)
-    below = data[size:].splitlines()[:1]
-    units = [_cells(file.path, file.logs, line) for line in below]
-    return dict(zip(names, *units, strict=False)) if below else {}
-
-
 def _can_grow(file: LogFile) -> bool:
     """True for plain text, to which rows are appended."""
     return is_utf8(file.logs.encoding) and not is_packed(file.path)
@@ -112,7 +101,7 @@ def _span_of_ends(file: LogFile, times: Columns) -> tuple[int, int]:
     return min(first[0], last[0]), max(first[1], last[1])
 
 
-READER = Reader(_read, _span, units=_units, can_grow=_can_grow, piece=_piece)
+READER = Reader(_read, _span, can_grow=_can_grow, piece=_piece)
 
 
 def _header(path: Path, logs: Logs, data: bytes) -> tuple[tuple[str, ...], int]:

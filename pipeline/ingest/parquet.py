@@ -51,13 +51,6 @@ def _read(file: LogFile) -> RawLog:
     return _gathered(file, wanted_columns(file)).log({})
 
 
-def _units(file: LogFile) -> dict[str, str]:
-    """Units in the metadata of columns."""
-    with opened(file.path) as found:
-        told = {one.name: (one.metadata or {}).get(b"unit", b"") for one in found.schema_arrow}
-    return {name: unit.decode(errors="replace") for name, unit in told.items()}
-
-
 def _span(file: LogFile) -> tuple[int, int]:
     """First and last time stamp, from the time column alone."""
     # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata
@@ -251,4 +244,4 @@ def _within(path: Path, batch: pa.RecordBatch, place: _Place) -> pa.Array:
     return decoded(path, ".".join(place.names), column)
 
 
-READER = Reader(_read, _span, units=_units)
+READER = Reader(_read, _span)

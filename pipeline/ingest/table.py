@@ -16,9 +16,16 @@ from numpy.typing import NDArray
 from pipeline.arrays import Rows, chosen_rows
 from pipeline.config.channels import Channel, Channels
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings, judged, raw_log, span, without_rows_of_others
+from pipeline.ingest.assembly import (
+    Gathered,
+    Growing,
+    Readings,
+    judged,
+    raw_log,
+    span,
+    without_rows_of_others,
+)
 from pipeline.ingest.contract import LogFile, RawLog
-from pipeline.ingest.gathering import Gathered, Growing
 from pipeline.ingest.quality import quality_states
 from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, example_of
 

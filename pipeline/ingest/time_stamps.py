@@ -45,10 +45,6 @@ class WrittenStamps:
     kind: NDArray[np.int8]  # 0 no stamp, 1 on the wall clock, 2 in UTC
     example: str | None = None  # the first cell that holds something and no stamp, for a message
 
-    def rows(self, chosen: NDArray[np.intp]) -> WrittenStamps:
-        """The stamps of some rows."""
-        return WrittenStamps(self.time_us[chosen], self.kind[chosen], self.example)
-
 
 @dataclass(frozen=True, slots=True)
 class TimeStamps:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.ingest.conformance import Cell
-from tests.dialects.dialect import Dialect
+from tests.dialects.dialect import Table
 from tests.dialects.recorded import Recorded, Times, Values
 
 
@@ -53,7 +53,7 @@ def counts(scale: float) -> Callable[[Values], pa.Array]:
 
 
 @dataclass(frozen=True)
-class Parquet(Dialect):
+class Parquet(Table):
     """Columns."""
 
     numbers: Callable[[Values], pa.Array] = plain  # type of the readings
@@ -78,39 +78,16 @@ class Parquet(Dialect):
         infinite = any(np.isinf(value).any() for value in log.values.values())
         return super().holds(log) and not (self.finite and infinite)
 
-    def write(self, folder: Path, stem: str, log: Recorded) -> list[Path]:
-        log = self.in_units(log)
-        if self.layout == "file_per_channel":
-            value = self.logs.get("value_column", "value")
-            return [
-                self._file(folder / f"{stem}+{name}.parquet", time_us, {value: self.numbers(part)})
-                for name in log.values
-                for time_us, part in [log.channel(name)]
-            ]
-        if self.layout == "long":
-            time_us, columns = self._long(log)
-        else:
-            time_us, by_name = log.rows()
-            columns = {self.called(name): self.numbers(part) for name, part in by_name.items()}
-        for name in reversed(self.within):
-            inner = pa.StructArray.from_arrays(list(columns.values()), names=list(columns))
-            columns = {name: inner}
-        return [self._file(folder / f"{stem}.parquet", time_us, columns)]
+    @property
+    def suffix(self) -> str:
+        return ".parquet"
+
+    def cells(self, values: Values) -> pa.Array:
+        return self.numbers(values)
 
     def table(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[Cell]]) -> None:
         cells = {name: pa.array(list(own), pa.float64()) for name, own in columns.items()}
-        self._file(path, time_us, cells)
-
-    def _long(self, log: Recorded) -> tuple[Times, dict[str, pa.Array]]:
-        time_us, numbers, values = log.samples()
-        names = [self.called(name) for name in log.values]
-        channels = pa.array([names[number] for number in numbers], pa.string())
-        if self.dictionary:
-            channels = channels.dictionary_encode()
-        return time_us, {
-            self.logs.get("channel_column", "channel"): channels,
-            self.logs.get("value_column", "value"): self.numbers(values),
-        }
+        self.file(path, time_us, cells)
 
     def _stamps(self, time_us: Times) -> pa.Array:
         form = self.logs.get("time_format")
@@ -131,7 +108,13 @@ class Parquet(Dialect):
             return pa.array(time_us / per_unit)
         return pa.array(time_us // per_unit)
 
-    def _file(self, path: Path, time_us: Times, columns: dict[str, pa.Array]) -> Path:
-        time = {self.logs.get("time", "time"): self._stamps(time_us)}
-        pq.write_table(pa.table(time | columns), path, **self.options)
+    def file(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[Any]]) -> Path:
+        name = self.key("channel_column", "channel")
+        if self.dictionary and name in columns:
+            columns = {**columns, name: pa.array(columns[name], pa.string()).dictionary_encode()}
+        for around in reversed(self.within):
+            inner = pa.StructArray.from_arrays(list(columns.values()), names=list(columns))
+            columns = {around: inner}
+        time = {self.key("time", "time"): self._stamps(time_us)}
+        pq.write_table(pa.table({**time, **columns}), path, **self.options)
         return path

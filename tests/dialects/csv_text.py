@@ -15,8 +15,8 @@ from zoneinfo import ZoneInfo
 import zstandard
 
 from pipeline.ingest.conformance import Cell
-from tests.dialects.dialect import EPOCH, MICROSECOND, Dialect
-from tests.dialects.recorded import Recorded, Times, Values
+from tests.dialects.dialect import EPOCH, MICROSECOND, Table
+from tests.dialects.recorded import Times, Values
 
 PACKERS: dict[str, Callable[[bytes], bytes]] = {
     "": bytes,
@@ -28,7 +28,7 @@ Row = Sequence[str]
 
 
 @dataclass(frozen=True)
-class Csv(Dialect):
+class Csv(Table):
     """Delimited text."""
 
     # line_end, bom, quoted, packed: of the text; `packed` is the suffix of the packer.
@@ -46,35 +46,14 @@ class Csv(Dialect):
 
     format: ClassVar[str] = "csv"
 
-    def write(self, folder: Path, stem: str, log: Recorded) -> list[Path]:
-        log = self.in_units(log)
-        suffix = f".csv{self.packed}"
-        if self.layout == "file_per_channel":
-            value = self._key("value_column", "value")
-            return [
-                self._file(folder / f"{stem}+{name}{suffix}", time_us, {value: self._cells(part)})
-                for name in log.values
-                for time_us, part in [log.channel(name)]
-            ]
-        if self.layout == "long":
-            time_us, numbers, values = log.samples()
-            names = [self.called(name) for name in log.values]
-            columns = {
-                self._key("channel_column", "channel"): [names[number] for number in numbers],
-                self._key("value_column", "value"): self._cells(values),
-            }
-        else:
-            time_us, by_name = log.rows()
-            columns = {self.called(name): self._cells(part) for name, part in by_name.items()}
-        return [self._file(folder / f"{stem}{suffix}", time_us, columns)]
+    @property
+    def suffix(self) -> str:
+        return f".csv{self.packed}"
 
     def table(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[Cell]]) -> None:
-        self._file(path, time_us, {name: self._texts(cells) for name, cells in columns.items()})
+        self.file(path, time_us, {name: self._texts(cells) for name, cells in columns.items()})
 
-    def _key(self, key: str, fallback: str) -> str:
-        return str(self.logs.get(key, fallback))
-
-    def _cells(self, values: Values) -> list[str]:
+    def cells(self, values: Values) -> list[str]:
         return self._texts(None if math.isnan(value) else value for value in values.tolist())
 
     def _texts(self, cells: Iterable[Cell]) -> list[str]:
@@ -87,29 +66,29 @@ class Csv(Dialect):
         text = repr(value)
         if self.logs.get("thousands"):
             text = f"{Decimal(text):,f}"
-        marks = {".": self._key("decimal", "."), ",": self._key("thousands", "")}
+        marks = {".": self.key("decimal", "."), ",": self.key("thousands", "")}
         return text.translate(str.maketrans(marks))
 
     def _time_columns(self, time_us: Times) -> dict[str, list[str]]:
         stamps = [self._stamp(time) for time in time_us.tolist()]
         if "date_column" not in self.logs:
-            return {self._key("time", "time"): stamps}
+            return {self.key("time", "time"): stamps}
         pairs = [stamp.split(" ", 1) for stamp in stamps]
         return {
             self.logs["date_column"]: [date for date, _ in pairs],
-            self._key("time", "time"): [clock for _, clock in pairs],
+            self.key("time", "time"): [clock for _, clock in pairs],
         }
 
     def _stamp(self, time_us: int) -> str:
-        form = self._key("time_format", "iso8601")
+        form = self.key("time_format", "iso8601")
         if form == "epoch_ns":
             return str(time_us * 1000)
         if form in MICROSECONDS:
             whole, rest = divmod(time_us, MICROSECONDS[form])
             exact = Decimal(whole) + Decimal(rest) / MICROSECONDS[form]
-            return str(exact).replace(".", self._key("decimal", "."))
+            return str(exact).replace(".", self.key("decimal", "."))
         if form == "excel_days":
-            return repr(self.excel_days(time_us)).replace(".", self._key("decimal", "."))
+            return repr(self.excel_days(time_us)).replace(".", self.key("decimal", "."))
         if form != "iso8601":
             return self.wall_clock(time_us).strftime(form)
         if self.written_zone:
@@ -117,8 +96,8 @@ class Csv(Dialect):
             return (EPOCH + time_us * MICROSECOND).astimezone(zone).isoformat()
         return self.wall_clock(time_us).replace(tzinfo=None).isoformat()
 
-    def _file(self, path: Path, time_us: Times, columns: dict[str, list[str]]) -> Path:
-        columns = self._time_columns(time_us) | columns
+    def file(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[str]]) -> Path:
+        columns = {**self._time_columns(time_us), **columns}
         if self.company:
             remark = "left, then right" if self.quoted else "all well"
             others = ("serial number", ["7"] * time_us.size), ("remark", [remark] * time_us.size)
@@ -135,11 +114,11 @@ class Csv(Dialect):
             lines += [
                 self._line(row, order) for row in [head, *units, *rows[begin : begin + every]]
             ]
-        text = self.line_end.join([*lines, ""]).encode(self._key("encoding", "utf-8"))
+        text = self.line_end.join([*lines, ""]).encode(self.key("encoding", "utf-8"))
         path.write_bytes(PACKERS[self.packed](self.bom + text))
         return path
 
     def _line(self, row: Row, order: list[int]) -> str:
         mark = '"' if self.quoted else ""
         cells = [f"{mark}{row[place]}{mark}" for place in order]
-        return self._key("separator", ",").join(cells)
+        return self.key("separator", ",").join(cells)

@@ -1,10 +1,10 @@
-"""Common part of all dialects: their keys in a motor's config, and a writer."""
+"""Common part of all dialects, and of those of tables: keys of a motor's config, and a writer."""
 
 from __future__ import annotations
 
 import datetime as dt
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.config.channels import Channel, ChannelName
 from pipeline.units import QUANTITIES, canonical_unit, from_canonical
-from tests.dialects.recorded import Recorded, Times
+from tests.dialects.recorded import Recorded, Times, Values
 from tests.pipeline.ingest.sources import Source
 
 EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
@@ -49,7 +49,11 @@ class Dialect(ABC):
     @property
     def layout(self) -> str:
         """Wide, long or a file a channel."""
-        return str(self.logs.get("layout", "wide"))
+        return self.key("layout", "wide")
+
+    def key(self, key: str, fallback: str) -> str:
+        """A key of the config's `logs` section."""
+        return str(self.logs.get(key, fallback))
 
     def unit(self, channel: str) -> str:
         """Unit that a channel is written in."""
@@ -89,7 +93,7 @@ class Dialect(ABC):
 
     def wall_clock(self, time_us: int) -> dt.datetime:
         """A stamp on the wall clock of the logger's zone."""
-        zone = ZoneInfo(self.logs.get("time_zone", "UTC"))
+        zone = ZoneInfo(self.key("time_zone", "UTC"))
         return (EPOCH + time_us * MICROSECOND).astimezone(zone)
 
     def excel_days(self, time_us: int) -> float:
@@ -101,3 +105,40 @@ class Dialect(ABC):
         """Stamps as microseconds that the logger's wall clock shows since 1970."""
         naive = (self.wall_clock(time).replace(tzinfo=dt.UTC) for time in time_us.tolist())
         return np.array([(moment - EPOCH) // MICROSECOND for moment in naive], dtype=np.int64)
+
+
+class Table(Dialect):
+    """A dialect of tables in each layout."""
+
+    @property
+    @abstractmethod
+    def suffix(self) -> str:
+        """End of a file's name."""
+
+    @abstractmethod
+    def cells(self, values: Values) -> Sequence[Any]:
+        """Readings as a column."""
+
+    @abstractmethod
+    def file(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[Any]]) -> Path:
+        """Write a table; returns its path."""
+
+    def write(self, folder: Path, stem: str, log: Recorded) -> list[Path]:
+        log, value = self.in_units(log), self.key("value_column", "value")
+        if self.layout == "file_per_channel":
+            parts = {name: log.channel(name) for name in log.values}
+            return [
+                self.file(
+                    folder / f"{stem}+{name}{self.suffix}", time_us, {value: self.cells(part)}
+                )
+                for name, (time_us, part) in parts.items()
+            ]
+        if self.layout == "long":
+            time_us, numbers, values = log.samples()
+            names = [self.called(name) for name in log.values]
+            channels = [names[number] for number in numbers]
+            columns = {self.key("channel_column", "channel"): channels, value: self.cells(values)}
+        else:
+            time_us, by_name = log.rows()
+            columns = {self.called(name): self.cells(part) for name, part in by_name.items()}
+        return [self.file(folder / f"{stem}{self.suffix}", time_us, columns)]

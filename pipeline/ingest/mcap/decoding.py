@@ -48,7 +48,6 @@ class Payloads:
     text: NDArray[np.uint8]
     start: NDArray[np.int64]  # of each payload in the text
     length: NDArray[np.int64]
-    topic: NDArray[np.int16]  # number of the topic of each
     time_ns: NDArray[np.uint64]  # log or publish time
 
     @property
@@ -64,18 +63,13 @@ class Payloads:
 
     def by_length(self) -> Iterator[tuple[NDArray[np.intp], int, memoryview]]:
         """Rows of messages of one length, the length, and their text: a byte and a payload each."""
-        if self.are_of_one_length:
+        if (self.length == self.length[0]).all():
             yield np.arange(self.length.size), int(self.length[0]), self.text.data
             return
         for length in np.flatnonzero(np.bincount(self.length)).tolist():
             rows = np.flatnonzero(self.length == length)
             text = fields_at(self.text.data, self.start[rows] - 1, f"V{length + 1}")
             yield rows, length, text.view(np.uint8).data
-
-    @property
-    def are_of_one_length(self) -> bool:
-        """True if all are of one length."""
-        return bool((self.length == self.length[0]).all())
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +92,9 @@ Value = Callable[[Any], Any]
 """A function of a message that gives what a path leads to; None where it leads nowhere."""
 
 
-def payloads_of(
-    messages: Messages, chosen: Rows, topic: NDArray[np.int16], time_ns: NDArray[np.uint64]
-) -> Payloads:
-    """Payloads of the chosen messages, one at least, with the topics and times of all messages."""
-    starts, ends = messages.payload_start[chosen], messages.payload_end[chosen]
+def payloads_of(messages: Messages, chosen: Rows, time_ns: NDArray[np.uint64]) -> Payloads:
+    """Payloads of the chosen messages, one at least, with the times of all messages."""
+    starts, ends = messages.payload_start(chosen), messages.payload_end[chosen]
     length = ends - starts
     if (length == length[0]).all():
         size = int(length[0]) + 1
@@ -116,7 +108,7 @@ def payloads_of(
         text = np.frombuffer(texts.buffers()[2], np.uint8, int((length + 1).sum()))
         placed = _starts(length)
     text[placed - 1] = _NEWLINE
-    return Payloads(text, placed, length, topic[chosen], time_ns[chosen])
+    return Payloads(text, placed, length, time_ns[chosen])
 
 
 def stacked(parts: Sequence[Payloads]) -> Payloads:
@@ -128,7 +120,6 @@ def stacked(parts: Sequence[Payloads]) -> Payloads:
         text=np.concatenate([part.text for part in parts]),
         start=_starts(length),
         length=length,
-        topic=np.concatenate([part.topic for part in parts]),
         time_ns=np.concatenate([part.time_ns for part in parts]),
     )
 

@@ -7,12 +7,11 @@ message, by the `json` module or the format's own packages.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.arrays import chosen_rows
@@ -20,11 +19,9 @@ from pipeline.config.channels import Channel, QualityValue
 from pipeline.config.field_paths import FieldPath, field_path, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import judged, raw_log, span
+from pipeline.ingest.assembly import Gathered, judged, raw_log, span
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog, Reader
-from pipeline.ingest.gathering import Gathered
 from pipeline.ingest.mcap.decoding import (
-    Decoded,
     Decoder,
     Payloads,
     Wanted,
@@ -39,7 +36,7 @@ from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
 from pipeline.ingest.mcap.ros2 import ros2_decoder
 from pipeline.ingest.quality import quality_states
-from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, placed, written_as_numbers
+from pipeline.ingest.time_stamps import TimeStamps, placed, written_as_numbers
 
 _PIECE = 2**20
 _COST_OF_MESSAGE = 64
@@ -52,11 +49,12 @@ def _read(file: LogFile) -> RawLog:
     """Read the wanted topics of an MCAP file, chunked or not."""
     names = dict.fromkeys(channel.source for channel in file.channels.values())
     topics = [_Topic(file, name) for name in names]
-    groups = _Groups(file, topics)
     for messages in read_messages(file.path, salvage=file.logs.salvage):
-        groups.add(messages)
-    groups.finish()
+        times = messages.times(_time_of_record(file.logs))
+        for topic in topics:
+            topic.take(messages, times)
     for topic in topics:
+        topic.decode()
         topic.require_all(messages)  # the last piece knows all channels
     every = [topic.rows.stamps(file.logs.time_zone) for topic in topics]
     stamps, refused = judged(file.path, every, _time_name(file.logs), file.latest_us)
@@ -136,73 +134,6 @@ def _quality_of(channel: Channel) -> tuple[FieldPath, tuple[QualityValue, ...]]:
     return field_path(named, channel.source) if named else (), channel.quality_good
 
 
-class _Groups:
-    """Groups of topics whose messages are decoded together, as they are of one kind.
-
-    They have encoding, schema and fields in common.
-    """
-
-    def __init__(self, file: LogFile, topics: Sequence[_Topic]) -> None:
-        self.path, self.topics, self.time = file.path, topics, _time_of_record(file.logs)
-        self.decoders: dict[tuple[str, Schema, Wanted], Decoder] = {}
-        # Number of topic and group by channel id; -1 for what is not wanted.
-        self.topic_of = np.full(2**16, -1, np.int16)
-        self.group_of = np.full(2**16, -1, np.int16)
-        self.known = 0  # channels that the file has declared so far
-        self.held: dict[int, list[Payloads]] = {}
-
-    def add(self, messages: Messages) -> None:
-        """Add the messages of a piece."""
-        if len(messages.channels) != self.known:
-            self.known = len(messages.channels)
-            for channel_id, channel in messages.channels.items():
-                for number, topic in enumerate(self.topics):
-                    if channel.topic == topic.name:
-                        schema = messages.schemas.get(channel.schema_id, NO_SCHEMA)
-                        self.topic_of[channel_id] = number
-                        self.group_of[channel_id] = self._group(topic, channel, schema)
-        groups, topics = (of.take(messages.channel_id) for of in (self.group_of, self.topic_of))
-        for number in range(len(self.decoders)):
-            chosen = groups == number
-            if chosen.any():
-                held = self.held.setdefault(number, [])
-                rows, times = chosen_rows(chosen), messages.times(self.time)
-                held.append(payloads_of(messages, rows, topics, times))
-                if sum(one.text.size + _COST_OF_MESSAGE * one.start.size for one in held) >= _PIECE:
-                    self._decode(number)
-
-    def _group(self, topic: _Topic, channel: ChannelRecord, schema: Schema) -> int:
-        """Number of a topic's group; several channels may have its messages, all of one kind."""
-        # Of JSON, the schema is not looked at.
-        kind = channel.encoding, NO_SCHEMA if channel.encoding == "json" else schema
-        if topic.kind not in (None, kind):
-            how = f"messages of topic {topic.name!r} are of two kinds: have one topic for each"
-            raise LogError("log_encoding", self.path, how, topic.name)
-        topic.kind = kind
-        key = (*kind, topic.wanted)
-        if key not in self.decoders:
-            self.decoders[key] = decoder_of(
-                self.path, topic.name, channel.encoding, schema, topic.wanted
-            )
-        return list(self.decoders).index(key)
-
-    def _decode(self, number: int) -> None:
-        payloads = stacked(self.held.pop(number))
-        decoded = list(self.decoders.values())[number].decode(payloads)
-        stamps = decoded.stamps
-        if stamps is None:
-            stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
-        for of_topic, topic in enumerate(self.topics):
-            rows = np.flatnonzero(payloads.topic == of_topic)
-            if rows.size:
-                topic.add(decoded, stamps.rows(rows), rows)
-
-    def finish(self) -> None:
-        """Decode what is left."""
-        for number in list(self.held):
-            self._decode(number)
-
-
 class _Topic:
     """What is wanted of the messages of one topic, gathered in the order of the file."""
 
@@ -224,19 +155,53 @@ class _Topic:
             logs.time_format if logs.stamp else "epoch_ns",
         )
         self.rows = Gathered()
+        self.known = 0  # channels that the file has declared so far
+        self.ids: list[int] = []  # of those that are the topic's
         self.kind: tuple[str, Schema] | None = None  # of its messages: encoding, schema
+        self.decoder: Decoder | None = None
+        self.held: list[Payloads] = []
 
-    def add(self, decoded: Decoded, stamps: WrittenStamps, rows: NDArray[np.intp]) -> None:
-        """Add its rows of what was decoded."""
-        some = pa.array(rows)
+    def take(self, messages: Messages, times: NDArray[np.uint64]) -> None:
+        """Take its messages of a piece of the file, whose messages have these times."""
+        if len(messages.channels) != self.known:
+            self.known = len(messages.channels)
+            self.ids = [i for i, one in messages.channels.items() if one.topic == self.name]
+            for i in self.ids:
+                self._set_kind(messages, messages.channels[i])
+        own = [messages.channel_id == one for one in self.ids]
+        rows = np.flatnonzero(reduce(np.logical_or, own)) if own else np.empty(0, np.intp)
+        if rows.size:
+            self.held.append(payloads_of(messages, rows, times))
+            held = (one.text.size + _COST_OF_MESSAGE * one.start.size for one in self.held)
+            if sum(held) >= _PIECE:
+                self.decode()
+
+    def _set_kind(self, messages: Messages, channel: ChannelRecord) -> None:
+        """Know how its messages are read; several channels may have them, all of one kind."""
+        # Of JSON, the schema is not looked at.
+        schema = messages.schemas.get(channel.schema_id, NO_SCHEMA)
+        kind = channel.encoding, NO_SCHEMA if channel.encoding == "json" else schema
+        if self.kind not in (None, kind):
+            how = f"messages of topic {self.name!r} are of two kinds: have one topic for each"
+            raise LogError("log_encoding", self.path, how, self.name)
+        if self.kind is None:
+            self.kind = kind
+            self.decoder = decoder_of(self.path, self.name, channel.encoding, schema, self.wanted)
+
+    def decode(self) -> None:
+        """Add the rows of what is held."""
+        if self.decoder is None or not self.held:
+            return
+        payloads, self.held = stacked(self.held), []
+        decoded = self.decoder.decode(payloads)
+        stamps = decoded.stamps
+        if stamps is None:
+            stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
         states = {
-            (path, good): quality_states(
-                self.path, path_text(path), decoded.qualities[path].take(some), good
-            )
+            (path, good): quality_states(self.path, path_text(path), decoded.qualities[path], good)
             for path, good in self.qualities
         }
-        fields = {path: decoded.fields[path].rows(rows) for path in self.wanted.readings}
-        self.rows.add(stamps, fields, states)
+        self.rows.add(stamps, decoded.fields, states)
 
     def require_all(self, last: Messages) -> None:
         """Refuse a topic that no channel has, and a field that no message has."""

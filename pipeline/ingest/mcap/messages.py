@@ -20,6 +20,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pipeline.arrays import Rows
 from pipeline.errors import LogError
 from pipeline.ingest.mcap.layout import (
     CHANNEL,
@@ -71,14 +72,13 @@ class Messages:
     size: int = 0  # of their records, where these are all that the buffer holds, and of one size
     loss: str = ""  # what was lost to damage, in words; in the last piece only
 
-    @property
-    def payload_start(self) -> NDArray[np.int64]:
-        """Begins of the payloads in the buffer."""
-        return self.start + _MESSAGE_HEAD
+    def payload_start(self, chosen: Rows) -> NDArray[np.int64]:
+        """Begins of some payloads in the buffer."""
+        return np.asarray(self.start[chosen] + _MESSAGE_HEAD)
 
     def payload(self, i: int) -> bytes:
         """One of the payloads."""
-        return bytes(self.buffer[self.payload_start[i] : self.payload_end[i]])
+        return bytes(self.buffer[self.start[i] + _MESSAGE_HEAD : self.payload_end[i]])
 
     def times(self, name: str) -> NDArray[np.uint64]:
         """Their ``log_time`` or ``publish_time`` [ns]."""

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import io
-import json
 import struct
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-from mcap.decoder import DecoderFactory
 from mcap.reader import make_reader
-from mcap.records import Schema
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
@@ -28,25 +25,11 @@ from .sources import Source, column
 
 T0_NS = T0_US * 1000
 TOPIC = "/hydraulics"
+PUBLISHED_BEFORE_NS = 5_000_000_000
 JSON = ("V", "jsonschema", b"{}")
 
 Value = float | None
 """A reading; None where missing."""
-
-
-class JsonDecoderFactory(DecoderFactory):
-    """JSON by the standard library: the format's own packages have no decoder for it."""
-
-    def decoder_for(
-        self,
-        message_encoding: str,
-        schema: Schema | None,  # noqa: ARG002
-    ) -> Callable[[bytes], Any] | None:
-        """The decoder of a channel's messages."""
-        return json.loads if message_encoding == "json" else None
-
-
-FACTORIES = (ProtobufDecoderFactory, Ros2DecoderFactory, JsonDecoderFactory)
 
 
 def mcap_bytes(
@@ -64,7 +47,7 @@ def mcap_bytes(
     names = dict.fromkeys([*topics, *(topic for topic, _, _ in messages)])
     ids = {name: writer.register_channel(name, encoding, number) for name in names}
     for topic, time_ns, payload in messages:
-        writer.add_message(ids[topic], time_ns, payload, max(time_ns - 5_000_000_000, 0))
+        writer.add_message(ids[topic], time_ns, payload, max(time_ns - PUBLISHED_BEFORE_NS, 0))
     writer.finish()
     return buffer.getvalue()
 
@@ -130,29 +113,26 @@ def error_of(folder: Path, data: bytes, field: str = "value") -> LogError:
     return raised.value
 
 
-def official_messages(path: Path, topic: str = TOPIC) -> list[Any]:
-    """Messages of a topic as the format's own reader decodes them, in the order of the file."""
+def official_messages(path: Path, topic: str = TOPIC) -> list[tuple[int, Any]]:
+    """Log time [µs] and content of a topic's messages by the format's own reader, in file order."""
+    factories = [ProtobufDecoderFactory(), Ros2DecoderFactory()]
     with path.open("rb") as file:
-        factories = [factory() for factory in FACTORIES]
         reader = make_reader(file, validate_crcs=True, decoder_factories=factories)
         decoded = reader.iter_decoded_messages([topic], log_time_order=False)
-        return [message for *_, message in decoded]
+        return [(record.log_time // 1000, message) for _, _, record, message in decoded]
 
 
 def officially(path: Path, field: str, topic: str = TOPIC) -> list[Value]:
     """Readings of a field as the format's own reader gives them; None beyond an array's end."""
-    return [followed(message, field) for message in official_messages(path, topic)]
+    return [followed(message, field) for _, message in official_messages(path, topic)]
 
 
 def followed(message: Any, field: str) -> Value:
     """Value at a path in a decoded message."""
     for step in field_path(field):
-        if isinstance(step, int):
-            if step >= len(message):
-                return None
-            message = message[step]
-        else:
-            message = message[step] if isinstance(message, dict) else getattr(message, step)
+        if isinstance(step, int) and step >= len(message):
+            return None
+        message = message[step] if isinstance(step, int) else getattr(message, step)
     return float(message)
 
 

@@ -31,6 +31,10 @@ NO_TIME = "1 row without a readable time"
 RAGGED = "with too many or too few cells, the first in line 5 with"
 NO_HOUR = "1 row at a local time that the zone's clock change leaves out"
 LONG = {"layout": "long", "channel_column": "tag", "value_column": "v"}
+OF_A_CHANNEL = {
+    "channels": {"pressure_difference": column("log*", "bar")},
+    "layout": "file_per_channel",
+}
 TAGS = "\n".join(
     [
         *("time,tag,v,who", f"{DAY}0Z,dp,1,x", f"{DAY}0Z, n ,100,x", f"{DAY}1Z,dp,Bad,x"),
@@ -131,6 +135,7 @@ READ: dict[str, Case] = {
         *(f"time,tag,v\n{DAY}0Z,n,1\n", LONG, [], 0, ("no row of 'dp'; there are 'n'",)),
     ),
     "a long table without rows": ("time,tag,v\n", LONG, [], 0, ()),
+    "a file a channel without rows": ("time,value\n", OF_A_CHANNEL, [], 0, ()),
     "rows of several motors": (MOTORS, MOTOR, [1, 3], 0, ()),
     "a long table of several motors": (
         f"time,machine,tag,v\n{DAY}0Z,A 1,dp,1\n{DAY}0Z,A 2,dp,2\n{DAY}0Z,A 1,n,2\n",
@@ -192,14 +197,36 @@ REFUSED: dict[str, tuple[bytes | str, dict[str, Any], str]] = {
     "blanks": (b"   \n", {}, "log_empty: no header"),
     "a mark of the encoding alone": (b"\xef\xbb\xbf", {}, "log_empty: no header"),
     "a header that is cut": ("time,dp", {}, "log_truncated: the header has no line end"),
-    "a header without end": (b"x" * (2**20 + 1), {}, "log_not_csv: longer than"),
+    "a header without end": (b"x" * (2**20 + 1), {}, "log_not_csv: line 1: the header is longer"),
     "a row without end": (
         f"{HEAD}{ROWS * 12_000}{DAY}0Z,{'1' * (5 * 2**20)},2\n{ROWS * 12_000}",
         *({}, "log_damaged: told apart"),
     ),
     "an SQLite database": (b"SQLite format 3\0" + bytes(100), {}, "log_not_csv: SQLite"),
     "nothing but zero bytes": (bytes(5000), {}, "log_damaged: zero bytes"),
-    "a long table of others": (f"time,tag,v\n{DAY}0Z,N,1\n", LONG, "log_column_missing: 'N'"),
+    **{
+        f"a long table, {name}": (f"time,tag,v\n{row}\n", LONG, code)
+        for name, row, code in (
+            ("others", f"{DAY}0Z,N,1", "log_column_missing: 'N'"),
+            ("text", f"{DAY}0Z,dp,x", "log_type: log.csv, dp: "),
+            ("the future", "2150-03-01T06:00:00Z,dp,1", "log_time: in the future"),
+            ("a cell too few", f"{DAY}0Z,dp", "log_not_csv: log.csv, line 2"),
+        )
+    },
+    "a long table without values": (f"time,tag\n{DAY}0Z,dp\n", LONG, "log_column_missing: 'v'"),
+    **{
+        f"a file a channel, {name}": (f"time,{head}\n{row}\n", OF_A_CHANNEL, code)
+        for name, head, row, code in (
+            ("another column", "valeu", f"{DAY}0Z,1", "log_column_missing: 'value'"),
+            ("text", "value", f"{DAY}0Z,x", "log_type: no number in 1 cell"),
+            ("no time", "value", "now,1", "log_time: cannot be read"),
+            ("a mark", "value", f'{DAY}0Z,1\nx,"1', "log_damaged: log.csv"),
+        )
+    },
+    "a mark in the twenty-second line": (
+        HEAD + f"{DAY}0Z,1,2\n" * 20 + f'{DAY}0Z,"1,2\n' + f"{DAY}0Z,1,2\n" * 9,
+        *({}, "log_damaged: log.csv, line 22: a quotation mark"),
+    ),
     "no row of the motor": (
         *(MOTORS, {**MOTOR, "motor_name": "A 3"}),
         "log_column_missing: no row of motor 'A 3' in column 'machine'; there are 'A 1', 'A 2'",

@@ -169,10 +169,13 @@ MANY = struct.pack("<I", 3_000_000) + bytes(3_000_001)
 HOSTILE: dict[str, tuple[Hostile, str]] = {
     # What unfolds
     "a gzip of a gzip": (text(gzip.compress(gzip.compress(bytes(2**27)))), "log_not_csv"),
-    "Zstandard of gigabytes": (
-        repeated(b"time,n\n", f"{STAMP},1\n".encode(), 4_000_000, zstandard.compress),
-        "log_too_large",
-    ),
+    **{
+        f"{name} of gigabytes": (
+            repeated(b"time,n\n", f"{STAMP},1\n".encode(), 4_000_000, pack),
+            "log_too_large",
+        )
+        for name, pack in (("Zstandard", zstandard.compress), ("gzip", gzip.compress))
+    },
     "a page of millions of rows": (one_page, "log_too_large"),
     "a name of a megabyte in each row": (
         parquet(channel=lambda: one_text("x" * 10**6)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from contextlib import suppress
 from datetime import date
 from decimal import Decimal
@@ -249,6 +250,16 @@ def test_a_footer_that_is_not_one(tmp_path: Path, end: bytes) -> None:
     for body in (b"", b"\0" * 8, b"\xff" * 8, b"\x00" * 20 + (8).to_bytes(4, "little")):
         path.write_bytes(b"PAR1" + body + end)
         assert error(path).code in {"log_damaged", "log_truncated"}
+
+
+def test_a_reading_that_its_page_s_checksum_denies_is_damage(tmp_path: Path) -> None:
+    options = {"write_page_checksum": True, "use_dictionary": False, "compression": "none"}
+    path = written(tmp_path, {"time": TIMES, "dp": [1.0, 200.5, 3.0]}, **options)
+    data = path.read_bytes()
+    reading, other = struct.pack("<d", 200.5), struct.pack("<d", 200.25)
+    assert data.count(reading) > 0
+    path.write_bytes(data.replace(reading, other))
+    assert error(path).code == "log_damaged"
 
 
 def test_damaged_metadata_of_a_column_do_not_end_the_process(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from pipeline.config import readers
 from pipeline.config.hashes import reading_hash
 from pipeline.errors import LogError
-from pipeline.ingest import Place, can_grow, header_units, read_log, read_piece, time_span
+from pipeline.ingest import Place, can_grow, read_log, read_piece, time_span
 from pipeline.ingest.conformance import CHANNELS
 from tests.pipeline.ingest.sources import logs_of
 from tests.pipeline.simulated import load_motor, motor_toml
@@ -168,9 +168,7 @@ def test_a_reader_without_pieces_has_logs_that_do_not_grow(
 def test_what_a_reader_says_of_a_log_is_checked_as_well(
     install: Install, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code = (
-        "print('said')\nREADER = Reader(read, {span}, units=lambda file: None, piece=lambda *_: 3)"
-    )
+    code = "print('said')\nREADER = Reader(read, {span}, piece=lambda *_: 3)"
     log = tmp_path / "log"
     log.write_text("x")
     for number, (span, says) in enumerate(
@@ -180,8 +178,6 @@ def test_what_a_reader_says_of_a_log_is_checked_as_well(
         install(name, code=HEAD + code.format(span=span))
         with pytest.raises(LogError, match=says):
             time_span(log, logs_of(name), CHANNELS)
-        with pytest.raises(LogError, match="AttributeError"):
-            header_units(log, logs_of(name), CHANNELS)
         with pytest.raises(LogError, match="TypeError"):
             read_piece(log, logs_of(name), CHANNELS, None, Place(), 1)
     assert capsys.readouterr() == ("", "said\nsaid\n")

@@ -19,6 +19,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.quality import quality_states
+from tests.dialects.csv_text import Csv
 
 from .mcap.protobuf_files import Field, class_of, declared, field_of, made_of, protobuf, set_of
 from .mcap_files import TOPIC, mcap_of
@@ -56,10 +57,6 @@ Way = Callable[[Path], Source]
 """Writes a log of the cases to a path."""
 
 
-def wide(quality: Any) -> Columns:
-    return {"n": pa.array(VALUES, pa.float64()), "quality": quality}
-
-
 def long(quality: Sequence[Any]) -> Columns:
     """With rows of another channel, in each of which the quality is bad."""
     count = len(CASES)
@@ -70,40 +67,16 @@ def long(quality: Sequence[Any]) -> Columns:
     }
 
 
-def table(columns: Columns) -> pa.Table:
-    made = pa.table(dict(columns))
-    steps = np.arange(made.num_rows) % len(CASES)
-    return made.add_column(0, "time", pa.array(T0_US + steps, pa.timestamp("us", "UTC")))
-
-
-def csv_text(columns: Columns) -> str:
-    rows = table(columns).to_pydict()
-    rows["time"] = [time.isoformat() for time in rows["time"]]
-    lines = [
-        ",".join("" if one is None else str(one) for one in row)
-        for row in zip(*rows.values(), strict=True)
-    ]
-    return "\n".join([",".join(rows), *lines, ""])
-
-
-def source_of(log_format: str, layout: str) -> Source:
-    others: Channels = {"pressure_difference": column("dp", "bar")} if layout == "long" else {}
-    channels: Channels = {"speed": SPEED, **others}
-    return Source.of(log_format, channels, layout=layout)
-
-
-def csv(columns: Columns, layout: str = "wide") -> Way:
+def table(kind: str, columns: Columns, layout: str = "wide") -> Way:
     def write(path: Path) -> Source:
-        path.write_text(csv_text(columns), "utf-8")
-        return source_of("csv", layout)
-
-    return write
-
-
-def parquet(columns: Columns, layout: str = "wide") -> Way:
-    def write(path: Path) -> Source:
-        pq.write_table(table(columns), path, row_group_size=4)
-        return source_of("parquet", layout)
+        time_us = T0_US + np.arange(len(columns["quality"])) % len(CASES)
+        if kind == "csv":
+            Csv("", written_zone="UTC").table(path, time_us, columns)
+        else:
+            stamps = pa.array(time_us, pa.timestamp("us", "UTC"))
+            pq.write_table(pa.table({"time": stamps, **columns}), path, row_group_size=4)
+        others: Channels = {"pressure_difference": column("dp", "bar")} if layout == "long" else {}
+        return Source.of(kind, {"speed": SPEED, **others}, layout=layout)
 
     return write
 
@@ -130,12 +103,14 @@ def protobuf_mcap(path: Path) -> Source:
 
 
 EVERY_WAY = {
-    "csv": csv(wide(TEXTS)),
-    "csv-long": csv(long(TEXTS), "long"),
-    "parquet-text": parquet(wide(TEXTS)),
-    "parquet-dictionary": parquet(wide(pa.array(TEXTS).dictionary_encode())),
-    "parquet-float32": parquet(wide(pa.array(CODES, pa.float32()))),
-    "parquet-long": parquet(long(TEXTS), "long"),
+    "csv": table("csv", {"n": VALUES, "quality": TEXTS}),
+    "csv-long": table("csv", long(TEXTS), "long"),
+    "parquet-text": table("parquet", {"n": VALUES, "quality": TEXTS}),
+    "parquet-dictionary": table(
+        "parquet", {"n": VALUES, "quality": pa.array(TEXTS).dictionary_encode()}
+    ),
+    "parquet-float32": table("parquet", {"n": VALUES, "quality": pa.array(CODES, pa.float32())}),
+    "parquet-long": table("parquet", long(TEXTS), "long"),
     "mcap-json-text": json_mcap(TEXTS),
     "mcap-json-mixed": json_mcap(MIXED),
     "mcap-protobuf": protobuf_mcap,
@@ -183,7 +158,7 @@ def test_pieces_of_a_file_change_nothing(
 
 def test_channels_may_share_a_column_and_differ_in_what_is_good(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.write_text(csv_text({"n": [1] * len(CASES), "dp": [1] * len(CASES), "quality": TEXTS}))
+    table("csv", {"n": [1] * len(CASES), "dp": [1] * len(CASES), "quality": TEXTS})(path)
     forced = changed(PRESSURE, quality_good=(192, 216, 0))
     source = Source.of("csv", {"speed": SPEED, "pressure_difference": forced})
     channels = read_log(path, *source).channels
@@ -198,8 +173,9 @@ def test_channels_may_share_a_column_and_differ_in_what_is_good(tmp_path: Path) 
 def test_a_night_of_texts_that_are_all_called_bad_is_no_wrong_column(tmp_path: Path) -> None:
     """Texts as a historian writes them while its source is down; an error without a quality."""
     path = tmp_path / "log.csv"
-    path.write_text(csv_text({"n": ["I/O Timeout"] * len(CASES), "quality": ["Bad"] * len(CASES)}))
-    source = Source.of("csv", {"speed": SPEED})
+    source = table("csv", {"n": ["I/O Timeout"] * len(CASES), "quality": ["Bad"] * len(CASES)})(
+        path
+    )
     speed = read_log(path, *source).channels["speed"]
     assert speed.unparsed == len(CASES)
     assert speed.bad_quality is not None

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from pipeline.config.channels import Channels
 from pipeline.ingest import RawLog, read_log
 from pipeline.ingest.conformance import T0_US
+from tests.dialects.columns import Parquet
+from tests.dialects.csv_text import Csv
 
 from .sources import Source, column
 
@@ -22,27 +21,18 @@ CHANNELS: Channels = {**WITH_TEMPERATURE, "leakage_flow": column("q", "l/min")}
 Cells = dict[str, list[float | str | None]]
 
 
+TABLES = {"csv": Csv("", written_zone="UTC"), "parquet": Parquet("")}
+
+
 def write(path: Path, kind: str, cells: Cells) -> None:
     """A table of a row a second."""
     times = T0_US + 1_000_000 * np.arange(len(next(iter(cells.values()))))
-    if kind == "parquet":
-        stamps = pa.array(times, pa.timestamp("us", "UTC"))
-        pq.write_table(pa.table({"time": stamps, **cells}), path)
-        return
-    rows = zip(times.tolist(), *cells.values(), strict=True)
-    lines = [",".join("" if cell is None else str(cell) for cell in row) for row in rows]
-    path.write_text("\n".join([",".join(["time", *cells]), *lines, ""]), "utf-8")
-
-
-def source_of(kind: str, channels: Channels, **keys: Any) -> Source:
-    return Source.of(
-        kind, channels, **keys, **({"time_format": "epoch_us"} if kind == "csv" else {})
-    )
+    TABLES[kind].table(path, times, cells)
 
 
 def read(folder: Path, kind: str, cells: Cells, channels: Channels) -> RawLog:
     write(folder / "log", kind, cells)
-    return read_log(folder / "log", *source_of(kind, channels))
+    return read_log(folder / "log", *Source.of(kind, channels))
 
 
 def seconds(log: RawLog, channel: str) -> list[int]:
@@ -105,7 +95,7 @@ APART: Channels = {
 
 @each_kind
 def test_each_of_several_files_gives_its_channels(tmp_path: Path, kind: str) -> None:
-    source = source_of(kind, APART, layout="file_per_channel")
+    source = Source.of(kind, APART, layout="file_per_channel")
     for name, cells, expected in (
         (
             "hydraulics_1",

@@ -16,8 +16,8 @@ from pydantic import ValidationError
 from pipeline.config.time_formats import EPOCH_UNITS
 from pipeline.errors import LogError
 from pipeline.ingest import read_log
+from pipeline.ingest.assembly import Gathered
 from pipeline.ingest.conformance import T0_US
-from pipeline.ingest.gathering import Gathered
 from pipeline.ingest.time_stamps import (
     TimeStamps,
     WrittenStamps,

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zstandard
 from mcap.writer import CompressionType, IndexType
 
-from pipeline.ingest.conformance import Cell, Format, Row
+from pipeline.ingest.conformance import NAMES, Cell, Format, Row
 from tests.dialects.columns import Parquet
 from tests.dialects.csv_text import Csv
 
@@ -130,4 +131,38 @@ FORMATS = (
         use_summary_offsets=False,
         enable_crcs=False,
     ),
+)
+
+
+def write_long_csv(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
+    cells = [(row.time_us, name, row.cells.get(name)) for row in rows for name in names]
+    lines = [f"{time},{name},{cell}\n" for time, name, cell in cells if cell]
+    path.write_text("time,channel,value\n" + "".join(lines), encoding="utf-8")
+
+
+def zstd_without_checksum(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
+    csv()(path, rows, names)
+    path.write_bytes(zstandard.compress(path.read_bytes()))
+
+
+BARE = {"enable_crcs": False, "index_types": IndexType.NONE, "use_statistics": False}
+PLAIN = {"compression": CompressionType.NONE}
+SALVAGED = {"salvage": True}
+LONG = {"layout": "long", "time_format": "epoch_us"}
+SPLIT = parquet(use_dictionary=False, use_byte_stream_split=NAMES[:1])
+# They are damaged only: their messages hold no text, or other checks know them by another name.
+NUMBERS_ONLY = (
+    Format("csv-long", "csv", write_long_csv, keys=LONG),
+    Format("csv-gz", "csv", csv(packed=".gz"), is_checked=True),
+    Format("csv-zst", "csv", csv(packed=".zst"), is_checked=True),
+    Format("csv-zst-no-checksum", "csv", zstd_without_checksum),
+    Format("parquet-lz4", "parquet", parquet(compression="lz4", data_page_version="2.0")),
+    Format("parquet-brotli", "parquet", parquet(compression="brotli", row_group_size=17)),
+    Format("parquet-split", "parquet", SPLIT),
+    Format("mcap-protobuf", "mcap", write_mcap("protobuf", **PLAIN), is_checked=True),
+    Format("mcap-cdr", "mcap", write_mcap("cdr"), is_checked=True),
+    Format("mcap-protobuf-bare", "mcap", write_mcap("protobuf", use_chunking=False, **BARE)),
+    Format("mcap-cdr-bare", "mcap", write_mcap("cdr", **PLAIN, **BARE)),
+    Format("mcap-salvaged", "mcap", write_mcap(), keys=SALVAGED),
+    Format("mcap-bare-salvaged", "mcap", write_mcap(**PLAIN, **BARE), keys=SALVAGED),
 )

@@ -15,8 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
-import pipeline.ingest.mcap.json
-import pipeline.ingest.mcap.log
 import pipeline.ingest.mcap.messages
 from pipeline.ingest import time_span
 from pipeline.ingest.conformance import T0_US

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from google.protobuf import descriptor_pb2
 
+from pipeline.ingest.conformance import T0_US
 from tests.pipeline.ingest.mcap.protobuf_files import (
     NAME,
     Field,
@@ -135,6 +136,19 @@ def test_a_default_that_proto2_names_is_no_reading(tmp_path: Path) -> None:
     data = protobuf([made_of(made, {}), made_of(made, {"oil": 20.5})], descriptors)
     assert values(tmp_path, data, "oil") == [None, 20.5]
     assert officially(tmp_path / "log.mcap", "oil") == [20.5, 20.5]
+
+
+def test_stamps_within_messages_are_cut_off_to_microseconds(
+    tmp_path: Path, hydraulics: Callable[..., bytes]
+) -> None:
+    texts = ("2025-03-01T06:00:00.000001999Z", "2025-03-01T06:00:01Z", None)
+    payloads = [
+        hydraulics(total=i, **({"stamp": one} if one else {})) for i, one in enumerate(texts)
+    ]
+    log = read(tmp_path, protobuf(payloads, DESCRIPTORS), source_of("total", stamp="stamp"))
+    times = log.channels["pressure_difference"].time_us
+    assert (times - T0_US).tolist() == [1, 1_000_000]
+    assert log.notes == ("1 message without a readable time",)
 
 
 def test_payloads_that_are_no_protobuf_are_missing_and_counted(

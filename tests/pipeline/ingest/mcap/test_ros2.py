@@ -1,22 +1,28 @@
-"""ROS 2 messages in MCAP, against the format's own decoder."""
+"""ROS 2 messages in MCAP, made and recorded by others, against the format's own decoder."""
 
 from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from mcap_ros2._dynamic import serialize_dynamic
 
+from pipeline.errors import LogError
+from pipeline.ingest import read_log, time_span
 from tests.pipeline.ingest.mcap_files import (
     all_values,
     error_of,
+    followed,
     mcap_of,
+    official_messages,
     officially,
     read,
     source_of,
@@ -226,3 +232,50 @@ def test_a_field_that_is_not_there_is_told_with_those_that_are(tmp_path: Path) -
     for there in ("'header.stamp.sec'", "'ports[0].pressure'", "'more[0].side'", "'raw[0]'"):
         assert there in wrong.message
     assert "frame_id" not in wrong.message
+
+
+# Recordings of others
+
+
+def numbers_of(message: Any, before: str = "") -> Iterator[str]:
+    """Paths to the numbers of a decoded message of ROS 2, the first three of an array."""
+    if isinstance(message, bool | int | float):
+        yield before.removeprefix(".")
+    elif isinstance(message, list | bytes):
+        for i, one in enumerate(message[:3]):
+            yield from numbers_of(one, f"{before}[{i}]")
+    elif not isinstance(message, str):
+        for name in message.__slots__:
+            yield from numbers_of(getattr(message, name), f"{before}.{name}")
+
+
+def test_all_numbers_of_real_recordings_are_read_as_by_the_official_reader(
+    foreign_files: Path,
+) -> None:
+    compared = 0
+    for path in sorted((foreign_files / "mcap").glob("*.mcap")):
+        if path.stem == "test_bag_for_seek_0":
+            continue
+        with path.open("rb") as file:
+            topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+        for topic in topics:
+            times, messages = zip(*official_messages(path, topic), strict=True)
+            paths = sorted({one for message in messages for one in numbers_of(message)})
+            for field, found in all_values(path, paths, topic).items():
+                np.testing.assert_equal(found, [followed(message, field) for message in messages])
+                compared += len(found)
+            if paths:
+                channel = read_log(path, *source_of(paths[0], topic=topic)).channels
+                assert channel["pressure_difference"].time_us.tolist() == list(times)
+    assert compared > 500
+
+
+def test_the_clock_of_a_real_recording_from_before_1990_is_refused(foreign_files: Path) -> None:
+    """Its log times are some milliseconds after 1970, as of a logger whose clock was never set."""
+    path = foreign_files / "mcap" / "test_bag_for_seek_0.mcap"
+    field = next(iter(numbers_of(official_messages(path, "topic1")[0][1])))
+    source = source_of(field, topic="topic1")
+    for reader in (read_log, time_span):
+        with pytest.raises(LogError, match="before 1990") as raised:
+            reader(path, *source)
+        assert raised.value.code == "log_time"
