@@ -38,7 +38,15 @@ from leakage.watch.nights import (
     WatchSettings,
     grown_as,
 )
-from leakage.watch.state import NOTHING, UNCHANGED, ChangeInForce, State, on_first_baseline, present
+from leakage.watch.state import (
+    NOTHING,
+    UNCHANGED,
+    ChangeInForce,
+    State,
+    all_causes,
+    on_first_baseline,
+    present,
+)
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
 Days = NDArray[np.int64]
@@ -81,12 +89,12 @@ def of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array
     last = len(window) - 1
     oddest = np.array([start + int(window.odd[start:].argmax()) for start in starts])
     odd: Array = window.odd[oddest]
-    if last and evidence.operates_otherwise(starts):
-        rest = evidence.of_starts(starts, without=oddest).log_ratio
-        alone = told - np.logaddexp.reduce(rest, axis=(0, 2))
+    other = np.flatnonzero(evidence.operates_otherwise(starts))
+    if last and len(other):
+        rest = evidence.of_starts(starts[other], without=oddest[other]).log_ratio
+        alone = told[other] - np.logaddexp.reduce(rest, axis=(0, 2))
         by_all = np.logaddexp(math.log(1 - choices.ODD), math.log(choices.ODD) + alone)
-        is_other = evidence.operating_beyond(starts) > choices.OPERATING_OTHER
-        odd = np.where(is_other, np.minimum(odd, np.maximum(by_all, 0.0)), odd)
+        odd[other] = np.minimum(odd[other], np.maximum(by_all, 0.0))
     return odd
 
 
@@ -245,7 +253,7 @@ def begin(
         window,
         Sums.of(window, wander),
         wander,
-        undone=(),
+        all_causes(machine, baseline),
         first_start=nights[-1].day + 1,
         n_baseline=len(nights),
         n_nights=len(nights),
@@ -282,7 +290,11 @@ def adopted(state: State) -> State:
         told,
         window=window,
         sums=Sums.of(window, state.wander),
-        undone=(back_as_before(likeliest.direction, found.size.value),),
+        causes=all_causes(
+            state.machine,
+            state.baseline,
+            [back_as_before(likeliest.direction, found.size.value)],
+        ),
         first_start=told_on + 1,
         due=0,
         often=NOTHING,
@@ -340,7 +352,9 @@ def new_period(state: State, earlier: Earlier) -> State:
         in_force = replace(in_force, along=along, of_flow=1.0)
     return replace(
         period,
-        undone=(Cause(BACK, back, 1.0, choices.BACK_SPREAD),),
+        causes=all_causes(
+            state.machine, period.baseline, [Cause(BACK, back, 1.0, choices.BACK_SPREAD)]
+        ),
         carried=on_first_baseline(state, slice(-len(nights), None)),
         evidence=state.evidence,
         in_force=in_force,

@@ -14,7 +14,7 @@ from leakage.watch.baseline import Baseline, Columns
 from leakage.watch.causes import BACK, Cause
 from leakage.watch.evidence import Sums, Window
 from leakage.watch.nights import Array, Change, Estimate, Machine, WatchSettings
-from leakage.watch.state import ChangeInForce, State
+from leakage.watch.state import ChangeInForce, State, all_causes
 from leakage.watch.wander import Wander
 from leakage.watch.within_night import BlockErrors
 
@@ -29,7 +29,7 @@ OF_STATE = (*WHOLE_OF_STATE, "often", "evidence", "period_from")
 def arrays_of(state: State) -> dict[str, Array]:
     """All numbers of a state, by name."""
     baseline, window, columns = state.baseline, state.window, state.baseline.columns
-    q = columns.n
+    undone = [one for one in state.causes.every if one.name == BACK]
     kept: Arrays = {
         **{f"columns.{name}": getattr(columns, name) for name in _arrays(Columns, OF_COLUMNS)},
         "columns": _scalars(columns, OF_COLUMNS),
@@ -39,8 +39,8 @@ def arrays_of(state: State) -> dict[str, Array]:
         **{f"window.{one.name}": getattr(window, one.name) for one in fields(Window)},
         "wander.spread": state.wander.spread,
         "wander.memory": state.wander.memory,
-        "undone": np.array([one.direction for one in state.undone]).reshape(-1, q),
-        "undone.size": np.array([(one.mean, one.spread) for one in state.undone]).reshape(-1, 2),
+        "undone": np.array([one.direction for one in undone]).reshape(-1, columns.n),
+        "undone.size": np.array([(one.mean, one.spread) for one in undone]).reshape(-1, 2),
         "carried": np.array([state.carried.value, state.carried.sd]),
         "state": _scalars(state, OF_STATE),
     }
@@ -78,7 +78,11 @@ def state_of(machine: Machine, settings: WatchSettings, kept: Mapping[str, Any])
         window,
         sums=Sums.of(window, wander),
         wander=wander,
-        undone=tuple(Cause(BACK, along, mean, spread) for along, (mean, spread) in undone),
+        causes=all_causes(
+            machine,
+            baseline,
+            [Cause(BACK, along, mean, spread) for along, (mean, spread) in undone],
+        ),
         period_from=None if np.isnan(period_from) else int(period_from),
         carried=Estimate(*kept["carried"].tolist()),
         in_force=_in_force_of("standing", kept),

@@ -82,17 +82,13 @@ class WanderPrior:
     memory: Array = field(default_factory=USUAL_MEMORY.copy)
 
 
-def effective(information: Array, score: Array, spread: Array) -> tuple[Array, Array]:
-    """Information, shape (n, q, q), and scores, (n, q), of nights whose paths shift by N(0, Q)."""
+def effective(information: Array, score: Array, spread: Array) -> Array:
+    """What nights say whose paths shift by N(0, Q): information and score, (n, q, q + 1)."""
     p = len(spread)
     inner = np.linalg.inv(spread) + information[:, :p, :p]
-    rows = np.concatenate([information[:, :p, :], score[:, :p, None]], axis=2)
-    taken = np.linalg.solve(inner, rows)
-    across = information[:, :, :p]
-    return (
-        information - across @ taken[:, :, :-1],
-        score - (across @ taken[:, :, -1:])[:, :, 0],
-    )
+    told = np.concatenate([information, score[:, :, None]], axis=2)
+    left: Array = told - information[:, :, :p] @ np.linalg.solve(inner, told[:, :p])
+    return left
 
 
 def estimate_wander(
@@ -108,7 +104,8 @@ def estimate_wander(
     usual = _usual_spread(all_paths, prior)
     spread = usual
     for _ in range(MOST_PASSES):
-        told, told_score = effective(information, score, spread)
+        effective_nights = effective(information, score, spread)
+        told, told_score = effective_nights[..., :-1], effective_nights[..., -1]
         certain = np.linalg.inv(told.sum(axis=0) + prior_information)
         mean = certain @ told_score.sum(axis=0)
         shifts = _squared_shifts(information, score, spread, mean, certain)

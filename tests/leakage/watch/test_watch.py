@@ -246,7 +246,8 @@ def test_a_large_change_begins_an_baseline_period_that_carries_what_was_before(s
     before, after = (watches[night - FIRST + 1] for night in (55, 74))
     assert before.state.carried.value == pytest.approx(0.40, abs=0.02)
     assert before.state.n_baseline < FIRST
-    (undone,) = before.state.undone
+    undone = before.state.causes.every[-1]
+    assert undone.name == "back_as_before"
     assert (undone.mean, undone.spread) == (1.0, choices.BACK_SPREAD)
     assert undone.direction @ before.state.baseline.own_row == pytest.approx(-0.4 / 1.4, abs=0.02)
     assert before.verdict().present.value == pytest.approx(0.40, abs=0.02)
