@@ -54,11 +54,10 @@ Days = NDArray[np.int64]
 
 def judged(state: State) -> State:
     """With the evidence of the newest night; a change is detected where it is enough."""
-    first = state.place(state.first_start)
-    if first == len(state.window):
+    if state.first_step > state.day:
         return replace(state, evidence=NOTHING)
     evidence = state.evidence_now()
-    weighed = with_evidence(state, evidence, first)
+    weighed = with_evidence(state, evidence, state.place(state.first_ramp))
     frequent = weighed.often - math.log(2 * len(evidence.causes))
     if frequent >= max(state.settings.limit, weighed.evidence) and len(odd_nights(weighed)):
         return _with_odd_nights(weighed)
@@ -101,7 +100,7 @@ def of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array
 def _told(state: State) -> State:
     """A change detected in the newest night, unless the flow has hardly changed."""
     evidence = state.evidence_now()
-    found = attribute(evidence, state.baseline, state.place(state.first_start))
+    found = attribute(evidence, state.baseline, state.place(state.first_ramp))
     if abs(found.flow.value) < choices.LEAST_CHANGE:
         return state
     return replace(state, in_force=in_force_of(state, evidence, found, told_on=state.day))
@@ -110,13 +109,17 @@ def _told(state: State) -> State:
 def settled(state: State) -> State:
     """With the change that was detected, as the nights up to now show it."""
     assert state.in_force is not None
+    assert state.in_force.found is not None
     evidence = state.evidence_now()
-    first = state.place(state.first_start)
-    found = attribute(evidence, state.baseline, first)
+    found = attribute(evidence, state.baseline, state.place(state.first_ramp))
     told_on = state.in_force.change.told_on
     if found.start > told_on:
         # A second change came before the first was settled: this one by its own nights.
         return state
+    # It came between the dates of all nights: what comes in few nights is neither step nor ramp.
+    lower, since, upper = found.since
+    before = state.in_force.found.since
+    found = replace(found, since=(min(lower, before[0]), since, max(upper, before[2])))
     tank = state.in_force.tank
     return replace(state, in_force=in_force_of(state, evidence, found, told_on, tank))
 
@@ -254,7 +257,8 @@ def begin(
         Sums.of(window, wander),
         wander,
         all_causes(machine, baseline),
-        first_start=nights[-1].day + 1,
+        first_step=nights[-1].day + 1,
+        first_ramp=nights[0].day,
         n_baseline=len(nights),
         n_nights=len(nights),
         due=math.ceil(len(nights) * choices.ANEW_FACTOR),
@@ -295,7 +299,8 @@ def adopted(state: State) -> State:
             state.baseline,
             [back_as_before(likeliest.direction, found.size.value)],
         ),
-        first_start=told_on + 1,
+        first_step=told_on + 1,
+        first_ramp=told_on + 1,
         due=0,
         often=NOTHING,
         period_from=period_from if flow > choices.OWN_PERIOD else None,

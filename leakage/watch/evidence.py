@@ -107,8 +107,8 @@ class Sums:
         """With the nights from a place on."""
         told = np.stack(
             [
-                effective(window.information[first:], window.score[first:], factor * wander.spread)
-                for factor in (1.0, wander.long_inflation)
+                effective(window.information[first:], window.score[first:], spread)
+                for spread in (wander.spread, wander.long_spread)
             ],
             axis=1,
         )
@@ -251,7 +251,8 @@ class Evidence:
     """All that the evidence of a night is made from.
 
     `operating_error` is the error of each path a standard deviation of other operating conditions,
-    shape (p,); `n_nights` all nights so far.
+    shape (p,); `n_nights` all nights so far. Steps begin at the place `first_step` or later; before
+    it, in the baseline, ramps may begin.
     """
 
     window: Window
@@ -260,6 +261,7 @@ class Evidence:
     causes: Causes
     operating_error: Array
     n_nights: int
+    first_step: int
 
     def of_starts(
         self, starts: Places, *, by_operation: bool = True, without: Places | None = None
@@ -282,7 +284,8 @@ class Evidence:
         first, second = freed.told(
             causes.axes, np.stack([a0, linear]), np.stack([a0, square]), np.stack([u0, score])
         )
-        return self._weighed(causes.sign * first[..., causes.axis], second[..., causes.axis])
+        first, second = causes.sign * first[..., causes.axis], second[..., causes.axis]
+        return self._weighed(first, second, starts)
 
     def since(self, starts: Places, without: Places | None = None) -> tuple[Array, Array]:
         """Information, (3, k, q, q), and scores, (2, k, q), since starts, by powers of the day."""
@@ -318,7 +321,15 @@ class Evidence:
         error: Array = np.linalg.solve(inner, variance).astype(np.float64)
         return error
 
-    def _weighed(self, first: Array, second: Array) -> Told:
+    def risen(self, starts: Places) -> Array:
+        """By how much a ramp of each start has risen above its mean in the baseline, shape (k,)."""
+        days = self.window.days
+        since = (days - days[starts][:, None] + 1).clip(0)
+        before = since[:, : self.first_step].sum(axis=1) / max(self.first_step, 1)
+        risen: Array = (since[:, -1] - before) / choices.RAMP_DAYS
+        return risen
+
+    def _weighed(self, first: Array, second: Array, starts: Places) -> Told:
         """Likelihood ratios of T₁ and T₂, the sizes integrated out."""
         priors = [self.causes.prior(shape) for shape in (STEP, RAMP)]
         mean = np.stack([one[0] for one in priors])[:, None, :]
@@ -328,13 +339,17 @@ class Evidence:
         size = sd**2 * (first + mean / spread**2)
         gain = (size / sd) ** 2 - (mean / spread) ** 2
         one_sided = np.where(is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
-        log_ratio = 0.5 * self.tempered(gain) + np.log(sd / spread) + one_sided
-        prior = math.log(len(self.causes) * len(SHAPES))
-        return Told(log_ratio - prior, size, sd, first, second)
+        log_ratio = 0.5 * self.tempered(gain, starts) + np.log(sd / spread) + one_sided
+        log_ratio -= math.log(len(self.causes) * len(SHAPES))
+        is_early = starts < self.first_step
+        log_ratio[STEP, is_early] = -np.inf
+        log_ratio[RAMP, is_early & (starts == 0)] += math.log(choices.STARTS_BEFORE)
+        return Told(log_ratio, size, sd, first, second)
 
-    def tempered(self, gain: Array) -> Array:
-        """Twice a gain of ln likelihood, as the wander is an estimate: t in place of normal."""
-        freedom = self.wander.degrees_of_freedom(self.n_nights)
+    def tempered(self, gain: Array, starts: Places) -> Array:
+        """Twice a gain of ln likelihood, (…, k, d), as the wander is an estimate: Student's t."""
+        n_since = (len(self.window) - starts).astype(float)
+        freedom = self.wander.degrees_of_freedom(self.n_nights, n_since)[:, None]
         most = float(np.max(gain))
         rest: Array = np.log((freedom + most) / (freedom + most - gain))
         return (freedom + 1.0) * rest

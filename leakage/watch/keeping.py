@@ -22,7 +22,7 @@ Arrays = dict[str, Any]
 # Scalars of each part, in order; what has no value is nan.
 OF_COLUMNS = ("least_scale", "temperature_c", "has_zero")
 OF_BASELINE = ("lack_of_fit", "identifies_gaps", "identifies_speed")
-WHOLE_OF_STATE = ("first_start", "n_baseline", "n_nights", "due")
+WHOLE_OF_STATE = ("first_step", "first_ramp", "n_baseline", "n_nights", "due")
 OF_STATE = (*WHOLE_OF_STATE, "often", "evidence", "period_from")
 
 
@@ -39,6 +39,7 @@ def arrays_of(state: State) -> dict[str, Array]:
         **{f"window.{one.name}": getattr(window, one.name) for one in fields(Window)},
         "wander.spread": state.wander.spread,
         "wander.memory": state.wander.memory,
+        "wander.common": state.wander.common,
         "undone": np.array([one.direction for one in undone]).reshape(-1, columns.n),
         "undone.size": np.array([(one.mean, one.spread) for one in undone]).reshape(-1, 2),
         "carried": np.array([state.carried.value, state.carried.sd]),
@@ -66,7 +67,7 @@ def state_of(machine: Machine, settings: WatchSettings, kept: Mapping[str, Any])
         **{name: kept[f"baseline.{name}"] for name in _of_baseline()},
     )
     window = Window(**{one.name: kept[f"window.{one.name}"] for one in fields(Window)})
-    wander = Wander(kept["wander.spread"], kept["wander.memory"])
+    wander = Wander(kept["wander.spread"], kept["wander.memory"], kept["wander.common"])
     undone = zip(kept["undone"], kept["undone.size"].tolist(), strict=True)
     numbers = dict(zip(OF_STATE, kept["state"].tolist(), strict=True))
     period_from = numbers.pop("period_from")

@@ -161,7 +161,9 @@ class State:
     sums: Sums
     wander: Wander
     causes: Causes  # Causes of a change, with those that undo what was adopted.
-    first_start: int  # Day of the first candidate start.
+    # first_step, first_ramp: Day of the first candidate start of each shape.
+    first_step: int
+    first_ramp: int
     # n_baseline, n_nights: Nights of the baseline, and all of the baseline period.
     n_baseline: int
     n_nights: int
@@ -222,6 +224,7 @@ class State:
             self.causes,
             self.baseline.operating_error,
             self.n_nights,
+            self.place(self.first_step),
         )
 
 
@@ -278,7 +281,8 @@ def smallest_change(state: State) -> float:
     told = evidence.of_starts(np.array([start]))
     names = [one.name for one in evidence.causes.every]
     second = float(told.second[STEP, 0, names.index(ALL_FLOWS)])
-    spread, freedom = choices.STEP_SIZE, state.wander.degrees_of_freedom(state.n_nights)
+    spread, n_since = choices.STEP_SIZE, np.array([len(state.window) - start], dtype=float)
+    freedom = float(state.wander.degrees_of_freedom(state.n_nights, n_since)[0])
     sd = 1.0 / math.sqrt(second + spread**-2)
     fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(names))
     gain = freedom * math.expm1(2.0 * (state.settings.limit - fixed) / (freedom + 1.0))
