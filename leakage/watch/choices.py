@@ -73,6 +73,8 @@ DENSE_STARTS = 40
 WINDOW, WINDOW_SLACK = 300, 50
 # A ramp from the first night on may have begun before it: it stands for so many starts.
 STARTS_BEFORE = 30.0
+# Evidence beyond ln(365 / rate): the rate holds for a known wander, and it is an estimate.
+ESTIMATED = 0.3
 # A change of the flow that is reported at all.
 LEAST_CHANGE = 0.005
 

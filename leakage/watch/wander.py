@@ -9,6 +9,7 @@ wrong model) and hide a long memory from the correlation of neighbours, so both 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -145,16 +146,21 @@ def _of_correlated(spread: Array, usual: Array, days: NDArray[np.int64], memory:
     """Q of correlated nights, which scatter less about their own line than about the true one."""
     n, prior = len(days), choices.WANDER_NIGHTS
     line = np.linalg.qr(np.column_stack([np.ones(n), days - days.mean()]))[0]
-    apart = np.abs(days[:, None] - days).astype(float)
     alike = sum(
-        part * (share * phi**apart + (1.0 - share) * np.eye(n))
-        for part, phi, share in zip(memory, PHI, SHARE, strict=True)
+        part * of_memory for part, of_memory in zip(memory, _correlations(days), strict=True)
     )
     left = n - float(np.sum(line * (alike @ line)))
     more = (n - line.shape[1]) / max(left, (1.0 - choices.MOST_OF_LINE) * n)
     of_nights = (n + prior) * spread - prior * usual
     corrected: Array = (more * of_nights + prior * usual) / (n + prior)
     return corrected
+
+
+def _correlations(days: NDArray[np.int64]) -> Iterator[Array]:
+    """Of nights by each memory of the grid, shape (n, n)."""
+    apart = np.abs(days[:, None] - days).astype(float)
+    for phi, share in zip(PHI, SHARE, strict=True):
+        yield share * phi**apart + (1.0 - share) * np.eye(len(days))
 
 
 def _with_lines(
@@ -217,13 +223,7 @@ def _memory(
     line = np.column_stack([root, root * (days - days.mean()) / max(float(np.ptp(days)), 1.0)])
     if n <= line.shape[1] + 1:
         return prior.memory
-    apart = np.abs(days[:, None] - days).astype(float)
-    log_likelihood = np.array(
-        [
-            _restricted(level, line, share * phi**apart + (1.0 - share) * np.eye(n))
-            for phi, share in zip(PHI, SHARE, strict=True)
-        ]
-    )
+    log_likelihood = np.array([_restricted(level, line, one) for one in _correlations(days)])
     weights = prior.memory * np.exp(log_likelihood - log_likelihood.max())
     memory: Array = weights / weights.sum()
     return memory
