@@ -73,25 +73,30 @@ def attribute(evidence: Evidence, baseline: Baseline, first: int) -> Attribution
     of_starts, of_causes = weights.sum(axis=(0, 2)), weights.sum(axis=(0, 1))
     likeliest = int(of_causes.argmax())
     days = evidence.window.days
-    places = np.searchsorted(of_starts.cumsum(), INTERVAL)
+    of_dates = np.exp(choices.DATES * (told.log_ratio - told.log_ratio.max())).sum(axis=(0, 2))
+    places = np.searchsorted(of_dates.cumsum() / of_dates.sum(), INTERVAL)
     since = days[starts[np.minimum(places, len(starts) - 1)]].tolist()
     # A size that the nights tell well is theirs, not the prior's.
     is_own = (told.second * told.size**2 > choices.OWN_SIZE) & evidence.causes.is_half
     value = np.where(is_own, told.first / told.second, told.size)
     sd = np.where(is_own, 1.0 / np.sqrt(told.second), told.sd)
     rise = np.ones((len(SHAPES), len(starts), 1))
-    rise[RAMP, :, 0] = (days[-1] - days[starts] + 1) / choices.RAMP_DAYS
-    value, sd, lack = value * rise, sd * rise, baseline.lack_of_fit
+    rise[RAMP, :, 0] = evidence.risen(starts)
+    value, sd = value * rise, sd * rise
     of_flow = np.array([share_of_flow(one, baseline) for one in evidence.causes.every])
-    size = _pooled(weights[:, :, likeliest], value[:, :, likeliest], sd[:, :, likeliest], lack)
+    # What did not begin in one night has a shape of its own.
+    missed = choices.SIZE_BY_LACK * baseline.lack_of_fit
+    missed += choices.SIZE_BY_SHAPE * (since[0] < since[2])
+    size = _pooled(weights[:, :, likeliest], value[:, :, likeliest], sd[:, :, likeliest], missed)
     return Attribution(
         (since[0], since[1], since[2]),
-        int(days[starts[of_starts.argmax()]]),
+        # What began in the baseline is seen against all of it.
+        int(days[max(int(starts[of_starts.argmax()]), evidence.first_step)]),
         SHAPES[RAMP if weights[RAMP].sum() > 0.5 else STEP],
         of_causes,
         likeliest,
         size,
-        _pooled(weights, value * of_flow, sd * np.abs(of_flow), lack),
+        _pooled(weights, value * of_flow, sd * np.abs(of_flow), missed),
     )
 
 
@@ -102,13 +107,12 @@ def share_of_flow(cause: Cause, baseline: Baseline) -> float:
     return float(cause.direction @ baseline.own_row)
 
 
-def _pooled(weights: Array, value: Array, sd: Array, lack_of_fit: float) -> Estimate:
-    """A size over starts and shapes, with what the model may miss of it."""
+def _pooled(weights: Array, value: Array, sd: Array, missed: float) -> Estimate:
+    """A size over starts and shapes, with the share of it that may be missed."""
     weights = weights / weights.sum()
     mean = float((weights * value).sum())
     variance = float((weights * (sd**2 + value**2)).sum()) - mean**2
-    missed = choices.SIZE_BY_LACK * lack_of_fit * mean
-    return Estimate(mean, math.sqrt(max(variance, 0.0) + missed**2))
+    return Estimate(mean, math.sqrt(max(variance, 0.0) + (missed * mean) ** 2))
 
 
 def name_of(
@@ -176,7 +180,7 @@ def _log_ratios(
     size = sd**2 * (first + mean / spread**2)
     gain = (size / sd) ** 2 - (mean / spread) ** 2
     one_sided = np.where(causes.is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
-    ratio: Array = 0.5 * evidence.tempered(gain) + np.log(sd / spread) + one_sided
+    ratio: Array = 0.5 * evidence.tempered(gain[None], at)[0] + np.log(sd / spread) + one_sided
     return ratio
 
 
