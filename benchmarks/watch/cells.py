@@ -92,6 +92,7 @@ WORLDS = {
 }
 FLOWS, GAPS = frozenset({"all_flows"}), frozenset({"all_gaps"})
 GRADE, SENSOR = frozenset({"oil_grade"}), frozenset({"temperature_sensor"})
+WARMTH = frozenset({"temperature_effect"})
 
 
 def step(begin: int = CHANGE, **changed: Any) -> Course:
@@ -228,8 +229,8 @@ NO_WEAR = {
     ),
 }
 SEASONS = {
-    "season: oil ± 7 K, winter first": season,
-    "temperature sensor takes 10 % of ambient": sensor,
+    "season: oil ± 7 K, winter first": (season, frozenset[str](), frozenset[str]()),
+    "temperature sensor takes 10 % of ambient": (sensor, SENSOR, FLOWS | WARMTH),
 }
 
 
@@ -243,8 +244,8 @@ def _changes() -> Iterator[Cell]:
             if baseline == BASELINE:
                 for words, event in NO_WEAR.items():
                     yield _cell("no wear", words, machine, event, 30, baseline, rivals)
-    for words, by_seed in SEASONS.items():
-        event = replace(NOTHING, nights=245)
+    for words, (by_seed, right, near) in SEASONS.items():
+        event = replace(NOTHING, nights=245, right=right, near=near)
         yield _cell("no wear", words, "otherwise", event, 30, rivals=True, by_seed=by_seed)
 
 
@@ -396,7 +397,8 @@ NAMED = {
     "meter's zero +0.02 l/min": _at_once(["zero"], FLOWS, zero_l_per_min=0.02),
     "meter's zero +0.06 l/min": _at_once(["zero"], FLOWS, zero_l_per_min=0.06),
     "temperature lag 60 s": _at_once(temperature_lag_s=60.0),
-    "temperature lag 600 s": _at_once(temperature_lag_s=600.0),
+    # A sensor that lags reads wrong; flows at what it reads, and their way with it, are others.
+    "temperature lag 600 s": _at_once(SENSOR, FLOWS | WARMTH, temperature_lag_s=600.0),
     "drain lag 20 s": _at_once(drain_lag_s=20.0),
     "dead band 0.3 l/min": _at_once(dead_below_l_per_min=0.3),
 }

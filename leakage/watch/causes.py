@@ -17,7 +17,8 @@ ALL_GAPS, ALL_FLOWS, OIL_GRADE = "all_gaps", "all_flows", "oil_grade"
 TEMPERATURE_SENSOR, TEMPERATURE_EFFECT = "temperature_sensor", "temperature_effect"
 ZERO, AND = "zero", " and "
 BACK, ODD_NIGHTS, TANK = "back_as_before", "odd_nights", "tank"
-CANNOT_BE_TOLD = "cannot_be_told"
+# More than one cause at once is a candidate, and no name.
+SEVERAL, CANNOT_BE_TOLD = "several", "cannot_be_told"
 # What moves all flows together, and is no path.
 COMMON = (ALL_FLOWS, OIL_GRADE, TEMPERATURE_SENSOR, TEMPERATURE_EFFECT)
 # Within these many degrees the factor of another oil is followed.
@@ -147,5 +148,16 @@ def _viscosity(oil: tuple[float, float], middle_c: float) -> Array:
 
 def is_path(name: str) -> bool:
     """True of the name of a path that can wear, or of two."""
-    others = (*COMMON, ALL_GAPS, ZERO, BACK, ODD_NIGHTS, TANK, CANNOT_BE_TOLD, FLUSHING, KNOWN)
+    others = (
+        *COMMON,
+        ALL_GAPS,
+        ZERO,
+        SEVERAL,
+        BACK,
+        ODD_NIGHTS,
+        TANK,
+        CANNOT_BE_TOLD,
+        FLUSHING,
+        KNOWN,
+    )
     return name not in others
