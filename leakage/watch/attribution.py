@@ -14,6 +14,7 @@ from leakage.watch.baseline import Baseline
 from leakage.watch.causes import (
     ALL_FLOWS,
     ALL_GAPS,
+    AND,
     BACK,
     CANNOT_BE_TOLD,
     COMMON,
@@ -21,10 +22,9 @@ from leakage.watch.causes import (
     TANK,
     TEMPERATURE_EFFECT,
     Cause,
-    is_path,
 )
 from leakage.watch.evidence import RAMP, SHAPES, STEP, Causes, Evidence
-from leakage.watch.nights import KNOWN, Array, Estimate, Machine
+from leakage.watch.nights import FLUSHING, Array, Estimate, Machine
 
 # Causes below this probability are no candidates.
 LEAST_PROBABILITY = 0.01
@@ -202,7 +202,8 @@ def _together(
         groups |= dict.fromkeys(COMMON, frozenset(COMMON))
     if not baseline.identifies_gaps:
         # What is taken as known is distinguished from gaps by pressures, too.
-        alike = frozenset(one for one in by_name if is_path(one) or one in (ALL_GAPS, KNOWN))
+        parts = {*machine.paths, ALL_GAPS} - {FLUSHING}
+        alike = frozenset(one for one in by_name if parts.issuperset(one.split(AND)))
         groups |= dict.fromkeys(alike, alike)
     if not baseline.identifies_speed:
         alike = groups.get(ALL_GAPS, frozenset((ALL_GAPS,))) | groups.get(

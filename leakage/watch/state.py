@@ -15,9 +15,19 @@ import numpy as np
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS, Cause, causes_of, is_path
+from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS, Cause, causes_of
 from leakage.watch.evidence import STEP, Causes, Evidence, Sums, Window
-from leakage.watch.nights import RAMPS, Array, Change, Estimate, Machine, WatchSettings, grown_as
+from leakage.watch.nights import (
+    FLUSHING,
+    KNOWN,
+    RAMPS,
+    Array,
+    Change,
+    Estimate,
+    Machine,
+    WatchSettings,
+    grown_as,
+)
 from leakage.watch.wander import Wander
 
 
@@ -190,7 +200,7 @@ class State:
         None where its share of all is too small. The share is as uncertain as the path's
         coefficient in the baseline.
         """
-        if cause not in self.machine.paths or not is_path(cause):
+        if cause not in self.machine.paths or cause in (FLUSHING, KNOWN):
             return None
         place = self.machine.paths.index(cause)
         own = float(self.baseline.all_paths[place])
