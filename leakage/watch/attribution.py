@@ -28,8 +28,6 @@ from leakage.watch.nights import FLUSHING, Array, Estimate, Machine
 
 # Causes below this probability are no candidates.
 LEAST_PROBABILITY = 0.01
-# Of a group's probability: what has it names the group.
-HALF = 0.5
 INTERVAL = (0.025, 0.5, 0.975)
 
 
@@ -213,7 +211,7 @@ def _together(
     if TANK in by_name:
         alike = groups.get(ALL_FLOWS, frozenset(COMMON)) | {TANK}
         groups |= dict.fromkeys(alike, alike)
-    if by_name.get(BACK, 0.0) > HALF:
+    if by_name.get(BACK, 0.0) > choices.MOSTLY:
         # What undoes a change is its cause in the other direction.
         others = {name: value for name, value in by_name.items() if name != BACK}
         nearest = max(others, key=others.__getitem__)
@@ -234,7 +232,7 @@ def _told(
     if probability < choices.NAMED or SEVERAL in group:
         return CANNOT_BE_TOLD, probability
     for whole in (TANK, BACK):
-        if whole in group and by_name[whole] >= HALF * probability:
+        if whole in group and by_name[whole] >= choices.MOSTLY * probability:
             return whole, probability
     group -= {TANK, BACK}
     if len(group) == 1:

@@ -74,8 +74,8 @@ OWN_SIZE = 25.0
 # Error of a size by the model's lack of fit, as a share of it; error of a change's shape, in lacks
 # of fit. Without the latter, four foreign machines of five got a part named, wrongly.
 SIZE_BY_LACK, SHAPE_BY_LACK = 0.3, 2.0
-# A cause is named from this probability.
-NAMED = 0.9
+# A cause is named from this probability; from the other on it has most of a name, or of a size.
+NAMED, MOSTLY = 0.9, 0.5
 # Lack of fit up to which another grade, a sensor and a meter may be distinguished, and two gaps
 # from one.
 LACK_TO_IDENTIFY = 0.02
