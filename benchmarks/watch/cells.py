@@ -30,9 +30,9 @@ from benchmarks.watch.cb560 import (
 )
 from benchmarks.watch.conveyor import Conveyor
 from benchmarks.watch.foreign import BASELINE as FOREIGN_BASELINE
-from benchmarks.watch.foreign import STORIES, Foreign, Story
+from benchmarks.watch.foreign import STORIES, Foreign
 from benchmarks.watch.foreign import history as foreign_history
-from benchmarks.watch.history import History
+from benchmarks.watch.history import Event, History
 from benchmarks.watch.mill import Mill
 from benchmarks.watch.rig import BEGIN, CUTS
 from benchmarks.watch.winch import Winch
@@ -49,18 +49,6 @@ OIL_FOLLOWS, SENSOR_FOLLOWS = 0.6, 0.1
 Seed = tuple[int, ...]
 # A motor of a seed, or all of a tank, and so many of its nights.
 Make = Callable[[Seed, int], Sequence[History]]
-
-
-@dataclass(frozen=True)
-class Event:
-    """What happens to a motor, and what may be said of it."""
-
-    course: Course
-    nights: int
-    begin: int | None = CHANGE  # night from which on something is otherwise than it was
-    right: frozenset[str] = frozenset()  # causes that are true
-    near: frozenset[str] = frozenset()  # causes that say less than the truth, and nothing false
-    is_step: bool = True
 
 
 @dataclass(frozen=True)
@@ -158,7 +146,7 @@ def sensor(seed: Seed) -> Course:
     return lambda night: State(reads_high_c=SENSOR_FOLLOWS * float(air[night]))
 
 
-NOTHING = Event(lambda _: HEALTHY, YEAR, None)
+NOTHING = Event(lambda _: HEALTHY, YEAR)
 
 
 def _cell(
@@ -209,8 +197,8 @@ WEAR = {
     ),
 }
 NO_WEAR = {
-    "load halved": Event(step(load=0.5), 135),
-    "speed cut by half": Event(step(speed=0.5), 135),
+    "load halved": Event(step(load=0.5), 135, CHANGE),
+    "speed cut by half": Event(step(speed=0.5), 135, CHANGE),
     "VG 46 for VG 68, undeclared": Event(step(oil=VG46), 95, CHANGE, GRADE, FLOWS),
     "oil −20 %": Event(step(viscosity=0.8), 95, CHANGE, FLOWS | GRADE),
     "meter +6 % at once": Event(step(gain=1.06), 95, CHANGE, FLOWS),
@@ -354,7 +342,7 @@ def _at_once(right: Iterable[str] = (), near: Iterable[str] = (), **changed: Any
 
 
 NAMED = {
-    "nothing": Event(lambda _: HEALTHY, 0, None),
+    "nothing": replace(NOTHING, nights=0),
     "oil −5.5 %": _at_once(FLOWS | GRADE, viscosity=0.945),
     "oil −10 %": _at_once(FLOWS | GRADE, viscosity=0.9),
     "oil −20 %": _at_once(FLOWS | GRADE, viscosity=0.8),
@@ -450,7 +438,7 @@ def _from(state: State) -> Course:
 def _laminar() -> Iterator[Cell]:
     """An all-laminar machine: its leakage at the reference and at its own conditions."""
     course = drift(0, 90, warmer_k=10.0)
-    event = Event(course, 90, None)
+    event = Event(course, 90)
 
     def make(seed: Seed, nights: int) -> Sequence[History]:
         found = history(LAMINAR, course, nights, seed)
@@ -467,21 +455,14 @@ FOREIGN: Mapping[str, Foreign] = {"mill": Mill(), "winch": Winch(), "conveyor": 
 
 def _foreign() -> Iterator[Cell]:
     for machine, of in FOREIGN.items():
-        for story in STORIES:
+        for words, event in STORIES.items():
 
             def make(
-                seed: Seed, nights: int, of: Foreign = of, story: Story = story
+                seed: Seed, nights: int, of: Foreign = of, event: Event = event
             ) -> Sequence[History]:
-                return [foreign_history(of, story.at, nights, seed)]
+                return [foreign_history(of, event.course, nights, seed)]
 
-            event = replace(
-                NOTHING,
-                nights=story.nights,
-                begin=story.begin,
-                right=story.right,
-                is_step=story.is_step,
-            )
-            yield Cell("not fitted", story.words, machine, make, 8, event, FOREIGN_BASELINE)
+            yield Cell("not fitted", words, machine, make, 8, event, FOREIGN_BASELINE)
 
 
 def _rig() -> Iterator[Cell]:
