@@ -127,6 +127,7 @@ def name_of(
     change, score = _between(evidence, baseline, start, flow)
     log_ratio = _log_ratios(evidence, causes, change, score)
     log_ratio[:-1] += log_prior
+    log_ratio[-1] += math.log(choices.SEVERAL_PRIOR)
     if baseline.lack_of_fit > choices.LACK_TO_IDENTIFY:
         # Under a wrong model several can do what one does.
         log_ratio[-1] = -math.inf

@@ -76,6 +76,8 @@ OWN_SIZE = 25.0
 SIZE_BY_LACK, SHAPE_BY_LACK = 0.3, 2.0
 # A cause is named from this probability; from the other on it has most of a name, or of a size.
 NAMED, MOSTLY = 0.9, 0.5
+# How much rarer several causes in one night are than one: a large change errs in its shape.
+SEVERAL_PRIOR = 0.001
 # Lack of fit up to which another grade, a sensor and a meter may be distinguished, and two gaps
 # from one.
 LACK_TO_IDENTIFY = 0.02
