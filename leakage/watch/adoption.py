@@ -22,6 +22,7 @@ from leakage.watch.causes import (
     BACK,
     CANNOT_BE_TOLD,
     ODD_NIGHTS,
+    SEVERAL,
     TEMPERATURE_EFFECT,
     Cause,
     back_as_before,
@@ -283,7 +284,10 @@ def adopted(state: State) -> State:
     flow = size * abs(share_of_flow(likeliest, state.baseline))
     start = state.place(found.start)
     before, score = (one[0] for one in state.sums.before(np.array([start]), state.window))
-    freed = np.eye(len(score)) + before @ _left_free(state, causes, found, size, flow)
+    # Where several changed at once, each may have.
+    several = now.change.candidates.get(SEVERAL, 0.0)
+    weights = found.weights + several * causes.is_half
+    freed = np.eye(len(score)) + before @ _left_free(state, causes, weights, size, flow)
     window = state.window.from_night(
         start, np.linalg.solve(freed, before), np.linalg.solve(freed, score)
     )
@@ -308,11 +312,11 @@ def adopted(state: State) -> State:
     )
 
 
-def _left_free(state: State, causes: Causes, found: Attribution, size: float, flow: float) -> Array:
+def _left_free(state: State, causes: Causes, weights: Array, size: float, flow: float) -> Array:
     """Covariance of what an adopted change may be beside its attribution, shape (q, q)."""
     variance = choices.STEP_SIZE**2 + size**2
     directions = causes.directions
-    left = (directions * (found.weights * variance)) @ directions.T
+    left = (directions * (weights * variance)) @ directions.T
     p, q = state.baseline.n_paths, state.baseline.columns.n
     sd = np.full(q, choices.LEFT_OF_SURFACE * flow)
     sd[:p] = choices.LEFT + choices.LEFT_OF_PATHS * flow / state.baseline.share

@@ -88,11 +88,16 @@ DATES = 0.6
 # Error of a size by the model's lack of fit, as a share of it; error of a change's shape, in lacks
 # of fit. Without the latter, four foreign machines of five got a part named, wrongly.
 SIZE_BY_LACK, SHAPE_BY_LACK = 0.3, 2.0
-# A cause is named from this probability.
-NAMED = 0.9
+# A cause is named from this probability; from the other on it has most of a name, or of a size.
+NAMED, MOSTLY = 0.9, 0.5
+# How much rarer several causes in one night are than one: a large change errs in its shape.
+SEVERAL_PRIOR = 0.001
 # Lack of fit up to which another grade, a sensor and a meter may be distinguished, and two gaps
 # from one.
 LACK_TO_IDENTIFY = 0.02
+# The same over pressure and speed alone, up to which gaps may be distinguished: at most 0.015 where
+# only the film law is another, at least 0.021 on machines that follow other laws.
+LACK_TO_NAME = 0.018
 # Pressures or speeds within ± this share are one pressure or one speed: gaps cannot be
 # distinguished.
 ONE_POINT = 0.2
@@ -111,5 +116,6 @@ LEFT, LEFT_OF_PATHS, LEFT_OF_SURFACE = 0.02, 0.2, 0.1
 OWN_PERIOD, PERIOD_NIGHTS = 0.15, 8
 # Spread of what counts as "back as before".
 BACK_SPREAD = 0.15
-# What the motors of a tank have in common beyond what the others' nights say.
-TANK_SPREAD, TANK_PRIOR = 0.02, 10.0
+# How far the motors of a tank move apart, as a share of what the others' nights say; how much
+# likelier their common oil is than a cause of the motor's own.
+TANK_SPREAD, TANK_PRIOR = 0.1, 10.0

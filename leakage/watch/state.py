@@ -16,9 +16,19 @@ import numpy as np
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS, Cause, causes_of, is_path
+from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS, SEVERAL, Cause, causes_of
 from leakage.watch.evidence import STEP, Causes, Evidence, Sums, Window
-from leakage.watch.nights import RAMPS, Array, Change, Estimate, Machine, WatchSettings, grown_as
+from leakage.watch.nights import (
+    FLUSHING,
+    KNOWN,
+    RAMPS,
+    Array,
+    Change,
+    Estimate,
+    Machine,
+    WatchSettings,
+    grown_as,
+)
 from leakage.watch.wander import Wander
 
 
@@ -205,7 +215,7 @@ class State:
         None where its share of all is too small. The share is as uncertain as the path's
         coefficient in the baseline.
         """
-        if cause not in self.machine.paths or not is_path(cause):
+        if cause not in self.machine.paths or cause in (FLUSHING, KNOWN):
             return None
         place = self.machine.paths.index(cause)
         own = float(self.baseline.all_paths[place])
@@ -264,7 +274,9 @@ def change_in_force(state: State) -> Change | None:
     if in_force is None or in_force.change.cause == ODD_NIGHTS:
         return None if in_force is None else in_force.change
     change = in_force.change
-    if in_force.found is not None and not change.goes_on:
+    # The size of one cause is none of several.
+    is_one = change.candidates.get(SEVERAL, 0.0) < choices.MOSTLY
+    if in_force.found is not None and not change.goes_on and is_one:
         return change
     now, before = present(state), in_force.before
     ratio = (1.0 + now.value) / (1.0 + before.value)
