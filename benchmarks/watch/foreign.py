@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.simulated_nights import lagging
 from benchmarks.watch.cb560 import AN_HOUR, MODEL
-from benchmarks.watch.history import History, block_means, night_blocks
+from benchmarks.watch.history import Event, History, block_means, night_blocks
 from leakage import OperatingConditions, regressors
 from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression, phi_of
@@ -106,18 +106,6 @@ def nightly(generator: np.random.Generator, nights: int, phi: float) -> Array:
     return autoregression(generator.standard_normal(nights), phi)
 
 
-@dataclass(frozen=True, slots=True)
-class Story:
-    """What happens, from which night on, and what it may be called."""
-
-    words: str
-    at: Callable[[int], Night]
-    nights: int
-    begin: int | None = None  # None: nothing changes
-    right: frozenset[str] = frozenset()  # names that would be true
-    is_step: bool = True
-
-
 def _ramp(place: int, begin: int, end: int) -> float:
     return float(np.clip((place - begin) / (end - begin), 0.0, 1.0))
 
@@ -133,50 +121,34 @@ def _from(begin: int, **changed: float) -> Callable[[int], Night]:
 
 WEAR = frozenset({"all_gaps", "all_flows"})
 OIL, METER = frozenset({"all_flows", "oil_grade"}), frozenset({"all_flows"})
-STORIES = (
-    Story("nothing", _from(0), 100),
-    Story("load +30 %", _from(30, load=1.3), 70),
-    Story("load −40 %", _from(30, load=0.6), 70),
-    Story("season, +12 K in 90 nights", _warming, 100),
-    Story("oil −20 %", _from(30, viscosity=0.8), 60, 30, OIL),
-    Story("meter +6 %", _from(30, meter=1.06), 60, 30, METER),
-    Story("wear, a step", _from(30, wear=1.25), 60, 30, WEAR),
-    Story(
-        "the season, and a step of wear",
-        lambda n: replace(_warming(n), wear=1.18 if n >= 45 else 1.0),
-        100,
-        45,
-        WEAR,
+STORIES = {
+    "nothing": Event(_from(0), 100),
+    "load +30 %": Event(_from(30, load=1.3), 70),
+    "load −40 %": Event(_from(30, load=0.6), 70),
+    "season, +12 K in 90 nights": Event(_warming, 100),
+    "oil −20 %": Event(_from(30, viscosity=0.8), 60, 30, OIL),
+    "meter +6 %": Event(_from(30, meter=1.06), 60, 30, METER),
+    "wear, a step": Event(_from(30, wear=1.25), 60, 30, WEAR),
+    "the season, and a step of wear": Event(
+        lambda n: replace(_warming(n), wear=1.18 if n >= 45 else 1.0), 100, 45, WEAR
     ),
-    Story(
-        "the season, and wear in 70 nights",
+    "the season, and wear in 70 nights": Event(
         lambda n: replace(_warming(n), wear=1.0 + 0.35 * _ramp(n, 20, 90)),
         100,
         20,
         WEAR,
-        False,
+        is_step=False,
     ),
-    Story(
-        "wear in 8 nights",
-        lambda n: Night(wear=1.0 + 0.4 * _ramp(n, 20, 28)),
-        50,
-        20,
-        WEAR,
-        False,
+    "wear in 8 nights": Event(
+        lambda n: Night(wear=1.0 + 0.4 * _ramp(n, 20, 28)), 50, 20, WEAR, is_step=False
     ),
-    Story(
-        "wear in 45 nights, then a repair",
-        lambda n: Night(wear=1.0 + 0.3 * _ramp(n, 15, 60) * (n < 60)),
-        90,
-        15,
-        WEAR,
-        False,
+    "wear in 45 nights, then a repair": Event(
+        lambda n: Night(wear=1.0 + 0.3 * _ramp(n, 15, 60) * (n < 60)), 90, 15, WEAR, is_step=False
     ),
-    Story(
-        "every third night +8 %",
+    "every third night +8 %": Event(
         lambda n: Night(meter=1.08 if n >= 40 and n % 3 == 0 else 1.0),
         90,
         40,
         frozenset({"odd_nights"}),
     ),
-)
+}

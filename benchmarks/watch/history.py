@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,18 @@ from leakage.watch import Machine, NightBlocks
 from pipeline.arrays import Array
 
 BLOCK_S = 120.0
+
+
+@dataclass(frozen=True)
+class Event:
+    """What happens to a motor, and what may be said of it."""
+
+    course: Callable[[int], Any]  # its state in each night
+    nights: int
+    begin: int | None = None  # night from which on something is otherwise than it was
+    right: frozenset[str] = frozenset()  # causes that are true
+    near: frozenset[str] = frozenset()  # causes that say less than the truth, and nothing false
+    is_step: bool = True
 
 
 class Asked(NamedTuple):

@@ -2,41 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.watch import heard
 from benchmarks.watch.cells import Cell
 from benchmarks.watch.history import History
 from benchmarks.watch.rivals import charts
-from pipeline.arrays import Array
+from leakage.watch import Change, Estimate, NightBlocks, Verdict, Watch, WatchSettings
 
 # Seeds of trials while building, and of the figures that are shown.
 TRIAL, FRESH = 36, 3636
+SETTLED = 10  # nights after which a cause has settled
+# A change of the temperature's effect alone is a notice; and what ends is no alarm.
+NOTICES = ("temperature_effect", "back_as_before")
 
 Outcome = dict[str, Any]
+Dated = tuple[int, Change]
 
 
 def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> Outcome:
     """Of one motor of a cell: a seed of its own, by cell and number."""
     histories = cell.make((base, crc32(cell.key.encode()), number), cell.event.nights)
-    said, history = heard.heard(histories, cell.baseline)[0], histories[0]
-    against_baseline = _against_baseline(history, cell.baseline)
+    watch, verdicts = _watched(histories, cell.baseline)
+    history = _against_baseline(histories[0], cell.baseline)
     found = {
-        "told": [_told(one, against_baseline, cell) for one in said.told],
-        "tonight": _newest_night(said.newest_night, against_baseline, cell.baseline),
-        "lack": round(said.lack_of_fit, 4),
-        "reached": _reached(history, cell),
+        "told": [_told(told_on, said, history, cell) for told_on, said in _said(verdicts).items()],
+        "tonight": _newest_night(verdicts, history),
+        "lack": round(verdicts[0].lack_of_fit, 4),
+        "reached": _reached(histories[0], cell),
     }
-    if said.leakages:
-        asked = zip(said.leakages, history.asked, strict=True)
+    if history.asked:
+        leakages = (watch.leakage_at(one.drives, one.conditions) for one in history.asked)
         found["leakages"] = [
-            [round(one / of.leakage - 1.0, 4) for one in told] for told, of in asked
+            [round(end / of.leakage - 1.0, 4) for end in _with_interval(one)]
+            for one, of in zip(leakages, history.asked, strict=True)
         ]
     if cell.has_rivals:
         values = charts(history.nights, cell.baseline)
@@ -44,6 +49,41 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
             method: _first(values[method] > limits[method], cell) for method in values
         }
     return found
+
+
+def _watched(histories: Sequence[History], baseline: int) -> tuple[Watch, list[Verdict]]:
+    """The watch of the first motor after its last night, and what it said of each.
+
+    What the others of its tank say of all flows is known to it.
+    """
+    settings = WatchSettings(baseline_nights=baseline)
+    watches = [Watch.begin(one.machine, one.nights[:baseline], settings) for one in histories]
+    verdicts = []
+    for place in range(baseline, len(histories[0].nights)):
+        watches = [
+            watch.after(one.nights[place], partial(_earlier, one.nights[: place + 1]))
+            for watch, one in zip(watches, histories, strict=True)
+        ]
+        watches = [_on_tank(watch, watches) for watch in watches]
+        verdicts.append(watches[0].verdict())
+    return watches[0], verdicts
+
+
+def _earlier(nights: Sequence[NightBlocks], day: int) -> Sequence[NightBlocks]:
+    return [one for one in nights if one.day >= day]
+
+
+def _on_tank(watch: Watch, tank: Sequence[Watch]) -> Watch:
+    """The watch that knows what the others say since its change, weighted by their variances."""
+    change = watch.verdict().change
+    if change is None:
+        return watch
+    others = [one.change_since(change.since) for one in tank if one is not watch]
+    if not (found := [one for one in others if one is not None]):
+        return watch
+    weights = np.array([one.sd**-2 for one in found])
+    value = float(weights @ [one.value for one in found] / weights.sum())
+    return watch.with_tank(Estimate(value, float(weights.sum() ** -0.5)))
 
 
 def _against_baseline(history: History, baseline: int) -> History:
@@ -55,31 +95,53 @@ def _against_baseline(history: History, baseline: int) -> History:
     return replace(history, newest_night=newest_night, change=change)
 
 
-def _told(told: heard.Told, history: History, cell: Cell) -> Outcome:
-    first, settled = told.first, told.settled
+def _said(verdicts: Sequence[Verdict]) -> dict[int, list[Dated]]:
+    """Changes in force night by night, by the night on which they were told."""
+    found: dict[int, list[Dated]] = {}
+    for verdict in verdicts:
+        if verdict.change is not None:
+            found.setdefault(verdict.change.told_on, []).append((verdict.day, verdict.change))
+    return found
+
+
+def _told(told_on: int, said: Sequence[Dated], history: History, cell: Cell) -> Outcome:
+    """A change as it was detected, and ten nights later; a notice, once it becomes an alarm."""
+    alarms = [one for one in said if one[1].cause not in NOTICES]
+    night, first = (alarms or said)[0]
+    last, settled = [one for one in said if one[0] <= max(told_on + SETTLED, night)][-1]
     # Told against the nights before its begin, or against the baseline.
     begin = cell.event.begin or 0
     before = history.change[begin - 1] if begin > cell.baseline else 0.0
     return {
-        "night": first.night,
-        "is_notice": told.is_notice,
+        "night": night,
+        "is_notice": not alarms,
         "goes_on": first.goes_on,
-        "first": [first.cause, first.likeliest, round(first.probability, 3)],
-        "cause": [settled.cause, settled.likeliest, round(settled.probability, 3)],
-        "since": [int(one) for one in settled.since],
-        "size": [round(one, 4) for one in settled.size],
-        "true": round(float((1.0 + history.change[settled.night]) / (1.0 + before) - 1.0), 4),
+        "first": _named(first),
+        "cause": _named(settled),
+        "since": [settled.since_lower, settled.since, settled.since_upper],
+        "size": [round(one, 4) for one in _with_interval(settled.size)],
+        "true": round(float((1.0 + history.change[last]) / (1.0 + before) - 1.0), 4),
     }
 
 
-def _newest_night(newest_night: Array, history: History, baseline: int) -> list[float]:
+def _named(change: Change) -> list[object]:
+    """The cause that is told, the likeliest, and the probability."""
+    likeliest = max(change.candidates, key=change.candidates.__getitem__, default=change.cause)
+    return [change.cause, likeliest, round(change.probability, 3)]
+
+
+def _with_interval(found: Estimate) -> tuple[float, float, float]:
+    return found.value, found.lower, found.upper
+
+
+def _newest_night(verdicts: Sequence[Verdict], history: History) -> list[float]:
     """Root mean square of the error, and share of nights within the interval.
 
     Against the truth at the night's conditions, and at the motor's own.
     """
-    value, lower, upper = newest_night[baseline:].T
+    value, lower, upper = np.array([_with_interval(one.newest_night) for one in verdicts]).T
     found = []
-    for true in (history.newest_night[baseline:], history.change[baseline:]):
+    for true in (history.newest_night[-len(value) :], history.change[-len(value) :]):
         inside = (lower <= true) & (true <= upper)
         found += [float(np.sqrt(np.mean((value - true) ** 2))), float(inside.mean())]
     return [round(one, 4) for one in found]

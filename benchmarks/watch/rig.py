@@ -79,8 +79,9 @@ def folder() -> Path:
 
 @cache
 def _nights(minutes: int, nights: int) -> tuple[NightBlocks, ...]:
-    record = read_records(folder())[0]
-    return tuple(_night(one) for one in windows(record.warm(), timedelta(minutes=minutes), nights))
+    rows, length = read_records(folder())[0].warm(), timedelta(minutes=minutes)
+    step = (rows[TIME][-1] - rows[TIME][0] - length) / (nights - 1)
+    return tuple(_night(one) for one in windows(rows, length, step))
 
 
 def _night(rows: pl.DataFrame) -> NightBlocks:

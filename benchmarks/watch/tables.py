@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 from scipy.special import gammaincinv
-from scipy.stats import beta
 
 from benchmarks.results_file import Part, table
 from benchmarks.watch.cb560 import PATHS
-from benchmarks.watch.cells import BASELINE, YEAR, Cell
+from benchmarks.watch.cells import BASELINE, NOTHING, YEAR, Cell
 from benchmarks.watch.outcomes import Outcome
 
 SOON = 3  # nights within which a wear that has reached 8 % is to be told, the first being 1
@@ -116,12 +115,6 @@ def _rate(count: int, years: float) -> str:
     return f"{count}: {count / max(years, 1e-9):.3f} (≤ {upper / max(years, 1e-9):.2f})"
 
 
-def share_interval(count: int, n: int) -> tuple[float, float]:
-    """Exact 95 % interval of a share (Clopper and Pearson)."""
-    lower = float(beta.ppf(0.025, count, n - count + 1)) if count else 0.0
-    return lower, float(beta.ppf(0.975, count + 1, n - count)) if count < n else 1.0
-
-
 def _share(held: Sequence[bool]) -> str:
     n, count = len(held), sum(held)
     return f"{count} of {n} ({100 * count / n:.0f} %)" if n else "–"
@@ -152,6 +145,7 @@ def _nights(cell: Cell, motors: Sequence[Outcome]) -> list[int | None]:
 
 
 def _delay(cell: Cell, firsts: Sequence[int | None]) -> str:
+    """Median and 90 % quantile, and how many were told if not all."""
     known = [np.inf if one is None else one for one in firsts]
     ends = np.quantile(known, [0.5, 0.9], method="higher")
     left = cell.event.nights - (cell.event.begin or 0)
@@ -160,32 +154,21 @@ def _delay(cell: Cell, firsts: Sequence[int | None]) -> str:
     return f"{median} ({late})" + ("" if told == len(firsts) else f", {told}/{len(firsts)}")
 
 
-def _delays(found: Found) -> Rows:
+def _told(found: Found) -> Rows:
     for cell, motors in found:
-        if cell.event.begin is None:
+        if cell.event is NOTHING:
             continue
+        told = len(_known(_firsts(cell, motors)))
         yield (
             cell.group,
             cell.words,
             cell.machine,
             str(cell.baseline),
+            f"{told} of {len(motors)}",
             _delay(cell, _nights(cell, motors)),
             _counts(cell, motors),
-            "; ".join(_delay(cell, one) for one in _charts(motors).values()),
-        )
-
-
-def _no_wear(found: Found) -> Rows:
-    for cell, motors in found:
-        told = len(_known(_firsts(cell, motors)))
-        lower, upper = share_interval(told, len(motors))
-        yield (
-            cell.words,
-            cell.machine,
-            f"{told} of {len(motors)} ({100 * lower:.0f}–{100 * upper:.0f} %)",
-            _counts(cell, motors),
             _notices(motors),
-            "; ".join(str(len(one) - one.count(None)) for one in _charts(motors).values()),
+            "; ".join(_delay(cell, one) for one in _charts(motors).values()),
         )
 
 
@@ -196,12 +179,6 @@ def _second_alarms(found: Found) -> Rows:
         years = sum(cell.event.nights - night for night, _ in behind) / YEAR
         more = sum(one["night"] > night for night, new in behind for one in new)
         yield cell.words, cell.machine, f"{years:.1f}", _rate(more, years)
-
-
-def _names(found: Found) -> Rows:
-    for cell, motors in found:
-        told = len(_known(_firsts(cell, motors)))
-        yield cell.group, cell.words, f"{told} of {len(motors)}", _counts(cell, motors)
 
 
 def _probabilities(found: Found) -> Rows:
@@ -277,14 +254,6 @@ def _sizes(found: Found) -> Rows:
         yield (*key, *map(_share, lists))
 
 
-def _newest_night(found: Found) -> Rows:
-    by: dict[tuple[str, str], list[Outcome]] = {}
-    for cell, motors in found:
-        by.setdefault((cell.group, cell.machine), []).extend(motors)
-    for key, motors in by.items():
-        yield (*key, str(len(motors)), _errors(motors))
-
-
 def _laminar(found: Found) -> Rows:
     for cell, motors in found:
         for place, words in enumerate(("reference conditions", "the motor's own")):
@@ -356,19 +325,12 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Found], Rows]], ..
         _false_alarms,
     ),
     (
-        "Delays and names",
-        "Nights to the first alarm, median (90 % quantile), the change's first night being 1; "
-        "names as they stand ten nights later: right / cannot be told / wrong.",
-        "group | change | machine | baseline | nights | names | charts in order",
-        ("wear", "second change", "from the first night", "special"),
-        _delays,
-    ),
-    (
-        "Motors without wear",
-        "Motors that alarmed (exact 95 % interval), and names: right / cannot be told / wrong.",
-        "change | machine | watch | names | notices | charts",
-        ("no wear",),
-        _no_wear,
+        "What was told",
+        "Motors that alarmed; nights to the first alarm, median (90 % quantile), the change's "
+        "first being 1; names as they stand ten nights later: right / cannot be told / wrong.",
+        "group | change | machine | baseline | told | nights | names | notices | charts in order",
+        ("wear", "no wear", "second change", "from the", "special", "names", "tank"),
+        _told,
     ),
     (
         "False second alarms",
@@ -376,13 +338,6 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Found], Rows]], ..
         "first | machine | years | told",
         ("after a change",),
         _second_alarms,
-    ),
-    (
-        "Names",
-        "Of the first change that is told; names: right / cannot be told / wrong.",
-        "group | change | told | names",
-        ("names", "tank"),
-        _names,
     ),
     (
         "Probability",
@@ -409,14 +364,6 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Found], Rows]], ..
         "machine | change | since held | size held",
         (*CB560, "not fitted"),
         _sizes,
-    ),
-    (
-        "Tonight's change",
-        "Root mean square error of each night's change (nights within the interval), at the "
-        "night's own conditions / at the motor's.",
-        "cells | machine | motors | error",
-        (*CB560, "laminar"),
-        _newest_night,
     ),
     (
         "A healthy all-laminar machine",

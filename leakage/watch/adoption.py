@@ -22,6 +22,7 @@ from leakage.watch.causes import (
     BACK,
     CANNOT_BE_TOLD,
     ODD_NIGHTS,
+    SEVERAL,
     TEMPERATURE_EFFECT,
     Cause,
     back_as_before,
@@ -38,7 +39,15 @@ from leakage.watch.nights import (
     WatchSettings,
     grown_as,
 )
-from leakage.watch.state import NOTHING, UNCHANGED, ChangeInForce, State, on_first_baseline, present
+from leakage.watch.state import (
+    NOTHING,
+    UNCHANGED,
+    ChangeInForce,
+    State,
+    all_causes,
+    on_first_baseline,
+    present,
+)
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
 Days = NDArray[np.int64]
@@ -46,11 +55,10 @@ Days = NDArray[np.int64]
 
 def judged(state: State) -> State:
     """With the evidence of the newest night; a change is detected where it is enough."""
-    first = state.place(state.first_start)
-    if first == len(state.window):
+    if state.first_step > state.day:
         return replace(state, evidence=NOTHING)
     evidence = state.evidence_now()
-    weighed = with_evidence(state, evidence, first)
+    weighed = with_evidence(state, evidence, state.place(state.first_ramp))
     frequent = weighed.often - math.log(2 * len(evidence.causes))
     if frequent >= max(state.settings.limit, weighed.evidence) and len(odd_nights(weighed)):
         return _with_odd_nights(weighed)
@@ -81,19 +89,19 @@ def of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array
     last = len(window) - 1
     oddest = np.array([start + int(window.odd[start:].argmax()) for start in starts])
     odd: Array = window.odd[oddest]
-    if last and evidence.operates_otherwise(starts):
-        rest = evidence.of_starts(starts, without=oddest).log_ratio
-        alone = told - np.logaddexp.reduce(rest, axis=(0, 2))
+    other = np.flatnonzero(evidence.operates_otherwise(starts))
+    if last and len(other):
+        rest = evidence.of_starts(starts[other], without=oddest[other]).log_ratio
+        alone = told[other] - np.logaddexp.reduce(rest, axis=(0, 2))
         by_all = np.logaddexp(math.log(1 - choices.ODD), math.log(choices.ODD) + alone)
-        is_other = evidence.operating_beyond(starts) > choices.OPERATING_OTHER
-        odd = np.where(is_other, np.minimum(odd, np.maximum(by_all, 0.0)), odd)
+        odd[other] = np.minimum(odd[other], np.maximum(by_all, 0.0))
     return odd
 
 
 def _told(state: State) -> State:
     """A change detected in the newest night, unless the flow has hardly changed."""
     evidence = state.evidence_now()
-    found = attribute(evidence, state.baseline, state.place(state.first_start))
+    found = attribute(evidence, state.baseline, state.place(state.first_ramp))
     if abs(found.flow.value) < choices.LEAST_CHANGE:
         return state
     return replace(state, in_force=in_force_of(state, evidence, found, told_on=state.day))
@@ -102,13 +110,17 @@ def _told(state: State) -> State:
 def settled(state: State) -> State:
     """With the change that was detected, as the nights up to now show it."""
     assert state.in_force is not None
+    assert state.in_force.found is not None
     evidence = state.evidence_now()
-    first = state.place(state.first_start)
-    found = attribute(evidence, state.baseline, first)
+    found = attribute(evidence, state.baseline, state.place(state.first_ramp))
     told_on = state.in_force.change.told_on
     if found.start > told_on:
         # A second change came before the first was settled: this one by its own nights.
         return state
+    # It came between the dates of all nights: what comes in few nights is neither step nor ramp.
+    lower, since, upper = found.since
+    before = state.in_force.found.since
+    found = replace(found, since=(min(lower, before[0]), since, max(upper, before[2])))
     tank = state.in_force.tank
     return replace(state, in_force=in_force_of(state, evidence, found, told_on, tank))
 
@@ -245,8 +257,9 @@ def begin(
         window,
         Sums.of(window, wander),
         wander,
-        undone=(),
-        first_start=nights[-1].day + 1,
+        all_causes(machine, baseline),
+        first_step=nights[-1].day + 1,
+        first_ramp=nights[0].day,
         n_baseline=len(nights),
         n_nights=len(nights),
         due=math.ceil(len(nights) * choices.ANEW_FACTOR),
@@ -271,7 +284,10 @@ def adopted(state: State) -> State:
     flow = size * abs(share_of_flow(likeliest, state.baseline))
     start = state.place(found.start)
     before, score = (one[0] for one in state.sums.before(np.array([start]), state.window))
-    freed = np.eye(len(score)) + before @ _left_free(state, causes, found, size, flow)
+    # Where several changed at once, each may have.
+    several = now.change.candidates.get(SEVERAL, 0.0)
+    weights = found.weights + several * causes.is_half
+    freed = np.eye(len(score)) + before @ _left_free(state, causes, weights, size, flow)
     window = state.window.from_night(
         start, np.linalg.solve(freed, before), np.linalg.solve(freed, score)
     )
@@ -282,8 +298,13 @@ def adopted(state: State) -> State:
         told,
         window=window,
         sums=Sums.of(window, state.wander),
-        undone=(back_as_before(likeliest.direction, found.size.value),),
-        first_start=told_on + 1,
+        causes=all_causes(
+            state.machine,
+            state.baseline,
+            [back_as_before(likeliest.direction, found.size.value)],
+        ),
+        first_step=told_on + 1,
+        first_ramp=told_on + 1,
         due=0,
         often=NOTHING,
         period_from=period_from if flow > choices.OWN_PERIOD else None,
@@ -291,11 +312,11 @@ def adopted(state: State) -> State:
     )
 
 
-def _left_free(state: State, causes: Causes, found: Attribution, size: float, flow: float) -> Array:
+def _left_free(state: State, causes: Causes, weights: Array, size: float, flow: float) -> Array:
     """Covariance of what an adopted change may be beside its attribution, shape (q, q)."""
     variance = choices.STEP_SIZE**2 + size**2
     directions = causes.directions
-    left = (directions * (found.weights * variance)) @ directions.T
+    left = (directions * (weights * variance)) @ directions.T
     p, q = state.baseline.n_paths, state.baseline.columns.n
     sd = np.full(q, choices.LEFT_OF_SURFACE * flow)
     sd[:p] = choices.LEFT + choices.LEFT_OF_PATHS * flow / state.baseline.share
@@ -340,7 +361,9 @@ def new_period(state: State, earlier: Earlier) -> State:
         in_force = replace(in_force, along=along, of_flow=1.0)
     return replace(
         period,
-        undone=(Cause(BACK, back, 1.0, choices.BACK_SPREAD),),
+        causes=all_causes(
+            state.machine, period.baseline, [Cause(BACK, back, 1.0, choices.BACK_SPREAD)]
+        ),
         carried=on_first_baseline(state, slice(-len(nights), None)),
         evidence=state.evidence,
         in_force=in_force,

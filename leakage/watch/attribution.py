@@ -14,21 +14,20 @@ from leakage.watch.baseline import Baseline
 from leakage.watch.causes import (
     ALL_FLOWS,
     ALL_GAPS,
+    AND,
     BACK,
     CANNOT_BE_TOLD,
     COMMON,
+    SEVERAL,
     TANK,
     TEMPERATURE_EFFECT,
     Cause,
-    is_path,
 )
-from leakage.watch.evidence import RAMP, SHAPES, STEP, Causes, Evidence
-from leakage.watch.nights import Array, Estimate, Machine
+from leakage.watch.evidence import RAMP, SHAPES, STEP, Causes, Evidence, Places
+from leakage.watch.nights import FLUSHING, Array, Estimate, Machine
 
 # Causes below this probability are no candidates.
 LEAST_PROBABILITY = 0.01
-# Of a group's probability: what has it names the group.
-HALF = 0.5
 INTERVAL = (0.025, 0.5, 0.975)
 
 
@@ -73,25 +72,30 @@ def attribute(evidence: Evidence, baseline: Baseline, first: int) -> Attribution
     of_starts, of_causes = weights.sum(axis=(0, 2)), weights.sum(axis=(0, 1))
     likeliest = int(of_causes.argmax())
     days = evidence.window.days
-    places = np.searchsorted(of_starts.cumsum(), INTERVAL)
+    of_dates = np.exp(choices.DATES * (told.log_ratio - told.log_ratio.max())).sum(axis=(0, 2))
+    places = np.searchsorted(of_dates.cumsum() / of_dates.sum(), INTERVAL)
     since = days[starts[np.minimum(places, len(starts) - 1)]].tolist()
     # A size that the nights tell well is theirs, not the prior's.
     is_own = (told.second * told.size**2 > choices.OWN_SIZE) & evidence.causes.is_half
     value = np.where(is_own, told.first / told.second, told.size)
     sd = np.where(is_own, 1.0 / np.sqrt(told.second), told.sd)
     rise = np.ones((len(SHAPES), len(starts), 1))
-    rise[RAMP, :, 0] = (days[-1] - days[starts] + 1) / choices.RAMP_DAYS
-    value, sd, lack = value * rise, sd * rise, baseline.lack_of_fit
+    rise[RAMP, :, 0] = evidence.risen(starts)
+    value, sd = value * rise, sd * rise
     of_flow = np.array([share_of_flow(one, baseline) for one in evidence.causes.every])
-    size = _pooled(weights[:, :, likeliest], value[:, :, likeliest], sd[:, :, likeliest], lack)
+    # What did not begin in one night has a shape of its own.
+    missed = choices.SIZE_BY_LACK * baseline.lack_of_fit
+    missed += choices.SIZE_BY_SHAPE * (since[0] < since[2])
+    size = _pooled(weights[:, :, likeliest], value[:, :, likeliest], sd[:, :, likeliest], missed)
     return Attribution(
         (since[0], since[1], since[2]),
-        int(days[starts[of_starts.argmax()]]),
+        # What began in the baseline is seen against all of it.
+        int(days[max(int(starts[of_starts.argmax()]), evidence.first_step)]),
         SHAPES[RAMP if weights[RAMP].sum() > 0.5 else STEP],
         of_causes,
         likeliest,
         size,
-        _pooled(weights, value * of_flow, sd * np.abs(of_flow), lack),
+        _pooled(weights, value * of_flow, sd * np.abs(of_flow), missed),
     )
 
 
@@ -102,13 +106,12 @@ def share_of_flow(cause: Cause, baseline: Baseline) -> float:
     return float(cause.direction @ baseline.own_row)
 
 
-def _pooled(weights: Array, value: Array, sd: Array, lack_of_fit: float) -> Estimate:
-    """A size over starts and shapes, with what the model may miss of it."""
+def _pooled(weights: Array, value: Array, sd: Array, missed: float) -> Estimate:
+    """A size over starts and shapes, with the share of it that may be missed."""
     weights = weights / weights.sum()
     mean = float((weights * value).sum())
     variance = float((weights * (sd**2 + value**2)).sum()) - mean**2
-    missed = choices.SIZE_BY_LACK * lack_of_fit * mean
-    return Estimate(mean, math.sqrt(max(variance, 0.0) + missed**2))
+    return Estimate(mean, math.sqrt(max(variance, 0.0) + (missed * mean) ** 2))
 
 
 def name_of(
@@ -125,14 +128,21 @@ def name_of(
     change of the other motors' flows on the same tank since then, where they moved.
     """
     causes, log_prior = _with_tank(evidence.causes, baseline, tank)
-    error = choices.SHAPE_BY_LACK * baseline.lack_of_fit * abs(flow)
-    log_ratio = _log_ratios(evidence, causes, baseline, start, error) + log_prior
+    at = np.searchsorted(evidence.window.days, [start])
+    change, score = _between(evidence, baseline, at, flow)
+    log_ratio = _log_ratios(evidence, causes, at, change, score)
+    log_ratio[:-1] += log_prior
+    log_ratio[-1] += math.log(choices.SEVERAL_PRIOR)
+    if baseline.lack_of_fit > choices.LACK_TO_IDENTIFY:
+        # Under a wrong model several can do what one does.
+        log_ratio[-1] = -math.inf
     weights = np.exp(log_ratio - log_ratio.max())
     weights /= weights.sum()
-    likeliest = causes.every[int(weights.argmax())]
+    likeliest = causes.every[int(weights[:-1].argmax())]
     by_name: dict[str, float] = {}
-    for one, weight in zip(causes.every, weights.tolist(), strict=True):
-        by_name[one.name] = by_name.get(one.name, 0.0) + weight
+    names = (*(one.name for one in causes.every), SEVERAL)
+    for one, weight in zip(names, weights.tolist(), strict=True):
+        by_name[one] = by_name.get(one, 0.0) + weight
     groups = _together(by_name, machine, baseline)
     cause, probability = _told(groups, by_name, likeliest.name)
     known = {name: value for name, value in by_name.items() if value > LEAST_PROBABILITY}
@@ -143,40 +153,49 @@ def name_of(
 def _with_tank(causes: Causes, baseline: Baseline, tank: Estimate | None) -> tuple[Causes, Array]:
     """Causes with what the tank's other motors say, and ln of their prior weights."""
     log_prior = np.zeros(len(causes))
-    if tank is None:
+    if tank is None or tank.holds_zero:
         return causes, log_prior
-    spread = math.hypot(tank.sd, choices.TANK_SPREAD)
+    spread = math.hypot(tank.sd, choices.TANK_SPREAD * abs(tank.value))
     own = Cause(TANK, baseline.all_flows, tank.value, spread)
     return Causes.of([*causes.every, own]), np.append(log_prior, math.log(choices.TANK_PRIOR))
 
 
-def _log_ratios(
-    evidence: Evidence, causes: Causes, baseline: Baseline, day: int, error: float
-) -> Array:
-    """ln of the likelihood ratios of a step of each cause, shape (d,), its shape uncertain."""
+def _between(
+    evidence: Evidence, baseline: Baseline, at: Places, flow: float
+) -> tuple[Array, Array]:
+    """W, shape (q, q), and w, shape (q,), of a start; the shape of the change is uncertain."""
     window, p = evidence.window, baseline.n_paths
-    start = int(np.searchsorted(window.days, day))
-    at = np.array([start])
     (of_after, *_), (of_score, _) = evidence.since(at)
     after, score = of_after[0], of_score[0]
     before, score_before = (one[0] for one in evidence.sums.before(at, window))
+    error = choices.SHAPE_BY_LACK * baseline.lack_of_fit * abs(flow)
     variance = np.full(len(score), error**2)
     beyond = float(evidence.operating_beyond(at)[0])
     variance[:p] = (error / baseline.share) ** 2 + (beyond * baseline.operating_error) ** 2
     blurred = np.eye(len(score)) + after * variance
     after, score = np.linalg.solve(blurred, after), np.linalg.solve(blurred, score)
-    along = after @ causes.directions
-    rows = np.column_stack([along, score_before + score])
-    solved = np.linalg.solve(before + after, rows)
-    first = causes.directions.T @ (score - after @ solved[:, -1])
-    second = np.einsum("id,id->d", causes.directions, along)
-    second = np.maximum(second - np.einsum("id,id->d", along, solved[:, :-1]), 1e-12)
+    rows = np.linalg.solve(before + after, np.column_stack([after, score_before + score]))
+    return after - after @ rows[:, :-1], score - after @ rows[:, -1]
+
+
+def _log_ratios(
+    evidence: Evidence, causes: Causes, at: Places, change: Array, score: Array
+) -> Array:
+    """ln of the likelihood ratios of a step of each cause and of several, shape (d + 1,)."""
+    first = causes.directions.T @ score
+    matrix = causes.directions.T @ change @ causes.directions
+    second = np.maximum(np.diag(matrix), 1e-12)
     mean, spread = causes.mean, causes.spread
     sd = 1.0 / np.sqrt(second + spread**-2)
     size = sd**2 * (first + mean / spread**2)
     gain = (size / sd) ** 2 - (mean / spread) ** 2
     one_sided = np.where(causes.is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
-    ratio: Array = 0.5 * evidence.tempered(gain) + np.log(sd / spread) + one_sided
+    # Several at once: each that has two signs, by half of its prior's variance in either.
+    each = np.where(causes.is_half, spread / math.sqrt(2.0), 0.0)
+    inner = np.eye(len(each)) + each[:, None] * matrix * each
+    several = float((each * first) @ np.linalg.solve(inner, each * first))
+    width = np.append(np.log(sd / spread) + one_sided, -0.5 * np.linalg.slogdet(inner)[1])
+    ratio: Array = 0.5 * evidence.tempered(np.append(gain, several)[None], at)[0] + width
     return ratio
 
 
@@ -189,7 +208,9 @@ def _together(
     if baseline.lack_of_fit > choices.LACK_TO_IDENTIFY or free < 2:
         groups |= dict.fromkeys(COMMON, frozenset(COMMON))
     if not baseline.identifies_gaps:
-        alike = frozenset(name for name in by_name if is_path(name) or name == ALL_GAPS)
+        # What is taken as known is distinguished from gaps by pressures, too.
+        parts = {*machine.paths, ALL_GAPS} - {FLUSHING}
+        alike = frozenset(one for one in by_name if parts.issuperset(one.split(AND)))
         groups |= dict.fromkeys(alike, alike)
     if not baseline.identifies_speed:
         alike = groups.get(ALL_GAPS, frozenset((ALL_GAPS,))) | groups.get(
@@ -199,7 +220,7 @@ def _together(
     if TANK in by_name:
         alike = groups.get(ALL_FLOWS, frozenset(COMMON)) | {TANK}
         groups |= dict.fromkeys(alike, alike)
-    if by_name.get(BACK, 0.0) > HALF:
+    if by_name.get(BACK, 0.0) > choices.MOSTLY:
         # What undoes a change is its cause in the other direction.
         others = {name: value for name, value in by_name.items() if name != BACK}
         nearest = max(others, key=others.__getitem__)
@@ -217,10 +238,10 @@ def _told(
 ) -> tuple[str, float]:
     """The name of the likeliest group, or that it cannot be identified, and its probability."""
     group, probability = max(groups.items(), key=lambda one: one[1])
-    if probability < choices.NAMED:
+    if probability < choices.NAMED or SEVERAL in group:
         return CANNOT_BE_TOLD, probability
     for whole in (TANK, BACK):
-        if whole in group and by_name[whole] >= HALF * probability:
+        if whole in group and by_name[whole] >= choices.MOSTLY * probability:
             return whole, probability
     group -= {TANK, BACK}
     if len(group) == 1:

@@ -158,7 +158,7 @@ class Baseline:
     # Root mean square of what temperature and surface explain, which the model does not.
     lack_of_fit: float
     # identifies_gaps, identifies_speed: Whether pressures, and speeds, vary by enough to
-    # distinguish paths by them.
+    # distinguish paths by them, and the model misses little of how the flow goes with pressure.
     identifies_gaps: bool
     identifies_speed: bool
 
@@ -239,6 +239,8 @@ def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
         if not np.any(theta > 0.0):
             theta = _first_guess(drives, np.full(len(flow), mean_flow))
         columns = _with_theta(columns, theta, np.maximum(theta, least_unit))
+    p = columns.n_paths
+    lack_of_shape = _missed(columns, unknowns, nights, p + N_TEMPERATURE)
     operating_points = np.array([columns.operating_point(night) for night in nights])
     return Baseline(
         columns,
@@ -248,8 +250,8 @@ def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
         operating_points.std(axis=0, ddof=1) + _least_spread(columns.n_paths),
         _own_row(columns, nights),
         path_sd,
-        _lack_of_fit(columns, unknowns, nights),
-        varies(pressures),
+        _missed(columns, unknowns, nights, p),
+        lack_of_shape <= choices.LACK_TO_NAME and varies(pressures),
         varies(speeds),
     )
 
@@ -330,7 +332,7 @@ def _own_row(columns: Columns, nights: Sequence[NightBlocks]) -> Array:
     return total
 
 
-def _lack_of_fit(columns: Columns, unknowns: Array, nights: Sequence[NightBlocks]) -> float:
-    p = columns.n_paths
-    missed = [columns.of_night(night)[0][:, p:] @ unknowns[p:] for night in nights]
+def _missed(columns: Columns, unknowns: Array, nights: Sequence[NightBlocks], first: int) -> float:
+    """Root mean square share of the flow that the unknowns from a place on explain."""
+    missed = [columns.of_night(night)[0][:, first:] @ unknowns[first:] for night in nights]
     return float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))

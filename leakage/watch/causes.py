@@ -11,13 +11,14 @@ import numpy as np
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
 from leakage.watch import choices
 from leakage.watch.baseline import Baseline
-from leakage.watch.nights import FLUSHING, KNOWN, Array, Machine
+from leakage.watch.nights import FLUSHING, Array, Machine
 
 ALL_GAPS, ALL_FLOWS, OIL_GRADE = "all_gaps", "all_flows", "oil_grade"
 TEMPERATURE_SENSOR, TEMPERATURE_EFFECT = "temperature_sensor", "temperature_effect"
 ZERO, AND = "zero", " and "
 BACK, ODD_NIGHTS, TANK = "back_as_before", "odd_nights", "tank"
-CANNOT_BE_TOLD = "cannot_be_told"
+# More than one cause at once is a candidate, and no name.
+SEVERAL, CANNOT_BE_TOLD = "several", "cannot_be_told"
 # What moves all flows together, and is no path.
 COMMON = (ALL_FLOWS, OIL_GRADE, TEMPERATURE_SENSOR, TEMPERATURE_EFFECT)
 # Within these many degrees the factor of another oil is followed.
@@ -46,13 +47,16 @@ class Cause:
 
 def causes_of(machine: Machine, baseline: Baseline) -> tuple[Cause, ...]:
     """All causes of a motor, both signs."""
+    unknown = np.eye(baseline.columns.n)
+    # Under a wrong model a gap can do what a zero does.
+    has_zero = baseline.columns.has_zero and baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY
     return (
         *_of_paths(machine, baseline),
         *_of_gaps(machine, baseline),
         *_both(ALL_FLOWS, baseline.all_flows),
         *(_both(ALL_FLOWS, _by_oil(machine, baseline)) if FLUSHING in machine.paths else ()),
-        *_both(TEMPERATURE_EFFECT, _of_one(baseline.n_paths, baseline)),
-        *(_both(ZERO, _of_one(-1, baseline)) if _identifies_zero(baseline) else ()),
+        *_both(TEMPERATURE_EFFECT, unknown[baseline.n_paths]),
+        *(_both(ZERO, unknown[-1]) if has_zero else ()),
         *(() if machine.oil is None else _of_oil(machine, machine.oil, baseline)),
     )
 
@@ -88,18 +92,6 @@ def _of_gaps(machine: Machine, baseline: Baseline) -> Iterator[Cause]:
     if len(gaps) > 2 and baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY:
         for (one, first), (other, second) in combinations(gaps.items(), 2):
             yield Cause(one + AND + other, first + second)
-
-
-def _identifies_zero(baseline: Baseline) -> bool:
-    """True if a zero can be identified: under a wrong model a gap can do what it does."""
-    return baseline.columns.has_zero and baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY
-
-
-def _of_one(place: int, baseline: Baseline) -> Array:
-    """The direction of one unknown."""
-    direction = np.zeros(baseline.columns.n)
-    direction[place] = 1.0
-    return direction
 
 
 def _by_oil(machine: Machine, baseline: Baseline) -> Array:
@@ -143,9 +135,3 @@ def _viscosity(oil: tuple[float, float], middle_c: float) -> Array:
     walther = walther_coefficients(40.0, oil[0], 100.0, oil[1])
     at_c = np.array([middle_c, middle_c + STEP_K, middle_c - STEP_K])
     return kinematic_viscosity_mm2_per_s(at_c, *walther)
-
-
-def is_path(name: str) -> bool:
-    """True of the name of a path that can wear, or of two."""
-    others = (*COMMON, ALL_GAPS, ZERO, BACK, ODD_NIGHTS, TANK, CANNOT_BE_TOLD, FLUSHING, KNOWN)
-    return name not in others

@@ -34,8 +34,14 @@ ROBUST, ROBUST_PASSES = 3.0, 4
 # The wander of the paths has a prior worth so many nights, of this size, three quarters of it
 # common to all paths: what the sensors of most motors do.
 WANDER_NIGHTS, WANDER_SIZE, WANDER_COMMON = 6.0, 0.012, 0.75
-# Variance of the mean of the nights, as a share of one night's, that Q is corrected for at most.
-MOST_OF_MEAN = 0.6
+# By what the mean of a long record varies more where single paths wander: a memory of 0.6.
+LONG_OF_PATHS = 4.0
+# Of stretches of nights that vary as independent ones so many are worth one degree of freedom.
+STRETCHES = 1.2
+# Prior of the rise of each path in ten days, beside which it wanders.
+LINE_PRIOR = 0.1
+# Share of the nights' variance that a line takes, for which Q is corrected at most.
+MOST_OF_LINE = 0.6
 # Wander and its memory are estimated anew when the nights have grown by this factor, from nights
 # up to a week ago, and not while something may be about to be detected.
 ANEW_FACTOR, ANEW_DELAY, ANEW_BELOW = 1.3, 7, 6.0
@@ -65,20 +71,33 @@ DENSE_STARTS = 40
 # Nights that are kept one by one, and how many more until the oldest are summed up; no start lies
 # among those.
 WINDOW, WINDOW_SLACK = 300, 50
+# A ramp from the first night on may have begun before it: it stands for so many starts.
+STARTS_BEFORE = 30.0
+# Evidence beyond ln(365 / rate): the rate holds for a known wander, and it is an estimate.
+ESTIMATED = 0.3
 # A change of the flow that is reported at all.
 LEAST_CHANGE = 0.005
 
 # -- since, how much, which cause ------------------------------------------------------------------
 # Evidence (in twice the gain of ln likelihood) from which a size is its own, without the prior.
 OWN_SIZE = 25.0
+# Error of the size of what did not begin in one night, as a share of it: a ramp is never straight.
+SIZE_BY_SHAPE = 0.12
+# Power of the evidence of starts in the interval of the first day: a ramp is never quite straight.
+DATES = 0.6
 # Error of a size by the model's lack of fit, as a share of it; error of a change's shape, in lacks
 # of fit. Without the latter, four foreign machines of five got a part named, wrongly.
 SIZE_BY_LACK, SHAPE_BY_LACK = 0.3, 2.0
-# A cause is named from this probability.
-NAMED = 0.9
+# A cause is named from this probability; from the other on it has most of a name, or of a size.
+NAMED, MOSTLY = 0.9, 0.5
+# How much rarer several causes in one night are than one: a large change errs in its shape.
+SEVERAL_PRIOR = 0.001
 # Lack of fit up to which another grade, a sensor and a meter may be distinguished, and two gaps
 # from one.
 LACK_TO_IDENTIFY = 0.02
+# The same over pressure and speed alone, up to which gaps may be distinguished: at most 0.015 where
+# only the film law is another, at least 0.021 on machines that follow other laws.
+LACK_TO_NAME = 0.018
 # Pressures or speeds within ± this share are one pressure or one speed: gaps cannot be
 # distinguished.
 ONE_POINT = 0.2
@@ -97,5 +116,6 @@ LEFT, LEFT_OF_PATHS, LEFT_OF_SURFACE = 0.02, 0.2, 0.1
 OWN_PERIOD, PERIOD_NIGHTS = 0.15, 8
 # Spread of what counts as "back as before".
 BACK_SPREAD = 0.15
-# What the motors of a tank have in common beyond what the others' nights say.
-TANK_SPREAD, TANK_PRIOR = 0.02, 10.0
+# How far the motors of a tank move apart, as a share of what the others' nights say; how much
+# likelier their common oil is than a cause of the motor's own.
+TANK_SPREAD, TANK_PRIOR = 0.1, 10.0

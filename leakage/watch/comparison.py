@@ -76,7 +76,7 @@ def compare(
         name.probability,
         name.candidates,
         state.baseline.lack_of_fit,
-        evidence.operates_otherwise(starts),
+        bool(evidence.operating_beyond(starts) > 0.0),
     )
 
 

@@ -20,6 +20,9 @@ from leakage.watch.causes import Cause
 from leakage.watch.nights import RAMPS, STEPS, Array
 from leakage.watch.wander import Wander, effective
 
+Places = NDArray[np.intp]
+POWERS = np.arange(3)  # Of the day, by which nights are weighted for ramps.
+
 
 @dataclass(frozen=True, slots=True)
 class Window:
@@ -81,19 +84,19 @@ class Window:
 class Sums:
     """Cumulative sums over a window's nights, each with its own shift of the paths.
 
-    Shapes (2, n + 1, …): information weighted by 1, day and day²; scores by 1 and day. First with
-    the shifts' covariance Q as it is, then times the inflation of a long record: sums of correlated
-    nights lie between. Distances have shape (n + 1,).
+    `told` has those of the first 0, 1, … n nights: information, with the score as its last column,
+    weighted by 1, day and day², shape (2, 3, q, q + 1). First with the shifts' covariance Q as it
+    is, then times the inflation of a long record: sums of correlated nights lie between.
+    `distance` has shape (n + 1,).
     """
 
-    information: tuple[Array, Array, Array]
-    score: tuple[Array, Array]
+    told: tuple[Array, ...]
     distance: Array
 
     @classmethod
     def of(cls, window: Window, wander: Wander) -> Sums:
         q = window.score.shape[1]
-        start = cls((np.zeros((2, 1, q, q)),) * 3, (np.zeros((2, 1, q)),) * 2, np.zeros(1))
+        start = cls((np.zeros((2, len(POWERS), q, q + 1)),), np.zeros(1))
         return start._extended(window, wander, 0)
 
     def with_night(self, window: Window, wander: Wander) -> Sums:
@@ -102,75 +105,70 @@ class Sums:
 
     def _extended(self, window: Window, wander: Wander, first: int) -> Sums:
         """With the nights from a place on."""
-        told = [
-            effective(window.information[first:], window.score[first:], factor * wander.spread)
-            for factor in (1.0, wander.long_inflation)
-        ]
-        information, score = (np.stack([one[place] for one in told]) for place in (0, 1))
-
-        def summed(sums: Array, values: Array) -> Array:
-            return np.concatenate([sums, sums[:, -1:] + values.cumsum(axis=1)], axis=1)
-
-        days = window.days[first:].astype(float)
-        by_day, by_matrix = days[:, None], days[:, None, None]
-        a, u, distance = self.information, self.score, window.distance[first:]
+        told = np.stack(
+            [
+                effective(window.information[first:], window.score[first:], spread)
+                for spread in (wander.spread, wander.long_spread)
+            ],
+            axis=1,
+        )
+        weights = window.days[first:, None].astype(float) ** POWERS
+        weighted = told[:, :, None] * weights[:, None, :, None, None]
         return Sums(
-            (
-                summed(a[0], information),
-                summed(a[1], information * by_matrix),
-                summed(a[2], information * by_matrix**2),
-            ),
-            (summed(u[0], score), summed(u[1], score * by_day)),
-            np.append(self.distance, self.distance[-1] + distance.cumsum()),
+            (*self.told, *(self.told[-1] + weighted.cumsum(axis=0))),
+            np.append(self.distance, self.distance[-1] + window.distance[first:].cumsum()),
         )
 
-    def before(self, starts: NDArray[np.intp], window: Window) -> tuple[Array, Array]:
+    def before(self, starts: Places, window: Window) -> tuple[Array, Array]:
         """What all nights before some starts say, shapes (k, q, q) and (k, q)."""
-        return (
-            window.before + self.information[0][1, starts],
-            window.score_before + self.score[0][1, starts],
-        )
+        told = np.stack([self.told[start][1, 0] for start in starts])
+        return window.before + told[..., :-1], window.score_before + told[..., -1]
 
-    def since(
-        self,
-        sums: Array,
-        starts: NDArray[np.intp],
-        weights: tuple[Array, Array],
-        without: NDArray[np.intp] | None,
-    ) -> Array:
-        """Some of these sums from starts to the newest night, shape (k, …).
+    def since(self, starts: Places, weights: Array, without: Places | None) -> Array:
+        """The sums from starts to the newest night, shape (3, k, q, q + 1).
 
         `weights` are those of the sums with Q as it is and of those with Q of a long record, shape
-        (k,) each; `without` is a night that each start leaves out.
+        (k, 2); `without` is a night that each start leaves out.
         """
-        since: Array = sums[:, -1:] - sums[:, starts]
+        since = self.told[-1] - np.stack([self.told[start] for start in starts])
         if without is not None:
-            since = since - (sums[:, without + 1] - sums[:, without])
-        short, long = (one.reshape((-1,) + (1,) * (since.ndim - 2)) for one in weights)
-        mixed: Array = short * since[0] + long * since[1]
+            since -= np.stack([self.told[one + 1] - self.told[one] for one in without])
+        mixed: Array = (weights[:, :, None, None, None] * since).sum(axis=1).swapaxes(0, 1)
         return mixed
 
 
 STEP, RAMP = 0, 1
 SHAPES = (STEPS, RAMPS)
-Places = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
 class Causes:
-    """Causes as arrays: directions, shape (q, d), means and spreads of their sizes, shape (d,)."""
+    """Causes as arrays: directions, shape (q, d), means and spreads of their sizes, shape (d,).
+
+    A rise and a fall have one axis, of `axes` of shape (q, a): its number and their signs, (d,).
+    """
 
     every: tuple[Cause, ...]
     directions: Array
+    axes: Array
+    axis: Places
+    sign: Array
     mean: Array
     spread: Array
     is_half: NDArray[np.bool_]
 
     @classmethod
     def of(cls, every: Sequence[Cause]) -> Causes:
+        directions = np.array([one.direction for one in every]).T
+        largest = np.abs(directions).argmax(axis=0)
+        sign = np.sign(directions[largest, np.arange(len(every))])
+        axes, axis = np.unique(directions * sign, axis=1, return_inverse=True)
         return cls(
             tuple(every),
-            np.array([one.direction for one in every]).T,
+            directions,
+            axes,
+            axis,
+            sign,
             np.array([one.mean for one in every]),
             np.array([one.spread for one in every]),
             np.array([one.is_half for one in every]),
@@ -225,24 +223,25 @@ class _Freed:
         taken = across @ (error @ of_paths[:, :, None])
         return cls(error, across, of_paths, total, before[1] + score - taken[:, :, 0])
 
-    def told(
-        self, directions: Array, linear: Array, square: Array, score: Array
-    ) -> tuple[Array, Array]:
-        """T₁ and T₂ of all causes, shape (k, d), from sums of A₊ and u₊ weighted by a shape."""
-        p = self.error.shape[1]
-        along = linear @ directions
-        lost = self.error @ along[:, :p]
+    def told(self, axes: Array, linear: Array, square: Array, score: Array) -> tuple[Array, Array]:
+        """T₁ and T₂ of all axes, shape (s, k, a), from sums of A₊ and u₊ weighted by s shapes."""
+        p, n_shapes = self.error.shape[1], len(linear)
+        along = linear @ axes
+        lost = self.error @ along[:, :, :p]
         left = along - self.across @ lost
-        solved = np.linalg.solve(self.total, np.concatenate([left, self.score[:, :, None]], axis=2))
+        rows = np.concatenate([*left, self.score[:, :, None]], axis=2)
+        *solved, level = np.split(
+            np.linalg.solve(self.total, rows), np.arange(1, n_shapes + 1) * axes.shape[1], axis=2
+        )
         first = (
-            score @ directions
-            - np.einsum("kpd,kp->kd", lost, self.of_paths)
-            - np.einsum("kid,ki->kd", left, solved[:, :, -1])
+            score @ axes
+            - (lost * self.of_paths[:, :, None]).sum(axis=2)
+            - (left * level).sum(axis=2)
         )
         second = (
-            np.einsum("id,kid->kd", directions, square @ directions)
-            - np.einsum("kpd,kpd->kd", along[:, :p], lost)
-            - np.einsum("kid,kid->kd", left, solved[:, :, :-1])
+            (axes * (square @ axes)).sum(axis=2)
+            - (along[:, :, :p] * lost).sum(axis=2)
+            - (left * np.stack(solved)).sum(axis=2)
         )
         return first, np.maximum(second, 1e-12)
 
@@ -252,7 +251,8 @@ class Evidence:
     """All that the evidence of a night is made from.
 
     `operating_error` is the error of each path a standard deviation of other operating conditions,
-    shape (p,); `n_nights` all nights so far.
+    shape (p,); `n_nights` all nights so far. Steps begin at the place `first_step` or later; before
+    it, in the baseline, ramps may begin.
     """
 
     window: Window
@@ -261,6 +261,7 @@ class Evidence:
     causes: Causes
     operating_error: Array
     n_nights: int
+    first_step: int
 
     def of_starts(
         self, starts: Places, *, by_operation: bool = True, without: Places | None = None
@@ -279,32 +280,28 @@ class Evidence:
         linear = (a1 - by_matrix * a0) / tens
         square = (a2 - 2.0 * by_matrix * a1 + by_matrix**2 * a0) / tens**2
         score = (u1 - by_vector * u0) / tens
-        directions = self.causes.directions
-        told = freed.told(directions, a0, a0, u0), freed.told(directions, linear, square, score)
-        first, second = (np.stack([one[place] for one in told]) for place in (0, 1))
-        return self._weighed(first, second)
+        causes = self.causes
+        first, second = freed.told(
+            causes.axes, np.stack([a0, linear]), np.stack([a0, square]), np.stack([u0, score])
+        )
+        first, second = causes.sign * first[..., causes.axis], second[..., causes.axis]
+        return self._weighed(first, second, starts)
 
-    def since(
-        self, starts: Places, without: Places | None = None
-    ) -> tuple[list[Array], list[Array]]:
-        """Information, (k, q, q), and scores, (k, q), of starts, weighted by powers of the day."""
+    def since(self, starts: Places, without: Places | None = None) -> tuple[Array, Array]:
+        """Information, (3, k, q, q), and scores, (2, k, q), since starts, by powers of the day."""
         n_nights = (len(self.window) - starts).astype(float)
         share = self.wander.share_of_short(n_nights)
         # At other operating conditions the model's error is that of all nights alike, those within
         # nights too.
-        is_other = self.operating_beyond(starts) > choices.OPERATING_OTHER
+        is_other = self.operates_otherwise(starts)
         inflated = 1.0 / self.wander.inflation(n_nights)
         weights = np.where(is_other, inflated, share), np.where(is_other, 0.0, 1.0 - share)
-        information = [
-            self.sums.since(one, starts, weights, without) for one in self.sums.information
-        ]
-        return information, [
-            self.sums.since(one, starts, weights, without) for one in self.sums.score
-        ]
+        told = self.sums.since(starts, np.stack(weights, axis=1), without)
+        return told[..., :-1], told[:2, ..., -1]
 
-    def operates_otherwise(self, starts: Places) -> bool:
-        """True if a start's nights have other operating conditions than the baseline's."""
-        return bool(np.any(self.operating_beyond(starts) > 0.0))
+    def operates_otherwise(self, starts: Places) -> NDArray[np.bool_]:
+        """Whether a start's nights have other operating conditions than the baseline's, (k,)."""
+        return self.operating_beyond(starts) > choices.OPERATING_OTHER
 
     def operating_beyond(self, starts: Places) -> Array:
         """Mean distance of the conditions since each start beyond what is usual, shape (k,)."""
@@ -324,7 +321,15 @@ class Evidence:
         error: Array = np.linalg.solve(inner, variance).astype(np.float64)
         return error
 
-    def _weighed(self, first: Array, second: Array) -> Told:
+    def risen(self, starts: Places) -> Array:
+        """By how much a ramp of each start has risen above its mean in the baseline, shape (k,)."""
+        days = self.window.days
+        since = (days - days[starts][:, None] + 1).clip(0)
+        before = since[:, : self.first_step].sum(axis=1) / max(self.first_step, 1)
+        risen: Array = (since[:, -1] - before) / choices.RAMP_DAYS
+        return risen
+
+    def _weighed(self, first: Array, second: Array, starts: Places) -> Told:
         """Likelihood ratios of T₁ and T₂, the sizes integrated out."""
         priors = [self.causes.prior(shape) for shape in (STEP, RAMP)]
         mean = np.stack([one[0] for one in priors])[:, None, :]
@@ -334,13 +339,17 @@ class Evidence:
         size = sd**2 * (first + mean / spread**2)
         gain = (size / sd) ** 2 - (mean / spread) ** 2
         one_sided = np.where(is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
-        log_ratio = 0.5 * self.tempered(gain) + np.log(sd / spread) + one_sided
-        prior = math.log(len(self.causes) * len(SHAPES))
-        return Told(log_ratio - prior, size, sd, first, second)
+        log_ratio = 0.5 * self.tempered(gain, starts) + np.log(sd / spread) + one_sided
+        log_ratio -= math.log(len(self.causes) * len(SHAPES))
+        is_early = starts < self.first_step
+        log_ratio[STEP, is_early] = -np.inf
+        log_ratio[RAMP, is_early & (starts == 0)] += math.log(choices.STARTS_BEFORE)
+        return Told(log_ratio, size, sd, first, second)
 
-    def tempered(self, gain: Array) -> Array:
-        """Twice a gain of ln likelihood, as the wander is an estimate: t in place of normal."""
-        freedom = self.wander.degrees_of_freedom(self.n_nights)
+    def tempered(self, gain: Array, starts: Places) -> Array:
+        """Twice a gain of ln likelihood, (…, k, d), as the wander is an estimate: Student's t."""
+        n_since = (len(self.window) - starts).astype(float)
+        freedom = self.wander.degrees_of_freedom(self.n_nights, n_since)[:, None]
         most = float(np.max(gain))
         rest: Array = np.log((freedom + most) / (freedom + most - gain))
         return (freedom + 1.0) * rest

@@ -14,7 +14,7 @@ from leakage.watch.baseline import Baseline, Columns
 from leakage.watch.causes import BACK, Cause
 from leakage.watch.evidence import Sums, Window
 from leakage.watch.nights import Array, Change, Estimate, Machine, WatchSettings
-from leakage.watch.state import ChangeInForce, State
+from leakage.watch.state import ChangeInForce, State, all_causes
 from leakage.watch.wander import Wander
 from leakage.watch.within_night import BlockErrors
 
@@ -22,14 +22,14 @@ Arrays = dict[str, Any]
 # Scalars of each part, in order; what has no value is nan.
 OF_COLUMNS = ("least_scale", "temperature_c", "has_zero")
 OF_BASELINE = ("lack_of_fit", "identifies_gaps", "identifies_speed")
-WHOLE_OF_STATE = ("first_start", "n_baseline", "n_nights", "due")
+WHOLE_OF_STATE = ("first_step", "first_ramp", "n_baseline", "n_nights", "due")
 OF_STATE = (*WHOLE_OF_STATE, "often", "evidence", "period_from")
 
 
 def arrays_of(state: State) -> dict[str, Array]:
     """All numbers of a state, by name."""
     baseline, window, columns = state.baseline, state.window, state.baseline.columns
-    q = columns.n
+    undone = [one for one in state.causes.every if one.name == BACK]
     kept: Arrays = {
         **{f"columns.{name}": getattr(columns, name) for name in _arrays(Columns, OF_COLUMNS)},
         "columns": _scalars(columns, OF_COLUMNS),
@@ -39,8 +39,9 @@ def arrays_of(state: State) -> dict[str, Array]:
         **{f"window.{one.name}": getattr(window, one.name) for one in fields(Window)},
         "wander.spread": state.wander.spread,
         "wander.memory": state.wander.memory,
-        "undone": np.array([one.direction for one in state.undone]).reshape(-1, q),
-        "undone.size": np.array([(one.mean, one.spread) for one in state.undone]).reshape(-1, 2),
+        "wander.common": state.wander.common,
+        "undone": np.array([one.direction for one in undone]).reshape(-1, columns.n),
+        "undone.size": np.array([(one.mean, one.spread) for one in undone]).reshape(-1, 2),
         "carried": np.array([state.carried.value, state.carried.sd]),
         "state": _scalars(state, OF_STATE),
     }
@@ -66,7 +67,7 @@ def state_of(machine: Machine, settings: WatchSettings, kept: Mapping[str, Any])
         **{name: kept[f"baseline.{name}"] for name in _of_baseline()},
     )
     window = Window(**{one.name: kept[f"window.{one.name}"] for one in fields(Window)})
-    wander = Wander(kept["wander.spread"], kept["wander.memory"])
+    wander = Wander(kept["wander.spread"], kept["wander.memory"], kept["wander.common"])
     undone = zip(kept["undone"], kept["undone.size"].tolist(), strict=True)
     numbers = dict(zip(OF_STATE, kept["state"].tolist(), strict=True))
     period_from = numbers.pop("period_from")
@@ -78,7 +79,11 @@ def state_of(machine: Machine, settings: WatchSettings, kept: Mapping[str, Any])
         window,
         sums=Sums.of(window, wander),
         wander=wander,
-        undone=tuple(Cause(BACK, along, mean, spread) for along, (mean, spread) in undone),
+        causes=all_causes(
+            machine,
+            baseline,
+            [Cause(BACK, along, mean, spread) for along, (mean, spread) in undone],
+        ),
         period_from=None if np.isnan(period_from) else int(period_from),
         carried=Estimate(*kept["carried"].tolist()),
         in_force=_in_force_of("standing", kept),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from leakage.errors import ShapeError
+from leakage.watch import choices
 
 Array = NDArray[np.float64]
 
@@ -75,8 +76,8 @@ class WatchSettings:
 
     @property
     def limit(self) -> float:
-        """Evidence from which a change is detected, ln(365 / rate)."""
-        return math.log(DAYS_A_YEAR / self.false_alarms_per_year)
+        """Evidence from which a change is detected, ln(365 / rate) and what estimates cost."""
+        return math.log(DAYS_A_YEAR / self.false_alarms_per_year) + choices.ESTIMATED
 
 
 @dataclass(frozen=True, slots=True)

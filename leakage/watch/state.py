@@ -8,6 +8,7 @@ the unknowns badly, and a season would be taken for a change.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,9 +16,19 @@ import numpy as np
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS, Cause, causes_of, is_path
+from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS, SEVERAL, Cause, causes_of
 from leakage.watch.evidence import STEP, Causes, Evidence, Sums, Window
-from leakage.watch.nights import RAMPS, Array, Change, Estimate, Machine, WatchSettings, grown_as
+from leakage.watch.nights import (
+    FLUSHING,
+    KNOWN,
+    RAMPS,
+    Array,
+    Change,
+    Estimate,
+    Machine,
+    WatchSettings,
+    grown_as,
+)
 from leakage.watch.wander import Wander
 
 
@@ -42,9 +53,8 @@ def surroundings(
     q = len(direction)
     before, score = (one[0] for one in sums.before(np.array([end]), window))
     day = float(window.days[max(end - 1, 0)])
-    (a0, a1, a2), (u0, u1) = (
-        tuple(one[1, end] for one in kind) for kind in (sums.information, sums.score)
-    )
+    told = sums.told[end][1]
+    (a0, a1, a2), (u0, u1, _) = told[..., :-1], told[..., -1]
     tens = choices.RAMP_DAYS
     linear = (a1 - day * a0) @ direction / tens
     square = float(direction @ (a2 - 2.0 * day * a1 + day**2 * a0) @ direction) / tens**2
@@ -55,6 +65,9 @@ def surroundings(
     mean = (covariance @ np.append(score, line))[:q]
     levelled = np.eye(q) - np.outer(direction, own_row) / float(own_row @ direction)
     return Surroundings(levelled @ mean, levelled @ covariance[:q, :q] @ levelled.T)
+
+
+EVERY = slice(None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +90,7 @@ class Level:
     wander: Wander
     operating_error: Array
 
-    def mean(self, nights: slice) -> Estimate:
+    def mean(self, nights: slice = EVERY) -> Estimate:
         """Mean of some nights: they share their serial correlation, and the errors of the model."""
         value, noise, shift = self.value[nights], self.noise[nights], self.shift[nights]
         weights = 1.0 / (noise + shift) / np.sum(1.0 / (noise + shift))
@@ -91,25 +104,35 @@ class Level:
 
 
 def levels_along(
-    window: Window, direction: Array, wander: Wander, baseline: Baseline, around: Surroundings
+    window: Window,
+    direction: Array,
+    wander: Wander,
+    baseline: Baseline,
+    around: Surroundings,
+    nights: slice = EVERY,
 ) -> Level:
-    """λ of a window's nights along a direction of shape (q,)."""
+    """λ of some of a window's nights along a direction of shape (q,)."""
     p = len(wander.spread)
-    along = window.information @ direction
+    along = window.information[nights] @ direction
     weight = np.maximum(along @ direction, 1e-12)
     gain = along / weight[:, None]
     shift = np.einsum("ni,ij,nj->n", gain[:, :p], wander.spread, gain[:, :p])
     return Level(
-        window.score @ direction / weight - gain @ around.mean,
+        window.score[nights] @ direction / weight - gain @ around.mean,
         1.0 / weight,
         shift,
         gain,
         gain[:, :p],
-        np.clip(window.distance - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST),
+        np.clip(window.distance[nights] - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST),
         around,
         wander,
         baseline.operating_error,
     )
+
+
+def all_causes(machine: Machine, baseline: Baseline, undone: Sequence[Cause] = ()) -> Causes:
+    """Causes of a motor, and those that undo what was adopted."""
+    return Causes.of([*causes_of(machine, baseline), *undone])
 
 
 NOTHING = -math.inf
@@ -147,8 +170,10 @@ class State:
     window: Window
     sums: Sums
     wander: Wander
-    undone: tuple[Cause, ...]  # Causes that undo what was adopted.
-    first_start: int  # Day of the first candidate start.
+    causes: Causes  # Causes of a change, with those that undo what was adopted.
+    # first_step, first_ramp: Day of the first candidate start of each shape.
+    first_step: int
+    first_ramp: int
     # n_baseline, n_nights: Nights of the baseline, and all of the baseline period.
     n_baseline: int
     n_nights: int
@@ -175,14 +200,14 @@ class State:
         """Place of the first night from a day on."""
         return int(np.searchsorted(self.window.days, day))
 
-    def level_along(self, direction: Array) -> Level:
-        """Level of the window's nights along a direction of shape (q,)."""
+    def level_along(self, direction: Array, nights: slice = EVERY) -> Level:
+        """Level of some of the window's nights along a direction of shape (q,)."""
         # A change in force is none of the surroundings.
         end = len(self.window)
         if self.in_force is not None and self.in_force.found is not None:
             end = self.place(self.in_force.found.start)
         around = surroundings(self.window, self.sums, self.baseline.own_row, direction, end)
-        return levels_along(self.window, direction, self.wander, self.baseline, around)
+        return levels_along(self.window, direction, self.wander, self.baseline, around, nights)
 
     def growth_of(self, cause: str, flow: Estimate) -> Estimate | None:
         """Relative change of a named path's own flow, from that of all.
@@ -190,7 +215,7 @@ class State:
         None where its share of all is too small. The share is as uncertain as the path's
         coefficient in the baseline.
         """
-        if cause not in self.machine.paths or not is_path(cause):
+        if cause not in self.machine.paths or cause in (FLUSHING, KNOWN):
             return None
         place = self.machine.paths.index(cause)
         own = float(self.baseline.all_paths[place])
@@ -202,14 +227,14 @@ class State:
 
     def evidence_now(self) -> Evidence:
         """All that the evidence of the newest night is made from."""
-        causes = Causes.of([*causes_of(self.machine, self.baseline), *self.undone])
         return Evidence(
             self.window,
             self.sums,
             self.wander,
-            causes,
+            self.causes,
             self.baseline.operating_error,
             self.n_nights,
+            self.place(self.first_step),
         )
 
 
@@ -232,7 +257,7 @@ def _n_present(state: State) -> int:
 def on_first_baseline(state: State, nights: slice) -> Estimate:
     """Change of the flow over some nights, against the first baseline."""
     along, of_flow = direction(state)
-    level = state.level_along(along).mean(nights).scaled(of_flow)
+    level = state.level_along(along, nights).mean().scaled(of_flow)
     grown = 1.0 + state.carried.value
     sd = math.hypot(grown * level.sd, (1.0 + level.value) * state.carried.sd)
     return Estimate(grown * (1.0 + level.value) - 1.0, sd)
@@ -249,7 +274,9 @@ def change_in_force(state: State) -> Change | None:
     if in_force is None or in_force.change.cause == ODD_NIGHTS:
         return None if in_force is None else in_force.change
     change = in_force.change
-    if in_force.found is not None and not change.goes_on:
+    # The size of one cause is none of several.
+    is_one = change.candidates.get(SEVERAL, 0.0) < choices.MOSTLY
+    if in_force.found is not None and not change.goes_on and is_one:
         return change
     now, before = present(state), in_force.before
     ratio = (1.0 + now.value) / (1.0 + before.value)
@@ -266,7 +293,8 @@ def smallest_change(state: State) -> float:
     told = evidence.of_starts(np.array([start]))
     names = [one.name for one in evidence.causes.every]
     second = float(told.second[STEP, 0, names.index(ALL_FLOWS)])
-    spread, freedom = choices.STEP_SIZE, state.wander.degrees_of_freedom(state.n_nights)
+    spread, n_since = choices.STEP_SIZE, np.array([len(state.window) - start], dtype=float)
+    freedom = float(state.wander.degrees_of_freedom(state.n_nights, n_since)[0])
     sd = 1.0 / math.sqrt(second + spread**-2)
     fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(names))
     gain = freedom * math.expm1(2.0 * (state.settings.limit - fixed) / (freedom + 1.0))
@@ -299,8 +327,8 @@ def leakage_at(state: State, drives: Array, conditions: Array) -> Estimate:
     """
     row, flow = _row_at(state, drives, conditions)
     along, _ = direction(state)
-    levels = state.level_along(along)
-    level, of_cause = levels.mean(slice(-1, None)), float(row @ along)
+    levels = state.level_along(along, slice(-1, None))
+    level, of_cause = levels.mean(), float(row @ along)
     as_first = 1.0 + float(row @ (state.baseline.unknowns + levels.around.mean))
     before, _ = state.sums.before(np.array([len(state.window)]), state.window)
     uncertain = float(row @ np.linalg.solve(before[0], row))

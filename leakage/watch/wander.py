@@ -9,10 +9,12 @@ wrong model) and hide a long memory from the correlation of neighbours, so both 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from leakage.watch import choices
 from leakage.watch.nights import Array
@@ -35,21 +37,29 @@ USUAL_MEMORY = np.repeat([0.1, 0.2, 0.3, 0.25, 0.15], len(SHARES)) / len(SHARES)
 class Wander:
     """Covariance Q of a night's shift of the paths, shape (p, p), and its memory.
 
-    `memory` has the probabilities of the memories, shape (g,).
+    `memory` has the probabilities of the memories, shape (g,), of the part of Q that moves the flow
+    as a whole, `common`.
     """
 
     spread: Array
     memory: Array
+    common: Array
 
     @property
     def serial(self) -> float:
         """Serial correlation of neighbouring nights."""
         return float(self.memory @ (SHARE * PHI))
 
-    def degrees_of_freedom(self, n_nights: int) -> float:
-        """Of the evidence, as Q is an estimate from so many correlated nights."""
+    def degrees_of_freedom(self, n_nights: int, n_since: Array) -> Array:
+        """Of the evidence of a change so many nights ago, as Q is an estimate from `n_nights`.
+
+        They are correlated, and of what lasts long they show few.
+        """
         squared = self.serial**2
-        return n_nights * (1.0 - squared) / (1.0 + squared) + choices.WANDER_NIGHTS
+        of_nights = (1.0 - squared) / (1.0 + squared)
+        of_stretches = choices.STRETCHES / self.inflation(n_since)
+        freedom: Array = n_nights * np.minimum(of_nights, of_stretches) + choices.WANDER_NIGHTS
+        return freedom
 
     def inflation(self, n_nights: Array) -> Array:
         """By what the variance of a mean of so many nights is larger, shape of `n_nights`."""
@@ -73,6 +83,14 @@ class Wander:
         """The same of a long record."""
         return float(1.0 + 2.0 * (self.memory * SHARE) @ (PHI / (1.0 - PHI)))
 
+    @property
+    def long_spread(self) -> Array:
+        """Q of the mean of a long record, times its nights."""
+        long = self.long_inflation
+        rest = min(long, choices.LONG_OF_PATHS)
+        spread: Array = long * self.common + rest * (self.spread - self.common)
+        return spread
+
 
 @dataclass(frozen=True, slots=True)
 class WanderPrior:
@@ -82,17 +100,13 @@ class WanderPrior:
     memory: Array = field(default_factory=USUAL_MEMORY.copy)
 
 
-def effective(information: Array, score: Array, spread: Array) -> tuple[Array, Array]:
-    """Information, shape (n, q, q), and scores, (n, q), of nights whose paths shift by N(0, Q)."""
+def effective(information: Array, score: Array, spread: Array) -> Array:
+    """What nights say whose paths shift by N(0, Q): information and score, (n, q, q + 1)."""
     p = len(spread)
     inner = np.linalg.inv(spread) + information[:, :p, :p]
-    rows = np.concatenate([information[:, :p, :], score[:, :p, None]], axis=2)
-    taken = np.linalg.solve(inner, rows)
-    across = information[:, :, :p]
-    return (
-        information - across @ taken[:, :, :-1],
-        score - (across @ taken[:, :, -1:])[:, :, 0],
-    )
+    told = np.concatenate([information, score[:, :, None]], axis=2)
+    left: Array = told - information[:, :, :p] @ np.linalg.solve(inner, told[:, :p])
+    return left
 
 
 def estimate_wander(
@@ -104,31 +118,63 @@ def estimate_wander(
     prior: WanderPrior,
 ) -> Wander:
     """Q and φ of some nights, from their information, scores and days."""
-    n = len(information)
+    n, p = len(information), len(all_paths)
     usual = _usual_spread(all_paths, prior)
     spread = usual
+    lines, prior_information = _with_lines(days, prior_information, p)
     for _ in range(MOST_PASSES):
-        told, told_score = effective(information, score, spread)
-        certain = np.linalg.inv(told.sum(axis=0) + prior_information)
-        mean = certain @ told_score.sum(axis=0)
-        shifts = _squared_shifts(information, score, spread, mean, certain)
+        effective_nights = effective(information, score, spread)
+        told, told_score = effective_nights[..., :-1], effective_nights[..., -1]
+        beside = lines.swapaxes(1, 2)
+        certain = np.linalg.inv((beside @ told @ lines).sum(axis=0) + prior_information)
+        mean = lines @ (certain @ (beside @ told_score[..., None]).sum(axis=0)[:, 0])
+        shifts = _squared_shifts(information, score, spread, mean, lines, certain)
         new = (shifts.sum(axis=0) + choices.WANDER_NIGHTS * usual) / (n + choices.WANDER_NIGHTS)
         moved = np.abs(new - spread).max() / np.abs(new).max()
         spread = new
         if moved < CONVERGED:
             break
     memory = _memory(told, told_score, mean, days, all_paths, prior)
-    return Wander(_of_correlated(spread, usual, n, Wander(spread, memory)), memory)
+    spread = _of_correlated(spread, usual, days, memory)
+    # What nights tell of all paths together.
+    of_flow = spread @ (told[:, :p, :p].mean(axis=0) @ all_paths)
+    within = told[:, :p, :p].mean(axis=0) @ all_paths @ of_flow
+    return Wander(spread, memory, np.outer(of_flow, of_flow) / within)
 
 
-def _of_correlated(spread: Array, usual: Array, n_nights: int, wander: Wander) -> Array:
-    """Q of correlated nights, which scatter less about their own mean than about the true one."""
-    short = float(wander.inflation(np.array([float(n_nights)]))[0]) / n_nights
-    more = (1.0 - 1.0 / n_nights) / (1.0 - min(short, choices.MOST_OF_MEAN))
-    prior = choices.WANDER_NIGHTS
-    of_nights = (n_nights + prior) * spread - prior * usual
-    corrected: Array = (more * of_nights + prior * usual) / (n_nights + prior)
+def _of_correlated(spread: Array, usual: Array, days: NDArray[np.int64], memory: Array) -> Array:
+    """Q of correlated nights, which scatter less about their own line than about the true one."""
+    n, prior = len(days), choices.WANDER_NIGHTS
+    line = np.linalg.qr(np.column_stack([np.ones(n), days - days.mean()]))[0]
+    alike = sum(
+        part * of_memory for part, of_memory in zip(memory, _correlations(days), strict=True)
+    )
+    left = n - float(np.sum(line * (alike @ line)))
+    more = (n - line.shape[1]) / max(left, (1.0 - choices.MOST_OF_LINE) * n)
+    of_nights = (n + prior) * spread - prior * usual
+    corrected: Array = (more * of_nights + prior * usual) / (n + prior)
     return corrected
+
+
+def _correlations(days: NDArray[np.int64]) -> Iterator[Array]:
+    """Of nights by each memory of the grid, shape (n, n)."""
+    apart = np.abs(days[:, None] - days).astype(float)
+    for phi, share in zip(PHI, SHARE, strict=True):
+        yield share * phi**apart + (1.0 - share) * np.eye(len(days))
+
+
+def _with_lines(
+    days: NDArray[np.int64], prior_information: Array, n_paths: int
+) -> tuple[Array, Array]:
+    """What all unknowns and a line in time of each path do in each night, and their prior.
+
+    Slow wear is no wander.
+    """
+    q = len(prior_information)
+    times = (days - days.mean()) / choices.RAMP_DAYS
+    every = np.broadcast_to(np.eye(q), (len(days), q, q))
+    lines = np.concatenate([every, times[:, None, None] * every[:, :, :n_paths]], axis=2)
+    return lines, block_diag(prior_information, np.eye(n_paths) * choices.LINE_PRIOR**-2)
 
 
 def _usual_spread(all_paths: Array, prior: WanderPrior) -> Array:
@@ -140,14 +186,19 @@ def _usual_spread(all_paths: Array, prior: WanderPrior) -> Array:
 
 
 def _squared_shifts(
-    information: Array, score: Array, spread: Array, mean: Array, certain: Array
+    information: Array,
+    score: Array,
+    spread: Array,
+    mean: Array,
+    lines: Array,
+    certain: Array,
 ) -> Array:
     """Expected outer products of the nights' shifts, shape (n, p, p); the mean is uncertain too."""
     p = len(spread)
     inner = np.linalg.inv(np.linalg.inv(spread) + information[:, :p, :p])
-    rest = score[:, :p] - information[:, :p] @ mean
+    rest = score[:, :p] - (information[:, :p] @ mean[:, :, None])[:, :, 0]
     shift = (inner @ rest[:, :, None])[:, :, 0]
-    lever = inner @ information[:, :p]
+    lever = inner @ information[:, :p] @ lines
     uncertain = inner + lever @ certain @ lever.swapaxes(1, 2)
     squared: Array = uncertain + shift[:, :, None] * shift[:, None, :]
     return squared
@@ -168,17 +219,11 @@ def _memory(
     n, p = len(told), len(all_paths)
     weight = np.einsum("nij,i,j->n", told[:, :p, :p], all_paths, all_paths)
     root = np.sqrt(np.maximum(weight, 1e-12))
-    level = (told_score - told @ mean)[:, :p] @ all_paths / root
+    level = (told_score - (told @ mean[:, :, None])[:, :, 0])[:, :p] @ all_paths / root
     line = np.column_stack([root, root * (days - days.mean()) / max(float(np.ptp(days)), 1.0)])
     if n <= line.shape[1] + 1:
         return prior.memory
-    apart = np.abs(days[:, None] - days).astype(float)
-    log_likelihood = np.array(
-        [
-            _restricted(level, line, share * phi**apart + (1.0 - share) * np.eye(n))
-            for phi, share in zip(PHI, SHARE, strict=True)
-        ]
-    )
+    log_likelihood = np.array([_restricted(level, line, one) for one in _correlations(days)])
     weights = prior.memory * np.exp(log_likelihood - log_likelihood.max())
     memory: Array = weights / weights.sum()
     return memory

@@ -49,6 +49,7 @@ CAUSES = {
     "back_as_before": "back as before",
     "odd_nights": "single odd nights",
     "tank": "the oil circuit",
+    "several": "several causes at once",
     "a_part": "a part of the motor",
 }
 FALL = "Check oil, sensors and flushing, or enter the overhaul that was made: a fall is no wear."
@@ -191,7 +192,7 @@ def _what_would_tell(change: Change) -> str:
     """What would tell between the causes that are left."""
     left = change.candidates.keys()
     steps = []
-    if left & OF_OIL_AND_SENSORS:
+    if left & {*OF_OIL_AND_SENSORS, "several"}:
         steps += ["an oil sample", "the meter's zero at a halt", "a second thermometer"]
     if not left <= OF_OIL_AND_SENSORS:
         steps.append("nights at other pressures and speeds")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from leakage.watch import NightBlocks
 from leakage.watch.baseline import Baseline, baseline_of
-from tests.leakage.watch.made_machine import CB560, COEFFICIENTS, Plant
+from tests.leakage.watch.made_machine import CB560, COEFFICIENTS, Film, Plant
 
 Array = NDArray[np.float64]
 
@@ -98,3 +98,10 @@ def test_information_of_a_night_is_about_what_is_left_of_the_baseline() -> None:
     certain = sum(one for one, _ in told) + baseline.columns.prior()
     found = np.linalg.solve(certain, sum(score for _, score in told))
     assert abs(found @ baseline.own_row) < 0.003
+
+
+@pytest.mark.parametrize(("film", "tells"), [("barus", True), ("slot", True), ("turbulent", False)])
+def test_gaps_are_not_distinguished_where_the_model_misses_the_shape(
+    film: Film, *, tells: bool
+) -> None:
+    assert baseline_of(CB560, Plant(film=film).nights(15, 1)).identifies_gaps == tells

@@ -79,9 +79,9 @@ class Dense:
             PRIOR,
             np.zeros(Q_UNKNOWNS),
         )
-        wander = Wander(SPREAD, one_memory(serial))
+        wander = Wander(SPREAD, one_memory(serial), SPREAD)
         sums = Sums.of(window, wander)
-        return Evidence(window, sums, wander, Causes.of(CAUSES), OPERATING_ERROR, n_nights)
+        return Evidence(window, sums, wander, Causes.of(CAUSES), OPERATING_ERROR, n_nights, 1)
 
     def covariance(self, start: int, serial: float, *, by_operation: bool) -> Array:
         """Of all blocks without a change.
@@ -203,11 +203,16 @@ def test_surroundings_are_what_nights_say_beside_a_line_in_time() -> None:
 
 
 def test_a_wander_from_few_nights_says_less() -> None:
-    """Students's t in place of the normal: ν = n(1 − φ²)/(1 + φ²) + 6, twice the gain as told."""
+    """Student's t in place of the normal, twice the gain as told.
+
+    ν = n(1 − φ²)/(1 + φ²) + 6, or 1.2 n over the inflation of so long a stretch in place of n(…).
+    """
     data, phi = Dense.of_seed(1, change=0.5), 0.3
     starts = np.arange(1, len(DAYS))
     few, certain = (data.evidence(phi, n).of_starts(starts) for n in (15, KNOWN))
-    freedom = 15 * (1 - phi**2) / (1 + phi**2) + 6
+    lengths = [np.arange(1, len(DAYS) - start) for start in starts]
+    inflation = np.array([1 + 2 * np.sum((1 - k / (len(k) + 1)) * phi**k) for k in lengths])
+    freedom = 15 * np.minimum((1 - phi**2) / (1 + phi**2), 1.2 / inflation)[:, None] + 6
     mean = np.array([[[0.0, 0.0, 0.15]], [[0.0, 0.0, 0.0]]])
     spread = np.array([[[0.3, 0.3, 0.02]], [[0.1, 0.1, 0.02 / 3]]])
     gain = (certain.size / certain.sd) ** 2 - (mean / spread) ** 2

@@ -44,10 +44,10 @@ def test_a_night_with_its_own_shift_says_what_its_blocks_say_with_it_in_their_er
     generator = np.random.default_rng(1)
     design, residuals = generator.normal(size=(9, 4)), generator.normal(size=9)
     spread = np.array([[2.0, 0.5], [0.5, 1.0]])
-    told, score = effective((design.T @ design)[None], (design.T @ residuals)[None], spread)
+    (told,) = effective((design.T @ design)[None], (design.T @ residuals)[None], spread)
     precise = np.linalg.inv(np.eye(9) + design[:, :2] @ spread @ design[:, :2].T)
-    assert told[0] == pytest.approx(design.T @ precise @ design, rel=1e-8)
-    assert score[0] == pytest.approx(design.T @ precise @ residuals, rel=1e-8)
+    assert told[:, :-1] == pytest.approx(design.T @ precise @ design, rel=1e-8)
+    assert told[:, -1] == pytest.approx(design.T @ precise @ residuals, rel=1e-8)
 
 
 def test_spread_and_memory_are_found_again() -> None:
@@ -81,19 +81,47 @@ def correlations(memory: Array, days: Array | NDArray[np.int64]) -> Array:
 
 
 def test_spread_of_few_nights_is_by_hand() -> None:
-    """Of precise nights and a mean that is estimated too, EM gives Q = (Σ(s − s̄)² + 6 Q₀)/(n + 5).
+    """Of precise nights and a line that is estimated too, EM gives Q = (Σ(s − ŝ)² + 6 Q₀)/(n + 4).
 
-    Correlated nights scatter less about their own mean: what is not prior is scaled up by that.
+    Correlated nights scatter less about their own line: what is not prior is scaled up by that.
     """
     shifts = 0.02 * np.array([0.3, -1.2, 0.8, 1.9, -0.6, -0.1, 1.1, -1.5])
-    squares, prior = float(np.sum((shifts - shifts.mean()) ** 2)), 0.012**2
+    days, prior = np.arange(8), 0.012**2
+    line = np.column_stack([np.ones(8), days])
+    left = np.eye(8) - line @ np.linalg.pinv(line)
     wander = one_path(shifts)
-    of_mean = correlations(wander.memory, np.arange(8)).mean()
-    assert of_mean < 0.6
-    more = (1 - 1 / 8) / (1 - of_mean)
-    of_nights = (8 + 6) * (squares + 6 * prior) / (8 + 5) - 6 * prior
-    wanted = (more * of_nights + 6 * prior) / (8 + 6)
-    assert wander.spread.item() == pytest.approx(wanted, rel=0.01)
+    correlated = float(np.trace(left @ correlations(wander.memory, days)))
+    assert correlated > 0.4 * 8
+    of_nights = (8 + 6) * (shifts @ left @ shifts + 6 * prior) / (8 + 4) - 6 * prior
+    wanted = (6 / correlated * of_nights + 6 * prior) / (8 + 6)
+    assert wander.spread.item() == pytest.approx(wanted, rel=0.03)
+
+
+def test_slow_wear_is_no_wander() -> None:
+    shifts = 0.01 * np.random.default_rng(5).standard_normal(30)
+    still, worn = (one_path(shifts + rise * np.arange(30)) for rise in (0.0, 0.004))
+    assert worn.spread.item() == pytest.approx(still.spread.item(), rel=0.1)
+    assert worn.serial == pytest.approx(still.serial, abs=0.02)
+
+
+def test_only_what_moves_all_paths_remembers_for_long() -> None:
+    """The part of Q that is common to two paths by halves; a difference between them has none."""
+    spread, common = np.diag([1.0, 1.0]), np.full((2, 2), 0.5)
+    wander = Wander(spread, USUAL_MEMORY, common)
+    long = wander.long_inflation
+    assert long > 4.0
+    both, apart = np.array([1.0, 1.0]), np.array([1.0, -1.0])
+    assert both @ wander.long_spread @ both == pytest.approx(long * 2.0)
+    assert apart @ wander.long_spread @ apart == pytest.approx(4.0 * 2.0)
+
+
+def test_long_changes_are_judged_by_fewer_degrees_of_freedom() -> None:
+    """n (1 − φ²)/(1 + φ²) nights, or 1.2 n over the inflation of a stretch's mean, and 6."""
+    memory = np.where((PHI == 0.6) & (SHARE == 1.0), 1.0, 0.0)
+    wander = Wander(np.eye(1), memory, np.eye(1))
+    inflation = 1.0 + 2.0 * sum((1 - lag / 20) * 0.6**lag for lag in range(1, 20))
+    found = wander.degrees_of_freedom(100, np.array([1.0, 20.0]))
+    assert found == pytest.approx([100 * 0.64 / 1.36 + 6, 120 / inflation + 6])
 
 
 @pytest.mark.parametrize("is_even", [True, False])
@@ -122,7 +150,7 @@ def test_what_forgets_does_not_hide_a_long_memory() -> None:
 
 
 def test_mean_of_correlated_nights_varies_by_more() -> None:
-    wander = Wander(np.eye(1), USUAL_MEMORY)
+    wander = Wander(np.eye(1), USUAL_MEMORY, np.eye(1))
     for n in (1, 2, 7, 40):
         wanted = n * correlations(USUAL_MEMORY, np.arange(n)).mean()
         assert wander.inflation(np.array([float(n)])).item() == pytest.approx(wanted)
