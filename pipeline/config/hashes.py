@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 # samples, so that old blocks never merge with new ones; other figures of the same statistics.
 READING_VERSION = 2
 STATISTICS_VERSION = 2
-FIGURES_VERSION = 7
+FIGURES_VERSION = 6
 
 ALL = ~Stage.NOTHING
 # Key of a motor whose rollers' scale is free.
