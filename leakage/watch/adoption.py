@@ -179,7 +179,8 @@ def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
         return False
     if CANNOT_BE_TOLD not in (before.cause, name.cause):
         return before.cause == name.cause
-    return before.shape == RAMPS and bool(before.candidates.keys() & name.candidates.keys())
+    alike = (before.candidates.keys() & name.candidates.keys()) - {SEVERAL}
+    return before.shape == RAMPS and bool(alike)
 
 
 def _before(state: State, told_on: int) -> ChangeInForce | None:

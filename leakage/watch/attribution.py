@@ -138,7 +138,7 @@ def name_of(
         log_ratio[-1] = -math.inf
     weights = np.exp(log_ratio - log_ratio.max())
     weights /= weights.sum()
-    likeliest = causes.every[int(weights[:-1].argmax())]
+    likeliest = causes.every[int(log_ratio[:-1].argmax())]
     by_name: dict[str, float] = {}
     names = (*(one.name for one in causes.every), SEVERAL)
     for one, weight in zip(names, weights.tolist(), strict=True):
@@ -222,7 +222,7 @@ def _together(
         groups |= dict.fromkeys(alike, alike)
     if by_name.get(BACK, 0.0) > choices.MOSTLY:
         # What undoes a change is its cause in the other direction.
-        others = {name: value for name, value in by_name.items() if name != BACK}
+        others = {name: one for name, one in by_name.items() if name not in (BACK, SEVERAL)}
         nearest = max(others, key=others.__getitem__)
         alike = groups.get(nearest, frozenset((nearest,))) | {BACK}
         groups |= dict.fromkeys(alike, alike)

@@ -36,7 +36,7 @@ ROBUST, ROBUST_PASSES = 3.0, 4
 WANDER_NIGHTS, WANDER_SIZE, WANDER_COMMON = 6.0, 0.012, 0.75
 # By what the mean of a long record varies more where single paths wander: a memory of 0.6.
 LONG_OF_PATHS = 4.0
-# Of stretches of nights that vary as independent ones so many are worth one degree of freedom.
+# Degrees of freedom of each stretch of nights that varies as an independent one.
 STRETCHES = 1.2
 # Prior of the rise of each path in ten days, beside which it wanders.
 LINE_PRIOR = 0.1
@@ -90,7 +90,8 @@ DATES = 0.6
 SIZE_BY_LACK, SHAPE_BY_LACK = 0.3, 2.0
 # A cause is named from this probability; from the other on it has most of a name, or of a size.
 NAMED, MOSTLY = 0.9, 0.5
-# How much rarer several causes in one night are than one: a large change errs in its shape.
+# How much rarer several causes in one night are than each single one: a large change errs in its
+# shape.
 SEVERAL_PRIOR = 0.001
 # Lack of fit up to which another grade, a sensor and a meter may be distinguished, and two gaps
 # from one.
