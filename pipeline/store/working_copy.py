@@ -100,12 +100,14 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
     snapshot, is_copy = read_snapshot(store), _is_copy(store, output)
     if snapshot.tag is None:
         return snapshot
-    published = snapshot.files
+    published, had_state = snapshot.files, (output / STATE_FILE).exists()
     if not is_sound(output):
         make_ready(output)
     with read_state_file(output) as state:
         here, own_state = _digests(state), _hash(state.content())
     strange = sorted(path for path in here if here[path] != published.get(path))
+    if had_state and not is_copy and published.get(STATE_FILE) != own_state:
+        strange.append(STATE_FILE)  # what was decided or looked at here is not in the store
     if strange and not is_copy:
         raise StoreError(
             "store_copy",
@@ -210,6 +212,7 @@ def _digests(state: State) -> dict[str, str]:
     """SHA-256 of the files that are published beside the state; those as noted are not read."""
     noted = {f"tables/{name}": sha256 for name, sha256 in digests_here(state).items()}
     paths = [f"tables/{name}" for name in files_there(state.output)]
+    paths = [path for path in paths if (state.output / path).is_file()]
     if (state.output / MANIFEST_FILE).exists():
         paths.append(MANIFEST_FILE)
     return {path: noted.get(path) or _hash((state.output / path).read_bytes()) for path in paths}

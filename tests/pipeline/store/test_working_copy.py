@@ -317,3 +317,31 @@ def test_what_is_told_is_published_and_known_on_every_machine(
         assert len((tmp_path / "told").read_text().splitlines()) == 1
         with open_state(tmp_path / machine) as state:
             assert waiting(state, "command") == []
+
+
+SAID = Decision(
+    "M1",
+    "leakage",
+    dt.datetime(2026, 3, 1, tzinfo=dt.UTC),
+    "acknowledged",
+    dt.date(2026, 3, 1),
+    None,
+    "mine",
+)
+
+
+def test_decisions_of_its_own_are_not_given_up_for_those_of_the_store(
+    server: Server, tmp_path: Path
+) -> None:
+    """Entered before the first run."""
+    store = ObjectStore.at(URL)
+    (tmp_path / "one").mkdir()
+    record_decision(tmp_path / "one", replace(SAID, motor_id="M2"))
+    push(store, tmp_path / "one", Snapshot())
+    own = tmp_path / "three"
+    own.mkdir()
+    record_decision(own, SAID)
+    with pytest.raises(StoreError, match=STATE_FILE) as error:
+        pull(store, own)
+    assert error.value.code == "store_copy"
+    assert read_decisions(own) == (SAID,)
