@@ -22,7 +22,6 @@ from leakage.watch.causes import (
     BACK,
     CANNOT_BE_TOLD,
     ODD_NIGHTS,
-    SEVERAL,
     TEMPERATURE_EFFECT,
     Cause,
     back_as_before,
@@ -31,6 +30,7 @@ from leakage.watch.evidence import STEP, Causes, Evidence, Places, Sums, Window,
 from leakage.watch.nights import (
     NOW_AND_THEN,
     RAMPS,
+    SEVERAL,
     Array,
     Change,
     Estimate,
@@ -45,6 +45,7 @@ from leakage.watch.state import (
     ChangeInForce,
     State,
     all_causes,
+    change_in_force,
     on_first_baseline,
     present,
 )
@@ -179,6 +180,8 @@ def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
         return False
     if CANNOT_BE_TOLD not in (before.cause, name.cause):
         return before.cause == name.cause
+    if name.candidates.get(SEVERAL, 0.0) >= choices.MOSTLY:
+        return False
     alike = (before.candidates.keys() & name.candidates.keys()) - {SEVERAL}
     return before.shape == RAMPS and bool(alike)
 
@@ -280,14 +283,19 @@ def adopted(state: State) -> State:
     assert now.found is not None
     found = now.found
     causes = told.evidence_now().causes
-    size = abs(found.size.value)
-    likeliest = causes.every[found.likeliest]
-    flow = size * abs(share_of_flow(likeliest, state.baseline))
+    likeliest, size = causes.every[found.likeliest], found.size.value
+    along, of_flow = likeliest.direction, share_of_flow(likeliest, state.baseline)
+    several = now.change.several
+    if several >= choices.MOSTLY:
+        # What several causes have done is what the level of all flows says.
+        level = change_in_force(told)
+        assert level is not None
+        along, of_flow, size = state.baseline.all_flows, 1.0, level.size.value
+    flow = abs(size * of_flow)
     start = state.place(found.start)
     before, score = (one[0] for one in state.sums.before(np.array([start]), state.window))
-    # Where several changed at once, each may have.
-    several = now.change.candidates.get(SEVERAL, 0.0)
-    weights = found.weights + several * causes.is_half
+    # Where several changed at once, each may have, one sign by half of it.
+    weights = (1.0 - several) * found.weights + several / 2.0 * causes.is_half
     freed = np.eye(len(score)) + before @ _left_free(state, causes, weights, size, flow)
     window = state.window.from_night(
         start, np.linalg.solve(freed, before), np.linalg.solve(freed, score)
@@ -302,7 +310,7 @@ def adopted(state: State) -> State:
         causes=all_causes(
             state.machine,
             state.baseline,
-            [back_as_before(likeliest.direction, found.size.value)],
+            [back_as_before(along, size)],
         ),
         first_step=told_on + 1,
         first_ramp=told_on + 1,

@@ -18,13 +18,12 @@ from leakage.watch.causes import (
     BACK,
     CANNOT_BE_TOLD,
     COMMON,
-    SEVERAL,
     TANK,
     TEMPERATURE_EFFECT,
     Cause,
 )
 from leakage.watch.evidence import RAMP, SHAPES, STEP, Causes, Evidence, Places
-from leakage.watch.nights import FLUSHING, Array, Estimate, Machine
+from leakage.watch.nights import FLUSHING, SEVERAL, Array, Estimate, Machine
 
 # Causes below this probability are no candidates.
 LEAST_PROBABILITY = 0.01
@@ -130,18 +129,16 @@ def name_of(
     causes, log_prior = _with_tank(evidence.causes, baseline, tank)
     at = np.searchsorted(evidence.window.days, [start])
     change, score = _between(evidence, baseline, at, flow)
-    log_ratio = _log_ratios(evidence, causes, at, change, score)
-    log_ratio[:-1] += log_prior
-    log_ratio[-1] += math.log(choices.SEVERAL_PRIOR)
-    if baseline.lack_of_fit > choices.LACK_TO_IDENTIFY:
-        # Under a wrong model several can do what one does.
-        log_ratio[-1] = -math.inf
+    # Under a wrong model several can do what one does.
+    with_several = baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY
+    log_ratio = _log_ratios(evidence, causes, at, change, score, with_several=with_several)
+    log_ratio[: len(causes)] += log_prior
     weights = np.exp(log_ratio - log_ratio.max())
     weights /= weights.sum()
-    likeliest = causes.every[int(log_ratio[:-1].argmax())]
+    likeliest = causes.every[int(log_ratio[: len(causes)].argmax())]
     by_name: dict[str, float] = {}
     names = (*(one.name for one in causes.every), SEVERAL)
-    for one, weight in zip(names, weights.tolist(), strict=True):
+    for one, weight in zip(names, weights.tolist(), strict=False):
         by_name[one] = by_name.get(one, 0.0) + weight
     groups = _together(by_name, machine, baseline)
     cause, probability = _told(groups, by_name, likeliest.name)
@@ -179,9 +176,15 @@ def _between(
 
 
 def _log_ratios(
-    evidence: Evidence, causes: Causes, at: Places, change: Array, score: Array
+    evidence: Evidence,
+    causes: Causes,
+    at: Places,
+    change: Array,
+    score: Array,
+    *,
+    with_several: bool,
 ) -> Array:
-    """ln of the likelihood ratios of a step of each cause and of several, shape (d + 1,)."""
+    """ln of the likelihood ratios of a step of each cause, shape (d,), and of several, (d + 1,)."""
     first = causes.directions.T @ score
     matrix = causes.directions.T @ change @ causes.directions
     second = np.maximum(np.diag(matrix), 1e-12)
@@ -189,14 +192,23 @@ def _log_ratios(
     sd = 1.0 / np.sqrt(second + spread**-2)
     size = sd**2 * (first + mean / spread**2)
     gain = (size / sd) ** 2 - (mean / spread) ** 2
-    one_sided = np.where(causes.is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
-    # Several at once: each that has two signs, by half of its prior's variance in either.
-    each = np.where(causes.is_half, spread / math.sqrt(2.0), 0.0)
-    inner = np.eye(len(each)) + each[:, None] * matrix * each
-    several = float((each * first) @ np.linalg.solve(inner, each * first))
-    width = np.append(np.log(sd / spread) + one_sided, -0.5 * np.linalg.slogdet(inner)[1])
-    ratio: Array = 0.5 * evidence.tempered(np.append(gain, several)[None], at)[0] + width
+    width = np.log(sd / spread)
+    width += np.where(causes.is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
+    if with_several:
+        of_several, log_width = _several(causes, first, matrix)
+        gain = np.append(gain, of_several)
+        width = np.append(width, log_width + math.log(choices.SEVERAL_PRIOR))
+    ratio: Array = 0.5 * evidence.tempered(gain[None], at)[0] + width
     return ratio
+
+
+def _several(causes: Causes, first: Array, matrix: Array) -> tuple[float, float]:
+    """Twice the gain of ln likelihood of several causes at once, and ln of their width."""
+    # Each that has two signs, by half of its prior's variance in either.
+    each = np.where(causes.is_half, causes.spread / math.sqrt(2.0), 0.0)
+    inner = np.eye(len(each)) + each[:, None] * matrix * each
+    gain = float((each * first) @ np.linalg.solve(inner, each * first))
+    return gain, -0.5 * float(np.linalg.slogdet(inner)[1])
 
 
 def _together(

@@ -2,9 +2,9 @@
 
 A block's residual is r = (y − ŷ) / s with ŷ = θ₀'x and s = max(ŷ, 20 % of the mean flow). The
 unknowns z are the change of each path, in units of its own flow; the effect of temperature in 10 K,
-straight and bent; a discrepancy surface over pressure and speed, which is what a model may miss;
-and the flow meter's zero, in mean flows. Temperature and surface scale with the expected flow, the
-zero does not.
+straight and bent, and on each path alone; a discrepancy surface over pressure and speed, which is
+what a model may miss; and the flow meter's zero, in mean flows. The first effect of temperature and
+the surface scale with the expected flow, the zero does not.
 """
 
 from __future__ import annotations
@@ -60,7 +60,12 @@ class Columns:
     @property
     def n(self) -> int:
         """Number q of unknowns."""
-        return self.n_paths + N_TEMPERATURE + self.n_surface + self.has_zero
+        return self.surface_from + self.n_surface + self.has_zero
+
+    @property
+    def surface_from(self) -> int:
+        """Place of the surface's first knot: behind the paths and the effects of temperature."""
+        return 2 * self.n_paths + N_TEMPERATURE
 
     def expected(self, drives: Array) -> Array:
         """Expected flow ŷ of drives of shape (b, p), shape (b,), [l/min]."""
@@ -76,7 +81,8 @@ class Columns:
         of_scale = self.expected(drives) / scale
         paths = drives * self.sign * self.unit / scale[:, None]
         warmer = (conditions[:, 0] - self.temperature_c) / 10.0
-        parts = [paths, np.column_stack([of_scale * warmer, of_scale * warmer**2])]
+        by_warmth = np.column_stack([of_scale * warmer, of_scale * warmer**2])
+        parts = [paths, by_warmth, paths * warmer[:, None]]
         if self.n_surface:
             by_pressure = hat_functions(conditions[:, 1], self.pressure_knots)
             by_speed = hat_functions(conditions[:, 2], self.speed_knots)
@@ -105,6 +111,7 @@ class Columns:
         sd = np.full(self.n, choices.SURFACE_PRIOR)
         sd[: self.n_paths] = choices.PATH_PRIOR
         sd[self.n_paths : self.n_paths + N_TEMPERATURE] = choices.TEMPERATURE_PRIOR
+        sd[self.n_paths + N_TEMPERATURE : self.surface_from] = choices.PATH_TEMPERATURE_PRIOR
         if self.has_zero:
             sd[-1] = choices.ZERO_PRIOR
         return np.diag(sd**-2)
@@ -240,7 +247,7 @@ def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
             theta = _first_guess(drives, np.full(len(flow), mean_flow))
         columns = _with_theta(columns, theta, np.maximum(theta, least_unit))
     p = columns.n_paths
-    lack_of_shape = _missed(columns, unknowns, nights, p + N_TEMPERATURE)
+    lack_of_shape = _missed(columns, unknowns, nights, columns.surface_from)
     operating_points = np.array([columns.operating_point(night) for night in nights])
     return Baseline(
         columns,

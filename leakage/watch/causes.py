@@ -17,8 +17,7 @@ ALL_GAPS, ALL_FLOWS, OIL_GRADE = "all_gaps", "all_flows", "oil_grade"
 TEMPERATURE_SENSOR, TEMPERATURE_EFFECT = "temperature_sensor", "temperature_effect"
 ZERO, AND = "zero", " and "
 BACK, ODD_NIGHTS, TANK = "back_as_before", "odd_nights", "tank"
-# More than one cause at once is a candidate, and no name.
-SEVERAL, CANNOT_BE_TOLD = "several", "cannot_be_told"
+CANNOT_BE_TOLD = "cannot_be_told"
 # What moves all flows together, and is no path.
 COMMON = (ALL_FLOWS, OIL_GRADE, TEMPERATURE_SENSOR, TEMPERATURE_EFFECT)
 # Within these many degrees the factor of another oil is followed.

@@ -343,7 +343,8 @@ class Evidence:
         log_ratio -= math.log(len(self.causes) * len(SHAPES))
         is_early = starts < self.first_step
         log_ratio[STEP, is_early] = -np.inf
-        log_ratio[RAMP, is_early & (starts == 0)] += math.log(choices.STARTS_BEFORE)
+        if self.n_nights == len(self.window):
+            log_ratio[RAMP, is_early & (starts == 0)] += math.log(choices.STARTS_BEFORE)
         return Told(log_ratio, size, sd, first, second)
 
     def tempered(self, gain: Array, starts: Places) -> Array:

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 DAYS_A_YEAR = 365.0
 # Name of the path that a flushing is, and of the flow that the motor type states.
 FLUSHING, KNOWN = "flushing", "known"
+# More than one cause at once is a candidate, and no name.
+SEVERAL = "several"
 # ISO viscosity grades, kinematic viscosity at 40 and 100 °C [mm²/s] (mineral oils, VI about 100).
 ISO_GRADES = ((32.0, 5.4), (46.0, 6.8), (68.0, 8.7), (100.0, 11.4))
 _TWO_SIDED_95 = float(ndtri(0.975))
@@ -144,6 +146,11 @@ class Change:
     path_growth: Estimate | None = None
     grade: int | None = None  # ISO viscosity grade that does as much, of ``oil_grade``.
     goes_on: bool = False  # Whether the same was detected before.
+
+    @property
+    def several(self) -> float:
+        """Probability of more than one cause at once."""
+        return self.candidates.get(SEVERAL, 0.0)
 
     @property
     def dates(self) -> tuple[int, int, int]:

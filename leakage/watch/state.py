@@ -16,7 +16,7 @@ import numpy as np
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS, SEVERAL, Cause, causes_of
+from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS, Cause, causes_of
 from leakage.watch.evidence import STEP, Causes, Evidence, Sums, Window
 from leakage.watch.nights import (
     FLUSHING,
@@ -275,7 +275,7 @@ def change_in_force(state: State) -> Change | None:
         return None if in_force is None else in_force.change
     change = in_force.change
     # The size of one cause is none of several.
-    is_one = change.candidates.get(SEVERAL, 0.0) < choices.MOSTLY
+    is_one = change.several < choices.MOSTLY
     if in_force.found is not None and not change.goes_on and is_one:
         return change
     now, before = present(state), in_force.before

@@ -24,6 +24,8 @@ NAMES = {
     "pressure_zero": "zero of the pressure sensor",
     "flow_zero": "zero of the flow sensor",
 }
+# Probability from which more than one change at once is the likeliest by far.
+MOST_OF_IT = 0.5
 # What has happened, by cause; of any other cause the leakage of its path has changed.
 WHAT = {
     "all_gaps": "leakage of all gaps has {risen} together",
@@ -49,7 +51,7 @@ CAUSES = {
     "back_as_before": "back as before",
     "odd_nights": "single odd nights",
     "tank": "the oil circuit",
-    "several": "several causes at once",
+    "several": "more than one change at once",
     "a_part": "a part of the motor",
 }
 FALL = "Check oil, sensors and flushing, or enter the overhaul that was made: a fall is no wear."
@@ -151,10 +153,16 @@ def sentence(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[s
         parts.append(_changed(night, night.change))
     elif quiet_since is not None and night.watched.verdict and night.state != "stale":
         parts.append(_quiet(night, quiet_since))
-    if night.model_verdict == "disproved" and night.watched.verdict is not None:
+    if _no_part_is_named(night) and night.watched.verdict is not None:
         lack = night.watched.verdict.lack_of_fit
         parts.append(f"the model misses {100 * lack:.0f} % of the flow, so no part is named")
     return "; ".join([*parts, *drifts])
+
+
+def _no_part_is_named(night: JudgedNight) -> bool:
+    """True where the model is the reason, be it for a change in force or for any."""
+    unnamed = night.change is not None and night.change.cause == "cannot_be_told"
+    return night.model_verdict == "disproved" or (unnamed and night.model_verdict == "doubtful")
 
 
 def advice(night: JudgedNight, drifts: Sequence[str]) -> str:
@@ -174,7 +182,7 @@ def _advice_on(night: JudgedNight, change: Change) -> str:
     if change.cause in ADVICE:
         return ADVICE[change.cause]
     if change.cause == "cannot_be_told":
-        return _what_would_tell(change)
+        return _what_would_tell(night, change)
     if not change.is_rise:
         return FALL
     if change.cause == "all_gaps":
@@ -188,14 +196,19 @@ def _look_at(what: str, state: str) -> str:
     return f"Plan a look at {what}."
 
 
-def _what_would_tell(change: Change) -> str:
+def _what_would_tell(night: JudgedNight, change: Change) -> str:
     """What would tell between the causes that are left."""
+    if change.several >= MOST_OF_IT:
+        return "Take an oil sample first, and check the flow meter; then plan a look at the motor."
     left = change.candidates.keys()
     steps = []
-    if left & {*OF_OIL_AND_SENSORS, "several"}:
+    if left & OF_OIL_AND_SENSORS:
         steps += ["an oil sample", "the meter's zero at a halt", "a second thermometer"]
-    if not left <= OF_OIL_AND_SENSORS:
+    if not left <= OF_OIL_AND_SENSORS and night.model_verdict == "supported":
         steps.append("nights at other pressures and speeds")
+    if not steps:
+        # Where the model itself misses, other nights do not tell which part it is.
+        return _look_at("the motor", night.state)
     *first, last = steps
     both = f"{', '.join(first)} and {last}" if first else last
     return as_sentence(f"{both} would tell")

@@ -35,15 +35,17 @@ def test_residuals_are_shares_of_the_expected_flow_but_for_a_floor_in_the_scale(
 
 
 def test_design_is_by_hand() -> None:
-    """Paths in their units; warmth in 10 K, its square, and surface, of ŷ; zero of 5 l/min."""
+    """By columns: paths in their units; warmth in 10 K and its square, of ŷ, and of each path;
+    surface, of ŷ; zero of 5 l/min.
+    """
     design, _ = COLUMNS.of_night(NIGHT)
-    assert COLUMNS.n == 7
+    assert COLUMNS.n == 9
     assert design == pytest.approx(
         np.array(
             [
-                [1.0, 0.5 / 4.0, 1.0, 1.0, 1.0, 0.0, 1.25],
-                [0.4, 0.5, 0.0, 0.0, 0.2, 0.2, 5.0],
-                [1.0, 0.0, -1.0, 1.0, 0.0, 1.0, 2.5],
+                [1.0, 0.5 / 4.0, 1.0, 1.0, 1.0, 0.5 / 4.0, 1.0, 0.0, 1.25],
+                [0.4, 0.5, 0.0, 0.0, 0.0, 0.0, 0.2, 0.2, 5.0],
+                [1.0, 0.0, -1.0, 1.0, -1.0, 0.0, 0.0, 1.0, 2.5],
             ]
         )
     )

@@ -408,7 +408,7 @@ def test_change_since_is_what_others_on_the_tank_are_asked() -> None:
 
 
 # Evidence by an independent implementation of the same description (dense matrices, other
-# optimisers, no bend in the effect of temperature), of nights that do not remember one another,
+# optimisers, one effect of temperature without a bend), of nights that do not remember one another,
 # without a line beside their wander, and of starts behind the baseline alone.
 INDEPENDENT = {
     "sleeve": {20: 1.553, 40: 1.004, 60: 3.885, 80: 1.887, 119: 1.547, 120: 2.448, 122: 3.496},
@@ -423,6 +423,7 @@ def test_evidence_agrees_with_an_independent_implementation(
     """Ring and sleeve beside a constant and the known roller: the balance piston is missed."""
     monkeypatch.setattr(wander, "PHI", np.full(len(wander.PHI), 1e-6))
     monkeypatch.setattr(choices, "LINE_PRIOR", 1e-9)
+    monkeypatch.setattr(choices, "PATH_TEMPERATURE_PRIOR", 1e-6)
     paths = ("ring", "sleeve", "flushing", "known")
     nights = [
         replace(night, drives=night.drives[:, [0, 2, 0, 3]] * [1, 1, 0, 1] + [0, 0, 1, 0])

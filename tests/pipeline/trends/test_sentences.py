@@ -82,7 +82,25 @@ def told(night: JudgedNight, *drifts: str) -> tuple[str, str]:
             judge(watched(change(SLEEVE), lack_of_fit=0.09)),
             f"the cause of a change cannot be told: {SIZE}, {SINCE}; it could be a part of the "
             "motor over 99 %; the model misses 9 % of the flow, so no part is named",
-            "Nights at other pressures and speeds would tell.",
+            "Plan a look at the motor.",
+        ),
+        (
+            judge(
+                watched(
+                    change("cannot_be_told", candidates={"all_flows": 0.6, SLEEVE: 0.4}),
+                    lack_of_fit=0.03,
+                )
+            ),
+            f"the cause of a change cannot be told: {SIZE}, {SINCE}; it could be all flows (all "
+            "gaps worn, another oil, the flow meter) 60 %, balance sleeve 40 %; the model misses "
+            "3 % of the flow, so no part is named",
+            "An oil sample, the meter's zero at a halt and a second thermometer would tell.",
+        ),
+        (
+            judge(watched(change("cannot_be_told", candidates={"several": 0.9, SLEEVE: 0.1}))),
+            f"the cause of a change cannot be told: {SIZE}, {SINCE}; it could be more than one "
+            "change at once 90 %, balance sleeve 10 %",
+            "Take an oil sample first, and check the flow meter; then plan a look at the motor.",
         ),
         (
             judge(waiting(5, period=BaselinePeriod(10, 40, "oil change on 2026-01-12"))),
