@@ -102,7 +102,7 @@ def of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array
 def _told(state: State) -> State:
     """A change detected in the newest night, unless the flow has hardly changed."""
     evidence = state.evidence_now()
-    found = attribute(evidence, state.baseline, state.place(state.first_ramp))
+    found = attribute(evidence, state.baseline, _starts_until(state, state.day))
     if abs(found.flow.value) < choices.LEAST_CHANGE:
         return state
     return replace(state, in_force=in_force_of(state, evidence, found, told_on=state.day))
@@ -113,17 +113,19 @@ def settled(state: State) -> State:
     assert state.in_force is not None
     assert state.in_force.found is not None
     evidence = state.evidence_now()
-    found = attribute(evidence, state.baseline, state.place(state.first_ramp))
     told_on = state.in_force.change.told_on
-    if found.start > told_on:
-        # A second change came before the first was settled: this one by its own nights.
-        return state
+    found = attribute(evidence, state.baseline, _starts_until(state, told_on))
     # It came between the dates of all nights: what comes in few nights is neither step nor ramp.
     lower, since, upper = found.since
     before = state.in_force.found.since
     found = replace(found, since=(min(lower, before[0]), since, max(upper, before[2])))
     tank = state.in_force.tank
     return replace(state, in_force=in_force_of(state, evidence, found, told_on, tank))
+
+
+def _starts_until(state: State, told_on: int) -> Places:
+    """Starts that a change may have which is detected on a day."""
+    return np.arange(state.place(state.first_ramp), state.place(told_on) + 1)
 
 
 def in_force_of(

@@ -58,13 +58,12 @@ class Name:
     likeliest: Cause
 
 
-def attribute(evidence: Evidence, baseline: Baseline, first: int) -> Attribution:
-    """The change whose start is at a place or later, by the nights up to the newest.
+def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribution:
+    """The change that begins at one of some starts in order, by the nights up to the newest.
 
     Neither other operating conditions nor odd nights move its start: with them it moved by 2 to 8
     nights.
     """
-    starts = np.arange(first, len(evidence.window))
     told = evidence.of_starts(starts, by_operation=False)
     weights = np.exp(told.log_ratio - told.log_ratio.max())
     weights /= weights.sum()
