@@ -66,6 +66,7 @@ class Plant:
     oil: Callable[[int], tuple[float, float]] = lambda _: VG_68
     offset_c: Callable[[int], float] = lambda _: 0.0
     warmer_c: Callable[[int], float] = lambda _: 0.0
+    by_warmth: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # growth of each path's flow a kelvin
     film: Film = "barus"
     operating_point: Literal["varied", "one pressure"] = "varied"
     load: Callable[[int], float] = lambda _: 1.0
@@ -87,6 +88,7 @@ class Plant:
         truth = self._conditions(night, middle_s, generator)
         seen = truth + np.array([self.offset_c(night), 0.0, 0.0])
         of_paths = drives(truth, self.oil(night), self.film)
+        of_paths *= 1.0 + (truth[..., :1] - 50.0) * self.by_warmth
         flow = (of_paths.mean(axis=1) * COEFFICIENTS) @ (np.ones(4) * self.growth(night))
         error = shift + slow_errors(middle_s, self.slow, 600.0, generator)
         error += self.block * generator.standard_normal(self.blocks)

@@ -71,6 +71,12 @@ RING = Plant(growth=lambda night: np.array([1.0 + 0.03 * max(0, night - 29), 1.0
 THIRD = Plant(growth=lambda night: 1.1 if night >= 25 and night % 3 == 0 else 1.0)
 ONCE = Plant(growth=lambda night: 1.3 if night == 25 else 1.0)
 TWO = Plant(growth=lambda n: 1.0 + 0.3 * np.array([0, n >= 60, n >= BEGIN, 0]))
+# In eight nights to half as much again.
+QUICK = Plant(growth=lambda night: 1.0 + 0.5 * min(max(night - 29, 0), 8) / 8)
+# Twelve degrees in 90 nights; the pistons' flow grows by 1 % a kelvin, the others' does not.
+UNALIKE = Plant(
+    warmer_c=lambda night: 12.0 * min(night / 90, 1.0) - 6.0, by_warmth=(0.0, 0.01, 0.0, 0.0)
+)
 ERA = Plant(growth=lambda night: (1.0 + 0.4 * (night >= BEGIN)) * (1.0 + 0.1 * (night >= 60)))
 HEALTHY, LIGHTER = Plant(), Plant(load=lambda night: 0.5 if night >= BEGIN else 1.0)
 SMALL = Machine(("gap",), ("gap",))
@@ -219,6 +225,23 @@ def test_what_is_no_change_is_silent(seed: int) -> None:
         assert first_told(story(plant, 50, seed)) is None
     # Of one night no more than its rarity can be left: −ln 0.003 = 5.8.
     assert max(watch.verdict().evidence for watch in story(ONCE, 50, seed)) < 7.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_grows_on_behind_its_detection_is_one_change(seed: int) -> None:
+    """It is detected within the eight nights, and its size follows it to the end."""
+    told, first, _ = told_of(QUICK, 60, seed)
+    assert told.day < BEGIN + 6
+    settled = story(QUICK, 60, seed)[told.day + 9 - FIRST + 1].verdict().change
+    assert settled is not None
+    assert settled.told_on == first.told_on
+    assert settled.size.value == pytest.approx(0.5, abs=0.12)
+    assert story(QUICK, 60, seed)[-1].verdict().present.value == pytest.approx(0.5, abs=0.04)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_season_on_parts_that_warm_unalike_is_no_wear(seed: int) -> None:
+    assert first_told(story(UNALIKE, 100, seed)) is None
 
 
 @pytest.mark.parametrize("seed", SEEDS)
