@@ -80,7 +80,7 @@ WORLDS = {
 }
 FLOWS, GAPS = frozenset({"all_flows"}), frozenset({"all_gaps"})
 GRADE, SENSOR = frozenset({"oil_grade"}), frozenset({"temperature_sensor"})
-WARMTH = frozenset({"temperature_effect"})
+WARMTH, SEVERAL = frozenset({"temperature_effect"}), frozenset({"several"})
 
 
 def step(begin: int = CHANGE, **changed: Any) -> Course:
@@ -368,7 +368,7 @@ NAMED = {
     },
     **{
         f"{name.replace('_', ' ')} +30 %, oil −20 %": _at_once(
-            near=[name, *FLOWS, *GAPS, *GRADE], viscosity=0.8, paths={name: 1.3}
+            SEVERAL, near=[name, *FLOWS, *GAPS, *GRADE], viscosity=0.8, paths={name: 1.3}
         )
         for name in PATHS
     },
@@ -397,7 +397,7 @@ ONE_PATH = {
         for percent in (5, 10, 20, 30)
     },
     "ring-like +20 %, oil +25 %": _at_once(
-        near=[*FLOWS, "all_gaps", "flushing"], ring_like=0.2, viscosity=1.25
+        SEVERAL, near=[*FLOWS, "all_gaps", "flushing"], ring_like=0.2, viscosity=1.25
     ),
 }
 
@@ -414,7 +414,7 @@ def _tanks() -> Iterator[Cell]:
         "oil −20 %, sleeve of one +50 %": (
             both,
             oil,
-            frozenset[str](),
+            SEVERAL,
             frozenset({SLEEVE, "tank", *FLOWS, *GRADE}),
         ),
     }
