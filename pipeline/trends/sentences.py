@@ -120,6 +120,8 @@ def limit_dates(row: Mapping[str, Any]) -> str:
     >>> row = {"night": dt.date(2026, 10, 3), "days_to_limit_status": "not_before"}
     >>> limit_dates(row | {"days_to_limit_lower": 320.0, "days_to_limit_upper": None})
     'not before August 2027'
+    >>> limit_dates(row | {"days_to_limit_lower": 0.4, "days_to_limit_upper": None})
+    ''
     >>> row = row | {"days_to_limit_status": "finite", "days_to_limit_upper": 200.0}
     >>> limit_dates(row | {"days_to_limit_lower": 20.0})
     'between 23 October 2026 and April 2027'
@@ -128,7 +130,8 @@ def limit_dates(row: Mapping[str, Any]) -> str:
         return ""
     earliest = _date_ahead(row["night"], row["days_to_limit_lower"])
     if row["days_to_limit_upper"] is None:
-        return f"not before {earliest}"
+        # Not before tonight says nothing.
+        return f"not before {earliest}" if row["days_to_limit_lower"] >= 1.0 else ""
     return f"between {earliest} and {_date_ahead(row['night'], row['days_to_limit_upper'])}"
 
 

@@ -73,6 +73,7 @@ ONCE = Plant(growth=lambda night: 1.3 if night == 25 else 1.0)
 TWO = Plant(growth=lambda n: 1.0 + 0.3 * np.array([0, n >= 60, n >= BEGIN, 0]))
 # In eight nights to half as much again.
 QUICK = Plant(growth=lambda night: 1.0 + 0.5 * min(max(night - 29, 0), 8) / 8)
+FASTER = Plant(growth=lambda night: 1.0 + 0.001 * max(0, night - 29) ** 2)
 # Twelve degrees in 90 nights; the pistons' flow grows by 1 % a kelvin, the others' does not.
 UNALIKE = Plant(
     warmer_c=lambda night: 12.0 * min(night / 90, 1.0) - 6.0, by_warmth=(0.0, 0.01, 0.0, 0.0)
@@ -237,6 +238,15 @@ def test_what_grows_on_behind_its_detection_is_one_change(seed: int) -> None:
     assert settled.told_on == first.told_on
     assert settled.size.value == pytest.approx(0.5, abs=0.12)
     assert story(QUICK, 60, seed)[-1].verdict().present.value == pytest.approx(0.5, abs=0.04)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_grows_ever_faster_does_not_begin_later_and_later(seed: int) -> None:
+    told, first, _ = told_of(FASTER, 52, seed)
+    changes = [one.verdict().change for one in story(FASTER, 52, seed)[told.day - FIRST + 1 :]]
+    settling = [one for one in changes if one is not None and one.told_on == first.told_on]
+    assert len(settling) >= 10
+    assert max(one.since for one in settling) == first.since
 
 
 @pytest.mark.parametrize("seed", SEEDS)
