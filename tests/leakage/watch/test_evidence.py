@@ -236,3 +236,9 @@ def test_thinned_starts_stand_for_all(first: int, last: int) -> None:
     n = last - first + 1
     assert np.exp(weights).sum() == pytest.approx(n, rel=0.0 if n <= 40 else 0.07)
     assert len(starts) <= 40 + 24 * math.log2(n / 40 + 1)
+
+
+def test_a_ramp_has_risen_by_a_day_on_its_first_night_and_less_its_mean_in_the_baseline() -> None:
+    """By hand, in ten days: the baseline is the first night, the newest the 107th."""
+    risen = Dense.of_seed(1).evidence().risen(np.array([0, 3]))
+    assert risen == pytest.approx([0.8 - 0.1, 0.3])

@@ -224,6 +224,11 @@ def test_what_is_no_change_is_silent(seed: int) -> None:
     """One odd night, half of the load, and nothing at all."""
     for plant in (ONCE, LIGHTER, HEALTHY):
         assert first_told(story(plant, 50, seed)) is None
+    # At usual operating conditions a level has no error of the model's.
+    usual = story(HEALTHY, 50, seed)[-1].state
+    beyond = usual.level_along(usual.baseline.all_flows).beyond
+    assert np.median(beyond) == 0.0
+    assert beyond == pytest.approx(np.clip(usual.window.distance - 1.5, 0.0, 4.0))
     # Of one night no more than its rarity can be left: −ln 0.003 = 5.8.
     assert max(watch.verdict().evidence for watch in story(ONCE, 50, seed)) < 7.0
 
@@ -286,6 +291,10 @@ def test_a_large_change_begins_an_baseline_period_that_carries_what_was_before(s
     assert before.verdict().present.value == pytest.approx(0.40, abs=0.02)
     assert after.verdict().present.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.025)
     assert after.verdict().newest_night.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.04)
+    # What is in force is sized along the flows of the new period.
+    begun = next(one for one in watches if one.state.n_baseline < FIRST)
+    assert begun.state.in_force is not None
+    assert begun.state.in_force.along == pytest.approx(begun.state.baseline.all_flows)
 
 
 @pytest.mark.parametrize("by", [0.08, -0.08])
