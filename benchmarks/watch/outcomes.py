@@ -17,7 +17,7 @@ from benchmarks.watch.rivals import charts
 from leakage.watch import Change, Estimate, NightBlocks, Verdict, Watch, WatchSettings
 
 # Seeds of trials while building, and of the figures that are shown.
-TRIAL, FRESH = 36, 20261128
+TRIAL, FRESH = 36, 20261203
 SETTLED = 10  # nights after which a cause has settled
 # A change of the temperature's effect alone is a notice; and what ends is no alarm.
 NOTICES = ("temperature_effect", "back_as_before")

@@ -115,8 +115,8 @@ def settled(state: State) -> State:
     evidence = state.evidence_now()
     told_on = state.in_force.change.told_on
     found = attribute(evidence, state.baseline, _starts_until(state, told_on))
-    # It came between the dates of all nights: what comes in few nights is neither step nor ramp, and
-    # what grows ever faster seems to begin later and later.
+    # It came between the dates of all nights: what comes in few nights is neither step nor ramp,
+    # and what grows ever faster seems to begin later and later.
     lower, since, upper = found.since
     before = state.in_force.found.since
     dates = min(lower, before[0]), min(since, before[1]), max(upper, before[2])
