@@ -17,7 +17,7 @@ import json
 import os
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -269,7 +269,11 @@ class Publisher:
 
             # After a failure those that wait are not begun.
             with ThreadPoolExecutor(min(at_once or self.threads, os.cpu_count() or 1)) as pool:
-                files = list(pool.map(prepared, works))
+                tried = [pool.submit(prepared, work) for work in works]
+                wait(tried, return_when=FIRST_EXCEPTION)
+                pool.shutdown(cancel_futures=True)
+            # They are begun in order: the one that failed is before those that were not.
+            files = [one.result() for one in tried]
             named = {name_of(self.output, file.path): file for file in files}
             new = {name: one.prepared for name, one in named.items() if one.prepared is not None}
             announce(self.state, {name: one.sha256 for name, one in new.items()})

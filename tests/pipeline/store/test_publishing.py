@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, INPUT_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
 from pipeline.store import publishing
 from pipeline.store.published import verify_tables
-from pipeline.store.publishing import read_staged, stage, staged_file, staged_in
+from pipeline.store.publishing import NewFile, read_staged, stage, staged_file, staged_in
 from pipeline.store.state import open_state
 from pipeline.store.tables import (
     files_of,
@@ -240,9 +241,27 @@ class TestRefused:
         in_the_way = table_folder(tmp_path, BLOCK_STATISTICS) / "month=2026-02"
         in_the_way.touch()
         before = contents(tmp_path / "tables")
-        with pytest.raises(StoreError):
+        with pytest.raises(StoreError, match="there is a file in the way"):
             publish(tmp_path, {"A": rows(LATER)})
         assert contents(tmp_path / "tables") == before
         in_the_way.unlink()
         publish(tmp_path, {"A": rows(LATER)})
         assert list(verify_tables(tmp_path)) == []
+
+    def test_after_a_failure_no_other_file_is_tried(self, tmp_path: Path) -> None:
+        tried, many = [], threading.Event()
+
+        def slow() -> NewFile:
+            many.wait(0.5)
+            return NewFile(tmp_path / "slow", None)
+
+        def failing() -> NewFile:
+            tried.append(1)
+            if len(tried) == 9:
+                many.set()
+            raise StoreError("store_write", "no space left on device")
+
+        with publisher_of(tmp_path, threads=2) as publisher:
+            with refused("store_write", "no space left"):
+                publisher._publish([slow, *[failing] * 9])
+        assert len(tried) < 9
