@@ -48,7 +48,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
                 absent.append(pattern)
     names: dict[str, Path] = {}
     for path in sorted(found):
-        name = legible(path.relative_to(root).as_posix())
+        name = legible(path.as_posix().removeprefix(f"{root.as_posix()}/"))
         while name in names:  # Another file's name is what this one's is shown as.
             name += "'"
         names[name] = path
