@@ -115,7 +115,8 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
             f"{output} holds files that are not those at {store.url}, such as {strange[0]}: "
             "choose an empty output",
         )
-    is_as_pulled = record == _of_copy(store, published.get(STATE_FILE), own_state)
+    pulled = (published.get(STATE_FILE), own_state)
+    is_as_pulled = record is not None and (record.get("published"), record.get("own")) == pulled
     _mark_as_copy(store, output)  # also if this is broken off
     for path in strange:
         if path not in published:
@@ -213,17 +214,12 @@ def _record(store: ObjectStore, output: Path) -> Mapping[str, str | None] | None
     return record
 
 
-def _of_copy(
-    store: ObjectStore, published: str | None, own_state: str | None
-) -> Mapping[str, str | None]:
-    """A folder's record: its store, the state there, and its own, which has other stamps."""
-    return {"url": store.url, "published": published, "own": own_state}
-
-
 def _mark_as_copy(
     store: ObjectStore, output: Path, published: str | None = None, own_state: str | None = None
 ) -> None:
-    put(output / RECORD, json.dumps(_of_copy(store, published, own_state)).encode())
+    """Name the store of a folder, the state there, and the folder's own, which has other stamps."""
+    record = {"url": store.url, "published": published, "own": own_state}
+    put(output / RECORD, json.dumps(record).encode())
 
 
 def _digests(state: State) -> dict[str, str]:
