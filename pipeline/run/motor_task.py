@@ -79,7 +79,7 @@ def _place_of(record: FileRecord, nights: Collection[dt.date]) -> dt.date | None
 
 @lru_cache(maxsize=2)
 def _readings_in(path: Path, _: int) -> dict[tuple[Any, ...], pl.DataFrame]:
-    """Readings by motor in a file that was last changed at a time; a process asks for each motor."""
+    """Readings by motor in a file last changed at a time; a process asks for each motor."""
     readings = read_table(path, OPERATION, ("motor_id", "night", *COLUMNS.values()))
     return readings.partition_by("motor_id", as_dict=True)
 

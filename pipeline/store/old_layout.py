@@ -71,20 +71,15 @@ def take_over(state: State, forget: Forget, take_stock: Callable[[], object]) ->
         _take_records(state)
     manifests = sorted((output / "manifest").glob("*/*.json"))
     listed = {name: some for path in manifests for name, some in _listed(path)}
-    looks = {key: old.pop(key) for key in list(old) if key[1] == LOOKS.name}
+    looks = {month: old.pop((month, name)) for month, name in list(old) if name == LOOKS.name}
     for (month, name), files in sorted(old.items()):
         _take_month(state, TABLE_OF[name], month, files, listed, forget)
     take_stock()
     try:
         with locked(output / "look"):
-            if not state.meta("looks taken over"):
-                _take_looks(state)
-            for (month, _), files in sorted(looks.items()):
+            _take_looks(state)
+            for month, files in sorted(looks.items()):
                 _take_month(state, LOOKS, month, files, listed, forget)
-            for path in (output / "look").glob("*/"):
-                rmtree(path, ignore_errors=True)
-            for name in OUTBOX:
-                remove(output / "look" / name)
     except LockedError as error:
         log.warning("%s; the next run takes the looks over", error)
         return
@@ -127,13 +122,18 @@ def _take_records(state: State) -> None:
 def _take_looks(state: State) -> None:
     """Take over the state of looks, and what of them was told; the caller holds their lock."""
     folder = state.output / "look"
-    with state.transaction():
-        _take_outbox(state, "looks", folder)
-        for path in sorted(folder.glob("*/state.json")):
-            if look := _document(path):
-                row = {"motor_id": path.parent.name, "state": json.dumps(look)}
-                _insert(state, "looks", row)
-        state.set_meta("looks taken over", "yes")
+    if not state.meta("looks taken over"):
+        with state.transaction():
+            _take_outbox(state, "looks", folder)
+            for path in sorted(folder.glob("*/state.json")):
+                if look := _document(path):
+                    row = {"motor_id": path.parent.name, "state": json.dumps(look)}
+                    _insert(state, "looks", row)
+            state.set_meta("looks taken over", "yes")
+    for path in folder.glob("*/"):
+        rmtree(path, ignore_errors=True)
+    for name in OUTBOX:
+        remove(folder / name)
 
 
 def _take_ledger(state: State, folder: Path) -> None:
@@ -181,7 +181,7 @@ def _insert(state: State, table: str, row: Mapping[str, Any]) -> None:
     state.write(f"INSERT OR REPLACE INTO {table} ({names}) VALUES ({places})", *row.values())
 
 
-def _old_files(output: Path) -> Mapping[tuple[str, str], list[Path]]:
+def _old_files(output: Path) -> dict[tuple[str, str], list[Path]]:
     """Files that are not a month's, in order, by month and table."""
     found: defaultdict[tuple[str, str], list[Path]] = defaultdict(list)
     for table in MONTHLY:

@@ -15,7 +15,7 @@ import hashlib
 import json
 import logging
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -100,23 +100,19 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
     snapshot, record = read_snapshot(store), _record(store, output)
     if snapshot.tag is None:
         return snapshot
-    is_copy = record is not None
     published, had_state = snapshot.files, (output / STATE_FILE).exists()
     if not is_sound(output):
         make_ready(output)
     with read_state_file(output) as state:
         here, own_state = _digests(state), _hash(state.content())
     strange = sorted(path for path in here if here[path] != published.get(path))
-    if had_state and not is_copy and published.get(STATE_FILE) != own_state:
-        strange.append(STATE_FILE)  # what was decided or looked at here is not in the store
-    if strange and not is_copy:
-        raise StoreError(
-            "store_copy",
-            f"{output} holds files that are not those at {store.url}, such as {strange[0]}: "
-            "choose an empty output",
-        )
+    if record is None:
+        # What was decided or looked at here is not in the store.
+        is_own = had_state and published.get(STATE_FILE) != own_state
+        _refuse_own(store, output, [*strange, STATE_FILE] if is_own else strange)
+        record = {}
     pulled = (published.get(STATE_FILE), own_state)
-    is_as_pulled = record is not None and (record.get("published"), record.get("own")) == pulled
+    is_as_pulled = (record.get("published"), record.get("own")) == pulled
     _mark_as_copy(store, output)  # also if this is broken off
     for path in strange:
         if path not in published:
@@ -140,6 +136,16 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
             own_state = _hash(state.content())
     _mark_as_copy(store, output, published.get(STATE_FILE), own_state)
     return snapshot
+
+
+def _refuse_own(store: ObjectStore, output: Path, strange: Sequence[str]) -> None:
+    """Refuse a folder that is no copy and holds files of its own."""
+    if strange:
+        raise StoreError(
+            "store_copy",
+            f"{output} holds files that are not those at {store.url}, such as {strange[0]}: "
+            "choose an empty output",
+        )
 
 
 def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:

@@ -261,7 +261,7 @@ class TestRefused:
                 many.set()
             raise StoreError("store_write", "no space left on device")
 
-        with publisher_of(tmp_path, threads=2) as publisher:
-            with refused("store_write", "no space left"):
-                publisher._publish([slow, *[failing] * 9])
+        full = refused("store_write", "no space left")
+        with publisher_of(tmp_path, threads=2) as publisher, full:
+            publisher._publish([slow, *[failing] * 9])
         assert len(tried) < 9

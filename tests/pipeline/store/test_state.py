@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -212,9 +211,9 @@ def test_it_does_not_wait_for_ever_for_another_process(
 ) -> None:
     here, content = two
     monkeypatch.setattr("pipeline.store.state.BUSY_S", 0.05)
-    with open_state(here) as other, open_state(here) as state, other.transaction():
-        with pytest.raises(StoreError, match="is locked"):
-            state.replace(content)
+    locked = pytest.raises(StoreError, match="is locked")
+    with open_state(here) as other, open_state(here) as state, other.transaction(), locked:
+        state.replace(content)
     assert kept(here) == "here"
 
 
@@ -237,7 +236,8 @@ def test_a_file_that_cannot_be_used_is_closed(tmp_path: Path) -> None:
     keep(tmp_path, "before")
     with closing(sqlite3.connect(tmp_path / STATE_FILE)) as connection:
         connection.execute("PRAGMA user_version = 99")
-    before = len(os.listdir("/proc/self/fd"))
+    handles = Path("/proc/self/fd")
+    before = len(list(handles.iterdir()))
     with pytest.raises(StoreError) as caught:
         kept(tmp_path)
-    assert (caught.value.code, len(os.listdir("/proc/self/fd"))) == ("store_newer", before)
+    assert (caught.value.code, len(list(handles.iterdir()))) == ("store_newer", before)
