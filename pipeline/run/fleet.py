@@ -176,9 +176,7 @@ def _run(
     config_hash = config_hash_of(request.specs)
     run_id = run_id_of(outcomes, config_hash)
     heartbeat.say(stage="publishing", run_id=run_id)
-    publisher = Publisher(
-        state, staging, run_id, fleet.execution.workers, missed=damage.found.keys()
-    )
+    publisher = Publisher(state, staging, run_id, missed=damage.found.keys())
     with interrupts_held() as came:
         n_nights = publish_motors(publisher, outcomes)
     is_stopped = is_stopped or bool(came)

@@ -14,10 +14,8 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-import os
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -44,8 +42,6 @@ from pipeline.store.tables import (
     whole_file,
 )
 
-# Staged rows of a month from which on its files are prepared one by one, to bound the memory.
-LARGE_BYTES = 64_000_000
 # In place of the SHA-256 of a file that is replaced in any case.
 UNREAD = "unread"
 
@@ -149,7 +145,6 @@ class Publisher:
     state: State
     staging: Path  # the run's folder of staged rows
     run_id: str  # goes into every row
-    threads: int = 1  # files that are prepared at once
     # Names of files that are known to be gone. Another one that is gone or damaged is nothing to
     # add rows to: the next run mends it.
     missed: Collection[str] = ()
@@ -173,9 +168,7 @@ class Publisher:
         for month in months:
             keys = [one for one in staged if one[1][:7] == month]
             works = [partial(self._with_staged, *key, staged[key]) for key in keys]
-            size = sum(one.size for key in keys for one in staged[key].values())
-            at_once = self.threads if size < LARGE_BYTES else 1
-            self._publish(works, published if month == months[-1] else lambda: None, at_once)
+            self._publish(works, published if month == months[-1] else lambda: None)
         if not months:
             with self.state.transaction():
                 published()
@@ -254,27 +247,17 @@ class Publisher:
 
     def _publish(
         self,
-        works: Collection[Callable[[], NewFile]],
+        works: Iterable[Callable[[], NewFile]],
         published: Callable[[], object] = lambda: None,
-        at_once: int | None = None,
     ) -> None:
         """Prepare files, put them into their places, and note them before and afterwards."""
+        named: dict[str, NewFile] = {}
         with ExitStack() as undone:
-
-            def prepared(work: Callable[[], NewFile]) -> NewFile:
+            for work in works:
                 file = work()
                 if file.prepared is not None:
                     undone.callback(file.prepared.drop)
-                return file
-
-            # After a failure those that wait are not begun.
-            with ThreadPoolExecutor(min(at_once or self.threads, os.cpu_count() or 1)) as pool:
-                tried = [pool.submit(prepared, work) for work in works]
-                wait(tried, return_when=FIRST_EXCEPTION)
-                pool.shutdown(cancel_futures=True)
-            # They are begun in order: the one that failed is before those that were not.
-            files = [one.result() for one in tried]
-            named = {name_of(self.output, file.path): file for file in files}
+                named[name_of(self.output, file.path)] = file
             new = {name: one.prepared for name, one in named.items() if one.prepared is not None}
             announce(self.state, {name: one.sha256 for name, one in new.items()})
             for one in new.values():

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import polars as pl
@@ -15,7 +13,6 @@ from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, INPUT_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
-from pipeline.store import publishing
 from pipeline.store.published import verify_tables
 from pipeline.store.publishing import NewFile, read_staged, stage, staged_file, staged_in
 from pipeline.store.state import open_state
@@ -154,30 +151,6 @@ class TestRows:
                 publish(folder / "in turn", {motor: rows(motor, n) for motor, n in done.items()})
         assert contents(folder / "at once" / "tables") == contents(folder / "in turn" / "tables")
 
-    @pytest.mark.parametrize(("spare", "at_once"), [(1, 2), (0, 1)])
-    def test_files_of_many_rows_are_prepared_one_by_one(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spare: int, at_once: int
-    ) -> None:
-        """For the memory's sake, from a number of staged bytes on."""
-        staging, rows = tmp_path / "staging" / "run", {QUALITY: {NIGHT: [row("A")]}}
-        staging.mkdir(parents=True)
-        stage(staged_file(staging / "nights", "A"), rows)
-        (((_, one),),) = (
-            found.items() for found in staged_in(staging / "nights", rows, "A").values()
-        )
-        monkeypatch.setattr(publishing, "LARGE_BYTES", one.size + spare)
-        asked: list[int] = []
-
-        def pool(threads: int) -> ThreadPoolExecutor:
-            asked.append(threads)
-            return ThreadPoolExecutor(threads)
-
-        monkeypatch.setattr(publishing, "ThreadPoolExecutor", pool)
-        monkeypatch.setattr("os.cpu_count", lambda: 2)
-        with publisher_of(tmp_path, threads=2) as publisher:
-            publisher.nights("nights", (QUALITY,), ["A"])
-        assert asked == [at_once]
-
     def test_runs_of_a_month_follow_each_other(self, tmp_path: Path) -> None:
         """Also two in a microsecond; one that is added again replaces itself."""
         start = dt.datetime(2026, 1, 31, 23, 59, 59, 5, tzinfo=dt.UTC)
@@ -249,19 +222,11 @@ class TestRefused:
         assert list(verify_tables(tmp_path)) == []
 
     def test_after_a_failure_no_other_file_is_tried(self, tmp_path: Path) -> None:
-        tried, many = [], threading.Event()
-
-        def slow() -> NewFile:
-            many.wait(0.5)
-            return NewFile(tmp_path / "slow", None)
-
-        def failing() -> NewFile:
-            tried.append(1)
-            if len(tried) == 9:
-                many.set()
+        def full() -> NewFile:
             raise StoreError("store_write", "no space left on device")
 
-        full = refused("store_write", "no space left")
-        with publisher_of(tmp_path, threads=2) as publisher, full:
-            publisher._publish([slow, *[failing] * 9])
-        assert len(tried) < 9
+        def next_file() -> NewFile:
+            raise AssertionError("it is tried")
+
+        with publisher_of(tmp_path) as publisher, refused("store_write", "no space left"):
+            publisher._publish([full, next_file])
