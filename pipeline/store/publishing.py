@@ -177,8 +177,8 @@ class Publisher:
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is one file, whatever is there; raises as `nights`."""
-        path = whole_file(self.output, table)
-        before = look_at(self.state, name_of(self.output, path)).sha256 or UNREAD
+        path = whole_file(self.state.output, table)
+        before = look_at(self.state, name_of(self.state.output, path)).sha256 or UNREAD
         self._publish([partial(_new_file, path, rows, before)])
 
     def add(self, month: str, rows: Mapping[Table, Sequence[Mapping[str, Any]]]) -> None:
@@ -213,13 +213,13 @@ class Publisher:
 
     def _changed(self, table: Table, label: str, change: Change) -> NewFile:
         """A file with other rows."""
-        path = labelled_file(self.output, table, label)
+        path = labelled_file(self.state.output, table, label)
         before, rows = self._present(path, table)
         return _new_file(path, change(rows), before)
 
     def _present(self, path: Path, table: Table) -> tuple[str, pl.DataFrame]:
         """SHA-256 and rows of a file that is there; an unlisted one is proven by its pages."""
-        name = name_of(self.output, path)
+        name = name_of(self.state.output, path)
         known = accepted(self.state, name)
         try:
             content = path.read_bytes()
@@ -240,11 +240,6 @@ class Publisher:
                 distrust(self.state, name)
             raise
 
-    @property
-    def output(self) -> Path:
-        """The output folder."""
-        return self.state.output
-
     def _publish(
         self,
         works: Iterable[Callable[[], NewFile]],
@@ -257,7 +252,7 @@ class Publisher:
                 file = work()
                 if file.prepared is not None:
                     undone.callback(file.prepared.drop)
-                named[name_of(self.output, file.path)] = file
+                named[name_of(self.state.output, file.path)] = file
             new = {name: one.prepared for name, one in named.items() if one.prepared is not None}
             announce(self.state, {name: one.sha256 for name, one in new.items()})
             for one in new.values():
