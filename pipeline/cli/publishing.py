@@ -145,10 +145,8 @@ def export(
     if delta is not None:
         if request != CsvRequest(named):
             raise UsageError("export_format", "--delta writes whole tables: expected only --tables")
-        written = export_delta(root, delta, named)
-    else:
-        assert csv is not None
-        written = export_csv(root, csv, request)
-    for one in written:
-        version = "" if one.version is None else f"version {one.version}, "
-        typer.echo(f"{one.place}: {version}{counted(one.n_rows, 'row')}")
+        for place, version, n_rows in export_delta(root, delta, named):
+            typer.echo(f"{place}: version {version}, {counted(n_rows, 'row')}")
+    if csv is not None:
+        for path, n_rows in export_csv(root, csv, request):
+            typer.echo(f"{path}: {counted(n_rows, 'row')}")

@@ -17,7 +17,6 @@ from typing import BinaryIO
 import polars as pl
 
 from pipeline.errors import UsageError
-from pipeline.export import Exported
 from pipeline.schema import TABLES, TIMESTAMP, Table
 from pipeline.store.atomic_files import put, remove_leftovers
 from pipeline.store.tables import existing_tables, files_of, read_table
@@ -67,8 +66,8 @@ def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
     return tuple(known[name] for name in dict.fromkeys(names)) or TABLES
 
 
-def export_csv(output: Path, folder: Path, request: CsvRequest) -> Iterator[Exported]:
-    """Write tables as one CSV file each, each whole or not at all.
+def export_csv(output: Path, folder: Path, request: CsvRequest) -> Iterator[tuple[Path, int]]:
+    """Write tables as one CSV file each, whole or not at all; the files, and their rows.
 
     UTF-8, a header line, cells quoted where they must be. Null is an empty cell, an empty text a
     quoted one; times are ISO 8601 in UTC, numbers as short as they can be read back unchanged,
@@ -86,7 +85,9 @@ def export_csv(output: Path, folder: Path, request: CsvRequest) -> Iterator[Expo
         yield _export_table(output, folder, table, request)
 
 
-def _export_table(output: Path, folder: Path, table: Table, request: CsvRequest) -> Exported:
+def _export_table(
+    output: Path, folder: Path, table: Table, request: CsvRequest
+) -> tuple[Path, int]:
     path, count = folder / f"{table.name}.csv", 0
     chosen, separator = _chosen(table, request), request.separator
 
@@ -103,7 +104,7 @@ def _export_table(output: Path, folder: Path, table: Table, request: CsvRequest)
             file.write(text.encode())
 
     put(path, write)
-    return Exported(table.name, str(path), count)
+    return path, count
 
 
 def _chosen(table: Table, request: CsvRequest) -> pl.Expr:

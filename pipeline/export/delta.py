@@ -10,7 +10,6 @@ import pyarrow as pa
 
 from pipeline.config.fleet import is_url
 from pipeline.errors import StoreError, UsageError
-from pipeline.export import Exported
 from pipeline.schema import TABLES, Table
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.tables import OF_ARROW, existing_tables, files_of, read_table
@@ -18,10 +17,10 @@ from pipeline.store.tables import OF_ARROW, existing_tables, files_of, read_tabl
 
 def export_delta(
     output: Path, place: str, tables: tuple[Table, ...] = TABLES
-) -> Iterator[Exported]:
+) -> Iterator[tuple[str, int, int]]:
     """Write tables as Delta Lake tables below a folder or URL; those there get a new version.
 
-    A table without a file yet is left out.
+    A table without a file yet is left out. Yields place, version and number of rows of each.
 
     Raises UsageError (``delta_missing``, ``no_tables``, ``delta_folder``) without the extra or
     tables, or if the place lies within them; StoreError if a table cannot be read or written.
@@ -54,7 +53,7 @@ def export_delta(
             written = DeltaTable(target)
         except (DeltaError, OSError) as error:
             raise StoreError("store_write", f"{target} cannot be written: {error}") from error
-        yield Exported(table.name, target, written.count(), written.version())
+        yield target, written.version(), written.count()
 
 
 def _rows(paths: list[Path], table: Table) -> pa.RecordBatchReader:

@@ -42,43 +42,51 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
             if named.exists():
                 found.add(named)
             elif is_glob:
-                paths = _matching(root, pattern)
-                found |= {path for path in paths if not _is_folder(path, root, silent)}
+                for path, is_file in _matching(root, pattern):
+                    still_alive()
+                    if is_file or not _is_folder(path, root, silent):
+                        found.add(path)
             else:
                 absent.append(pattern)
     names: dict[str, Path] = {}
     for path in sorted(found):
-        name = legible(path.relative_to(root).as_posix())
+        name = legible(path.as_posix().removeprefix(f"{root.as_posix()}/"))
         while name in names:  # Another file's name is what this one's is shown as.
             name += "'"
         names[name] = path
     return names, absent
 
 
-def _matching(root: Path, pattern: str) -> Iterable[Path]:
-    """Paths that a glob names, as `Path.glob`; a folder of many motors is listed once."""
+def _matching(root: Path, pattern: str) -> Iterator[tuple[Path, bool]]:
+    """Paths that a glob names, as `Path.glob`, and if each is known to be a file.
+
+    A folder of many motors is listed once.
+    """
     place, _, last = pattern.rpartition("/")
     folder = root / place
     if GLOB_CHARACTERS & set(place) or "**" in last:
-        return root.glob(pattern)
+        yield from ((path, False) for path in root.glob(pattern))
+        return
     try:
-        names = _names_as_of(folder, folder.stat().st_mtime_ns)
+        names, files = _names_as_of(folder, folder.stat().st_mtime_ns)
     except OSError:
-        return ()
+        return
     beginning = re.split(r"[*?\[]", last)[0]
     first, end = (bisect_left(names, beginning + more) for more in ("", "\U0010ffff"))
-    return (folder / name for name in fitting(names[first:end], last))
+    yield from ((folder / name, name in files) for name in fitting(names[first:end], last))
 
 
 @lru_cache(maxsize=64)
-def _names_as_of(folder: Path, _: int) -> list[str]:
-    """Names in a folder that was last changed at a time, sorted."""
-    return sorted(one.name for one in folder.iterdir())
+def _names_as_of(folder: Path, _: int) -> tuple[list[str], set[str]]:
+    """Names in a folder that was last changed at a time, sorted, and those of files among them."""
+    with os.scandir(folder) as found:
+        entries = list(found)
+    files = {one.name for one in entries if one.is_file(follow_symlinks=False)}
+    return sorted(one.name for one in entries), files
 
 
 def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
     """True for a folder; a path that did not answer is taken for a file."""
-    still_alive()
     if not path.is_symlink():
         return path.is_dir()
     name = legible(path.relative_to(root).as_posix())
@@ -102,7 +110,7 @@ def without_match(root: Path, patterns: Iterable[str]) -> tuple[str, ...]:
         for pattern in patterns
         if GLOB_CHARACTERS & set(pattern)
         and not (root / pattern).exists()
-        and not any(not path.is_dir() for path in _matching(root, pattern))
+        and not any(is_file or not path.is_dir() for path, is_file in _matching(root, pattern))
     )
 
 

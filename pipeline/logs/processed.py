@@ -136,6 +136,12 @@ def read_processed(state: State, motor_id: str) -> ProcessedLogs:
     )
 
 
+def read_states(state: State, motor_id: str) -> dict[str, tuple[int, int, int]]:
+    """Sizes and times of a motor's processed logs by path, as `FileRecord.state`."""
+    query = "SELECT path, size, modified_ns, changed_ns FROM logs WHERE motor_id = ?"
+    return {path: (size, *times) for path, size, *times in state.rows(query, motor_id)}
+
+
 def _file_record(row: dict[str, Any]) -> FileRecord:
     return FileRecord(**row | {"nights": tuple(row["nights"].split())})
 

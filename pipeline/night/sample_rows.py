@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import fields
 from itertools import repeat
 from typing import Any
 
@@ -104,7 +104,9 @@ PREDICTION_POINTS = 720
 
 def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> list[Row]:
     """Rows of `quality`: every rule that was applied, those that refused nothing too."""
-    return [{"motor_id": motor_id, "night": night} | asdict(one) for one in found]
+    own = {"motor_id": motor_id, "night": night}
+    names = [one.name for one in fields(Quality)]
+    return [own | {name: getattr(one, name) for name in names} for one in found]
 
 
 def statistics_rows(

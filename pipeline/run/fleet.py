@@ -44,7 +44,7 @@ from pipeline.store.object_store import ObjectStore
 from pipeline.store.old_layout import take_over
 from pipeline.store.published import write_manifest
 from pipeline.store.publishing import Publisher
-from pipeline.store.state import make_ready, open_state
+from pipeline.store.state import is_sound, make_ready, open_state
 from pipeline.store.working_copy import pull, working_copy
 from pipeline.trends.tasks import TrendOutcome
 from pipeline.workers.engine import Workers, open_workers
@@ -91,6 +91,8 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     ):
         remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in WRITTEN_FOLDERS])
+        # A copy that is pulled into it is whole, and says no more that it was lost.
+        was_lost = not is_sound(output)
         with working_copy(fleet.object_store, output), staging_folder(output) as staging:
             if fleet.object_store:
                 heartbeat.say(last_good_run=_last_good_run(output))
@@ -99,7 +101,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
             with open_state(output) as state:
                 damage = Damage(state)
                 take_over(state, damage.forget, damage.take_stock)
-                if is_new:
+                if is_new or was_lost:
                     restore_decisions(state)
                     damage.take_stock()
                 open_outbox(state, [one.name for one in receivers], fleet.name)
@@ -174,9 +176,7 @@ def _run(
     config_hash = config_hash_of(request.specs)
     run_id = run_id_of(outcomes, config_hash)
     heartbeat.say(stage="publishing", run_id=run_id)
-    publisher = Publisher(
-        state, staging, run_id, fleet.execution.workers, missed=damage.found.keys()
-    )
+    publisher = Publisher(state, staging, run_id, missed=damage.found.keys())
     with interrupts_held() as came:
         n_nights = publish_motors(publisher, outcomes)
     is_stopped = is_stopped or bool(came)

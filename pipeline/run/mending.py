@@ -12,7 +12,7 @@ import logging
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 from pipeline.errors import StoreError
 from pipeline.logs.processed import forget_nights
@@ -71,11 +71,6 @@ class Damage:
     # By motor, the nights with a fit of which rows were lost.
     _fitted: defaultdict[str, set[dt.date]] = field(default_factory=lambda: defaultdict(set))
 
-    @property
-    def output(self) -> Path:
-        """The output folder."""
-        return self.state.output
-
     def look_around(self, prove_within_days: int) -> None:
         """Prove the files that were written to since, and a share of the others.
 
@@ -91,13 +86,13 @@ class Damage:
         Raises StoreError if the state cannot be written, or a file is of a newer version.
         """
         proven, faults = {}, []
-        for name in files_there(self.output):
+        for name in files_there(self.state.output):
             listed = self.state.rows("SELECT 1 FROM files WHERE name = ?", name)
-            if not is_called_as_ours(self.output, name):
+            if not is_called_as_ours(self.state.output, name):
                 continue
             if listed and look_at(self.state, name).fault is None:
                 continue
-            digest = proof_of(self.output, name)
+            digest = proof_of(self.state.output, name)
             if digest is not None:
                 proven[name] = digest
             else:
@@ -118,7 +113,7 @@ class Damage:
         lost = [one for one in new if one.code in LOST and MONTH_PREFIX in one.path]
         self.forget([one.path for one in lost])
         for one in lost:
-            path = self.output / "tables" / one.path
+            path = self.state.output / "tables" / one.path
             if one.code == "table_altered":
                 move(path, path.with_suffix(PUT_ASIDE))
             if one.path.split("/")[0] not in OF_MOTORS | OF_TRENDS:
@@ -154,7 +149,7 @@ class Damage:
             now = look_at(self.state, path).fault
             if now is not None and now.code == "table_unreadable":
                 yield now
-            elif now is not None or not (self.output / "tables" / path).exists():
+            elif now is not None or not (self.state.output / "tables" / path).exists():
                 yield replace(now or fault, message=f"not made anew: {NO_LOGS}")
             elif table in OF_MOTORS:
                 for night in days_of(PurePosixPath(path).stem):

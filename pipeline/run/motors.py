@@ -13,7 +13,7 @@ from polars.exceptions import PanicException
 
 from pipeline.config import Execution, MotorSpec
 from pipeline.logs.finding import find_logs
-from pipeline.logs.processed import read_processed
+from pipeline.logs.processed import read_processed, read_states
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.tasks import MotorOutcome, MotorTask, lost, without_lost_part
 from pipeline.store.state import State
@@ -79,10 +79,11 @@ def unchanged_motors(
             states = answers.get(timeout=execution.answer_s)
         except Empty:
             return
-        processed = read_processed(state, task.spec.motor_id)
-        known = {name: one for name, one in processed.files.items() if name in (states or {})}
-        if not states or {name: one.state for name, one in known.items()} != states:
+        motor_id = task.spec.motor_id
+        if not states or not states.items() <= read_states(state, motor_id).items():
             continue
+        processed = read_processed(state, motor_id)
+        known = {name: processed.files[name] for name in states}
         if any(one.sha256 is None for one in known.values()):
             continue
         with suppress(Exception, PanicException):  # which the motor's task tells

@@ -160,7 +160,7 @@ def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:
 
     Where a table is damaged, `latest` stays as it was.
     """
-    state, output = publisher.state, publisher.output
+    state, output = publisher.state, publisher.state.output
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     decisions = read_decisions(output)
     said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]

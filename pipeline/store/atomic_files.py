@@ -121,7 +121,10 @@ def make_folders(folder: Path) -> None:
     """Make a folder and the missing ones above it; raises OSError if one cannot be made."""
     if not folder.is_dir():
         make_folders(folder.parent)
-        folder.mkdir(exist_ok=True)
+        try:
+            folder.mkdir(exist_ok=True)
+        except FileExistsError as error:
+            raise FileExistsError(error.errno, "there is a file in the way", folder) from error
         flush_path(folder.parent)
 
 
@@ -162,5 +165,6 @@ def store_errors(path: Path, what: str = "written") -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        code = "store_read" if what == "read" else "store_write"
         why = error.strerror or error
-        raise StoreError("store_write", f"{path.name} cannot be {what}: {why}") from error
+        raise StoreError(code, f"{path.name} cannot be {what}: {why}") from error

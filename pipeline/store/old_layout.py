@@ -19,8 +19,8 @@ from typing import Any
 
 import polars as pl
 
-from pipeline.errors import StoreError
-from pipeline.schema import NIGHTLY_TABLES, TABLES, WHOLE_TABLES, Table
+from pipeline.errors import LockedError, StoreError
+from pipeline.schema import LOOKS, NIGHTLY_TABLES, TABLES, WHOLE_TABLES, Table
 from pipeline.store.atomic_files import move, remove
 from pipeline.store.locks import locked
 from pipeline.store.published import TABLE_OF, note
@@ -57,28 +57,36 @@ def take_over(state: State, forget: Forget, take_stock: Callable[[], object]) ->
 
     `take_stock` lists the files that stay as they are, and prove themselves.
 
-    Where that is broken off, the next run goes on; until then a query may see rows twice.
+    Where that is broken off, or a look is under way, the next run goes on; until then a query may
+    see rows twice.
 
-    Raises StoreError if a file cannot be written, or is of a newer version of the program;
-    LockedError if a look is under way.
+    Raises StoreError if a file cannot be written, or is of a newer version of the program.
     """
     output = state.output
     old = _old_files(output)
     if not old and not any((output / name).exists() for name in (*OLD_FOLDERS, *OLD_FILES)):
         return
-    with locked(output / "look"):
-        if not state.meta("taken over"):
-            log.warning("the output is of an older version, and is taken over")
-            _take_records(state)
-        manifests = sorted((output / "manifest").glob("*/*.json"))
-        listed = {name: some for path in manifests for name, some in _listed(path)}
-        for (month, name), files in sorted(old.items()):
-            _take_month(state, TABLE_OF[name], month, files, listed, forget)
-        take_stock()
-        for folder in ("look", *OLD_FOLDERS):
-            rmtree(output / folder, ignore_errors=True)
-        for name in OLD_FILES:
-            remove(output / name)
+    if not state.meta("taken over"):
+        log.warning("the output is of an older version, and is taken over")
+        _take_records(state)
+    manifests = sorted((output / "manifest").glob("*/*.json"))
+    listed = {name: some for path in manifests for name, some in _listed(path)}
+    looks = {month: old.pop((month, name)) for month, name in list(old) if name == LOOKS.name}
+    for (month, name), files in sorted(old.items()):
+        _take_month(state, TABLE_OF[name], month, files, listed, forget)
+    take_stock()
+    try:
+        with locked(output / "look"):
+            _take_looks(state)
+            for month, files in sorted(looks.items()):
+                _take_month(state, LOOKS, month, files, listed, forget)
+    except LockedError as error:
+        log.warning("%s; the next run takes the looks over", error)
+        return
+    for folder in OLD_FOLDERS:
+        rmtree(output / folder, ignore_errors=True)
+    for name in OLD_FILES:
+        remove(output / name)
 
 
 def _listed(path: Path) -> Iterator[tuple[str, tuple[str | None, ...]]]:
@@ -107,14 +115,25 @@ def _take_records(state: State) -> None:
             _take_ledger(state, folder)
         for line in _lines(output / "decisions.jsonl"):
             _insert(state, "decisions", {name: line[name] for name in DECISION if name in line})
-        for topic, place in (("alarms", output), ("looks", output / "look")):
-            found = next(filter(None, map(_document, (place / name for name in OUTBOX))), {})
-            _take_outbox(state, topic, found)
-        for path in sorted(output.glob("look/*/state.json")):
-            if look := _document(path):
-                row = {"motor_id": path.parent.name, "state": json.dumps(look)}
-                _insert(state, "looks", row)
+        _take_outbox(state, "alarms", output)
         state.set_meta("taken over", "yes")
+
+
+def _take_looks(state: State) -> None:
+    """Take over the state of looks, and what of them was told; the caller holds their lock."""
+    folder = state.output / "look"
+    if not state.meta("looks taken over"):
+        with state.transaction():
+            _take_outbox(state, "looks", folder)
+            for path in sorted(folder.glob("*/state.json")):
+                if look := _document(path):
+                    row = {"motor_id": path.parent.name, "state": json.dumps(look)}
+                    _insert(state, "looks", row)
+            state.set_meta("looks taken over", "yes")
+    for path in folder.glob("*/"):
+        rmtree(path, ignore_errors=True)
+    for name in OUTBOX:
+        remove(folder / name)
 
 
 def _take_ledger(state: State, folder: Path) -> None:
@@ -134,8 +153,10 @@ def _take_ledger(state: State, folder: Path) -> None:
         _insert(state, "trends", {"motor_id": motor_id, **trends, **rules})
 
 
-def _take_outbox(state: State, topic: str, document: Mapping[str, Any]) -> None:
+def _take_outbox(state: State, topic: str, folder: Path) -> None:
     """Take over what waits for receivers, and the keys of what was queued."""
+    documents = (_document(folder / name) for name in OUTBOX)
+    document = next(filter(None, documents), {})
     for key, said, times in (one.split("-") for one in document.get("known", ())):
         _insert(state, "queued", {"topic": topic, "key": key, "said": said, "times": int(times)})
     for receiver, queue in document.get("queues", {}).items():
@@ -160,7 +181,7 @@ def _insert(state: State, table: str, row: Mapping[str, Any]) -> None:
     state.write(f"INSERT OR REPLACE INTO {table} ({names}) VALUES ({places})", *row.values())
 
 
-def _old_files(output: Path) -> Mapping[tuple[str, str], list[Path]]:
+def _old_files(output: Path) -> dict[tuple[str, str], list[Path]]:
     """Files that are not a month's, in order, by month and table."""
     found: defaultdict[tuple[str, str], list[Path]] = defaultdict(list)
     for table in MONTHLY:

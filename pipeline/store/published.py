@@ -82,6 +82,14 @@ def note(state: State, files: Mapping[str, str | None]) -> None:
         )
 
 
+def stamp_anew(state: State, files: Mapping[str, str]) -> None:
+    """Note size and time of files whose SHA-256, by name, was compared with what is listed."""
+    state.write_all(
+        "UPDATE files SET size = ?, modified_ns = ? WHERE name = ? AND sha256 = ?",
+        [(*_stamp(state.output, name), name, digest) for name, digest in files.items()],
+    )
+
+
 def accepted(state: State, name: str) -> tuple[str, ...]:
     """Digests that a file may have, `NO_FILE` among them for none; empty where it is not listed."""
     rows = state.rows("SELECT sha256, coming FROM files WHERE name = ?", name)

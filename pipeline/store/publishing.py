@@ -14,10 +14,8 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-import os
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -44,8 +42,6 @@ from pipeline.store.tables import (
     whole_file,
 )
 
-# Staged rows of a month from which on its files are prepared one by one, to bound the memory.
-LARGE_BYTES = 64_000_000
 # In place of the SHA-256 of a file that is replaced in any case.
 UNREAD = "unread"
 
@@ -149,7 +145,6 @@ class Publisher:
     state: State
     staging: Path  # the run's folder of staged rows
     run_id: str  # goes into every row
-    threads: int = 1  # files that are prepared at once
     # Names of files that are known to be gone. Another one that is gone or damaged is nothing to
     # add rows to: the next run mends it.
     missed: Collection[str] = ()
@@ -173,9 +168,7 @@ class Publisher:
         for month in months:
             keys = [one for one in staged if one[1][:7] == month]
             works = [partial(self._with_staged, *key, staged[key]) for key in keys]
-            size = sum(one.size for key in keys for one in staged[key].values())
-            at_once = self.threads if size < LARGE_BYTES else 1
-            self._publish(works, published if month == months[-1] else lambda: None, at_once)
+            self._publish(works, published if month == months[-1] else lambda: None)
         if not months:
             with self.state.transaction():
                 published()
@@ -184,8 +177,8 @@ class Publisher:
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is one file, whatever is there; raises as `nights`."""
-        path = whole_file(self.output, table)
-        before = look_at(self.state, name_of(self.output, path)).sha256 or UNREAD
+        path = whole_file(self.state.output, table)
+        before = look_at(self.state, name_of(self.state.output, path)).sha256 or UNREAD
         self._publish([partial(_new_file, path, rows, before)])
 
     def add(self, month: str, rows: Mapping[Table, Sequence[Mapping[str, Any]]]) -> None:
@@ -220,13 +213,13 @@ class Publisher:
 
     def _changed(self, table: Table, label: str, change: Change) -> NewFile:
         """A file with other rows."""
-        path = labelled_file(self.output, table, label)
+        path = labelled_file(self.state.output, table, label)
         before, rows = self._present(path, table)
         return _new_file(path, change(rows), before)
 
     def _present(self, path: Path, table: Table) -> tuple[str, pl.DataFrame]:
         """SHA-256 and rows of a file that is there; an unlisted one is proven by its pages."""
-        name = name_of(self.output, path)
+        name = name_of(self.state.output, path)
         known = accepted(self.state, name)
         try:
             content = path.read_bytes()
@@ -247,30 +240,19 @@ class Publisher:
                 distrust(self.state, name)
             raise
 
-    @property
-    def output(self) -> Path:
-        """The output folder."""
-        return self.state.output
-
     def _publish(
         self,
-        works: Collection[Callable[[], NewFile]],
+        works: Iterable[Callable[[], NewFile]],
         published: Callable[[], object] = lambda: None,
-        at_once: int | None = None,
     ) -> None:
         """Prepare files, put them into their places, and note them before and afterwards."""
+        named: dict[str, NewFile] = {}
         with ExitStack() as undone:
-
-            def prepared(work: Callable[[], NewFile]) -> NewFile:
+            for work in works:
                 file = work()
                 if file.prepared is not None:
                     undone.callback(file.prepared.drop)
-                return file
-
-            # After a failure those that wait are not begun.
-            with ThreadPoolExecutor(min(at_once or self.threads, os.cpu_count() or 1)) as pool:
-                files = list(pool.map(prepared, works))
-            named = {name_of(self.output, file.path): file for file in files}
+                named[name_of(self.state.output, file.path)] = file
             new = {name: one.prepared for name, one in named.items() if one.prepared is not None}
             announce(self.state, {name: one.sha256 for name, one in new.items()})
             for one in new.values():

@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -111,16 +111,28 @@ class State:
         Raises StoreError (``store_read``) if it is none; ``store_newer`` if it is of a newer
         version of the program; else as `write`.
         """
-        with _errors("store_read"), closing(sqlite3.connect(":memory:")) as other:
-            # Not in the mode of a log, which there is not in memory: "Database File Format", 1.3.3.
-            other.deserialize(content[:18] + b"\1\1" + content[20:])
-            new = State(self.output, other)
-            _version(new)
-            known = set(new.rows("SELECT * FROM decisions"))
-            own = [one for one in self.rows("SELECT * FROM decisions") if one not in known]
-            new.write_all("INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", own)
-            with _errors("store_write"):
-                other.backup(self._connection)
+        tables = self.rows("SELECT name FROM sqlite_schema WHERE type = 'table'")
+        names = [name for (name,) in tables if name != "decisions"]
+        self.write("ATTACH ':memory:' AS incoming")
+        try:
+            with _errors("store_read"):
+                # Not in the mode of a log, which there is not in memory: "Database File Format",
+                # 1.3.3.
+                plain = content[:18] + b"\1\1" + content[20:]
+                self._connection.deserialize(plain, name="incoming")
+            _version(self, "incoming")
+            with self.transaction():
+                self.write("PRAGMA defer_foreign_keys = ON")
+                for name in names:
+                    self.write(f"DELETE FROM {name}")
+                for name in names:
+                    self.write(f"INSERT INTO {name} SELECT * FROM incoming.{name}")
+                self.write(
+                    "INSERT INTO decisions"
+                    " SELECT * FROM incoming.decisions EXCEPT SELECT * FROM main.decisions"
+                )
+        finally:
+            self.write("DETACH incoming")
 
     def meta(self, name: str) -> str:
         """A value by its name; empty where there is none."""
@@ -192,14 +204,16 @@ def read_state_file(output: Path) -> Iterator[State]:
     Raises StoreError as `open_state`.
     """
     place = (output / STATE_FILE).resolve()
-    with _errors("store_read"):
-        connection = _reader(place) if place.exists() else None
-        # Where a first run has only just begun there is nothing in it yet.
-        if connection is None or not _version(State(output, connection)):
-            connection = sqlite3.connect(":memory:", isolation_level=None)
-            _make_tables(State(output, connection))
-    with closing(connection):
-        state = State(output, connection)
+    with ExitStack() as stack:
+        with _errors("store_read"):
+            state = None
+            if place.exists():
+                state = State(output, stack.enter_context(closing(_reader(place))))
+            # Where a first run has only just begun there is nothing in it yet.
+            if state is None or not _version(state):
+                empty = sqlite3.connect(":memory:", isolation_level=None)
+                state = State(output, stack.enter_context(closing(empty)))
+                _make_tables(state)
         state.write("PRAGMA query_only = ON")
         yield state
 
@@ -225,8 +239,8 @@ def _make_tables(state: State) -> None:
     state.write(f"PRAGMA user_version = {VERSION}")
 
 
-def _version(state: State) -> int:
-    ((version,),) = state.rows("PRAGMA user_version")
+def _version(state: State, database: str = "main") -> int:
+    ((version,),) = state.rows(f"PRAGMA {database}.user_version")
     if version > VERSION:
         message = f"{STATE_FILE} is of version {version}; update the program"
         raise StoreError("store_newer", message)

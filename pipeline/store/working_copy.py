@@ -15,17 +15,17 @@ import hashlib
 import json
 import logging
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import put, remove
+from pipeline.store.atomic_files import put, remove, store_errors
 from pipeline.store.locks import interrupts_held
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.published import MANIFEST_FILE, digests_here, files_there
+from pipeline.store.published import MANIFEST_FILE, digests_here, files_there, stamp_anew
 from pipeline.store.state import (
     STATE_FILE,
     State,
@@ -97,7 +97,7 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
     Raises StoreError: ``store_copy``: the folder holds an output of its own, or is a copy of
     another.
     """
-    snapshot, is_copy = read_snapshot(store), _is_copy(store, output)
+    snapshot, record = read_snapshot(store), _record(store, output)
     if snapshot.tag is None:
         return snapshot
     published, had_state = snapshot.files, (output / STATE_FILE).exists()
@@ -106,14 +106,13 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
     with read_state_file(output) as state:
         here, own_state = _digests(state), _hash(state.content())
     strange = sorted(path for path in here if here[path] != published.get(path))
-    if had_state and not is_copy and published.get(STATE_FILE) != own_state:
-        strange.append(STATE_FILE)  # what was decided or looked at here is not in the store
-    if strange and not is_copy:
-        raise StoreError(
-            "store_copy",
-            f"{output} holds files that are not those at {store.url}, such as {strange[0]}: "
-            "choose an empty output",
-        )
+    if record is None:
+        # What was decided or looked at here is not in the store.
+        is_own = had_state and published.get(STATE_FILE) != own_state
+        _refuse_own(store, output, [*strange, STATE_FILE] if is_own else strange)
+        record = {}
+    pulled = (published.get(STATE_FILE), own_state)
+    is_as_pulled = (record.get("published"), record.get("own")) == pulled
     _mark_as_copy(store, output)  # also if this is broken off
     for path in strange:
         if path not in published:
@@ -126,11 +125,27 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
         put(output / path, content(path), durable=False)
 
     others = published.keys() - {STATE_FILE}
-    _in_turn(bring, [path for path in others if here.get(path) != published[path]])
-    if published.get(STATE_FILE, own_state) != own_state:
+    brought = [path for path in others if here.get(path) != published[path]]
+    _in_turn(bring, brought)
+    is_other = published.get(STATE_FILE, own_state) != own_state and not is_as_pulled
+    if brought or is_other:
         with open_state(output) as state:
-            state.replace(content(STATE_FILE))
+            if is_other:
+                state.replace(content(STATE_FILE))
+            stamp_anew(state, {path.removeprefix("tables/"): published[path] for path in others})
+            own_state = _hash(state.content())
+    _mark_as_copy(store, output, published.get(STATE_FILE), own_state)
     return snapshot
+
+
+def _refuse_own(store: ObjectStore, output: Path, strange: Sequence[str]) -> None:
+    """Refuse a folder that is no copy and holds files of its own."""
+    if strange:
+        raise StoreError(
+            "store_copy",
+            f"{output} holds files that are not those at {store.url}, such as {strange[0]}: "
+            "choose an empty output",
+        )
 
 
 def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:
@@ -141,7 +156,7 @@ def push(store: ObjectStore, output: Path, before: Snapshot) -> Snapshot:
     keys = {path: key_of(path, digest) for path, digest in sorted(digests.items())}
 
     def upload(path: str) -> None:
-        store.create(keys[path], own_state if path == STATE_FILE else (output / path).read_bytes())
+        store.create(keys[path], own_state if path == STATE_FILE else _read(output / path))
 
     _in_turn(upload, [path for path in keys if before.files.get(path) != digests[path]])
     present = set(keys.values())
@@ -187,12 +202,13 @@ def key_of(path: str, digest: str) -> str:
     return f"files/{place.with_name(f'{place.stem}.{digest[:16]}{place.suffix}')}"
 
 
-def _is_copy(store: ObjectStore, output: Path) -> bool:
-    """True if the folder is a copy of the store; raises StoreError if it is one of another."""
+def _record(store: ObjectStore, output: Path) -> Mapping[str, str | None] | None:
+    """What the folder says of which copy it is; None: of none; raises StoreError for another."""
     try:
-        url = json.loads((output / RECORD).read_bytes())["url"]
+        record: dict[str, str | None] = json.loads((output / RECORD).read_bytes())
+        url = record["url"]
     except FileNotFoundError:
-        return False
+        return None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise StoreError("store_read", f"{output / RECORD} cannot be read: {error}") from error
     if url != store.url:
@@ -201,11 +217,15 @@ def _is_copy(store: ObjectStore, output: Path) -> bool:
             f"{output} is the working copy of {url}, expected one of {store.url}: choose another "
             "output",
         )
-    return True
+    return record
 
 
-def _mark_as_copy(store: ObjectStore, output: Path) -> None:
-    put(output / RECORD, json.dumps({"url": store.url}).encode())
+def _mark_as_copy(
+    store: ObjectStore, output: Path, published: str | None = None, own_state: str | None = None
+) -> None:
+    """Name the store of a folder, the state there, and the folder's own, which has other stamps."""
+    record = {"url": store.url, "published": published, "own": own_state}
+    put(output / RECORD, json.dumps(record).encode())
 
 
 def _digests(state: State) -> dict[str, str]:
@@ -215,7 +235,12 @@ def _digests(state: State) -> dict[str, str]:
     paths = [path for path in paths if (state.output / path).is_file()]
     if (state.output / MANIFEST_FILE).exists():
         paths.append(MANIFEST_FILE)
-    return {path: noted.get(path) or _hash((state.output / path).read_bytes()) for path in paths}
+    return {path: noted.get(path) or _hash(_read(state.output / path)) for path in paths}
+
+
+def _read(path: Path) -> bytes:
+    with store_errors(path, "read"):
+        return path.read_bytes()
 
 
 def _hash(content: bytes) -> str:

@@ -19,7 +19,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from importlib.resources import files
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
@@ -162,8 +162,10 @@ def _tried(
             outcome = _outcome(client, ready, under_way[ready])
             yield under_way.pop(ready), outcome
         lost = Loss(SCHEDULER_LOST, f"the scheduler or its workers are gone for {wait_s:g} s")
-        log.warning("%s; what is finished is kept", lost.how)
-        yield from ((task, lost) for task in (*under_way.values(), *waiting))
+        for number, task in enumerate(chain(under_way.values(), waiting)):
+            if number == 0:
+                log.warning("%s; what is finished is kept", lost.how)
+            yield task, lost
     finally:
         if under_way and client.status == "running":
             with suppress(OSError):

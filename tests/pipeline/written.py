@@ -18,11 +18,11 @@ from pipeline.store.tables import name_of, night_file, write_table
 
 @contextmanager
 def publisher_of(
-    output: Path, run_id: str = "r", staging: Path | None = None, threads: int = 1
+    output: Path, run_id: str = "r", staging: Path | None = None
 ) -> Iterator[Publisher]:
     """A publisher with the state of an output."""
     with open_state(output) as state:
-        yield Publisher(state, staging or output / "staging" / "run", run_id, threads)
+        yield Publisher(state, staging or output / "staging" / "run", run_id)
 
 
 def write_nights(output: Path, table: Table, rows: pl.DataFrame) -> None:

@@ -42,7 +42,7 @@ HARMLESS = ["", "1 - 2", "a=b", "x, -2; +3", "ok", "'quoted'", "é − 漢", "li
 
 def export(output: Path, folder: Path, *tables: Table, **others: object) -> dict[str, int]:
     request = CsvRequest(tables=tables or TABLES, **others)  # type: ignore[arg-type]
-    return {file.table: file.n_rows for file in export_csv(output, folder, request)}
+    return {path.stem: n_rows for path, n_rows in export_csv(output, folder, request)}
 
 
 def published(output: Path, table: Table) -> pl.DataFrame:

@@ -15,8 +15,10 @@ from typing import Any
 import polars as pl
 import pytest
 
+from pipeline.errors import LockedError
 from pipeline.notification.outbox import open_outbox, waiting
 from pipeline.schema import FITS, NIGHTLY_TABLES, TABLES, WHOLE_TABLES
+from pipeline.store.locks import locked
 from pipeline.store.old_layout import MONTHLY
 from pipeline.store.published import verify_tables
 from pipeline.store.state import open_state
@@ -90,6 +92,7 @@ def write_records(output: Path) -> None:
         document = {"queues": {"command": queue}, "known": ["key-said-0"], "stamps": {}}
         put_sealed(output / name, document)
     (output / "history" / "M1").mkdir(parents=True)
+    put_sealed(output / "look" / "M1" / "state.json", {"state": "high"})
 
 
 @pytest.fixture
@@ -106,8 +109,10 @@ def check_taken_over(output: Path, fleet: TinyFleet) -> None:
     check_tables(output, fleet.after)
     assert len(read_decisions(output)) == 3
     assert [one.code for one in verify_tables(output)] == ["table_unlisted"] * 2
-    assert {path.name for path in output.iterdir()} == LASTING
+    assert {path.name for path in output.iterdir()} == LASTING | {"look"}
+    assert [path.name for path in (output / "look").iterdir()] == ["lock"]
     with open_state(output) as state:
+        assert state.rows("SELECT * FROM looks") == [("M1", '{"state": "high"}')]
         assert state.rows("SELECT key, said, times FROM queued") == [("key", "said", 0)]
 
 
@@ -142,6 +147,19 @@ def test_a_damaged_night_of_it_is_made_anew(tiny_fleet: TinyFleet, old: Path) ->
     result = tiny_fleet.run(old)
     assert result.n_nights == len(MOTORS)
     remove_aside(old)
+    check_taken_over(old, tiny_fleet)
+
+
+def test_a_look_that_is_under_way_keeps_what_is_of_looks(
+    tiny_fleet: TinyFleet, old: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with locked(old / "look"):
+        assert tiny_fleet.run(old).n_nights == 0
+        assert "the next run takes the looks over" in caplog.text
+        assert (old / "look" / "M1" / "state.json").exists()
+        with pytest.raises(LockedError), locked(old / "look"):
+            pass
+    assert tiny_fleet.run(old).n_nights == 0
     check_taken_over(old, tiny_fleet)
 
 

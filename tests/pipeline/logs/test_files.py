@@ -69,8 +69,8 @@ class TestFind:
         for name in ("M1_a.csv", "M1_b.csv", "M2_a.csv", ".M1_c.csv", "m1_a.csv"):
             write(tmp_path / name, every_minute(n=1))
         os.utime(tmp_path, (1, 1))
-        listed, iterdir = [], Path.iterdir
-        monkeypatch.setattr(Path, "iterdir", lambda path: listed.append(path) or iterdir(path))
+        listed, scandir = [], os.scandir
+        monkeypatch.setattr(os, "scandir", lambda path: listed.append(path) or scandir(path))
         for _ in range(3):
             found, _ = find_logs(with_files(spec, pattern))
         assert listed == [tmp_path]

@@ -199,6 +199,3 @@ def test_tables_that_somebody_removed_are_made_anew(workshop: Workshop) -> None:
     shutil.rmtree(workshop.output / "tables")
     assert len(workshop.run().nights) == 3
     assert_frame_equal(workshop.rows("fits"), before, check_exact=True)
-
-
-# Single steps

@@ -46,7 +46,7 @@ def publish(
         stage(staged_file(staging / "nights", motor_id), tables)
     tables = list(dict.fromkeys(table for some in motors.values() for table in some))
     with open_state(output) as state:
-        Publisher(state, staging, run_id, 2, missed).nights("nights", tables, list(motors))
+        Publisher(state, staging, run_id, missed).nights("nights", tables, list(motors))
 
 
 def publish_night(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import polars as pl
@@ -14,9 +13,8 @@ from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, INPUT_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
-from pipeline.store import publishing
 from pipeline.store.published import verify_tables
-from pipeline.store.publishing import read_staged, stage, staged_file, staged_in
+from pipeline.store.publishing import NewFile, read_staged, stage, staged_file, staged_in
 from pipeline.store.state import open_state
 from pipeline.store.tables import (
     files_of,
@@ -153,30 +151,6 @@ class TestRows:
                 publish(folder / "in turn", {motor: rows(motor, n) for motor, n in done.items()})
         assert contents(folder / "at once" / "tables") == contents(folder / "in turn" / "tables")
 
-    @pytest.mark.parametrize(("spare", "at_once"), [(1, 2), (0, 1)])
-    def test_files_of_many_rows_are_prepared_one_by_one(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spare: int, at_once: int
-    ) -> None:
-        """For the memory's sake, from a number of staged bytes on."""
-        staging, rows = tmp_path / "staging" / "run", {QUALITY: {NIGHT: [row("A")]}}
-        staging.mkdir(parents=True)
-        stage(staged_file(staging / "nights", "A"), rows)
-        (((_, one),),) = (
-            found.items() for found in staged_in(staging / "nights", rows, "A").values()
-        )
-        monkeypatch.setattr(publishing, "LARGE_BYTES", one.size + spare)
-        asked: list[int] = []
-
-        def pool(threads: int) -> ThreadPoolExecutor:
-            asked.append(threads)
-            return ThreadPoolExecutor(threads)
-
-        monkeypatch.setattr(publishing, "ThreadPoolExecutor", pool)
-        monkeypatch.setattr("os.cpu_count", lambda: 2)
-        with publisher_of(tmp_path, threads=2) as publisher:
-            publisher.nights("nights", (QUALITY,), ["A"])
-        assert asked == [at_once]
-
     def test_runs_of_a_month_follow_each_other(self, tmp_path: Path) -> None:
         """Also two in a microsecond; one that is added again replaces itself."""
         start = dt.datetime(2026, 1, 31, 23, 59, 59, 5, tzinfo=dt.UTC)
@@ -240,9 +214,19 @@ class TestRefused:
         in_the_way = table_folder(tmp_path, BLOCK_STATISTICS) / "month=2026-02"
         in_the_way.touch()
         before = contents(tmp_path / "tables")
-        with pytest.raises(StoreError):
+        with pytest.raises(StoreError, match="there is a file in the way"):
             publish(tmp_path, {"A": rows(LATER)})
         assert contents(tmp_path / "tables") == before
         in_the_way.unlink()
         publish(tmp_path, {"A": rows(LATER)})
         assert list(verify_tables(tmp_path)) == []
+
+    def test_after_a_failure_no_other_file_is_tried(self, tmp_path: Path) -> None:
+        def full() -> NewFile:
+            raise StoreError("store_write", "no space left on device")
+
+        def next_file() -> NewFile:
+            raise AssertionError("it is tried")
+
+        with publisher_of(tmp_path) as publisher, refused("store_write", "no space left"):
+            publisher._publish([full, next_file])

@@ -27,7 +27,8 @@ from pipeline.notification.outbox import waiting
 from pipeline.run.fleet import RunRequest, RunResult, refresh, run_fleet
 from pipeline.schema import FITS, TRENDS
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.state import STATE_FILE, open_state
+from pipeline.store.published import MANIFEST_FILE
+from pipeline.store.state import BACKUP_FILE, STATE_FILE, State, open_state
 from pipeline.store.tables import night_file
 from pipeline.store.working_copy import ROOT, Snapshot, key_of, pull, push, read_snapshot
 from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
@@ -229,6 +230,67 @@ def test_what_people_said_on_two_machines_is_kept(server: Server, tmp_path: Path
     push(store, here, pull(store, here))
     pull(store, there)
     assert read_decisions(here) == read_decisions(there) == tuple(said)
+
+
+def test_an_unchanged_bucket_replaces_nothing_and_no_table_is_read(
+    shop: Workshop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, elsewhere = ObjectStore.at(URL), tmp_path / "elsewhere"
+    done: list[str] = []
+    read, take = pipeline.store.working_copy._read, State.replace
+
+    def reads(path: Path) -> bytes:
+        done.append(path.name)
+        return read(path)
+
+    def takes(state: State, content: bytes) -> None:
+        done.append("taken")
+        take(state, content)
+
+    def pulled() -> list[str]:
+        done.clear()
+        pull(store, elsewhere)
+        assert table_files(elsewhere) == published()
+        return done
+
+    monkeypatch.setattr(pipeline.store.working_copy, "_read", reads)
+    monkeypatch.setattr(State, "replace", takes)
+    assert pulled() == ["taken"]
+    assert pulled() == [MANIFEST_FILE]  # which the state does not list
+    night_file(elsewhere, FITS, FIRST).write_bytes(b"rot")
+    assert "2026-01.parquet" in pulled()
+    assert pulled() == [MANIFEST_FILE]
+    shop.log(FIRST + DAY)
+    run(shop.fleet, shop.output)
+    assert pulled() == [MANIFEST_FILE, "taken"]
+    assert pulled() == [MANIFEST_FILE]
+    record_decision(elsewhere, SAID)
+    assert pulled() == [MANIFEST_FILE, "taken"]
+    assert read_decisions(elsewhere) == (SAID,)
+
+
+def test_a_table_that_cannot_be_read_says_so(shop: Workshop) -> None:
+    fits = night_file(shop.output, FITS, FIRST)
+    fits.unlink()
+    fits.symlink_to("/proc/self/mem")  # which cannot be read from its beginning
+    with pytest.raises(StoreError, match="cannot be read") as error:
+        pull(ObjectStore.at(URL), shop.output)
+    assert error.value.code == "store_read"
+
+
+def test_what_people_said_is_put_back_where_no_state_is_published(shop: Workshop) -> None:
+    """By an older version of the program."""
+    record_decision(shop.output, SAID)
+    run(shop.fleet, shop.output)
+    store = ObjectStore.at(URL)
+    content, tag = store.get(ROOT) or (b"", "")
+    document = json.loads(content)
+    del document["files"][STATE_FILE]
+    store.replace(ROOT, json.dumps(document).encode(), tag)
+    for name in (STATE_FILE, BACKUP_FILE):
+        (shop.output / name).write_bytes(b"no state" * 999)
+    run(shop.fleet, shop.output)
+    assert read_decisions(shop.output) == (SAID,)
 
 
 def test_objects_that_nobody_needs_are_removed_after_a_week(
