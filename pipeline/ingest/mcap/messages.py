@@ -10,7 +10,6 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise, takewhile
 from pathlib import Path
@@ -359,9 +358,6 @@ def _decompress(path: Path, name: str, packed: memoryview, size: int, where: str
 
 def _unfolded(packed: memoryview, codec: str, size: int) -> memoryview:
     """The bytes, as far as they go, but one more than `size` at most."""
-    if codec == "zstd":
-        with suppress(OSError):  # exactly so many bytes, or an error
-            return memoryview(pa.decompress(packed, size, codec))
     with pa.CompressedInputStream(pa.BufferReader(pa.py_buffer(packed)), codec) as stream:
         return memoryview(stream.read_buffer(size + 1))
 
