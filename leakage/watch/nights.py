@@ -187,6 +187,8 @@ class Verdict:
     # the named cause: of this night, and of the last nights since the change.
     newest_night: Estimate
     present: Estimate
-    smallest: float  # Smallest change of all flows that ten nights like these would have detected.
+    # Smallest change of all flows that ten nights like these would have detected; None where no
+    # night may hold one yet.
+    smallest: float | None
     # Distance of the night's operating conditions from the baseline's, in its standard deviations.
     distance: float = field(default=0.0)

@@ -286,10 +286,15 @@ def change_in_force(state: State) -> Change | None:
     return replace(change, size=size, is_rise=size.value > 0.0, path_growth=growth)
 
 
-def smallest_change(state: State) -> float:
-    """Smallest change of all flows, begun ten nights ago, that would be detected now."""
+def smallest_change(state: State) -> float | None:
+    """Smallest change of all flows, begun ten nights ago, that would be detected now.
+
+    Where fewer nights may hold a change, of one begun in the first of them; None where none may.
+    """
     evidence = state.evidence_now()
-    start = max(0, len(state.window) - choices.PRESENT_NIGHTS)
+    start = max(evidence.first_step, len(state.window) - choices.PRESENT_NIGHTS)
+    if start == len(state.window):
+        return None
     told = evidence.of_starts(np.array([start]))
     names = [one.name for one in evidence.causes.every]
     second = float(told.second[STEP, 0, names.index(ALL_FLOWS)])

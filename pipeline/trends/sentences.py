@@ -71,8 +71,6 @@ CHECK_ZERO = "Check the sensor whose zero has moved."
 OF_OIL_AND_SENSORS = {"all_flows", "oil_grade", "temperature_sensor", "temperature_effect", "zero"}
 # Candidates that are told, and from which probability on beside a named cause.
 MOST_CANDIDATES, LEAST_TOLD = 3, 0.05
-# Smallest change that is told, beyond which it is none that anybody asks for.
-TELLS_NOTHING = 0.5
 # Statuses of a time to a limit that have dates.
 DATED = ("finite", "not_before", "beyond_horizon")
 # Days ahead up to which a date is told to the day, not to the month.
@@ -243,10 +241,10 @@ def _insufficient(night: JudgedNight) -> str:
 def _quiet(night: JudgedNight, since: dt.date) -> str:
     verdict = night.watched.verdict
     assert verdict is not None
-    percent = max(math.ceil(100.0 * verdict.smallest), 1)
-    words = f"no change of more than {percent} % since {day(since)}"
-    if verdict.smallest > TELLS_NOTHING:
-        words = f"too few nights since {day(since)} to tell a change"
+    words = f"too few nights since {day(since)} to tell a change"
+    if night.state != "insufficient" and verdict.smallest is not None:
+        percent = max(math.ceil(100.0 * verdict.smallest), 1)
+        words = f"no change of more than {percent} % since {day(since)}"
     words = f"{words}; {_newest_night(night)}"
     change = night.change
     if change is None:

@@ -16,6 +16,8 @@ from pipeline.trends.states.course import WatchedNight
 SURE = 0.975
 # Lack of fit up to which a model is supported, and up to which it is doubtful (model.md, 7b).
 SUPPORTED, DOUBTFUL = 0.02, 0.05
+# Smallest change that would have been detected, beyond which nights show nothing that anybody asks.
+SHOWS_NOTHING = 0.5
 # What the candidates are together that are parts.
 A_PART = "a_part"
 ModelVerdict = Literal["supported", "doubtful", "disproved"]
@@ -126,6 +128,9 @@ def _state(night: JudgedNight) -> tuple[str, str]:
     if watched.verdict is None:
         return "insufficient", "baseline"
     if change is None or change.cause in (BACK, TEMPERATURE_EFFECT):
+        smallest = watched.verdict.smallest
+        if smallest is None or smallest > SHOWS_NOTHING:
+            return "insufficient", "baseline"
         return "ok", "recovered"
     if change.cause == TANK:
         return "common_cause", "common_cause"

@@ -382,7 +382,14 @@ def test_the_smallest_change_that_would_be_told_is_about_right() -> None:
     enough: list[bool] = []
     half: list[bool] = []
     for seed in range(4):
-        smallest = story(HEALTHY, 50, seed)[40 - FIRST].verdict().smallest
+        healthy = story(HEALTHY, 50, seed)
+        smallest = healthy[40 - FIRST].verdict().smallest
+        assert smallest is not None
+        # Of one night behind the baseline it is larger; before that no night may hold a change.
+        first = healthy[1].verdict().smallest
+        assert first is not None
+        assert smallest < first < 0.3
+        assert healthy[0].verdict().smallest is None
         for factor, found in ((1.3, enough), (0.5, half)):
             plant = Plant(growth=grown("all_flows", factor * smallest, 40))
             found.append(first_told(watched(plant.nights(50, seed), first=FIRST)) is not None)
@@ -398,7 +405,9 @@ def test_the_evidence_of_the_smallest_change_is_the_limit() -> None:
     names = [one.name for one in evidence.causes.every]
     sd = (float(told.second[0, 0, names.index("all_flows")]) + 0.3**-2) ** -0.5
     freedom = state.wander.degrees_of_freedom(state.n_nights, np.array([10.0])).item()
-    gain = (watch.verdict().smallest / sd) ** 2
+    smallest = watch.verdict().smallest
+    assert smallest is not None
+    gain = (smallest / sd) ** 2
     ratio = 0.5 * (freedom + 1) * np.log1p(gain / freedom) + np.log(2 * sd / 0.3)
     assert ratio - np.log(2 * len(names)) == pytest.approx(state.settings.limit)
 

@@ -135,9 +135,14 @@ def test_a_night_in_words(night: JudgedNight, words: str, what: str) -> None:
     assert told(night) == (words, what)
 
 
-def test_before_it_can_tell_a_change_it_says_so() -> None:
-    words, _ = told(judge(watched(smallest=2.13)))
+def test_before_it_can_tell_a_change_it_is_not_ok() -> None:
+    assert judge(watched(smallest=0.5)).state == "ok"
+    assert judge(watched(smallest=None)).state == "insufficient"
+    early = judge(watched(smallest=0.51))
+    assert (early.state, early.way) == ("insufficient", "baseline")
+    words, what = told(early)
     assert words.startswith("too few nights since 2 January 2026 to tell a change")
+    assert what == "Wait for more nights."
 
 
 def test_an_alarm_asks_for_a_look_at_the_next_stop() -> None:

@@ -88,8 +88,8 @@ def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path]) -> None:
     assert watch["night"].to_list() == [night_of(place) for place in range(N)]
     states = watch["state"].to_list()
     # The eighth night makes the baseline; the step of 28 % is told within three nights.
-    assert states[:8] == ["insufficient"] * 7 + ["ok"]
-    assert set(states[8:AT]) == {"ok"}
+    assert states[:9] == ["insufficient"] * 8 + ["ok"]
+    assert set(states[9:AT]) == {"ok"}
     assert set(states[AT + 2 :]) <= {"warning", "alarm"}
     last = watch.row(-1, named=True)
     assert last["cause"] == "balance_sleeve"
@@ -205,15 +205,15 @@ def test_a_reset_and_an_event_begin_anew_and_close_what_stood(
     run(config)
     watch = published_trends(output, WATCH)
     states = watch["state"].to_list()
-    assert states[:AT] == ["insufficient"] * 7 + ["ok"] * (AT - 7)
-    assert states[AT:] == ["insufficient"] * 7 + ["ok"] * (N - AT - 7)
+    assert states[:AT] == ["insufficient"] * 8 + ["ok"] * (AT - 8)
+    assert states[AT:] == ["insufficient"] * 8 + ["ok"] * (N - AT - 8)
     assert f"2 of 8 nights of a baseline since {kind}" in watch["sentence"][AT + 1]
     assert "new sleeves" in watch["sentence"][AT + 1]
     assert published_trends(output, BASELINES)["night"].to_list() == [night_of(7), night_of(AT + 7)]
     # What was raised stays, and is closed.
     alarms = published_trends(output, ALARMS)
     assert set(told["night"]) <= set(alarms["night"])
-    assert alarms["to_state"].to_list()[-1] == "ok"
+    assert alarms["to_state"].to_list()[-1] == states[-1]
 
 
 def test_nights_without_blocks_hold_then_are_stale_and_never_green(tmp_path: Path) -> None:
