@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import http.server
 import socket
 import threading
@@ -73,7 +74,7 @@ def raw(talk: Callable[[socket.socket, threading.Event], None]) -> Iterator[str]
         def once() -> None:
             connection, _ = server.accept()
             with connection:
-                connection.recv(65536)
+                _read_request(connection)
                 talk(connection, over)
 
         thread = threading.Thread(target=once, daemon=True)
@@ -81,3 +82,10 @@ def raw(talk: Callable[[socket.socket, threading.Event], None]) -> Iterator[str]
         yield f"http://127.0.0.1:{server.getsockname()[1]}/T0KEN?key=T0KEN"
         over.set()
         thread.join()
+
+
+def _read_request(connection: socket.socket) -> None:
+    """To its end: what is left unread would reset the connection when it is closed."""
+    with connection.makefile("rb") as request:
+        request.readline()
+        request.read(int(http.client.parse_headers(request).get("Content-Length", 0)))
