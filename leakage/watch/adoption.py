@@ -290,7 +290,7 @@ def adopted(state: State) -> State:
     likeliest, size = causes.every[found.likeliest], found.size.value
     along, of_flow = likeliest.direction, share_of_flow(likeliest, state.baseline)
     several = now.change.several
-    if several >= choices.MOSTLY:
+    if now.change.is_several:
         # What several causes have done is what the level of all flows says.
         level = change_in_force(told)
         assert level is not None

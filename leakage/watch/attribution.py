@@ -136,8 +136,8 @@ def name_of(
     weights /= weights.sum()
     likeliest = causes.every[int(log_ratio[: len(causes)].argmax())]
     by_name: dict[str, float] = {}
-    names = (*(one.name for one in causes.every), SEVERAL)
-    for one, weight in zip(names, weights.tolist(), strict=False):
+    names = [*(one.name for one in causes.every), *([SEVERAL] if with_several else [])]
+    for one, weight in zip(names, weights.tolist(), strict=True):
         by_name[one] = by_name.get(one, 0.0) + weight
     groups = _together(by_name, machine, baseline)
     cause, probability = _told(groups, by_name, likeliest.name)

@@ -114,7 +114,7 @@ PRESENT_NIGHTS, PRESENT_OF_RAMP = 10, 3
 # Nights from the night on which a change is detected to its adoption.
 SETTLE = 10
 # What an adopted change leaves unexplained: fixed, and relative to it on paths and temperature, and
-# on the surface.
+# on the surface and the effect of temperature on each path.
 LEFT, LEFT_OF_PATHS, LEFT_OF_SURFACE = 0.02, 0.2, 0.1
 # A larger change of the flow begins a baseline period of its own, which needs so many nights.
 OWN_PERIOD, PERIOD_NIGHTS = 0.15, 8

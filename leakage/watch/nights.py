@@ -153,6 +153,11 @@ class Change:
         return self.candidates.get(SEVERAL, 0.0)
 
     @property
+    def is_several(self) -> bool:
+        """True if more than one cause at once has most of the probability."""
+        return self.several >= choices.MOSTLY
+
+    @property
     def dates(self) -> tuple[int, int, int]:
         """First day, and the ends of its interval."""
         return self.since, self.since_lower, self.since_upper

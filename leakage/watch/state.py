@@ -275,8 +275,7 @@ def change_in_force(state: State) -> Change | None:
         return None if in_force is None else in_force.change
     change = in_force.change
     # The size of one cause is none of several.
-    is_one = change.several < choices.MOSTLY
-    if in_force.found is not None and not change.goes_on and is_one:
+    if in_force.found is not None and not change.goes_on and not change.is_several:
         return change
     now, before = present(state), in_force.before
     ratio = (1.0 + now.value) / (1.0 + before.value)

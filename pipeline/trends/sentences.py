@@ -24,8 +24,6 @@ NAMES = {
     "pressure_zero": "zero of the pressure sensor",
     "flow_zero": "zero of the flow sensor",
 }
-# Probability from which more than one change at once is the likeliest by far.
-MOST_OF_IT = 0.5
 # What has happened, by cause; of any other cause the leakage of its path has changed.
 WHAT = {
     "all_gaps": "leakage of all gaps has {risen} together",
@@ -199,7 +197,7 @@ def _look_at(what: str, state: str) -> str:
 
 def _what_would_tell(night: JudgedNight, change: Change) -> str:
     """What would tell between the causes that are left."""
-    if change.several >= MOST_OF_IT:
+    if change.is_several:
         return "Take an oil sample first, and check the flow meter; then plan a look at the motor."
     left = change.candidates.keys()
     steps = []
