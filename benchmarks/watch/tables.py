@@ -257,9 +257,10 @@ def _sizes(found: Found) -> Rows:
 def _laminar(found: Found) -> Rows:
     for cell, motors in found:
         for place, words in enumerate(("reference conditions", "the motor's own")):
-            errors = [100.0 * motor["leakages"][place][0] for motor in motors]
-            ends = f"{min(errors):+.1f} to {max(errors):+.1f} %"
-            yield cell.words, words, f"{np.median(errors):+.1f} %", ends
+            values, lower, upper = np.array([motor["leakages"][place] for motor in motors]).T
+            ends = f"{100.0 * values.min():+.1f} to {100.0 * values.max():+.1f} %"
+            held = _share(((lower <= 0.0) & (upper >= 0.0)).tolist())
+            yield cell.words, words, f"{100.0 * np.median(values):+.1f} %", ends, held
 
 
 def _rig(found: Found) -> Rows:
@@ -368,7 +369,7 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Found], Rows]], ..
     (
         "A healthy all-laminar machine",
         "Leakage by the level of the last night over the true one, less 1; nothing has changed.",
-        "what | at | median | range",
+        "what | at | median | range | within the interval",
         ("laminar",),
         _laminar,
     ),

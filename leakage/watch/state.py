@@ -336,8 +336,10 @@ def leakage_at(state: State, drives: Array, conditions: Array) -> Estimate:
     as_first = 1.0 + float(row @ (state.baseline.unknowns + levels.around.mean))
     before, _ = state.sums.before(np.array([len(state.window)]), state.window)
     uncertain = float(row @ np.linalg.solve(before[0], row))
-    variance = (of_cause * level.sd) ** 2 + uncertain
-    return Estimate(flow * (as_first + level.value * of_cause), flow * math.sqrt(variance))
+    found = as_first + level.value * of_cause
+    missed = choices.LEAKAGE_BY_LACK * state.baseline.lack_of_fit * found
+    variance = (of_cause * level.sd) ** 2 + uncertain + missed**2
+    return Estimate(flow * found, flow * math.sqrt(variance))
 
 
 def frozen_leakage_at(state: State, drives: Array, conditions: Array) -> float:

@@ -13,7 +13,7 @@ from pipeline.store.state import State
 from pipeline.trends.nights.decisions import Decision
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
-TRENDS_VERSION = 9
+TRENDS_VERSION = 10
 
 
 @dataclass(frozen=True, slots=True)

@@ -436,6 +436,10 @@ def test_leakage_at_conditions_follows_the_worn_path() -> None:
         told = watch.leakage_at(drives(at), at)
         assert told.value == pytest.approx(truth, rel=0.02)
         assert abs(told.value - truth) < 4.0 * told.sd
+        # What the model misses of the baseline, it may miss there: 0.3 of it, beside the rest.
+        baseline = replace(watch.state.baseline, lack_of_fit=0.1)
+        poor = Watch(replace(watch.state, baseline=baseline)).leakage_at(drives(at), at)
+        assert poor.sd == pytest.approx(np.hypot(told.sd, 0.03 * poor.value), rel=0.01)
 
 
 def test_change_since_is_what_others_on_the_tank_are_asked() -> None:
