@@ -128,7 +128,6 @@ RUNS = _table("runs", "a run")
 MOTOR_OUTCOMES = _table("motor_outcomes", "a motor in a run")
 DATA_DICTIONARY = _table("data_dictionary", "a column of a table")
 
-FIT_KEY_NAMES = FITS.key
 # Columns of what a row of `alarms` says; the others are its key, or follow from it.
 ALARM_CONTENT = ("from_state", "to_state", "way", "path", "reason")
 

@@ -10,13 +10,13 @@ import datetime as dt
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 from pipeline.store.state import State, open_state, read_state_file
 
 Kind = Literal["acknowledged", "finding", "baseline_reset"]
 Finding = Literal["confirmed", "not_confirmed"]
-KINDS, FINDINGS = get_args(Kind), get_args(Finding)
+
 # What alarms, decisions and baselines are of.
 LEAKAGE = "leakage"
 PRESSURE_ZERO, FLOW_ZERO = SENSORS = ("pressure_zero", "flow_zero")
