@@ -101,8 +101,6 @@ class Fleet:
     execution: Execution
     log_root: Path
     output: Path
-    motor_types: Mapping[str, MotorTypeFile]
-    oils: Mapping[str, OilFile]
     settings: Settings
     retention: Retention
     object_store: str = ""  # where the output is published; empty: nowhere else

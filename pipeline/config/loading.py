@@ -21,7 +21,7 @@ from pipeline.config.fleet import LOW_SIDE, Fleet, MotorSpec, absolute, is_url, 
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import FURTHEST, OilCircuitFile
-from pipeline.config.section import ConfigError, Fault, fault_at, faults_of
+from pipeline.config.section import ConfigError, Fault, Section, fault_at, faults_of
 from pipeline.config.settings import FleetFile, Folders, Settings
 
 # Bytes of a config file.
@@ -45,15 +45,15 @@ def load_fleet(path: Path) -> Fleet:
         raise ConfigError(faults)
     fleet = validated(FleetFile, document, path.name, faults)
     # The other files are looked at although this one has faults.
-    known = validated(Folders, document.get("folders", {}), path.name, [])
-    folders = fleet.folders if fleet else known or Folders()
+    readable = validated(Folders, document.get("folders", {}), path.name, [])
+    folders = fleet.folders if fleet else readable or Folders()
     places = dict(_places(path, folders, faults))
     types = _read_folder(places.get("motor_types"), MotorTypeFile, faults)
     oils = _read_folder(places.get("oils"), OilFile, faults)
     defaults = fleet.defaults if fleet else {}
-    motors = _read_folder(places.get("motors"), MotorFile, faults, defaults)
+    known = {"defaults": defaults, "motor_types": types.documents, "oils": oils.documents}
+    motors = _read_folder(places.get("motors"), MotorFile, faults, **known)
     circuits = _read_folder(places.get("oil_circuits"), OilCircuitFile, faults)
-    faults += _misnamed("motor_types", "motor_type", types.documents)
     # Settings with faults would be reported again for each motor that overrides any.
     shared = {key: document[key] for key in Settings.model_fields if fleet and key in document}
     log_root = places.get("logs", path.parent)
@@ -64,9 +64,8 @@ def load_fleet(path: Path) -> Fleet:
         if not motors.own[name]:  # not read, or empty: told already
             continue
         file, before = f"motors/{name}.toml", len(faults)
-        faults += _misnamed("motors", "motor_id", {name: its})
-        faults += _strangers(file, its, types.documents, oils.documents)
-        motor, motor_type = motors.parsed.get(name), types.parsed.get(its.get("motor_type", ""))
+        motor = motors.parsed.get(name)
+        motor_type = types.parsed.get(motor.motor_type) if motor else None
         is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
         key = json.dumps([is_logged, its.get("override")], default=str)
         settings = alike.get(key) or _settings(shared, its.get("override"), is_logged, file, faults)
@@ -99,8 +98,6 @@ def load_fleet(path: Path) -> Fleet:
         retention=fleet.retention,
         log_root=log_root,
         output=output,
-        motor_types=types.parsed,
-        oils=oils.parsed,
         settings=fleet,
         object_store=folders.object_store,
         metrics_file=path.absolute().parent / textfile if textfile else None,
@@ -128,38 +125,25 @@ def _places(path: Path, folders: Folders, faults: list[Fault]) -> Iterator[tuple
                 yield key, place
 
 
+class _Override(Section):
+    override: Settings
+
+
 def _settings(
     shared: Document, override: Any, is_logged: bool, file: str, faults: list[Fault]
 ) -> Settings | None:
     """The fleet's settings with a motor's own; `is_logged`: the pressure of its low side is."""
     merged = _merged(override if isinstance(override, dict) else {}, shared)
-    settings = validated(Settings, merged, file, faults, prefix="override.")
-    if settings is None:
+    found = validated(_Override, {"override": merged}, file, faults)
+    if found is None:
         return None
+    settings = found.override
     two_sided = settings.model.is_two_sided(is_logged=is_logged)
     model = settings.model.model_copy(update={"two_sided": two_sided})
     return settings.model_copy(update={"model": model})
 
 
 # Faults that no file shows alone
-
-
-def _strangers(
-    file: str, document: Document, types: Iterable[str], oils: Iterable[str]
-) -> Iterator[Fault]:
-    """Names of motor types and oils that there are not; other faults of the file do not matter."""
-    events = document.get("events")
-    named = [("motor_type", document, types), ("oil", document, oils)]
-    named += [
-        (f"events.{index}.oil", event, oils)
-        for index, event in enumerate(events if isinstance(events, list) else ())
-        if isinstance(event, dict)
-    ]
-    for key, table, known in named:
-        given = table.get(key.rpartition(".")[2])
-        if isinstance(given, str) and given not in known:
-            choice = ", ".join(sorted(known)) or "those in its folder, which has none"
-            yield fault_at(file, (key,), f"expected one of {choice}", given)
 
 
 def _lonely(circuits: Iterable[str]) -> Iterator[Fault]:
@@ -244,7 +228,7 @@ class _Folder(Generic[Model]):
 
 
 def _read_folder(
-    folder: Path | None, model: type[Model], faults: list[Fault], defaults: Document | None = None
+    folder: Path | None, model: type[Model], faults: list[Fault], **context: Document
 ) -> _Folder[Model]:
     """All TOML files of a folder; none where it cannot be, which is told already."""
     found: _Folder[Model] = _Folder({}, {}, {})
@@ -254,9 +238,9 @@ def _read_folder(
         file, name = f"{folder.name}/{path.name}" if folder else "", path.stem
         document = read_toml(path, file, faults)
         found.own[name] = document or {}
-        found.documents[name] = completed(document or {}, defaults or {}, name)
+        found.documents[name] = completed(document or {}, context.get("defaults", {}), name)
         if document is not None and (
-            content := validated(model, found.documents[name], file, faults)
+            content := validated(model, found.documents[name], file, faults, stem=name, **context)
         ):
             found.parsed[name] = content
     return found
@@ -292,23 +276,15 @@ def _content(path: Path) -> bytes:
 
 
 def validated(
-    model: type[Model], document: Document, file: str, faults: list[Fault], prefix: str = ""
+    model: type[Model], document: Document, file: str, faults: list[Fault], **context: Any
 ) -> Model | None:
-    """The model of a file's content; None if it has a fault."""
+    """The model of a file's content; None if it has a fault. `context`: what its fields know."""
     try:
         # By way of JSON: strict validation then still takes arrays as tuples and text as dates.
-        return model.model_validate_json(json.dumps(document, default=str))
+        return model.model_validate_json(json.dumps(document, default=str), context=context)
     except ValidationError as error:
-        faults += faults_of(error, file, prefix, document)
+        faults += faults_of(error, file, document)
     return None
-
-
-def _misnamed(folder: str, key: str, documents: Mapping[str, Document]) -> Iterator[Fault]:
-    """Files whose own name for what they describe is not the file's."""
-    for name, document in documents.items():
-        own = document.get(key, name)
-        if own != name:
-            yield fault_at(f"{folder}/{name}.toml", (key,), f'expected "{name}", as the file', own)
 
 
 # `[defaults]` of the fleet file: what its motors' files have in common

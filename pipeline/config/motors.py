@@ -21,7 +21,16 @@ from pipeline.config.channels import (
 from pipeline.config.field_paths import field_path
 from pipeline.config.logs import Logs
 from pipeline.config.oil_samples import OilSample, order_faults
-from pipeline.config.section import Id, Misfit, NonNegative, Section, Stage, left_out
+from pipeline.config.section import (
+    Id,
+    Misfit,
+    NonNegative,
+    OilName,
+    Section,
+    Stage,
+    left_out,
+    name_of,
+)
 from pipeline.units import QUANTITIES, UNITS
 
 if TYPE_CHECKING:
@@ -39,7 +48,7 @@ class Event(Section):
     """First night's label from which it holds."""
     kind: Literal["overhaul", "oil_change", "flushing_change", "motor_exchanged", "note"]
     """A `note` (a filter change, a cleaning) starts no baseline."""
-    oil: str | None = None
+    oil: OilName | None = None
     """The new oil, where it changed; needed for `oil_change`."""
     note: Annotated[str, Stage.NOTHING] = ""
     """In words."""
@@ -130,11 +139,11 @@ class MotorFile(Section):
 
     motor_id: Id
     """Unique name, which is also the file's."""
-    motor_type: Annotated[str, Stage.FIGURES]
+    motor_type: Annotated[str, name_of("motor_types"), Stage.FIGURES]
     """One of the motor types."""
     name_in_log: Annotated[str, Stage.NOTHING] = Field("", exclude=True)
     """The motor's name in the log, where not `motor_id`."""
-    oil: str
+    oil: OilName
     """One of the oils; changes are dated in `events`."""
     oil_circuit: str = ""
     """Motors with the same name share tank and pump."""

@@ -21,6 +21,7 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
+    ValidationInfo,
     model_validator,
 )
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
@@ -77,11 +78,9 @@ def refuse(found: Iterable[Misfit]) -> None:
         raise ValidationError.from_exception_data("faults", details)
 
 
-def faults_of(
-    error: ValidationError, file: str, prefix: str = "", document: object = None
-) -> list[Fault]:
+def faults_of(error: ValidationError, file: str, document: object) -> list[Fault]:
     """All findings of pydantic's about a file."""
-    return [_fault(detail, file, prefix, document) for detail in error.errors()]
+    return [_fault(detail, file, document) for detail in error.errors()]
 
 
 def fault_at(file: str, place: Place, message: str, given: object) -> Fault:
@@ -89,16 +88,16 @@ def fault_at(file: str, place: Place, message: str, given: object) -> Fault:
     return Fault(file, ".".join(map(str, place)), _quote(given) + message)
 
 
-def _fault(detail: ErrorDetails, file: str, prefix: str, document: object) -> Fault:
+def _fault(detail: ErrorDetails, file: str, document: object) -> Fault:
     place, kind = detail["loc"], detail["type"]
-    key = prefix + _key((*place, "law") if kind.startswith("union_tag") else place, document)
+    key = _key((*place, "law") if kind.startswith("union_tag") else place, document)
     given = "" if UNQUOTED.intersection(place) else _quote(detail["input"])
     message = given + re.sub(r"^\w+ should (be|have|match) ", "expected ", detail["msg"])
     if kind in ("missing", "union_tag_not_found"):
         message = "is missing"
     elif kind == "extra_forbidden":
         message = "is no key of this table; check its spelling, or delete it"
-    return Fault(file, key.rstrip("."), message.replace("Value error, ", "", 1))
+    return Fault(file, key, message.replace("Value error, ", "", 1))
 
 
 def _key(place: Place, document: object) -> str:
@@ -160,13 +159,36 @@ def known_zone(name: str) -> str:
     raise ValueError("expected the name of an IANA time zone, such as Europe/Oslo")
 
 
+def _as_the_file(own: str, info: ValidationInfo) -> str:
+    stem = (info.context or {}).get("stem", own)
+    if own != stem:
+        raise ValueError(f'expected "{stem}", as the file')
+    return own
+
+
+def name_of(folder: str) -> AfterValidator:
+    """Check of a name of a file in a folder of the fleet, where the context has its names."""
+
+    def known(name: str, info: ValidationInfo) -> str:
+        names = (info.context or {}).get(folder)
+        if names is not None and name not in names:
+            choice = ", ".join(sorted(names)) or "those in its folder, which has none"
+            raise ValueError(f"expected one of {choice}")
+        return name
+
+    return AfterValidator(known)
+
+
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Seconds = Annotated[float, Field(ge=0, le=31_536_000)]
 TimeZone = Annotated[str, AfterValidator(known_zone)]
-Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
-"""An id that is a file's name, too."""
+Id = Annotated[
+    str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"), AfterValidator(_as_the_file)
+]
+"""An id that is its file's name, too."""
+OilName = Annotated[str, name_of("oils")]
 
 
 class Section(BaseModel):
