@@ -57,7 +57,7 @@ def shaping(spec: MotorSpec, stage: Stage) -> dict[str, Any]:
         **spec.settings.shaping(stage),
         **spec.file.shaping(stage),
         "type": spec.motor_type.shaping(stage),
-        "oils": {name: found for name, oil in spec.oils.items() if (found := oil.shaping(stage))},
+        "oils": {name: part for name, oil in spec.oils.items() if (part := oil.shaping(stage))},
         "circuit_samples": [part for one in spec.circuit_samples if (part := one.shaping(stage))],
         **({"reader": reader} if reader and Stage.READING & stage else {}),
         **({ROLLER: "free"} if spec.roller_is_free and Stage.FIGURES & stage else {}),
@@ -98,12 +98,9 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
     return hash_of(document)
 
 
-def _chosen(spec: MotorSpec, night: dt.date) -> ChosenPeriods | None:
-    """Periods of a night that are chosen by hand; None in a motor without any."""
-    periods = spec.file.periods
-    if not (periods.training or periods.validation):
-        return None
-    return periods.within(night_labelled(night, spec.settings.nights))
+def _chosen(spec: MotorSpec, night: dt.date) -> ChosenPeriods:
+    """Periods of a night that are chosen by hand."""
+    return spec.file.periods.within(night_labelled(night, spec.settings.nights))
 
 
 @dataclass(slots=True)
@@ -166,23 +163,24 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
     >>> why_anew({"trends": {"trend": {"x": 2}}}, {"trends": {"trend": {"x": 3}}}, trends=True)
     'changed setting trend.x'
     """
-    parts = ("versions", "nights", "trends") if trends else ("versions", "nights")
-    old, new = (
-        dict(_flat("", {part: one.get(part, {}) for part in parts})) for one in (before, now)
-    )
-    changed = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
-    names = [key.partition(".")[2] for key in changed if not key.startswith("versions.")]
+    versions = before.get("versions", {})
     steps = [
-        f"{key.partition('.')[2]} {old.get(key, '?')} to {new.get(key)}"
-        for key in changed
-        if key.startswith("versions.")
+        f"{key} {versions.get(key, '?')} to {one}"
+        for key, one in now.get("versions", {}).items()
+        if one != versions.get(key)
     ]
     if steps and before:
         return f"another version of the program ({', '.join(steps)})"
+    parts = ("nights", "trends") if trends else ("nights",)
+    old, new = (
+        dict(item for part in parts for item in _flat("", one.get(part, {})))
+        for one in (before, now)
+    )
+    names = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
     if not names or not before:
         return "changed settings"
     more = ", …" if len(names) > SETTINGS_NAMED else ""
-    return f"changed setting {', '.join(sorted(set(names))[:SETTINGS_NAMED])}{more}"
+    return f"changed setting {', '.join(names[:SETTINGS_NAMED])}{more}"
 
 
 def _flat(prefix: str, value: object) -> Iterator[tuple[str, str]]:

@@ -28,7 +28,7 @@ class OilSample(Section):
     """Kinematic viscosity at 40 °C."""
     viscosity_100_c_mm2_per_s: Annotated[float, Field(ge=1, le=200)] | None = None
     """The same at 100 °C; by default by the data sheet's slope."""
-    water_mg_per_kg: Annotated[float, Field(ge=0, le=100_000), Stage.TRENDS] | None = None
+    water_mg_per_kg: Annotated[float | None, Field(ge=0, le=100_000), Stage.TRENDS] = None
     """Water content, for information."""
     note: Annotated[str, Stage.NOTHING] = ""
     """In words."""

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Flag, auto
 from functools import cache
-from typing import Annotated, Any, ClassVar, Self, get_args
+from typing import Annotated, Any, ClassVar, Self
 from zoneinfo import ZoneInfo
 
 from pydantic import (
@@ -224,49 +224,31 @@ class Section(BaseModel):
 
     @classmethod
     @cache
-    def stage_of(cls, key: str, inherited: Stage | None = None) -> Stage | None:
-        """The stage that a key names, else its table's, else the one that is inherited."""
-        own = (one for one in cls.model_fields[key].metadata if isinstance(one, Stage))
-        return next(own, cls.shapes if cls.shapes is not None else inherited)
+    def stages(cls, stage: Stage, inherited: Stage | None) -> Iterable[tuple[str, Any, bool]]:
+        """Keys with their stage (own, else of the table, else inherited), and if it is `stage`."""
+        usual = inherited if cls.shapes is None else cls.shapes
+        stages = {
+            key: next((own for own in one.metadata if isinstance(own, Stage)), usual)
+            for key, one in cls.model_fields.items()
+        }
+        return [(key, own, bool(own and own & stage)) for key, own in stages.items()]
 
     def shaping(self, stage: Stage, inherited: Stage | None = None) -> dict[str, Any]:
-        """All settings of a stage, by key."""
-        values, tables = self._keys_of(stage, inherited)
-        return {key: getattr(self, key) for key in values} | {
-            key: found
-            for key, own in tables
-            for found in _of_tables(getattr(self, key), stage, own)
-        }
-
-    @classmethod
-    @cache
-    def _keys_of(
-        cls, stage: Stage, inherited: Stage | None
-    ) -> tuple[tuple[str, ...], tuple[tuple[str, Stage | None], ...]]:
-        """Keys of a stage, and those of tables that may have some, with their stage."""
-        stages = {key: cls.stage_of(key, inherited) for key in cls.model_fields}
-        tables = [key for key, one in cls.model_fields.items() if _has_tables(one.annotation)]
-        values = [key for key, own in stages.items() if own and own & stage and key not in tables]
-        return tuple(values), tuple((key, stages[key]) for key in tables)
-
-
-def _has_tables(annotation: Any) -> bool:
-    is_table = isinstance(annotation, type) and issubclass(annotation, Section)
-    return is_table or any(map(_has_tables, get_args(annotation)))
-
-
-def _of_tables(value: Any, stage: Stage, own: Stage | None) -> Iterator[Any]:
-    """What of a table, or of several, is of a stage; nothing where that is nothing."""
-    if isinstance(value, Section):
-        if found := value.shaping(stage, own):
-            yield found
-    elif isinstance(value, tuple) and value:
-        if any(parts := [one.shaping(stage, own) for one in value]):
-            yield parts
-    elif isinstance(value, Mapping) and value:
-        yield {key: one.shaping(stage, own) for key, one in value.items()}
-    elif own and own & stage:  # there is none
-        yield value
+        """All settings of a stage, by key; of tables, the keys that are of it."""
+        found: dict[str, Any] = {}
+        for key, own, is_of_it in self.stages(stage, inherited):
+            value = getattr(self, key)
+            if isinstance(value, Section):
+                part = value.shaping(stage, own)
+                found |= {key: part} if part else {}
+            elif isinstance(value, tuple) and value and isinstance(value[0], Section):
+                parts = [one.shaping(stage, own) for one in value]
+                found |= {key: parts} if any(parts) else {}
+            elif isinstance(value, dict) and isinstance(next(iter(value.values()), None), Section):
+                found[key] = {name: one.shaping(stage, own) for name, one in value.items()}
+            elif is_of_it:
+                found[key] = value
+        return found
 
 
 def left_out() -> Any:
