@@ -59,7 +59,6 @@ def load_fleet(path: Path) -> Fleet:
     log_root = places.get("logs", path.parent)
     log_url = folders.logs if is_url(folders.logs) else ""
     specs: list[MotorSpec] = []
-    alike: dict[str, Settings] = {}  # motors that override the same have one object
     for name, its in sorted(motors.documents.items()):
         if not motors.own[name]:  # not read, or empty: told already
             continue
@@ -67,9 +66,7 @@ def load_fleet(path: Path) -> Fleet:
         motor = motors.parsed.get(name)
         motor_type = types.parsed.get(motor.motor_type) if motor else None
         is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
-        key = json.dumps([is_logged, its.get("override")], default=str)
-        settings = alike.get(key) or _settings(shared, its.get("override"), is_logged, file, faults)
-        alike |= {key: settings} if settings else {}
+        settings = _settings(shared, its.get("override"), is_logged, file, faults)
         if len(faults) == before and motor and settings and motor_type:
             circuit = circuits.parsed.get(motor.oil_circuit, OilCircuitFile())
             spec = MotorSpec(
