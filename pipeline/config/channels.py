@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Final, Literal
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import Field, field_validator
 
 from pipeline.config.field_paths import FieldText
 from pipeline.config.section import Misfit, NonNegative, Positive, Section, Stage
@@ -52,22 +52,6 @@ FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
 }
 
 
-def _factor(scale: float) -> float:
-    if scale == 0.0:
-        raise ValueError("expected a factor other than 0")
-    return scale
-
-
-def _limits(limits: tuple[float, float]) -> tuple[float, float]:
-    if not limits[0] < limits[1]:
-        raise ValueError("expected [lowest, highest]")
-    return limits
-
-
-Factor = Annotated[float, AfterValidator(_factor)]
-Limits = Annotated[tuple[float, float], AfterValidator(_limits)]
-
-
 class Channel(Section):
     """One channel of the log.
 
@@ -92,11 +76,11 @@ class Channel(Section):
     """Column, or field of the message (MCAP), of the channel's quality."""
     quality_good: tuple[QualityValue, ...] = GOOD_QUALITY
     """Codes of a good sample. OPC DA: `[192]`; OPC UA: `[0]`."""
-    scale: Factor = 1.0
+    scale: float = 1.0
     """Factor on the logged number."""
     offset: float = 0.0
     """Added to the scaled number."""
-    valid_range: Limits | None = None
+    valid_range: tuple[float, float] | None = None
     """Values outside are refused; by default the usual range."""
     sensor_maximum: Positive | None = None
     """Highest value that the sensor gives."""
@@ -137,12 +121,16 @@ class Channel(Section):
         return words
 
     def misfits(self) -> Iterator[Misfit]:
-        given, lowest = self.model_fields_set, self.valid_range[0] if self.valid_range else None
+        given, (lowest, highest) = self.model_fields_set, self.valid_range or (None, None)
         is_on_change, is_mean = self.sampling == "on_change", self.sampling == "mean"
         if self.constant is None and not self.source:
             yield ("source",), "is missing: the place in the log, or else a constant", None
         for key in sorted(given - OF_A_CONSTANT) if self.constant is not None else ():
             yield self.at(key, "expected no such key beside a constant")
+        if self.scale == 0.0:
+            yield self.at("scale", "expected a factor other than 0")
+        if lowest is not None and highest is not None and lowest >= highest:
+            yield self.at("valid_range", "expected [lowest, highest]")
         if "quality_good" in given and not self.quality_source:
             yield self.at("quality_good", "expected quality_source beside it")
         if self.sensor_maximum and lowest is not None and self.sensor_maximum <= lowest:

@@ -21,7 +21,7 @@ from pipeline.config.fleet import LOW_SIDE, Fleet, MotorSpec, absolute, is_url, 
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import FURTHEST, OilCircuitFile
-from pipeline.config.section import ConfigError, Fault, Section, fault_at, faults_of
+from pipeline.config.section import ConfigError, Fault, Section, fault_at, fault_of
 from pipeline.config.settings import FleetFile, Folders, Settings
 
 # Bytes of a config file.
@@ -67,20 +67,23 @@ def load_fleet(path: Path) -> Fleet:
         motor_type = types.parsed.get(motor.motor_type) if motor else None
         is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
         settings = _settings(shared, its.get("override"), is_logged, file, faults)
-        if len(faults) == before and motor and settings and motor_type:
+        # Of a type or an oil with a fault no motor can be made.
+        is_known = motor and oils.parsed.keys() >= {*motor.oils}
+        if len(faults) == before and motor and settings and motor_type and is_known:
             circuit = circuits.parsed.get(motor.oil_circuit, OilCircuitFile())
             spec = MotorSpec(
                 motor, motor_type, oils.parsed, settings, log_root, log_url,
                 circuit_samples=circuit.oil_samples,
             )  # fmt: skip
-            faults += _impossible(file, spec)
+            faults += [*_impossible(file, spec), *_oil_faults(file, spec)]
             specs.append(spec)
     faults += _claimed_twice(specs)
-    faults += _oil_faults(specs)
     # A motor's file that cannot be read may be of any circuit.
     if all(motors.own.values()):
         known_circuits = {its.get("oil_circuit") for its in motors.documents.values()}
-        faults += _lonely(circuits.documents.keys() - known_circuits)
+        for name in sorted(circuits.documents.keys() - known_circuits):
+            message = "no motor is of this oil circuit; expected the name that a motor's file has"
+            faults.append(Fault(f"oil_circuits/{name}.toml", "", message))
     if not motors.documents and not faults:
         faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
     if faults or fleet is None:
@@ -143,29 +146,15 @@ def _settings(
 # Faults that no file shows alone
 
 
-def _lonely(circuits: Iterable[str]) -> Iterator[Fault]:
-    """Files of oil circuits that no motor is of."""
-    for name in sorted(circuits):
-        message = "no motor is of this oil circuit; expected the name that a motor's file has"
-        yield Fault(f"oil_circuits/{name}.toml", "", message)
-
-
-def _oil_faults(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
+def _oil_faults(file: str, spec: MotorSpec) -> Iterator[Fault]:
     """Faults of analyses that only show beside the oil, the date, or the other file."""
-    for spec in specs:
-        own, shared = spec.file.oil_samples, spec.circuit_samples
-        file = f"motors/{spec.motor_id}.toml"
-        if own and shared:
-            message = "expected the analyses in this file or in that of the oil circuit, not both"
-            yield Fault(file, "oil_samples", message)
-        if shared:
-            file = f"oil_circuits/{spec.file.oil_circuit}.toml"
-        yield from _faults_of_samples(file, spec)
-
-
-def _faults_of_samples(file: str, spec: MotorSpec) -> Iterator[Fault]:
     from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 
+    if spec.file.oil_samples and spec.circuit_samples:
+        message = "expected the analyses in this file or in that of the oil circuit, not both"
+        yield Fault(file, "oil_samples", message)
+    if spec.circuit_samples:
+        file = f"oil_circuits/{spec.file.oil_circuit}.toml"
     tomorrow = dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1)
     for index, sample in enumerate(spec.file.oil_samples or spec.circuit_samples):
         place = ("oil_samples", index)
@@ -203,8 +192,7 @@ def _impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
     from leakage import LeakageError, leakage_l_per_min
 
     conditions = spec.settings.reference.conditions().operating
-    oils = {spec.file.oil, *(event.oil for event in spec.file.events)}
-    for name in sorted(spec.oils.keys() & oils):
+    for name in spec.file.oils:
         for mode in spec.file.flushing.modes:
             try:
                 leakage_l_per_min(spec.motor_with(spec.oils[name], mode), conditions)
@@ -280,7 +268,7 @@ def validated(
         # By way of JSON: strict validation then still takes arrays as tuples and text as dates.
         return model.model_validate_json(json.dumps(document, default=str), context=context)
     except ValidationError as error:
-        faults += faults_of(error, file, document)
+        faults += [fault_of(one, file, document) for one in error.errors()]
     return None
 
 

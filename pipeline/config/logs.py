@@ -15,7 +15,6 @@ from pipeline.config.readers import FormatName
 from pipeline.config.section import Misfit, NonNegative, Positive, Section, Stage, TimeZone
 from pipeline.config.time_formats import TimeFormat
 
-LogLayout = Literal["wide", "long", "file_per_channel"]
 # Cells of a CSV that mean "no sample". `NaN` does not: it is a reading that is not finite.
 MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")
 # Marks that may stand between groups of three digits.
@@ -107,7 +106,7 @@ class Logs(Section):
     """Zone of time stamps that state none."""
     date_column: str = ""
     """Column of the date, where it has its own."""
-    layout: LogLayout = "wide"
+    layout: Literal["wide", "long", "file_per_channel"] = "wide"
     """A column per channel (`wide`), a row per sample (`long`), or `file_per_channel`."""
     channel_column: str = "channel"
     """Layout `long`: column of channels' names."""

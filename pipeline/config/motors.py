@@ -206,6 +206,11 @@ class MotorFile(Section):
         """Events whose nights before are no measure for those after."""
         return tuple(event for event in self.events if event.kind != "note")
 
+    @property
+    def oils(self) -> tuple[str, ...]:
+        """Names of the oils that the motor runs on or did."""
+        return tuple(dict.fromkeys([self.oil, *(one.oil for one in self.events if one.oil)]))
+
     def oil_on(self, night: dt.date) -> str:
         """Name of the oil that the motor runs on in a night."""
         change = self._filling(night)

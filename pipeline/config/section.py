@@ -61,34 +61,13 @@ class ConfigError(MotorLeakageError):
         super().__init__("config", f"{counted(len(self.faults), 'config fault')}\n{lines}")
 
 
-def refuse(found: Iterable[Misfit]) -> None:
-    """Let a validator report several faults, each at its own key.
-
-    Raises pydantic.ValidationError if there is any.
-    """
-    details = [
-        InitErrorDetails(
-            type=PydanticCustomError("fault", "{message}", {"message": message}),
-            loc=place,
-            input=given,
-        )
-        for place, message, given in found
-    ]
-    if details:
-        raise ValidationError.from_exception_data("faults", details)
-
-
-def faults_of(error: ValidationError, file: str, document: object) -> list[Fault]:
-    """All findings of pydantic's about a file."""
-    return [_fault(detail, file, document) for detail in error.errors()]
-
-
 def fault_at(file: str, place: Place, message: str, given: object) -> Fault:
     """A fault at a key: what stands there, and what was expected."""
     return Fault(file, ".".join(map(str, place)), _quote(given) + message)
 
 
-def _fault(detail: ErrorDetails, file: str, document: object) -> Fault:
+def fault_of(detail: ErrorDetails, file: str, document: object) -> Fault:
+    """A finding of pydantic's about a file."""
     place, kind = detail["loc"], detail["type"]
     key = _key((*place, "law") if kind.startswith("union_tag") else place, document)
     given = "" if UNQUOTED.intersection(place) else _quote(detail["input"])
@@ -219,7 +198,16 @@ class Section(BaseModel):
 
     @model_validator(mode="after")
     def _goes_together(self) -> Self:
-        refuse(self.misfits())
+        details = [
+            InitErrorDetails(
+                type=PydanticCustomError("fault", "{words}", {"words": words}),
+                loc=place,
+                input=given,
+            )
+            for place, words, given in self.misfits()
+        ]
+        if details:
+            raise ValidationError.from_exception_data("faults", details)
         return self
 
     @classmethod

@@ -113,8 +113,7 @@ def _checked(spec: MotorSpec, logs: FolderLogs) -> MotorCheck:
     nights = {label for record in records.values() for label in labels_of(record)}
     channels, unfit, worth = check_channels(spec, records, logs.path)
     changes = column_changes(spec, records, logs.path)
-    oils = dict.fromkeys([spec.file.oil, *(one.oil for one in spec.file.events if one.oil)])
-    stated = (*spec.motor_type.path, *(spec.oils[name] for name in oils))
+    stated = (*spec.motor_type.path, *(spec.oils[name] for name in spec.file.oils))
     broken, written = (
         [f"{one.error_code}: {one.message}" for one in records.values() if one.status == status]
         for status in ("failed", "growing")

@@ -12,7 +12,7 @@ from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import SettingsHashes, config_hash
 from pipeline.config.oil_samples import OilSample
-from tests.pipeline.config.shipped import SAMPLE, add, faults, load
+from tests.pipeline.config.shipped import SAMPLE, add, change, faults, load
 from tests.pipeline.trends.nights import FIRST, event, motor, named, night_of
 
 
@@ -95,6 +95,12 @@ def test_a_circuit_is_one_of_a_motor_and_has_the_only_analyses(configs: Path) ->
         ("oil_circuits/wench.toml", ""),
         ("motors/CB1120-01.toml", "oil_samples"),
     }
+
+
+def test_an_oil_with_a_fault_is_told_beside_its_analyses(configs: Path) -> None:
+    change(configs, "oils/vg68.toml", "density_15_c_kg_per_m3", "density")
+    add(configs, "motors/CB400-01.toml", SAMPLE)
+    assert {one.file for one in faults(configs)} == {"oils/vg68.toml"}
 
 
 def test_a_motors_file_that_is_no_toml_leaves_its_circuit_alone(configs: Path) -> None:
