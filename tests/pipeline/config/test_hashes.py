@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -26,7 +27,6 @@ from pipeline.config.motors import Event
 from pipeline.config.nights import DAY
 from pipeline.config.oil_samples import OilSample
 from pipeline.config.section import Section, Stage
-from pipeline.config.settings import FleetFile, Settings
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml
 
 IN_THE_NIGHT = tuple(dt.datetime(2026, 3, day, tzinfo=dt.UTC) for day in (1, 2))
@@ -39,8 +39,8 @@ OTHER_VALUES: dict[str, Any] = {
     "viscosity_100_c_mm2_per_s": 9.5,
 }
 # Of the shipped types' paths, that of the cam rollers has a fixed coefficient.
-FIXED = {"type.path.3", "type.path.3.scale"}
-Put = Callable[[MotorSpec, Section], MotorSpec]
+FIXED = ("motor_type", "path", 3)
+Place = tuple[str | int, ...]
 Hashes = dict[str, str]
 
 
@@ -87,52 +87,34 @@ def hashes(spec: MotorSpec) -> Hashes:
     }
 
 
-def settings_in(spec: MotorSpec) -> Iterator[tuple[str, Stage, Section, str, Put]]:
-    """Every setting: its table's place, its stage, table and key, and what puts a table there."""
-
-    def of_oil(spec: MotorSpec, oil: Section) -> MotorSpec:
-        return replace(spec, oils={**spec.oils, "vg68": oil})
-
-    settings = FleetFile(name="F", **dict(spec.settings))
-    yield from within("fleet", settings, lambda one, new: replace(one, settings=own(new)))
-    yield from within("motor", spec.file, lambda one, new: replace(one, file=new))
-    yield from within("type", spec.motor_type, lambda one, new: replace(one, motor_type=new))
-    yield from within("oil", spec.oils["vg68"], of_oil)
+def settings_in(spec: MotorSpec) -> Iterator[tuple[Place, Stage]]:
+    """The place of every setting of a motor, and its stage."""
+    for name in ("settings", "file", "motor_type"):
+        yield from within((name,), getattr(spec, name))
+    yield from within(("oils", "vg68"), spec.oils["vg68"])
 
 
-def within(
-    place: str, table: Section, put: Put, inherited: Stage | None = None
-) -> Iterator[tuple[str, Stage, Section, str, Put]]:
-    for key, stage, _ in table.stages(ALL, inherited):
-        value = getattr(table, key)
-        if isinstance(value, Section):
-            yield from within(f"{place}.{key}", value, at(table, put, key), stage)
-            continue
-        several = value if isinstance(value, dict) else {}
-        if isinstance(value, tuple):
-            several = dict(enumerate(value))
-        tables = {name: one for name, one in several.items() if isinstance(one, Section)}
-        for name, one in tables.items():
-            yield from within(f"{place}.{key}.{name}", one, at(table, put, key, name), stage)
-        if not tables:
-            yield place, stage, table, key, put
+def within(place: Place, value: Any, stage: Any = None) -> Iterator[tuple[Place, Stage]]:
+    parts = dict(enumerate(value)) if isinstance(value, tuple) else value
+    if isinstance(value, Section):
+        for key, own, _ in value.stages(ALL, stage):
+            yield from within((*place, key), getattr(value, key), own)
+    elif isinstance(parts, dict) and any(isinstance(one, Section) for one in parts.values()):
+        for name, one in parts.items():
+            yield from within((*place, name), one, stage)
+    else:
+        yield place, stage
 
 
-def at(table: Section, put: Put, key: str, inner: int | str | None = None) -> Put:
-    def changed(spec: MotorSpec, new: Section) -> MotorSpec:
-        value: Any = new if inner is None else getattr(table, key)
-        if isinstance(inner, int):
-            value = (*value[:inner], new, *value[inner + 1 :])
-        elif inner is not None:
-            value = {**value, inner: new}
-        return put(spec, table.model_copy(update={key: value}))
-
-    return changed
-
-
-def own(fleet: Any) -> Settings:
-    """What of the fleet file a motor has."""
-    return Settings.model_construct(**{key: getattr(fleet, key) for key in Settings.model_fields})
+def changed(spec: MotorSpec, place: Place) -> MotorSpec:
+    """The motor with another value in a place, which nothing has checked."""
+    new: Any = deepcopy(spec)
+    table = new
+    for step in place[:-1]:
+        table = table[step] if isinstance(table, tuple | dict) else getattr(table, str(step))
+    key = str(place[-1])
+    vars(table)[key] = other(key, getattr(table, key))
+    return cast(MotorSpec, new)
 
 
 def other(key: str, value: Any) -> Any:
@@ -151,12 +133,14 @@ def other(key: str, value: Any) -> Any:
     return 1.5 if value is None else f"{value}x"
 
 
-def expected(stage: Stage, place: str) -> set[str]:
+def expected(stage: Stage, place: Place) -> set[str]:
     """Hashes that a change of a setting changes."""
+    if place[-1] == "oil":  # the night's oil, whose own settings shape the blocks, is another one
+        stage |= Stage.BLOCKS | Stage.FIGURES
     found = {"all"} if stage else set()
     if stage & Stage.READING:
         found |= {"reading"}
-    if stage & Stage.BLOCKS or (stage & Stage.SCALE and place in FIXED):
+    if stage & Stage.BLOCKS or (stage & Stage.SCALE and place[:3] == FIXED):
         found |= {"blocks", "night"}  # all that is made of a night's samples
     if stage & Stage.NIGHT:
         found |= {"night"}
@@ -166,18 +150,13 @@ def expected(stage: Stage, place: str) -> set[str]:
 
 
 def test_a_changed_setting_changes_the_hash_of_its_stage_and_no_other(spec: MotorSpec) -> None:
-    before, wrong, seen = hashes(spec), {}, set()
-    for place, stage, table, key, put in settings_in(spec):
-        seen.add((type(table), key))
-        new = table.model_copy(update={key: other(key, getattr(table, key))})
-        after = hashes(put(spec, new))
-        found = {name for name in before if before[name] != after[name]}
-        if key == "oil":  # the night's oil, whose own settings shape the blocks, is another one
-            stage |= Stage.BLOCKS | Stage.FIGURES
-        if found != (wanted := expected(stage, place)):
-            wrong[f"{place}.{key}"] = found ^ wanted
-    assert wrong == {}
-    assert len(seen) > 180
+    before, stages = hashes(spec), dict(settings_in(spec))
+    found = {
+        place: {name for name, one in hashes(changed(spec, place)).items() if one != before[name]}
+        for place in stages
+    }
+    assert found == {place: expected(stage, place) for place, stage in stages.items()}
+    assert len(found) > 250
 
 
 def test_hashes_of_a_motor_with_every_table_stay(spec: MotorSpec) -> None:
