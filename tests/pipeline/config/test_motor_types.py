@@ -15,14 +15,7 @@ from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import FITS, PARAMETERS
 from pipeline.schema.fits import OK
 from pipeline.store.tables import night_file
-from tests.pipeline.simulated import (
-    NIGHT,
-    load_motor,
-    motor_toml,
-    operate,
-    write_configs,
-    write_log,
-)
+from tests.pipeline.simulated import NIGHT, motor_toml, operate, write_configs, write_log
 
 X_CLEARANCE_BAR, X_PLATE_BAR = 150.0, 700.0
 
@@ -112,22 +105,6 @@ def axial_by_hand(spec: MotorSpec) -> Motor:
         Constant("flushing", Parameter("C_f", "l_per_min", 0.0, 0.0, 0.0, fixed=True)),
     )
     return Motor("AX-9", paths, spec.oil_on(NIGHT).oil())
-
-
-@pytest.fixture
-def axial(tmp_path: Path) -> MotorSpec:
-    return load_motor(tmp_path, motor_toml("AX", "AX-9"), {"AX-9": AXIAL})
-
-
-def test_points_give_the_constants_that_made_them(axial: MotorSpec) -> None:
-    clearance, plate, _, slipper = axial.motor_type.paths()
-    assert clearance.deformation_pressure_pa == pytest.approx(150e5, rel=1e-9)
-    assert plate.deformation_pressure_pa == pytest.approx(700e5, rel=1e-9)
-    speed = np.linspace(0.0, 200.0, 41)
-    expected = [slipper_l_per_min(rpm) for rpm in speed]
-    assert slipper.curve_l_per_min(speed) == pytest.approx(expected, rel=1e-9)
-    # Beyond the points the curve's end is held, and such samples are counted.
-    assert slipper.curve_l_per_min(np.array([400.0]))[0] == pytest.approx(slipper_l_per_min(200.0))
 
 
 def test_from_toml_and_logs_to_the_tables(tmp_path: Path) -> None:
