@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
-from leakage import Motor, OperatingConditions
+from leakage import Motor
 from pipeline.arrays import Array
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import FlushingTable
@@ -21,8 +21,6 @@ WANDER_PHI, WANDER_GAIN, WANDER_TEMPERATURE_C, WANDER_PRESSURE_BAR = 0.6, 0.003,
 # Errors of a drain flow over the flow as on a real record (`benchmarks/results/noise.md`): short
 # ones and their φ at 1 Hz, and slow ones with the time over which they forget.
 RECORDED_SHORT, RECORDED_PHI, RECORDED_SLOW, RECORDED_SLOW_S = 0.013, 0.4, 0.0145, 600.0
-# A load is held for so long.
-CYCLES_S = (15.0, 90.0)
 
 
 def motor() -> Motor:
@@ -40,25 +38,6 @@ def true_coefficients(of: Motor) -> Array:
     """θ as configured, shape (p + 1,)."""
     paths = of.coefficient_paths
     return np.array([path.configured_coefficient if path else 0.0 for path in paths])
-
-
-def operating_point(minutes: float, generator: np.random.Generator) -> OperatingConditions:
-    """Load cycles at 1 Hz, smoothed; temperature drifting over tens of minutes."""
-    n = round(60.0 * minutes)
-
-    def walk(low: float, high: float, held_s: tuple[float, float], lag_s: float) -> Array:
-        most = int(n / held_s[0]) + 2
-        holds = np.rint(generator.uniform(*held_s, most)).astype(int)
-        steps = np.repeat(generator.uniform(low, high, most), holds)
-        # The level before the first sample fades as well.
-        before = np.full(1, generator.uniform(low, high))
-        return lagging(np.concatenate([before, steps[:n]]), 1.0, lag_s)[1:]
-
-    return OperatingConditions.from_bar(
-        walk(15.0, 300.0, CYCLES_S, 3.0),
-        walk(40.0, 60.0, (600.0, 600.0), 200.0),
-        walk(3.0, 110.0, (1.5 * CYCLES_S[0], 1.5 * CYCLES_S[1]), 3.0),
-    )
 
 
 def lagging(signal: Array, step_s: float, time_constant_s: float) -> Array:

@@ -217,7 +217,7 @@ def check_channels(
     ]
     notes = [f"no sample of the night {label} is kept"]
     if kept:
-        notes = [promise(spec, label, kept), *swapped(kept)]
+        notes = [promise(spec, kept), *swapped(kept)]
     looks = (
         sampling_note(name, channel, log.channels[name])
         for name, channel in spec.file.channels.items()
