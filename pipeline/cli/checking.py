@@ -19,6 +19,7 @@ from pipeline.cli.arguments import (
     print_table,
     tell,
 )
+from pipeline.cli.reporter import tell_faults
 from pipeline.errors import UsageError
 from pipeline.messages import counted, error_line
 
@@ -29,7 +30,6 @@ CHANNEL_COLUMNS = ("channel", "rate", "median", "missing", "refused", "refused b
 if TYPE_CHECKING:
     from pipeline.config import Fleet
     from pipeline.setup.check import ChannelCheck, MotorCheck
-    from pipeline.store.published import TableFault
 
 
 def check(
@@ -107,9 +107,9 @@ def _check_tables(config: Path, output: Path | None, *, as_json: bool, is_mended
                 found, left = repair(state)
     else:
         found = left = tuple(verify_tables(folder))
-    _say_faults(found, "table_fault", "", as_json=as_json)
+    tell_faults(found, as_json=as_json)
     if is_mended:
-        _say_faults(left, "table_fault_left", "left: ", as_json=as_json)
+        tell_faults(left, "table_fault_left", "left: ", as_json=as_json)
     # Tables that are missing are reported already.
     tables = folder / "tables" if found else existing_tables(folder)
     n_files = sum(1 for _ in tables.glob("**/*.parquet"))
@@ -117,12 +117,6 @@ def _check_tables(config: Path, output: Path | None, *, as_json: bool, is_mended
     words = f"{counted(n_files, 'table file')}, {counted(len(found), 'fault')}"
     tell(total, words + f", {len(left)} left" * is_mended, as_json=as_json)
     return EXIT_MOTORS_FAILED if left else EXIT_OK
-
-
-def _say_faults(faults: Iterable[TableFault], event: str, mark: str, *, as_json: bool) -> None:
-    for one in faults:
-        words = f"motor-leakage: {mark}{one}"
-        tell({"event": event, **asdict(one)}, words, as_json=as_json, err=True)
 
 
 def _print_check(one: MotorCheck) -> None:

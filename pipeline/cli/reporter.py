@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from pipeline.messages import counted
 if TYPE_CHECKING:
     from pipeline.run.fleet import RunRequest, RunResult
     from pipeline.run.tasks import MotorOutcome
+    from pipeline.store.published import TableFault
 
 # Reasons of a plan that are listed.
 PLAN_REASONS = 8
@@ -43,11 +44,18 @@ def print_plan(request: RunRequest, *, as_json: bool) -> None:
     for motor_id, why in plan_trends(request):
         event = {"event": "plan_trends", "motor_id": motor_id, "reason": why}
         tell(event, f"{motor_id}: all trends redone: {why}", as_json=as_json)
-    for fault in faults_of(request.fleet.output):
-        event = {"event": "table_fault", **asdict(fault)}
-        tell(event, f"motor-leakage: {fault}", as_json=as_json, err=True)
+    tell_faults(faults_of(request.fleet.output), as_json=as_json)
     if not as_json:
         say(f"to be done: {counted(total, 'night')}")
+
+
+def tell_faults(
+    faults: Iterable[TableFault], event: str = "table_fault", mark: str = "", *, as_json: bool
+) -> None:
+    """Print damaged files of the output."""
+    for one in faults:
+        words = f"motor-leakage: {mark}{one}"
+        tell({"event": event, **asdict(one)}, words, as_json=as_json, err=True)
 
 
 @contextmanager
@@ -103,7 +111,8 @@ def _print_motor(outcome: MotorOutcome, *, as_json: bool) -> None:
 
 def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> None:
     """Print what a run has done."""
-    errors, files = _by_code(result), _by_fate(result.files)
+    files = _by_fate(result.files)
+    errors = dict(sorted(Counter(one.error_code or "" for one in result.failed).items()))
     if as_json:
         event = {
             "event": "run",
@@ -138,8 +147,7 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
     if n := result.n_standing:
         stand = "failure stands" if n == 1 else "failures stand"
         say(f"{n} {stand}: mend or remove the logs, then fit-fleet --retry")
-    for fault in result.damage_left:
-        say(f"motor-leakage: {fault}", err=True)
+    tell_faults(result.damage_left, as_json=False)
     if result.damage:
         n_files, left = counted(len(result.damage), "file"), len(result.damage_left)
         say(f"damaged or missing: {n_files}, of which not repaired: {left}")
@@ -160,11 +168,6 @@ def _by_stage(result: RunResult) -> dict[str, float]:
         spent.update(outcome.seconds)
     stages = {name: spent[name] for name in MOTOR_STAGES} | dict(result.seconds_by_stage)
     return {name: round(seconds, 3) for name, seconds in stages.items()}
-
-
-def _by_code(result: RunResult) -> dict[str, int]:
-    """Motors that failed by the code of their first failure."""
-    return dict(sorted(Counter(one.error_code or "" for one in result.failed).items()))
 
 
 def _by_fate(files: Mapping[str, int]) -> dict[str, int]:

@@ -48,7 +48,12 @@ def write_demo(
         _require_ours(demo)
         if not (folder / "configs").exists():
             _copy_configs(folder / "configs")
-        nights_to_make = _demo_nights(folder / "configs" / "fleet.toml", plan)
+        fleet = load_fleet(folder / "configs" / "fleet.toml")
+        nights_to_make = [
+            DemoNight(one, fleet.motor(one.motor_id), plan, number)
+            for one in DEMO_FLEET
+            for number in range(1, plan.nights + 1)
+        ]
         _clear(demo)
         joblib.Parallel(workers)(
             joblib.delayed(_write_night)(demo / "logs", night)
@@ -99,16 +104,6 @@ def _copy_configs(configs: Path) -> None:
     shutil.rmtree(partial, ignore_errors=True)
     shutil.copytree(shipped_configs(), partial)
     partial.rename(configs)
-
-
-def _demo_nights(config: Path, plan: Plan) -> list[DemoNight]:
-    """All nights of all motors of the demo."""
-    fleet = load_fleet(config)
-    return [
-        DemoNight(demo, fleet.motor(demo.motor_id), plan, number)
-        for demo in DEMO_FLEET
-        for number in range(1, plan.nights + 1)
-    ]
 
 
 def _write_night(logs: Path, night: DemoNight) -> None:

@@ -144,18 +144,12 @@ def _row(motor_id: str, change: Change, others: Sequence[LookState]) -> Row:
     row["since"] = utc(rise.began_us)
     row |= zip(("change_percent", "change_lower", "change_upper"), percent, strict=True)
     if change.verdict == "told":
-        row["reason"] = _told_words(rise, percent, others)
+        row["reason"] = (
+            f"drain flow {in_percent(0, *percent)} above the nights before since "
+            f"{row['since']:%Y-%m-%d %H:%M} UTC, told at {utc(rise.told_us):%H:%M}; "
+            f"{_circuit_words(rise, others)}{WHAT_TO_DO}"
+        )
     return row
-
-
-def _told_words(
-    rise: Rise, percent: tuple[float, float, float], others: Sequence[LookState]
-) -> str:
-    return (
-        f"drain flow {in_percent(0, *percent)} above the nights before since "
-        f"{utc(rise.began_us):%Y-%m-%d %H:%M} UTC, told at {utc(rise.told_us):%H:%M}; "
-        f"{_circuit_words(rise, others)}{WHAT_TO_DO}"
-    )
 
 
 def _circuit_words(rise: Rise, others: Sequence[LookState]) -> str:

@@ -61,7 +61,9 @@ def looked_at(
     A first look begins behind the last published night; samples after `latest_us` are refused.
     """
     state, changes = _begun(spec, before, state, now_us)
-    news = _news(spec, state, latest_us)
+    reach_us = max(reaches_us(spec).values(), default=0)
+    needed_us = state.next_us - BLOCKS_BEFORE * block_us(spec) - reach_us
+    news = read_news(spec, state.files, needed_us, latest_us)
     if news is not None:
         state, found = _taken_up(spec, before, state, news)
         changes += found
@@ -76,12 +78,6 @@ def _begun(spec: MotorSpec, before: NightsBefore, state: LookState, now_us: int)
         is_behind = state.next_us < begin_us
         return (replace(state, next_us=begin_us, blocks=()) if is_behind else state), []
     return moved(replace(state, next_us=begin_us), begin_us, BLIND, "nothing was judged yet")
-
-
-def _news(spec: MotorSpec, state: LookState, latest_us: int) -> News | None:
-    reach_us = max(reaches_us(spec).values(), default=0)
-    needed_us = state.next_us - BLOCKS_BEFORE * block_us(spec) - reach_us
-    return read_news(spec, state.files, needed_us, latest_us)
 
 
 def _taken_up(spec: MotorSpec, before: NightsBefore, state: LookState, news: News) -> Looked:
