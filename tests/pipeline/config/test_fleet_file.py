@@ -23,7 +23,6 @@ from tests.pipeline.workshop import MINI, QUICK
         ("nights", "end_hour = 6.5", "nights.end_hour", "valid integer"),
         ("execution", "workers = 0", "execution.workers", "greater than or equal to 1"),
         ("execution", 'backend = "spark"', "execution.backend", "'loky', 'sequential' or 'dask'"),
-        ("estimation", "seed = 1.5", "estimation.seed", "valid integer"),
         ("estimation", 'starting_points = "10"', "estimation.starting_points", 'got "10"'),
         ("cleaning", "hampel_window = 10", "cleaning.hampel_window", "expected an odd number"),
         ("windows", "training_share = 1.0", "windows.training_share", "less than 1"),
@@ -32,7 +31,6 @@ from tests.pipeline.workshop import MINI, QUICK
         ("windows", "block_s = 0.1", "windows.block_s", "greater than or equal to 1"),
         ("cleaning", "guard_after_s = 1e300", "cleaning.guard_after_s", "less than or equal to"),
         ("smothing", "window_s = 1.0", "smothing", "spelling"),
-        ("folders", 'output = ["a"]', "folders.output", "valid string"),
         ("trend", "baseline_nights = 7", "trend.baseline_nights", "greater than or equal to 8"),
     ],
 )

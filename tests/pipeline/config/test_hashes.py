@@ -197,19 +197,6 @@ def test_where_logs_and_output_lie_changes_nothing(spec: MotorSpec) -> None:
     assert hashes(moved) == hashes(spec)
 
 
-def test_model_hash_changes_with_the_oil_and_not_with_the_mode(tmp_path: Path) -> None:
-    change = '[[events]]\ndate = 2026-03-02\nkind = "oil_change"\noil = "vg46"\n'
-    spec = load_motor(tmp_path, motor_toml("M1", more=change))
-    before, after = NIGHT - dt.timedelta(days=1), NIGHT
-    hashes = {
-        (night, mode): model_hash(spec, spec.motor(night, mode), night)
-        for night in (before, after)
-        for mode in ("none", "estimated")
-    }
-    assert hashes[before, "none"] == hashes[before, "estimated"] != hashes[after, "none"]
-    assert len({hashes[after, mode] for mode in ("none", "estimated")}) == 1
-
-
 @pytest.mark.parametrize(
     ("before", "now", "words"),
     [

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import Fault, load_fleet
+from pipeline.config import load_fleet
 from pipeline.config.hashes import SettingsHashes, config_hash, reading_hash
 from pipeline.demo import shipped_configs
 from tests.pipeline.config.shipped import MOTOR, OIL, TYPE, add, change, faults, load, only_fault
@@ -54,15 +54,6 @@ def test_hashes_of_the_shipped_motors_stay() -> None:
         ("f1c87f90e8e1a73e", "70a63ef4f9f4110a", "b7d067d194772636", "7613cad1276d25ab"),
         ("f791ae6380505b7e", "431a95e0dc8579d4", "bcf4f72391a7b729", "7534bb3ab22c65bd"),
     ]
-
-
-def test_the_source_of_a_constant_must_be_named(configs: Path) -> None:
-    change(configs, TYPE, 'source = "placeholder"\n', "")
-    change(configs, OIL, 'source = "placeholder"\n', "")
-    assert set(faults(configs)) == {
-        Fault(TYPE, 'path "piston_ring" source', "is missing"),
-        Fault(OIL, "source", "is missing"),
-    }
 
 
 def test_all_faults_of_all_files_at_once(configs: Path) -> None:

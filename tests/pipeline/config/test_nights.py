@@ -40,14 +40,6 @@ def hours(label: dt.date, nights: Nights) -> float:
     return (here.end_us - here.start_us) / HOUR
 
 
-def test_half_open() -> None:
-    here = night(dt.date(2026, 3, 2), OSLO)
-    assert night_of(here.start_us - 1, OSLO) == here.date - DAY
-    assert night_of(here.start_us, OSLO) == here.date
-    assert night_of(here.end_us - 1, OSLO) == here.date
-    assert night_of(here.end_us, OSLO) == here.date + DAY
-
-
 class TestClockChange:
     def test_borders_stay_at_the_local_hour(self) -> None:
         assert night(SPRING, OSLO).start_us == utc(2026, 3, 28, 5)
