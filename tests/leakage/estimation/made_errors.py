@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from leakage.estimation.residual_analysis import LagTest, analyse_residuals
-
 Array = NDArray[np.float64]
 Generator = np.random.Generator
 
@@ -19,10 +17,3 @@ def autoregression(phi: float, n: int, generator: Generator) -> Array:
     start = [phi * generator.normal()]
     series, _ = lfilter([math.sqrt(1 - phi * phi)], [1.0, -phi], generator.normal(size=n), zi=start)
     return np.asarray(series)
-
-
-def one(
-    error: Array, u: Array, index: NDArray[np.int64] | None = None, memory: float = 0.0
-) -> LagTest:
-    places = np.arange(len(error), dtype=np.int64) if index is None else index
-    return analyse_residuals(error, {"u": u}, places, memory).independence["u"]

@@ -7,12 +7,21 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.signal import lfilter
-from scipy.stats import binom
+from scipy.stats import binom, chi2
 
 from leakage.errors import StatisticsError
 from leakage.estimation.residual_analysis import LagTest, analyse_residuals
-from tests.leakage.estimation.made_errors import Array, Generator, autoregression, one
+from tests.leakage.estimation.made_errors import Array, Generator, autoregression
+
+
+def one(
+    error: Array, u: Array, index: NDArray[np.int64] | None = None, memory: float = 0.0
+) -> LagTest:
+    """The test of one input."""
+    places = np.arange(len(error)) if index is None else index
+    return analyse_residuals(error, {"u": u}, places, memory).independence["u"]
 
 
 def held(n: int, hold: int, generator: Generator) -> Array:
@@ -160,3 +169,135 @@ def test_values_that_are_not_finite_are_refused(bad: float) -> None:
     with pytest.raises(StatisticsError) as refused:
         one(error, u)
     assert refused.value.code == "not_finite"
+
+
+def gappy(n: int, generator: Generator) -> NDArray[np.int64]:
+    """Places of n samples: every hundredth or so is missing, and a long stretch in the middle."""
+    steps = np.where(generator.uniform(size=n) < 0.01, generator.integers(2, 9, n), 1)
+    steps[n // 2] = 4000
+    return np.cumsum(steps)
+
+
+def segments_of(index: NDArray[np.int64]) -> list[NDArray[np.intp]]:
+    return np.split(np.arange(len(index)), np.flatnonzero(np.diff(index) != 1) + 1)
+
+
+def covariance(a: Array, b: Array, lag: int, segments: list[NDArray[np.intp]]) -> tuple[float, int]:
+    """Mean of a(t) b(t − lag) over pairs within a segment, and how many there are."""
+    late, early = max(lag, 0), max(-lag, 0)
+    longer = [rows for rows in segments if len(rows) > abs(lag)]
+    total = sum(
+        float(a[rows[late : len(rows) - early]] @ b[rows[early : len(rows) - late]])
+        for rows in longer
+    )
+    pairs = sum(len(rows) - abs(lag) for rows in longer)
+    return total / max(pairs, 1), pairs
+
+
+@pytest.fixture(scope="module", params=["whole", "gaps"])
+def example(request: pytest.FixtureRequest) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Errors that remember, and an input that does too and of which they depend a little."""
+    generator = np.random.default_rng(11)
+    n = 1400
+    index = np.arange(n) if request.param == "whole" else gappy(n, generator)
+    u = 40.0 + 7.0 * autoregression(0.9, n, generator)
+    error = 0.3 + 0.02 * autoregression(0.7, n, generator) + 0.0002 * np.roll(u, 4)
+    return error, u, index
+
+
+def test_without_gaps_the_figure_is_that_of_ljung_and_box() -> None:
+    """n (n + 2) Σ r²/(n − k), r(k) = Σ ε(t) ε(t − k) / Σ ε², as in their paper."""
+    series = np.random.default_rng(3).normal(size=1500)
+    z = series - series.mean()
+    n = len(z)
+    r = [float(z[k:] @ z[:-k] / (z @ z)) for k in range(1, 26)]
+    q = n * (n + 2) * sum(rk**2 / (n - k) for k, rk in enumerate(r, start=1))
+    assert analyse_residuals(series, {}, np.arange(n)).whiteness.statistic == pytest.approx(q)
+
+
+def test_cross_correlation_and_band_are_those_of_the_definition(
+    example: tuple[Array, Array, NDArray[np.int64]],
+) -> None:
+    error, u, index = example
+    segments = segments_of(index)
+    e, v = error - error.mean(), u - u.mean()
+    size = float(np.sqrt(np.mean(e**2) * np.mean(v**2)))
+    test = one(error, u, index)
+    p = 1.0
+    for lag in range(1, 301):
+        own, pairs = covariance(e, e, lag, segments)
+        if pairs >= 0.2 * len(e):
+            p += 2 * own * covariance(v, v, lag, segments)[0] / size**2
+    assert p > 1.5
+    assert test.lags.tolist() == list(range(-25, 26))
+    for lag, value, bound in zip(test.lags, test.values, test.bounds, strict=True):
+        expected, pairs = covariance(e, v, int(lag), segments)
+        assert value == pytest.approx(expected / size, abs=1e-12)
+        assert bound == pytest.approx(2.576 * math.sqrt(p / pairs), rel=1e-9)
+
+
+def test_independence_statistic_is_that_of_the_definition(
+    example: tuple[Array, Array, NDArray[np.int64]],
+) -> None:
+    """Π by its double sum, r sample by sample, κ from all inner samples; LAPACK for the rest."""
+    error, u, index = example
+    segments = segments_of(index)
+    e = (error - error.mean()) / error.std()
+    v = (u - u.mean()) / u.std()
+    inner = {int(t) for rows in segments for t in rows if rows[0] + 25 <= t <= rows[-1] - 25}
+    r = np.array([sum(e[t] * v[t - k] for t in inner) for k in range(-25, 26)]) / len(inner)
+
+    def correlation(a: Array, lag: int) -> float:
+        value, pairs = covariance(a, a, abs(lag), segments)
+        return value if pairs >= 0.2 * len(a) else 0.0
+
+    errors = {lag: correlation(e, lag) for lag in range(301)}
+    inputs = {lag: correlation(v, lag) for lag in range(351)}
+    follows = [sum(t + lag in inner for t in inner) / len(inner) for lag in range(51)]
+
+    def pi(d: int) -> float:
+        return sum(
+            follows[min(abs(tau), 50)] * errors[abs(tau)] * inputs[abs(tau + d)]
+            for tau in range(-300, 301)
+        )
+
+    matrix = np.array([[pi(abs(j - k)) for k in range(51)] for j in range(51)])
+    size, axes = np.linalg.eigh(matrix)
+    statistic, freedom = 0.0, 0
+    rows = np.array(sorted(inner))
+    windows = np.stack([v[rows - k] for k in range(-25, 26)], axis=1)
+    weighted = windows @ axes[:, size > 1e-3 * size.max()]
+    # Residuals of a regression by its normal equations.
+    slopes = np.linalg.solve(weighted.T @ weighted, weighted.T @ e[rows])
+    rest = e[rows] - weighted @ slopes
+    for value, axis in zip(size, axes.T, strict=True):
+        if value > 1e-3 * size.max():
+            f = windows @ axis
+            kappa = np.mean(rest**2 * f**2) / (np.mean(e[rows] ** 2) * np.mean(f**2))
+            statistic += len(inner) * float(axis @ r) ** 2 / (value * max(kappa, 1.0))
+            freedom += 1
+    test = one(error, u, index)
+    assert test.degrees_of_freedom == freedom
+    assert test.statistic == pytest.approx(statistic, rel=1e-7)
+    assert test.p_value == pytest.approx(float(chi2.sf(statistic, freedom)), rel=1e-5)
+
+
+def test_variance_is_summed_over_ten_correlation_times() -> None:
+    """P of errors that remember for 200 samples needs more than 300 lags."""
+    generator = np.random.default_rng(12)
+    n = 60_000
+    error, u = (autoregression(math.exp(-1 / 200), n, generator) for _ in range(2))
+    expected = (1 + math.exp(-2 / 200)) / (1 - math.exp(-2 / 200))
+    for memory, share in ((0.0, 1 - math.exp(-2 * 300 / 200)), (200.0, 1.0)):
+        found = (one(error, u, memory=memory).bounds[25] / 2.576) ** 2 * n
+        assert found == pytest.approx(share * expected, rel=0.15)
+
+
+def test_variance_has_a_floor() -> None:
+    """Errors that swing to and fro in step with an input of another pace: P near or below 0."""
+    t = np.arange(4000)
+    generator = np.random.default_rng(13)
+    error = np.cos(np.pi * t) + 0.05 * generator.normal(size=4000)
+    u = autoregression(0.95, 4000, generator)
+    bounds = one(error, u).bounds
+    assert bounds[25] == pytest.approx(2.576 * math.sqrt(0.1 / 4000), rel=0.01)

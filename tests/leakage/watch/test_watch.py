@@ -137,11 +137,6 @@ def test_kept_arrays_stay_of_one_size_and_resume_in_a_long_history(
     assert change.size.value == pytest.approx(0.1, abs=0.02)
 
 
-def test_a_longer_history_changes_nothing_of_what_was_said() -> None:
-    short, long = (watched(SLEEVE.nights(n, 4), first=FIRST) for n in (40, 50))
-    assert [watch.verdict() for watch in long[: len(short)]] == [watch.verdict() for watch in short]
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(
     ("plant", "by", "within"), [(GAPS_10, 0.10, 4), (GAPS_20, 0.20, 2), (FALL, -0.15, 3)]

@@ -1,9 +1,14 @@
-"""Huber's weights: against SciPy's robust least squares, and by what they withstand."""
+"""Huber's weights against SciPy's; the moving average against a slow reference."""
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from leakage.estimation.block_statistics import factor
@@ -12,6 +17,7 @@ from leakage.estimation.compression import (
     TUNING,
     compress,
     huber_weights,
+    smooth,
     weight_inflation,
 )
 from leakage.estimation.proven_minimum import certify
@@ -75,3 +81,47 @@ def test_standard_errors_are_inflated_by_what_theory_says_of_normal_errors() -> 
     weights = np.concatenate([huber_weights(made(seed, 0.0), *FREE) for seed in range(20)])
     assert weight_inflation(weights) == pytest.approx(0.9599 / 0.8214, rel=0.02)
     assert weight_inflation(np.ones(5)) == 1.0
+
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+STEP = 100_000
+
+
+def slow_average(z: Floats, index: Ints, block: Ints, half: int) -> Floats:
+    """The definition: the mean of all samples within reach that nothing stands between."""
+
+    def reach(row: int, step: int) -> int:
+        end = row
+        while (
+            0 <= end + step < len(z)
+            and index[end + step] - index[end] == step
+            and block[end + step] == block[row]
+            and abs(index[end + step] - index[row]) <= half
+        ):
+            end += step
+        return end
+
+    return np.array([z[reach(row, -1) : reach(row, 1) + 1].mean(axis=0) for row in range(len(z))])
+
+
+def some_samples(seed: int, n: int = 80) -> tuple[Floats, Ints, Ints]:
+    rng = np.random.default_rng(seed)
+    index = np.sort(rng.choice(round(1.15 * n), n, replace=False)).astype(np.int64)
+    return rng.normal(0, 1, (n, 4)), index, index // 25
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0.0, 0.19, 0.2, 0.5, 2.0, 50.0]),
+    st.sampled_from(["all", "leakage"]),
+)
+def test_as_the_slow_definition(
+    seed: int, window_s: float, apply_to: Literal["all", "leakage"]
+) -> None:
+    z, index, block = some_samples(seed)
+    got = smooth(z, index, block, STEP, window_s, apply_to)
+    expected = slow_average(z, index, block, round(window_s * 1e6) // 2 // STEP)
+    if apply_to == "leakage":
+        expected[:, :-1] = z[:, :-1]
+    np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-13)
