@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config import Channel, Cleaning
+from pipeline.config.logs import Logs
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.cleaning import CleanChannel
+from pipeline.night.cleaning import CleanChannel, clean_channel
+from tests.pipeline.simulated import CANONICAL
 
 SECOND = 1_000_000
 STEP = 100_000
@@ -47,10 +52,14 @@ def raw(time_us: Times, value: Floats, missing: object = None) -> RawChannel:
 
 
 def as_read(
-    time_us: Times, value: Floats, bad_quality: NDArray[np.bool_] | None = None
-) -> RawChannel:
-    """Channel of which every nan is a blank cell."""
-    return RawChannel(time_us, value, np.isnan(value), 0, bad_quality)
+    name: str, time_us: Times, value: Floats, bad: Any = (), logs: Logs | None = None, **keys: Any
+) -> CleanChannel:
+    """Channel of a log cleaned by the keys of its config: nan is a blank cell, `bad` are rows."""
+    mask = np.zeros(len(value), np.bool_)
+    mask[list(bad)] = True
+    channel = Channel(source="x", unit="count" if "counts" in keys else CANONICAL[name], **keys)
+    rules = ChannelRules.of(name, channel, Cleaning(), logs)
+    return clean_channel(RawChannel(time_us, value, np.isnan(value), 0, mask), rules)
 
 
 def refused_by(channel: CleanChannel) -> dict[str, int]:

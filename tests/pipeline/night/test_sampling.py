@@ -1,19 +1,20 @@
-"""Kinds of samples: counts of a volume, values sent on change, means of a period."""
+"""Kinds of samples: counts of a volume, values sent on change, means of a period, bad quality."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from pipeline.config import Channel, Cleaning, ConfigError, MotorSpec, TimeBase
-from pipeline.night.channel_rules import ChannelRules, Sampling, flow_from_counts
-from pipeline.night.cleaning import CleanChannel, clean_channel
+from pipeline.config import ConfigError, MotorSpec, TimeBase
+from pipeline.config.logs import Logs
+from pipeline.night.channel_rules import Sampling, flow_from_counts
 from pipeline.night.resampling import on_grid
 from pipeline.night.time_base import grid_period_us
 from pipeline.schema.fits import FAILED
@@ -31,18 +32,13 @@ from tests.pipeline.simulated import (
 MOVING = operate(minutes=60.0)
 
 
-def cleaned(name: str, time_us: Times, value: Array, **keys: Any) -> CleanChannel:
-    unit = "count" if "counts" in keys else CANONICAL[name]
-    channel = Channel(source="x", unit=unit, **keys)
-    return clean_channel(as_read(time_us, value), ChannelRules.of(name, channel, Cleaning()))
-
-
 # A meter of 1 cm³ a pulse, read at 10 Hz: at 0.35 l/min a reading is 0 or 0.6 l/min, the MAD is 0.
 FLOW = 0.35
 PULSE_TIME = np.arange(36_000, dtype=np.int64) * (SECOND // 10)
 TOTAL = np.floor(FLOW * 1000 / 60 * PULSE_TIME / SECOND)
 PULSES = np.diff(TOTAL, prepend=0.0)
 COUNTED: dict[str, Any] = {"volume_per_count_cm3": 1.0}
+ON_CHANGE: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
 
 
 @pytest.mark.parametrize(
@@ -58,7 +54,7 @@ COUNTED: dict[str, Any] = {"volume_per_count_cm3": 1.0}
 def test_a_pulse_meter_keeps_its_mean(
     logged: Array, keys: dict[str, Any], refused: dict[str, int]
 ) -> None:
-    found = cleaned("leakage_flow", PULSE_TIME, logged, **keys)
+    found = as_read("leakage_flow", PULSE_TIME, logged, **keys)
     assert refused_by(found) == refused
     kept = found.value[~found.refused]
     assert kept.mean() == pytest.approx(FLOW, rel=1e-3 if refused else 0.01)
@@ -95,7 +91,7 @@ class TestCounts:
         total = np.arange(100.0) * 3.0
         total[60:] -= total[60]
         for rolls_over_at in (None, 1e6):
-            found = cleaned(
+            found = as_read(
                 "leakage_flow",
                 np.arange(100, dtype=np.int64) * SECOND,
                 total,
@@ -110,7 +106,7 @@ class TestCounts:
         time = np.delete(np.arange(100, dtype=np.int64), np.arange(40, 60)) * SECOND
         total = time / SECOND * 3.0
         total[20] = np.inf
-        found = cleaned("leakage_flow", time, total, counts="cumulative", volume_per_count_cm3=1.0)
+        found = as_read("leakage_flow", time, total, counts="cumulative", volume_per_count_cm3=1.0)
         assert found.counts["not_finite"] == 1
         assert found.counts["any"] == 4
         assert (np.diff(found.time_us) > 0).all()
@@ -120,29 +116,27 @@ class TestCounts:
         time = np.arange(600, dtype=np.int64) * SECOND
         pulses = np.full(600, 7.0)
         pulses[300:] = 0.0
-        found = cleaned("leakage_flow", time, pulses, counts="pulses", volume_per_count_cm3=1.0)
+        found = as_read("leakage_flow", time, pulses, counts="pulses", volume_per_count_cm3=1.0)
         assert refused_by(found) == {"no_interval": 1, "frozen": 300, "any": 301}
 
 
 class TestOnChange:
     """Silence up to a stated length is no gap and no frozen sensor."""
 
-    STATED: ClassVar[dict[str, Any]] = {"sampling": "on_change", "longest_silence_s": 300.0}
-
     def test_the_same_value_for_longer_than_the_longest_silence_is_frozen(self) -> None:
         time = np.array([0, 250, 500, 750], dtype=np.int64) * SECOND
-        stuck = cleaned("pressure_difference", time, np.full(4, 80.0), **self.STATED)
+        stuck = as_read("pressure_difference", time, np.full(4, 80.0), **ON_CHANGE)
         assert stuck.counts["frozen"] == 4
-        heartbeat = cleaned("pressure_difference", time[:2], np.full(2, 80.0), **self.STATED)
+        heartbeat = as_read("pressure_difference", time[:2], np.full(2, 80.0), **ON_CHANGE)
         assert heartbeat.counts["frozen"] == 0
 
     def test_it_has_no_rate_to_set_the_time_base_by(self) -> None:
-        slow = cleaned("speed", np.arange(50, dtype=np.int64) * SECOND, np.arange(50.0))
-        burst = cleaned(
+        slow = as_read("speed", np.arange(50, dtype=np.int64) * SECOND, np.arange(50.0))
+        burst = as_read(
             "pressure_difference",
             np.arange(50, dtype=np.int64) * (SECOND // 10),
             np.arange(50.0),
-            **self.STATED,
+            **ON_CHANGE,
         )
         assert grid_period_us({"speed": slow, "p": burst}, TimeBase()) == SECOND
         assert grid_period_us({"p": burst}, TimeBase()) == SECOND // 10
@@ -164,12 +158,12 @@ class TestMeans:
 
     def test_a_mean_holds_over_its_period_and_is_not_averaged_again(self) -> None:
         time = np.arange(5, 100, 10, dtype=np.int64) * SECOND
-        found = cleaned("speed", time, np.arange(10.0), sampling="mean", mean_of_s=10.0)
+        found = as_read("speed", time, np.arange(10.0), sampling="mean", mean_of_s=10.0)
         grid = np.array([-2, 1, 9, 12, 58, 61, 99, 102]) * SECOND
         value, present, silent = on_grid(found, grid, SECOND)
         assert value[present].tolist() == [0, 0, 1, 5, 6, 9]
         assert np.flatnonzero(silent).tolist() == [0, 7]
-        lost = cleaned(
+        lost = as_read(
             "speed",
             np.delete(time, 4),
             np.delete(np.arange(10.0), 4),
@@ -183,7 +177,7 @@ class TestMeans:
         time = np.arange(0, 1000, 10, dtype=np.int64) * SECOND
         stated: dict[str, Any] = {"sampling": "mean", "mean_of_s": 10.0}
         for stamp, shift in (("begin", 5), ("middle", 0), ("end", -5)):
-            found = cleaned("speed", time, np.arange(100.0), mean_stamp=stamp, **stated)
+            found = as_read("speed", time, np.arange(100.0), mean_stamp=stamp, **stated)
             np.testing.assert_array_equal(found.time_us, time + shift * SECOND)
 
 
@@ -220,3 +214,83 @@ def test_a_night_of_a_counter_of_litres(tmp_path: Path, spec: MotorSpec) -> None
     reference = fitted(spec, MOVING, flow)
     counted = fitted(load_motor(tmp_path, text), MOVING, 1e4 + np.cumsum(flow) / 60.0)
     np.testing.assert_allclose(counted.model["none"], reference.model["none"], rtol=1e-4)
+
+
+Mask = NDArray[np.bool_]
+LONG = Logs(format="csv", files=("*.csv",), layout="long")
+
+
+def seconds(n: int) -> Times:
+    return np.arange(n, dtype=np.int64) * SECOND
+
+
+def swinging(n: int) -> Array:
+    return 100.0 + 20.0 * np.sin(np.arange(n) / 3.0)
+
+
+class TestBadQuality:
+    def test_bad_samples_judge_no_others(self) -> None:
+        """Zeros of a broken sensor, flagged as such, make no spikes of what lies between them."""
+        value = swinging(200)
+        bad = np.flatnonzero(np.arange(200) % 3 > 0)
+        value[bad] = 0.0
+        found = as_read("pressure_difference", seconds(200), value, bad)
+        assert refused_by(found) == {"bad_quality": len(bad), "any": len(bad)}
+
+    def test_a_blank_cell_between_the_samples_of_a_slow_channel_is_none_however_bad(self) -> None:
+        """One column of qualities for all channels of a wide log: the row is of another one."""
+        value = np.full(100, np.nan)
+        value[::10] = swinging(10)
+        found = as_read("pressure_difference", seconds(100), value, [3, 14, 15, 20])
+        assert found.n_samples == 10
+        assert refused_by(found) == {"bad_quality": 1, "any": 1}
+
+    def test_a_counter_of_which_a_reading_is_bad_leaves_no_interval(self) -> None:
+        total = np.arange(60.0) * 3.0
+        total[30] = 7.0
+        stated: dict[str, Any] = {"counts": "cumulative", "volume_per_count_cm3": 1.0}
+        found = as_read("leakage_flow", seconds(60), total, [30], **stated)
+        assert refused_by(found) == {"bad_quality": 1, "no_interval": 2, "any": 3}
+        np.testing.assert_allclose(found.value[~found.refused], 0.18)
+        pulses = np.full(60, 3.0)
+        pulses[30] = 500.0
+        stated["counts"] = "pulses"
+        found = as_read("leakage_flow", seconds(60), pulses, [30], **stated)
+        assert refused_by(found) == {"bad_quality": 1, "no_interval": 1, "any": 2}
+
+
+class TestBadQualityOnChange:
+    """Silence after a bad sample is a gap; before it the value holds as ever."""
+
+    TIME = np.array([0, 100, 200, 260, 500], dtype=np.int64) * SECOND
+    VALUE = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
+    LOST = np.array([10.0, 20.0, np.nan, 40.0, 50.0])
+
+    @pytest.mark.parametrize(
+        ("value", "bad", "logs", "times", "refused", "ends"),
+        [
+            (VALUE, [2], None, TIME, {"bad_quality": 1, "any": 1}, [2]),
+            # As a historian marks that its source was lost.
+            (LOST, [2], None, TIME, {"missing": 1, "bad_quality": 1, "any": 1}, [2]),
+            # A blank of a wide log says nothing, and a row of its own that there is none.
+            (LOST, [], None, np.delete(TIME, 2), {}, []),
+            (LOST, [], LONG, TIME, {"missing": 1, "any": 1}, [2]),
+        ],
+    )
+    def test_what_ends_a_value(
+        self,
+        value: Array,
+        bad: list[int],
+        logs: Logs | None,
+        times: Times,
+        refused: dict[str, int],
+        ends: list[int],
+    ) -> None:
+        found = as_read(
+            "pressure_difference", self.TIME, value, bad, logs, between="hold", **ON_CHANGE
+        )
+        np.testing.assert_array_equal(found.time_us, times)
+        assert (found.n_samples, refused_by(found)) == (len(times), refused)
+        assert found.ends is not None
+        assert np.flatnonzero(found.ends).tolist() == ends
+        assert np.flatnonzero(found.refused).tolist() == ends

@@ -87,13 +87,6 @@ def test_every_sample_lies_in_exactly_one_block_short_or_stored(
         assert block.part in {TRAINING, VALIDATION, GUARD}
 
 
-def test_blocks_count_from_the_night_s_start() -> None:
-    """A log that begins at minute 3 has its first block from minute 2."""
-    blocks = split_into_blocks(minutes(3, 8), START, Windows())
-    assert [(block.start_us - START) // MINUTE for block in blocks] == [2, 4, 6]
-    assert [block.n for block in blocks] == [60, 120, 120]
-
-
 def test_four_fifths_train_one_guards_the_rest_validates() -> None:
     blocks = split_into_blocks(minutes(0, 100), START, Windows())
     assert parts(blocks) == "t" * 40 + "g" + "v" * 9
