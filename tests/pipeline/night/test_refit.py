@@ -24,7 +24,7 @@ from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import PublishedNight, refit, refit_in_form
 from pipeline.run.motor_nights import is_roller_free
 from pipeline.schema import BLOCK_STATISTICS, FITS, NIGHT_TABLES, frame
-from tests.pipeline.night.noise_free import fitted, white
+from tests.pipeline.night.noise_free import fitted, parameters, white
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
@@ -223,7 +223,11 @@ def test_it_is_the_fit_of_a_type_whose_scale_is_free(tmp_path: Path, spec: Motor
     declared = load_motor(tmp_path / "free", motor_toml("M1", "FREE"), {"FREE": text})
     free = refit_in_form(freed(spec), night(spec), None)
     assert free is not None
-    (one,), (two,) = free.rows["fits"], night(declared).rows["fits"]
+    read = night(declared)
+    scale = parameters(read)["scale_cam_roller"]
+    assert scale["verdict"] == "identified"
+    assert scale["lower"] < TRUE_SCALE < scale["upper"]
+    (one,), (two,) = free.rows["fits"], read.rows["fits"]
     assert one["columns"] == two["columns"]
     for name in ("coefficients", "coefficient_covariance"):
         assert one[name] == pytest.approx(two[name], rel=1e-6, abs=1e-30), name
