@@ -196,26 +196,20 @@ def test_a_channel_that_does_not_look_as_configured_is_remarked_on(own_fleet: Ow
 
 
 STILL = {"pressure_difference": 150.0, "speed": 30.0, "oil_temperature": 50.0}
-RAMPS = {"pressure_difference": np.r_[np.linspace(0.0, 180.0, 100), np.full(3500, 180.0)]}
-SLOW = {"speed": 6.5 + 2.5 * np.sin(np.arange(3600) / 50.0)}
 HALTED = {"speed": operate(minutes=60.0).speed_rpm * (np.arange(3600) < 240)}
-ENOUGH = "leakage every night, and of the paths what the first fit tells; first verdict on a"
 
 
 @pytest.mark.parametrize(
     ("minutes", "values", "words"),
     [
-        (40.0, {}, ("40 minutes", "if the model describes the motor", ENOUGH)),
+        (40.0, {}, ("40 minutes", "279 bar (93 %)", "; first verdict on a change after 8 nights")),
         # 5 minutes of training are 80 % of a night.
         (60.0, HALTED, ("4 minutes", "too little for a fit, which needs 6.25 minutes")),
-        (60.0, STILL, ("150 to 150 bar (0 %), speed 30 to 30 rpm (0 %)", ENOUGH)),
-        # Ramps beside halts are no range.
-        (60.0, RAMPS, ("pressure 180 to 180 bar (0 %)",)),
-        (60.0, SLOW, ("speed 4.03 to 8.97 rpm (5 %)",)),
+        (60.0, STILL, ("150 to 150 bar (0 %), speed 30 to 30 rpm (0 %)",)),
     ],
-    ids=["long", "halted", "one condition", "ramps", "slow"],
+    ids=["long", "halted", "one condition"],
 )
-def test_what_a_night_promises(
+def test_what_a_night_has(
     tmp_path: Path, minutes: float, values: dict[str, ArrayLike], words: tuple[str, ...]
 ) -> None:
     note = logged(tmp_path, minutes=minutes, **values).notes[0]
