@@ -18,8 +18,8 @@ from pipeline.config.channels import GOOD_QUALITY
 from pipeline.config.logs import MISSING_TOKENS
 from pipeline.errors import LogError
 from pipeline.logs.finding import SUFFIXES, logs_below, suffix_of
-from pipeline.setup.cells import Marks, marks_of
-from pipeline.setup.names import FEWEST_CHANNELS, groups_of, is_in, meaning_of, unit_in, words_of
+from pipeline.setup.cells import Marks
+from pipeline.setup.names import FEWEST_CHANNELS, groups_of, is_in, meaning_of, words_of
 from pipeline.setup.questions import Asked, Chooser, Place
 from pipeline.setup.sniff import sniff
 from pipeline.setup.tables import SAMPLES, Cells, Column, Question, Table
@@ -62,7 +62,6 @@ class _Kind:
     pattern: str
     files: tuple[Path, ...]
     name: str  # what names them
-    stem: str
 
 
 def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) -> Proposal:
@@ -78,7 +77,6 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
         raise LogError("log_empty", source, f"there is no log ({', '.join(SUFFIXES)}) in it")
     root = root or (source.resolve() if source.is_dir() else source.resolve().parent)
     motors, faults = list[ProposedMotor](), list[str]()
-    loose: dict[Path, list[tuple[_Kind, Table]]] = {}
     asked, unread = Asked(answers), 0
     for kind in _kinds(files, root):
         try:
@@ -91,12 +89,6 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
         found = _motors(table, kind, asked)
         motors += found
         if not found:
-            loose.setdefault(kind.files[0].parent, []).append((kind, table))
-    for folder, kinds in loose.items():
-        asked.log = folder.name
-        found = list(_split_motors(kinds, asked))
-        motors += found
-        for kind, table in kinds if not found else ():
             columns = ", ".join(one.name for one in table.columns[:_SHOWN])
             faults.append(f"no_motor: {kind.pattern}: its columns are no motor's: {columns}")
     if unread == len(faults) > 0 and not motors:
@@ -122,7 +114,7 @@ def _kinds(files: Sequence[Path], root: Path) -> Iterator[_Kind]:
         stem = re.sub(r"^[\0_. -]+|[\0_. -]+$", "", template.removesuffix(suffix_of(own[-1])))
         several = sum(one[0] == folder for one in alike) > 1
         label = stem if several or below == "." else folder.name
-        yield _Kind(begin + name, tuple(own), label or folder.name, stem.replace("\0", " "))
+        yield _Kind(begin + name, tuple(own), label or folder.name)
 
 
 # The motors of a table
@@ -241,64 +233,6 @@ def is_quality_name(name: str) -> bool:
     return is_in(words[-1:], "column", "quality") or (words[-1:] == ("q",) and len(words) > 1)
 
 
-_LABEL = re.compile(r'([A-Za-z_]\w*)="([^"]*)"')
-_SERIES = re.compile(r'[\w:]*\{[A-Za-z_]\w*="[^"]*"(?:, ?[A-Za-z_]\w*="[^"]*")*\}')
-
-
-def _without_labels(names: Sequence[str]) -> dict[str, str]:
-    """Names of series, ``metric{label="value"}``, as paths of the labels that differ.
-
-    Examples
-    --------
-    >>> list(_without_labels(['{__name__="p", at="x", m="1"}', '{__name__="p", at="x", m="2"}'])
-    ...     .values())
-    ['1/p', '2/p']
-    """
-    labels = {name: dict(_LABEL.findall(name)) for name in names if _SERIES.fullmatch(name)}
-    counts = Counter(pair for own in labels.values() for pair in own.items())
-    plain = {}
-    for name in names:
-        own = labels.get(name, {})
-        metric = own.pop("__name__", "") or name.partition("{")[0]
-        apart = [pair[1] for pair in own.items() if counts[pair] < len(labels)]
-        plain[name] = "/".join((*apart, metric)) if name in labels else name
-    return plain
-
-
-def _split_motors(kinds: Sequence[tuple[_Kind, Table]], asked: Asked) -> Iterator[ProposedMotor]:
-    """Motors whose channels lie in several files of a folder."""
-    tables = [(k, t) for k, t in kinds if t.times and t.logs.get("format") != "mcap"]
-    places = [
-        (kind, one) for kind, table in tables for one in table.columns if one.kind == "number"
-    ]
-    if not places:
-        return
-    common = Counter(one.name for _, one in places).most_common(1)[0][0]
-    columns, files = [], dict[str, tuple[Path, ...]]()
-    for kind, one in places:
-        meant = meaning_of(one.name, one.unit).channel
-        keys = {"source": kind.pattern} | ({"value_column": one.name} if one.name != common else {})
-        name = f"{kind.stem} {one.name}" if meant else kind.stem
-        unit = one.unit or unit_in(one.name) or ""
-        columns.append(replace(one, name=name, unit=unit, keys=keys))
-        files[kind.pattern] = kind.files
-    # The dialect is that of all files together: one may hold no letter or mark that tells it.
-    marks = marks_of(cell for one in columns for cell in one.cells)
-    layout = _Layout({"layout": "file_per_channel", "value_column": common}, columns, marks)
-    whole = _Kind("", (), kinds[0][0].files[0].parent.name, "")
-    found = list(_grouped(layout, layout.keys, whole, asked))
-    if not found:
-        return
-    told: dict[str, Any] = {"decimal": marks.decimal, "thousands": marks.thousands}
-    encodings = {table.logs["encoding"] for _, table in tables if "encoding" in table.logs}
-    told["encoding"] = next(iter(encodings), "")
-    logs = asked.keys_of(tables[0][1]) | {key: one for key, one in told.items() if one}
-    for motor in found:
-        own = list(dict.fromkeys(one.column.keys["source"] for one in motor.channels.values()))
-        paths = tuple(path for pattern in own for path in files[pattern])
-        yield replace(motor, logs={**logs, **motor.logs, "files": own}, files=paths)
-
-
 # The channels of a motor
 
 
@@ -306,8 +240,7 @@ def _grouped(
     layout: _Layout, logs: Mapping[str, Any], kind: _Kind, asked: Asked
 ) -> Iterator[ProposedMotor]:
     """The motors whose columns, tags or fields there are."""
-    plain = _without_labels([one.name for one in layout.columns])
-    by_name = {plain[one.name]: replace(one, name=plain[one.name]) for one in layout.columns}
+    by_name = {one.name: one for one in layout.columns}
     qualities = {
         base: by_name[name].keys["source"]
         for name in filter(is_quality_name, by_name)

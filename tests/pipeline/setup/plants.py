@@ -193,43 +193,7 @@ def _quality() -> Plant:
     return Plant(name, {"da.csv": text}, {"Drum": places}, named="da.csv")
 
 
-# Grafana, InfluxDB, a file a channel
-
-
-def _several_files() -> Plant:
-    kinds = {"dp": "dp", "oil_temp": "temp", "speed": "speed", "drain_flow": "flow"}
-    files = {
-        f"kiln/{tag}_{day}.csv": table(["time", f"value [{UNITS[kind]}]"], [(kind, 1)]).replace(
-            "2026-01-13", day
-        )
-        for tag, kind in kinds.items()
-        for day in ("2026-01-13", "2026-01-14")
-    }
-    return Plant("A file a channel", files, {"kiln": mapped(kinds, "{}_*.csv")}, named="kiln")
-
-
-def _grafana_prometheus() -> Plant:
-    """Grafana with Prometheus, series joined by time: a column's name is the series' labels."""
-    kinds = {
-        "hydraulic_pressure_difference_bar": "dp",
-        "hydraulic_oil_temperature_celsius": "temp",
-        "hydraulic_shaft_speed_rpm": "speed",
-        "hydraulic_case_drain_flow_lpm": "flow",
-    }
-    plain = '{{{{__name__="{{}}", instance="edge-4:9100", motor="W0{}"}}}}'
-    columns = [(metric, n) for metric in kinds for n in (1, 2)]
-    header = [plain.format(n).format(metric).replace('"', '""') for metric, n in columns]
-    text = table(
-        ['"Time"', *(f'"{name}"' for name in header)],
-        [(kinds[metric], n) for metric, n in columns],
-        form="%Y-%m-%d %H:%M:%S",
-    )
-    return Plant(
-        "Grafana with Prometheus, labels in the names of columns",
-        {"joined.csv": text},
-        {f"W0{n}": mapped(kinds, plain.format(n)) for n in (1, 2)},
-        named="joined.csv",
-    )
+# InfluxDB
 
 
 def _influx_dutch() -> Plant:
@@ -264,8 +228,6 @@ PLANTS = (
     _ignition_dataset(),
     _wincc_archive(),
     _quality(),
-    _several_files(),
-    _grafana_prometheus(),
     _influx_dutch(),
 )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-import re
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,6 @@ from tests.pipeline.setup.proposed import (
     START_US,
     log_in,
     log_of,
-    read_as_proposed,
     require_it_reads,
     text_log,
 )
@@ -119,28 +117,6 @@ def test_channels_of_which_one_is_far_into_the_log(tmp_path: Path) -> None:
     text = "\n".join(["time,Tag,Value,Unit,Quality", *rows, ""])
     motor = require_it_reads(log_in(tmp_path, text.encode()), log)
     assert {one.quality for one in motor.channels.values()} == {"Quality"}
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        [f"m1_{name}_2025-03-13.csv" for name in ("dp_kPa", "temp_degC", "speed_rpm", "drain_lpm")],
-        [f"2025031306000{one}.csv" for one in ("0 Delta P [kPa]", "0 T oil", "1 n", "2 Q")],
-    ],
-    ids=["words", "brackets"],
-)
-def test_a_file_a_channel(tmp_path: Path, names: list[str]) -> None:
-    log, folder = log_of(), log_in(tmp_path, b"who;what\nme;nothing\n", "notes.csv").parent
-    layout = GERMAN | {"layout": "file_per_channel", "value_column": "Wert"}
-    # A later night of the same names is found by the same patterns.
-    for day in ("13", "14"):
-        for path, name in zip(text_log(layout).write(tmp_path, "log", log), names, strict=True):
-            its_name = re.sub(r"(2025-?03-?)13", rf"\g<1>{day}", name)
-            path.rename(folder / its_name)
-        if day == "13":
-            motor = require_it_reads(folder, log)
-    assert motor.logs["layout"] == "file_per_channel"
-    assert len(read_as_proposed(motor, folder)) == 8
 
 
 @pytest.mark.parametrize(
