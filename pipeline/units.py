@@ -85,20 +85,23 @@ UNITS: Mapping[str, Mapping[str, Conversion]] = {
 }
 """Units that a log may be in, by quantity; the first of each is the canonical one."""
 
-QUANTITIES: Mapping[str, str] = {
-    "pressure_difference": "pressure",
-    "high_port_pressure": "pressure",
-    "low_port_pressure": "pressure",
-    "charge_pressure": "pressure",
-    "case_pressure": "pressure",
-    "oil_temperature": "temperature",
-    "speed": "speed",
-    "leakage_flow": "flow",
-    "running_hours": "time",
-    "kinematic_viscosity": "kinematic viscosity",
-    "dynamic_viscosity": "dynamic viscosity",
+_USUAL = {
+    "pressure_difference": ("pressure", (-450.0, 450.0)),
+    "high_port_pressure": ("pressure", (-1.0, 450.0)),
+    "low_port_pressure": ("pressure", (-1.0, 450.0)),
+    "charge_pressure": ("pressure", (-1.0, 100.0)),
+    "case_pressure": ("pressure", (-1.0, 50.0)),
+    "oil_temperature": ("temperature", (-40.0, 120.0)),
+    "speed": ("speed", (-500.0, 500.0)),
+    "leakage_flow": ("flow", (0.0, 200.0)),
+    "running_hours": ("time", (0.0, 1e6)),
+    "kinematic_viscosity": ("kinematic viscosity", (1.0, 5000.0)),
+    "dynamic_viscosity": ("dynamic viscosity", (1.0, 5000.0)),
 }
+QUANTITIES = {name: quantity for name, (quantity, _) in _USUAL.items()}
 """Quantity of each channel."""
+FALLBACK_VALID_RANGE = {name: limits for name, (_, limits) in _USUAL.items()}
+"""Limits of the readings of each channel that states none, in its canonical unit."""
 
 RUNNING_HOURS = "running_hours"
 """A counter: no sample of it is judged, interpolated or needed."""

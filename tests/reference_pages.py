@@ -21,7 +21,6 @@ from pydantic import AwareDatetime
 from pydantic.fields import FieldInfo
 
 from pipeline.config import MotorFile, Settings
-from pipeline.config.channels import FALLBACK_VALID_RANGE
 from pipeline.config.motor_types import MotorTypeFile, OilFile, PathSection, Unknown
 from pipeline.config.oil_samples import OilCircuitFile
 from pipeline.config.section import Section
@@ -37,7 +36,7 @@ from pipeline.schema import (
     Column,
     Table,
 )
-from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit
+from pipeline.units import CHANNELS, FALLBACK_VALID_RANGE, QUANTITIES, UNITS, canonical_unit
 
 NOTE: Final = "<!-- Made by `make docs` from the code; edit that, not this page. -->"
 FILES: Final[Mapping[str, type[Section]]] = {

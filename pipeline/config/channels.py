@@ -37,19 +37,6 @@ PORT_PRESSURES: Final = ("high_port_pressure", "low_port_pressure")
 OF_A_CONSTANT = {"constant", "unit", "offset_tolerance", "gain_tolerance_percent"}
 # Channels that differ from sample to sample, or say nothing.
 NEVER_CONSTANT = (COUNTED, "running_hours")
-FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
-    "pressure_difference": (-450.0, 450.0),
-    "high_port_pressure": (-1.0, 450.0),
-    "low_port_pressure": (-1.0, 450.0),
-    "charge_pressure": (-1.0, 100.0),
-    "case_pressure": (-1.0, 50.0),
-    "oil_temperature": (-40.0, 120.0),
-    "speed": (-500.0, 500.0),
-    "leakage_flow": (0.0, 200.0),
-    "running_hours": (0.0, 1e6),
-    "kinematic_viscosity": (1.0, 5000.0),
-    "dynamic_viscosity": (1.0, 5000.0),
-}
 
 
 class Channel(Section):

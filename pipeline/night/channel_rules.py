@@ -14,8 +14,9 @@ import numpy as np
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values
 from pipeline.config import Channel, Cleaning
-from pipeline.config.channels import FALLBACK_VALID_RANGE, ChannelName
+from pipeline.config.channels import ChannelName
 from pipeline.config.logs import Logs
+from pipeline.units import FALLBACK_VALID_RANGE
 
 # cm³/µs -> l/min.
 CM3_PER_US_TO_L_PER_MIN = 60.0 * SECOND_US / 1000.0
