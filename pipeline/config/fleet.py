@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 # Object stores that logs and tables may lie in.
 URL_SCHEMES = ("s3", "az", "gs")
-# Channels that tell the pressure of the low side.
-LOW_SIDE = frozenset(("charge_pressure", "low_port_pressure"))
 # Folders of the output that a run writes or empties.
 LANDED_FOLDER = "landed"
 OWN_FOLDERS = ("tables", "staging", "report", LANDED_FOLDER)

@@ -17,7 +17,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from pipeline.config.channels import COUNTED
-from pipeline.config.fleet import LOW_SIDE, Fleet, MotorSpec, absolute, is_url, overlap
+from pipeline.config.fleet import Fleet, MotorSpec, absolute, is_url, overlap
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import FURTHEST, OilCircuitFile
@@ -26,6 +26,8 @@ from pipeline.config.settings import FleetFile, Folders, Settings
 
 # Bytes of a config file.
 LARGEST = 8 * 2**20
+# Channels that tell the pressure of the low side.
+LOW_SIDE = {"charge_pressure", "low_port_pressure"}
 NAME_MARK = "{name_in_log}"
 """Stands in texts of the defaults for the motor's name as its log writes it."""
 
@@ -65,8 +67,7 @@ def load_fleet(path: Path) -> Fleet:
         file, before = f"motors/{name}.toml", len(faults)
         motor = motors.parsed.get(name)
         motor_type = types.parsed.get(motor.motor_type) if motor else None
-        is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
-        settings = _settings(shared, its.get("override"), is_logged, file, faults)
+        settings = _settings(shared, its.get("override"), motor, file, faults)
         # Of a type or an oil with a fault no motor can be made.
         is_known = motor and oils.parsed.keys() >= {*motor.oils}
         if len(faults) == before and motor and settings and motor_type and is_known:
@@ -130,16 +131,19 @@ class _Override(Section):
 
 
 def _settings(
-    shared: Document, override: Any, is_logged: bool, file: str, faults: list[Fault]
+    shared: Document, override: Any, motor: MotorFile | None, file: str, faults: list[Fault]
 ) -> Settings | None:
-    """The fleet's settings with a motor's own; `is_logged`: the pressure of its low side is."""
+    """The fleet's settings with a motor's own; None where they have a fault."""
     merged = _merged(override if isinstance(override, dict) else {}, shared)
     found = validated(_Override, {"override": merged}, file, faults)
     if found is None:
         return None
     settings = found.override
-    two_sided = settings.model.is_two_sided(is_logged=is_logged)
-    model = settings.model.model_copy(update={"two_sided": two_sided})
+    model = settings.model
+    if model.two_sided is None:
+        is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
+        two_sided = is_logged or model.charge_pressure_bar > 0.0
+        model = model.model_copy(update={"two_sided": two_sided})
     return settings.model_copy(update={"model": model})
 
 

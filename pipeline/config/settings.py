@@ -208,11 +208,6 @@ class Model(Section):
     roller_scale: Annotated[Literal["by_information", "fixed"], Stage.FIGURES] = "by_information"
     """Scale of the cam rollers' curve: estimated where nights tell it, or `fixed`."""
 
-    def is_two_sided(self, *, is_logged: bool = False) -> bool:
-        """Two-sided as stated, else where the low side's pressure is stated or logged."""
-        is_known = is_logged or self.charge_pressure_bar > 0.0
-        return is_known if self.two_sided is None else self.two_sided
-
 
 class Estimation(Section):
     """Bounded least squares; the search of the thesis, by `fit` alone, names as in MATLAB's
