@@ -31,6 +31,8 @@ Source = Annotated[
 class Unknown(Section):
     """An unknown of the model: starting value, bounds, and whether it is held fixed."""
 
+    shapes = Stage.SCALE
+
     value: float
     """Value where fixed, else the first starting point."""
     minimum: float
@@ -115,7 +117,7 @@ class AnnularGapPath(PathSection):
     """Points [bar, µm, l/min] to which X is fitted."""
     deformation_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Tolerance of the deformation constant."""
-    gap_um: Annotated[GapHeight, Stage.SCALE] = left_out()
+    gap_um: GapHeight = left_out()
     """Gap height."""
     eccentricity: Annotated[Eccentricity | None, Stage.SCALE] = None
     """Eccentricity, if the path has one."""
@@ -168,7 +170,7 @@ class SpeedCurvePath(PathSection):
     """Viscosity of the simulation."""
     curve_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Tolerance of the curve's level."""
-    scale: Annotated[Scale, Stage.SCALE] = left_out()
+    scale: Scale = left_out()
     """Factor on the curve."""
 
     def misfits(self) -> Iterator[Misfit]:
@@ -203,7 +205,7 @@ class LaminarPath(PathSection):
     law: Literal["laminar"]
     count: Annotated[int, Stage.SCALE] = Field(ge=1)
     """Interfaces at high pressure at any time."""
-    coefficient_m3: Annotated[Unknown, Stage.SCALE]
+    coefficient_m3: Unknown
     """Loss factor of one interface, m³."""
 
     def path(self) -> Laminar:

@@ -185,8 +185,8 @@ class Section(BaseModel):
         defer_build=True,
     )
 
-    shapes: ClassVar[Stage | None] = None
-    """Stage of the keys that name none; None: that of the key that has this table."""
+    shapes: ClassVar[Stage]
+    """Stage of the keys that name none."""
 
     def misfits(self) -> Iterable[Misfit]:
         """Keys that do not go together."""
@@ -212,28 +212,27 @@ class Section(BaseModel):
 
     @classmethod
     @cache
-    def stages(cls, stage: Stage, inherited: Stage | None) -> Iterable[tuple[str, Any, bool]]:
-        """Keys with their stage (own, else of the table, else inherited), and if it is `stage`."""
-        usual = inherited if cls.shapes is None else cls.shapes
-        stages = {
-            key: next((own for own in one.metadata if isinstance(own, Stage)), usual)
-            for key, one in cls.model_fields.items()
-        }
-        return [(key, own, bool(own and own & stage)) for key, own in stages.items()]
+    def in_stage(cls, stage: Stage) -> Mapping[str, bool]:
+        """Whether each key is of a stage: that which it names, else its table's."""
+        found = {}
+        for key, one in cls.model_fields.items():
+            own = next((own for own in one.metadata if isinstance(own, Stage)), cls.shapes)
+            found[key] = bool(own & stage)
+        return found
 
-    def shaping(self, stage: Stage, inherited: Stage | None = None) -> dict[str, Any]:
+    def shaping(self, stage: Stage) -> dict[str, Any]:
         """All settings of a stage, by key; of tables, the keys that are of it."""
         found: dict[str, Any] = {}
-        for key, own, is_of_it in self.stages(stage, inherited):
+        for key, is_of_it in self.in_stage(stage).items():
             value = getattr(self, key)
             if isinstance(value, Section):
-                part = value.shaping(stage, own)
+                part = value.shaping(stage)
                 found |= {key: part} if part else {}
             elif isinstance(value, tuple) and value and isinstance(value[0], Section):
-                parts = [one.shaping(stage, own) for one in value]
+                parts = [one.shaping(stage) for one in value]
                 found |= {key: parts} if any(parts) else {}
             elif isinstance(value, dict) and isinstance(next(iter(value.values()), None), Section):
-                found[key] = {name: one.shaping(stage, own) for name, one in value.items()}
+                found[key] = {name: one.shaping(stage) for name, one in value.items()}
             elif is_of_it:
                 found[key] = value
         return found

@@ -373,6 +373,8 @@ class Metrics(Section):
 class Settings(Section):
     """All that a motor's file may override."""
 
+    shapes = Stage.NOTHING
+
     nights: Nights = left_out()
     time_base: TimeBase = left_out()
     cleaning: Cleaning = left_out()
@@ -395,8 +397,6 @@ class Settings(Section):
 
 class FleetFile(Settings):
     """`fleet.toml`."""
-
-    shapes = Stage.NOTHING
 
     name: str = Field(min_length=1)
     """The fleet's name, as reports show it."""

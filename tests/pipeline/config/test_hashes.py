@@ -6,6 +6,8 @@ import datetime as dt
 from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import replace
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,7 +15,6 @@ import pytest
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import (
-    ALL,
     SettingsHashes,
     config_hash,
     model_hash,
@@ -94,14 +95,15 @@ def settings_in(spec: MotorSpec) -> Iterator[tuple[Place, Stage]]:
     yield from within(("oils", "vg68"), spec.oils["vg68"])
 
 
-def within(place: Place, value: Any, stage: Any = None) -> Iterator[tuple[Place, Stage]]:
+def within(place: Place, value: Any, stage: Stage = Stage.NOTHING) -> Iterator[tuple[Place, Stage]]:
     parts = dict(enumerate(value)) if isinstance(value, tuple) else value
     if isinstance(value, Section):
-        for key, own, _ in value.stages(ALL, stage):
+        for key in type(value).model_fields:
+            own = reduce(or_, (one for one in Stage if value.in_stage(one)[key]), Stage.NOTHING)
             yield from within((*place, key), getattr(value, key), own)
     elif isinstance(parts, dict) and any(isinstance(one, Section) for one in parts.values()):
         for name, one in parts.items():
-            yield from within((*place, name), one, stage)
+            yield from within((*place, name), one)
     else:
         yield place, stage
 
