@@ -1,13 +1,75 @@
-"""States: what each asks of the watch (issue 36, model.md 7b)."""
+"""States and words of a night: what each asks of the watch (issue 36, model.md 7b)."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
-from leakage.watch import Change, Estimate
-from pipeline.trends.states.judged import model_verdict
-from tests.pipeline.trends.judged_nights import change, judge, waiting, watched
-from tests.pipeline.trends.nights import motor
+from leakage.watch import Change, Estimate, Verdict
+from pipeline.config import MotorSpec
+from pipeline.config.settings import Conditions
+from pipeline.trends.nights.history import BaselinePeriod
+from pipeline.trends.sentences import WHAT, advice, sentence
+from pipeline.trends.states.course import Baseline, WatchedNight
+from pipeline.trends.states.judged import JudgedNight, judged, model_verdict
+from tests.pipeline.trends.nights import motor, night_of
+
+LIMIT = math.log(365.0 / 0.04)
+PATHS = ("piston_ring", "balance_piston", "balance_sleeve")
+AT = 30
+
+
+def change(cause: str, **more: Any) -> Change:
+    """A rise by 20 % since night 20, told on night 21."""
+    fields: dict[str, Any] = {
+        "cause": cause,
+        "probability": 0.97,
+        "candidates": {cause: 0.97, "all_gaps": 0.03},
+        "is_rise": True,
+        "shape": "step",
+        "since": night_of(20).toordinal(),
+        "since_lower": night_of(19).toordinal(),
+        "since_upper": night_of(21).toordinal(),
+        "told_on": night_of(21).toordinal(),
+        "size": Estimate(0.2, 0.01),
+    }
+    return Change(**(fields | more))
+
+
+def watched(found: Change | None = None, **more: Any) -> WatchedNight:
+    """Night 30 with a baseline of eight nights; `more` are fields of it or of its verdict."""
+    size = Estimate(0.0, 0.01) if found is None else found.size
+    verdict = Verdict(night_of(AT).toordinal(), 1.0, LIMIT, 0.005, found, size, size, 0.023, 0.9)
+    own = Baseline(night_of(0), night_of(7), 8, Conditions(150.0, 50.0, 40.0), (1e-14,) * 3)
+    machine = SimpleNamespace(paths=(*PATHS, "known"), gaps=PATHS)
+    watch: Any = SimpleNamespace(state=SimpleNamespace(machine=machine))
+    night = WatchedNight(
+        AT, night_of(AT), BaselinePeriod(0, 40, "first nights"), 20, 0, 0, own, watch, verdict,
+        Estimate(1.2, 0.01), Estimate(1.5, 0.02),
+    )  # fmt: skip
+    names = {"lack_of_fit", "present", "tonight", "smallest", "evidence"}
+    in_verdict = {name: more.pop(name) for name in names & more.keys()}
+    return replace(night, verdict=replace(verdict, **in_verdict), **more)
+
+
+def waiting(n: int, **more: Any) -> WatchedNight:
+    """A night of a baseline period that has so many nights of its baseline period."""
+    period = more.pop("period", BaselinePeriod(0, 40, "first nights"))
+    return WatchedNight(
+        AT, night_of(AT), period, more.pop("n_blocks", 20), n, more.pop("silent", 0)
+    )
+
+
+def judge(
+    night: WatchedNight, spec: MotorSpec | None = None, why: str = "", fitted: Any = None
+) -> JudgedNight:
+    """The night judged for a motor, by default a CB560 with the default settings."""
+    return judged(spec or motor(), night, fitted, why)
+
 
 LIMITS = "[limits]\nwarning_l_per_min = 1.6\nalarm_l_per_min = 1.8\n"
 SLEEVE = "balance_sleeve"
@@ -97,3 +159,164 @@ def test_a_gap_goes_with_the_cube_root_of_its_leakage() -> None:
     # d(1 + g)^(1/3) = dg / (3 (1 + g)^(2/3)).
     assert gap.sd == pytest.approx(0.03 / (3 * 1.3**2), rel=1e-4)
     assert judge(watched(change("known", path_growth=Estimate(0.5, 0.03)))).gap_growth is None
+
+
+SIZE = "case drain flow +20 % [18, 22] on 1 February 2026"
+SINCE = "since 22 January 2026 (21 January 2026 to 23 January 2026)"
+MOVED = "the zero of the flow sensor has moved"
+
+
+def told(night: JudgedNight, *drifts: str) -> tuple[str, str]:
+    return sentence(night, night_of(0), drifts), advice(night, drifts)
+
+
+@pytest.mark.parametrize(
+    ("night", "words", "what"),
+    [
+        (
+            judge(watched(change(SLEEVE, path_growth=Estimate(0.331, 0.02)))),
+            f"leakage of the balance sleeve has risen: {SIZE}, {SINCE}; its gap +10 % [9, 11]; "
+            "97 % probable",
+            "Plan a look at the balance sleeve.",
+        ),
+        (
+            judge(watched()),
+            "no change of more than 3 % since 2 January 2026; "
+            "case drain flow +0.0 % [-2.0, 2.0] on 1 February 2026",
+            "Nothing to do.",
+        ),
+        (
+            judge(watched(silent=3, n_blocks=0)),
+            "no change of more than 3 % since 2 January 2026; "
+            "case drain flow +0.0 % [-2.0, 2.0] on 29 January 2026",
+            "Nothing to do.",
+        ),
+        (
+            judge(watched(change("balance_piston and balance_sleeve"))),
+            f"leakage of the balance piston and the balance sleeve has risen: {SIZE}, {SINCE}; "
+            "97 % probable",
+            "Plan a look at the balance piston and the balance sleeve.",
+        ),
+        (
+            judge(watched(change(SLEEVE, probability=0.999, candidates={"all_gaps": 0.06}))),
+            f"leakage of the balance sleeve has risen: {SIZE}, {SINCE}; "
+            "over 99 % probable, else all gaps 6 %",
+            "Plan a look at the balance sleeve.",
+        ),
+        (
+            judge(watched(change("piston_ring", goes_on=True))),
+            f"leakage of the piston ring has risen: {SIZE}, {SINCE}; it goes on; 97 % probable",
+            "Plan a look at the piston ring.",
+        ),
+        (
+            judge(watched(change("oil_grade", grade=46))),
+            f"flows have risen as with a thinner oil (ISO VG 46): {SIZE}, {SINCE}; 97 % probable",
+            "Take an oil sample, or enter the oil_change that was made.",
+        ),
+        (
+            judge(
+                watched(
+                    change(
+                        "cannot_be_told",
+                        candidates={"zero": 0.05, SLEEVE: 0.55, "oil_grade": 0.4},
+                    )
+                )
+            ),
+            f"the cause of a change cannot be told: {SIZE}, {SINCE}; it could be balance sleeve "
+            "55 %, another oil 40 %, the zero of the flow sensor 5 %",
+            "An oil sample, the meter's zero at a halt, a second thermometer and nights at other "
+            "pressures and speeds would tell.",
+        ),
+        (
+            judge(watched(change(SLEEVE), lack_of_fit=0.09)),
+            f"the cause of a change cannot be told: {SIZE}, {SINCE}; it could be a part of the "
+            "motor over 99 %; the model misses 9 % of the flow, so no part is named",
+            "Plan a look at the motor.",
+        ),
+        (
+            judge(
+                watched(
+                    change("cannot_be_told", candidates={"all_flows": 0.6, SLEEVE: 0.4}),
+                    lack_of_fit=0.03,
+                )
+            ),
+            f"the cause of a change cannot be told: {SIZE}, {SINCE}; it could be all flows (all "
+            "gaps worn, another oil, the flow meter) 60 %, balance sleeve 40 %; the model misses "
+            "3 % of the flow, so no part is named",
+            "An oil sample, the meter's zero at a halt and a second thermometer would tell.",
+        ),
+        (
+            judge(watched(change("cannot_be_told", candidates={"several": 0.9, SLEEVE: 0.1}))),
+            f"the cause of a change cannot be told: {SIZE}, {SINCE}; it could be more than one "
+            "change at once 90 %, balance sleeve 10 %",
+            "Take an oil sample first, and check the flow meter; then plan a look at the motor.",
+        ),
+        (
+            judge(waiting(5, period=BaselinePeriod(10, 40, "oil change on 2026-01-12"))),
+            "5 of 8 nights of a baseline since oil change on 2026-01-12",
+            "Wait for more nights.",
+        ),
+        (
+            judge(waiting(5, n_blocks=0), why="stood still"),
+            "5 of 8 nights of a baseline; 1 February 2026 is none: stood still",
+            "Wait for more nights.",
+        ),
+        (
+            judge(watched(change(SLEEVE), silent=10, n_blocks=0), why="no log covers this night"),
+            "nothing is known since 22 January 2026: no log covers this night; leakage of the "
+            "balance sleeve has risen: case drain flow +20 % [18, 22] on 22 January 2026, "
+            f"{SINCE}; 97 % probable",
+            "Check whether the motor's logs arrive, and the reason of its last nights.",
+        ),
+        (
+            judge(
+                watched(reference=Estimate(1.5, 0.02)),
+                motor(limits="[limits]\nalarm_l_per_min = 1.4\n"),
+            ),
+            "leakage at the reference conditions 1.5 l/min [1.46, 1.54], beyond the motor type's "
+            "limit of 1.4 l/min; no change of more than 3 % since 2 January 2026; "
+            "case drain flow +0.0 % [-2.0, 2.0] on 1 February 2026",
+            "Look at the motor at the next stop.",
+        ),
+    ],
+)  # fmt: skip
+def test_a_night_in_words(night: JudgedNight, words: str, what: str) -> None:
+    assert told(night) == (words, what)
+
+
+def test_before_it_can_tell_a_change_it_is_not_ok() -> None:
+    assert judge(watched(smallest=0.5)).state == "ok"
+    assert judge(watched(smallest=None)).state == "insufficient"
+    early = judge(watched(smallest=0.51))
+    assert (early.state, early.way) == ("insufficient", "baseline")
+    words, what = told(early)
+    assert words.startswith("too few nights since 2 January 2026 to tell a change")
+    assert what == "Wait for more nights."
+
+
+def test_an_alarm_asks_for_a_look_at_the_next_stop() -> None:
+    alarm = judge(watched(change(SLEEVE, size=Estimate(0.5, 0.01))))
+    assert told(alarm)[1] == "Look at the balance sleeve at the next stop."
+
+
+@pytest.mark.parametrize("cause", [SLEEVE, "all_gaps", "all_flows", "cannot_be_told"])
+def test_a_fall_is_told_as_a_fall(cause: str) -> None:
+    words, what = told(judge(watched(change(cause, is_rise=False, size=Estimate(-0.2, 0.01)))))
+    assert "-20 % [-22, -18]" in words
+    assert "risen" not in words
+    assert "look at" not in what.lower()
+
+
+@pytest.mark.parametrize("cause", [*WHAT, SLEEVE])
+def test_every_cause_has_words_and_advice(cause: str) -> None:
+    words, what = told(judge(watched(change(cause))))
+    assert "+20 % [18, 22]" in words
+    assert "{" not in words + what
+    assert what.endswith(".")
+
+
+def test_a_sensor_that_drifts_is_named_and_what_to_do_is_one_order() -> None:
+    words, what = told(judge(watched(change(SLEEVE))), MOVED)
+    assert words.endswith(f"; {MOVED}")
+    assert what == "Plan a look at the balance sleeve."
+    assert told(judge(watched()), MOVED)[1] == "Check the sensor whose zero has moved."

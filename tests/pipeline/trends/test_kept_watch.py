@@ -179,19 +179,3 @@ def test_a_late_log_gives_what_it_would_have_given_in_time(
     found = rows(output)
     for table in (WATCH, TRENDS, BASELINES):
         assert_frame_equal(found[table], whole[table], check_exact=True)
-
-
-def test_a_late_log_of_one_motor_redoes_the_others_of_its_tank(
-    tmp_path: Path, whole_tank: dict[str, dict[Table, pl.DataFrame]]
-) -> None:
-    late = AT + 1
-    first, *others = TANK_NIGHTS
-    gap = Nights(first.spec, N, first.wear, seed=first.seed, absent=frozenset({late}))
-    config, output = fleet_of(tmp_path, gap, *others)
-    run(config)
-    with open_state(output) as state:
-        note_touched(state, [("M1", night_of(late))])
-    publish(output, *(part_of(one.frames(), late, late + 1) for one in TANK_NIGHTS))
-    run(config)
-    for name, expected in whole_tank.items():
-        assert_frame_equal(rows(output, name)[WATCH], expected[WATCH], check_exact=True)
