@@ -1,4 +1,4 @@
-"""Time to a limit: against draws from its definition, its statuses, and how often it holds."""
+"""Time to a limit against draws from its definition; drift of sensors' zeros."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from leakage.course.sensor_zero import zero_course
 from leakage.course.time_to_limit import KAPPAS, POWERS, TimeToLimit, time_to_limit
 from tests.leakage.estimation.made_errors import autoregression
 
@@ -128,3 +129,40 @@ def test_twenty_nights_that_go_on_are_enough() -> None:
     assert found_of(rising()[:20], 1.3).status != "insufficient"
     stands = time_to_limit(np.arange(100), np.full(100, 8.0), rising(), 1.3, FAR)
     assert stands.status == "insufficient"
+
+
+def halts(drift: float, seed: int, n: int = 60) -> np.ndarray:
+    generator = np.random.default_rng(seed)
+    return 0.01 + 0.005 * generator.standard_normal(n) + drift * np.linspace(0, 1, n)
+
+
+def test_a_drift_beyond_the_tolerance_is_named_and_a_smaller_one_is_not() -> None:
+    errors = np.full(60, 0.002)
+    found = zero_course(halts(0.08, 2), errors, tolerance=0.02)
+    assert found.drifts[-1]
+    # Halves of a straight drift differ by half of it.
+    assert found.change_lower[-1] < 0.04 < found.change_upper[-1]
+    assert not zero_course(halts(0.02, 2), errors, tolerance=0.02).drifts[-1]
+    down = zero_course(halts(-0.08, 2), errors, tolerance=0.02)
+    assert down.drifts[-1]
+    assert down.change[-1] < 0
+
+
+def test_steady_sensors_are_rarely_accused_without_a_tolerance() -> None:
+    errors = np.full(40, 0.001)
+    told = sum(
+        bool(zero_course(halts(0.0, seed, 40), errors, 0.0).drifts[-1]) for seed in range(300)
+    )
+    assert 3 <= told <= 27
+
+
+def test_errors_of_halts_count_where_the_halts_agree_by_chance() -> None:
+    found = zero_course(np.zeros(20), np.full(20, 0.03), 0.0)
+    assert found.change_upper[-1] == pytest.approx(2.1009 * 0.03 * np.sqrt(2 / 10), rel=1e-4)
+
+
+def test_few_halts_say_nothing() -> None:
+    for n in (0, 1, 9):
+        found = zero_course(np.zeros(n), np.full(n, 0.01), 0.02)
+        assert len(found.zero) == n
+        assert np.isnan(found.zero).all()

@@ -1,4 +1,4 @@
-"""Triangular factors: exact at any parameters, for any blocks, merged in any way."""
+"""Triangular factors of blocks, and what they tell of a fit: exact at any parameters."""
 
 from __future__ import annotations
 
@@ -20,7 +20,16 @@ from leakage.estimation.block_statistics import (
     sample_count,
     squared_error,
 )
-from tests.leakage.made_samples import made_samples
+from leakage.estimation.validation import (
+    Criteria,
+    agreement,
+    criteria,
+    effective_sample_count,
+    lag_one_autocorrelation,
+    summed_effective_sample_count,
+)
+from tests.leakage.estimation.made_errors import autoregression
+from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
 from tests.leakage.placeholders import placeholder_motor
 
 MOTOR = placeholder_motor(flushing="estimated", flushing_l_per_min=2.0)
@@ -76,15 +85,6 @@ def test_each_of_many_factors_is_that_of_its_block(sizes: list[int], seed: int) 
 
 
 @given(sizes=BLOCK_SIZES, seed=st.integers(0, 1000))
-def test_merging_equals_the_factor_of_all_samples(sizes: list[int], seed: int) -> None:
-    z = made_samples(MOTOR, sum(sizes) + 50, seed)
-    borders = borders_of([*sizes, 50])
-    scale = np.linalg.norm(z, axis=0)
-    parts = factors(z, borders)
-    np.testing.assert_allclose(merge(parts) / scale, factor(z) / scale, atol=1e-13)
-
-
-@given(sizes=BLOCK_SIZES, seed=st.integers(0, 1000))
 def test_zeros_have_no_sign(sizes: list[int], seed: int) -> None:
     # -0 and 0 are equal but not the same bytes: statistics are compared by their bytes.
     z = made_samples(MOTOR, sum(sizes), seed)
@@ -137,3 +137,126 @@ def test_sample_count_survives_a_year_of_nights() -> None:
     one_night = factor(made_samples(MOTOR, 2000))
     one_night = one_night * math.sqrt(720_000 / 2000)
     assert sample_count(merge(np.repeat(one_night[None], 365, axis=0))) == 365 * 720_000
+
+
+TRUTH = true_coefficients(MOTOR)
+
+
+def fit_percent(measured: Array, predicted: Array) -> float:
+    """Equation (23), over the samples."""
+    error = np.linalg.norm(measured - predicted)
+    return float(100.0 * (1.0 - error / np.linalg.norm(measured - measured.mean())))
+
+
+@given(seed=SEEDS, share=st.floats(0.0, 5.0), noise=st.sampled_from([0.0, 0.02, 1.0]))
+def test_fit_from_statistics_is_the_fit_by_definition(
+    seed: int, share: float, noise: float
+) -> None:
+    z = made_samples(MOTOR, 200, seed, noise_l_per_min=noise)
+    theta = share * TRUTH
+    predicted = z[:, :4] @ theta + z[:, 4]
+    found = agreement(merge(factors(z, np.array([0, 1, 1, 4, 200]))), theta)
+    assert found.n == 200
+    assert found.fit_percent == pytest.approx(fit_percent(z[:, 5], predicted), rel=1e-11)
+    assert found.mean_error_l_per_min == pytest.approx(
+        np.mean(z[:, 5] - predicted), rel=1e-9, abs=1e-12
+    )
+    rmse = np.sqrt(np.mean((z[:, 5] - predicted) ** 2))
+    assert found.rmse_l_per_min == pytest.approx(rmse, rel=1e-11, abs=1e-13)
+    assert found.fit_percent is not None
+    assert found.fit_percent <= 100.0
+
+
+@pytest.mark.parametrize(("flow", "n"), [(0.0, 1), (0.1, 2), (0.1, 1000), (1e3, 1000)])
+def test_a_motor_at_rest_has_no_shape_to_fit(flow: float, n: int) -> None:
+    z = made_samples(MOTOR, conditions=made_conditions(n, pressure_bar=(0.0, 0.0)))
+    z[:, 5] = flow
+    found = agreement(factor(z), TRUTH)
+    assert found.fit_percent is None
+    assert found.n == n
+    assert found.rmse_l_per_min == pytest.approx(abs(flow - 2.0), rel=1e-12, abs=1e-13)
+
+
+@pytest.mark.parametrize(("resolution", "has_fit"), [(0.0, True), (0.0099, True), (0.0101, False)])
+def test_a_flow_that_moves_less_than_the_sensor_resolves_has_no_fit(
+    resolution: float, has_fit: bool
+) -> None:
+    z = made_samples(MOTOR, 1000)
+    z[:, 5] = 2.0 + 0.01 * np.where(np.arange(1000) % 2, 1.0, -1.0)  # standard deviation 0.01
+    found = agreement(factor(z), TRUTH, resolution)
+    assert (found.fit_percent is not None) == has_fit
+    assert found.rmse_l_per_min is not None
+
+
+def test_worked_values() -> None:
+    # Model, section 6: N = 100, V = 0.5, d = 3.
+    found = criteria(0.5, 3, 100)
+    assert found.fpe == pytest.approx(0.530928, abs=5e-7)
+    assert found.aic == pytest.approx(220.4730, abs=5e-5)
+    assert found.aicc == pytest.approx(220.7230, abs=5e-5)
+    assert found.bic == pytest.approx(228.2885, abs=5e-5)
+
+
+def test_criteria_just_beyond_what_is_defined() -> None:
+    """N = d + 1: FPE is V (2 d + 1); AICc would divide by 0, and at N = d + 2 adds 2 d (d + 1)."""
+    assert criteria(1e-9, 3, 4).fpe == pytest.approx(7e-9)
+    assert criteria(1e-9, 3, 4).aicc is None
+    told = criteria(1e-9, 3, 5)
+    assert told.aic is not None
+    assert told.aicc == pytest.approx(told.aic + 24.0)
+
+
+@pytest.mark.parametrize(
+    ("cost", "d", "n"),
+    [(0.0, 3, 100), (-1.0, 3, 100), (math.nan, 3, 100), (0.5, 3, 3), (0.5, 3, 2.5), (0.5, 0, 0)],
+)
+def test_criteria_that_are_undefined_are_none(cost: float, d: int, n: float) -> None:
+    assert criteria(cost, d, n) == Criteria(None, None, None, None)
+
+
+@given(seed=SEEDS, sizes=st.lists(st.integers(1, 30), min_size=2, max_size=10))
+def test_gaps_pool_the_pairs_of_their_stretches(seed: int, sizes: list[int]) -> None:
+    residual = np.random.default_rng(seed).standard_normal(sum(sizes))
+    stretches = np.split(residual - residual.mean(), np.cumsum(sizes)[:-1])
+    products = np.concatenate([one[1:] * one[:-1] for one in stretches])
+    found = lag_one_autocorrelation(residual, np.cumsum([0, *sizes[:-1]]))
+    if len(products):
+        assert found == pytest.approx(products.mean() / residual.var(), rel=1e-9, abs=1e-12)
+    else:
+        assert found is None
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, -0.0123, 1e3])
+def test_equal_residuals_have_no_correlation(value: float) -> None:
+    # Their mean is off by rounding, which is the same for all and would correlate perfectly.
+    assert lag_one_autocorrelation(np.full(1001, value), np.array([0])) is None
+
+
+@pytest.mark.parametrize(
+    ("phi", "expected"),
+    # At most N, at least a sample or so; None where nothing is known of φ.
+    [(0.0, 1000.0), (-0.5, 1000.0), (0.5, 1000 / 3), (1.0, 1000 / 1999), (None, None)],
+)
+def test_effective_count(phi: float | None, expected: float | None) -> None:
+    assert effective_sample_count(1000, phi) == pytest.approx(expected)
+
+
+def test_the_summed_count_is_that_of_the_variance_of_a_mean_under_white_noise_too() -> None:
+    # An autoregression with as much white noise: lag one alone would count five times too many.
+    means, counts = [], []
+    for seed in range(400):
+        generator = np.random.default_rng(seed)
+        series = autoregression(0.9, 2000, generator) + generator.standard_normal(2000)
+        means.append(series.mean())
+        centred = series - series.mean()
+        rho = np.array([centred[k:] @ centred[: 2000 - k] for k in range(200)]) / (
+            centred @ centred
+        )
+        counts.append(summed_effective_sample_count(2000, rho))
+    assert None not in counts
+    assert 2.0 / np.var(means) == pytest.approx(np.mean(counts), rel=0.2)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("rho", [[], [1.0], [1.0, 0.9, 0.8, 0.7], [1.0, 0.5, 0.0]])
+def test_correlations_that_do_not_end_have_no_summed_count(rho: list[float]) -> None:
+    assert summed_effective_sample_count(1000, np.array(rho)) is None

@@ -1,4 +1,4 @@
-"""What the first nights fix, and a block in numbers."""
+"""What the first nights fix: columns, errors within a night, and causes of a change."""
 
 from __future__ import annotations
 
@@ -9,9 +9,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from leakage.watch import NightBlocks
+from leakage.watch import Machine, NightBlocks
 from leakage.watch.baseline import Baseline, Columns, baseline_of, knots_at
-from tests.leakage.watch.made_machine import CB560, COEFFICIENTS, Film, Plant
+from leakage.watch.causes import Cause, causes_of
+from leakage.watch.within_night import START, BlockErrors, estimate_errors, night_information
+from tests.leakage.watch.made_machine import (
+    CB560,
+    COEFFICIENTS,
+    VG_46,
+    VG_68,
+    Film,
+    Plant,
+    kinematic_viscosity,
+    slow_errors,
+)
 
 Array = NDArray[np.float64]
 
@@ -155,3 +166,151 @@ def test_knots_that_are_near_are_merged() -> None:
     knots = knots_at(values, (0.02, 0.35, 0.65, 0.98), 0.10)
     assert len(knots) == 3
     assert np.all(np.diff(knots) > 0.1 * 300.0)
+
+
+MIDDLE_S: Array = np.linspace(60.0, 3540.0, 30)
+TRUTH = BlockErrors(0.012, 0.006, 0.01, 700.0)
+
+
+def made_nights(n: int, seed: int) -> list[tuple[Array, Array]]:
+    generator = np.random.default_rng(seed)
+    made = []
+    for _ in range(n):
+        residuals = slow_errors(MIDDLE_S, TRUTH.slow, TRUTH.memory_s, generator)
+        residuals += TRUTH.block * generator.standard_normal(len(MIDDLE_S))
+        made.append((MIDDLE_S, residuals + TRUTH.night * generator.standard_normal()))
+    return made
+
+
+def test_errors_are_found_again() -> None:
+    found = estimate_errors(made_nights(60, 1), BlockErrors.of(START))
+    assert found.block == pytest.approx(TRUTH.block, rel=0.1)
+    assert found.slow == pytest.approx(TRUTH.slow, rel=0.2)
+    assert found.memory_s == pytest.approx(TRUTH.memory_s, rel=0.4)
+    assert found.night == pytest.approx(TRUTH.night, rel=0.4)
+
+
+def test_information_is_that_of_generalised_least_squares() -> None:
+    generator = np.random.default_rng(3)
+    design = generator.uniform(0.2, 0.5, (len(MIDDLE_S), 3))
+    residuals = made_nights(1, 4)[0][1] - design @ np.array([0.1, -0.2, 0.0])
+    apart = np.abs(np.subtract.outer(MIDDLE_S, MIDDLE_S))
+    covariance = TRUTH.slow**2 * np.exp(-apart / TRUTH.memory_s)
+    covariance += TRUTH.block**2 * np.eye(len(MIDDLE_S))
+    precise = np.linalg.inv(covariance)
+    information, score = night_information(design, residuals, MIDDLE_S, TRUTH, 2)
+    assert information == pytest.approx(design.T @ precise @ design, rel=1e-9)
+    assert score == pytest.approx(design.T @ precise @ residuals, rel=1e-9)
+
+
+def test_one_odd_block_counts_less() -> None:
+    generator = np.random.default_rng(5)
+    design = generator.uniform(0.2, 0.5, (len(MIDDLE_S), 2))
+    residuals = made_nights(1, 6)[0][1]
+    odd = residuals.copy()
+    odd[11] += 0.4
+    kept = np.arange(len(MIDDLE_S)) != 11
+    without = np.linalg.solve(
+        *night_information(design[kept], residuals[kept], MIDDLE_S[kept], TRUTH, 2)
+    )
+    weighed = np.linalg.solve(*night_information(design, odd, MIDDLE_S, TRUTH, 2))
+    whole = np.linalg.inv(TRUTH.covariance(MIDDLE_S))
+    believed = np.linalg.solve(design.T @ whole @ design, design.T @ whole @ odd)
+    assert np.abs(weighed - without).max() < 0.15 * np.abs(believed - without).max()
+
+
+def test_a_broken_path_makes_no_block_odd() -> None:
+    """Against the night's mean its busy blocks would be outliers of thirty standard deviations."""
+    share = np.zeros(len(MIDDLE_S))
+    share[::10] = 0.4
+    design = np.column_stack([share, 0.6 - 0.3 * share])
+    broken = made_nights(1, 7)[0][1] + 2.0 * share
+    information, score = night_information(design, broken, MIDDLE_S, TRUTH, 2)
+    precise = np.linalg.inv(TRUTH.covariance(MIDDLE_S))
+    assert information == pytest.approx(design.T @ precise @ design, rel=1e-9)
+    assert np.linalg.solve(information, score)[0] == pytest.approx(2.0, abs=0.1)
+
+
+BASELINE = baseline_of(CB560, Plant().nights(15, 1))
+
+
+def named(name: str, machine: Machine = CB560, baseline: Baseline = BASELINE) -> list[Cause]:
+    return [one for one in causes_of(machine, baseline) if one.name == name]
+
+
+def assert_follows(cause: Cause, factor: Array) -> None:
+    """All flows by a factor less 1 that is given at T₀, T₀ + 5 K and T₀ − 5 K.
+
+    Per size at T₀ it is 1 + β x + γ x² of x = (T − T₀)/10 K, through the three points.
+    """
+    size = abs(float(factor[0]))
+    bend, slope, level = np.polyfit([0.0, 0.5, -0.5], factor / size, 2)
+    wanted = level * BASELINE.all_flows
+    wanted[4:6] += slope, bend
+    assert cause.direction == pytest.approx(wanted, rel=1e-7)
+
+
+def test_a_path_that_is_next_to_nothing_cannot_fall() -> None:
+    for share, n in ((0.04, 1), (0.06, 2)):
+        own_row = BASELINE.own_row.copy()
+        own_row[0] = share / BASELINE.all_paths[0]
+        assert len(named("ring", baseline=replace(BASELINE, own_row=own_row))) == n
+
+
+def test_all_gaps_leave_what_is_known_and_all_flows_take_the_surface_too() -> None:
+    gaps, flows = named("all_gaps")[0].direction, named("all_flows")[0].direction
+    in_units = BASELINE.columns.theta / BASELINE.columns.unit
+    assert gaps[:4] == pytest.approx([*in_units[:3], 0.0])
+    assert not gaps[4:].any()
+    assert flows == pytest.approx([*in_units, *BASELINE.unknowns[4:-1], 0.0])
+
+
+def test_another_grade_is_by_the_standard() -> None:
+    """Flow goes with 1/ν: another level, and another slope over temperature."""
+    middle_c = BASELINE.columns.temperature_c
+    thin = {one.grade: one for one in named("oil_grade")}
+    assert set(thin) == {32, 46, 100}
+    at_c = np.array([middle_c, middle_c + 5.0, middle_c - 5.0])
+    ratio = kinematic_viscosity(VG_68, at_c) / kinematic_viscosity(VG_46, at_c) - 1.0
+    # By hand at 50 °C: 42.867 / 29.973 − 1.
+    at_50_c = kinematic_viscosity(VG_68, 50.0) / kinematic_viscosity(VG_46, 50.0) - 1.0
+    assert at_50_c == pytest.approx(0.43019, abs=1e-4)
+    assert thin[46].mean == pytest.approx(ratio[0], rel=1e-9)
+    assert thin[46].spread == pytest.approx(0.15 * ratio[0], rel=1e-9)
+    assert not thin[46].is_half
+    assert_follows(thin[46], ratio)
+    assert thin[100].mean < 0.0
+
+
+@pytest.mark.parametrize(("place", "shift_k"), [(0, 5.0), (1, -5.0)])
+def test_a_temperature_sensor_is_by_the_standard(place: int, shift_k: float) -> None:
+    """An oil that is warmer than it reads is thinner: the flow rises."""
+    at_c = BASELINE.columns.temperature_c + np.array([0.0, 5.0, -5.0])
+    factor = kinematic_viscosity(VG_68, at_c) / kinematic_viscosity(VG_68, at_c + shift_k) - 1.0
+    assert np.sign(factor[0]) == np.sign(shift_k)
+    cause = named("temperature_sensor")[place]
+    assert_follows(cause, factor)
+    assert (cause.mean, cause.spread, cause.is_half) == (0.0, 0.25, True)
+
+
+def test_two_gaps_together_are_a_cause_where_the_model_is_right() -> None:
+    (pair,) = named("ring and sleeve")
+    assert pair.direction == pytest.approx(
+        np.isin(np.arange(BASELINE.columns.n), (0, 2)) * BASELINE.all_paths
+    )
+    assert named("ring and sleeve", baseline=replace(BASELINE, lack_of_fit=0.03)) == []
+
+
+def test_a_flushing_is_one_with_the_zero_of_the_meter() -> None:
+    paths = ("ring", "piston", "sleeve", "flushing")
+    nights = [
+        replace(one, drives=np.column_stack([one.drives[:, :3], np.ones(30)]))
+        for one in Plant().nights(8, 2)
+    ]
+    machine = Machine(paths, paths[:3], VG_68)
+    baseline = baseline_of(machine, nights)
+    assert named("zero", machine, baseline) == []
+    assert named("flushing", machine, baseline)
+    # No oil thins a flushing: neither another grade nor a sensor's error moves it.
+    thin = named("oil_grade", machine, baseline)[0].direction
+    assert thin[:4] == pytest.approx([1.0, 1.0, 1.0, 0.0] * baseline.all_paths[:4])
