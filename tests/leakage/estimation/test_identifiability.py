@@ -55,23 +55,6 @@ def verdicts(identification: Identification) -> list[str]:
     return [judgement.verdict for judgement in identification.coefficients]
 
 
-def test_a_wide_operating_point_identifies_every_gap_with_an_interval_that_holds() -> None:
-    motor = placeholder_motor("CB560")
-    estimate, found, seen = judged(motor, operating_point(10.0, 300.0))
-    assert verdicts(found) == ["identified"] * 3 + ["fixed"]
-    truth = [path.configured_coefficient for path in motor.column_paths]
-    for value, true, judgement in zip(
-        estimate.coefficients, truth, found.coefficients, strict=False
-    ):
-        assert judgement.interval is not None
-        assert abs(value - true) <= 2 * judgement.interval.half_width
-    leakage = judge_leakage(estimate, found, seen, REFERENCE)
-    assert (leakage.verdict, leakage.reason) == ("identified", "")
-    assert leakage.leakage_l_per_min == pytest.approx(1.371423, rel=0.01)
-    assert leakage.interval is not None
-    assert leakage.interval.half_width < 0.02 * leakage.leakage_l_per_min
-
-
 def test_a_motor_at_one_pressure_shows_no_gap_but_its_own_leakage() -> None:
     motor = placeholder_motor("CB1120")
     conditions = operating_point(179.7, 180.3)

@@ -31,17 +31,6 @@ def held(n: int, hold: int, generator: Generator) -> Array:
     return np.asarray(series)
 
 
-def test_white_errors_pass_both() -> None:
-    generator = np.random.default_rng(21)
-    error, u = generator.normal(size=(2, 20_000))
-    found = analyse_residuals(error, {"u": u}, np.arange(20_000))
-    assert found.whiteness.verdict == found.independence["u"].verdict == "passed"
-    assert found.whiteness.outside.sum() <= 2
-    assert found.independence["u"].outside.sum() <= 3
-    assert (found.whiteness.n_judged, found.independence["u"].n_judged) == (25, 51)
-    assert found.independence["u"].degrees_of_freedom == 51
-
-
 @pytest.mark.parametrize("lag", [3, -3, 0, 25, -25])
 def test_a_delayed_input_peaks_at_its_lag_alone(lag: int) -> None:
     """ε(t) = u(t − lag) + noise: model.md, section 8."""

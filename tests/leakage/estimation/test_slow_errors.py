@@ -386,12 +386,3 @@ def test_leakage_keeps_its_level_while_the_oil_warms(roller_is_free: bool) -> No
         assert np.sqrt(np.mean(told**2)) <= 0.025
         per_season = np.polyfit(np.linspace(-0.5, 0.5, SEASON), told, 1)[0]
         assert abs(per_season) <= 0.04
-
-
-@pytest.mark.parametrize("mean_c", [45.0, 50.0, 55.0])
-def test_without_slow_errors_each_night_is_within_four_per_cent(mean_c: float) -> None:
-    night = foreign_night(mean_c, 0.0, np.random.default_rng(2))
-    (found,) = leakages(*free(night), (170.0, mean_c, 25.0))
-    assert found.leakage_l_per_min == pytest.approx(
-        float(laminar_l_per_min(170.0, mean_c)), rel=0.04
-    )

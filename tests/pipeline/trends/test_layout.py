@@ -1,19 +1,45 @@
-"""What the watch is told of a motor: means of stored blocks, by their definition."""
+"""What the watch is told of a motor: its blocks, zeros, oil as measured, and new baselines."""
 
 from __future__ import annotations
 
+import datetime as dt
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from leakage import OperatingConditions, regressors
 from pipeline.config import Channel, MotorSpec
+from pipeline.config.motors import Event
 from pipeline.config.oil_samples import OilSample
 from pipeline.config.settings import Conditions
 from pipeline.schema import BLOCK_STATISTICS
+from pipeline.trends.nights.decisions import FLOW_ZERO, PRESSURE_ZERO, Decision
+from pipeline.trends.nights.history import (
+    LONGEST_SILENCE,
+    History,
+    blank_records,
+    every_night,
+    period_at,
+    periods_of,
+)
 from pipeline.trends.nights.layout import Layout
-from tests.pipeline.trends.nights import BLOCKS, FIRST, PATHS, SAMPLES, Nights, motor, night_of
+from pipeline.trends.rows.trend_rows import oil_as_measured, viscosity_ratio
+from pipeline.trends.states.zeros import Zero, health, sensor_zeros, tolerance
+from tests.pipeline.trends.nights import (
+    BLOCKS,
+    FIRST,
+    PATHS,
+    SAMPLES,
+    Nights,
+    event,
+    motor,
+    named,
+    night_of,
+    reset,
+)
 
 ESTIMATED = '[flushing]\nmode = "estimated"\nflow_l_per_min = 4.0\n'
 FIXED = '[flushing]\nmode = "fixed"\nflow_l_per_min = 4.0\n'
@@ -123,3 +149,205 @@ def test_drives_at_conditions_are_without_the_flushing() -> None:
     theta = [path.configured_coefficient for path in spec.motor(FIRST, "estimated").column_paths]
     # Design.md's placeholders: 1.371423 l/min at the reference conditions.
     assert np.asarray(found) @ [*theta, 4.0, 1.0] == pytest.approx(1.371423, rel=1e-6)
+
+
+N, AT = 100, 60
+FEW = 20
+SCATTER = 0.002
+
+
+def history(
+    columns: Mapping[str, Any], spec: MotorSpec | None = None, *said: Decision, n: int = N
+) -> History:
+    """Nights in a row, with columns of what is remembered of them."""
+    spec = spec or motor()
+    records = blank_records([night_of(place) for place in range(n)])
+    for name, values in columns.items():
+        records[name] = values
+    return History(spec, Layout.of(spec, night_of(0)), records, said)
+
+
+def zeros(moved: np.ndarray, seed: int = 3) -> dict[str, np.ndarray]:
+    """Halts of every night: the zero of the flow has moved so far [l/min], the other has not."""
+    generator = np.random.default_rng(seed)
+    return {
+        "flow_zero_l_per_min": moved + SCATTER * generator.standard_normal(N),
+        "flow_zero_standard_error_l_per_min": np.full(N, SCATTER),
+        "pressure_zero_bar": 0.1 * generator.standard_normal(N),
+        "pressure_zero_standard_error_bar": np.full(N, 0.1),
+    }
+
+
+def watched(
+    halts: dict[str, np.ndarray], spec: MotorSpec | None = None, *said: Decision
+) -> dict[str, Zero]:
+    """Zeros of a motor's sensors over nights with these halts."""
+    return sensor_zeros(history(halts, spec, *said))
+
+
+def stepped(size: float) -> dict[str, np.ndarray]:
+    return zeros(np.where(np.arange(N) >= AT, size, 0.0))
+
+
+def test_a_drift_is_told_with_its_size() -> None:
+    """A drift of 0.02 l/min moves K of the rings by 11 % (model.md, section 5)."""
+    found = watched(stepped(0.02))
+    zero = found[FLOW_ZERO]
+    # By the end the last thirty halts, all of them after the step, stand against the first thirty.
+    assert zero.lower[-1] <= 0.02 <= zero.upper[-1]
+    # Half of them lie behind the step once their mean is beyond the tolerance of 0.01 l/min.
+    assert AT < zero.state.index("warning") <= AT + 15 + 5
+    words = zero.words(N - 1)
+    assert words.startswith("the zero of the flow sensor has moved by +0.0")
+    assert words.endswith("]: check it before the motor")
+    assert zero.words(AT - 1) == ""
+    assert set(found[PRESSURE_ZERO].state[10:]) == {"ok"}
+    states = [health(list(found.values()), place) for place in (AT - 1, N - 1)]
+    assert states == ["ok", "drifted"]
+
+
+def test_a_move_within_the_stated_tolerance_is_none() -> None:
+    stated = motor(more="offset_tolerance = 0.05\n")  # of leakage_flow, the last channel
+    assert tolerance(stated, FLOW_ZERO) == 0.05
+    assert set(watched(stepped(0.03), stated)[FLOW_ZERO].state[10:]) == {"ok"}
+    assert tolerance(motor(), FLOW_ZERO) == 0.01
+    assert watched(stepped(0.03))[FLOW_ZERO].state[-1] == "warning"
+
+
+def test_nights_without_a_halt_hold() -> None:
+    halts = stepped(0.03)
+    for values in halts.values():
+        values[90:] = np.nan
+    assert set(watched(halts)[FLOW_ZERO].state[90:]) == {"warning"}
+
+
+def test_what_a_night_says_hangs_on_no_later_one() -> None:
+    whole, first = stepped(0.03), stepped(0.03)
+    for values in first.values():
+        values[75:] = np.nan
+    assert watched(whole)[FLOW_ZERO].state[:75] == watched(first)[FLOW_ZERO].state[:75]
+
+
+def test_a_sensor_that_was_put_right_begins_anew() -> None:
+    halts = zeros(np.where((np.arange(N) >= 40) & (np.arange(N) < 70), 0.03, 0.0))
+    found = watched(halts, None, reset(70, note="calibrated"))[FLOW_ZERO]
+    assert found.state[69] == "warning"
+    assert set(found.state[70:79]) == {"insufficient"}
+    assert found.state[-1] == "ok"
+    spec = named(motor(), "M1", events=[event(70, "overhaul")])
+    assert watched(halts, spec)[FLOW_ZERO].state[-1] == "ok"
+
+
+def test_where_the_flushing_is_estimated_nobody_can_tell_the_flow_sensors_zero() -> None:
+    flushed = motor(more='[flushing]\nmode = "estimated"\nflow_l_per_min = 4.0\n')
+    found = watched(stepped(0.3), flushed)
+    assert set(found[FLOW_ZERO].state) == {"insufficient"}
+    assert found[PRESSURE_ZERO].state[-1] == "ok"
+
+
+def with_samples(*samples: OilSample) -> MotorSpec:
+    file = motor().file.model_copy(update={"oil_samples": samples})
+    return replace(motor(), file=file)
+
+
+def sample(place: int, at_40: float | None = None, water: float | None = None) -> OilSample:
+    return OilSample(date=night_of(place), viscosity_40_c_mm2_per_s=at_40, water_mg_per_kg=water)
+
+
+def with_ratio(spec: MotorSpec, ratio: float | None) -> History:
+    """Nights that from the sixth on have a viscosity over the data sheet's."""
+    ratios = [np.nan if place < 5 or ratio is None else ratio for place in range(FEW)]
+    return history({"viscosity": ratios}, spec, n=FEW)
+
+
+@pytest.mark.parametrize(
+    ("samples", "ratio", "expected"),
+    [
+        ((), None, ""),
+        ((sample(0, 54.4),), 0.8, "oil as measured on 2 January 2026: 20 % thinner"),
+        ((sample(5, 75.0),), 1.1, "10 % thicker than its data sheet"),
+        ((sample(0, water=70.0),), None, ""),
+    ],
+)
+def test_words_on_a_measured_oil(
+    samples: tuple[OilSample, ...], ratio: float | None, expected: str
+) -> None:
+    said = oil_as_measured(with_ratio(with_samples(*samples), ratio), FEW - 1)
+    assert expected in said
+    assert bool(said) == bool(expected)
+
+
+def test_a_sensor_measures_every_night() -> None:
+    channels = {
+        **motor().file.channels,
+        "kinematic_viscosity": Channel(source="nu", unit="cSt"),
+    }
+    spec = replace(motor(), file=motor().file.model_copy(update={"channels": channels}))
+    found = with_ratio(spec, 0.9)
+    assert oil_as_measured(found, FEW - 1).startswith("oil as measured by the log: 10 % thinner")
+    assert viscosity_ratio(found, FEW - 1) == 0.9
+    assert viscosity_ratio(found, 4) is None
+
+
+def of_models(
+    spec: MotorSpec | None = None, *said: Decision, models: Mapping[int, str] | None = None
+) -> History:
+    """Nights with statistics of these models, else of their oil's."""
+    spec = spec or motor()
+    made = [(models or {}).get(n, spec.file.oil_on(night_of(n))).encode() for n in range(FEW)]
+    return history({"known": True, "model": made}, spec, *said, n=FEW)
+
+
+def begins(found: History, of_what: str = "leakage") -> list[tuple[int, str]]:
+    return [(one.first, one.reason) for one in periods_of(found, of_what)]
+
+
+@pytest.mark.parametrize(
+    ("events", "further"),
+    [
+        ((), []),
+        ((event(9, "overhaul", note="new rings"),), [(9, f"overhaul on {night_of(9)}: new rings")]),
+        # Before the first night, or after the last.
+        ((event(-5, "overhaul"), event(FEW, "overhaul")), []),
+        ((event(5, "note", note="filter changed"),), []),
+        # Its other hash begins no further one.
+        ((event(9, "oil_change", oil="vg46"),), [(9, f"oil change on {night_of(9)}")]),
+    ],
+)
+def test_what_begins_an_era(events: tuple[Event, ...], further: list[tuple[int, str]]) -> None:
+    found = of_models(named(motor(), "M1", events=events))
+    assert begins(found) == [(0, "first nights"), *further]
+    for place, reason in further:
+        assert period_at(periods_of(found), place - 1).reason == "first nights"
+        assert period_at(periods_of(found), place).reason == reason
+
+
+def test_other_settings_of_the_statistics_begin_one() -> None:
+    models = dict.fromkeys(range(12, FEW), "other")
+    found = of_models(models=models)
+    assert begins(found) == [(0, "first nights"), (12, f"other settings from {night_of(12)}")]
+    # A night without statistics is of none.
+    assert begins(of_models(models=models | {12: ""}))[1][0] == 13
+
+
+def test_a_reset_is_of_the_leakage_or_of_a_sensor() -> None:
+    every, ring, zero = reset(5), reset(8, "K_piston_ring"), reset(11, "flow_zero")
+    found = of_models(None, every, ring, zero)
+    assert [first for first, _ in begins(found)] == [0, 5, 8]
+    assert [first for first, _ in begins(found, "flow_zero")] == [0, 5, 11]
+    assert [first for first, _ in begins(found, "pressure_zero")] == [0, 5]
+    assert begins(found)[1][1] == f"reset from {night_of(5)}"
+
+
+def test_every_night_is_one_until_a_motor_was_silent_for_long() -> None:
+    records = blank_records([night_of(0), night_of(3)])
+    records["known"] = True
+    until = night_of(3 + LONGEST_SILENCE + 50)
+    found = every_night(records, until)
+    assert found["night"].tolist() == [
+        night_of(0) + dt.timedelta(days=n) for n in range(4 + LONGEST_SILENCE)
+    ]
+    assert found["known"].nonzero()[0].tolist() == [0, 3]
+    assert len(every_night(records, night_of(-1))) == 0
+    # Once more, as a run finds them kept: blank nights are no nights of a log.
+    assert every_night(found, until).tobytes() == found.tobytes()
