@@ -189,10 +189,10 @@ def _of_the_machine(configs: Path, answers: dict[str, str]) -> Iterator[Question
 def _print(proposal: Proposal, observed: Mapping[str, Observed]) -> None:
     rows = []
     for motor in proposal.motors:
-        for channel, place in motor.channels.items():
-            column, unit = place.column, place.unit or "to be asked"
+        for channel, column in motor.channels.items():
+            unit, quality = column.unit or "to be asked", column.keys.get("quality_source", "")
             values = "; ".join(column.filled[:3])
-            rows.append((motor.motor_id, channel, column.name, unit, place.quality, values))
+            rows.append((motor.motor_id, channel, column.name, unit, quality, values))
     print_table(COLUMNS, rows)
     for motor in proposal.motors:
         typer.echo(f"{motor.motor_id}: {_logs_of(motor, observed.get(motor.motor_id))}")

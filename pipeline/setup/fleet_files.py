@@ -101,7 +101,7 @@ def added_files(
     ids = {spec.motor_id for spec in fleet.motors}
     files = {}
     for motor in proposal.motors:
-        keys = motor.channels["leakage_flow"].column.keys
+        keys = motor.channels["leakage_flow"].keys
         flow = (keys["source"], keys.get("field", "value"), motor.logs.get("motor_name", ""))
         if any((path, *flow) in claimed for path in motor.files):
             continue
@@ -143,7 +143,7 @@ def defaults_of(fleet_file: Path) -> Document:
 
 
 def _document(motor: ProposedMotor, motor_type: str, oil: str) -> Document:
-    channels = {name: place.keys() for name, place in motor.channels.items()}
+    channels = {name: dict(one.keys) for name, one in motor.channels.items()}
     return {"motor_type": motor_type, "oil": oil, "logs": dict(motor.logs), "channels": channels}
 
 
@@ -214,8 +214,8 @@ def observe(motor: ProposedMotor) -> Observed:
         return Observed()
     logs = Logs.model_validate({**motor.logs, "files": tuple(motor.logs["files"])}, strict=False)
     channels: Any = {
-        name: Channel.model_validate({"unit": canonical_unit(name)} | place.keys())
-        for name, place in motor.channels.items()
+        name: Channel.model_validate({"unit": canonical_unit(name), **one.keys})
+        for name, one in motor.channels.items()
     }
     zone = ZoneInfo(logs.time_zone)
     newest = motor.files[-1]
@@ -225,7 +225,7 @@ def observe(motor: ProposedMotor) -> Observed:
             for path in sorted({motor.files[0], *motor.files[-_MOST_FILES:]})
         )
         spans = tuple((utc(a).astimezone(zone), utc(b).astimezone(zone)) for a, b in ends)
-        is_known = all(place.unit for place in motor.channels.values())
+        is_known = all(one.unit for one in motor.channels.values())
         if not is_known or newest.stat().st_size > LARGEST_LOG_BYTES:
             return Observed(spans)
         found = read_log(newest, logs, channels).channels

@@ -20,7 +20,7 @@ from pipeline.errors import LogError
 from pipeline.logs.finding import SUFFIXES, logs_below, suffix_of
 from pipeline.setup.cells import Marks
 from pipeline.setup.names import FEWEST_CHANNELS, groups_of, is_in, meaning_of, words_of
-from pipeline.setup.questions import Asked, Chooser, Place
+from pipeline.setup.questions import Asked, Chooser
 from pipeline.setup.sniff import sniff
 from pipeline.setup.tables import SAMPLES, Cells, Column, Question, Table
 
@@ -40,7 +40,7 @@ class ProposedMotor:
     name: str  # in the log; empty where nothing there names it
     motor_id: str
     logs: Mapping[str, Any]  # keys of ``[logs]``; what is asked is there as assumed
-    channels: Mapping[str, Place]
+    channels: Mapping[str, Column]  # in the config's units; without one where it is asked
     files: tuple[Path, ...]
 
 
@@ -253,7 +253,7 @@ def _grouped(
         motor = group.name or kind.name
         chooser = Chooser(group, by_name, layout.marks, motor, _plain(motor), asked)
         channels = dict(chooser.places(qualities, layout.quality))
-        used = {one.column.name for one in channels.values()}
+        used = {one.name for one in channels.values()}
         asked.unused |= dict.fromkeys(name for name in group.signals if name not in used)
         yield ProposedMotor(group.name, chooser.motor_id, logs, channels, kind.files)
 

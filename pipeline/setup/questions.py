@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Any
 
@@ -115,20 +115,6 @@ _DIFFERENCE = "pressure_difference"
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where a channel is in a log; the unit is None where it has to be asked."""
-
-    column: Column
-    unit: str | None
-    quality: str = ""
-
-    def keys(self) -> dict[str, str]:
-        """Keys of ``[channels.…]``."""
-        own = {"unit": self.unit or "", "quality_source": self.quality}
-        return {**self.column.keys, **{key: value for key, value in own.items() if value}}
-
-
-@dataclass(frozen=True, slots=True)
 class Chooser:
     """The columns of one motor's group."""
 
@@ -139,14 +125,20 @@ class Chooser:
     motor_id: str
     asked: Asked
 
-    def places(self, qualities: Mapping[str, str], quality: str) -> Iterator[tuple[str, Place]]:
-        """Place by channel, without those that are asked for; `quality` is that of the rows."""
+    def places(self, qualities: Mapping[str, str], quality: str) -> Iterator[tuple[str, Column]]:
+        """Column by channel, without those that are asked for; `quality` is that of the rows.
+
+        Its unit is the config's, or empty where it has to be asked; its keys are all of
+        ``[channels.…]``.
+        """
         found = self._found()
         for channel in CHANNELS:
             if name := found.get(channel):
                 column = self.columns[name]
-                own = qualities.get(name, quality)
-                yield channel, Place(column, self._unit(channel, column), own)
+                unit = self._unit(channel, column) or ""
+                own = {"unit": unit, "quality_source": qualities.get(name, quality)}
+                keys = {**column.keys, **{key: value for key, value in own.items() if value}}
+                yield channel, replace(column, unit=unit, keys=keys)
 
     def _found(self) -> dict[str, str | None]:
         """Name of the column by channel."""

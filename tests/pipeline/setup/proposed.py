@@ -87,9 +87,7 @@ def proposed(source: Path, units: Mapping[str, str] | None = None, form: str = "
 def read_as_proposed(motor: ProposedMotor, root: Path) -> list[RawLog]:
     """The logs of a motor, found and read with what is proposed."""
     logs = Logs.model_validate({**motor.logs, "files": tuple(motor.logs["files"])}, strict=False)
-    channels: Any = {
-        name: Channel.model_validate(one.keys()) for name, one in motor.channels.items()
-    }
+    channels: Any = {name: Channel.model_validate(one.keys) for name, one in motor.channels.items()}
     found = sorted({path for pattern in logs.files for path in root.glob(pattern)})
     assert set(motor.files) <= set(found), "the patterns do not find the logs"
     return [read_log(path, logs, channels) for path in found]

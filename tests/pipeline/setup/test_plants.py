@@ -43,7 +43,7 @@ def test_every_channel_is_right_and_what_is_written_reads_the_logs(
     source = plant.write(tmp_path / "plant")
     found = [
         {
-            channel: Place(one.column.keys["source"], one.unit, one.quality)
+            channel: Place(one.keys["source"], one.unit or None, one.keys.get("quality_source", ""))
             for channel, one in motor.channels.items()
         }
         for motor in propose(source, {}).motors
@@ -75,7 +75,7 @@ def score_of_style(style: Mapping[str, Any], folder: Path) -> Counter[str]:
     """Channels that are right, wrong and asked; a question is right where the log says nothing."""
     motors = propose(written(style, folder), {}).motors
     found = {
-        place.column.keys["source"]: (channel, place.unit)
+        place.keys["source"]: (channel, place.unit or None)
         for motor in motors
         for channel, place in motor.channels.items()
     }
@@ -84,7 +84,7 @@ def score_of_style(style: Mapping[str, Any], folder: Path) -> Counter[str]:
     # The columns of a motor stand together.
     place_of = {name: at * n_motors // len(own) for at, name in enumerate(own)}
     for motor in motors:
-        assert len({place_of[one.column.keys["source"]] for one in motor.channels.values()}) == 1
+        assert len({place_of[one.keys["source"]] for one in motor.channels.values()}) == 1
     counts: Counter[str] = Counter()
     for name, (kind, unit) in own.items():
         got, right = found.get(name), (CHANNELS.get(kind), None if unit == "-" else unit)
@@ -144,7 +144,7 @@ def test_motors_alike_are_asked_about_once(tmp_path: Path) -> None:
     answers = {"A1.leakage_flow": "A1_flow_2 [l/min]", "B1.leakage_flow": "B1_flow_1 [l/min]"}
     found = propose(tmp_path / "plant", answers)
     assert not found.questions
-    flows = {one.motor_id: one.channels["leakage_flow"].column.name for one in found.motors}
+    flows = {one.motor_id: one.channels["leakage_flow"].name for one in found.motors}
     assert {name: flow[3:9] for name, flow in flows.items()} == {
         **dict.fromkeys(("A1", "A2", "B2"), "flow_2"),
         "B1": "flow_1",
@@ -239,7 +239,7 @@ def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
     assert asked["M1.high_port_pressure"].choices == ("Druck 2 [bar]", "Druck 1 [bar]", "none")
     answers = {"time_zone": "Europe/Oslo", "M1.high_port_pressure": "Druck 2 [bar]"}
     found = propose(source, answers)
-    lows = {one.channels["low_port_pressure"].column.name for one in found.motors}
+    lows = {one.channels["low_port_pressure"].name for one in found.motors}
     assert lows == {"Druck 1 [bar]"}
     to = tmp_path / "fleet"
     files = fleet_files(found, to, "CB560", "vg68", tuple(observed_of(found).values()))
@@ -274,4 +274,4 @@ def test_answers_that_cannot_be_are_refused(tmp_path: Path) -> None:
         propose(log, {"a.leakage_flow": "Flow 3 [l/min]"})
     # What was not asked can be put right.
     (motor,) = propose(log, {"a.speed": "q [l/min]"}).motors
-    assert motor.channels["speed"].column.name == "q [l/min]"
+    assert motor.channels["speed"].name == "q [l/min]"

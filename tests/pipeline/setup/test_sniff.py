@@ -116,7 +116,7 @@ def test_channels_of_which_one_is_far_into_the_log(tmp_path: Path) -> None:
     ]  # fmt: skip
     text = "\n".join(["time,Tag,Value,Unit,Quality", *rows, ""])
     motor = require_it_reads(log_in(tmp_path, text.encode()), log)
-    assert {one.quality for one in motor.channels.values()} == {"Quality"}
+    assert {one.keys["quality_source"] for one in motor.channels.values()} == {"Quality"}
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_parquet(tmp_path: Path, logs: dict[str, Any], options: dict[str, Any]) 
     (path,) = dialect.write(tmp_path, "log", log)
     motor = require_it_reads(path, log)
     within = ".".join((*options.get("within", ()), "Speed [1/min]"))
-    assert motor.channels["speed"].column.keys["source"] == within
+    assert motor.channels["speed"].keys["source"] == within
 
 
 @pytest.mark.parametrize("is_apart", [False, True])

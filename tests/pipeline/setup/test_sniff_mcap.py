@@ -87,7 +87,7 @@ def test_a_topic_a_channel(tmp_path: Path) -> None:
     }
     topics["/mill/m1/operator"] = lambda i: {"name": "me", "shift": i % 3}
     motor = require_it_reads(json_log(tmp_path, topics))
-    assert {name: one.column.keys["source"] for name, one in motor.channels.items()} == names
+    assert {name: one.keys["source"] for name, one in motor.channels.items()} == names
     assert motor.logs["time"] == "log_time"
 
 
@@ -106,7 +106,7 @@ def test_one_topic_with_fields_within_fields_units_and_a_stamp(tmp_path: Path) -
     path = json_log(tmp_path, {"/drive": message}, late_ns=RECORDED_LATER_NS)
     motor = require_it_reads(path)
     assert motor.logs["stamp"] == "stamp"
-    channels = {name: one.keys() for name, one in motor.channels.items()}
+    channels = {name: one.keys for name, one in motor.channels.items()}
     assert channels["pressure_difference"]["field"] == r"hydraulics.pressure\.diff.value"
     assert channels["pressure_difference"]["unit"] == "kPa"
     assert channels["leakage_flow"]["field"] == "readings[0].drain_flow_lpm"
