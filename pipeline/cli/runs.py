@@ -103,7 +103,7 @@ def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
     if (fleet.output / "tables").is_dir() or fleet.log_url:
         return
     from pipeline.setup.check import check_motor
-    from pipeline.setup.promise import SWAPPED
+    from pipeline.setup.operation import SWAPPED
 
     for spec in (one for one in fleet.motors if one.file.logs.database is None):
         seen = check_motor(spec)

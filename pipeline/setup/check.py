@@ -32,7 +32,7 @@ from pipeline.setup.column_check import (
     suspect_units,
     units_told,
 )
-from pipeline.setup.promise import night_of_log, promise, swapped
+from pipeline.setup.operation import night_of_log, operation, swapped
 from pipeline.setup.propose import LARGEST_LOG_BYTES
 
 # Objects of a motor that are opened: a check answers in seconds.
@@ -217,7 +217,7 @@ def check_channels(
     ]
     notes = [f"no sample of the night {label} is kept"]
     if kept:
-        notes = [promise(spec, kept), *swapped(kept)]
+        notes = [operation(spec, kept), *swapped(kept)]
     looks = (
         sampling_note(name, channel, log.channels[name])
         for name, channel in spec.file.channels.items()

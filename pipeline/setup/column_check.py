@@ -29,7 +29,7 @@ from pipeline.night.column_change import COLUMNS, column_change
 from pipeline.night.sample_rows import conditions
 from pipeline.night.time_base import Samples
 from pipeline.setup.names import LOW_SIDE, QUANTITY_OF, USUAL, likely_units, meaning_of
-from pipeline.setup.promise import night_of_log
+from pipeline.setup.operation import night_of_log
 from pipeline.setup.sniff import header_of
 from pipeline.units import QUANTITIES, canonical_unit, from_canonical
 
@@ -150,8 +150,7 @@ def column_changes(
         begin = 0
         while wanted(begin) != wanted(last):
             known = wanted(begin)
-            behind = range(begin + 1, last)
-            after = begin + 1 + bisect_left(behind, True, key=lambda at: wanted(at) != known)
+            after = bisect_left(range(last), True, begin + 1, key=lambda at: wanted(at) != known)
             label, name = dated[after]
             log = f"the log of {label.day} {label:%B %Y} ({name})"
             yield from _differences(columns(after - 1), columns(after), sources, log)
@@ -209,8 +208,8 @@ def changed_readings(
     usual = means(0) if len(dated) > 1 else {}
     if (told := why(_means(newest))) is None:
         return None
-    between = range(1, len(dated) - 1)
-    first = 1 + bisect_left(between, True, key=lambda at: why(means(at)) is not None)
+    last = len(dated) - 1
+    first = bisect_left(range(last), True, 1, key=lambda at: why(means(at)) is not None)
     return f"columns_changed: from {dated[first][1]} on: {told}"
 
 

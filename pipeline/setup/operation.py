@@ -41,7 +41,7 @@ def night_of_log(spec: MotorSpec, label: dt.date, log: RawLog) -> Samples | None
     return samples if len(samples.index) else None
 
 
-def promise(spec: MotorSpec, samples: Samples) -> str:
+def operation(spec: MotorSpec, samples: Samples) -> str:
     """Running minutes of a night, the conditions in them, and what they are enough for, in words.
 
     Conditions are the 5th to 95th percentiles while the motor ran.
