@@ -143,12 +143,16 @@ class Chooser:
     def _found(self) -> dict[str, str | None]:
         """Name of the column by channel."""
         rivals, bare = self._rivals()
-        found = {channel: self._one(channel, own) for channel, own in rivals.items()}
+        found: dict[str, str | None] = {}
+        for channel, names in rivals.items():
+            # An answer has the last word, asked for or not.
+            is_open = len(names) > 1 or f"{self.motor_id}.{channel}" in self.asked.answers
+            why = f"{', '.join(names)} may be it"
+            found[channel] = self._which(channel, why, names) if is_open else names[0]
         if bare:
             found |= self._ports(sorted(bare, key=self._size, reverse=True), found)
         for channel in missing_channels(found):
-            text = f"no {plain(channel)} was found: which is it?"
-            found[channel] = self._which(channel, text, list(self.columns))
+            found[channel] = self._which(channel, "none was found", list(self.columns))
         return found
 
     def _rivals(self) -> tuple[dict[str, list[str]], list[str]]:
@@ -175,45 +179,33 @@ class Chooser:
                 rivals.pop(port, None)
         return rivals, bare
 
-    def _one(self, channel: str, names: Sequence[str]) -> str | None:
-        """The one column that fits a channel, or that is answered; None: it is asked."""
-        key = f"{self.motor_id}.{channel}"
-        if len(names) > 1:
-            text = f"{', '.join(names)} may be the {plain(channel)}: which is it?"
-            return self._which(channel, text, names)
-        # An answer has the last word, asked for or not.
-        is_told = key in self.asked.answers
-        return self.asked.ask(key, "", self.columns) if is_told else names[0]
-
     def _ports(
         self, names: Sequence[str], found: Mapping[str, str | None]
     ) -> dict[str, str | None]:
         """Channels of pressures of which the names do not say whose they are, the highest first."""
         high, low = PORT_PRESSURES
         told = " and ".join(f"{name} (typically {self._size(name):.4g})" for name in names)
-
-        def ask(channel: str, places: Sequence[str], more: str = "") -> str | None:
-            text = (
-                f"the log does not say whose pressure {told} is: which is the "
-                f"{plain(channel)}?{more}"
-            )
-            return self._which(channel, text, places)
-
+        why = f"the log does not say whose pressure {told} is"
         if low in found or high in found:
             other = low if high in found else high
-            return {other: ask(other, names)}
+            return {other: self._which(other, why, names)}
         if len(names) > 1:
             more = f" The other is the low port's; {NONE}: they are no ports'"
-            chosen = ask(high, [*names, NONE], more)
+            chosen = self._which(high, why, [*names, NONE], more)
             if chosen != NONE:
                 others = [name for name in names if name != chosen]
                 lower = others[0] if chosen and len(others) == 1 else None
-                return {high: chosen, low: ask(low, others) if chosen and not lower else lower}
-        return {_DIFFERENCE: ask(_DIFFERENCE, names)}
+                if chosen and not lower:
+                    lower = self._which(low, why, others)
+                return {high: chosen, low: lower}
+        return {_DIFFERENCE: self._which(_DIFFERENCE, why, names)}
 
-    def _which(self, channel: str, text: str, names: Sequence[str]) -> str | None:
-        own, said = f"{self.motor_id}.{channel}", f"{self.motor_id}, and motors alike: {text}"
-        return self.asked.which(own, self.name, said, names, self.columns)
+    def _which(self, channel: str, why: str, names: Sequence[str], more: str = "") -> str | None:
+        """The column of a channel that is answered; None: it is asked."""
+        motor = f"{self.motor_id}, and motors alike"
+        text = f"{motor}: {why}: which is the {plain(channel)}?{more}"
+        own = f"{self.motor_id}.{channel}"
+        return self.asked.which(own, self.name, text, names, self.columns)
 
     def _size(self, name: str) -> float:
         """Typical magnitude of a pressure, in bar where its unit is said."""
