@@ -120,7 +120,7 @@ def _key_lines(
     meanings = _meanings(model)
     for name, field in fields.items():
         table = next(_sections(field.annotation), Section)
-        words = meanings.get(name) or field.description or _words(table)
+        words = meanings.get(name) or _words(table)
         words = " ".join(words.split()).removesuffix(".")
         how = [f"`{text}`"] if (text := _default(field, table)) else [_kind(field.annotation)]
         told = ["", field.default, *words.split("`")]

@@ -19,13 +19,7 @@ if TYPE_CHECKING:
 BAR = 1e5
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
-Source = Annotated[
-    str,
-    Field(
-        min_length=1,
-        description="Document behind the values, or `placeholder` for a guess",
-    ),
-]
+Source = Annotated[str, Field(min_length=1)]
 
 
 class Unknown(Section):
@@ -88,6 +82,7 @@ class PathSection(Section):
     law: str
     """The path's law."""
     source: Annotated[Source, Stage.FIGURES]
+    """Document behind the values, or `placeholder` for a guess."""
 
     def path(self) -> LeakagePath:
         """The path as the physics knows it; raises ValueError for numbers that it refuses."""
@@ -268,6 +263,7 @@ class OilFile(Section):
     name: Annotated[str, Stage.FIGURES] = Field(min_length=1)
     """The oil's name, as reports show it."""
     source: Annotated[Source, Stage.NOTHING]
+    """Document behind the values, or `placeholder` for a guess."""
     reference_temperatures_c: tuple[float, float]
     """Temperatures of the reference viscosities."""
     reference_viscosities_mm2_per_s: tuple[Positive, Positive]
