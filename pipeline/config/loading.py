@@ -62,15 +62,11 @@ def load_fleet(path: Path) -> Fleet:
     log_url = folders.logs if is_url(folders.logs) else ""
     specs: list[MotorSpec] = []
     for name, its in sorted(motors.documents.items()):
-        if not motors.own[name]:  # not read, or empty: told already
-            continue
-        file, before = f"motors/{name}.toml", len(faults)
-        motor = motors.parsed.get(name)
-        motor_type = types.parsed.get(motor.motor_type) if motor else None
+        file, motor = f"motors/{name}.toml", motors.parsed.get(name)
         settings = _settings(shared, its.get("override"), motor, file, faults)
+        motor_type = types.parsed.get(motor.motor_type) if motor else None
         # Of a type or an oil with a fault no motor can be made.
-        is_known = motor and oils.parsed.keys() >= {*motor.oils}
-        if len(faults) == before and motor and settings and motor_type and is_known:
+        if motor and settings and motor_type and oils.parsed.keys() >= {*motor.oils}:
             circuit = circuits.parsed.get(motor.oil_circuit, OilCircuitFile())
             spec = MotorSpec(
                 motor, motor_type, oils.parsed, settings, log_root, log_url,
