@@ -139,7 +139,7 @@ class Nights:
 
     @property
     def watched(self) -> Watched:
-        """What the watch is detected of the machine."""
+        """What the watch is given of the machine."""
         if self.one_path:
             return Watched(("all_gaps", "flushing"), ("all_gaps",), OIL_VG68)
         flushing = ("flushing",) if self.with_flushing else ()

@@ -36,7 +36,7 @@ class Asked(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """A motor's nights, what the watch is detected of it, and what is true."""
+    """A motor's nights, what the watch is given of it, and what is true."""
 
     machine: Machine
     nights: tuple[NightBlocks, ...]

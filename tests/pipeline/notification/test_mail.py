@@ -105,7 +105,7 @@ def serving(certificate: Path | None = None, *, tls: bool = False) -> Iterator[S
 
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Key and proven minimum for 127.0.0.1, signed by itself."""
+    """Key and certificate for 127.0.0.1, signed by itself."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "127.0.0.1")])
     now = dt.datetime.now(dt.UTC)
