@@ -373,15 +373,6 @@ def test_memory_is_by_the_likelihood_of_what_a_line_leaves(is_even: bool) -> Non
     assert one_path(shifts, days).memory == pytest.approx(wanted / wanted.sum(), rel=1e-3)
 
 
-def test_what_forgets_does_not_hide_a_long_memory() -> None:
-    """The mean of forty nights varies by as much as half of them remembering makes it."""
-    generator = np.random.default_rng(8)
-    shifts = 0.01 * autoregression(500, 0.9, generator) + 0.01 * generator.standard_normal(500)
-    wanted = 40 * (0.5 * 0.9 ** np.abs(np.subtract.outer(np.arange(40), np.arange(40)))).mean()
-    found = one_path(shifts).inflation(np.array([40.0])).item()
-    assert found == pytest.approx(wanted + 0.5, rel=0.25)
-
-
 def test_mean_of_correlated_nights_varies_by_more() -> None:
     wander = Wander(np.eye(1), USUAL_MEMORY, np.eye(1))
     for n in (1, 2, 7, 40):

@@ -11,7 +11,7 @@ import pytest
 from pipeline.errors import UsageError
 from pipeline.trends.comparing import compare_nights
 from tests.pipeline.conftest import Call
-from tests.pipeline.trends.nights import OIL, Nights, event, fleet_of, motor, named, night_of, step
+from tests.pipeline.trends.nights import Nights, event, fleet_of, motor, named, night_of, step
 
 N, AT = 40, 24
 WORN = Nights(motor(), N, {"balance_sleeve": step(N, AT, 0.5)})
@@ -20,14 +20,6 @@ WORN = Nights(motor(), N, {"balance_sleeve": step(N, AT, 0.5)})
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return fleet_of(tmp_path_factory.mktemp("compared"), WORN, until=N)
-
-
-def test_the_size_of_a_change_is_held(tmp_path: Path) -> None:
-    nights = Nights(motor(), N, {OIL: step(N, AT, 0.1)})
-    _, output = fleet_of(tmp_path, nights)
-    change = compare_nights(output, nights.spec, night_of(AT), most=60).found.change
-    assert change.lower <= 0.1 <= change.upper
-    assert change.upper - change.lower < 0.03
 
 
 def test_a_worn_gap_is_named(fleet: tuple[Path, Path]) -> None:

@@ -59,14 +59,6 @@ N, AT = 24, 16
 WORN = Nights(motor(), N + 1, {"balance_sleeve": step(N + 1, AT, 0.9)})
 
 
-def files(output: Path) -> dict[Path, int]:
-    return {
-        path: path.stat().st_mtime_ns
-        for table in TREND_TABLES
-        for path in (output / "tables" / table.name).rglob("*.parquet")
-    }
-
-
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with one motor, whose sleeve breaks, and the trends that a run made of it."""
@@ -181,13 +173,6 @@ def test_figures_are_shown_beside_it(fleet: tuple[Path, Path]) -> None:
     assert rows["drain_flow"]["value"] > 0.0
     assert rows["reference_leakage"]["running_hours"] == pytest.approx(N * HOURS)
     assert trends.select("q_value", "cusum", "path").null_count().row(0) == (trends.height,) * 3
-
-
-def test_a_second_run_has_nothing_to_do(fleet: tuple[Path, Path]) -> None:
-    config, output = fleet
-    before = files(output)
-    assert run(config).alarms == ()
-    assert files(output) == before
 
 
 @pytest.mark.parametrize("kind", ["reset", "overhaul"])
