@@ -6,7 +6,7 @@ In a mapping, the unit None means that the log does not say it.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -42,29 +42,24 @@ Kinds = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Plant:
-    """A plant's files by path, and its motors' channels; `named` is the file or folder to give."""
+    """A plant's log, and its motors' channels."""
 
     name: str
-    files: Mapping[str, str]
+    text: str = field(repr=False)
     motors: Mapping[str, Mapped]
-    named: str = ""
-    line_end: str = field(default="\n", repr=False)
 
     def write(self, folder: Path) -> Path:
-        """Write the files; the path to give to the command."""
-        for name, text in self.files.items():
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(text.replace("\n", self.line_end).encode())
-        return folder / self.named if self.named else folder
+        """Write the log; its path."""
+        path = folder / "log.csv"
+        path.parent.mkdir(parents=True)
+        path.write_bytes(self.text.encode())
+        return path
 
 
-def mapped(
-    kinds: Kinds, column: str = "{}", units: Mapping[str, str] = UNITS, quality: str = ""
-) -> dict[str, Place]:
+def mapped(kinds: Kinds, column: str = "{}", units: Mapping[str, str] = UNITS) -> dict[str, Place]:
     """Places of channels whose columns are called after their names in the log."""
     return {
-        CHANNELS[kind]: Place(column.format(name), units.get(kind), quality)
+        CHANNELS[kind]: Place(column.format(name), units.get(kind))
         for name, kind in kinds.items()
         if kind in CHANNELS
     }
@@ -84,58 +79,6 @@ def stamp(row: int, form: str) -> str:
     return (START + timedelta(seconds=row)).strftime(form)
 
 
-def table(
-    header: Sequence[str],
-    kinds: Sequence[tuple[str, int]],
-    *,
-    form: str = "%Y-%m-%dT%H:%M:%SZ",
-    quality: str = "",
-) -> str:
-    """A wide table: a column of time, and a column a kind and motor, each with its quality."""
-    lines = [",".join(header)]
-    for row in range(ROWS):
-        cells = [stamp(row, form)]
-        for kind, motor in kinds:
-            cells += [f"{value(kind, motor, row):.3f}", *([quality] if quality else [])]
-        lines.append(",".join(cells))
-    return "\n".join(lines) + "\n"
-
-
-def tagged(
-    header: Sequence[str],
-    tags: Mapping[str, tuple[str, int]],
-    row_of: Callable[[str, int, float], Sequence[str]],
-    separator: str = ",",
-) -> str:
-    """A long table: a row a sample."""
-    lines = [separator.join(header)]
-    for row in range(ROWS):
-        for tag, (kind, motor) in tags.items():
-            lines.append(separator.join(row_of(tag, row, value(kind, motor, row))))
-    return "\n".join(lines) + "\n"
-
-
-# Control systems
-
-
-def _pi_long() -> Plant:
-    kinds = {"PDIFF": "dp", "TOIL": "temp", "NMOT": "speed", "QLEAK": "flow"}
-    tags = {f"W{motor}_{tag}": (kind, motor) for motor in (1, 2) for tag, kind in kinds.items()}
-    text = tagged(
-        ["tag", "time", "value", "units", "status"],
-        tags,
-        lambda tag, row, number: (
-            *(tag, stamp(row, "%Y-%m-%dT%H:%M:%SZ"), f"{number:.3f}", UNITS[tags[tag][0]], "Good"),
-        ),
-    )
-    return Plant(
-        "PI, compressed, a row a sample, two motors",
-        {"pi/archive.csv": text},
-        {f"W{n}": mapped(kinds, f"W{n}_{{}}", quality="status") for n in (1, 2)},
-        named="pi/archive.csv",
-    )
-
-
 def _ignition_dataset() -> Plant:
     kinds = {"dP_bar": "dp", "OilTemp_C": "temp", "Speed_rpm": "speed", "Leak_lpm": "flow"}
     rows = [
@@ -147,53 +90,42 @@ def _ignition_dataset() -> Plant:
     text = f'"#NAMES"\n{names}\n"#TYPES"\n"date","F","F","F","F"\n"#ROWS","{ROWS}"\n'
     return Plant(
         "Ignition, a dataset with #NAMES and #TYPES",
-        {"dataset.csv": text + "\n".join(lines) + "\n"},
+        text + "\n".join(lines) + "\n",
         {"Conveyor": mapped(kinds, "Conveyor/{}")},
-        named="dataset.csv",
     )
 
 
 def _wincc_archive() -> Plant:
-    """Rows of tags, which do not say the units; the panel's own tag for its stop ends them."""
+    """Rows of two motors' tags, which do not say the units; the panel's stop ends them."""
     kinds = {"Druck_A": "high", "Druck_B": "low", "Oeltemperatur": "temp", "Drehzahl": "speed"}
     kinds |= {"Leckoelmenge": "flow"}
-    motor, file = "HYD_M1", "Archiv.csv"
-    end = f'"$RT_OFF$";"{stamp(ROWS, "%d.%m.%Y %H:%M:%S")}";0;2;46035250300,0000\n'
-    text = tagged(
-        ['"VarName"', '"TimeString"', '"VarValue"', '"Validity"', '"Time_ms"'],
-        {f"{motor}_{tag}": (kind, 1) for tag, kind in kinds.items()},
-        lambda tag, row, number: (
-            f'"{tag}"',
-            f'"{stamp(row, "%d.%m.%Y %H:%M:%S")}"',
-            f"{number:.3f}".replace(".", ","),
-            "1",
-            f"{46035250000 + row * 11.574:.4f}".replace(".", ","),
-        ),
-        ";",
-    )
-    places = {motor: mapped(kinds, f"{motor}_{{}}", {})}
-    name = "WinCC, archive export, German"
-    return Plant(name, {file: text + end}, places, named=file, line_end="\r\n")
+    form = "%d.%m.%Y %H:%M:%S"
+    lines = ['"VarName";"TimeString";"VarValue";"Validity";"Time_ms"']
+    lines += [
+        f'"HYD_M{n}_{tag}";"{stamp(row, form)}";'
+        + f"{value(kind, n, row):.3f};1;{46035250000 + row * 11.574:.4f}".replace(".", ",")
+        for row in range(ROWS)
+        for n in (1, 2)
+        for tag, kind in kinds.items()
+    ]
+    lines += [f'"$RT_OFF$";"{stamp(ROWS, form)}";0;2;46035250300,0000', ""]
+    places = {f"HYD_M{n}": mapped(kinds, f"HYD_M{n}_{{}}", {}) for n in (1, 2)}
+    return Plant("WinCC, archive export, German", "\r\n".join(lines), places)
 
 
 def _quality() -> Plant:
     kinds = {"PressureA": "high", "PressureB": "low", "OilTemp": "temp", "Speed": "speed"}
     kinds |= {"DrainFlow": "flow"}
-    text = table(
-        ["Time", *(column for name in kinds for column in (f"Drum.{name}", f"Drum.{name}.Q"))],
-        [(kind, 1) for kind in kinds.values()],
-        form="%Y-%m-%d %H:%M:%S.000",
-        quality="192",
-    )
+    lines = [",".join(["Time", *(f"Drum.{name},Drum.{name}.Q" for name in kinds)])]
+    for row in range(ROWS):
+        cells = (f"{value(kind, 1, row):.3f},192" for kind in kinds.values())
+        lines.append(",".join([stamp(row, "%Y-%m-%d %H:%M:%S.000"), *cells]))
     places = {
         channel: replace(place, quality=f"{place.source}.Q")
         for channel, place in mapped(kinds, "Drum.{}", {}).items()
     }
     name = "OPC DA, a column of quality beside each value"
-    return Plant(name, {"da.csv": text}, {"Drum": places}, named="da.csv")
-
-
-# InfluxDB
+    return Plant(name, "\n".join([*lines, ""]), {"Drum": places})
 
 
 def _influx_dutch() -> Plant:
@@ -217,19 +149,12 @@ def _influx_dutch() -> Plant:
     ]
     return Plant(
         "InfluxDB, annotated CSV with a range and two tags, Dutch",
-        {"export.csv": head + "\n".join(lines) + "\n"},
+        head + "\n".join(lines) + "\n",
         {f"lier-{n}": mapped(kinds) for n in (1, 2)},
-        named="export.csv",
     )
 
 
-PLANTS = (
-    _pi_long(),
-    _ignition_dataset(),
-    _wincc_archive(),
-    _quality(),
-    _influx_dutch(),
-)
+PLANTS = (_ignition_dataset(), _wincc_archive(), _quality(), _influx_dutch())
 
 
 # Styles of header, of one wide table each

@@ -351,31 +351,27 @@ Logged = tuple[Array, Array]
 
 STEP_S, SECONDS = 0.02, 7200.0
 TIME_S = np.arange(round(SECONDS / STEP_S)) * STEP_S
-RESOLUTION = {"load": 0.1, "temperature": 0.1, "flow": 0.02}
-
-
-def wandering(seed: int, mean: float, sd: float, tau_s: float) -> Array:
-    """An Ornstein-Uhlenbeck process: fluctuates about its mean and forgets within tau."""
-    keep = np.exp(-STEP_S / tau_s)
-    shocks = np.random.default_rng([7, seed]).standard_normal(TIME_S.size)
-    shocks[1:] *= np.sqrt(1.0 - keep**2)
-    found: Array = mean + sd * lfilter([1.0], [1.0, -keep], shocks)
-    return found
+# Mean, standard deviation, seconds after which it forgets, and the step of its readings.
+SIGNALS = {
+    "load": (140.0, 60.0, 15.0, 0.1),
+    "temperature": (50.0, 3.0, 900.0, 0.1),
+    "flow": (1.5, 0.4, 20.0, 0.02),
+}
 
 
 def signal(name: str, seed: int) -> Array:
-    """Signal as a sensor sees it, including its own noise of half a step."""
-    rng = np.random.default_rng([8, seed])
+    """Levels that are held, or an Ornstein-Uhlenbeck process; with noise of half a step."""
+    mean, sd, tau_s, step = SIGNALS[name]
+    rng, keep = np.random.default_rng([7, seed]), np.exp(-STEP_S / tau_s)
     if name == "load":
-        # Levels drawn at random, each held for a random time, with ramps between them.
-        times = np.cumsum(rng.exponential(15.0, 2000).clip(1.0))
-        edges = np.sort(np.r_[0.0, times, times + 1.0])
-        value = np.interp(TIME_S, edges, np.repeat(rng.uniform(20.0, 250.0, 2001), 2)[:-1])
-    elif name == "temperature":
-        value = wandering(seed, 50.0, 3.0, 900.0)
+        ends = np.cumsum(rng.exponential(tau_s, 2000).clip(1.0))
+        value = rng.normal(mean, sd, 2001)[np.searchsorted(ends, TIME_S)]
     else:
-        value = wandering(seed, 1.5, 0.4, 20.0)
-    return value + 0.5 * RESOLUTION[name] * rng.standard_normal(value.size)
+        shocks = rng.standard_normal(TIME_S.size)
+        shocks[1:] *= np.sqrt(1.0 - keep**2)
+        value = mean + sd * lfilter([1.0], [1.0, -keep], shocks)
+    noisy: Array = value + 0.5 * step * rng.standard_normal(value.size)
+    return noisy
 
 
 def sampled(value: Array, period_s: float, resolution: float = 0.0) -> Logged:
@@ -414,10 +410,10 @@ def note(logged: Logged, name: str = "load", **config: Any) -> str:
     return sampling_note(place, channel, RawChannel(time_us, logged[1], blank, 0))
 
 
-@pytest.mark.parametrize("name", RESOLUTION)
+@pytest.mark.parametrize("name", SIGNALS)
 def test_readings_of_a_clock_look_as_configured(name: str) -> None:
     """At any period, without steps, with stamps that jitter, a third lost, or spikes."""
-    step, rng, value = RESOLUTION[name], np.random.default_rng(1), signal(name, 1)
+    step, rng, value = SIGNALS[name][-1], np.random.default_rng(1), signal(name, 1)
     time_s, read = sampled(value, 0.2, step)
     kept = rng.uniform(size=time_s.size) >= 0.33
     jitter = np.sort(time_s[::5] + 0.15 * rng.standard_normal(time_s[::5].size))
@@ -434,7 +430,7 @@ def test_readings_of_a_clock_look_as_configured(name: str) -> None:
     [*(("load", steps) for steps in (1, 5, 20)), ("temperature", 3), ("flow", 5), ("flow", 20)],
 )
 def test_values_sent_on_change_look_it(name: str, steps: int) -> None:
-    one, step = signal(name, 2), RESOLUTION[name]
+    one, step = signal(name, 2), SIGNALS[name][-1]
     logged = sent_on_change(one, step, steps * step)
     said = note(logged, name)
     assert 'then sampling = "on_change" and longest_silence_s' in said
@@ -447,7 +443,7 @@ def test_values_sent_on_change_look_it(name: str, steps: int) -> None:
 
 @pytest.mark.parametrize("period_s", [0.2, 1.0, 10.0])
 def test_a_running_total(period_s: float) -> None:
-    flow = wandering(3, 1.5, 0.4, 20.0)
+    flow = signal("flow", 3)
     logs = [counted(flow, period_s, volume_cm3) for volume_cm3 in (1.0, 10.0)]
     logs += [counted(flow, period_s, 10.0, 10_000.0)] if period_s < 10.0 else []
     for logged in logs:

@@ -123,6 +123,16 @@ def seconds(log: Path, header: str, line: str) -> Path:
     return log
 
 
+def test_a_motors_nights_are_found_by_a_pattern_that_finds_no_other_motors(tmp_path: Path) -> None:
+    for name in ("W1_2026-01-13", "W1_2026-01-14", "W1_b_2026-01-13"):
+        header = "time,dp [bar],T [°C],n [rpm],leak [l/min]"
+        seconds(tmp_path / f"{name}.csv", header, ",200.5,45.5,30.5,1.5")
+    found = {
+        one.motor_id: (one.logs["files"], len(one.files)) for one in propose(tmp_path, {}).motors
+    }
+    assert found == {"W1": (["W1_[0-9]*.csv"], 2), "W1_b": (["W1_b_*.csv"], 1)}
+
+
 def test_forty_motors_are_a_line_each(tmp_path: Path) -> None:
     tags = ("dp [bar]", "T [°C]", "n [rpm]", "leak [l/min]")
     header = ",".join(["time", *(f"W{n}_{tag}" for n in range(40) for tag in tags)])
