@@ -21,7 +21,7 @@ from pipeline.config.fleet import Fleet, MotorSpec, absolute, is_url, overlap
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import FURTHEST, OilCircuitFile
-from pipeline.config.section import ConfigError, Fault, Section, Stage, fault_at, fault_of
+from pipeline.config.section import ConfigError, Fault, Section, fault_at, fault_of
 from pipeline.config.settings import FleetFile, Folders, Settings
 
 # Bytes of a config file.
@@ -123,8 +123,6 @@ def _places(path: Path, folders: Folders, faults: list[Fault]) -> Iterator[tuple
 
 
 class _Override(Section):
-    shapes = Stage.NOTHING
-
     override: Settings
 
 

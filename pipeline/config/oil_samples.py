@@ -57,8 +57,6 @@ class OilSample(Section):
 class OilCircuitFile(Section):
     """`oil_circuits/<oil_circuit>.toml`: samples of the oil that motors share."""
 
-    shapes = Stage.FIGURES
-
     oil_samples: tuple[OilSample, ...] = ()
     """Analyses of the oil, by date."""
 

@@ -186,7 +186,7 @@ class Section(BaseModel):
     )
 
     shapes: ClassVar[Stage]
-    """Stage of the keys that name none."""
+    """Stage of the keys that name none; not there where a table is part of no hash."""
 
     def misfits(self) -> Iterable[Misfit]:
         """Keys that do not go together."""
