@@ -19,7 +19,6 @@ import numpy as np
 from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.config.channels import COUNTED, PORT_PRESSURES
-from pipeline.config.logs import Logs
 from pipeline.config.motors import MotorFile
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
@@ -70,7 +69,7 @@ def suspect_units(
 
 def units_told(path: Path, file: MotorFile) -> dict[str, str]:
     """Channels that a table's header or line of units gives another unit than the config."""
-    beside = columns_of(path, file.logs) or {}
+    beside = header_of(path, file.logs)
     found = {}
     for name, channel in file.channels.items():
         said = meaning_of(channel.source, beside.get(channel.source, "")).unit
@@ -87,12 +86,6 @@ def units_told(path: Path, file: MotorFile) -> dict[str, str]:
     return found
 
 
-def columns_of(path: Path, logs: Logs) -> dict[str, str] | None:
-    """Columns of a table, each with what stands in its header as a unit; None: it is no table."""
-    is_table = logs.layout == "wide" and logs.format in ("csv", "parquet")
-    return header_of(path, logs) if is_table else None
-
-
 def _typical(raw: RawChannel) -> float | None:
     """Upper quartile of all numbers' magnitudes, those out of range too: they tell the unit."""
     numbers = np.abs(raw.value[np.isfinite(raw.value)])
@@ -102,8 +95,8 @@ def _typical(raw: RawChannel) -> float | None:
 def _unusual(
     spec: MotorSpec, name: str, value: float, usual: tuple[float, float], where: str
 ) -> str:
-    configured = next(one.unit for other, one in spec.file.channels.items() if other == name)
-    in_log = float(from_canonical(name, value, configured))
+    configured = {str(other): one.unit for other, one in spec.file.channels.items()}
+    in_log = float(from_canonical(name, value, configured[name]))
     units = " or ".join(likely_units(name, [in_log], usual)[:2])
     mended = f"; it would be usual if the log's unit were {units}" if units else ""
     unit = canonical_unit(name).replace("degC", "°C")
@@ -139,7 +132,7 @@ def column_changes(
     @cache
     def columns(at: int) -> Mapping[str, str]:
         try:
-            return columns_of(path_of(dated[at][1]), spec.file.logs) or {}
+            return header_of(path_of(dated[at][1]), spec.file.logs)
         except LogError:  # which is a fault of that log already
             return {}
 

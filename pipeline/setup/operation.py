@@ -19,7 +19,6 @@ from pipeline.night.time_base import Samples
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
 # 5th to 95th percentile. Of those of 30 minutes and more 92 to 100 % told every path.
 _RANGES = {"pressure": (260.0, "bar"), "speed": (96.0, "rpm"), "oil temperature": (12.0, "°C")}
-_MOST_SAMPLES = 5000
 # Conditions that vary by less tell nothing: the 5th to 95th percentile beside the median, and [K].
 _VARIES, _VARIES_K = 0.3, 4.0
 # Ranks of a flow and of what drives it agree at least so far, with noise and dead time.
@@ -47,12 +46,11 @@ def operation(spec: MotorSpec, samples: Samples) -> str:
     Conditions are the 5th to 95th percentiles while the motor ran.
     """
     minutes = samples.n_turning * samples.period_us / SECOND_US / 60.0
-    inputs = [np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)]
-    inputs.append(samples.oil_temperature_c)
+    pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
+    inputs = (pressure, speed, samples.oil_temperature_c)
     reached = []
     for (name, (full, unit)), values in zip(_RANGES.items(), inputs, strict=True):
-        thinned = values[:: max(1, values.size // _MOST_SAMPLES)]
-        low, high = np.percentile(thinned, (5, 95), method="nearest")
+        low, high = np.percentile(values, (5, 95), method="nearest")
         share = min((high - low) / full, 1.0)
         reached.append(f"{name} {low:.3g} to {high:.3g} {unit} ({100 * share:.0f} %)")
     ran = (

@@ -86,10 +86,12 @@ def sniff(path: Path) -> Table:
 
 
 def header_of(path: Path, logs: Logs) -> dict[str, str]:
-    """Columns of a table that is configured, each with what its header says as a unit.
+    """Columns of a configured log, each with what its header says as a unit; none: it is no table.
 
     Raises LogError if the file cannot be read.
     """
+    if logs.layout != "wide" or logs.format not in ("csv", "parquet"):
+        return {}
     with readable(path):
         if logs.format == "parquet":
             columns = _parquet_columns(path)
