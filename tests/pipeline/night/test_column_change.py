@@ -13,15 +13,9 @@ from pipeline.config.channels import PORT_PRESSURES
 from pipeline.night.column_change import COLUMNS, column_change
 from pipeline.setup.check import check_motor
 from tests.pipeline.simulated import CANONICAL, NIGHT, load_motor, motor_toml, write_log
-from tests.pipeline.trends.nights import motor
 from tests.pipeline.workshop import DAY, Workshop
 
 USUAL = (180.0, 45.0, 6.5, 2.0)
-
-
-@pytest.fixture(scope="module")
-def spec() -> MotorSpec:
-    return motor()
 
 
 def told(spec: MotorSpec, now: tuple[float, ...]) -> str:

@@ -136,12 +136,6 @@ UNITS = {"kinematic_viscosity": "cSt", "dynamic_viscosity": "mPa.s"}
 Array = NDArray[np.float64]
 
 
-@pytest.fixture(scope="module")
-def spec(tmp_path_factory: pytest.TempPathFactory) -> MotorSpec:
-    folder: Path = tmp_path_factory.mktemp("configs")
-    return load_motor(folder, motor_toml("M1"))
-
-
 def thin_flow(spec: MotorSpec) -> Array:
     motor = spec.motor(NIGHT, "none")
     oil = replace(motor.oil, walther_a=THIN[0], walther_b=THIN[1])

@@ -8,9 +8,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
 from leakage import OperatingConditions, regressors
+from leakage.watch import NightBlocks
 from pipeline.config import Channel, MotorSpec
 from pipeline.config.motors import Event
 from pipeline.config.oil_samples import OilSample
@@ -45,13 +47,16 @@ ESTIMATED = '[flushing]\nmode = "estimated"\nflow_l_per_min = 4.0\n'
 FIXED = '[flushing]\nmode = "fixed"\nflow_l_per_min = 4.0\n'
 
 
-def blocks(spec: MotorSpec, **more: object):  # type: ignore[no-untyped-def]
-    nights = Nights(spec, 1, noise=0.0, **more)  # type: ignore[arg-type]
-    rows = nights.frames()[BLOCK_STATISTICS.name]
+def read_by(spec: MotorSpec, rows: pl.DataFrame) -> tuple[Layout, NightBlocks]:
     layout = Layout.of(spec, FIRST)
     stored = layout.blocks(spec, rows)
     assert stored is not None
-    return layout, layout.night_blocks(stored), rows
+    return layout, layout.night_blocks(stored)
+
+
+def blocks(spec: MotorSpec, **more: Any) -> tuple[Layout, NightBlocks, pl.DataFrame]:
+    rows = Nights(spec, 1, noise=0.0, **more).frames()[BLOCK_STATISTICS.name]
+    return *read_by(spec, rows), rows
 
 
 def test_means_are_those_of_the_samples() -> None:
@@ -94,10 +99,7 @@ def test_a_roller_whose_scale_is_free_is_a_path_of_its_own() -> None:
     spec = motor()
     _, stated, rows = blocks(spec)
     free = replace(spec, roller_is_free=True)
-    layout = Layout.of(free, FIRST)
-    stored = layout.blocks(free, rows)
-    assert stored is not None
-    found = layout.night_blocks(stored)
+    layout, found = read_by(free, rows)
     (roller,) = set(layout.paths) - set(PATHS)
     assert roller not in layout.gaps
     assert layout.watched == layout.paths
@@ -114,10 +116,7 @@ def test_a_measured_oil_scales_what_it_drives() -> None:
     sample = OilSample(date=FIRST, viscosity_40_c_mm2_per_s=0.8 * 68.0)
     measured = replace(spec, file=spec.file.model_copy(update={"oil_samples": (sample,)}))
     _, sheet, rows = blocks(spec)
-    layout = Layout.of(measured, FIRST)
-    stored = layout.blocks(measured, rows)
-    assert stored is not None
-    found = layout.night_blocks(stored)
+    _, found = read_by(measured, rows)
     assert (found.drives / sheet.drives).min() > 1.15
     assert found.flow == pytest.approx(sheet.flow)
     assert oil.walther_b == pytest.approx(measured.oil_on(FIRST).oil().walther_b)
