@@ -161,6 +161,13 @@ def test_errors_of_halts_count_where_the_halts_agree_by_chance() -> None:
     assert found.change_upper[-1] == pytest.approx(2.1009 * 0.03 * np.sqrt(2 / 10), rel=1e-4)
 
 
+def test_halts_without_a_zero_do_not_count() -> None:
+    zeros = np.where(np.arange(20) == 4, np.nan, 0.01)
+    found = zero_course(zeros, np.full(20, 0.001), 0.02)
+    assert found.zero[-1] == pytest.approx(0.01)
+    assert not found.drifts[-1]
+
+
 def test_few_halts_say_nothing() -> None:
     for n in (0, 1, 9):
         found = zero_course(np.zeros(n), np.full(n, 0.01), 0.02)

@@ -10,6 +10,7 @@ from pipeline.arrays import SECOND_US
 from pipeline.config import SensorHealth
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.halts import Halts, settled_halts
+from tests.pipeline.night.channels import cleaned
 
 Array = NDArray[np.float64]
 
@@ -20,11 +21,10 @@ SETTLE, NEEDED = 45, 20
 ZERO_BAR, ZERO_FLOW = 0.7, 0.03
 
 
-def channel(values: Array, at_maximum: NDArray[np.bool_] | None = None) -> CleanChannel:
+def channel(values: Array, at_maximum: object = False) -> CleanChannel:
     """A cleaned channel of one sample a second."""
-    nothing = np.zeros(N, dtype=np.bool_)
-    saturated = nothing if at_maximum is None else at_maximum
-    return CleanChannel(GRID, values, nothing, saturated, SECOND_US, 5 * SECOND_US, {}, N)
+    period = {"period_us": SECOND_US, "longest_gap_us": 5.0 * SECOND_US}
+    return cleaned(GRID, values, at_maximum=at_maximum, **period)
 
 
 def night(*halts: tuple[int, int]) -> tuple[NDArray[np.bool_], Array, Array]:
@@ -60,15 +60,24 @@ def test_the_zeros_are_those_that_were_put_in() -> None:
         assert 0 < zero.standard_error < sd / 4
 
 
-def test_what_has_not_settled_is_left_out() -> None:
-    """The oil drains for 40 s after a halt: none of it is in the zero."""
+@pytest.mark.parametrize(
+    ("disturbed", "is_at_maximum", "n"),
+    [
+        pytest.param([*range(500, 540), *range(2000, 2040)], False, 3, id="the oil still drains"),
+        # Back-flow drives the sensor to it; ten seconds are left of the halt: less than it takes.
+        pytest.param([*range(2000, 2290)], True, 2, id="a sensor at its maximum"),
+    ],
+)
+def test_readings_that_are_no_zero_are_left_out(
+    disturbed: list[int], is_at_maximum: bool, n: int
+) -> None:
     still, bar, flow = night(*THREE)
-    for first, _ in THREE:
-        flow[first : first + 40] = 1.0
-        bar[first : first + 40] = 90.0
-    zero = found(still, bar, flow).flow_l_per_min
-    assert zero is not None
-    assert zero.value == pytest.approx(ZERO_FLOW, abs=0.001)
+    flow[disturbed] = 20.0
+    stuck = is_at_maximum & np.isin(np.arange(N), disturbed)
+    seen = found(still, bar, flow, leakage_flow=channel(flow, stuck))
+    assert seen.n == n
+    assert seen.flow_l_per_min is not None
+    assert seen.flow_l_per_min.value == pytest.approx(ZERO_FLOW, abs=0.001)
 
 
 def test_a_halt_that_is_too_short_tells_nothing() -> None:
@@ -89,16 +98,3 @@ def test_two_ports_at_charge_pressure_have_a_difference_of_zero() -> None:
     assert seen.n == 3
     assert seen.pressure_bar is not None
     assert seen.pressure_bar.value == pytest.approx(0.4)
-
-
-def test_readings_at_the_sensors_maximum_are_no_zero() -> None:
-    """Back-flow through the leakage sensor drives it to its maximum."""
-    still, bar, flow = night(*THREE)
-    stuck = np.zeros(N, dtype=np.bool_)
-    stuck[2000:2290] = True
-    flow[stuck] = 20.0
-    seen = found(still, bar, flow, leakage_flow=channel(flow, stuck))
-    # Ten seconds are left of the second halt: less than it takes.
-    assert seen.n == 2
-    assert seen.flow_l_per_min is not None
-    assert seen.flow_l_per_min.value == pytest.approx(ZERO_FLOW, abs=0.001)
