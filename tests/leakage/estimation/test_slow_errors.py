@@ -103,20 +103,6 @@ def test_the_level_keeps_its_weight_and_what_differs_from_it_is_whitened() -> No
     np.testing.assert_allclose(made.T @ made, expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("scales", [False, True])
-def test_the_likelihood_tells_errors_that_scale_from_errors_that_add(scales: bool) -> None:
-    found = []
-    for seed in range(20):
-        generator = np.random.default_rng(seed)
-        clean = made_night(45, np.zeros(45 * PER_BLOCK), seed)[:, -1]
-        drift = 0.02 * slow(len(clean), 1200.0, generator)
-        fast = 0.02 * slow(len(clean), 10.0, generator)
-        error = drift * (clean if scales else clean.mean()) + fast
-        blocks = blocks_of(made_night(45, error, seed))
-        found.append(slow_errors(blocks, np.arange(45), FREE, np.zeros(3)).scales)
-    assert np.mean([one == scales for one in found]) >= 0.75
-
-
 def test_memory_and_size_maximise_the_restricted_likelihood_written_out() -> None:
     """Harville's (1977): log|V| + log|X'V⁻¹X| + y'Py, on means and on the samples about them."""
     generator = np.random.default_rng(3)

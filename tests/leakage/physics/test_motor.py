@@ -85,18 +85,6 @@ def test_flow_is_linear_in_the_columns(
     )
 
 
-def test_columns_follow_the_models_regressors() -> None:
-    # φ_o = exp(-3ΔP/X_o)·ΔP/η, φ_p = ΔP/η, φ_s = exp(-3ΔP/X_s)·ΔP/η, each times 60 000.
-    z = regressors(placeholder_motor(), WORKED)
-    pressure = np.array([40e5, 200e5, 300e5])
-    phi_p = 60_000.0 * pressure / dynamic_viscosity_pa_s([40, 50, 60], pressure, placeholder_oil())
-    np.testing.assert_allclose(z[:, 1], phi_p, rtol=1e-12)
-    np.testing.assert_allclose(z[:, 0], phi_p * np.exp(-3 * pressure / 120e5), rtol=1e-12)
-    np.testing.assert_allclose(z[:, 2], phi_p * np.exp(-3 * pressure / 900e5), rtol=1e-12)
-    np.testing.assert_array_equal(z[:, 3], 1.0)
-    np.testing.assert_allclose(z[:, 4] / 32, [1.735590e-3, 1.660281e-2, 6.068909e-2], rtol=3e-7)
-
-
 def test_long_series_equal_their_samples_one_by_one() -> None:
     # Longer than the chunks in which the columns are computed.
     motor, conditions = placeholder_motor(), random_conditions(40_000)

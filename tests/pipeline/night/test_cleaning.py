@@ -106,13 +106,6 @@ class TestMissing:
         lost = cleaned.time_us[cleaned.refused]
         np.testing.assert_array_equal(lost, (np.array([5, 100, 101, 102]) * 10 + first) * 100_000)
 
-    @pytest.mark.parametrize("seed", range(5))
-    def test_slow_channel_that_comes_a_row_early_or_late_misses_none(self, seed: int) -> None:
-        rng = np.random.default_rng(seed)
-        steps = rng.choice([9, 10, 11], p=[0.2, 0.6, 0.2], size=500)
-        rows = np.cumsum(steps)
-        assert refused_by(clean_channel(in_wide_log(rows, rows[-1] + 1), RULES)) == {}
-
     @pytest.mark.parametrize("phase", [0.0, 0.2, 0.5, 0.7])
     @pytest.mark.parametrize("ratio", [2.0, 2.5, 3.3, 4.0, 6.7])
     def test_rate_that_is_no_whole_part_of_the_rows_misses_none(
@@ -403,14 +396,6 @@ class TestWrittenLate:
         np.testing.assert_array_equal(found.value, value)
         assert found.counts["any"] == 0
         assert found.noted["backward_time"] == int(backward_time(time[rows]).sum())
-
-    @pytest.mark.parametrize("at", [1, 50, 150, 199])
-    @pytest.mark.parametrize("rows_late", [1, 2, 30])
-    def test_a_sample_that_came_late_is_put_back(self, at: int, rows_late: int) -> None:
-        place = np.arange(200)
-        rows = np.insert(np.delete(place, at), min(at + rows_late, 199), at)
-        found = as_read("pressure_difference", stamps(200)[rows], lively(200)[rows])
-        np.testing.assert_array_equal(found.value, lively(200))
 
     def test_a_clock_that_was_set_back_runs_over_times_that_are_taken(self) -> None:
         for back_us in (30 * STEP, 30 * STEP + STEP // 2, 30 * STEP + 7):
