@@ -1,7 +1,8 @@
-"""Kinds of samples: counts of a volume, values sent on change, means of a period, bad quality."""
+"""Kinds of samples: counts, values sent on change, means, bad quality, and limits in every unit."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.config import ConfigError, MotorSpec, TimeBase
+from pipeline.config import Cleaning, ConfigError, MotorSpec, TimeBase
 from pipeline.config.logs import Logs
 from pipeline.night.channel_rules import Sampling, flow_from_counts
+from pipeline.night.masks import out_of_range
 from pipeline.night.resampling import on_grid
 from pipeline.night.time_base import grid_period_us
 from pipeline.schema.fits import FAILED
-from tests.pipeline.night.channels import SECOND, Times, as_read, refused_by
+from pipeline.units import CHANNELS, QUANTITIES, UNITS, from_canonical, to_canonical
+from tests.pipeline.night.channels import SECOND, Floats, Times, as_read, refused_by, stamps
 from tests.pipeline.night.noise_free import configured_flow, fit, fit_of, fitted
 from tests.pipeline.simulated import (
     CANONICAL,
@@ -294,3 +297,47 @@ class TestBadQualityOnChange:
         assert found.ends is not None
         assert np.flatnonzero(found.ends).tolist() == ends
         assert np.flatnonzero(found.refused).tolist() == ends
+
+
+RESOLUTION = {"pressure": 0.1, "temperature": 0.1, "speed": 0.1, "flow": 0.02}
+
+
+def in_units(channel: str, value: Floats) -> Iterator[tuple[str, Floats]]:
+    """Readings as they come out of a log in each unit, with all digits and in float32."""
+    for unit in UNITS[QUANTITIES[channel]]:
+        written = from_canonical(channel, value, unit)
+        yield unit, to_canonical(channel, written, unit)
+        single = written.astype(np.float32).astype(np.float64)
+        yield f"{unit} float32", to_canonical(channel, single, unit)
+
+
+def refused_in(channel: str, value: Floats) -> dict[str, int]:
+    """Refused readings by rule, at 10 Hz, where no limit but that of spikes is near."""
+    wide: dict[str, Any] = {"valid_range": (-1e4, 1e4), "frozen_after_s": 1e4}
+    resolution = RESOLUTION[QUANTITIES[channel]]
+    return refused_by(as_read(channel, stamps(value.size), value, resolution=resolution, **wide))
+
+
+@pytest.mark.parametrize("channel", CANONICAL)
+@pytest.mark.parametrize("level", [1, 433, 750, 1099])
+def test_a_reading_as_many_steps_off_as_the_threshold_is_no_spike(channel: str, level: int) -> None:
+    step, threshold = RESOLUTION[QUANTITIES[channel]], Cleaning().hampel_threshold
+    steps = np.full(101, float(level))
+    steps[10::20] += threshold * np.array([1, -1, 1, -1, 1])
+    for unit, value in in_units(channel, np.round(steps * step, 6)):
+        assert refused_in(channel, value) == {}, unit
+    steps[50] += np.sign(steps[50] - level)
+    for unit, value in in_units(channel, np.round(steps * step, 6)):
+        assert refused_in(channel, value) == {"spike": 1, "any": 1}, unit
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+@pytest.mark.parametrize("limits", [(0.0, 16.0), (-1.0, 60.0), (-20.0, 110.0), (-450.0, 450.0)])
+def test_the_ends_of_a_range_are_within_it(channel: str, limits: tuple[float, float]) -> None:
+    for unit, value in in_units(channel, np.array(limits)):
+        # Of a temperature near 0 °C a float32 in K or °F has few digits left.
+        if "float32" not in unit or QUANTITIES[channel] != "temperature":
+            assert not out_of_range(value, limits).any(), unit
+    outside = np.array([limits[0] - 0.02, limits[1] + 0.02])
+    for unit, value in in_units(channel, outside):
+        assert out_of_range(value, limits).all(), unit
