@@ -31,7 +31,6 @@ from tests.leakage.placeholders import (
 
 GAPS_UM = st.floats(1.0, 60.0)
 ECCENTRICITIES = st.floats(0.0, 1.0)
-PRESSURES_BAR = st.floats(1.0, 350.0)
 
 
 def vector(*values: float) -> NDArray[np.float64]:
