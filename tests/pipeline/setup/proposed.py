@@ -102,6 +102,7 @@ def require_it_reads(source: Path, log: Recorded, form: str = "") -> ProposedMot
         (raw,) = [one.channels[channel] for one in logs if one.channels[channel].time_us.size]
         np.testing.assert_array_equal(raw.time_us, log.time_us)
         np.testing.assert_array_equal(raw.missing, np.isnan(values))
+        assert not raw.unparsed
         np.testing.assert_allclose(raw.value, values, rtol=0, atol=1e-9)
     return motor
 
