@@ -424,7 +424,7 @@ def _time_of_messages(topics: Iterable[Topic]) -> Iterator[Question]:
     publish = np.array([t for one in topics for t in one.publish_ns], dtype=np.float64)
     if log.size and (log != publish).any() and (publish > 0).all():
         text = (
-            f"publish_time is {float(np.median(log - publish)) / 1e6:.3g} ms before log_time: "
+            f"publish_time is {float(np.median(log - publish)) / 1e9:.3g} s before log_time: "
             "which is when it was measured?"
         )
         yield Question("time", text, ("log_time", "publish_time"))

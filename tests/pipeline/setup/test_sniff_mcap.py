@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 
 from pipeline.ingest.conformance import T0_US
 from pipeline.setup.propose import ProposedMotor, propose
+from tests.pipeline.ingest.mcap_files import JSON, mcap_bytes
 from tests.pipeline.setup.proposed import log_in, proposed, read_as_proposed
 
 COUNT = 40
@@ -25,50 +26,23 @@ VALUES = {
     "leakage_flow": 1.0 + 0.125 * np.arange(COUNT),
 }
 TIMES_US = T0_US + 200_000 * np.arange(COUNT)
-RECORDED_LATER_NS = 3_000_000
-
-Schema = tuple[str, str, bytes]
-Message = tuple[str, int, bytes]
+LATE_US = 3_000  # between a sample and its record
 
 
-def write(
-    folder: Path,
-    messages: Sequence[Message],
-    schemas: Mapping[str, Schema],
-    encoding: str,
-    late_ns: int = 0,
-    **options: Any,
-) -> Path:
-    """A log of (topic, publish time [µs], payload), recorded so much later."""
-    buffer = io.BytesIO()
-    writer = Writer(buffer, **{"chunk_size": 2000} | options)
-    writer.start()
-    ids = {
-        topic: writer.register_channel(topic, encoding, writer.register_schema(*schema))
-        for topic, schema in schemas.items()
-    }
-    for topic, time_us, payload in messages:
-        writer.add_message(ids[topic], 1000 * time_us + late_ns, payload, 1000 * time_us)
-    writer.finish()
-    return log_in(folder, buffer.getvalue(), "log.mcap")
-
-
-def json_log(folder: Path, topics: Mapping[str, Callable[[int], Any]], **options: Any) -> Path:
+def json_log(folder: Path, topics: Mapping[str, Callable[[int], Any]]) -> Path:
     """A log of JSON messages, made by topic of a sample's number."""
     messages = [
-        (topic, int(time_us), json.dumps(make(i)).encode())
+        (topic, 1000 * (time_us + LATE_US), json.dumps(make(i)).encode())
         for i, time_us in enumerate(TIMES_US.tolist())
         for topic, make in topics.items()
     ]
-    return write(
-        folder, messages, dict.fromkeys(topics, ("Value", "jsonschema", b"{}")), "json", **options
-    )
+    return log_in(folder, mcap_bytes(messages, JSON, chunk_size=2000), "log.mcap")
 
 
 UNITS = {"pressure_difference": "bar", "leakage_flow": "l/min"}
 
 
-def require_it_reads(path: Path, late_us: int = 0) -> ProposedMotor:
+def require_it_reads(path: Path, late_us: int) -> ProposedMotor:
     (motor,) = proposed(path, UNITS).motors
     (log,) = read_as_proposed(motor, path.parent)
     assert set(log.channels) == set(VALUES)
@@ -86,7 +60,7 @@ def test_a_topic_a_channel(tmp_path: Path) -> None:
         for channel, topic in names.items()
     }
     topics["/mill/m1/operator"] = lambda i: {"name": "me", "shift": i % 3}
-    motor = require_it_reads(json_log(tmp_path, topics))
+    motor = require_it_reads(json_log(tmp_path, topics), LATE_US)
     assert {name: one.keys["source"] for name, one in motor.channels.items()} == names
     assert motor.logs["time"] == "log_time"
 
@@ -103,8 +77,7 @@ def test_one_topic_with_fields_within_fields_units_and_a_stamp(tmp_path: Path) -
             "temps": {"oil_degC": VALUES["oil_temperature"][i], "ambient_degC": 20.0},
         }
 
-    path = json_log(tmp_path, {"/drive": message}, late_ns=RECORDED_LATER_NS)
-    motor = require_it_reads(path)
+    motor = require_it_reads(json_log(tmp_path, {"/drive": message}), 0)
     assert motor.logs["stamp"] == "stamp"
     channels = {name: one.keys for name, one in motor.channels.items()}
     assert channels["pressure_difference"]["field"] == r"hydraulics.pressure\.diff.value"
@@ -127,17 +100,15 @@ def test_stamps_that_are_a_number_or_text(
         f"/{channel}": lambda i, values=values: {"t": stamp(int(TIMES_US[i])), "v": values[i]}
         for channel, values in VALUES.items()
     }
-    path = json_log(tmp_path, topics, late_ns=RECORDED_LATER_NS)
-    found = require_it_reads(path).logs
+    found = require_it_reads(json_log(tmp_path, topics), 0).logs
     assert (found["stamp"], found["time_format"]) == ("t", form)
 
 
 def test_the_time_of_publishing_is_asked_for_where_it_is_another(tmp_path: Path) -> None:
     topics = {f"/{c}": lambda i, v=v: {"value": v[i]} for c, v in VALUES.items()}
-    path = json_log(tmp_path, topics, late_ns=RECORDED_LATER_NS)
-    require_it_reads(path, late_us=RECORDED_LATER_NS // 1000)
+    path = json_log(tmp_path, topics)
     (asked,) = [one for one in propose(path, {}).questions if one.key == "time"]
-    assert "publish_time is 3 ms before log_time: which is when it was measured?" in asked.text
+    assert "publish_time is 5 s before log_time: which is when it was measured?" in asked.text
     assert propose(path, {"time": "publish_time"}).motors[0].logs["time"] == "publish_time"
 
 
@@ -173,19 +144,22 @@ def test_ros_2_with_the_units_of_its_standard_messages(tmp_path: Path) -> None:
         "/shaft": ("motor_msgs/msg/Shaft", "speed", "speeds", 1.0),
         "/drain": ("motor_msgs/msg/Drain", "leakage_flow", "flow_m3_h", 0.06),
     }
-    messages: list[Message] = []
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    writer.start()
+    ids = {}
+    for topic, (name, *_) in topics.items():
+        schema = writer.register_schema(name, "ros2msg", (STANDARD[name] + STAMPED).encode())
+        ids[topic] = writer.register_channel(topic, "cdr", schema)
     for i, time_us in enumerate(TIMES_US.tolist()):
         stamp = {"sec": time_us // 10**6, "nanosec": time_us % 10**6 * 1000}
         for topic, (name, channel, field, factor) in topics.items():
             value: Any = VALUES[channel][i] * factor
             content = {"header": {"stamp": stamp, "frame_id": "x"}, "note": "", "variance": 0.5}
             content[field] = [value, -1.0] if field == "speeds" else value
-            messages.append((topic, time_us + 7, encode[name](content)))
-    schemas = {
-        topic: (name, "ros2msg", (STANDARD[name] + STAMPED).encode())
-        for topic, (name, *_) in topics.items()
-    }
-    motor = require_it_reads(write(tmp_path, messages, schemas, "cdr"))
+            writer.add_message(ids[topic], 1000 * time_us + 7000, encode[name](content), 0)
+    writer.finish()
+    motor = require_it_reads(log_in(tmp_path, buffer.getvalue(), "log.mcap"), 0)
     assert motor.logs["stamp"] == "header.stamp"
     units = {name: one.unit for name, one in motor.channels.items()}
     assert (units["pressure_difference"], units["oil_temperature"]) == ("Pa", "degC")
@@ -193,7 +167,8 @@ def test_ros_2_with_the_units_of_its_standard_messages(tmp_path: Path) -> None:
 
 def test_what_is_no_motors(tmp_path: Path) -> None:
     schema = ("Thing", "flatbuffer", b"?")
-    path = write(tmp_path, [("/x", T0_US, b"abc")], {"/x": schema}, "flatbuffer")
+    data = mcap_bytes([("/x", T0_US, b"abc")], schema, "flatbuffer")
+    path = log_in(tmp_path, data, "log.mcap")
     assert propose(path, {}).faults[0].startswith("no_motor: log.mcap")
     fields = {"variance": 0.5, "sensor_id": 7, "x": 1.0}
     path = json_log(tmp_path, {"/drain_flow": lambda i: {"seq": i, **fields}})
