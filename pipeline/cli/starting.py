@@ -204,8 +204,8 @@ def _logs_of(motor: ProposedMotor, seen: Observed | None) -> str:
     """Files and days of a motor, the column of the time, and the order of its date."""
     time = [motor.logs.get(key, "") for key in ("date_column", "time", "time_format")]
     words = [counted(len(motor.files), "file") if motor.files else motor.logs["format"]]
-    if seen and seen.days:
-        first, last = seen.days
+    if seen and seen.spans:
+        first, last = seen.spans[0][0].date(), max(end for _, end in seen.spans).date()
         words.append(f"{first} to {last} ({counted((last - first).days + 1, 'day')})")
     words.append(f"time {' '.join(filter(None, time))}")
     return ", ".join((*words, f"zone {motor.logs.get('time_zone', 'in the stamps')}"))

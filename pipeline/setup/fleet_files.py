@@ -30,8 +30,9 @@ from pipeline.setup.propose import LARGEST_LOG_BYTES, Proposal, ProposedMotor
 from pipeline.units import canonical_unit
 
 Document = dict[str, Any]
-_MOST_MOTORS = 12
+_MOST_MOTORS, _MOST_FILES = 12, 30
 _STANDSTILL_RPM = 0.5
+_PAUSE_H = 3
 _REFERENCE = {
     "pressure_bar": "pressure_difference",
     "temperature_c": "oil_temperature",
@@ -44,7 +45,7 @@ _FOLDERS_OF_LOGS = {"log", "logs", "data", "csv", "export", "exports", "daten", 
 class Observed:
     """A motor's logs, as far as is known."""
 
-    days: tuple[dt.date, dt.date] | None = None  # first and last, of files by name
+    spans: tuple[tuple[dt.datetime, dt.datetime], ...] = ()  # in local time, of files by name
     # Median magnitude in the newest log by channel, of the speed while it turned.
     typical: Mapping[str, float] = field(default_factory=dict)
     fault: str = ""  # why the newest log cannot be read as proposed
@@ -65,10 +66,12 @@ def fleet_files(
     if "files" in proposal.motors[0].logs:
         logs = Path(os.path.relpath(proposal.log_root, folder.resolve()))
         folders = {"logs": logs.as_posix()} | folders
+    nights: Document = {"time_zone": proposal.motors[0].logs.get("time_zone", "UTC")}
+    end_hour = night_end(observed)
     fleet: Document = {
         "name": fleet_name(proposal.log_root),
         "folders": folders,
-        "nights": {"time_zone": proposal.motors[0].logs.get("time_zone", "UTC")},
+        "nights": nights | ({} if end_hour is None else {"end_hour": end_hour}),
         "reference": reference(observed),
         "defaults": shared,
     }
@@ -218,13 +221,16 @@ def observe(motor: ProposedMotor) -> Observed:
         name: Channel.model_validate({"unit": canonical_unit(name), **one.keys})
         for name, one in motor.channels.items()
     }
-    oldest, newest = motor.files[0], motor.files[-1]
+    zone, newest = ZoneInfo(logs.time_zone), motor.files[-1]
     try:
-        ends = (time_span(oldest, logs, channels)[0], time_span(newest, logs, channels)[1])
-        first, last = (utc(one).astimezone(ZoneInfo(logs.time_zone)).date() for one in ends)
+        ends = (
+            time_span(path, logs, channels)
+            for path in sorted({motor.files[0], *motor.files[-_MOST_FILES:]})
+        )
+        spans = tuple((utc(a).astimezone(zone), utc(b).astimezone(zone)) for a, b in ends)
         is_known = all(one.unit for one in motor.channels.values())
         if not is_known or newest.stat().st_size > LARGEST_LOG_BYTES:
-            return Observed((first, last))
+            return Observed(spans)
         found = read_log(newest, logs, channels).channels
     except LogError as error:
         return Observed(fault=f"{error.code}: {error.message}")
@@ -235,7 +241,7 @@ def observe(motor: ProposedMotor) -> Observed:
     if typical.keys() >= set(PORT_PRESSURES):
         high, low = (typical[port] for port in PORT_PRESSURES)
         typical["pressure_difference"] = abs(high - low)
-    return Observed((first, last), typical)
+    return Observed(spans, typical)
 
 
 def reference(observed: Sequence[Observed]) -> dict[str, float]:
@@ -246,6 +252,18 @@ def reference(observed: Sequence[Observed]) -> dict[str, float]:
         if known:
             found[key] = float(f"{median(known):.2g}")
     return found
+
+
+def night_end(observed: Sequence[Observed]) -> int | None:
+    """Hour at which logs stop for some hours every day; None where they do not."""
+    covered = set[int]()
+    for begin, end in (span for one in observed for span in one.spans):
+        hours = min(int((end - begin) / dt.timedelta(hours=1)) + 1, 24)
+        covered |= {(begin + dt.timedelta(hours=i)).hour for i in range(hours)} | {end.hour}
+    stops = [hour for hour in range(24) if hour not in covered and (hour - 1) % 24 in covered]
+    pauses = {stop: next(i for i in range(1, 25) if (stop + i) % 24 in covered) for stop in stops}
+    longest = max(pauses, key=lambda stop: pauses[stop], default=None)
+    return longest if longest is not None and pauses[longest] >= _PAUSE_H else None
 
 
 def fleet_name(root: Path) -> str:

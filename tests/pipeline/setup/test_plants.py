@@ -232,7 +232,7 @@ def test_a_mark_that_is_not_the_decimal_one_is_between_thousands(tmp_path: Path)
 
 
 def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
-    """Two gauges, a drive that halts, and a name that is no "logs"."""
+    """Two gauges, a day shift from 06:00 to 21:40, and a name that is no "logs"."""
     header = "Datum;Uhrzeit;Druck 1 [bar];Druck 2 [bar];T [°C];n [1/min];Lecköl [l/min]"
     for motor in ("M1", "M2"):
         rows = [
@@ -255,7 +255,7 @@ def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
     files = fleet_files(found, to, "CB560", "vg68", tuple(observed_of(found).values()))
     fleet = tomllib.loads(files["fleet.toml"])
     assert fleet["name"] == "mill"
-    assert fleet["nights"] == {"time_zone": "Europe/Oslo"}
+    assert fleet["nights"] == {"time_zone": "Europe/Oslo", "end_hour": 22}
     assert fleet["reference"] == {"pressure_bar": 150.0, "temperature_c": 48.0, "speed_rpm": 6.5}
     # A motor that is new to the fleet is added, and no other; what the defaults have holds for it.
     del files["motors/M2.toml"]
