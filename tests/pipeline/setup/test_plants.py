@@ -224,13 +224,6 @@ def test_an_answer_for_one_log_is_not_taken_for_another_of_another_size(tmp_path
     assert [one.channels["pressure_difference"].unit for one in found.motors] == ["bar", "kPa"]
 
 
-def test_a_mark_that_is_not_the_decimal_one_is_between_thousands(tmp_path: Path) -> None:
-    header = "time;dp [kPa];T [°C];n [rpm];leak [ml/min]"
-    log = seconds(tmp_path / "a.csv", header, ";1.250;45;30;2.500")
-    (motor,) = propose(log, {"decimal": ","}).motors
-    assert (motor.logs["decimal"], motor.logs["thousands"]) == (",", ".")
-
-
 def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
     """Two gauges, a day shift from 06:00 to 21:40, and a name that is no "logs"."""
     header = "Datum;Uhrzeit;Druck 1 [bar];Druck 2 [bar];T [°C];n [1/min];Lecköl [l/min]"
