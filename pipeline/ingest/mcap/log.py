@@ -7,7 +7,6 @@ message, by the `json` module or the format's own packages.
 
 from __future__ import annotations
 
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -156,7 +155,6 @@ class _Topic:
         )
         self.rows = Gathered()
         self.known = 0  # channels that the file has declared so far
-        self.ids: list[int] = []  # of those that are the topic's
         self.kind: tuple[str, Schema] | None = None  # of its messages: encoding, schema
         self.decoder: Decoder | None = None
         self.held: list[Payloads] = []
@@ -165,11 +163,10 @@ class _Topic:
         """Take its messages of a piece of the file, whose messages have these times."""
         if len(messages.channels) != self.known:
             self.known = len(messages.channels)
-            self.ids = [i for i, one in messages.channels.items() if one.topic == self.name]
-            for i in self.ids:
-                self._set_kind(messages, messages.channels[i])
-        own = [messages.channel_id == one for one in self.ids]
-        rows = np.flatnonzero(reduce(np.logical_or, own)) if own else np.empty(0, np.intp)
+            for channel in messages.channels.values():
+                if channel.topic == self.name:
+                    self._set_kind(messages, channel)
+        rows = messages.rows_of(self.name)
         if rows.size:
             self.held.append(payloads_of(messages, rows, times))
             held = (one.text.size + _COST_OF_MESSAGE * one.start.size for one in self.held)
@@ -218,8 +215,7 @@ class _Topic:
         """Refuse a field that no message has; one that is null is a missing sample."""
         there: dict[str, None] = {}
         for messages in read_messages(self.path, salvage=self.salvage):
-            ids = [i for i, channel in messages.channels.items() if channel.topic == self.name]
-            for i in np.flatnonzero(np.isin(messages.channel_id, ids)).tolist():
+            for i in messages.rows_of(self.name).tolist():
                 message = json_object(messages.payload(i)) or {}
                 if has(message, field):
                     return

@@ -11,6 +11,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import BinaryIO
@@ -70,6 +71,11 @@ class Messages:
     read_to: int  # position in the file up to which it has been read
     size: int = 0  # of their records, where these are all that the buffer holds, and of one size
     loss: str = ""  # what was lost to damage, in words; in the last piece only
+
+    def rows_of(self, topic: str) -> NDArray[np.intp]:
+        """Rows of the messages of a topic, which several channels may have."""
+        own = [self.channel_id == i for i, one in self.channels.items() if one.topic == topic]
+        return np.flatnonzero(reduce(np.logical_or, own)) if own else np.empty(0, np.intp)
 
     def payload_start(self, chosen: Rows) -> NDArray[np.int64]:
         """Begins of some payloads in the buffer."""

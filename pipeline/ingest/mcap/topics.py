@@ -65,12 +65,10 @@ def read_topics(path: Path) -> list[Topic]:
 
 def _take(topic: Topic, messages: Messages) -> None:
     """Take the first messages of a topic out of a piece."""
-    ids = [i for i, channel in messages.channels.items() if channel.topic == topic.name]
-    rows = np.flatnonzero(np.isin(messages.channel_id, ids))[: MESSAGES_READ - len(topic.log_ns)]
-    if rows.size:
-        topic.log_ns += messages.times("log_time")[rows].tolist()
-        topic.publish_ns += messages.times("publish_time")[rows].tolist()
-        topic.payloads += [messages.payload(i) for i in rows.tolist()]
+    rows = messages.rows_of(topic.name)[: MESSAGES_READ - len(topic.log_ns)]
+    topic.log_ns += messages.times("log_time")[rows].tolist()
+    topic.publish_ns += messages.times("publish_time")[rows].tolist()
+    topic.payloads += [messages.payload(i) for i in rows.tolist()]
 
 
 def _decode(path: Path, topic: Topic, schema: Schema) -> None:
