@@ -13,7 +13,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +37,7 @@ MOST_CELLS = 2**14
 _HEAD = 2**20
 _LINE_END = re.compile(rb"\r\n?|\n")
 _SPAN_PIECE = 2**16
+_SHOWN = 60
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
 _OPEN_QUOTE = "a quotation mark is opened and not closed in its row"
 
@@ -154,9 +154,8 @@ class _Rows:
         self.names: tuple[str, ...] = ()
         self.position: Mapping[str, int] = {}
         self.units_left = 0  # lines of units that are still to come
-        self.pieces = 0  # that are read
         self.torn = self.rows = self.ragged = self.headers_again = 0
-        self.first_ragged = (0, 0)  # its line and cells
+        self.first_ragged = ""
 
     def go_on(self, names: tuple[str, ...]) -> None:
         """Read rows below a header of these names."""
@@ -186,7 +185,6 @@ class _Rows:
         start = self._below_units(data, start)
         if start < len(data):
             self._read_rows(data, start)
-        self.pieces += 1
 
     def _below_units(self, data: bytes, start: int) -> int:
         """Begin of the rows below the lines of units that are still to come."""
@@ -214,8 +212,10 @@ class _Rows:
                     how = f"the rows cannot be told apart: {error}"
                     raise LogError("log_damaged", self.path, how) from error
         table, ragged = found
-        if ragged.count:
-            self._note_ragged(ragged, data, start)
+        if ragged.swallowed:
+            raise LogError("log_damaged", self.path, f"{_OPEN_QUOTE}: {ragged.swallowed!r}")
+        self.ragged += ragged.count
+        self.first_ragged = self.first_ragged or ragged.first
         self.rows += table.num_rows
         # In the parser's own blocks, which need no copy to be arrays.
         for batch in table.to_batches():
@@ -265,7 +265,7 @@ class _Rows:
             return data
         lines, before = data[start:].splitlines(keepends=True), self.headers_again
         for i, line in enumerate(lines):
-            is_header = needle in line and self._is_header(data, start, i, line)
+            is_header = needle in line and self._is_header(line)
             if is_header:
                 self.headers_again += 1
                 self.units_left = self.logs.unit_rows
@@ -274,7 +274,7 @@ class _Rows:
                 lines[i] = line[len(line.rstrip(b"\r\n")) :]
         return data[:start] + b"".join(lines) if self.headers_again > before else data
 
-    def _is_header(self, data: bytes, start: int, number: int, line: bytes) -> bool:
+    def _is_header(self, line: bytes) -> bool:
         try:
             cells = _cells(self.path, self.logs, line)
         except LogError:
@@ -282,36 +282,16 @@ class _Rows:
         time = self.columns.time[0]
         here = cells[self.position[time]] if self.position[time] < len(cells) else None
         if cells != self.names and time in cells and here in self.names:
-            how = "another header, with other columns than the first: split the log before it"
-            line_number = self._lines_above(data, start) + number + 1
-            raise LogError("log_not_csv", self.path, how, f"line {line_number}")
+            how = "another header, with other columns than the first: split the log before "
+            raise LogError("log_not_csv", self.path, how + repr(line.decode()[:_SHOWN].strip()))
         return cells == self.names
-
-    def _note_ragged(self, ragged: _Ragged, data: bytes, start: int) -> None:
-        """Count rows of another width; refuse an open quotation mark among them."""
-        row = ragged.swallowed or ragged.row
-        # The parser's rows are those that are not blank.
-        lines = [i for i, line in enumerate(data[start:].splitlines(), 1) if line]
-        line = self._lines_above(data, start) + (lines[row - 1] if row <= len(lines) else 0)
-        if ragged.swallowed:
-            raise LogError("log_damaged", self.path, _OPEN_QUOTE, f"line {line}")
-        if not self.ragged:
-            self.first_ragged = (line, ragged.cells)
-        self.ragged += ragged.count
-
-    def _lines_above(self, data: bytes, start: int) -> int:
-        """Lines above a place of the piece, counted where a message names it, and only then."""
-        before = islice(read_lines(self.path, self.logs.encoding), self.pieces)
-        # A line end of two characters may be cut in two.
-        counts = (lines.count(b"\n") or lines.count(b"\r") for lines in before)
-        return sum(counts) + len(data[:start].splitlines())
 
     def log(self) -> RawLog:
         """All that was read."""
         self.require_rows_of_one_width()
         ragged = "row with too many or too few cells"
         if self.ragged:
-            ragged += ", the first in line {} with {}".format(*self.first_ragged)
+            ragged += f", the first has {self.first_ragged}"
         return self.table.log(
             {
                 "last row without a line end (it may be cut)": self.torn,
@@ -322,32 +302,30 @@ class _Rows:
 
     def require_rows_of_one_width(self) -> None:
         """Refuse a file most of whose rows do not have the header's number of cells."""
-        line, cells = self.first_ragged
         if self.ragged > self.rows:
             raise LogError(
                 "log_not_csv",
                 self.path,
                 f"{self.ragged} of {self.ragged + self.rows} rows have not the header's "
-                f"{len(self.names)} cells, the first has {cells}: check separator and skip_rows",
-                f"line {line}",
+                f"{len(self.names)} cells, the first has {self.first_ragged}: check separator and "
+                "skip_rows",
             )
 
 
 @dataclass(slots=True)
 class _Ragged:
-    """Rows of a piece that have another width, counted from 1 without blank lines."""
+    """Rows of a piece that have another width."""
 
     count: int = 0
-    row: int = 0  # the first
-    cells: int = 0  # of the first
-    swallowed: int = 0  # the first that goes over several lines
+    first: str = ""  # its cells and begin, for a message
+    swallowed: str = ""  # begin of the first that goes over several lines
 
     def leave_out(self, row: Any) -> str:
         """Count a row; nothing else is kept of it, as there may be many."""
         if not self.count:
-            self.row, self.cells = row.number, row.actual_columns
+            self.first = f"{row.actual_columns} in {row.text[:_SHOWN]!r}"
         if not self.swallowed and "\n" in row.text.rstrip("\r\n"):
-            self.swallowed = row.number
+            self.swallowed = row.text[:_SHOWN]
         self.count += 1
         return "skip"
 
