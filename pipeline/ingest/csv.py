@@ -35,7 +35,6 @@ MOST_CELLS = 2**14
 """Cells of a header, as many as a spreadsheet has columns; the parser takes 2 kB for each."""
 
 _HEAD = 2**20
-_LINE_END = re.compile(rb"\r\n?|\n")
 _SPAN_PIECE = 2**16
 _SHOWN = 60
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
@@ -137,12 +136,6 @@ def _cells(path: Path, logs: Logs, line: bytes) -> tuple[str, ...]:
     return tuple(cell.strip() for cell in row)
 
 
-def _line_end(data: bytes, at: int) -> int:
-    """End of the line that a place of a piece is in."""
-    found = _LINE_END.search(data, at)
-    return found.end() if found else len(data)
-
-
 class _Rows:
     """Takes the pieces of a file one after the other, and gives the log."""
 
@@ -188,10 +181,11 @@ class _Rows:
 
     def _below_units(self, data: bytes, start: int) -> int:
         """Begin of the rows below the lines of units that are still to come."""
-        while self.units_left and start < len(data):
-            end = _line_end(data, start)
-            self.units_left -= bool(data[start:end].strip())
-            start = end
+        for line in data[start:].splitlines(keepends=True) if self.units_left else ():
+            self.units_left -= bool(line.strip())
+            start += len(line)
+            if not self.units_left:
+                break
         return start
 
     def _read_rows(self, data: bytes, start: int) -> None:
