@@ -1,7 +1,7 @@
 """Messages of ROS 2 in CDR, the encoding of DDS, laid out as a definition in ``ros2msg`` says.
 
 Messages of one length, whose texts and sequences have one length too, have one layout: it is found
-in the first of them, and their numbers are then read at once. The format's own package reads the
+in the first of them, and their numbers are then read at once. The format's own package judges the
 definition; it reads no ``wstring`` and no types of ROS 1, and takes cut messages for whole ones.
 CDR aligns a number to its own size, counted from behind the four bytes that say the byte order (OMG
 DDS-XTypes 1.3, 7.4.1, XCDR version 1).
@@ -17,7 +17,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -40,9 +40,6 @@ from pipeline.ingest.mcap.decoding import (
 from pipeline.ingest.mcap.layout import Schema, column
 from pipeline.ingest.time_stamps import written_as_numbers
 
-if TYPE_CHECKING:
-    from mcap_ros2._vendor.rosidl_adapter.parser import MessageSpecification, Type
-
 _HEAD = 4
 _ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
 """Byte order by representation identifier, for plain CDR."""
@@ -61,6 +58,8 @@ _NUMBERS = {
     **{f"uint{8 * size}": f"u{size}" for size in (1, 2, 4, 8)},
 }
 _UNREAD = ("wstring", "time", "duration")
+_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(?:<=)?\d*\])?")
+_TIME = {"sec": ("uint32", ""), "nanosec": ("uint32", "")}
 _BROKEN = "a message that is cut or not in CDR"
 
 MOST_FIELDS = 2**18
@@ -91,9 +90,10 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
         The decoder raises ``log_encoding`` where no message is in plain CDR, and ``log_too_large``
         where messages have no end of fields.
     """
-    decode_one, definitions = _by_package(path, topic, schema)
+    decode_one = _official_decoder(path, topic, schema)
+    definitions, root = _definitions(schema), _short(schema.name)
     try:
-        _require_known(definitions, schema.name, (), set())
+        _require_known(definitions, root, (), set())
     except NotImplementedError as error:
         how = f"messages of topic {topic!r} have {error}"
         raise LogError("log_encoding", path, how, topic) from error
@@ -101,7 +101,7 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
         how = f"the definition of {schema.name} cannot be read: {error}"
         raise LogError("log_damaged", path, how) from error
     for one in (*wanted.readings, *wanted.qualities):
-        _require_number(path, topic, definitions, schema.name, one)
+        _require_number(path, topic, definitions, root, one)
     pairs = tuple((*wanted.stamp, name) for name in (*SECONDS, *NANOSECONDS) if wanted.stamp)
     stamp = (wanted.stamp, *pairs) if wanted.stamp else ()
     paths = frozenset((*wanted.readings, *wanted.qualities, *stamp))
@@ -109,7 +109,7 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
     def decode(payloads: Payloads) -> Decoded:
         _require_plain(path, topic, payloads)
         try:
-            return _decoded(*_found_in(payloads, definitions, schema.name, paths), wanted)
+            return _decoded(*_found_in(payloads, definitions, root, paths), wanted)
         except _TooManyFieldsError as error:
             how = f"messages of topic {topic!r} have more fields, one in another, than are read"
             raise LogError("log_too_large", path, how, topic) from error
@@ -123,35 +123,25 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
     return Decoder(decode, tree)
 
 
-def _by_package(path: Path, topic: str, schema: Schema) -> tuple[Any, _Definitions]:
-    """The package's function of a payload, and the fields of each message by its names."""
+def _official_decoder(path: Path, topic: str, schema: Schema) -> Any:
+    """Function of the format's own package of a payload."""
     # Imported where it is needed: most logs have no such messages.
-    from mcap_ros2._dynamic import TimeDefinition, _for_each_msgdef, generate_dynamic
+    from mcap.records import Schema as SchemaRecord
+    from mcap_ros2.decoder import DecoderFactory
 
+    record = SchemaRecord(1, schema.data, "ros2msg", schema.name)
     # rosbag2 puts a service's own definition there, or the package refuses the name.
     if re.search(rb"^(SRV:|---)", schema.data, re.MULTILINE) or "/srv/" in schema.name:
         how = f"messages of topic {topic!r} are events of a service, which are not read"
         raise LogError("log_encoding", path, how, topic)
-    found: dict[str, Mapping[str, tuple[str, str]]] = {}
-
-    def add(full_name: str, name: str, message: MessageSpecification) -> None:
-        found[full_name] = found[name] = {one.name: _type_of(one.type) for one in message.fields}
-
     try:
-        text = schema.data.decode()
         # Its parser prints what it raises.
         with redirect_stderr(io.StringIO()), redirect_stdout(io.StringIO()):
-            decode_one = generate_dynamic(schema.name, text)[schema.name]
-            _for_each_msgdef(schema.name, text, add)
+            return DecoderFactory().decoder_for("cdr", record)
     # The package raises whatever its parser meets.
     except Exception as error:
         how = f"the definition of {schema.name} cannot be read: {error}"
         raise LogError("log_damaged", path, how) from error
-    # Recorders leave these out where nothing else names them.
-    for name in ("Time", "Duration"):
-        if f"builtin_interfaces/{name}" not in found:
-            add(f"builtin_interfaces/msg/{name}", f"builtin_interfaces/{name}", TimeDefinition)
-    return decode_one, found
 
 
 def _tree(node: Any) -> Any:
@@ -181,10 +171,35 @@ def _require_plain(path: Path, topic: str, payloads: Payloads) -> None:
 # Definitions
 
 
-def _type_of(kind: Type) -> tuple[str, str]:
-    """A type by its name, that of a message with its package, and its array."""
-    name = f"{kind.pkg_name}/{kind.type}" if kind.pkg_name else kind.type
-    return name, str(kind)[str(kind).rfind("[") :] if kind.is_array else ""
+def _definitions(schema: Schema) -> _Definitions:
+    """Fields of a message and of those that it is made of; constants have no layout."""
+    # Recorders leave these out where nothing else names them.
+    found = {"builtin_interfaces/Time": _TIME, "builtin_interfaces/Duration": _TIME}
+    name = _short(schema.name)
+    for text in re.split(r"^={3,}\s*$", schema.data.decode(), flags=re.MULTILINE):
+        fields = {}
+        for line in text.splitlines():
+            words = line.partition("#")[0].split()
+            if words[:1] == ["MSG:"] and len(words) > 1:
+                name = _short(words[1])
+            elif len(words) > 1 and "=" not in " ".join(words[1:]):
+                kind = _FIELD.fullmatch(words[0])
+                if kind:
+                    fields[words[1]] = (_full(kind[1], name), kind[2] or "")
+        found[name] = fields
+    return found
+
+
+def _short(name: str) -> str:
+    """``package/Name`` of ``package/msg/Name``."""
+    return f"{name.split('/')[0]}/{name.split('/')[-1]}"
+
+
+def _full(kind: str, message: str) -> str:
+    """A type by its name, that of a message with its package."""
+    if kind in _NUMBERS or kind == "string" or kind in _UNREAD:
+        return kind
+    return _short(kind) if "/" in kind else f"{message.split('/')[0]}/{kind}"
 
 
 def _require_known(
