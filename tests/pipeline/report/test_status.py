@@ -1,14 +1,187 @@
-"""The fleet's state: what needs attention first, and what was said of it."""
+"""The fleet's state, and the commands `status`, `ack` and `baseline reset`."""
 
 from __future__ import annotations
 
 import datetime as dt
+import json
+import shlex
 from dataclasses import replace
+from pathlib import Path
 
-from pipeline.report.status import last_findings
+import polars as pl
+import pytest
+import typer
+
+from pipeline.cli.arguments import duration
+from pipeline.errors import UsageError
+from pipeline.report.status import fleet_status, last_alarm, last_findings
 from pipeline.report.words import STATES
-from pipeline.trends.rows.motor_states import ORDER, LookStatus, urgency
-from tests.pipeline.report.states import said, state_of
+from pipeline.schema import ALARMS, LATEST, RUNS, frame
+from pipeline.store.tables import night_file
+from pipeline.trends.nights.decisions import read_decisions
+from pipeline.trends.rows.motor_states import CHANGED, ORDER, TOLD, LookStatus, urgency
+from tests.pipeline.calling import Call
+from tests.pipeline.report.states import ADVICE, SENTENCES, night_of, output, said, state_of
+from tests.pipeline.written import publisher_of, write_nights
+
+__all__ = ["output"]
+
+# Columns that only a motor with such figures has.
+NOT_FILLED = {"leakage_verdict", "temperature_effect", "model_misfit"}
+OPENED = "ack {} M1 --note x --opened"
+
+
+def ran(output: Path, hours_ago: float, status: str = "ok") -> None:
+    ended = dt.datetime.now(dt.UTC) - dt.timedelta(hours=hours_ago)
+    row = {"run_id": f"r{hours_ago}", "started_at": ended, "finished_at": ended, "status": status}
+    with publisher_of(output) as publisher:
+        publisher.add(f"{ended:%Y-%m}", {RUNS: [row]})
+
+
+@pytest.fixture
+def config(output: Path) -> Path:
+    return output.parent / "configs" / "fleet.toml"
+
+
+def test_the_command_prints_motors_and_the_last_good_run(
+    output: Path, config: Path, call: Call
+) -> None:
+    ran(output, 3.0)
+    code, out, err = call("status", config)
+    assert code == 0
+    columns, first = out.splitlines()
+    assert columns.split("\t")[:3] == ["motor", "state", "newest night"]
+    assert first.split("\t") == [
+        *("M1", "alarm", "+21.0 % [17.0, 25.0]", "2.42", str(night_of(2)), str(night_of(5))),
+        f"{SENTENCES['alarm']}. {ADVICE['alarm']}",
+    ]
+    assert err.startswith("last good run: 20")
+
+
+def test_max_age_counts_good_runs_alone(output: Path, config: Path, call: Call) -> None:
+    def is_old(max_age: str) -> bool:
+        code, _, err = call("status", config, "--max-age", max_age)
+        assert ("which is too old" in err) == bool(code)
+        return bool(code)
+
+    assert is_old("26h")
+    assert "last good run: never" in call("status", config)[2]
+    ran(output, 1.0, "interrupted")
+    assert is_old("26h")
+    ran(output, 30.0)
+    assert (is_old("26h"), is_old("2d")) == (True, False)
+    # A failure that stands is to be seen, each day.
+    ran(output, 3.0, "motors_failed")
+    assert (is_old("26h"), is_old("2d")) == (True, False)
+
+
+def test_json_has_a_line_a_motor_and_one_for_the_fleet(
+    output: Path, config: Path, call: Call
+) -> None:
+    ran(output, 30.0)
+    code, out, _ = call("status", config, "--json", "--max-age", "26h")
+    assert code == 1
+    motor, fleet = map(json.loads, out.splitlines())
+    assert (motor["event"], motor["motor_id"], motor["state"]) == ("motor", "M1", "alarm")
+    # A motor's line has the columns of `latest`.
+    assert motor.keys() ^ LATEST.schema.keys() <= {"event", "look", "run_id", *NOT_FILLED}
+    assert (motor["cause"], motor["tonight_change"]) == ("balance_sleeve", 0.21)
+    assert (fleet["event"], fleet["too_old"], fleet["findings"]) == ("fleet", True, 0)
+
+
+def test_acknowledged_found_and_counted(output: Path, config: Path, call: Call) -> None:
+    code, out, _ = call("ack", config, "M1", "--note", "rings ordered")
+    assert (code, out) == (0, "M1: leakage, raised last on 2026-01-06: acknowledged\n")
+    assert "(acknowledged: rings ordered)" in call("status", config)[1]
+    assert "inspections" not in call("status", config)[2]
+    finding = ("ack", config, "M1", "--note", "worn", "--finding", "confirmed")
+    assert call(*finding)[0] == 0
+    _, out, err = call("status", config)
+    assert "(acknowledged: worn)" in out
+    assert "inspections that confirmed an alarm: 1 of 1 (100 %)" in err
+    assert fleet_status(output, ["M1"]).findings_confirmed == 1
+    (first, second) = read_decisions(output)
+    assert (first.kind, second.kind, second.finding) == ("acknowledged", "finding", "confirmed")
+    assert second.night == night_of(4)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("ack {} M9 --note x", "no motor M9; there are M1"),
+        ("ack {} M1 flow_zero --note x", "has had no alarm of 'flow_zero'; alarms so far: leakage"),
+        ("ack {} M1 --note x --finding yes", "is not one of 'confirmed'"),
+        ("ack {} M1 --note ' '", "expected some words"),
+        ("ack {} M1", "--note"),
+        (f"{OPENED} 2026-01-06", "expected --opened with --worn or --sound"),
+        (f"{OPENED} 9998-01-06 --worn cam_roller", "which has not come"),
+        (f"{OPENED} '6 May' --worn cam_roller", "expected YYYY-MM-DD"),
+        (f"{OPENED} 2026-01-06 --worn valve", "M1 has no part 'valve'; it has balance_p"),
+        (
+            f"{OPENED} 2026-01-06 --worn cam_roller --sound 'cam roller'",
+            "cam_roller: expected worn or sound, not both",
+        ),
+        ("baseline reset {} M1 '5 May' --note x", "got '5 May'; expected YYYY-MM-DD"),
+        ("baseline reset {} M1 2199-01-01 --note x", "which has not come"),
+        ("baseline reset {} M9 2026-01-05 --note x", "no motor M9"),
+    ],
+)
+def test_what_would_do_nothing_is_refused(
+    output: Path, config: Path, call: Call, line: str, words: str
+) -> None:
+    code, out, err = call(*shlex.split(line.format(config)))
+    assert (code, out) == (2, "")
+    assert words in err
+    assert read_decisions(output) == ()
+
+
+def test_parts_of_an_opened_motor_are_recorded(output: Path, config: Path, call: Call) -> None:
+    parts = "--worn 'Piston ring' --sound balance_sleeve --sound balance_piston"
+    code, out, _ = call(*shlex.split(f"{OPENED} 2026-01-07 {parts}".format(config)))
+    assert (code, out) == (
+        0,
+        "M1: opened on 2026-01-07; worn: piston_ring; sound: balance_sleeve, balance_piston\n",
+    )
+    (found,) = read_decisions(output)
+    assert (found.kind, found.indicator, found.night) == ("finding", "", dt.date(2026, 1, 7))
+    assert (found.worn, found.sound) == ("piston_ring", "balance_sleeve, balance_piston")
+
+
+def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
+    row = (
+        pl.read_parquet(night_file(output, ALARMS, night_of(4)))
+        .filter(night=night_of(4))
+        .to_dicts()[0]
+    )
+    stale = row | {"night": night_of(5), "to_state": "stale"}
+    write_nights(output, ALARMS, frame(ALARMS, [stale]))
+    assert last_alarm(output, "M1", "leakage", TOLD) == night_of(5)
+    assert last_alarm(output, "M1", "leakage", CHANGED) == night_of(4)
+    with pytest.raises(UsageError, match="alarms so far: none"):
+        last_alarm(output, "M2", "leakage", TOLD)
+
+
+def test_states_that_a_change_of_rules_raised_changed_or_withdrew_are_counted(
+    output: Path, config: Path, call: Call
+) -> None:
+    counted = [("ok", "warning"), ("warning", "alarm"), ("alarm", "ok")]
+    others = [(None, "alarm"), ("warning", "warning"), ("insufficient", "ok")]
+    assert "rules" not in call("status", config)[2]
+    key = {"motor_id": "M1", "indicator": "leakage"}
+    rows = [
+        key | {"night": night_of(10 + place), "state_before_rules": before, "to_state": after}
+        for place, (before, after) in enumerate([*others, *counted])
+    ]
+    rows = [one | {"rules": one["state_before_rules"] and "trends 5 to 6"} for one in rows]
+    write_nights(output, ALARMS, frame(ALARMS, rows))
+    words = "changes of the program's rules: other states of past nights: 3"
+    assert words in call("status", config)[2]
+
+
+@pytest.mark.parametrize("text", ["", "h", "26", "-1h", "0h", "infh", "nanh", "1y", "26 h ours"])
+def test_a_duration_that_is_none(text: str) -> None:
+    with pytest.raises(typer.BadParameter):
+        duration(text)
 
 
 def test_every_state_has_a_meaning() -> None:
