@@ -8,7 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.errors import UsageError
-from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
+from pipeline.night.masks import out_of_range
+from pipeline.units import (
+    CHANNELS,
+    FALLBACK_VALID_RANGE,
+    QUANTITIES,
+    UNITS,
+    canonical_unit,
+    from_canonical,
+    to_canonical,
+)
 
 CHANNEL_OF = {quantity: channel for channel, quantity in reversed(QUANTITIES.items())}
 EVERY_UNIT = [(quantity, unit) for quantity, units in UNITS.items() for unit in units]
@@ -50,6 +59,31 @@ EVERY_UNIT = [(quantity, unit) for quantity, units in UNITS.items() for unit in 
 def test_published_conversions(channel: str, value: float, unit: str, expected: float) -> None:
     assert to_canonical(channel, [value], unit) == pytest.approx([expected], rel=1e-7, abs=1e-9)
     assert from_canonical(channel, [expected], unit) == pytest.approx([value], rel=1e-7, abs=1e-9)
+
+
+# What such motors and their sensors can show: peaks of 450 bar on either port, no pressure below a
+# vacuum, a charge pump's and a case's own limits, mineral oil that still flows, 500 rpm.
+USUAL = {
+    "pressure_difference": (-450.0, 450.0),
+    "high_port_pressure": (-1.0, 450.0),
+    "low_port_pressure": (-1.0, 450.0),
+    "charge_pressure": (-1.0, 100.0),
+    "case_pressure": (-1.0, 50.0),
+    "oil_temperature": (-40.0, 120.0),
+    "speed": (-500.0, 500.0),
+    "leakage_flow": (0.0, 200.0),
+    "running_hours": (0.0, 1e6),
+    "kinematic_viscosity": (1.0, 5000.0),
+    "dynamic_viscosity": (1.0, 5000.0),
+}
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_a_reading_beyond_what_a_channel_can_show_is_refused(channel: str) -> None:
+    low, high = USUAL[channel]
+    readings = np.array([low - 0.01, low, high, high + 2e-6 * high + 0.001])
+    refused = out_of_range(readings, FALLBACK_VALID_RANGE[channel])
+    assert refused.tolist() == [True, False, False, True]
 
 
 @pytest.mark.parametrize("channel", CHANNELS)

@@ -102,6 +102,20 @@ def test_a_right_model_leaves_little() -> None:
     assert np.quantile(shares, 0.95) < 0.007
 
 
+def test_a_misfit_is_the_same_in_any_unit_of_the_loss_factors() -> None:
+    blocks, means = night(Truth(with_roller(1.3)), np.random.default_rng(2))
+    theta = certify(merge(blocks), np.zeros(4), np.array([1e-9] * 3 + [0.0])).coefficients
+    # Columns of norms of 1e13 to 1e15, and of less than 1.
+    unit = np.array([1e18] * 3 + [1.0])
+    plain, other = (
+        misfit(blocks / [*one, 1.0, 1.0], np.arange(len(blocks)), theta * one, FIXED, means)
+        for one in (np.ones(4), unit)
+    )
+    assert plain is not None
+    assert other is not None
+    assert other.share == pytest.approx(plain.share, rel=1e-6)
+
+
 @pytest.mark.parametrize("minutes", [5, 15, 60])
 def test_slow_errors_alone_are_no_misfit(minutes: int) -> None:
     found = misfits(Truth(error_memory_s=60.0 * minutes, error=0.03), 30)

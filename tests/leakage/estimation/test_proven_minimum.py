@@ -133,6 +133,16 @@ def test_dependent_columns_in_a_box_still_have_their_minimum(seed: int) -> None:
     assert found.coefficients.tobytes() == again.coefficients.tobytes()
 
 
+def test_the_condition_number_is_that_of_columns_of_one_length() -> None:
+    z = made_samples(placeholder_motor())
+    columns = z[:, :4] / column_norms(z)[:4]
+    found = certify(factor(z), np.zeros(4), np.full(4, np.inf))
+    assert found.condition_number == pytest.approx(np.linalg.cond(columns), rel=1e-9)
+    # A column of nothing depends on every other.
+    z[:, 0] = 0.0
+    assert certify(factor(z), np.zeros(4), np.full(4, np.inf)).condition_number == np.inf
+
+
 def constant_pressure(n: int = 2000) -> Array:
     """180 bar throughout: the three gaps' columns are multiples of one another."""
     conditions = made_conditions(n, pressure_bar=(180.0, 180.0))
