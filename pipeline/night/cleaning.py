@@ -24,10 +24,11 @@ from pipeline.night.channel_rules import (
 )
 from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
 from pipeline.night.time_order import (
+    Ordered,
     carried_over,
     corrected,
     n_jittered,
-    order_of,
+    order_once,
     samples_of,
     typical_period_us,
 )
@@ -58,18 +59,23 @@ class CleanChannel:
 
 
 def clean_channel(
-    raw: RawChannel, rules: ChannelRules, night_start_us: int | None = None
+    raw: RawChannel,
+    rules: ChannelRules,
+    night_start_us: int | None = None,
+    ordered: Ordered | None = None,
 ) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
     Of what lies before `night_start_us`, the last sample of an on-change channel carries over, and
-    no rule counts it; None: all samples are of the night.
+    no rule counts it; None: all samples are of the night. `ordered` has the stamps of the channels
+    before, and gains these.
     """
     early, here = None, raw
     if night_start_us is not None and raw.time_us.min(initial=night_start_us) < night_start_us:
         before = raw.time_us < night_start_us
         early, here = raw.rows(before), raw.rows(chosen_rows(~before))
-    order = order_of(here.time_us, puts_in_order=rules.puts_in_order)
+    stamps = [] if ordered is None else ordered
+    order = order_once(stamps, here.time_us, puts_in_order=rules.puts_in_order)
     n_put_back, n_backward, n_duplicate = (
         int(np.count_nonzero(~here.missing[rows]))
         for rows in (order.late, order.backward, order.repeated)

@@ -57,9 +57,24 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
         if len(late):
             chosen[late], chosen[stray] = True, False
     rows = np.flatnonzero(chosen)
-    rows = rows[np.argsort(time_us[rows], kind="stable")]
-    again = np.flatnonzero(np.diff(time_us[rows]) == 0) + 1
+    if len(late):
+        rows = rows[np.argsort(time_us[rows], kind="stable")]
+    stamps = time_us[rows]
+    again = np.flatnonzero(stamps[1:] == stamps[:-1]) + 1
     return Order(np.delete(rows, again), late, np.flatnonzero(~chosen), rows[again])
+
+
+# Stamps that were put in order, and what came of it.
+Ordered = list[tuple[Times, Order]]
+
+
+def order_once(ordered: Ordered, time_us: Times, *, puts_in_order: bool) -> Order:
+    """As `order_of`; channels of one table have the same stamps, and share their order."""
+    for stamps, order in ordered:
+        if np.array_equal(stamps, time_us):
+            return order
+    ordered.append((time_us, order_of(time_us, puts_in_order=puts_in_order)))
+    return ordered[-1][1]
 
 
 def backward_time(time_us: Times) -> Mask:

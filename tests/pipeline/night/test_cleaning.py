@@ -26,7 +26,13 @@ from pipeline.night.masks import (
     spike,
     transient,
 )
-from pipeline.night.time_order import backward_time, n_jittered, typical_period_us, written_late
+from pipeline.night.time_order import (
+    Ordered,
+    backward_time,
+    n_jittered,
+    typical_period_us,
+    written_late,
+)
 from tests.pipeline.night.channels import (
     RULES,
     SECOND,
@@ -178,6 +184,20 @@ class TestTime:
         refused = cleaned.counts["backward_time"] + cleaned.counts["duplicate_time"]
         assert len(cleaned.time_us) + refused == len(time)
         assert cleaned.counts["any"] == refused + int(cleaned.refused.sum())
+
+
+def test_channels_of_one_table_share_their_order_and_others_have_their_own() -> None:
+    """The stamps are compared: a table with other ones is not put in the first one's order."""
+    ordered: Ordered = []
+    first, other = stamps(50), stamps(50)
+    first[[20, 21]] = first[[21, 20]]
+    other[40] = other[39]
+    for time in (first, other, first.copy(), other.copy()):
+        alone = clean_channel(raw(time, lively(50)), RULES)
+        shared = clean_channel(raw(time, lively(50)), RULES, None, ordered)
+        np.testing.assert_array_equal(shared.time_us, alone.time_us)
+        assert (shared.counts, shared.noted) == (alone.counts, alone.noted)
+    assert len(ordered) == 2
 
 
 class TestNear:
