@@ -85,7 +85,8 @@ UNITS: Mapping[str, Mapping[str, Conversion]] = {
 }
 """Units that a log may be in, by quantity; the first of each is the canonical one."""
 
-_USUAL = {
+# Quantity of each channel, and the limits of its readings where its config states none.
+_CHANNELS = {
     "pressure_difference": ("pressure", (-450.0, 450.0)),
     "high_port_pressure": ("pressure", (-1.0, 450.0)),
     "low_port_pressure": ("pressure", (-1.0, 450.0)),
@@ -98,9 +99,9 @@ _USUAL = {
     "kinematic_viscosity": ("kinematic viscosity", (1.0, 5000.0)),
     "dynamic_viscosity": ("dynamic viscosity", (1.0, 5000.0)),
 }
-QUANTITIES = {name: quantity for name, (quantity, _) in _USUAL.items()}
+QUANTITIES = {name: quantity for name, (quantity, _) in _CHANNELS.items()}
 """Quantity of each channel."""
-FALLBACK_VALID_RANGE = {name: limits for name, (_, limits) in _USUAL.items()}
+FALLBACK_VALID_RANGE = {name: limits for name, (_, limits) in _CHANNELS.items()}
 """Limits of the readings of each channel that states none, in its canonical unit."""
 
 RUNNING_HOURS = "running_hours"

@@ -67,8 +67,8 @@ def clean_channel(
     """Apply every rule of a channel to its own samples.
 
     Of what lies before `night_start_us`, the last sample of an on-change channel carries over, and
-    no rule counts it; None: all samples are of the night. `ordered` has the stamps of the channels
-    before, and gains these.
+    no rule counts it; None: all samples are of the night. `ordered` has the stamps of the channel
+    before, and gets these.
     """
     early, here = None, raw
     if night_start_us is not None and raw.time_us.min(initial=night_start_us) < night_start_us:

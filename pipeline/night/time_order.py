@@ -64,17 +64,18 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     return Order(np.delete(rows, again), late, np.flatnonzero(~chosen), rows[again])
 
 
-# Stamps that were put in order, and what came of it.
+# The stamps that were ordered last, and their order; empty before any.
 Ordered = list[tuple[Times, Order]]
 
 
-def order_once(ordered: Ordered, time_us: Times, *, puts_in_order: bool) -> Order:
-    """As `order_of`; channels of one table have the same stamps, and share their order."""
-    for stamps, order in ordered:
-        if np.array_equal(stamps, time_us):
-            return order
-    ordered.append((time_us, order_of(time_us, puts_in_order=puts_in_order)))
-    return ordered[-1][1]
+def order_once(last: Ordered, time_us: Times, *, puts_in_order: bool) -> Order:
+    """As `order_of`; channels of one table have the same stamps, and share their order.
+
+    Only the last one is kept: channels with stamps of their own would hold all of a day's.
+    """
+    if not (last and np.array_equal(last[0][0], time_us)):
+        last[:] = [(time_us, order_of(time_us, puts_in_order=puts_in_order))]
+    return last[0][1]
 
 
 def backward_time(time_us: Times) -> Mask:
