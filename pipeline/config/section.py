@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import Flag, auto
 from functools import cache
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, get_args
 from zoneinfo import ZoneInfo
 
 from pydantic import (
@@ -220,10 +220,20 @@ class Section(BaseModel):
             found[key] = bool(own & stage)
         return found
 
+    @classmethod
+    @cache
+    def _looked_at(cls, stage: Stage) -> tuple[tuple[str, bool], ...]:
+        """Keys of a stage, and those that may hold tables, with whether they are of it."""
+        return tuple(
+            (key, is_of_it)
+            for key, is_of_it in cls.in_stage(stage).items()
+            if is_of_it or _holds_tables(cls.model_fields[key].annotation)
+        )
+
     def shaping(self, stage: Stage) -> dict[str, Any]:
         """All settings of a stage, by key; of tables, the keys that are of it."""
         found: dict[str, Any] = {}
-        for key, is_of_it in self.in_stage(stage).items():
+        for key, is_of_it in self._looked_at(stage):
             value = getattr(self, key)
             if isinstance(value, Section):
                 part = value.shaping(stage)
@@ -236,6 +246,11 @@ class Section(BaseModel):
             elif is_of_it:
                 found[key] = value
         return found
+
+
+def _holds_tables(kind: Any) -> bool:
+    parts = get_args(kind)
+    return any(map(_holds_tables, parts)) or (isinstance(kind, type) and issubclass(kind, Section))
 
 
 def left_out() -> Any:

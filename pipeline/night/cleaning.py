@@ -22,7 +22,14 @@ from pipeline.night.channel_rules import (
     flow_from_counts,
     step_of_readings,
 )
-from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
+from pipeline.night.masks import (
+    ROUNDING,
+    at_maximum,
+    frozen,
+    out_of_range,
+    spike,
+    steps_where,
+)
 from pipeline.night.time_order import (
     Ordered,
     carried_over,
@@ -145,7 +152,7 @@ def _judged(
     credible = ~reduce(np.logical_or, masks.values())
     rows = chosen_rows(credible)
     kept_us, readings = time[rows], value[rows]
-    long_steps = np.flatnonzero(np.diff(time) > longest_gap_us)
+    long_steps = steps_where(lambda steps_us: steps_us > longest_gap_us, time)
     borders = _borders(kept_us, long_steps, np.flatnonzero(~credible), longest_gap_us)
     stated = max(rules.resolution, sampling.resolution_l_per_min(period_us))
     course = Course(kept_us, readings, borders, rules, stated or step_of_readings(readings))

@@ -9,14 +9,18 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times, Values
 from pipeline.night.cleaning import CleanChannel
+from pipeline.night.masks import steps_where
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
 AVERAGE_ABOVE = 1.5
 # Share of a cell's samples that must be kept for its average.
 CELL_SHARE = 0.5
+# Samples in equal steps are filled in without a search where stretches of them are this long.
+EVEN_SAMPLES = 64
 # A mean stands for this share of its period on either side; half, and some for jitter.
 MEAN_REACH = 0.6
 
@@ -41,29 +45,63 @@ def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     on_change = channel.sampling.on_change
     if channel.period_us and not on_change and channel.period_us * AVERAGE_ABOVE < period_us:
         return _averaged(channel, grid_us, period_us)
-    return _interpolated(channel, grid_us)
+    return _interpolated(channel, grid_us, period_us)
 
 
 # A refused value may be infinite.
 @np.errstate(over="ignore", invalid="ignore")
-def _interpolated(channel: CleanChannel, grid_us: Times) -> OnGrid:
+def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     """Samples as they are at their own times, and lines between them; not beside a refused one."""
     time = channel.time_us
     # A zero has no sign here, at samples as between them.
     known = channel.value + 0.0
     known[channel.refused] = np.nan
-    value = np.interp(grid_us, time, known, left=np.nan, right=np.nan)
+    value = np.full(len(grid_us), np.nan)
+    _fill_even(value, channel, known, int(grid_us[0]), period_us)
+    others = np.flatnonzero(np.isnan(value))
+    rows: NDArray[np.intp] | slice = slice(None)
+    if len(others) < len(value) // EVEN_SAMPLES:
+        # The samples around them will do, and not all are converted; one where there are none.
+        after = time.searchsorted(grid_us[others])
+        rows = np.unique(np.concatenate([[0], after - 1, after]).clip(0, len(time) - 1))
+    value[others] = np.interp(grid_us[others], time[rows], known[rows], left=np.nan, right=np.nan)
     # Before the first sample, within gaps between two, and after the last it is silent.
-    is_gap = np.diff(time) > channel.longest_gap_us
+    gaps = steps_where(lambda steps_us: steps_us > channel.longest_gap_us, time)
     if channel.ends is not None:
-        is_gap |= channel.ends[:-1]
-    gaps = np.flatnonzero(is_gap)
+        gaps = np.union1d(gaps, np.flatnonzero(channel.ends[:-1]))
     begins = [0, *grid_us.searchsorted([*time[gaps], time[-1]], "right").tolist()]
     ends = [*grid_us.searchsorted([time[0], *time[gaps + 1]]).tolist(), len(grid_us)]
     silent = np.zeros(len(grid_us), np.bool_)
     for begin, end in zip(begins, ends, strict=True):
         value[begin:end], silent[begin:end] = np.nan, True
     return OnGrid(value, np.isfinite(value), silent)
+
+
+def _fill_even(
+    value: Values, channel: CleanChannel, known: Values, grid_start_us: int, period_us: int
+) -> None:
+    """Fill in stretches of samples in equal steps, of one period of the grid or several.
+
+    The same values as by a search for each time of the grid, in a tenth of the time.
+    """
+    time, step_us = channel.time_us, int(channel.period_us or 0)
+    apart = step_us // period_us
+    edges = steps_where(lambda steps_us: steps_us != step_us, time)
+    if not apart or step_us % period_us or len(edges) > len(time) // EVEN_SAMPLES:
+        return
+    for before, last in zip([-1, *edges.tolist()], [*edges.tolist(), len(time) - 1], strict=True):
+        place, beside = divmod(int(time[before + 1]) - grid_start_us, period_us)
+        first = before + 1 + max(-(place // apart), 0)
+        place += (first - before - 1) * apart
+        n = min(last - first, (len(value) - 1 - place) // apart)
+        if beside or n < 0:
+            continue
+        sample = known[first : first + n + 1]
+        if apart > 1:
+            lines = value[place : place + n * apart].reshape(n, apart)
+            np.multiply(np.diff(sample)[:, None] / step_us, np.arange(apart) * period_us, out=lines)
+            lines += sample[:-1, None]
+        value[place : place + n * apart + 1 : apart] = sample
 
 
 def _held(channel: CleanChannel, grid_us: Times) -> OnGrid:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from itertools import repeat
+from itertools import pairwise, repeat
 from typing import Any
 
 import numpy as np
@@ -91,9 +91,14 @@ def conditions(samples: Samples) -> Row:
 
 def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
     """Samples in each bin; the end bins hold all beyond."""
-    bins = np.searchsorted(edges[1:-1], values, side="right")
-    counts: list[int] = np.bincount(bins, minlength=len(edges) - 1).tolist()
-    return counts
+    n = len(values)
+    # Comparing with the few edges between the values is quicker than a search for each value.
+    lowest, highest = values.min(), values.max()
+    beyond = [
+        int(np.count_nonzero(values >= edge)) if lowest < edge <= highest else n * (edge <= lowest)
+        for edge in edges[1:-1]
+    ]
+    return [more - fewer for more, fewer in pairwise([n, *beyond, 0])]
 
 
 Columns = dict[str, Sequence[Any]]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Mask, Times
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.masks import missing_sample
+from pipeline.night.masks import missing_sample, steps_where
 
 # A place is free where no other sample lies nearer than this share of a period, and belongs to the
 # log where one lies within this many periods.
@@ -49,7 +49,7 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     ([0, 1, 2, 5, 3, 4], [5], [6])
     """
     late = np.empty(0, dtype=np.intp)
-    if bool((time_us[1:] > time_us[:-1]).all()):
+    if not len(steps_where(lambda steps_us: steps_us <= 0, time_us)):
         return Order(slice(None), late, late, late)
     chosen = ~backward_time(time_us)
     if puts_in_order:
@@ -59,8 +59,7 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     rows = np.flatnonzero(chosen)
     if len(late):
         rows = rows[np.argsort(time_us[rows], kind="stable")]
-    stamps = time_us[rows]
-    again = np.flatnonzero(stamps[1:] == stamps[:-1]) + 1
+    again = steps_where(lambda steps_us: steps_us == 0, time_us[rows]) + 1
     return Order(np.delete(rows, again), late, np.flatnonzero(~chosen), rows[again])
 
 
@@ -85,7 +84,7 @@ def backward_time(time_us: Times) -> Mask:
     stamp in the future does not refuse all that follow it.
     """
     mask = np.zeros(len(time_us), dtype=np.bool_)
-    falls = np.flatnonzero(np.diff(time_us) < 0) + 1
+    falls = steps_where(lambda steps_us: steps_us < 0, time_us) + 1
     if not len(falls):
         return mask
     # Between two falls stamps are in order: the latest before, and the earliest after each fall.
@@ -167,22 +166,23 @@ def _distance_of_nearest(ordered: Times, stamps: Times, *, own: int) -> NDArray[
 
 def typical_period_us(time_us: Times) -> float | None:
     """Median distance of consecutive samples [µs]; None for fewer than two."""
-    steps = np.diff(time_us)
-    if not len(steps):
+    n = len(time_us) - 1
+    if n < 1:
         return None
     # Where most are alike, which is where sorting takes longest, their length is the median.
-    some = np.sort(steps[:: max(1, len(steps) // LOOKED_AT)])
+    places = np.arange(0, n, max(1, n // LOOKED_AT))
+    some = np.sort(time_us[places + 1] - time_us[places])
     likely = some[len(some) // 2]
-    is_of_most = 2 * np.count_nonzero(steps == likely) > len(steps)
-    return float(likely if is_of_most else np.median(steps))
+    n_others = len(steps_where(lambda steps_us: steps_us != likely, time_us))
+    return float(likely if 2 * n_others < n else np.median(np.diff(time_us)))
 
 
 def n_jittered(time_us: Times, period_us: float | None) -> int:
     """Number of samples that come neither one nor several periods after the one before."""
     if not period_us:
         return 0
-    steps = np.diff(time_us)
-    steps = steps[steps != period_us]
+    others = steps_where(lambda steps_us: steps_us != period_us, time_us)
+    steps = time_us[others + 1] - time_us[others]
     whole = np.maximum(np.round(steps / period_us), 1.0)
     return int(np.count_nonzero(np.abs(steps - whole * period_us) > JITTER_SHARE * period_us))
 

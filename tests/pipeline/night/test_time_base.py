@@ -6,6 +6,7 @@ import datetime as dt
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import SECOND_US
 from pipeline.config import Cleaning, SensorHealth, Settings, TimeBase
 from pipeline.config.nights import Night
+from pipeline.night import resampling
 from pipeline.night.channel_rules import Sampling
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.halts import Halts, settled_halts
@@ -246,6 +248,7 @@ class TestInterpolation:
         st.booleans(),
         st.booleans(),
         st.sampled_from([10.0, 20.0, 30.0, 50.0]),
+        st.sampled_from([2, resampling.EVEN_SAMPLES]),
     )
     def test_as_the_slow_definition(
         self,
@@ -255,6 +258,7 @@ class TestInterpolation:
         on_change: bool,
         hold: bool,
         period_us: float,
+        even_samples: int,
     ) -> None:
         rng = np.random.default_rng(seed)
         time = np.array(times, np.int64)
@@ -265,7 +269,9 @@ class TestInterpolation:
         channel = replace(channel, ends=rng.random(len(time)) < 0.2) if on_change else channel
         channel = replace(channel, sampling=Sampling(on_change=on_change, hold=hold))
         grid = np.arange(-20, 420, 10, dtype=np.int64)
-        got, present, silent = on_grid(channel, grid, 10)
+        # Also where the stretches are shorter than such as pay.
+        with patch.object(resampling, "EVEN_SAMPLES", even_samples):
+            got, present, silent = on_grid(channel, grid, 10)
         expected, asleep = (slow_hold if hold else slow_interpolation)(channel, grid)
         assert present.tolist() == [one is not None for one in expected]
         assert silent.tolist() == asleep
