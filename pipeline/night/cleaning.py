@@ -87,7 +87,9 @@ def clean_channel(
         int(np.count_nonzero(~here.missing[rows]))
         for rows in (order.late, order.backward, order.repeated)
     )
-    cells = corrected(here.rows(order.rows), rules)
+    cells = corrected(here.rows(order.rows, order.time_us), rules)
+    # A day at 100 Hz is not to be in memory twice.
+    del raw, here
     period = typical_period_us(cells.time_us[~cells.missing])
     longest_gap_us = _longest_gap_us(period, rules)
     samples = samples_of(cells, rules, period)

@@ -131,12 +131,13 @@ def _averaged(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     n = len(grid_us)
     cell = (channel.time_us - grid_us[0] + period_us // 2) // period_us
     within = (cell >= 0) & (cell < n)
+    silent = np.bincount(cell[within], minlength=n) == 0
     chosen = within & ~channel.refused
-    kept = np.bincount(cell[chosen], minlength=n)
-    total = np.bincount(cell[chosen], weights=channel.value[chosen], minlength=n)
+    cell = cell[chosen]
+    kept = np.bincount(cell, minlength=n)
+    total = np.bincount(cell, weights=channel.value[chosen], minlength=n)
     assert channel.period_us is not None
     present = kept >= CELL_SHARE * period_us / channel.period_us
     result = np.full(n, np.nan)
     result[present] = total[present] / kept[present]
-    silent = np.bincount(cell[within], minlength=n) == 0
     return OnGrid(result, present, silent)

@@ -32,6 +32,7 @@ class Order:
     """Rows in strict order of time."""
 
     rows: NDArray[np.intp] | slice  # those that are kept, in order
+    time_us: Times  # their stamps
     # late, backward, repeated: rows put back in order, and those left out as backward and as
     # duplicates.
     late: NDArray[np.intp]
@@ -50,7 +51,7 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     """
     late = np.empty(0, dtype=np.intp)
     if not len(steps_where(lambda steps_us: steps_us <= 0, time_us)):
-        return Order(slice(None), late, late, late)
+        return Order(slice(None), time_us, late, late, late)
     chosen = ~backward_time(time_us)
     if puts_in_order:
         late, stray = written_late(time_us, ~chosen, time_us[chosen])
@@ -60,7 +61,8 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     if len(late):
         rows = rows[np.argsort(time_us[rows], kind="stable")]
     again = steps_where(lambda steps_us: steps_us == 0, time_us[rows]) + 1
-    return Order(np.delete(rows, again), late, np.flatnonzero(~chosen), rows[again])
+    once = np.delete(rows, again)
+    return Order(once, time_us[once], late, np.flatnonzero(~chosen), rows[again])
 
 
 # The stamps that were ordered last, and their order; empty before any.
