@@ -38,7 +38,6 @@ from pipeline.ingest.mcap.layout import (
     Schema,
     Statistics,
     Summary,
-    column,
     fields_at,
     read_summary,
     record_offsets,
@@ -69,7 +68,6 @@ class Messages:
     start: NDArray[np.int64]  # of their records in the buffer
     payload_end: NDArray[np.int64]
     read_to: int  # position in the file up to which it has been read
-    size: int = 0  # of their records, where these are all that the buffer holds, and of one size
     loss: str = ""  # what was lost to damage, in words; in the last piece only
 
     def rows_of(self, topic: str) -> NDArray[np.intp]:
@@ -87,8 +85,6 @@ class Messages:
 
     def times(self, name: str) -> NDArray[np.uint64]:
         """Their ``log_time`` or ``publish_time`` [ns]."""
-        if self.size:
-            return column(self.buffer, _TIMES[name], "<u8", self.size)
         return fields_at(self.buffer, self.start + _TIMES[name], "<u8")
 
 
@@ -271,31 +267,11 @@ def _messages_of_block(
             return
         where = f"chunk at byte {place + offsets[chunk]}"
         records = _unpacked_chunk(path, content(chunk), where)
-        size = record_size_of_all(records)
-        if size > _MESSAGE_HEAD and records[0] == MESSAGE:
-            yield _messages_of_one_size(records, size, declared, place + stops[chunk])
-            continue
         indexes = takewhile(lambda i: opcodes[i] == MESSAGE_INDEX, range(chunk + 1, len(offsets)))
         inside, end = offsets_in_chunk(records, _indexed_positions(list(map(content, indexes))))
         if end != len(records):
             raise LogError("log_damaged", path, "its records do not fill it", where)
         yield _messages(path, records, inside, end, declared, place + stops[chunk])
-
-
-def _messages_of_one_size(
-    records: memoryview, size: int, declared: Declared, read_to: int
-) -> Messages:
-    starts = np.arange(0, len(records), size)
-    return Messages(
-        buffer=records,
-        channels=declared.channels,
-        schemas=declared.schemas,
-        channel_id=column(records, PREFIX.size, "<u2", size),
-        start=starts,
-        payload_end=starts + size,
-        read_to=read_to,
-        size=size,
-    )
 
 
 def _messages(
@@ -366,17 +342,6 @@ def _unfolded(packed: memoryview, codec: str, size: int) -> memoryview:
     """The bytes, as far as they go, but one more than `size` at most."""
     with pa.CompressedInputStream(pa.BufferReader(pa.py_buffer(packed)), codec) as stream:
         return memoryview(stream.read_buffer(size + 1))
-
-
-def record_size_of_all(records: memoryview) -> int:
-    """Size of each record of a chunk; 0 unless all are of one kind and one size."""
-    if len(records) < PREFIX.size:
-        return 0
-    size = PREFIX.size + PREFIX.unpack_from(records)[1]
-    if len(records) % size:
-        return 0
-    heads = column(records, 0, f"V{PREFIX.size}", size).tobytes()
-    return size if heads == heads[: PREFIX.size] * (len(records) // size) else 0
 
 
 def _indexed_positions(indexes: Sequence[memoryview]) -> NDArray[np.int64]:

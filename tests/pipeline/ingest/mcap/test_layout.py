@@ -19,7 +19,7 @@ import pipeline.ingest.mcap.messages
 from pipeline.ingest import time_span
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.mcap.layout import record_offsets
-from pipeline.ingest.mcap.messages import offsets_in_chunk, record_size_of_all
+from pipeline.ingest.mcap.messages import offsets_in_chunk
 from tests.pipeline.ingest.mcap_files import (
     DP,
     MAGIC,
@@ -206,17 +206,3 @@ def test_an_index_is_believed_only_as_far_as_it_is_true(
         found, found_end = offsets_in_chunk(records[:cut], hint)
         wanted, wanted_end = record_offsets(records[:cut])
         assert (found.tolist(), found_end) == (wanted, wanted_end)
-
-
-@given(
-    kinds=st.lists(st.tuples(st.sampled_from([0x05, 0x80]), st.integers(0, 2)), max_size=4),
-    times=st.integers(1, 3),
-    missing=st.integers(0, 2),
-)
-def test_records_are_of_one_size_where_the_walk_finds_them_so(
-    kinds: list[tuple[int, int]], times: int, missing: int
-) -> None:
-    whole = b"".join(record(opcode, bytes(length)) for opcode, length in kinds * times)
-    records = memoryview(whole[: max(len(whole) - missing, 0)])
-    alike = len(set(kinds)) == 1 and not missing
-    assert record_size_of_all(records) == (9 + kinds[0][1] if alike else 0)
