@@ -5,11 +5,13 @@ In a mapping, the unit None means that the log does not say it.
 
 from __future__ import annotations
 
+import csv
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 from pipeline.units import QUANTITIES, from_canonical
 from pipeline.units import UNITS as KNOWN_UNITS
@@ -160,28 +162,35 @@ PLANTS = (_ignition_dataset(), _wincc_archive(), _quality(), _influx_dutch())
 # Styles of header, of one wide table each
 
 FILE = Path(__file__).with_name("header_styles.toml")
-STYLES = tomllib.loads(FILE.read_text("utf-8"))["style"]
+STYLES = tomllib.loads(FILE.read_text("utf-8"))
 
 
-def columns(style: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Kind and unit by name of a column, of lines such as ``Drehzahl [1/min] = speed rpm``."""
-    pairs = (line.rsplit(" = ", 1) for line in style["columns"].splitlines())
-    return {name: (*meant.split(" "), "")[:2] for name, meant in pairs}
+def columns(style: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+    """Kind and unit by name of a column, those of a motor together."""
+    return {
+        name.replace("{}", motor): (*meant.split(" "), "")[:2]
+        for motor in style.get("motors", [""])
+        for name, meant in style.items()
+        if name not in ("time", "motors", "units")
+    }
 
 
-def written(style: Mapping[str, str], folder: Path) -> Path:
+def written(style: Mapping[str, Any], folder: Path) -> Path:
     """A log of a motor at work, with a style's header."""
-    separator, own = style.get("separator", ","), columns(style)
-    lines = [separator.join([style["time"], *own]), *filter(None, [style.get("units")])]
+    own = columns(style)
+    lines = [[style["time"], *own]]
+    if "units" in style:
+        lines.append(["", *style["units"] * len(style.get("motors", [""]))])
     for row in range(ROWS):
-        cells = [stamp(row, style["form"])]
+        cells = [stamp(row, "%Y-%m-%dT%H:%M:%SZ")]
         for at, (kind, unit) in enumerate(own.values()):
             made = {"?": "low" if at else "high", "x": "other"}.get(kind, kind)
             number, channel = value(made, 1, row), CHANNELS.get(made, "speed")
             if unit in KNOWN_UNITS[QUANTITIES[channel]]:
                 number = float(from_canonical(channel, number, unit))
-            cells.append(f"{number:.3f}".replace(".", style.get("decimal", ".")))
-        lines.append(separator.join(cells))
+            cells.append(f"{number:.3f}")
+        lines.append(cells)
     path = folder / "log.csv"
-    path.write_text("\n".join(lines) + "\n", "utf-8")
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(lines)
     return path

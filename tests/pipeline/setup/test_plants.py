@@ -80,7 +80,7 @@ def score_of_style(style: Mapping[str, Any], folder: Path) -> Counter[str]:
         for channel, place in motor.channels.items()
     }
     own = columns(style)
-    n_motors = style.get("motors", 1)
+    n_motors = len(style.get("motors", [""]))
     # The columns of a motor stand together.
     place_of = {name: at * n_motors // len(own) for at, name in enumerate(own)}
     for motor in motors:
@@ -101,18 +101,16 @@ def score_of_style(style: Mapping[str, Any], folder: Path) -> Counter[str]:
 def test_most_channels_are_right_at_first_sight_and_none_is_wrong(
     tmp_path: Path, group: str
 ) -> None:
-    styles = [one for one in STYLES if one["group"] == group]
+    styles = STYLES[group].values()
     total = sum((score_of_style(one, tmp_path) for one in styles), Counter[str]())
     assert total["wrong"] == 0
     assert total["right"] >= LEAST_RIGHT[group] * total.total() > 50
 
 
-OF_PLANTS = [one for one in STYLES if one["group"] == "plants"]
-
-
-@pytest.mark.parametrize("style", OF_PLANTS, ids=lambda style: style["name"])
-def test_what_is_written_for_a_table_reads_it(style: Mapping[str, Any], tmp_path: Path) -> None:
-    require_it_reads(written(style, tmp_path), tmp_path / "fleet", style.get("motors", 1))
+@pytest.mark.parametrize("style", STYLES["plants"])
+def test_what_is_written_for_a_table_reads_it(style: str, tmp_path: Path) -> None:
+    own = STYLES["plants"][style]
+    require_it_reads(written(own, tmp_path), tmp_path / "fleet", len(own.get("motors", [""])))
 
 
 def seconds(log: Path, header: str, line: str) -> Path:
@@ -182,7 +180,8 @@ def test_rows_of_several_motors_are_motors(tmp_path: Path, column: str) -> None:
 
 
 def test_nothing_is_overwritten_and_nothing_written_unasked(tmp_path: Path) -> None:
-    source = written(next(one for one in STYLES if "four motors" in one["name"]), tmp_path)
+    four = STYLES["plants"]["Excel, four motors by a prefix, a row of units"]
+    source = written(four, tmp_path)
     options = ["init", str(source), "--to", str(tmp_path / "fleet")]
     known = ["--answer", "motor_type=CB560", "--answer", "oil=vg68", "--answer", "decimal=."]
     assert RUN(app, [*options, "--write"]).exit_code == 1
