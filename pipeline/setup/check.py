@@ -26,7 +26,7 @@ from pipeline.logs.processed import FileRecord
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
 from pipeline.setup.column_check import (
-    Records,
+    Dated,
     changed_readings,
     column_changes,
     suspect_units,
@@ -111,8 +111,13 @@ def _checked(spec: MotorSpec, logs: FolderLogs) -> MotorCheck:
     names = _some(logs.names) if spec.log_url else logs.names
     records = {name: _looked_at(name, logs, spec) for name in names}
     nights = {label for record in records.values() for label in labels_of(record)}
-    channels, unfit, worth = check_channels(spec, records, logs.path)
-    changes = column_changes(spec, records, logs.path)
+    dated = sorted(
+        (max(labels_of(one)), name)
+        for name, one in records.items()
+        if one.status == "ok" and one.nights
+    )
+    small = [one for one in dated if records[one[1]].size <= LARGEST_LOG_BYTES]
+    channels, unfit, worth = _look_into(spec, small, logs.path) if small else ((), [], [])
     stated = (*spec.motor_type.path, *(spec.oils[name] for name in spec.file.oils))
     broken, written = (
         [f"{one.error_code}: {one.message}" for one in records.values() if one.status == status]
@@ -133,7 +138,7 @@ def _checked(spec: MotorSpec, logs: FolderLogs) -> MotorCheck:
         n_nights=len(nights),
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
-        faults=(*broken, *absent, *changes, *unfit),
+        faults=(*broken, *absent, *column_changes(spec, dated, logs.path), *unfit),
         placeholders=tuple(one.name for one in stated if one.source == "placeholder"),
         channels=channels,
         notes=(*notes, *_cut(spec, records, logs), *logs.unmatched()),
@@ -157,7 +162,7 @@ def _looked_at(name: str, logs: FolderLogs, spec: MotorSpec) -> FileRecord:
     return found if why is None else growing(found, why)
 
 
-def _cut(spec: MotorSpec, records: Records, logs: FolderLogs) -> Iterator[str]:
+def _cut(spec: MotorSpec, records: Mapping[str, FileRecord], logs: FolderLogs) -> Iterator[str]:
     """Text logs that end within a line."""
     if spec.file.logs.format != "csv":
         return
@@ -179,42 +184,26 @@ def check_fleet(fleet: Fleet) -> tuple[MotorCheck, ...]:
 # Channels
 
 
-def check_channels(
-    spec: MotorSpec, records: Records, path_of: Callable[[str], Path]
-) -> tuple[tuple[ChannelCheck, ...], tuple[str, ...], tuple[str, ...]]:
-    """Look into the newest log of a motor that can be read and is not too large.
+def _look_into(
+    spec: MotorSpec, dated: Dated, path_of: Callable[[str], Path]
+) -> tuple[tuple[ChannelCheck, ...], Sequence[str], Sequence[str]]:
+    """Look into the newest log.
 
-    Returned are its configured channels, none where there is no such log; faults, of a log that
-    looks sound from outside and cannot be read, and of units; and notes, on what a night gives and
-    on samples that do not look as configured.
+    Returned are its configured channels; faults, of a log that looks sound from outside and cannot
+    be read, and of units; and notes, on what a night gives and on samples that do not look as
+    configured.
     """
-    readable = [
-        name
-        for name, record in records.items()
-        if record.status == "ok" and record.nights and record.size <= LARGEST_LOG_BYTES
-    ]
-    if not readable:
-        return (), (), ()
-    newest = max(readable, key=lambda name: (max(labels_of(records[name])), name))
+    label, newest = dated[-1]
     try:
         log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
     except LogError as error:
-        return (), (f"{error.code}: {error.message}",), ()
-    label = max(labels_of(records[newest]))
+        return (), [f"{error.code}: {error.message}"], []
     found = tuple(_channel_check(spec, name, log.channels[name]) for name in spec.file.channels)
     kept = night_of_log(spec, label, log)
-    readings = {name: records[name] for name in readable}
-    if kept and (changed := changed_readings(spec, readings, path_of, kept)):
+    if kept and (changed := changed_readings(spec, dated, path_of, kept)):
         # What else is odd follows from it.
-        return found, (changed,), ()
+        return found, [changed], []
     told = units_told(path_of(newest), spec.file)
-    suspects = suspect_units(spec, label, log.channels)
-    faults = [
-        fault
-        for name in spec.file.channels
-        for fault in (told.get(name), suspects.get(name))
-        if fault
-    ]
     notes = [f"no sample of the night {label} is kept"]
     if kept:
         notes = [operation(spec, kept), *swapped(kept)]
@@ -223,7 +212,8 @@ def check_channels(
         for name, channel in spec.file.channels.items()
         if channel.constant is None
     )
-    return found, tuple(faults), (*notes, *filter(None, looks))
+    faults = [*told, *suspect_units(spec, label, log.channels)]
+    return found, faults, [*notes, *filter(None, looks)]
 
 
 def _channel_check(spec: MotorSpec, name: ChannelName, raw: RawChannel) -> ChannelCheck:

@@ -308,16 +308,16 @@ COLUMNS = "time,pressure_difference,oil_temperature,speed,leakage_flow\n,bar,deg
             {("oil_temperature", "T_OIL"): range(14, 20)},
             [
                 "column_gone: the log of 15 March 2026 (2026-03-14.csv) has no column "
-                "'oil_temperature', but 'T_OIL', new since then"
+                "'oil_temperature'; new in it: 'T_OIL'; no longer in it: 'oil_temperature'"
             ],
         ),
         (
             {("leakage_flow", "q"): range(12), ("speed", "n_motor"): range(17)},
             [
-                "column_gone: the log of 13 March 2026 (2026-03-12.csv) is the first with column "
-                "'leakage_flow', without 'q' of the logs before",
                 "column_gone: the log of 18 March 2026 (2026-03-17.csv) is the first with column "
-                "'speed', without 'n_motor' of the logs before",
+                "'speed'; new in it: 'speed'; no longer in it: 'n_motor'",
+                "column_gone: the log of 13 March 2026 (2026-03-12.csv) is the first with column "
+                "'leakage_flow'; new in it: 'leakage_flow'; no longer in it: 'q'",
             ],
         ),
         (
