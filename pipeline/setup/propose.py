@@ -8,9 +8,10 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from glob import escape
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,7 @@ from pipeline.config.channels import GOOD_QUALITY
 from pipeline.config.logs import MISSING_TOKENS
 from pipeline.errors import LogError
 from pipeline.logs.finding import SUFFIXES, logs_below, suffix_of
-from pipeline.setup.cells import Marks
-from pipeline.setup.names import FEWEST_CHANNELS, groups_of, is_in, meaning_of, words_of
+from pipeline.setup.names import groups_of, is_in, meaning_of, words_of
 from pipeline.setup.questions import Asked, Chooser
 from pipeline.setup.sniff import sniff
 from pipeline.setup.tables import SAMPLES, Cells, Column, Question, Table
@@ -95,7 +95,7 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
         raise LogError("log_not_readable", source, f"no log of it can be read: {faults[0]}")
     asked.require_known(one.motor_id for one in motors)
     questions, unused = tuple(asked.open.values()), tuple(asked.unused)
-    return Proposal(root, _apart(motors), questions, unused, tuple(faults))
+    return Proposal(root, tuple(_apart(motors)), questions, unused, tuple(faults))
 
 
 def _kinds(files: Sequence[Path], root: Path) -> Iterator[_Kind]:
@@ -120,21 +120,16 @@ def _kinds(files: Sequence[Path], root: Path) -> Iterator[_Kind]:
 # The motors of a table
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """How motors lie in logs that are alike."""
-
-    keys: Mapping[str, Any]  # of ``[logs]``
-    columns: Sequence[Column]  # that may be channels
-    marks: Marks
-    quality: str = ""  # column of the rows' quality
-    several: Mapping[str, Cells] = field(default_factory=dict)  # motors of rows, by column
-
-
 def _motors(table: Table, kind: _Kind, asked: Asked) -> list[ProposedMotor]:
     """The motors of logs that are alike; none where their columns are not enough for one."""
-    layout = _long(table) or _wide(table)
-    several = layout.several
+    signals = _of_tags(table) or _of_columns(table)
+    tag = signals.logs.get("channel_column")
+    moments = [*table.times, tag] if tag else table.times
+    several = {
+        one.name: own
+        for one in table.columns
+        if one.name != tag and (own := _motors_of_rows(one, moments, table))
+    }
     column = next(iter(several), None)
     if len(several) > 1:
         text = f"{kind.name}: rows of several motors: which column has the motor's name?"
@@ -143,25 +138,32 @@ def _motors(table: Table, kind: _Kind, asked: Asked) -> list[ProposedMotor]:
     if several:
         names = several.get(column or "", ())
         rows = [(name, {"motor_column": column, "motor_name": name}) for name in names]
-    keys = {**layout.keys, "files": [kind.pattern]}
-    found = [
-        motor
-        for name, own in rows
-        for motor in _grouped(layout, keys | own, replace(kind, name=name), asked)
-    ]
-    dialect = asked.keys_of(table) if found or several else {}
-    return [replace(one, logs={**dialect, **one.logs}) for one in found]
+    found = [motor for name, own in rows for motor in _grouped(signals, own, kind, name, asked)]
+    dialect = asked.keys_of(signals) if found or several else {}
+    files = {"files": [kind.pattern]}
+    return [replace(one, logs={**dialect, **files, **one.logs}) for one in found]
 
 
-def _wide(table: Table) -> _Layout:
-    """A row a moment, with a column a channel."""
-    columns = [one for one in table.columns if one.kind in ("number", "nothing")]
-    several = {one.name: own for one in table.columns if (own := _motors_beside(one, table))}
-    return _Layout({}, columns, table.marks, several=several)
+def _of_columns(table: Table) -> Table:
+    """The columns that may be channels of a log with a row a moment."""
+    sources = {one.name: one.keys["source"] for one in table.columns}
+    qualities = {
+        base: sources[name]
+        for name in filter(is_quality_name, sources)
+        if (base := re.sub(r"[\W_]+[^\W_]+$", "", name)) in sources and base != name
+    }
+    columns = (
+        replace(one, keys={**one.keys, "quality_source": qualities[one.name]})
+        if one.name in qualities
+        else one
+        for one in table.columns
+        if one.kind in ("number", "nothing") and one.keys["source"] not in qualities.values()
+    )
+    return replace(table, columns=tuple(columns))
 
 
-def _long(table: Table) -> _Layout | None:
-    """A row a sample, with the channel's name in a column; None: it is not."""
+def _of_tags(table: Table) -> Table | None:
+    """The channels of a log with a row a sample and their names in a column; None: it is not."""
     numbers = [one for one in table.columns if one.kind == "number"]
     named = [one for one in numbers if is_in(words_of(one.name), "column", "value")]
     values = numbers if len(numbers) == 1 else named
@@ -176,55 +178,45 @@ def _long(table: Table) -> _Layout | None:
         cells, _ = seen.setdefault(name.strip(), ([], next(iter(unit), "")))
         if len(cells) < SAMPLES and cell not in MISSING_TOKENS:
             cells.append(cell)
+    good = {str(one).lower() for one in GOOD_QUALITY}
+    qualities = [
+        one.name
+        for one in names
+        if is_quality_name(one.name) and good & {cell.lower() for cell in one.filled}
+    ]
+    keys = {"quality_source": qualities[0]} if qualities else {}
     columns = [
-        Column(name, tuple(cells), "number", unit, {"source": name})
+        Column(name, tuple(cells), "number", unit, {"source": name, **keys})
         for name, (cells, unit) in seen.items()
         if name not in MISSING_TOKENS
     ]
     told = {meaning_of(one.name, one.unit).channel for one in columns} - {None}
     if len(told) < 2 - is_in(words_of(column.name)[-1:], "column", "channel"):
         return None
-    good = {str(one).lower() for one in GOOD_QUALITY}
-    qualities = [
-        one.name
-        for one in texts
-        if is_quality_name(one.name) and good & {cell.lower() for cell in one.filled}
-    ]
-    others = [one.name for one in names if one is not column and one.name not in qualities]
-    several = {one: own for one in others if (own := _motors_of_tags(table, one, column.name))}
-    keys = {"layout": "long", "channel_column": column.name, "value_column": values[0].name}
-    return _Layout(keys, columns, table.marks, next(iter(qualities), ""), several)
+    own = {"layout": "long", "channel_column": column.name, "value_column": values[0].name}
+    return replace(table, logs={**table.logs, **own}, columns=tuple(columns))
 
 
-def _motors_of_tags(table: Table, motors: str, tags: str) -> Cells:
-    """Words of a column each of which comes with a motor's channels in another; else none."""
-    channels: dict[str, set[str]] = {}
-    for cell, name in table.rows([motors, tags]):
-        own = channels.setdefault(cell.strip(), set())
-        own |= {channel for channel in [meaning_of(name).channel] if channel}
-    fewest = min(map(len, channels.values()), default=0)
-    return tuple(sorted(channels)) if len(channels) > 1 and fewest >= FEWEST_CHANNELS else ()
-
-
-def _motors_beside(column: Column, table: Table) -> Cells:
+def _motors_of_rows(column: Column, moments: Sequence[str], table: Table) -> Cells:
     """Cells of a column that names the motor of each row; none where it does not.
 
-    Its name says so, or rows of other cells repeat most of a cell's time stamps.
+    Its name says so, or rows of other cells repeat most of a cell's moments, a stamp or a stamp of
+    a tag.
     """
     words = [word for word in words_of(column.name) if not is_in([word], "column", "number")]
     is_named = is_in(words[-1:], "column", "motor")
     if meaning_of(column.name, column.unit).channel or not (is_named or column.kind == "text"):
         return ()
-    stamps: dict[str, set[Cells]] = {}
-    for cell, *stamp in table.rows([column.name, *table.times]):
+    seen_with: dict[str, set[Cells]] = {}
+    for cell, *moment in table.rows([column.name, *moments]):
         if cell not in MISSING_TOKENS:
-            stamps.setdefault(cell.strip(), set()).add(tuple(stamp))
+            seen_with.setdefault(cell.strip(), set()).add(tuple(moment))
     if not (is_named and column.kind == "text"):
-        seen = Counter(stamp for own in stamps.values() for stamp in own)
-        shared = (sum(seen[stamp] > 1 for stamp in own) / len(own) for own in stamps.values())
+        seen = Counter(moment for own in seen_with.values() for moment in own)
+        shared = (sum(seen[one] > 1 for one in own) / len(own) for own in seen_with.values())
         if min(shared, default=0.0) <= _SHARED_BY_CHANCE:
             return ()
-    return tuple(sorted(stamps)) if len(stamps) > 1 else ()
+    return tuple(sorted(seen_with)) if len(seen_with) > 1 else ()
 
 
 def is_quality_name(name: str) -> bool:
@@ -237,22 +229,16 @@ def is_quality_name(name: str) -> bool:
 
 
 def _grouped(
-    layout: _Layout, logs: Mapping[str, Any], kind: _Kind, asked: Asked
+    table: Table, logs: Mapping[str, Any], kind: _Kind, log: str, asked: Asked
 ) -> Iterator[ProposedMotor]:
-    """The motors whose columns, tags or fields there are."""
-    by_name = {one.name: one for one in layout.columns}
-    qualities = {
-        base: by_name[name].keys["source"]
-        for name in filter(is_quality_name, by_name)
-        if (base := re.sub(r"[\W_]+[^\W_]+$", "", name)) in by_name and base != name
-    }
-    names = [name for name in by_name if by_name[name].keys["source"] not in qualities.values()]
-    groups, left = groups_of(names, {name: by_name[name].unit for name in names})
+    """The motors whose columns, tags or fields there are; `log` names what none of them does."""
+    by_name = {one.name: one for one in table.columns}
+    groups, left = groups_of(list(by_name), {name: one.unit for name, one in by_name.items()})
     asked.unused |= dict.fromkeys(left if groups else ())
     for group in groups:
-        motor = group.name or kind.name
-        chooser = Chooser(group, by_name, layout.marks, motor, _plain(motor), asked)
-        channels = dict(chooser.places(qualities, layout.quality))
+        motor = group.name or log
+        chooser = Chooser(group, by_name, table.marks, motor, _plain(motor), asked)
+        channels = dict(chooser.places())
         used = {one.name for one in channels.values()}
         asked.unused |= dict.fromkeys(name for name in group.signals if name not in used)
         yield ProposedMotor(group.name, chooser.motor_id, logs, channels, kind.files)
@@ -263,14 +249,11 @@ def _plain(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-._")[:64] or "motor"
 
 
-def _apart(motors: Sequence[ProposedMotor]) -> tuple[ProposedMotor, ...]:
+def _apart(motors: Sequence[ProposedMotor]) -> Iterator[ProposedMotor]:
     """The motors, each with an id of its own."""
     taken: set[str] = set()
-    found = []
     for motor in motors:
-        own, number = motor.motor_id, 2
-        while own in taken:
-            own, number = f"{motor.motor_id}-{number}", number + 1
+        others = (f"{motor.motor_id}-{number}" for number in count(2))
+        own = next(one for one in chain([motor.motor_id], others) if one not in taken)
         taken.add(own)
-        found.append(replace(motor, motor_id=own))
-    return tuple(found)
+        yield replace(motor, motor_id=own)

@@ -125,8 +125,8 @@ class Chooser:
     motor_id: str
     asked: Asked
 
-    def places(self, qualities: Mapping[str, str], quality: str) -> Iterator[tuple[str, Column]]:
-        """Column by channel, without those that are asked for; `quality` is that of the rows.
+    def places(self) -> Iterator[tuple[str, Column]]:
+        """Column by channel, without those that are asked for.
 
         Its unit is the config's, or empty where it has to be asked; its keys are all of
         ``[channels.…]``.
@@ -135,10 +135,9 @@ class Chooser:
         for channel in CHANNELS:
             if name := found.get(channel):
                 column = self.columns[name]
-                unit = self._unit(channel, column) or ""
-                own = {"unit": unit, "quality_source": qualities.get(name, quality)}
-                keys = {**column.keys, **{key: value for key, value in own.items() if value}}
-                yield channel, replace(column, unit=unit, keys=keys)
+                unit = self._unit(channel, column)
+                keys = {**column.keys, "unit": unit} if unit else column.keys
+                yield channel, replace(column, unit=unit or "", keys=keys)
 
     def _found(self) -> dict[str, str | None]:
         """Name of the column by channel."""
