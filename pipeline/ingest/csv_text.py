@@ -163,7 +163,7 @@ def _first(path: Path, data: bytes) -> bytes:
         raise LogError("log_not_csv", path, how)
     if head and not any(head):
         raise LogError("log_damaged", path, "the file holds nothing but zero bytes: copy it again")
-    encoding = _wide_encoding(head)
+    encoding = wide_encoding(head)
     if encoding:
         how = f'the text looks like {encoding.upper()}: set encoding = "{encoding}" for this log'
         raise LogError("log_encoding", path, how)
@@ -173,13 +173,15 @@ def _first(path: Path, data: bytes) -> bytes:
     return data.removeprefix(codecs.BOM_UTF8)
 
 
-def _wide_encoding(head: bytes) -> str | None:
+def wide_encoding(head: bytes) -> str | None:
     """Encoding of text whose letters have zero bytes around them."""
     if head.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
         return "utf-32"
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
+    # Text has no zero byte: of plain letters in UTF-16 every other byte is one, in UTF-32 three of
+    # four.
     nul = head.count(0)
-    if 10 * nul > 7 * len(head):
-        return "utf-32"
-    return "utf-16" if 5 * nul > 2 * len(head) else None
+    if 5 * nul <= 2 * len(head):
+        return None
+    return f"utf-{32 if 10 * nul > 7 * len(head) else 16}-{'le' if head[0] else 'be'}"

@@ -15,11 +15,9 @@ from pipeline.clock import latest_us, microseconds, utc
 from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.ingest.time_stamps import EARLIEST_US, written, written_as_numbers
-from pipeline.logs.motor_logs import date_in
 from pipeline.setup.names import is_in, words_of
 
 LOOKED_AT = 60  # cells of a column by which it is judged
-_MOST_TOKENS = 5  # kinds of cells that may say "no sample"
 
 _DATES = (
     *("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%Y %m %d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"),
@@ -110,14 +108,6 @@ def as_number(cell: str, marks: Marks) -> float | None:
         return None
 
 
-def strange_tokens(cells: Sequence[str]) -> tuple[str, ...]:
-    """Cells of a column of numbers that seem to say "no sample", and are not known to."""
-    words = [cell for cell in cells if not is_number(cell) and cell not in MISSING_TOKENS]
-    if 2 * len(words) > len(cells) or len(set(words)) > _MOST_TOKENS:
-        return ()
-    return tuple(dict.fromkeys(words))
-
-
 def kind_of(cells: Sequence[str]) -> str:
     """Kind of most cells: stamp, date, clock, number, text or nothing."""
     filled = [cell for cell in cells if cell not in MISSING_TOKENS][:LOOKED_AT]
@@ -180,10 +170,10 @@ class TimeFormats:
     has_zone: bool = False
 
 
-def time_formats(stamps: Sequence[str], decimal: str = ".", file_name: str = "") -> TimeFormats:
+def time_formats(stamps: Sequence[str], decimal: str = ".") -> TimeFormats:
     """Formats of time stamps in text, in the order of the log, none of them blank.
 
-    The decimal mark is for stamps that are counts; a date in the file's name tells day from month.
+    The decimal mark is for stamps that are counts.
 
     Examples
     --------
@@ -204,8 +194,19 @@ def time_formats(stamps: Sequence[str], decimal: str = ".", file_name: str = "")
     likely = dict.fromkeys(form for stamp in ends for form in _shapes(stamp))
     forms = (form for form in likely if len(_read(ends, form)) == len(ends))
     read = {form: own for form in forms if len(own := _read(stamps, form)) == len(stamps)}
-    days = _likeliest(read, file_name).items()
-    return TimeFormats({form: f"{day.day} {day:%B %Y}" for day, form in days}, has_zone)
+    least = min(map(_misfit, read.values()), default=0)
+    days: dict[dt.datetime, str] = {}
+    for form, own in read.items():
+        if _misfit(own) == least:
+            days.setdefault(own[0], form)
+    return TimeFormats({form: f"{day.day} {day:%B %Y}" for day, form in days.items()}, has_zone)
+
+
+def _misfit(times: Sequence[dt.datetime]) -> int:
+    """Stamps in the future, and steps of months: a log has neither."""
+    seconds = [one.timestamp() for one in times]
+    leaps = sum(abs(b - a) > _MONTH_S for a, b in pairwise(seconds))
+    return leaps + sum(one > latest_us() / 1e6 for one in seconds)
 
 
 def count_format(numbers: Sequence[float]) -> str | None:
@@ -215,25 +216,3 @@ def count_format(numbers: Sequence[float]) -> str | None:
         if time_us.min() > _EARLIEST_COUNT_US and time_us.max() < latest_us():
             return form
     return None
-
-
-def _likeliest(times: dict[str, list[dt.datetime]], file_name: str) -> dict[dt.datetime, str]:
-    """Formats in which the log is as logs are, by their reading of the first stamp.
-
-    It has no steps of months, nothing in the future, and is of the date that the file is named for.
-    """
-    named = date_in(file_name)
-
-    def misfit(item: tuple[str, list[dt.datetime]]) -> tuple[int, int, bool]:
-        seconds = [one.timestamp() for one in item[1]]
-        ahead = sum(one > latest_us() / 1e6 for one in seconds)
-        leaps = sum(abs(b - a) > _MONTH_S for a, b in pairwise(seconds))
-        far = named is not None and abs((item[1][0].date() - named).days) > 1
-        return ahead, leaps, far
-
-    least = min(map(misfit, times.items()), default=None)
-    firsts: dict[dt.datetime, str] = {}
-    for form, own in times.items():
-        if misfit((form, own)) == least:
-            firsts.setdefault(own[0], form)
-    return firsts

@@ -21,7 +21,7 @@ from pipeline.setup.tables import Column, Question, Table
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
 
 # What may be answered before it is asked.
-_ALWAYS = {"time_zone", "time_format", "decimal", "time", "motor_type", "oil"}
+_ALWAYS = {"time_zone", "time_format", "decimal", "motor_type", "oil"}
 
 
 class Asked:

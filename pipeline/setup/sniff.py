@@ -20,10 +20,10 @@ import pyarrow as pa
 from charset_normalizer import from_bytes
 
 from pipeline.config.field_paths import FieldPath, path_text
-from pipeline.config.logs import MISSING_TOKENS, Logs
+from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.contract import readable
-from pipeline.ingest.csv_text import read_lines, unpacked
+from pipeline.ingest.csv_text import read_lines, unpacked, wide_encoding
 from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.ingest.parquet import decoded, opened, text_paths
@@ -35,7 +35,6 @@ from pipeline.setup.cells import (
     is_time_name,
     kind_of,
     marks_of,
-    strange_tokens,
     time_formats,
 )
 from pipeline.setup.names import VOCABULARY, is_in, unit_named, words_of
@@ -55,11 +54,7 @@ from pipeline.setup.tables import (
 _HEAD_BYTES = 2**16
 _SCANNED_BYTES = 2**23
 _SEPARATORS = (";", "\t", "|", ",")
-Leaf = tuple[str, pa.Field, pa.Array]
-_MARKED = {
-    **dict.fromkeys((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE), "utf-32"),
-    **dict.fromkeys((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"),
-}
+Leaf = tuple[pa.Field, pa.Array]
 _ENCODINGS = ["cp1252", "cp1250", "cp1251", "cp1254", "gb18030", "shift_jis"]
 # Fields beside a reading that are none.
 _NO_READINGS = {
@@ -152,7 +147,6 @@ def _csv(path: Path) -> Table:
             "have it written with another separator"
         )
         raise LogError("log_not_csv", path, message)
-    tokens = dict.fromkeys(token for one in numbers for token in strange_tokens(one.cells))
     dialect: dict[str, Any] = {
         "separator": table.separator if table.separator != "," else "",
         "decimal": marks.decimal if marks.decimal != "." else "",
@@ -160,23 +154,18 @@ def _csv(path: Path) -> Table:
         "encoding": encoding if encoding != "utf-8" else "",
         "skip_rows": header,
         "unit_rows": unit_rows,
-        "missing_tokens": [*MISSING_TOKENS, *tokens] if tokens else [],
     }
     questions = []
     if not marks.is_certain:
         choices = (marks.decimal, "," if marks.decimal == "." else ".")
         questions = [Question("decimal", "a decimal mark, or between thousands?", choices)]
     logs = {"format": "csv"} | {key: value for key, value in dialect.items() if value}
-    return timed(path, Table(logs, tuple(questions), tuple(columns), (), marks, rows))
+    return timed(Table(logs, tuple(questions), tuple(columns), (), marks, rows))
 
 
 def _encoding(head: bytes) -> str:
-    if marked := next((name for mark, name in _MARKED.items() if head.startswith(mark)), ""):
-        return marked
-    # Text has no NUL: of plain letters in UTF-16 every other byte is one, in UTF-32 three of four.
-    nul = head.count(0) / max(len(head), 1)
-    if nul > 0.4:
-        return f"utf-{32 if nul > 0.7 else 16}-{'le' if head[0] else 'be'}"
+    if wide := wide_encoding(head):
+        return wide
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
@@ -218,21 +207,13 @@ def _taken_apart(lines: Sequence[str], separator: str) -> _Lines:
     # The rows of samples are the last ones, whatever stands before them.
     tail = Counter(len(row) for row in rows[len(rows) // 2 :] if len(row) > 1)
     width = max(tail, key=lambda one: (tail[one], one), default=1)
-    wide = [row for row in rows if len(row) == width and any(map(_holds_sample, row))]
-    # A column is one of samples where most of its cells are, those in the header left aside.
-    shares = [
-        sum(map(_holds_sample, cells)) / max(sum(one not in MISSING_TOKENS for one in cells), 1)
-        for cells in zip(*wide[len(wide) // 3 :], strict=True)
-    ]
-    sampled = [i for i, share in enumerate(shares) if share > 0.5]
-    if width < 2 or not sampled:
+    samples = [sum(map(_holds_sample, row)) if len(row) == width else 0 for row in rows]
+    first = next((i for i, count in enumerate(samples) if count > 1), None)
+    if width < 2 or first is None:
         return _Lines(separator, rows)
-    starts = (len(row) == width and _holds_sample(row[sampled[0]]) for row in rows)
-    first = next((i for i, starts_here in enumerate(starts) if starts_here), 0)
-    below = [row for row in rows[first:] if row]
-    regular = sum(len(row) == width for row in below) / max(len(below), 1)
-    named = first > 0 and len(rows[first - 1]) == width
-    return _Lines(separator, rows, width, first, (named, sum(shares) / width * regular, width))
+    share = sum(samples[first:]) / (width * sum(map(bool, rows[first:])))
+    is_named = first > 0 and len(rows[first - 1]) == width
+    return _Lines(separator, rows, width, first, (is_named, share, width))
 
 
 def _holds_sample(cell: str) -> bool:
@@ -278,11 +259,11 @@ def _parquet(path: Path) -> Table:
     def rows(wanted: Sequence[str]) -> Rows:
         """The first rows of each text in the first of the columns, piece by piece."""
         for leaves in _leaves(path, 2**17, list(wanted)):
-            frame = pl.DataFrame({name: pl.Series(values) for name, _, values in leaves})
+            frame = pl.DataFrame({one.name: pl.Series(values) for one, values in leaves})
             first = frame.select(wanted).group_by(wanted[0], maintain_order=True).head(SAMPLES)
             yield from (tuple(map(_text, row)) for row in first.select(wanted).iter_rows())
 
-    return timed(path, Table({"format": "parquet"}, (), tuple(columns), (), rows=rows))
+    return timed(Table({"format": "parquet"}, (), tuple(columns), (), rows=rows))
 
 
 def _parquet_columns(path: Path) -> list[Column]:
@@ -298,25 +279,19 @@ def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[
         none = pa.RecordBatch.from_pylist([], schema=file.schema_arrow)
         for batch in chain(file.iter_batches(batch_size=size, columns=wanted), [none]):
             batch.validate(full=True)
+            table = pa.Table.from_batches([batch])
+            while any(map(pa.types.is_struct, table.schema.types)):
+                table = table.flatten()
             yield [
-                leaf
-                for one, values in zip(batch.schema, batch.columns, strict=True)
-                if batch.schema.names.count(one.name) == 1
-                for leaf in _flat(path, one.name, one, values)
+                (one, decoded(path, one.name, values.combine_chunks()))
+                for one, values in zip(table.schema, table.columns, strict=True)
+                if table.schema.names.count(one.name) == 1
             ]
 
 
-def _flat(path: Path, name: str, one: pa.Field, values: pa.Array) -> Iterator[Leaf]:
-    if pa.types.is_struct(one.type):
-        for inner, below in zip(one.type, values.flatten(), strict=True):
-            yield from _flat(path, f"{name}.{inner.name}", inner, below)
-    else:
-        yield name, one, decoded(path, name, values)
-
-
-def _column(name: str, field: pa.Field, values: pa.Array) -> Column | None:
+def _column(field: pa.Field, values: pa.Array) -> Column | None:
     """A column of times, numbers or text; None for what is neither."""
-    of, kind, keys = pa.types, values.type, {"source": name}
+    of, name, kind, keys = pa.types, field.name, values.type, {"source": field.name}
     if of.is_timestamp(kind):
         # In the place of a unit: what the type says of the zone.
         return Column(name, (), "typed", kind.tz or "", keys)
@@ -347,8 +322,6 @@ def _mcap(path: Path) -> Table:
         logs["stamp"] = stamp
         if formats is not None:
             set_formats(logs, questions, formats)
-    else:
-        questions += _time_of_messages(of_readings)
     return Table(logs, tuple(questions), tuple(columns), ())
 
 
@@ -416,15 +389,3 @@ def _stamps_of(topic: Topic) -> dict[FieldPath, TimeFormats | None]:
         if is_stamp(text):
             found[path] = time_formats([text])
     return found
-
-
-def _time_of_messages(topics: Iterable[Topic]) -> Iterator[Question]:
-    """A question where messages were recorded later than they were published."""
-    log = np.array([t for one in topics for t in one.log_ns], dtype=np.float64)
-    publish = np.array([t for one in topics for t in one.publish_ns], dtype=np.float64)
-    if log.size and (log != publish).any() and (publish > 0).all():
-        text = (
-            f"publish_time is {float(np.median(log - publish)) / 1e9:.3g} s before log_time: "
-            "which is when it was measured?"
-        )
-        yield Question("time", text, ("log_time", "publish_time"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 from pipeline.config.logs import MISSING_TOKENS
@@ -64,7 +63,7 @@ class Table:
     rows: Callable[[Sequence[str]], Rows] = lambda _: iter(())  # cells of some columns, further on
 
 
-def timed(path: Path, table: Table) -> Table:
+def timed(table: Table) -> Table:
     """The table with its time found, and without the columns of the time."""
     named = sorted(table.columns, key=lambda one: not is_time_name(one.name))
     of_kind = {kind: [one for one in named if one.kind == kind] for kind in TIMES}
@@ -74,7 +73,7 @@ def timed(path: Path, table: Table) -> Table:
         formats = TimeFormats({"iso8601": ""}, bool(times[0].unit))
     elif of_kind["stamp"] or (of_kind["date"] and of_kind["clock"]):
         times = of_kind["stamp"][:1] or [of_kind["clock"][0], of_kind["date"][0]]
-        formats = _formats(table, times[::-1], path.name)
+        formats = _formats(table, times[::-1])
     else:
         for one in named:
             counts = [as_number(cell, table.marks) for cell in one.filled]
@@ -93,17 +92,17 @@ def timed(path: Path, table: Table) -> Table:
     )
 
 
-def _formats(table: Table, columns: Sequence[Column], file_name: str) -> TimeFormats:
+def _formats(table: Table, columns: Sequence[Column]) -> TimeFormats:
     """Formats of stamps in a column, or in those of date and time."""
     cells = zip(*(one.cells for one in columns), strict=True)
     stamps = [stamp for row in cells if is_stamp(stamp := " ".join(row))][:SAMPLES]
-    found = time_formats(stamps, file_name=file_name)
+    found = time_formats(stamps)
     if len(found.readings) < 2:
         return found
     # Some stamps from further on tell day from month.
     later = islice(table.rows([one.name for one in columns]), HEAD_ROWS, 200_000, 1000)
     more = [stamp for row in later if is_stamp(stamp := " ".join(row))]
-    return time_formats([*stamps, *more], file_name=file_name)
+    return time_formats([*stamps, *more])
 
 
 def set_formats(

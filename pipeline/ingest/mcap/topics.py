@@ -29,8 +29,6 @@ class Topic:
     encoding: str
     schema: str
     count: int | None = None  # messages; None where the file does not say it
-    log_ns: list[int] = field(default_factory=list)
-    publish_ns: list[int] = field(default_factory=list)
     fields: Mapping[FieldPath, tuple[float, ...]] = field(default_factory=dict)  # nan for none
     texts: Mapping[FieldPath, str] = field(default_factory=dict)  # of the first message
     payloads: list[bytes] = field(default_factory=list)
@@ -54,7 +52,7 @@ def read_topics(path: Path) -> list[Topic]:
                 topics[channel.topic] = Topic(channel.topic, channel.encoding, schema.name, count)
         for topic in topics.values():
             _take(topic, messages)
-        whole = all(len(one.log_ns) >= MESSAGES_READ for one in topics.values())
+        whole = all(len(one.payloads) >= MESSAGES_READ for one in topics.values())
         if (whole and summary.declared.channels) or messages.read_to > _MOST_BYTES:
             break
     for name, topic in topics.items():
@@ -65,9 +63,7 @@ def read_topics(path: Path) -> list[Topic]:
 
 def _take(topic: Topic, messages: Messages) -> None:
     """Take the first messages of a topic out of a piece."""
-    rows = messages.rows_of(topic.name)[: MESSAGES_READ - len(topic.log_ns)]
-    topic.log_ns += messages.times("log_time")[rows].tolist()
-    topic.publish_ns += messages.times("publish_time")[rows].tolist()
+    rows = messages.rows_of(topic.name)[: MESSAGES_READ - len(topic.payloads)]
     topic.payloads += [messages.payload(i) for i in rows.tolist()]
 
 

@@ -104,14 +104,6 @@ def test_stamps_that_are_a_number_or_text(
     assert (found["stamp"], found["time_format"]) == ("t", form)
 
 
-def test_the_time_of_publishing_is_asked_for_where_it_is_another(tmp_path: Path) -> None:
-    topics = {f"/{c}": lambda i, v=v: {"value": v[i]} for c, v in VALUES.items()}
-    path = json_log(tmp_path, topics)
-    (asked,) = [one for one in propose(path, {}).questions if one.key == "time"]
-    assert "publish_time is 5 s before log_time: which is when it was measured?" in asked.text
-    assert propose(path, {"time": "publish_time"}).motors[0].logs["time"] == "publish_time"
-
-
 # ROS 2 and Protobuf
 
 STAMPED = """
