@@ -25,6 +25,7 @@ from pipeline.notification.receivers import receivers_of
 from pipeline.run.mending import EVERY_DAY, Damage, restore_decisions
 from pipeline.run.motors import motor_outcomes
 from pipeline.run.notification import deliver_alarms, measure, queue_summary
+from pipeline.run.old_layout import taken_over
 from pipeline.run.publishing import (
     STAGES,
     config_hash_of,
@@ -41,7 +42,6 @@ from pipeline.store.atomic_files import make_folders, remove_leftovers, store_er
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.locks import interrupts_held, locked
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.old_layout import take_over
 from pipeline.store.published import write_manifest
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import is_sound, make_ready, open_state
@@ -100,10 +100,10 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
             is_new = make_ready(output)
             with open_state(output) as state:
                 damage = Damage(state)
-                take_over(state, damage.forget, damage.take_stock)
-                if is_new or was_lost:
-                    restore_decisions(state)
-                    damage.take_stock()
+                with taken_over(state) as is_old:
+                    if is_old or is_new or was_lost:
+                        restore_decisions(state)
+                        damage.take_stock()
                 open_outbox(state, [one.name for one in receivers], fleet.name)
                 with open_workers(fleet.execution, folders) as workers:
                     result = _run(request, staging, progress, heartbeat, workers, damage)
