@@ -76,9 +76,14 @@ class Damage:
 
         Raises StoreError if something cannot be read or written; what was done before then holds.
         """
-        looked = list(look_at_files(self.state, share_due(self.state, prove_within_days)))
-        note(self.state, {one.name: one.sha256 for one in looked if one.fault is None})
-        self.mend([one.fault for one in looked if one.fault is not None])
+        sound, faults = {}, []
+        for one in look_at_files(self.state, share_due(self.state, prove_within_days)):
+            if one.fault is None:
+                sound[one.name] = one.sha256
+            else:
+                faults.append(one.fault)
+        note(self.state, sound)
+        self.mend(faults)
 
     def take_stock(self) -> None:
         """List what is there and proves itself, where the state file was lost or is new.

@@ -124,10 +124,11 @@ def share_due(state: State, days: int, now: dt.datetime | None = None) -> set[st
 
 @dataclass(frozen=True, slots=True)
 class Looked:
-    """A file that was looked at: its digest, None for no file, or its fault."""
+    """A file that was looked at, or its fault; without content and digest where there is none."""
 
     name: str
-    sha256: str | None
+    content: bytes = b""
+    sha256: str | None = None
     fault: TableFault | None = None
 
 
@@ -157,18 +158,18 @@ def look_at(state: State, name: str) -> Looked:
 def _look_at(state: State, name: str) -> Looked:
     known = accepted(state, name)
     try:
-        found = hashlib.sha256((state.output / "tables" / name).read_bytes()).hexdigest()
+        content = (state.output / "tables" / name).read_bytes()
     except (FileNotFoundError, NotADirectoryError):
-        found, code = NO_FILE, "table_missing"
-        message = f"the file is gone; {_again(name)}"
+        looked, code, message = Looked(name), "table_missing", "the file is gone"
     except OSError as error:
         message = f"it cannot be read: {error.strerror}; correct its permissions, or the disk"
-        return Looked(name, None, TableFault(name, "table_unreadable", message))
+        return Looked(name, fault=TableFault(name, "table_unreadable", message))
     else:
-        code, message = "table_altered", f"it is not what was published; {_again(name)}"
-    if known and found not in known:
-        return Looked(name, None, TableFault(name, code, message))
-    return Looked(name, found or None)
+        looked = Looked(name, content, hashlib.sha256(content).hexdigest())
+        code, message = "table_altered", "it is not what was published"
+    if known and (looked.sha256 or NO_FILE) not in known:
+        return Looked(name, fault=TableFault(name, code, f"{message}; {_again(name)}"))
+    return looked
 
 
 def _again(name: str) -> str:
@@ -181,10 +182,10 @@ def _again(name: str) -> str:
     return "it told of a run, and nothing makes it anew"
 
 
-def faults_of(output: Path, due: Collection[str] | None = ()) -> tuple[TableFault, ...]:
-    """Faults of the published files that are due (None: all), gone, or written to since."""
+def faults_of(output: Path) -> tuple[TableFault, ...]:
+    """Faults of the published files that are gone, or written to since."""
     with read_state_file(output) as state:
-        return tuple(one.fault for one in look_at_files(state, due) if one.fault is not None)
+        return tuple(one.fault for one in look_at_files(state) if one.fault is not None)
 
 
 def verify_tables(output: Path) -> Iterator[TableFault]:

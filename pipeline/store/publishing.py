@@ -30,7 +30,7 @@ import pyarrow as pa
 from pipeline.errors import StoreError
 from pipeline.schema import Table, frame, staged_table
 from pipeline.store.atomic_files import Prepared, flush_path, prepare, store_errors
-from pipeline.store.published import NO_FILE, accepted, announce, distrust, look_at, note
+from pipeline.store.published import NO_FILE, announce, distrust, look_at, note
 from pipeline.store.state import State
 from pipeline.store.tables import (
     as_parquet,
@@ -219,25 +219,17 @@ class Publisher:
 
     def _present(self, path: Path, table: Table) -> tuple[str, pl.DataFrame]:
         """SHA-256 and rows of a file that is there; an unlisted one is proven by its pages."""
-        name = name_of(self.state.output, path)
-        known = accepted(self.state, name)
+        looked = look_at(self.state, name_of(self.state.output, path))
+        fault = None if looked.name in self.missed and not path.exists() else looked.fault
         try:
-            content = path.read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
-            if not known or NO_FILE in known or name in self.missed:
+            if fault is not None:
+                raise damaged(path, table, fault.message)
+            if looked.sha256 is None:
                 return NO_FILE, frame(table, [])
-            distrust(self.state, name)
-            raise damaged(path, table, "it is gone; the next run makes it anew") from None
-        except OSError as error:
-            raise damaged(path, table, error) from error
-        digest = hashlib.sha256(content).hexdigest()
-        try:
-            if known and digest not in known:
-                raise damaged(path, table, "it is not what was published; the next run mends it")
-            return digest, from_parquet(path, table, content)
+            return looked.sha256, from_parquet(path, table, looked.content)
         except StoreError as error:
             if error.code == "store_read":
-                distrust(self.state, name)
+                distrust(self.state, looked.name)
             raise
 
     def _publish(
