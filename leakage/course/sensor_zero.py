@@ -15,6 +15,8 @@ from scipy.special import stdtrit
 
 from leakage.course.slope import Array
 
+Places = NDArray[np.int64]
+
 # Halts at the beginning, and as many at the end, that a drift is told from.
 LEAST_HALTS = 5
 MOST_HALTS = 30
@@ -58,11 +60,25 @@ def zero_course(zeros: Array, errors: Array, tolerance: float) -> ZeroCourse:
         return ZeroCourse(known, nothing, nothing, nothing, nothing)
     # The first one, not their middle: what is known after a halt must not hang on later ones.
     reference = float(zeros[kept][0])
-    sums = _Sums.of(zeros[kept] - reference, errors[kept])
-    end = np.minimum(last + 1, len(sums.value) - 1)
-    now, now_variance = sums.mean(np.maximum(end - size, 0), end, size)
-    first_end = np.minimum(size, len(sums.value) - 1)
-    before, before_variance = sums.mean(np.zeros_like(size), first_end, size)
+    value, square, square_error = (
+        np.concatenate([[0.0], np.cumsum(part)])
+        for part in (
+            zeros[kept] - reference,
+            (zeros[kept] - reference) ** 2,
+            errors[kept] ** 2,
+        )
+    )
+
+    def of_halts(first: Places, end: Places) -> tuple[Array, Array]:
+        """Mean of some halts, and its variance."""
+        mean = (value[end] - value[first]) / size
+        squares = square[end] - square[first] - size * mean**2
+        scatter = np.maximum(squares / (size - 1), (square_error[end] - square_error[first]) / size)
+        return mean, np.maximum(scatter, 0.0) / size
+
+    end = np.minimum(last + 1, len(value) - 1)
+    now, now_variance = of_halts(np.maximum(end - size, 0), end)
+    before, before_variance = of_halts(np.zeros_like(size), np.minimum(size, len(value) - 1))
     change, variance = now - before, now_variance + before_variance
     # Welch and Satterthwaite, for groups of one size.
     both = now_variance**2 + before_variance**2
@@ -79,27 +95,3 @@ def zero_course(zeros: Array, errors: Array, tolerance: float) -> ZeroCourse:
         change_lower=only(change - reach),
         change_upper=only(change + reach),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Sums:
-    """Running sums of zeros, their squares and the squares of their errors; shape (n + 1,)."""
-
-    value: Array
-    square: Array
-    error: Array
-
-    @classmethod
-    def of(cls, zeros: Array, errors: Array) -> _Sums:
-        return cls(
-            *(np.concatenate([[0.0], np.cumsum(part)]) for part in (zeros, zeros**2, errors**2))
-        )
-
-    def mean(
-        self, first: NDArray[np.int64], end: NDArray[np.int64], n: NDArray[np.int64]
-    ) -> tuple[Array, Array]:
-        """Mean of some halts, and its variance."""
-        mean = (self.value[end] - self.value[first]) / n
-        squares = self.square[end] - self.square[first] - n * mean**2
-        scatter = np.maximum(squares / (n - 1), (self.error[end] - self.error[first]) / n)
-        return mean, np.maximum(scatter, 0.0) / n

@@ -19,23 +19,12 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from leakage.errors import StatisticsError
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class FlowSummary:
-    """Size, mean and spread of the measured flow of some samples."""
-
-    n: int  # number of samples
-    mean_l_per_min: float  # mean measured flow [l/min]; nan without samples
-    centred_norm_l_per_min: float  # ‖y − ȳ‖₂ of the measured flow [l/min]
 
 
 def factor(z: Array) -> Array:
@@ -147,24 +136,3 @@ def sample_count(r: Array) -> int:
     """Number of samples behind a factor: the squared norm of the column of ones."""
     one = r[:, -3]
     return round(float(one @ one))
-
-
-def flow_summary(r: Array) -> FlowSummary:
-    """Size, mean and spread of the measured flow behind a factor.
-
-    By a QR of the columns 1 and y of R: R'R would lose half of the digits.
-    """
-    n = sample_count(r)
-    if n == 0:
-        return FlowSummary(0, float("nan"), 0.0)
-    small = factor(r[:, [-3, -1]])
-    return FlowSummary(n, float(small[0, 1] / small[0, 0]), float(small[1, 1]))
-
-
-def column_means(r: Array) -> Array:
-    """Means of all columns over the samples behind a factor, shape (c,); nan without samples."""
-    n = sample_count(r)
-    if n == 0:
-        return np.full(r.shape[1], np.nan)
-    means: Array = r[:, -3] @ r / n
-    return means

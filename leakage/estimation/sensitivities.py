@@ -22,7 +22,6 @@ from leakage.estimation.block_statistics import factors
 from leakage.estimation.proven_minimum import certify
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors
-from leakage.physics.paths import LeakagePath
 
 Array = NDArray[np.float64]
 
@@ -91,18 +90,23 @@ def sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:
     for path in motor.paths:
         for stated in path.tolerances():
             name = f"{path.name} {stated.constant}"
-            yield Source(name, stated.share, "1", _with_path(stated.path))
+            changed = (stated.path if one.name == path.name else one for one in motor.paths)
+            yield Source(name, stated.share, "1", _with(replace(motor, paths=tuple(changed))))
     for name, constant, share in (
         ("pressure-viscosity coefficient", "pressure_viscosity_per_pa", "pressure_viscosity"),
         ("density", "density_15_c_kg_per_m3", "density"),
     ):
         if relative := getattr(tolerances, share):
-            yield Source(name, relative, "1", _with_oil(constant, relative))
+            oil = replace(motor.oil, **{constant: getattr(motor.oil, constant) * (1 + relative)})
+            yield Source(name, relative, "1", _with(replace(motor, oil=oil)))
     if tolerances.film_pressure_share and motor.film_pressure.model == "thesis":
         step = tolerances.film_pressure_share
         # A share lies within 0 and 1: at the upper end the step goes down.
         sign = 1.0 if motor.film_pressure.share + step <= 1.0 else -1.0
-        yield Source("film pressure share", step, "1", _with_film_pressure(sign * step), sign)
+        film = motor.film_pressure
+        film = replace(film, share=max(film.share + sign * step, 0.0))
+        off = _with(replace(motor, film_pressure=film))
+        yield Source("film pressure share", step, "1", off, sign)
     if bar := tolerances.charge_pressure_bar:
         off = _with_reading("charge_over_case_pa", bar * PASCALS_PER_BAR, 0.0)
         yield Source("charge pressure", bar, "bar", off)
@@ -140,31 +144,9 @@ def _with_reading(field: str, offset: float, gain: float) -> Disturbance:
     return disturbed
 
 
-def _with_path(changed: LeakagePath) -> Disturbance:
-    def disturbed(window: Window) -> Window:
-        motor = window.motor
-        paths = tuple(changed if path.name == changed.name else path for path in motor.paths)
-        return window._replace(motor=replace(motor, paths=paths))
-
-    return disturbed
-
-
-def _with_oil(constant: str, share: float) -> Disturbance:
-    def disturbed(window: Window) -> Window:
-        oil = window.motor.oil
-        changed = replace(oil, **{constant: getattr(oil, constant) * (1 + share)})
-        return window._replace(motor=replace(window.motor, oil=changed))
-
-    return disturbed
-
-
-def _with_film_pressure(step: float) -> Disturbance:
-    def disturbed(window: Window) -> Window:
-        film = window.motor.film_pressure
-        changed = replace(film, share=max(film.share + step, 0.0))
-        return window._replace(motor=replace(window.motor, film_pressure=changed))
-
-    return disturbed
+def _with(changed: Motor) -> Disturbance:
+    """A constant of the motor is another one."""
+    return lambda window: window._replace(motor=changed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.estimation.block_statistics import column_means, flow_summary, squared_error
+from leakage.estimation.block_statistics import factor, sample_count, squared_error
 
 Array = NDArray[np.float64]
 
@@ -49,16 +49,16 @@ def agreement(r: Array, coefficients: Array, resolution_l_per_min: float = 0.0) 
     thesis reads that as 0; the sign is kept, it tells how bad). It is None where ‖y − ȳ‖ is not
     above the sensor's resolution times √N.
     """
-    summary = flow_summary(r)
-    if not summary.n:
+    n = sample_count(r)
+    if not n:
         return Agreement(0, None, None, None)
-    error = math.sqrt(squared_error(r, coefficients))
-    mean_error = -float(column_means(r) @ np.concatenate([coefficients, (1.0, -1.0)]))
-    root_n = math.sqrt(summary.n)
-    floor = max(resolution_l_per_min * root_n, 1e-12 * abs(summary.mean_l_per_min) * root_n)
-    spread = summary.centred_norm_l_per_min
+    error, root_n = math.sqrt(squared_error(r, coefficients)), math.sqrt(n)
+    mean_error = -float((r[:, -3] @ r / n) @ np.concatenate([coefficients, (1.0, -1.0)]))
+    # By a QR of the columns 1 and y: R'R would lose half of the digits of the spread.
+    (root, total), (_, spread) = factor(r[:, [-3, -1]]).tolist()
+    floor = max(resolution_l_per_min * root_n, 1e-12 * abs(total / root) * root_n)
     fit = 100.0 * (1.0 - error / spread) if spread > floor else None
-    return Agreement(summary.n, fit, error / root_n, mean_error)
+    return Agreement(n, fit, error / root_n, mean_error)
 
 
 def is_poor(fit_percent: float | None) -> bool:

@@ -74,7 +74,7 @@ def with_evidence(state: State, evidence: Evidence, first: int) -> State:
     odd = float(np.logaddexp(math.log(1 - choices.ODD), math.log(choices.ODD) + newest_night))
     often = np.logaddexp(0.0, state.often) - odd
     often += np.logaddexp(math.log(1 - choices.OFTEN), math.log(choices.OFTEN) + newest_night)
-    window = state.window.with_odd(odd)
+    window = replace(state.window, odd=np.append(state.window.odd[:-1], odd))
     told = np.logaddexp.reduce(log_ratio, axis=(0, 2))
     certain = told - of_odd_night(evidence, window, starts, told)
     found = float(np.logaddexp.reduce(certain + weights))

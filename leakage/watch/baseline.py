@@ -245,8 +245,10 @@ def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
         theta, unknowns, errors, path_sd = _fit(columns, nights, errors, tolerance)
         if not np.any(theta > 0.0):
             theta = _first_guess(drives, np.full(len(flow), mean_flow))
-        columns = _with_theta(columns, theta, np.maximum(theta, least_unit))
+        columns = replace(columns, theta=theta, unit=np.maximum(theta, least_unit))
     p = columns.n_paths
+    least_spread = np.full(p + 2, choices.OPERATING_LEAST_SHARE)
+    least_spread[p:] = choices.OPERATING_LEAST_BAR, choices.OPERATING_LEAST_RPM
     lack_of_shape = _missed(columns, unknowns, nights, columns.surface_from)
     operating_points = np.array([columns.operating_point(night) for night in nights])
     return Baseline(
@@ -254,7 +256,7 @@ def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
         unknowns,
         errors,
         operating_points.mean(axis=0),
-        operating_points.std(axis=0, ddof=1) + _least_spread(columns.n_paths),
+        operating_points.std(axis=0, ddof=1) + least_spread,
         _own_row(columns, nights),
         path_sd,
         _missed(columns, unknowns, nights, p),
@@ -287,10 +289,6 @@ def _first_guess(drives: Array, flow: Array) -> Array:
     return theta
 
 
-def _with_theta(columns: Columns, theta: Array, unit: Array) -> Columns:
-    return replace(columns, theta=theta, unit=unit)
-
-
 def _fit(
     columns: Columns, nights: Sequence[NightBlocks], errors: BlockErrors, tolerance: float
 ) -> tuple[Array, Array, BlockErrors, Array]:
@@ -320,12 +318,6 @@ def _fit(
     theta = np.maximum(columns.unit * found[:p], 0.0)
     path_sd = np.sqrt(np.diag(np.linalg.inv(information))[:p])
     return theta, unknowns, estimate_errors(rest, errors, tolerance), path_sd
-
-
-def _least_spread(n_paths: int) -> Array:
-    least = np.full(n_paths + 2, choices.OPERATING_LEAST_SHARE)
-    least[n_paths:] = choices.OPERATING_LEAST_BAR, choices.OPERATING_LEAST_RPM
-    return least
 
 
 def _own_row(columns: Columns, nights: Sequence[NightBlocks]) -> Array:

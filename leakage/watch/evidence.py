@@ -54,10 +54,6 @@ class Window:
             odd=np.append(self.odd, 0.0),
         )
 
-    def with_odd(self, odd: float) -> Window:
-        """The window with how odd its newest night was."""
-        return replace(self, odd=np.append(self.odd[:-1], odd))
-
     def from_night(self, first: int, before: Array, score_before: Array) -> Window:
         """The nights from a place on, before which stand other figures; none was odd so far."""
         return Window(
@@ -200,50 +196,39 @@ class Told:
     second: Array
 
 
-@dataclass(frozen=True, slots=True)
-class _Freed:
-    """What some starts say of all nights, with an error of the paths since each start left free.
+def _along(
+    axes: Array,
+    error: Array,
+    before: tuple[Array, Array],
+    linear: Array,
+    square: Array,
+    score: Array,
+) -> tuple[Array, Array]:
+    """T₁ and T₂ of all axes, shape (s, k, a), from A₋ and u₋ and sums weighted by s shapes.
 
-    `error` is (E⁻¹ + A₊)⁻¹ of the paths, shape (k, p, p); `across` the columns of A₊ of the paths,
-    `of_paths` their part of u₊; `total` and `score` are A₋ + A₊ and u₋ + u₊ without what that
-    error takes.
+    Linear and square sums are those of A₊, scores those of u₊, of a step first. An error of the
+    paths since each start is left free: `error` is (E⁻¹ + A₊)⁻¹ of the paths, shape (k, p, p).
     """
-
-    error: Array
-    across: Array
-    of_paths: Array
-    total: Array
-    score: Array
-
-    @classmethod
-    def of(cls, error: Array, after: Array, score: Array, before: tuple[Array, Array]) -> _Freed:
-        p = error.shape[1]
-        across, of_paths = after[:, :, :p], score[:, :p]
-        total = before[0] + after - across @ (error @ after[:, :p, :])
-        taken = across @ (error @ of_paths[:, :, None])
-        return cls(error, across, of_paths, total, before[1] + score - taken[:, :, 0])
-
-    def told(self, axes: Array, linear: Array, square: Array, score: Array) -> tuple[Array, Array]:
-        """T₁ and T₂ of all axes, shape (s, k, a), from sums of A₊ and u₊ weighted by s shapes."""
-        p, n_shapes = self.error.shape[1], len(linear)
-        along = linear @ axes
-        lost = self.error @ along[:, :, :p]
-        left = along - self.across @ lost
-        rows = np.concatenate([*left, self.score[:, :, None]], axis=2)
-        *solved, level = np.split(
-            np.linalg.solve(self.total, rows), np.arange(1, n_shapes + 1) * axes.shape[1], axis=2
-        )
-        first = (
-            score @ axes
-            - (lost * self.of_paths[:, :, None]).sum(axis=2)
-            - (left * level).sum(axis=2)
-        )
-        second = (
-            (axes * (square @ axes)).sum(axis=2)
-            - (along[:, :, :p] * lost).sum(axis=2)
-            - (left * np.stack(solved)).sum(axis=2)
-        )
-        return first, np.maximum(second, 1e-12)
+    p, n_shapes = error.shape[1], len(linear)
+    across, of_paths = linear[0][:, :, :p], score[0][:, :p]
+    total = before[0] + linear[0] - across @ (error @ linear[0][:, :p, :])
+    taken = across @ (error @ of_paths[:, :, None])
+    whole = before[1] + score[0] - taken[:, :, 0]
+    along = linear @ axes
+    lost = error @ along[:, :, :p]
+    left = along - across @ lost
+    *solved, level = np.split(
+        np.linalg.solve(total, np.concatenate([*left, whole[:, :, None]], axis=2)),
+        np.arange(1, n_shapes + 1) * axes.shape[1],
+        axis=2,
+    )
+    first = score @ axes - (lost * of_paths[:, :, None]).sum(axis=2) - (left * level).sum(axis=2)
+    second = (
+        (axes * (square @ axes)).sum(axis=2)
+        - (along[:, :, :p] * lost).sum(axis=2)
+        - (left * np.stack(solved)).sum(axis=2)
+    )
+    return first, np.maximum(second, 1e-12)
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,8 +257,6 @@ class Evidence:
         `without` is a night that each start leaves out.
         """
         (a0, a1, a2), (u0, u1) = self.since(starts, without)
-        before = self.sums.before(starts, self.window)
-        freed = _Freed.of(self._operating_error(starts, a0, is_told=by_operation), a0, u0, before)
         # On its first night a ramp has risen by a day.
         origin = (self.window.days[starts] - 1).astype(float)
         by_vector, by_matrix, tens = origin[:, None], origin[:, None, None], choices.RAMP_DAYS
@@ -281,8 +264,13 @@ class Evidence:
         square = (a2 - 2.0 * by_matrix * a1 + by_matrix**2 * a0) / tens**2
         score = (u1 - by_vector * u0) / tens
         causes = self.causes
-        first, second = freed.told(
-            causes.axes, np.stack([a0, linear]), np.stack([a0, square]), np.stack([u0, score])
+        first, second = _along(
+            causes.axes,
+            self._operating_error(starts, a0, is_told=by_operation),
+            self.sums.before(starts, self.window),
+            np.stack([a0, linear]),
+            np.stack([a0, square]),
+            np.stack([u0, score]),
         )
         first, second = causes.sign * first[..., causes.axis], second[..., causes.axis]
         return self._weighed(first, second, starts)

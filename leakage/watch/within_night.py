@@ -53,31 +53,6 @@ class BlockErrors:
         return covariance + self.night**2 if with_night else covariance
 
 
-@dataclass(frozen=True, slots=True)
-class _Pieces:
-    """Pieces of nights of one length, the shorter ones filled up; of g different rows of times.
-
-    `apart` are the times between blocks [s], `products` those of the residuals, `is_real` tells
-    what is not filled up, shape (g, b, b) each; `number` how many pieces have these times, (g,).
-    """
-
-    apart: Array
-    products: Array
-    is_real: NDArray[np.bool_]
-    number: Array
-
-    def cost(self, errors: BlockErrors) -> float:
-        """−2 ln of the likelihood, up to a constant."""
-        slow = errors.slow**2 * np.exp(-self.apart / errors.memory_s) + errors.night**2
-        covariance = np.where(self.is_real, slow, 0.0)
-        each = np.arange(covariance.shape[1])
-        own = self.is_real[:, each, each]
-        covariance[:, each, each] += np.where(own, errors.block**2, 1.0)
-        log_det = 2.0 * np.log(np.linalg.cholesky(covariance)[:, each, each]).sum(axis=1)
-        fits = (np.linalg.inv(covariance) * self.products).sum()
-        return float(self.number @ log_det + fits)
-
-
 def estimate_errors(
     nights: Sequence[tuple[Array, Array]], start: BlockErrors, tolerance: float = 0.01
 ) -> BlockErrors:
@@ -85,7 +60,17 @@ def estimate_errors(
 
     `tolerance` is that of the logarithms of the errors.
     """
-    pieces = _pieces(nights)
+    apart, products, is_real, number = _pieces(nights)
+    each = np.arange(apart.shape[1])
+
+    def likelihood(errors: BlockErrors) -> float:
+        """−2 ln of it, up to a constant."""
+        slow = errors.slow**2 * np.exp(-apart / errors.memory_s) + errors.night**2
+        covariance = np.where(is_real, slow, 0.0)
+        own = is_real[:, each, each]
+        covariance[:, each, each] += np.where(own, errors.block**2, 1.0)
+        log_det = 2.0 * np.log(np.linalg.cholesky(covariance)[:, each, each]).sum(axis=1)
+        return float(number @ log_det + (np.linalg.inv(covariance) * products).sum())
 
     def cost(logarithms: Array) -> float:
         if np.any(np.abs(logarithms[:3] - CENTRE) > REACH):
@@ -93,7 +78,7 @@ def estimate_errors(
         if not LEAST_LOG_S < logarithms[3] < MOST_LOG_S:
             return np.inf
         usual = USUAL_WEIGHT * (logarithms[0] - USUAL_LOG) ** 2
-        return float(usual) + pieces.cost(BlockErrors.of(logarithms))
+        return float(usual) + likelihood(BlockErrors.of(logarithms))
 
     found = minimize(
         cost,
@@ -104,7 +89,14 @@ def estimate_errors(
     return BlockErrors.of(found.x)
 
 
-def _pieces(nights: Sequence[tuple[Array, Array]]) -> _Pieces:
+def _pieces(
+    nights: Sequence[tuple[Array, Array]],
+) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+    """Pieces of nights of one length, the shorter ones filled up; of g different rows of times.
+
+    Times between blocks [s], products of their residuals, and what is not filled up, shape
+    (g, b, b) each; how many pieces have these times, (g,).
+    """
     every = np.concatenate([residuals for _, residuals in nights])
     spread = 1.4826 * np.median(np.abs(every - np.median(every)))
     most = choices.CLIP * spread + 1e-6
@@ -130,7 +122,7 @@ def _pieces(nights: Sequence[tuple[Array, Array]]) -> _Pieces:
         products[place, own, own] = np.array(values).T @ np.array(values)
         is_real[place, own, own] = True
     number = np.array([len(values) for values in alike.values()], dtype=float)
-    return _Pieces(apart, products, is_real, number)
+    return apart, products, is_real, number
 
 
 def night_information(
