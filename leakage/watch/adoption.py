@@ -397,9 +397,12 @@ def at_rest(state: State) -> State:
 
 
 def shortened(state: State) -> State:
-    window = state.window.shortened(state.sums)
-    if window is state.window:
+    """Without the oldest nights, where they are many: they are summed up."""
+    if len(state.window) < choices.WINDOW + choices.WINDOW_SLACK:
         return state
+    first = len(state.window) - choices.WINDOW
+    before, score = (one[0] for one in state.sums.before(np.array([first]), state.window))
+    window = replace(state.window.from_night(first, before, score), odd=state.window.odd[first:])
     return replace(state, window=window, sums=Sums.of(window, state.wander))
 
 

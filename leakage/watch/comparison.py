@@ -13,7 +13,7 @@ from leakage.errors import EstimationError
 from leakage.watch.adoption import begin, of_odd_night, with_evidence
 from leakage.watch.attribution import name_of
 from leakage.watch.nights import Estimate, Machine, NightBlocks, WatchSettings
-from leakage.watch.state import State, levels_along, surroundings
+from leakage.watch.state import State
 from leakage.watch.watch import with_night
 
 
@@ -82,10 +82,8 @@ def compare(
 
 def _change(state: State, start: int) -> Estimate:
     """Relative change of all flows from a place of the window on."""
-    baseline, along = state.baseline, state.baseline.all_flows
     # The nights after say nothing of the surroundings: their change would pass for an effect.
-    around = surroundings(state.window, state.sums, baseline.own_row, along, start)
-    level = levels_along(state.window, along, state.wander, baseline, around)
+    level = state.level_along(state.baseline.all_flows, end=start)
     before, after = level.mean(slice(None, start)), level.mean(slice(start, None))
     sd = math.hypot(after.sd, before.sd) / (1.0 + before.value)
     return Estimate((1.0 + after.value) / (1.0 + before.value) - 1.0, sd)

@@ -66,15 +66,6 @@ class Window:
             score_before,
         )
 
-    def shortened(self, sums: Sums) -> Window:
-        """The window without its oldest nights, where it is long; they are summed up."""
-        if len(self) < choices.WINDOW + choices.WINDOW_SLACK:
-            return self
-        first = len(self) - choices.WINDOW
-        before, score_before = sums.before(np.array([first]), self)
-        odd = self.odd[first:]
-        return replace(self.from_night(first, before[0], score_before[0]), odd=odd)
-
 
 @dataclass(frozen=True, slots=True)
 class Sums:
@@ -93,14 +84,10 @@ class Sums:
     def of(cls, window: Window, wander: Wander) -> Sums:
         q = window.score.shape[1]
         start = cls((np.zeros((2, len(POWERS), q, q + 1)),), np.zeros(1))
-        return start._extended(window, wander, 0)
+        return start.extended(window, wander, 0)
 
-    def with_night(self, window: Window, wander: Wander) -> Sums:
-        """The sums with the newest night of a window, which has one night more than these."""
-        return self._extended(window, wander, len(window) - 1)
-
-    def _extended(self, window: Window, wander: Wander, first: int) -> Sums:
-        """With the nights from a place on."""
+    def extended(self, window: Window, wander: Wander, first: int) -> Sums:
+        """With the nights of a window from a place on."""
         told = np.stack(
             [
                 effective(window.information[first:], window.score[first:], spread)

@@ -16,8 +16,8 @@ import numpy as np
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS, Cause, causes_of
-from leakage.watch.evidence import STEP, Causes, Evidence, Sums, Window
+from leakage.watch.causes import ODD_NIGHTS, Cause, causes_of
+from leakage.watch.evidence import Causes, Evidence, Sums, Window
 from leakage.watch.nights import (
     FLUSHING,
     KNOWN,
@@ -76,15 +76,13 @@ class Level:
 
     `value`, the variances `noise` of the errors within each night and `shift` of its own shift of
     the paths, and `beyond`, how far its operating conditions are from usual ones, have shape (n,);
-    `of_others` and `of_paths` are what an error of all unknowns, and of the paths, does to it,
-    shapes (n, q) and (n, p).
+    `gain` is what an error of each unknown does to it, of the paths first, shape (n, q).
     """
 
     value: Array
     noise: Array
     shift: Array
-    of_others: Array
-    of_paths: Array
+    gain: Array
     beyond: Array
     around: Surroundings
     wander: Wander
@@ -95,39 +93,13 @@ class Level:
         value, noise, shift = self.value[nights], self.noise[nights], self.shift[nights]
         weights = 1.0 / (noise + shift) / np.sum(1.0 / (noise + shift))
         length = float(self.wander.inflation(np.array([len(value)], dtype=float))[0])
-        of_others = weights @ self.of_others[nights]
-        by_operation = weights @ (self.of_paths[nights] * self.beyond[nights][:, None])
+        of_others = weights @ self.gain[nights]
+        of_paths = self.gain[nights, : len(self.operating_error)]
+        by_operation = weights @ (of_paths * self.beyond[nights][:, None])
         variance = float(weights**2 @ (noise + length * shift))
         variance += float(of_others @ self.around.covariance @ of_others)
         variance += float(np.sum((by_operation * self.operating_error) ** 2))
         return Estimate(float(weights @ value), math.sqrt(variance))
-
-
-def levels_along(
-    window: Window,
-    direction: Array,
-    wander: Wander,
-    baseline: Baseline,
-    around: Surroundings,
-    nights: slice = EVERY,
-) -> Level:
-    """λ of some of a window's nights along a direction of shape (q,)."""
-    p = len(wander.spread)
-    along = window.information[nights] @ direction
-    weight = np.maximum(along @ direction, 1e-12)
-    gain = along / weight[:, None]
-    shift = np.einsum("ni,ij,nj->n", gain[:, :p], wander.spread, gain[:, :p])
-    return Level(
-        window.score[nights] @ direction / weight - gain @ around.mean,
-        1.0 / weight,
-        shift,
-        gain,
-        gain[:, :p],
-        np.clip(window.distance[nights] - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST),
-        around,
-        wander,
-        baseline.operating_error,
-    )
 
 
 def all_causes(machine: Machine, baseline: Baseline, undone: Sequence[Cause] = ()) -> Causes:
@@ -200,14 +172,30 @@ class State:
         """Place of the first night from a day on."""
         return int(np.searchsorted(self.window.days, day))
 
-    def level_along(self, direction: Array, nights: slice = EVERY) -> Level:
-        """Level of some of the window's nights along a direction of shape (q,)."""
-        # A change in force is none of the surroundings.
-        end = len(self.window)
-        if self.in_force is not None and self.in_force.found is not None:
-            end = self.place(self.in_force.found.start)
-        around = surroundings(self.window, self.sums, self.baseline.own_row, direction, end)
-        return levels_along(self.window, direction, self.wander, self.baseline, around, nights)
+    def level_along(self, direction: Array, nights: slice = EVERY, end: int | None = None) -> Level:
+        """λ of some of the window's nights along a direction of shape (q,).
+
+        Beside the surroundings before a place: where none is given, that of a change in force.
+        """
+        window, baseline, wander = self.window, self.baseline, self.wander
+        if end is None:
+            settling = self.in_force.found if self.in_force is not None else None
+            end = len(window) if settling is None else self.place(settling.start)
+        around = surroundings(window, self.sums, baseline.own_row, direction, end)
+        along = window.information[nights] @ direction
+        weight = np.maximum(along @ direction, 1e-12)
+        gain = along / weight[:, None]
+        of_paths = gain[:, : baseline.n_paths]
+        return Level(
+            window.score[nights] @ direction / weight - gain @ around.mean,
+            1.0 / weight,
+            np.einsum("ni,ij,nj->n", of_paths, wander.spread, of_paths),
+            gain,
+            np.clip(window.distance[nights] - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST),
+            around,
+            wander,
+            baseline.operating_error,
+        )
 
     def growth_of(self, cause: str, flow: Estimate) -> Estimate | None:
         """Relative change of a named path's own flow, from that of all.
@@ -283,76 +271,3 @@ def change_in_force(state: State) -> Change | None:
     size = Estimate(ratio - 1.0, sd)
     growth = grown_as(change, size)
     return replace(change, size=size, is_rise=size.value > 0.0, path_growth=growth)
-
-
-def smallest_change(state: State) -> float | None:
-    """Smallest change of all flows, begun ten nights ago, that would be detected now.
-
-    Where fewer nights may hold a change, of one begun in the first of them; None where none may.
-    """
-    evidence = state.evidence_now()
-    start = max(evidence.first_step, len(state.window) - choices.PRESENT_NIGHTS)
-    if start == len(state.window):
-        return None
-    told = evidence.of_starts(np.array([start]))
-    names = [one.name for one in evidence.causes.every]
-    second = float(told.second[STEP, 0, names.index(ALL_FLOWS)])
-    spread, n_since = choices.STEP_SIZE, np.array([len(state.window) - start], dtype=float)
-    freedom = float(state.wander.degrees_of_freedom(state.n_nights, n_since)[0])
-    sd = 1.0 / math.sqrt(second + spread**-2)
-    fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(names))
-    gain = freedom * math.expm1(2.0 * (state.settings.limit - fixed) / (freedom + 1.0))
-    return math.sqrt(gain) * sd
-
-
-def change_since(state: State, day: int) -> Estimate | None:
-    """Change of all flows from a day on against before; None without nights on both sides.
-
-    An adopted change is in no window any more: where it may have begun since, it is the change.
-    """
-    in_force = state.in_force
-    if in_force is not None and in_force.found is None and in_force.change.cause != ODD_NIGHTS:
-        told = change_in_force(state)
-        if told is not None and told.since_upper >= day:
-            return told.size
-    place = int(np.searchsorted(state.window.days, day))
-    if not 0 < place < len(state.window):
-        return None
-    level = state.level_along(state.baseline.all_flows)
-    after, before = level.mean(slice(place, None)), level.mean(slice(None, place))
-    return Estimate(after.value - before.value, math.hypot(after.sd, before.sd))
-
-
-def leakage_at(state: State, drives: Array, conditions: Array) -> Estimate:
-    """Flow at some conditions, by the level of the newest night, [l/min].
-
-    `drives` are the flows a unit of each path's coefficient there, shape (p,), 0 for what is left
-    out; `conditions` are temperature [°C], pressure [bar] and speed [rpm], shape (3,).
-    """
-    row, flow = _row_at(state, drives, conditions)
-    along, _ = direction(state)
-    levels = state.level_along(along, slice(-1, None))
-    level, of_cause = levels.mean(), float(row @ along)
-    as_first = 1.0 + float(row @ (state.baseline.unknowns + levels.around.mean))
-    before, _ = state.sums.before(np.array([len(state.window)]), state.window)
-    uncertain = float(row @ np.linalg.solve(before[0], row))
-    found = as_first + level.value * of_cause
-    missed = choices.LEAKAGE_BY_LACK * state.baseline.lack_of_fit * found
-    variance = (of_cause * level.sd) ** 2 + uncertain + missed**2
-    return Estimate(flow * found, flow * math.sqrt(variance))
-
-
-def frozen_leakage_at(state: State, drives: Array, conditions: Array) -> float:
-    """Flow at some conditions by the baseline alone, [l/min]; arguments as of `leakage_at`."""
-    row, flow = _row_at(state, drives, conditions)
-    return flow * (1.0 + float(row @ state.baseline.unknowns))
-
-
-def _row_at(state: State, drives: Array, conditions: Array) -> tuple[Array, float]:
-    """What a unit of each unknown is of the flow at some conditions, and that flow by theta."""
-    columns = state.baseline.columns
-    expected = columns.expected(drives[None])
-    row: Array = columns.design(drives[None], conditions[None], np.maximum(expected, 1e-12))[0]
-    if columns.has_zero:
-        row[-1] = 0.0
-    return row, float(expected[0])

@@ -7,11 +7,14 @@ adopted, and the watch goes on behind it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from leakage.errors import EstimationError
-from leakage.watch import keeping
+from leakage.watch import choices, keeping
 from leakage.watch.adoption import (
     Earlier,
     adopted,
@@ -24,17 +27,10 @@ from leakage.watch.adoption import (
     shortened,
     with_new_wander,
 )
+from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS
+from leakage.watch.evidence import STEP
 from leakage.watch.nights import Array, Estimate, Machine, NightBlocks, Verdict, WatchSettings
-from leakage.watch.state import (
-    State,
-    change_in_force,
-    change_since,
-    frozen_leakage_at,
-    leakage_at,
-    on_first_baseline,
-    present,
-    smallest_change,
-)
+from leakage.watch.state import State, change_in_force, direction, on_first_baseline, present
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +58,6 @@ class Watch:
     def day(self) -> int:
         """The newest night."""
         return self.state.day
-
-    @property
-    def lack_of_fit(self) -> float:
-        """Root mean square share of the baseline's flow that the model misses."""
-        return self.state.baseline.lack_of_fit
 
     def after(self, night: NightBlocks, earlier: Earlier) -> Watch:
         """The watch after one more night.
@@ -106,25 +97,82 @@ class Watch:
             state.day,
             state.evidence,
             state.settings.limit,
-            self.lack_of_fit,
+            state.baseline.lack_of_fit,
             change_in_force(state),
             on_first_baseline(state, slice(-1, None)),
             present(state),
-            smallest_change(state),
+            self.smallest_change(),
             float(state.window.distance[-1]),
         )
 
+    def smallest_change(self) -> float | None:
+        """Smallest change of all flows, begun ten nights ago, that would be detected now.
+
+        Where fewer nights may hold a change, of one begun in the first of them; None where none
+        may.
+        """
+        state, evidence = self.state, self.state.evidence_now()
+        start = max(evidence.first_step, len(state.window) - choices.PRESENT_NIGHTS)
+        if start == len(state.window):
+            return None
+        told = evidence.of_starts(np.array([start]))
+        names = [one.name for one in evidence.causes.every]
+        second = float(told.second[STEP, 0, names.index(ALL_FLOWS)])
+        spread, n_since = choices.STEP_SIZE, np.array([len(state.window) - start], dtype=float)
+        freedom = float(state.wander.degrees_of_freedom(state.n_nights, n_since)[0])
+        sd = 1.0 / math.sqrt(second + spread**-2)
+        fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(names))
+        gain = freedom * math.expm1(2.0 * (state.settings.limit - fixed) / (freedom + 1.0))
+        return math.sqrt(gain) * sd
+
     def change_since(self, day: int) -> Estimate | None:
-        """Change of all flows from a day on against before; None without nights on both sides."""
-        return change_since(self.state, day)
+        """Change of all flows from a day on against before; None without nights on both sides.
+
+        An adopted change is in no window any more: where it may have begun since, it is the change.
+        """
+        state, in_force = self.state, self.state.in_force
+        if in_force is not None and in_force.found is None and in_force.change.cause != ODD_NIGHTS:
+            told = change_in_force(state)
+            if told is not None and told.since_upper >= day:
+                return told.size
+        place = state.place(day)
+        if not 0 < place < len(state.window):
+            return None
+        level = state.level_along(state.baseline.all_flows)
+        after, before = level.mean(slice(place, None)), level.mean(slice(None, place))
+        return Estimate(after.value - before.value, math.hypot(after.sd, before.sd))
 
     def leakage_at(self, drives: Array, conditions: Array) -> Estimate:
-        """Flow at some conditions by the level of the newest night; as `state.leakage_at`."""
-        return leakage_at(self.state, drives, conditions)
+        """Flow at some conditions, by the level of the newest night, [l/min].
+
+        `drives` are the flows a unit of each path's coefficient there, shape (p,), 0 for what is
+        left out; `conditions` are temperature [°C], pressure [bar] and speed [rpm], shape (3,).
+        """
+        state, (row, flow) = self.state, self._row_at(drives, conditions)
+        along, _ = direction(state)
+        levels = state.level_along(along, slice(-1, None))
+        level, of_cause = levels.mean(), float(row @ along)
+        as_first = 1.0 + float(row @ (state.baseline.unknowns + levels.around.mean))
+        before, _ = state.sums.before(np.array([len(state.window)]), state.window)
+        uncertain = float(row @ np.linalg.solve(before[0], row))
+        found = as_first + level.value * of_cause
+        missed = choices.LEAKAGE_BY_LACK * state.baseline.lack_of_fit * found
+        variance = (of_cause * level.sd) ** 2 + uncertain + missed**2
+        return Estimate(flow * found, flow * math.sqrt(variance))
 
     def frozen_leakage_at(self, drives: Array, conditions: Array) -> float:
         """The same by the baseline alone, [l/min]."""
-        return frozen_leakage_at(self.state, drives, conditions)
+        row, flow = self._row_at(drives, conditions)
+        return flow * (1.0 + float(row @ self.state.baseline.unknowns))
+
+    def _row_at(self, drives: Array, conditions: Array) -> tuple[Array, float]:
+        """What a unit of each unknown is of the flow at some conditions, and that flow by theta."""
+        columns = self.state.baseline.columns
+        expected = columns.expected(drives[None])
+        row: Array = columns.design(drives[None], conditions[None], np.maximum(expected, 1e-12))[0]
+        if columns.has_zero:
+            row[-1] = 0.0
+        return row, float(expected[0])
 
     def arrays(self) -> dict[str, Array]:
         """Numbers to keep, by name."""
@@ -143,5 +191,5 @@ def with_night(state: State, night: NightBlocks) -> State:
     information, score = state.baseline.information(night)
     distance = state.baseline.distance(night)
     window = state.window.with_night(night.day, information, score, distance)
-    sums = state.sums.with_night(window, state.wander)
+    sums = state.sums.extended(window, state.wander, len(window) - 1)
     return replace(state, window=window, sums=sums, n_nights=state.n_nights + 1)

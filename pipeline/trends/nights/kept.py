@@ -25,6 +25,9 @@ from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import RECORD, Records
 from pipeline.trends.nights.trend_record import trend_hash
 
+# Raise it when a watch is kept as other arrays.
+FORM = 2
+
 
 @dataclass(frozen=True, slots=True)
 class KeptWatch:
@@ -82,6 +85,7 @@ def key_of(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
         {
             "trends": trend_hash(spec, decisions),
             "program": own_version(),
+            "form": FORM,
             "libraries": (np.__version__, scipy.__version__, pl.__version__),
             "records": str(RECORD.descr),
             "rollers": spec.roller_is_free,
