@@ -64,17 +64,6 @@ MICROMETRES_PER_METRE = 1e6
 VISIBLE_BELOW = 0.83
 
 
-def gap_ratio(flow_ratio: float) -> float:
-    """Ratio of two heights of a gap from that of their loss factors, which go with the cube.
-
-    Examples
-    --------
-    >>> round(gap_ratio(2.0), 2)
-    1.26
-    """
-    return math.cbrt(flow_ratio)
-
-
 @dataclass(frozen=True, slots=True)
 class AnnularGap(Law):
     r"""Laminar flow through an annular gap that pressure may close and eccentricity widens.
@@ -208,20 +197,6 @@ class AnnularGap(Law):
         )
         return gap_um
 
-    def feasible_gap_um(self, coefficient_m3: float) -> tuple[float, float]:
-        """Smallest and largest gap height that a loss factor [m³] leaves possible, [µm].
-
-        At the largest and at the smallest eccentricity of the bounds: a factor 2.5^(1/3) = 1.357
-        apart where e is free between 0 and 1.
-        """
-        if self.eccentricity is None:
-            gap_um = float(self.gap_um_from_coefficient(coefficient_m3))
-            return gap_um, gap_um
-        return (
-            float(self.gap_um_from_coefficient(coefficient_m3, self.eccentricity.highest)),
-            float(self.gap_um_from_coefficient(coefficient_m3, self.eccentricity.lowest)),
-        )
-
     def tolerances(self) -> tuple[PathTolerance, ...]:
         """The path with a larger deformation constant, where a tolerance is stated."""
         share, pressure = self.deformation_tolerance, self.deformation_pressure_pa
@@ -262,11 +237,18 @@ class AnnularGap(Law):
         return (*figures, figure("film_thickness_ratio", "1", ratios))
 
     def _feasible(self, coefficient_m3: float) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Gap heights [µm] and eccentricities that a loss factor and the bounds leave possible."""
+        """Gap heights [µm] and eccentricities that a loss factor and the bounds leave possible.
+
+        Heights at the largest and the smallest eccentricity are a factor 2.5^(1/3) = 1.357 apart
+        where e is free between 0 and 1.
+        """
         e = self.eccentricity
-        smallest, largest = self.feasible_gap_um(coefficient_m3)
+        ends = (0.0, 0.0) if e is None else (e.highest, e.lowest)
+        smallest, largest = (
+            float(self.gap_um_from_coefficient(coefficient_m3, end)) for end in ends
+        )
         if e is None:
-            return (smallest, largest), (0.0, 0.0)
+            return (smallest, largest), ends
         low = min(max(smallest, self.gap.lowest), self.gap.highest)
         high = max(min(largest, self.gap.highest), low)
 

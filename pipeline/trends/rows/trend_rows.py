@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from leakage.course.slope import fit_slope
 from leakage.course.time_to_limit import time_to_limit
 from leakage.estimation.identifiability import TOLD
-from leakage.physics.annular_gap import gap_ratio
 from leakage.watch import Estimate
 from pipeline.night.time_base import VISCOSITIES
 from pipeline.trends.nights.history import NIGHTS_BEFORE, WATCHED, History
@@ -198,7 +197,8 @@ def _of_fit(course: Course, watched: WatchedNight) -> Iterator[Row]:
         if watched.baseline is not None and name.startswith(LOSS_FACTOR):
             first = watched.baseline.coefficients[number]
             if first > 0.0:
-                gap = _scaled(row, lambda one, by=first: 100.0 * (gap_ratio(one / by) - 1.0))
+                # A loss factor goes with the cube of its gap.
+                gap = _scaled(row, lambda one, by=first: 100.0 * (math.cbrt(one / by) - 1.0))
                 yield row | gap | {"indicator": f"gap_change_{path}", "unit": "%"}
 
 

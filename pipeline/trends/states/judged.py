@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from leakage.physics.annular_gap import gap_ratio
 from leakage.watch import Change, Estimate
 from leakage.watch.causes import AND, BACK, CANNOT_BE_TOLD, TANK, TEMPERATURE_EFFECT
 from pipeline.config import MotorSpec
@@ -60,7 +60,7 @@ class JudgedNight:
             return None
         if change.cause not in watch.state.machine.gaps or growth.value <= -1.0:
             return None
-        height = gap_ratio(1.0 + growth.value)
+        height = math.cbrt(1.0 + growth.value)
         return Estimate(height - 1.0, growth.sd / (3.0 * height**2))
 
     @property

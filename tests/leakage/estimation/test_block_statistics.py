@@ -15,7 +15,6 @@ from leakage.estimation.block_statistics import (
     criterion,
     factor,
     factors,
-    flow_summary,
     merge,
     sample_count,
     squared_error,
@@ -110,26 +109,6 @@ def test_values_that_are_not_finite_are_refused(value: float) -> None:
         assert caught.value.code == "not_finite"
     with pytest.raises(StatisticsError, match="must be a matrix"):
         factor(z[0])
-
-
-@given(
-    sizes=BLOCK_SIZES,
-    mean=st.sampled_from([0.0, 2.0, -3.0, 1e3]),
-    spread=st.sampled_from([1e-2, 1.0, 30.0]),
-    seed=st.integers(0, 1000),
-)
-def test_size_mean_and_spread_are_those_of_the_samples(
-    sizes: list[int], mean: float, spread: float, seed: int
-) -> None:
-    z = made_samples(MOTOR, sum(sizes) + 2, seed)
-    z[:, -1] = mean + spread * np.random.default_rng(seed).standard_normal(len(z))
-    found = flow_summary(merge(factors(z, borders_of([*sizes, 2]))))
-    y = z[:, -1]
-    assert found.n == len(z)
-    assert found.mean_l_per_min == pytest.approx(y.mean(), rel=1e-12, abs=1e-12 * spread)
-    assert found.centred_norm_l_per_min == pytest.approx(
-        np.linalg.norm(y - y.mean()), rel=1e-9, abs=1e-12 * abs(mean)
-    )
 
 
 def test_sample_count_survives_a_year_of_nights() -> None:

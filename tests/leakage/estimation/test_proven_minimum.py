@@ -259,7 +259,7 @@ def test_starts_at_the_minimum_share_loss_factors_while_gap_and_eccentricity_spr
     assert min(np.ptp(piston_gap), np.ptp(sleeve_gap)) > 0.5
     piston = PLAIN.paths[1]
     assert isinstance(piston, AnnularGap)
-    smallest, largest = piston.feasible_gap_um(float(found[0, 1]))
+    smallest, largest = (piston.gap_um_from_coefficient(float(found[0, 1]), e) for e in (1.0, 0.0))
     assert ((piston_gap > smallest * (1 - 1e-6)) & (piston_gap < largest * (1 + 1e-6))).all()
 
 

@@ -100,90 +100,86 @@ def test_typical_period_is_a_median() -> None:
     assert typical_period_us(np.array([7])) is None
 
 
-class TestMissing:
-    """Design 3: `missing`, in a log whose rows are those of the fastest channel."""
-
-    @pytest.mark.parametrize("first", range(10))
-    def test_each_sample_left_out_is_missing_once(self, first: int) -> None:
-        rows = np.delete(np.arange(first, 6000, 10), [5, 100, 101, 102])
-        cleaned = clean_channel(in_wide_log(rows, 6000), RULES)
-        assert refused_by(cleaned) == {"missing": 4, "any": 4}
-        assert cleaned.n_samples == 600
-        lost = cleaned.time_us[cleaned.refused]
-        np.testing.assert_array_equal(lost, (np.array([5, 100, 101, 102]) * 10 + first) * 100_000)
-
-    @pytest.mark.parametrize("phase", [0.0, 0.2, 0.5, 0.7])
-    @pytest.mark.parametrize("ratio", [2.0, 2.5, 3.3, 4.0, 6.7])
-    def test_rate_that_is_no_whole_part_of_the_rows_misses_none(
-        self, ratio: float, phase: float
-    ) -> None:
-        rows = np.ceil(np.arange(400) * ratio + phase).astype(np.int64)
-        assert refused_by(clean_channel(in_wide_log(rows, rows[-1] + 1), RULES)) == {}
-
-    @given(st.sets(st.integers(1, 198), max_size=60))
-    def test_fast_channel_misses_every_blank(self, lost: set[int]) -> None:
-        rows = np.array(sorted(set(range(200)) - lost))
-        cleaned = clean_channel(in_wide_log(rows, 200), RULES)
-        assert cleaned.counts["missing"] == len(lost)
-        assert cleaned.n_samples == 200
-
-    def test_channel_that_begins_late(self) -> None:
-        slow = clean_channel(in_wide_log(np.arange(55, 6000, 10), 6000), RULES)
-        assert slow.counts["missing"] == 0
-        fast = clean_channel(in_wide_log(np.arange(55, 6000), 6000), RULES)
-        assert fast.counts["missing"] == 55
-
-    def test_blank_cells_of_a_repeated_row_are_no_samples_of_a_slow_channel(self) -> None:
-        """Row 3 stands four times; the slow channel has its samples in rows 0, 10, 20…"""
-        once = in_wide_log(np.arange(0, 600, 10), 600)
-        again = [*range(4), 3, 3, 3, *range(4, 600)]
-        cleaned = clean_channel(
-            raw(once.time_us[again], once.value[again], once.missing[again]), RULES
-        )
-        assert cleaned.n_samples == 60
-        assert refused_by(cleaned) == {}
+@pytest.mark.parametrize("first", range(10))
+def test_each_sample_left_out_of_a_wide_log_is_missing_once(first: int) -> None:
+    rows = np.delete(np.arange(first, 6000, 10), [5, 100, 101, 102])
+    cleaned = clean_channel(in_wide_log(rows, 6000), RULES)
+    assert refused_by(cleaned) == {"missing": 4, "any": 4}
+    assert cleaned.n_samples == 600
+    lost = cleaned.time_us[cleaned.refused]
+    np.testing.assert_array_equal(lost, (np.array([5, 100, 101, 102]) * 10 + first) * 100_000)
 
 
-class TestTime:
-    """Backward and duplicate time."""
+@pytest.mark.parametrize("phase", [0.0, 0.2, 0.5, 0.7])
+@pytest.mark.parametrize("ratio", [2.0, 2.5, 3.3, 4.0, 6.7])
+def test_a_rate_that_is_no_whole_part_of_the_rows_misses_none(ratio: float, phase: float) -> None:
+    rows = np.ceil(np.arange(400) * ratio + phase).astype(np.int64)
+    assert refused_by(clean_channel(in_wide_log(rows, rows[-1] + 1), RULES)) == {}
 
-    @given(st.lists(st.integers(0, 8), max_size=9))
-    def test_as_few_as_possible_are_named(self, times: list[int]) -> None:
-        kept = ~backward_time(np.array(times, dtype=np.int64))
-        left = [time for time, good in zip(times, kept, strict=True) if good]
-        assert left == sorted(left)
-        longest = max(
-            len(some)
-            for size in range(len(times) + 1)
-            for some in itertools.combinations(times, size)
-            if list(some) == sorted(some)
-        )
-        assert len(left) == longest
 
-    @pytest.mark.parametrize("at", [0, 1, 50, 198, 199])
-    @pytest.mark.parametrize("years", [-30, 30])
-    def test_one_stamp_far_off_costs_one_sample(self, at: int, years: int) -> None:
-        """Only at the log's very end can a stamp in the future not be told from a real one."""
-        time = stamps(200) + 56 * 365 * 86400 * SECOND
-        time[at] += years * 365 * 86400 * SECOND
-        cleaned = clean_channel(raw(time, lively(200)), RULES)
-        in_order = (at == 0 and years < 0) or (at == 199 and years > 0)
-        assert refused_by(cleaned) == ({} if in_order else {"backward_time": 1, "any": 1})
-        assert cleaned.n_samples == 200
-        assert len(cleaned.time_us) == 200 - (not in_order)
+@given(st.sets(st.integers(1, 198), max_size=60))
+def test_fast_channel_misses_every_blank(lost: set[int]) -> None:
+    rows = np.array(sorted(set(range(200)) - lost))
+    cleaned = clean_channel(in_wide_log(rows, 200), RULES)
+    assert cleaned.counts["missing"] == len(lost)
+    assert cleaned.n_samples == 200
 
-    @given(st.lists(st.integers(0, 10**6), max_size=60), st.integers(0, 2**32 - 1))
-    def test_what_is_left_is_strictly_increasing_and_all_are_counted(
-        self, times: list[int], seed: int
-    ) -> None:
-        time = np.array(times, dtype=np.int64)
-        value = np.random.default_rng(seed).uniform(40, 60, len(time))
-        cleaned = clean_channel(raw(time, value), RULES)
-        assert (np.diff(cleaned.time_us) > 0).all()
-        assert cleaned.n_samples == len(time)
-        refused = cleaned.counts["backward_time"] + cleaned.counts["duplicate_time"]
-        assert len(cleaned.time_us) + refused == len(time)
-        assert cleaned.counts["any"] == refused + int(cleaned.refused.sum())
+
+def test_channel_that_begins_late() -> None:
+    slow = clean_channel(in_wide_log(np.arange(55, 6000, 10), 6000), RULES)
+    assert slow.counts["missing"] == 0
+    fast = clean_channel(in_wide_log(np.arange(55, 6000), 6000), RULES)
+    assert fast.counts["missing"] == 55
+
+
+def test_blank_cells_of_a_repeated_row_are_no_samples_of_a_slow_channel() -> None:
+    """Row 3 stands four times; the slow channel has its samples in rows 0, 10, 20…"""
+    once = in_wide_log(np.arange(0, 600, 10), 600)
+    again = [*range(4), 3, 3, 3, *range(4, 600)]
+    cleaned = clean_channel(raw(once.time_us[again], once.value[again], once.missing[again]), RULES)
+    assert cleaned.n_samples == 60
+    assert refused_by(cleaned) == {}
+
+
+@given(st.lists(st.integers(0, 8), max_size=9))
+def test_as_few_as_possible_go_backward(times: list[int]) -> None:
+    kept = ~backward_time(np.array(times, dtype=np.int64))
+    left = [time for time, good in zip(times, kept, strict=True) if good]
+    assert left == sorted(left)
+    longest = max(
+        len(some)
+        for size in range(len(times) + 1)
+        for some in itertools.combinations(times, size)
+        if list(some) == sorted(some)
+    )
+    assert len(left) == longest
+
+
+@pytest.mark.parametrize("at", [0, 1, 50, 198, 199])
+@pytest.mark.parametrize("years", [-30, 30])
+def test_one_stamp_far_off_costs_one_sample(at: int, years: int) -> None:
+    """Only at the log's very end can a stamp in the future not be told from a real one."""
+    time = stamps(200) + 56 * 365 * 86400 * SECOND
+    time[at] += years * 365 * 86400 * SECOND
+    cleaned = clean_channel(raw(time, lively(200)), RULES)
+    in_order = (at == 0 and years < 0) or (at == 199 and years > 0)
+    assert refused_by(cleaned) == ({} if in_order else {"backward_time": 1, "any": 1})
+    assert cleaned.n_samples == 200
+    assert len(cleaned.time_us) == 200 - (not in_order)
+
+
+@given(st.lists(st.integers(0, 10**6), max_size=60), st.integers(0, 2**32 - 1))
+def test_times_that_are_left_are_strictly_increasing_and_all_are_counted(
+    times: list[int], seed: int
+) -> None:
+    time = np.array(times, dtype=np.int64)
+    value = np.random.default_rng(seed).uniform(40, 60, len(time))
+    cleaned = clean_channel(raw(time, value), RULES)
+    assert (np.diff(cleaned.time_us) > 0).all()
+    assert cleaned.n_samples == len(time)
+    refused = cleaned.counts["backward_time"] + cleaned.counts["duplicate_time"]
+    assert len(cleaned.time_us) + refused == len(time)
+    assert cleaned.counts["any"] == refused + int(cleaned.refused.sum())
 
 
 def test_channels_of_one_table_share_their_order_and_others_have_their_own() -> None:
@@ -204,76 +200,68 @@ def test_channels_of_one_table_share_their_order_and_others_have_their_own() -> 
     assert kept[2] is kept[3]
 
 
-class TestNear:
-    """Guard times."""
-
-    @given(
-        st.lists(st.integers(0, 100), max_size=5),
-        st.lists(st.integers(-20, 120), max_size=20).map(sorted),
-        st.integers(0, 15),
-        st.integers(0, 15),
-    )
-    def test_as_the_slow_definition(
-        self, events: list[int], times: list[int], before: int, after: int
-    ) -> None:
-        event, time = np.array(sorted(events), np.int64), np.array(times, np.int64)
-        expected = [any(-before <= t - e <= after for e in events) for t in times]
-        assert near(event, time, before, after).tolist() == expected
+@given(
+    st.lists(st.integers(0, 100), max_size=5),
+    st.lists(st.integers(-20, 120), max_size=20).map(sorted),
+    st.integers(0, 15),
+    st.integers(0, 15),
+)
+def test_guard_times_are_those_of_the_slow_definition(
+    events: list[int], times: list[int], before: int, after: int
+) -> None:
+    event, time = np.array(sorted(events), np.int64), np.array(times, np.int64)
+    expected = [any(-before <= t - e <= after for e in events) for t in times]
+    assert near(event, time, before, after).tolist() == expected
 
 
-class TestTransient:
-    """|dω/dt| or |dΔP/dt| above a limit."""
-
-    def test_a_change_of_just_the_limit_is_none(self) -> None:
-        value = np.array([10.0, 10.5, 10.0])
-        assert not transient(value, np.ones(3, np.bool_), 0.125, 4.0).any()
+def test_a_change_of_just_the_limit_is_no_transient() -> None:
+    value = np.array([10.0, 10.5, 10.0])
+    assert not transient(value, np.ones(3, np.bool_), 0.125, 4.0).any()
 
 
-class TestRules:
-    """Precedence of the settings: the channel's own keys, else the fleet's, else the channel's."""
-
-    def test_temperature_has_limits_of_its_own(self) -> None:
-        rules = ChannelRules.of("oil_temperature", Channel(source="T", unit="degC"), Cleaning())
-        assert rules.frozen_after_s == 900.0
-        assert rules.longest_gap_s == 5.0
-
-    def test_what_a_channel_states_wins(self) -> None:
-        stated = {"valid_range": (5.0, 80.0), "resolution": 0.5, "frozen_after_s": 120.0}
-        channel = Channel(source="T", unit="degC", **stated)
-        rules = ChannelRules.of("oil_temperature", channel, Cleaning())
-        assert {name: getattr(rules, name) for name in stated} == stated
+def test_temperature_has_limits_of_its_own() -> None:
+    rules = ChannelRules.of("oil_temperature", Channel(source="T", unit="degC"), Cleaning())
+    assert rules.frozen_after_s == 900.0
+    assert rules.longest_gap_s == 5.0
 
 
-class TestValues:
-    """Not finite, out of range, at the sensor's maximum."""
+def test_what_a_channel_states_wins() -> None:
+    stated = {"valid_range": (5.0, 80.0), "resolution": 0.5, "frozen_after_s": 120.0}
+    channel = Channel(source="T", unit="degC", **stated)
+    rules = ChannelRules.of("oil_temperature", channel, Cleaning())
+    assert {name: getattr(rules, name) for name in stated} == stated
 
-    def test_reading_that_is_not_finite_is_not_missing(self) -> None:
-        value = lively(100)
-        value[[10, 20, 30]] = np.nan, np.inf, -np.inf
-        cleaned = clean_channel(raw(stamps(100), value), RULES)
-        assert cleaned.counts["not_finite"] == cleaned.counts["any"] == 3
-        assert cleaned.counts["missing"] == cleaned.counts["spike"] == 0
-        np.testing.assert_array_equal(np.flatnonzero(cleaned.refused), [10, 20, 30])
 
-    def test_range_includes_its_ends(self) -> None:
-        value = np.array([-1.1, -1.0, 0.0, 450.0, 450.1, np.nan])
-        assert out_of_range(value, (-1.0, 450.0)).tolist() == [True, *[False] * 3, True, False]
+def test_reading_that_is_not_finite_is_not_missing() -> None:
+    value = lively(100)
+    value[[10, 20, 30]] = np.nan, np.inf, -np.inf
+    cleaned = clean_channel(raw(stamps(100), value), RULES)
+    assert cleaned.counts["not_finite"] == cleaned.counts["any"] == 3
+    assert cleaned.counts["missing"] == cleaned.counts["spike"] == 0
+    np.testing.assert_array_equal(np.flatnonzero(cleaned.refused), [10, 20, 30])
 
-    def test_maximum_to_half_of_the_resolution(self) -> None:
-        value = np.array([19.98, 19.9899, 19.9901, 20.0 - 1e-12, 20.0, 20.02, np.nan])
-        found = at_maximum(value, 20.0, 0.02).tolist()
-        assert found == [False, False, True, True, True, True, False]
-        assert at_maximum(value, 20.0, 0.0).tolist() == [*[False] * 3, True, True, True, False]
-        assert not at_maximum(value, None, 0.02).any()
 
-    def test_several_rules_count_each_and_once_under_any(self) -> None:
-        """At its maximum the sensor is out of range here, too."""
-        value = lively(200)
-        value[100:104] = 120.0
-        rules = replace(RULES, sensor_maximum=120.0)
-        cleaned = clean_channel(raw(stamps(200), value), rules)
-        assert refused_by(cleaned) == {"out_of_range": 4, "at_maximum": 4, "any": 4}
-        np.testing.assert_array_equal(np.flatnonzero(cleaned.at_maximum), range(100, 104))
+def test_range_includes_its_ends() -> None:
+    value = np.array([-1.1, -1.0, 0.0, 450.0, 450.1, np.nan])
+    assert out_of_range(value, (-1.0, 450.0)).tolist() == [True, *[False] * 3, True, False]
+
+
+def test_maximum_to_half_of_the_resolution() -> None:
+    value = np.array([19.98, 19.9899, 19.9901, 20.0 - 1e-12, 20.0, 20.02, np.nan])
+    found = at_maximum(value, 20.0, 0.02).tolist()
+    assert found == [False, False, True, True, True, True, False]
+    assert at_maximum(value, 20.0, 0.0).tolist() == [*[False] * 3, True, True, True, False]
+    assert not at_maximum(value, None, 0.02).any()
+
+
+def test_several_rules_count_each_and_once_under_any() -> None:
+    """At its maximum the sensor is out of range here, too."""
+    value = lively(200)
+    value[100:104] = 120.0
+    rules = replace(RULES, sensor_maximum=120.0)
+    cleaned = clean_channel(raw(stamps(200), value), rules)
+    assert refused_by(cleaned) == {"out_of_range": 4, "at_maximum": 4, "any": 4}
+    np.testing.assert_array_equal(np.flatnonzero(cleaned.at_maximum), range(100, 104))
 
 
 def slow_hampel(value: Floats, window: int, threshold: float, resolution: float) -> list[bool]:
@@ -291,163 +279,155 @@ def slow_hampel(value: Floats, window: int, threshold: float, resolution: float)
     return flags
 
 
-class TestHampel:
-    """Window of 11, 5 scaled MAD, never below the sensor's resolution."""
-
-    @given(
-        st.integers(0, 2**32 - 1),
-        st.sampled_from([3, 5, 11, 21]),
-        st.sampled_from([2.0, 3.0, 5.0]),
-        st.sampled_from([0.0, 0.1, 1.0]),
-        st.booleans(),
-    )
-    def test_as_the_slow_definition(
-        self, seed: int, window: int, threshold: float, resolution: float, in_steps: bool
-    ) -> None:
-        rng = np.random.default_rng(seed)
-        value = np.cumsum(rng.standard_t(2, 120))
-        if in_steps and resolution:
-            value = np.round(value / resolution) * resolution
-        expected = slow_hampel(value, window, threshold, resolution)
-        assert spike(value, window, threshold, resolution).tolist() == expected
-
-    def test_reading_beyond_the_floor_by_rounding_is_a_spike(self) -> None:
-        """As the definition has it: 103.01 - 100.0 is more than 3.01."""
-        value = np.full(21, 100.0)
-        value[10] = 103.01
-        assert value[10] - 100.0 > (3.0 + STEP_ROUNDING) * 1.0
-        assert np.flatnonzero(spike(value, 11, 3.0, 1.0)).tolist() == [10]
-
-    def test_fewer_samples_than_a_window_are_not_judged(self) -> None:
-        value = lively(10)
-        value[5] = 1e6
-        assert not spike(value, 11, 5.0, 0.1).any()
-
-    def test_parts_between_borders_are_judged_by_themselves(self) -> None:
-        value = np.random.default_rng(5).standard_t(2, 300)
-        borders = np.array([10, 21, 90, 291])
-        alone = [spike(part, 11, 5.0, 0.1) for part in np.split(value, borders)]
-        found = spike(value, 11, 5.0, 0.1, borders)
-        np.testing.assert_array_equal(found, np.concatenate(alone))
-        assert found[:21].any()
-        assert not found[:10].any()
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([3, 5, 11, 21]),
+    st.sampled_from([2.0, 3.0, 5.0]),
+    st.sampled_from([0.0, 0.1, 1.0]),
+    st.booleans(),
+)
+def test_spikes_are_those_of_the_slow_definition(
+    seed: int, window: int, threshold: float, resolution: float, in_steps: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    value = np.cumsum(rng.standard_t(2, 120))
+    if in_steps and resolution:
+        value = np.round(value / resolution) * resolution
+    expected = slow_hampel(value, window, threshold, resolution)
+    assert spike(value, window, threshold, resolution).tolist() == expected
 
 
-class TestAcrossAGap:
-    """Samples before a gap change nothing after it."""
-
-    @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 40.0, -45.0]))
-    def test_samples_before_a_gap_do_not_judge_those_after_it(
-        self, seed: int, level: float
-    ) -> None:
-        after = 50.0 + np.random.default_rng(seed).standard_t(2, 60)
-        time = np.append(stamps(60), stamps(60) + 60 * SECOND)
-        alone = clean_channel(raw(time[60:], after), RULES)
-        both = clean_channel(raw(time, np.append(lively(60) + level, after)), RULES)
-        np.testing.assert_array_equal(both.refused[60:], alone.refused)
+def test_reading_beyond_the_floor_by_rounding_is_a_spike() -> None:
+    """As the definition has it: 103.01 - 100.0 is more than 3.01."""
+    value = np.full(21, 100.0)
+    value[10] = 103.01
+    assert value[10] - 100.0 > (3.0 + STEP_ROUNDING) * 1.0
+    assert np.flatnonzero(spike(value, 11, 3.0, 1.0)).tolist() == [10]
 
 
-class TestFrozen:
-    """60 s without a change beyond the resolution; temperature 900 s."""
-
-    @pytest.mark.parametrize(("n", "refused"), [(601, 0), (602, 602)])
-    def test_a_stretch_of_just_the_limit_is_credible(self, n: int, refused: int) -> None:
-        """601 samples, first to last: 60.0 s."""
-        value = lively(2000)
-        value[500 : 500 + n] = 42.0
-        assert clean_channel(raw(stamps(2000), value), RULES).counts["frozen"] == refused
-
-    @given(st.data())
-    def test_as_looked_at_pair_by_pair(self, data: st.DataObject) -> None:
-        """Few samples tell where no stretch can be: what is found is what all of them tell."""
-        n = data.draw(st.integers(1, 1500))
-        rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
-        time = np.cumsum(rng.choice([1, 1, 1, 1, 40], n)) * SECOND
-        resolution = data.draw(st.sampled_from([0.0, 0.1]))
-        value = rng.integers(0, data.draw(st.integers(1, 4)), n).astype(np.float64)
-        value *= 0.1
-        for _ in range(data.draw(st.integers(0, 4))):
-            first = data.draw(st.integers(0, n - 1))
-            value[first : first + data.draw(st.integers(1, 400))] = value[first]
-        if resolution:
-            value += rng.uniform(-0.02, 0.02, n)
-        limit = data.draw(st.sampled_from([0.5, 5.0, 20.0, 100.0, 2000.0])) * SECOND
-        borders = np.flatnonzero(rng.random(n - 1) < data.draw(st.sampled_from([0.0, 0.1]))) + 1
-        gaps = np.zeros(n, dtype=np.int64)
-        gaps[borders] = time[borders] - time[borders - 1]
-        seen = time - np.cumsum(gaps)
-        expected = np.zeros(n, dtype=bool)
-        grids = [np.floor(value / 0.1 + at) for at in (0.25, 0.75)] if resolution else [value]
-        for step in grids:
-            first = 0
-            for row in range(1, n + 1):
-                if row == n or step[row] != step[first]:
-                    expected[first:row] |= seen[row - 1] - seen[first] > limit
-                    first = row
-        np.testing.assert_array_equal(frozen(time, value, resolution, limit, borders), expected)
-
-    def test_a_gap_adds_no_time(self) -> None:
-        """The same reading before and after a night in the garage: nobody saw it frozen."""
-        value = lively(400)
-        value[195:205] = 50.1
-        time = stamps(400)
-        time[200:] += 3600 * SECOND
-        assert refused_by(clean_channel(raw(time, value), RULES)) == {}
-
-    def test_speed_of_a_halted_motor_is_not_frozen(self) -> None:
-        """An encoder at rest says 0 for hours; that is a standstill, not a fault."""
-        rules = ChannelRules.of(
-            "speed", Channel(source="n", unit="rpm", resolution=0.1), Cleaning()
-        )
-        value = lively(3000)
-        value[1000:2000] = 0.0
-        assert refused_by(clean_channel(raw(stamps(3000), value), rules)) == {}
-        value[1000:2000] = 30.0
-        stuck = clean_channel(raw(stamps(3000), value), rules)
-        assert refused_by(stuck) == {"frozen": 1000, "any": 1000}
+def test_fewer_samples_than_a_window_are_no_spikes() -> None:
+    value = lively(10)
+    value[5] = 1e6
+    assert not spike(value, 11, 5.0, 0.1).any()
 
 
-class TestWrittenLate:
-    @given(st.permutations(range(12)), st.integers(20, 60))
-    def test_chunks_written_in_any_order_are_all_put_back(
-        self, order: list[int], size: int
-    ) -> None:
-        """Files whose names do not sort as their times do; a logger that flushed late."""
-        time, value = stamps(12 * size), lively(12 * size)
-        rows = np.concatenate([np.arange(one * size, (one + 1) * size) for one in order])
-        found = as_read("pressure_difference", time[rows], value[rows])
-        np.testing.assert_array_equal(found.time_us, time)
-        np.testing.assert_array_equal(found.value, value)
-        assert found.counts["any"] == 0
-        assert found.noted["backward_time"] == int(backward_time(time[rows]).sum())
-
-    def test_a_clock_that_was_set_back_runs_over_times_that_are_taken(self) -> None:
-        for back_us in (30 * STEP, 30 * STEP + STEP // 2, 30 * STEP + 7):
-            time = stamps(300)
-            time[150:] -= back_us
-            found = as_read("pressure_difference", time, lively(300))
-            assert found.noted["backward_time"] == 0
-            assert found.counts["backward_time"] + found.counts["duplicate_time"] in (30, 31)
-
-    def test_of_two_rows_that_contradict_each_other_the_stray_one_is_refused(self) -> None:
-        time = stamps(100) + 3600 * SECOND
-        time[1] = 0
-        backward = backward_time(time)
-        late, stray = written_late(time, backward, time[~backward])
-        assert (late.tolist(), stray.tolist()) == ([0], [1])
-        found = as_read("pressure_difference", time, lively(100))
-        assert found.counts["backward_time"] == 1
-        np.testing.assert_array_equal(found.value, np.delete(lively(100), 1))
+def test_spikes_between_borders_are_judged_by_themselves() -> None:
+    value = np.random.default_rng(5).standard_t(2, 300)
+    borders = np.array([10, 21, 90, 291])
+    alone = [spike(part, 11, 5.0, 0.1) for part in np.split(value, borders)]
+    found = spike(value, 11, 5.0, 0.1, borders)
+    np.testing.assert_array_equal(found, np.concatenate(alone))
+    assert found[:21].any()
+    assert not found[:10].any()
 
 
-class TestJitter:
-    def test_is_counted_and_refuses_nothing(self) -> None:
-        time = stamps(1000)
-        time[[100, 500, 700]] += 40_000
-        found = as_read("pressure_difference", time, lively(1000))
-        assert found.noted["jitter"] == 6
-        assert found.counts["any"] == 0
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 40.0, -45.0]))
+def test_samples_before_a_gap_do_not_judge_those_after_it(seed: int, level: float) -> None:
+    after = 50.0 + np.random.default_rng(seed).standard_t(2, 60)
+    time = np.append(stamps(60), stamps(60) + 60 * SECOND)
+    alone = clean_channel(raw(time[60:], after), RULES)
+    both = clean_channel(raw(time, np.append(lively(60) + level, after)), RULES)
+    np.testing.assert_array_equal(both.refused[60:], alone.refused)
 
-    def test_samples_left_out_are_none(self) -> None:
-        time = np.delete(stamps(1000), [5, 70, 71, 72])
-        assert n_jittered(time, float(STEP)) == n_jittered(time, None) == 0
+
+@pytest.mark.parametrize(("n", "refused"), [(601, 0), (602, 602)])
+def test_a_frozen_stretch_of_just_the_limit_is_credible(n: int, refused: int) -> None:
+    """601 samples, first to last: 60.0 s."""
+    value = lively(2000)
+    value[500 : 500 + n] = 42.0
+    assert clean_channel(raw(stamps(2000), value), RULES).counts["frozen"] == refused
+
+
+@given(st.data())
+def test_frozen_stretches_are_as_looked_at_pair_by_pair(data: st.DataObject) -> None:
+    """Few samples tell where no stretch can be: what is found is what all of them tell."""
+    n = data.draw(st.integers(1, 1500))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    time = np.cumsum(rng.choice([1, 1, 1, 1, 40], n)) * SECOND
+    resolution = data.draw(st.sampled_from([0.0, 0.1]))
+    value = rng.integers(0, data.draw(st.integers(1, 4)), n).astype(np.float64)
+    value *= 0.1
+    for _ in range(data.draw(st.integers(0, 4))):
+        first = data.draw(st.integers(0, n - 1))
+        value[first : first + data.draw(st.integers(1, 400))] = value[first]
+    if resolution:
+        value += rng.uniform(-0.02, 0.02, n)
+    limit = data.draw(st.sampled_from([0.5, 5.0, 20.0, 100.0, 2000.0])) * SECOND
+    borders = np.flatnonzero(rng.random(n - 1) < data.draw(st.sampled_from([0.0, 0.1]))) + 1
+    gaps = np.zeros(n, dtype=np.int64)
+    gaps[borders] = time[borders] - time[borders - 1]
+    seen = time - np.cumsum(gaps)
+    expected = np.zeros(n, dtype=bool)
+    grids = [np.floor(value / 0.1 + at) for at in (0.25, 0.75)] if resolution else [value]
+    for step in grids:
+        first = 0
+        for row in range(1, n + 1):
+            if row == n or step[row] != step[first]:
+                expected[first:row] |= seen[row - 1] - seen[first] > limit
+                first = row
+    np.testing.assert_array_equal(frozen(time, value, resolution, limit, borders), expected)
+
+
+def test_a_gap_freezes_nothing() -> None:
+    """The same reading before and after a night in the garage: nobody saw it frozen."""
+    value = lively(400)
+    value[195:205] = 50.1
+    time = stamps(400)
+    time[200:] += 3600 * SECOND
+    assert refused_by(clean_channel(raw(time, value), RULES)) == {}
+
+
+def test_speed_of_a_halted_motor_is_not_frozen() -> None:
+    """An encoder at rest says 0 for hours; that is a standstill, not a fault."""
+    rules = ChannelRules.of("speed", Channel(source="n", unit="rpm", resolution=0.1), Cleaning())
+    value = lively(3000)
+    value[1000:2000] = 0.0
+    assert refused_by(clean_channel(raw(stamps(3000), value), rules)) == {}
+    value[1000:2000] = 30.0
+    stuck = clean_channel(raw(stamps(3000), value), rules)
+    assert refused_by(stuck) == {"frozen": 1000, "any": 1000}
+
+
+@given(st.permutations(range(12)), st.integers(20, 60))
+def test_chunks_written_in_any_order_are_all_put_back(order: list[int], size: int) -> None:
+    """Files whose names do not sort as their times do; a logger that flushed late."""
+    time, value = stamps(12 * size), lively(12 * size)
+    rows = np.concatenate([np.arange(one * size, (one + 1) * size) for one in order])
+    found = as_read("pressure_difference", time[rows], value[rows])
+    np.testing.assert_array_equal(found.time_us, time)
+    np.testing.assert_array_equal(found.value, value)
+    assert found.counts["any"] == 0
+    assert found.noted["backward_time"] == int(backward_time(time[rows]).sum())
+
+
+def test_a_clock_that_was_set_back_runs_over_times_that_are_taken() -> None:
+    for back_us in (30 * STEP, 30 * STEP + STEP // 2, 30 * STEP + 7):
+        time = stamps(300)
+        time[150:] -= back_us
+        found = as_read("pressure_difference", time, lively(300))
+        assert found.noted["backward_time"] == 0
+        assert found.counts["backward_time"] + found.counts["duplicate_time"] in (30, 31)
+
+
+def test_of_two_rows_that_contradict_each_other_the_stray_one_is_refused() -> None:
+    time = stamps(100) + 3600 * SECOND
+    time[1] = 0
+    backward = backward_time(time)
+    late, stray = written_late(time, backward, time[~backward])
+    assert (late.tolist(), stray.tolist()) == ([0], [1])
+    found = as_read("pressure_difference", time, lively(100))
+    assert found.counts["backward_time"] == 1
+    np.testing.assert_array_equal(found.value, np.delete(lively(100), 1))
+
+
+def test_jitter_is_counted_and_refuses_nothing() -> None:
+    time = stamps(1000)
+    time[[100, 500, 700]] += 40_000
+    found = as_read("pressure_difference", time, lively(1000))
+    assert found.noted["jitter"] == 6
+    assert found.counts["any"] == 0
+
+
+def test_samples_left_out_are_no_jitter() -> None:
+    time = np.delete(stamps(1000), [5, 70, 71, 72])
+    assert n_jittered(time, float(STEP)) == n_jittered(time, None) == 0

@@ -46,34 +46,34 @@ def test_flow_is_averaged_so_that_a_pulse_meter_has_a_delay() -> None:
     np.testing.assert_allclose(tau, drain_line_delay_s(np.array([0.3]), 2.0, 12.0)[0], rtol=0.03)
 
 
-class TestShifted:
-    @given(st.integers(0, 2**32 - 1))
-    def test_as_the_slow_definition(self, seed: int) -> None:
-        rng = np.random.default_rng(seed)
-        value, present = rng.normal(size=30), rng.random(30) < 0.8
-        steps = rng.choice([-3.0, -2.5, -0.25, 0.0, 1.75, 4.0, np.nan, np.inf], 30)
-        found, there = shifted(value, present, steps)
-        for i, step in enumerate(steps):
-            place = i + step
-            ends = {int(np.floor(place)), int(np.ceil(place))} if np.isfinite(place) else {-1}
-            good = all(0 <= end < 30 and present[end] for end in ends)
-            assert there[i] == good
-            if good:
-                expected = np.interp(place, sorted(ends), value[sorted(ends)])
-                assert found[i] == pytest.approx(expected, rel=1e-12, abs=1e-12)
-            else:
-                assert np.isnan(found[i])
+@given(st.integers(0, 2**32 - 1))
+def test_as_the_slow_definition(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    value, present = rng.normal(size=30), rng.random(30) < 0.8
+    steps = rng.choice([-3.0, -2.5, -0.25, 0.0, 1.75, 4.0, np.nan, np.inf], 30)
+    found, there = shifted(value, present, steps)
+    for i, step in enumerate(steps):
+        place = i + step
+        ends = {int(np.floor(place)), int(np.ceil(place))} if np.isfinite(place) else {-1}
+        good = all(0 <= end < 30 and present[end] for end in ends)
+        assert there[i] == good
+        if good:
+            expected = np.interp(place, sorted(ends), value[sorted(ends)])
+            assert found[i] == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        else:
+            assert np.isnan(found[i])
 
-    def test_above_its_limit_or_without_flow_a_sample_is_refused(self) -> None:
-        flow = np.array([1.0, 0.5, 0.1, 0.0, np.nan])
-        values = {"speed": np.arange(5.0), "leakage_flow": flow}
-        present = {"speed": np.ones(5, np.bool_), "leakage_flow": np.isfinite(flow)}
-        settings = TransportDelay(
-            mode="flow", leading=("speed",), maximum_s=30.0, flow_average_s=0.0, **LINE
-        )
-        _, there, refused, _ = delay_inputs(values, present, 60.0, settings)
-        assert refused.tolist() == [False, False, True, True, True]
-        assert not there["speed"][refused].any()
+
+def test_above_its_limit_or_without_flow_a_sample_is_refused() -> None:
+    flow = np.array([1.0, 0.5, 0.1, 0.0, np.nan])
+    values = {"speed": np.arange(5.0), "leakage_flow": flow}
+    present = {"speed": np.ones(5, np.bool_), "leakage_flow": np.isfinite(flow)}
+    settings = TransportDelay(
+        mode="flow", leading=("speed",), maximum_s=30.0, flow_average_s=0.0, **LINE
+    )
+    _, there, refused, _ = delay_inputs(values, present, 60.0, settings)
+    assert refused.tolist() == [False, False, True, True, True]
+    assert not there["speed"][refused].any()
 
 
 OPERATION = operate(minutes=60.0)

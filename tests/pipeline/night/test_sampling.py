@@ -63,125 +63,122 @@ def test_a_pulse_meter_keeps_its_mean(
     assert kept.mean() == pytest.approx(FLOW, rel=1e-3 if refused else 0.01)
 
 
-class TestCounts:
-    @given(
-        st.lists(st.integers(0, 400), min_size=2, max_size=60),
-        st.lists(st.integers(200_000, 1_800_000), min_size=60, max_size=60),
-        st.sampled_from([None, 1000.0, 4096.0]),
-        st.floats(0.01, 1000.0),
-    )
-    def test_volume_is_kept_whatever_the_jitter_and_however_often_it_rolls_over(
-        self, fresh: list[int], steps: list[int], rolls_over_at: float | None, volume: float
-    ) -> None:
-        time = np.cumsum(steps[: len(fresh)]).astype(np.int64)
-        total = np.cumsum(fresh).astype(np.float64)
-        logged = total if rolls_over_at is None else np.mod(total, rolls_over_at)
-        meter = Sampling(
-            counts="cumulative", volume_per_count_cm3=volume, rolls_over_at=rolls_over_at
-        )
-        found = flow_from_counts(time, logged, 5e6, meter)
-        pulses = flow_from_counts(
-            time, np.array(fresh, float), 5e6, replace(meter, counts="pulses")
-        )
-        np.testing.assert_allclose(found.flow_l_per_min, pulses.flow_l_per_min, rtol=1e-9)
-        litres = np.nansum(found.flow_l_per_min[1:] * np.diff(time) / 60e6)
-        assert litres == pytest.approx((total[-1] - total[0]) * volume / 1000, rel=1e-9, abs=1e-12)
-        assert found.no_interval.tolist() == [True] + [False] * (len(fresh) - 1)
-        assert not found.counter_reset.any()
-        assert (np.diff(found.time_us) > 0).all()
+@given(
+    st.lists(st.integers(0, 400), min_size=2, max_size=60),
+    st.lists(st.integers(200_000, 1_800_000), min_size=60, max_size=60),
+    st.sampled_from([None, 1000.0, 4096.0]),
+    st.floats(0.01, 1000.0),
+)
+def test_volume_is_kept_whatever_the_jitter_and_however_often_it_rolls_over(
+    fresh: list[int], steps: list[int], rolls_over_at: float | None, volume: float
+) -> None:
+    time = np.cumsum(steps[: len(fresh)]).astype(np.int64)
+    total = np.cumsum(fresh).astype(np.float64)
+    logged = total if rolls_over_at is None else np.mod(total, rolls_over_at)
+    meter = Sampling(counts="cumulative", volume_per_count_cm3=volume, rolls_over_at=rolls_over_at)
+    found = flow_from_counts(time, logged, 5e6, meter)
+    pulses = flow_from_counts(time, np.array(fresh, float), 5e6, replace(meter, counts="pulses"))
+    np.testing.assert_allclose(found.flow_l_per_min, pulses.flow_l_per_min, rtol=1e-9)
+    litres = np.nansum(found.flow_l_per_min[1:] * np.diff(time) / 60e6)
+    assert litres == pytest.approx((total[-1] - total[0]) * volume / 1000, rel=1e-9, abs=1e-12)
+    assert found.no_interval.tolist() == [True] + [False] * (len(fresh) - 1)
+    assert not found.counter_reset.any()
+    assert (np.diff(found.time_us) > 0).all()
 
-    def test_a_reset_costs_one_sample_and_is_counted(self) -> None:
-        total = np.arange(100.0) * 3.0
-        total[60:] -= total[60]
-        for rolls_over_at in (None, 1e6):
-            found = as_read(
-                "leakage_flow",
-                np.arange(100, dtype=np.int64) * SECOND,
-                total,
-                counts="cumulative",
-                volume_per_count_cm3=1.0,
-                counter_rolls_over_at=rolls_over_at,
-            )
-            assert refused_by(found) == {"no_interval": 1, "counter_reset": 1, "any": 2}
-            np.testing.assert_allclose(found.value[~found.refused], 0.18)
 
-    def test_a_gap_and_a_lost_reading_leave_no_interval(self) -> None:
-        time = np.delete(np.arange(100, dtype=np.int64), np.arange(40, 60)) * SECOND
-        total = time / SECOND * 3.0
-        total[20] = np.inf
-        found = as_read("leakage_flow", time, total, counts="cumulative", volume_per_count_cm3=1.0)
-        assert found.counts["not_finite"] == 1
-        assert found.counts["any"] == 4
-        assert (np.diff(found.time_us) > 0).all()
+def test_a_reset_costs_one_sample_and_is_counted() -> None:
+    total = np.arange(100.0) * 3.0
+    total[60:] -= total[60]
+    for rolls_over_at in (None, 1e6):
+        found = as_read(
+            "leakage_flow",
+            np.arange(100, dtype=np.int64) * SECOND,
+            total,
+            counts="cumulative",
+            volume_per_count_cm3=1.0,
+            counter_rolls_over_at=rolls_over_at,
+        )
+        assert refused_by(found) == {"no_interval": 1, "counter_reset": 1, "any": 2}
         np.testing.assert_allclose(found.value[~found.refused], 0.18)
 
-    def test_a_counter_that_stopped_is_frozen_and_a_steady_one_is_not(self) -> None:
-        time = np.arange(600, dtype=np.int64) * SECOND
-        pulses = np.full(600, 7.0)
-        pulses[300:] = 0.0
-        found = as_read("leakage_flow", time, pulses, counts="pulses", volume_per_count_cm3=1.0)
-        assert refused_by(found) == {"no_interval": 1, "frozen": 300, "any": 301}
+
+def test_a_gap_and_a_lost_reading_leave_no_interval() -> None:
+    time = np.delete(np.arange(100, dtype=np.int64), np.arange(40, 60)) * SECOND
+    total = time / SECOND * 3.0
+    total[20] = np.inf
+    found = as_read("leakage_flow", time, total, counts="cumulative", volume_per_count_cm3=1.0)
+    assert found.counts["not_finite"] == 1
+    assert found.counts["any"] == 4
+    assert (np.diff(found.time_us) > 0).all()
+    np.testing.assert_allclose(found.value[~found.refused], 0.18)
 
 
-class TestOnChange:
-    """Silence up to a stated length is no gap and no frozen sensor."""
-
-    def test_the_same_value_for_longer_than_the_longest_silence_is_frozen(self) -> None:
-        time = np.array([0, 250, 500, 750], dtype=np.int64) * SECOND
-        stuck = as_read("pressure_difference", time, np.full(4, 80.0), **ON_CHANGE)
-        assert stuck.counts["frozen"] == 4
-        heartbeat = as_read("pressure_difference", time[:2], np.full(2, 80.0), **ON_CHANGE)
-        assert heartbeat.counts["frozen"] == 0
-
-    def test_it_has_no_rate_to_set_the_time_base_by(self) -> None:
-        slow = as_read("speed", np.arange(50, dtype=np.int64) * SECOND, np.arange(50.0))
-        burst = as_read(
-            "pressure_difference",
-            np.arange(50, dtype=np.int64) * (SECOND // 10),
-            np.arange(50.0),
-            **ON_CHANGE,
-        )
-        assert grid_period_us({"speed": slow, "p": burst}, TimeBase()) == SECOND
-        assert grid_period_us({"p": burst}, TimeBase()) == SECOND // 10
+def test_a_counter_that_stopped_is_frozen_and_a_steady_one_is_not() -> None:
+    time = np.arange(600, dtype=np.int64) * SECOND
+    pulses = np.full(600, 7.0)
+    pulses[300:] = 0.0
+    found = as_read("leakage_flow", time, pulses, counts="pulses", volume_per_count_cm3=1.0)
+    assert refused_by(found) == {"no_interval": 1, "frozen": 300, "any": 301}
 
 
-class TestMeans:
-    @pytest.mark.parametrize(("seconds", "refused"), [(10.0, False), (10.1, True)])
-    def test_means_of_a_period_above_the_limit_are_refused_by_name(
-        self, spec: MotorSpec, seconds: float, refused: bool
-    ) -> None:
-        spec = with_channel(spec, "speed", sampling="mean", mean_of_s=seconds)
-        assert spec.settings.cleaning.maximum_mean_s == 10.0
-        outcome = fit(spec, MOVING, MOVING.channels(configured_flow(spec, MOVING)))
-        assert outcome.error_code == ("means_too_long" if refused else None)
-        if refused:
-            assert outcome.status == FAILED
-            assert f"speed is logged as means of {seconds} s" in (outcome.reason or "")
-            assert fit_of(outcome.rows)["error_code"] == "means_too_long"
+def test_the_same_value_for_longer_than_the_longest_silence_is_frozen() -> None:
+    time = np.array([0, 250, 500, 750], dtype=np.int64) * SECOND
+    stuck = as_read("pressure_difference", time, np.full(4, 80.0), **ON_CHANGE)
+    assert stuck.counts["frozen"] == 4
+    heartbeat = as_read("pressure_difference", time[:2], np.full(2, 80.0), **ON_CHANGE)
+    assert heartbeat.counts["frozen"] == 0
 
-    def test_a_mean_holds_over_its_period_and_is_not_averaged_again(self) -> None:
-        time = np.arange(5, 100, 10, dtype=np.int64) * SECOND
-        found = as_read("speed", time, np.arange(10.0), sampling="mean", mean_of_s=10.0)
-        grid = np.array([-2, 1, 9, 12, 58, 61, 99, 102]) * SECOND
-        value, present, silent = on_grid(found, grid, SECOND)
-        assert value[present].tolist() == [0, 0, 1, 5, 6, 9]
-        assert np.flatnonzero(silent).tolist() == [0, 7]
-        lost = as_read(
-            "speed",
-            np.delete(time, 4),
-            np.delete(np.arange(10.0), 4),
-            sampling="mean",
-            mean_of_s=10.0,
-        )
-        _, present, _ = on_grid(lost, np.array([35, 44, 46, 55]) * SECOND, SECOND)
-        assert present.tolist() == [True, False, False, True]
 
-    def test_the_stamp_of_a_mean_is_moved_to_its_middle(self) -> None:
-        time = np.arange(0, 1000, 10, dtype=np.int64) * SECOND
-        stated: dict[str, Any] = {"sampling": "mean", "mean_of_s": 10.0}
-        for stamp, shift in (("begin", 5), ("middle", 0), ("end", -5)):
-            found = as_read("speed", time, np.arange(100.0), mean_stamp=stamp, **stated)
-            np.testing.assert_array_equal(found.time_us, time + shift * SECOND)
+def test_it_has_no_rate_to_set_the_time_base_by() -> None:
+    slow = as_read("speed", np.arange(50, dtype=np.int64) * SECOND, np.arange(50.0))
+    burst = as_read(
+        "pressure_difference",
+        np.arange(50, dtype=np.int64) * (SECOND // 10),
+        np.arange(50.0),
+        **ON_CHANGE,
+    )
+    assert grid_period_us({"speed": slow, "p": burst}, TimeBase()) == SECOND
+    assert grid_period_us({"p": burst}, TimeBase()) == SECOND // 10
+
+
+@pytest.mark.parametrize(("seconds", "refused"), [(10.0, False), (10.1, True)])
+def test_means_of_a_period_above_the_limit_are_refused_by_name(
+    spec: MotorSpec, seconds: float, refused: bool
+) -> None:
+    spec = with_channel(spec, "speed", sampling="mean", mean_of_s=seconds)
+    assert spec.settings.cleaning.maximum_mean_s == 10.0
+    outcome = fit(spec, MOVING, MOVING.channels(configured_flow(spec, MOVING)))
+    assert outcome.error_code == ("means_too_long" if refused else None)
+    if refused:
+        assert outcome.status == FAILED
+        assert f"speed is logged as means of {seconds} s" in (outcome.reason or "")
+        assert fit_of(outcome.rows)["error_code"] == "means_too_long"
+
+
+def test_a_mean_holds_over_its_period_and_is_not_averaged_again() -> None:
+    time = np.arange(5, 100, 10, dtype=np.int64) * SECOND
+    found = as_read("speed", time, np.arange(10.0), sampling="mean", mean_of_s=10.0)
+    grid = np.array([-2, 1, 9, 12, 58, 61, 99, 102]) * SECOND
+    value, present, silent = on_grid(found, grid, SECOND)
+    assert value[present].tolist() == [0, 0, 1, 5, 6, 9]
+    assert np.flatnonzero(silent).tolist() == [0, 7]
+    lost = as_read(
+        "speed",
+        np.delete(time, 4),
+        np.delete(np.arange(10.0), 4),
+        sampling="mean",
+        mean_of_s=10.0,
+    )
+    _, present, _ = on_grid(lost, np.array([35, 44, 46, 55]) * SECOND, SECOND)
+    assert present.tolist() == [True, False, False, True]
+
+
+def test_the_stamp_of_a_mean_is_moved_to_its_middle() -> None:
+    time = np.arange(0, 1000, 10, dtype=np.int64) * SECOND
+    stated: dict[str, Any] = {"sampling": "mean", "mean_of_s": 10.0}
+    for stamp, shift in (("begin", 5), ("middle", 0), ("end", -5)):
+        found = as_read("speed", time, np.arange(100.0), mean_stamp=stamp, **stated)
+        np.testing.assert_array_equal(found.time_us, time + shift * SECOND)
 
 
 @pytest.mark.parametrize(
@@ -231,72 +228,68 @@ def swinging(n: int) -> Array:
     return 100.0 + 20.0 * np.sin(np.arange(n) / 3.0)
 
 
-class TestBadQuality:
-    def test_bad_samples_judge_no_others(self) -> None:
-        """Zeros of a broken sensor, flagged as such, make no spikes of what lies between them."""
-        value = swinging(200)
-        bad = np.flatnonzero(np.arange(200) % 3 > 0)
-        value[bad] = 0.0
-        found = as_read("pressure_difference", seconds(200), value, bad)
-        assert refused_by(found) == {"bad_quality": len(bad), "any": len(bad)}
-
-    def test_a_blank_cell_between_the_samples_of_a_slow_channel_is_none_however_bad(self) -> None:
-        """One column of qualities for all channels of a wide log: the row is of another one."""
-        value = np.full(100, np.nan)
-        value[::10] = swinging(10)
-        found = as_read("pressure_difference", seconds(100), value, [3, 14, 15, 20])
-        assert found.n_samples == 10
-        assert refused_by(found) == {"bad_quality": 1, "any": 1}
-
-    def test_a_counter_of_which_a_reading_is_bad_leaves_no_interval(self) -> None:
-        total = np.arange(60.0) * 3.0
-        total[30] = 7.0
-        stated: dict[str, Any] = {"counts": "cumulative", "volume_per_count_cm3": 1.0}
-        found = as_read("leakage_flow", seconds(60), total, [30], **stated)
-        assert refused_by(found) == {"bad_quality": 1, "no_interval": 2, "any": 3}
-        np.testing.assert_allclose(found.value[~found.refused], 0.18)
-        pulses = np.full(60, 3.0)
-        pulses[30] = 500.0
-        stated["counts"] = "pulses"
-        found = as_read("leakage_flow", seconds(60), pulses, [30], **stated)
-        assert refused_by(found) == {"bad_quality": 1, "no_interval": 1, "any": 2}
+def test_bad_samples_judge_no_others() -> None:
+    """Zeros of a broken sensor, flagged as such, make no spikes of what lies between them."""
+    value = swinging(200)
+    bad = np.flatnonzero(np.arange(200) % 3 > 0)
+    value[bad] = 0.0
+    found = as_read("pressure_difference", seconds(200), value, bad)
+    assert refused_by(found) == {"bad_quality": len(bad), "any": len(bad)}
 
 
-class TestBadQualityOnChange:
-    """Silence after a bad sample is a gap; before it the value holds as ever."""
+def test_a_blank_cell_between_the_samples_of_a_slow_channel_is_none_however_bad() -> None:
+    """One column of qualities for all channels of a wide log: the row is of another one."""
+    value = np.full(100, np.nan)
+    value[::10] = swinging(10)
+    found = as_read("pressure_difference", seconds(100), value, [3, 14, 15, 20])
+    assert found.n_samples == 10
+    assert refused_by(found) == {"bad_quality": 1, "any": 1}
 
-    TIME = np.array([0, 100, 200, 260, 500], dtype=np.int64) * SECOND
-    VALUE = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
-    LOST = np.array([10.0, 20.0, np.nan, 40.0, 50.0])
 
-    @pytest.mark.parametrize(
-        ("value", "bad", "logs", "times", "refused", "ends"),
-        [
-            (VALUE, [2], None, TIME, {"bad_quality": 1, "any": 1}, [2]),
-            # As a historian marks that its source was lost.
-            (LOST, [2], None, TIME, {"missing": 1, "bad_quality": 1, "any": 1}, [2]),
-            # A blank of a wide log says nothing, and a row of its own that there is none.
-            (LOST, [], None, np.delete(TIME, 2), {}, []),
-            (LOST, [], LONG, TIME, {"missing": 1, "any": 1}, [2]),
-        ],
-    )
-    def test_what_ends_a_value(
-        self,
-        value: Array,
-        bad: list[int],
-        logs: Logs | None,
-        times: Times,
-        refused: dict[str, int],
-        ends: list[int],
-    ) -> None:
-        found = as_read(
-            "pressure_difference", self.TIME, value, bad, logs, between="hold", **ON_CHANGE
-        )
-        np.testing.assert_array_equal(found.time_us, times)
-        assert (found.n_samples, refused_by(found)) == (len(times), refused)
-        assert found.ends is not None
-        assert np.flatnonzero(found.ends).tolist() == ends
-        assert np.flatnonzero(found.refused).tolist() == ends
+def test_a_counter_of_which_a_reading_is_bad_leaves_no_interval() -> None:
+    total = np.arange(60.0) * 3.0
+    total[30] = 7.0
+    stated: dict[str, Any] = {"counts": "cumulative", "volume_per_count_cm3": 1.0}
+    found = as_read("leakage_flow", seconds(60), total, [30], **stated)
+    assert refused_by(found) == {"bad_quality": 1, "no_interval": 2, "any": 3}
+    np.testing.assert_allclose(found.value[~found.refused], 0.18)
+    pulses = np.full(60, 3.0)
+    pulses[30] = 500.0
+    stated["counts"] = "pulses"
+    found = as_read("leakage_flow", seconds(60), pulses, [30], **stated)
+    assert refused_by(found) == {"bad_quality": 1, "no_interval": 1, "any": 2}
+
+
+SENT_S = np.array([0, 100, 200, 260, 500], dtype=np.int64) * SECOND
+SENT = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
+LOST = np.array([10.0, 20.0, np.nan, 40.0, 50.0])
+
+
+@pytest.mark.parametrize(
+    ("value", "bad", "logs", "times", "refused", "ends"),
+    [
+        (SENT, [2], None, SENT_S, {"bad_quality": 1, "any": 1}, [2]),
+        # As a historian marks that its source was lost.
+        (LOST, [2], None, SENT_S, {"missing": 1, "bad_quality": 1, "any": 1}, [2]),
+        # A blank of a wide log says nothing, and a row of its own that there is none.
+        (LOST, [], None, np.delete(SENT_S, 2), {}, []),
+        (LOST, [], LONG, SENT_S, {"missing": 1, "any": 1}, [2]),
+    ],
+)
+def test_what_ends_a_value(
+    value: Array,
+    bad: list[int],
+    logs: Logs | None,
+    times: Times,
+    refused: dict[str, int],
+    ends: list[int],
+) -> None:
+    found = as_read("pressure_difference", SENT_S, value, bad, logs, between="hold", **ON_CHANGE)
+    np.testing.assert_array_equal(found.time_us, times)
+    assert (found.n_samples, refused_by(found)) == (len(times), refused)
+    assert found.ends is not None
+    assert np.flatnonzero(found.ends).tolist() == ends
+    assert np.flatnonzero(found.refused).tolist() == ends
 
 
 RESOLUTION = {"pressure": 0.1, "temperature": 0.1, "speed": 0.1, "flow": 0.02}

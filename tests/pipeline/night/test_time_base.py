@@ -62,133 +62,136 @@ def together(
     return samples, {(one.channel, one.reason): one for one in found}
 
 
-class TestGridPeriod:
-    def period(self, *rates_hz: float, **settings: float) -> int:
-        channels = {
-            str(rate): cleaned(np.zeros(0, np.int64), np.zeros(0), period_us=SECOND / rate)
-            for rate in rates_hz
-        }
-        return grid_period_us(channels, TimeBase(**settings))
-
-    @given(st.integers(1, 10), st.floats(-0.04, 0.04))
-    def test_jitter_gives_no_grid_of_its_own(self, rate_hz: int, jitter: float) -> None:
-        assert self.period(rate_hz * (1 + jitter)) == round(SECOND / rate_hz)
-
-    @given(st.floats(0.01, 2000.0), st.floats(0.05, 200.0))
-    def test_never_faster_than_the_limit(self, rate_hz: float, limit_hz: float) -> None:
-        assert self.period(rate_hz, maximum_rate_hz=limit_hz) >= SECOND / limit_hz - 1e-6
-
-    def test_stated_rate_wins(self) -> None:
-        assert self.period(5.0, rate_hz=20.0) == 50_000
-        assert self.period(5.0, rate_hz=0.5) == 2 * SECOND
+def grid_of(*rates_hz: float, **settings: float) -> int:
+    channels = {
+        str(rate): cleaned(np.zeros(0, np.int64), np.zeros(0), period_us=SECOND / rate)
+        for rate in rates_hz
+    }
+    return grid_period_us(channels, TimeBase(**settings))
 
 
-class TestGrid:
-    """Anchored at the night's start; the files a night came in do not matter."""
+@given(st.integers(1, 10), st.floats(-0.04, 0.04))
+def test_jitter_gives_no_grid_of_its_own(rate_hz: int, jitter: float) -> None:
+    assert grid_of(rate_hz * (1 + jitter)) == round(SECOND / rate_hz)
 
-    def test_counts_from_the_night_s_start(self) -> None:
-        samples, _ = together(running(60, START + 3600 * SECOND + 30_000))
-        np.testing.assert_array_equal(samples.time_us, START + samples.index * samples.period_us)
-        # The first point after the log's first sample, which stands 30 ms off the grid.
-        assert samples.index[0] == 36_001
 
-    def test_night_is_half_open(self) -> None:
-        samples, _ = together(running(30, END - 10 * SECOND))
-        assert samples.time_us[-1] == END - STEP
-        samples, _ = together(running(30, START))
-        assert samples.time_us[0] == START
+@given(st.floats(0.01, 2000.0), st.floats(0.05, 200.0))
+def test_never_faster_than_the_limit(rate_hz: float, limit_hz: float) -> None:
+    assert grid_of(rate_hz, maximum_rate_hz=limit_hz) >= SECOND / limit_hz - 1e-6
 
-    @pytest.mark.parametrize("rate_hz", [10, 20, 100])
-    @pytest.mark.parametrize("n", [1, 2, 5])
-    def test_a_log_that_touches_the_night_with_a_few_samples(self, rate_hz: int, n: int) -> None:
-        """None of them on a point of the grid: there is nothing to keep, and no fault."""
-        period = SECOND // rate_hz
-        time = START + 3000 + np.arange(n, dtype=np.int64) * period
-        time = time[time < START + STEP]
-        channels = {name: cleaned(time, np.ones(len(time)), period_us=period) for name in FLEET}
-        samples, quality = together(channels)
-        assert len(samples.index) == samples.n_grid == 0
-        assert samples.kept_share == 0.0
-        assert all(one.n_refused == 0 for one in quality.values())
+
+def test_stated_rate_wins() -> None:
+    assert grid_of(5.0, rate_hz=20.0) == 50_000
+    assert grid_of(5.0, rate_hz=0.5) == 2 * SECOND
+
+
+def test_counts_from_the_night_s_start() -> None:
+    samples, _ = together(running(60, START + 3600 * SECOND + 30_000))
+    np.testing.assert_array_equal(samples.time_us, START + samples.index * samples.period_us)
+    # The first point after the log's first sample, which stands 30 ms off the grid.
+    assert samples.index[0] == 36_001
+
+
+def test_night_is_half_open() -> None:
+    samples, _ = together(running(30, END - 10 * SECOND))
+    assert samples.time_us[-1] == END - STEP
+    samples, _ = together(running(30, START))
+    assert samples.time_us[0] == START
+
+
+@pytest.mark.parametrize("rate_hz", [10, 20, 100])
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_a_log_that_touches_the_night_with_a_few_samples(rate_hz: int, n: int) -> None:
+    """None of them on a point of the grid: there is nothing to keep, and no fault."""
+    period = SECOND // rate_hz
+    time = START + 3000 + np.arange(n, dtype=np.int64) * period
+    time = time[time < START + STEP]
+    channels = {name: cleaned(time, np.ones(len(time)), period_us=period) for name in FLEET}
+    samples, quality = together(channels)
+    assert len(samples.index) == samples.n_grid == 0
+    assert samples.kept_share == 0.0
+    assert all(one.n_refused == 0 for one in quality.values())
 
 
 FLEET = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 
 
-class TestPorts:
-    @pytest.mark.parametrize("port", ["high_port_pressure", "low_port_pressure"])
-    def test_a_port_that_is_refused_refuses_the_difference(self, port: str) -> None:
-        channels = running(60)
-        pressure = channels.pop("pressure_difference")
-        ports = dict.fromkeys(("high_port_pressure", "low_port_pressure"), pressure)
-        ports[port] = replace(pressure, refused=np.arange(len(pressure.value)) == 100)
-        samples, quality = together({**channels, **ports})
-        assert 100 not in samples.index
-        assert quality["time_base", "incomplete"].n_refused == 1
+@pytest.mark.parametrize("port", ["high_port_pressure", "low_port_pressure"])
+def test_a_port_that_is_refused_refuses_the_difference(port: str) -> None:
+    channels = running(60)
+    pressure = channels.pop("pressure_difference")
+    ports = dict.fromkeys(("high_port_pressure", "low_port_pressure"), pressure)
+    ports[port] = replace(pressure, refused=np.arange(len(pressure.value)) == 100)
+    samples, quality = together({**channels, **ports})
+    assert 100 not in samples.index
+    assert quality["time_base", "incomplete"].n_refused == 1
 
 
-class TestJointRules:
-    def with_speed(self, change: Any, seconds: float = 200) -> dict[str, CleanChannel]:
-        channels = running(seconds)
-        speed = channels["speed"].value.copy()
-        change(speed)
-        channels["speed"] = replace(channels["speed"], value=speed)
-        return channels
+def with_speed(change: Any, seconds: float = 200) -> dict[str, CleanChannel]:
+    channels = running(seconds)
+    speed = channels["speed"].value.copy()
+    change(speed)
+    channels["speed"] = replace(channels["speed"], value=speed)
+    return channels
 
-    @pytest.mark.parametrize("sign", [1.0, -1.0])
-    def test_standstill_and_its_guard_times(self, sign: float) -> None:
-        """Still from 100.0 to 109.9 s: refused from 90.0 to 139.9 s."""
 
-        def halt(speed: Floats) -> None:
-            speed *= sign
-            speed[500:600], speed[1000:1100] = sign * 0.51, sign * 0.49
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_standstill_and_its_guard_times(sign: float) -> None:
+    """Still from 100.0 to 109.9 s: refused from 90.0 to 139.9 s."""
 
-        samples, quality = together(self.with_speed(halt))
-        assert quality["time_base", "standstill"].n_refused == 100
-        assert quality["time_base", "guard"].n_refused == 100 + 300
-        assert quality["time_base", "any"].n_refused == 500
-        lost = np.setdiff1d(np.arange(2001), samples.index)
-        np.testing.assert_array_equal(lost, range(900, 1400))
-        assert samples.n_running == 2001 - 500
-        assert samples.kept_share == 1.0
+    def halt(speed: Floats) -> None:
+        speed *= sign
+        speed[500:600], speed[1000:1100] = sign * 0.51, sign * 0.49
 
-    def test_back_flow_and_its_guard_times(self) -> None:
-        channels = running(200)
-        flow = channels["leakage_flow"]
-        back = np.arange(2001) == 1000
-        channels["leakage_flow"] = replace(flow, refused=back, at_maximum=back)
-        samples, quality = together(channels)
-        lost = np.setdiff1d(np.arange(2001), samples.index)
-        np.testing.assert_array_equal(lost, range(900, 1301))
-        assert quality["time_base", "guard"].n_refused == 401
-        assert quality["time_base", "standstill"].n_refused == 0
+    samples, quality = together(with_speed(halt))
+    assert quality["time_base", "standstill"].n_refused == 100
+    assert quality["time_base", "guard"].n_refused == 100 + 300
+    assert quality["time_base", "any"].n_refused == 500
+    lost = np.setdiff1d(np.arange(2001), samples.index)
+    np.testing.assert_array_equal(lost, range(900, 1400))
+    assert samples.n_running == 2001 - 500
+    assert samples.kept_share == 1.0
 
-    def test_transients_only_where_asked_for(self) -> None:
-        def step(speed: Floats) -> None:
-            speed[1000:] += 20.0
 
-        channels = self.with_speed(step)
-        _, quality = together(channels)
-        assert ("time_base", "transient") not in quality
-        samples, quality = together(channels, refuse_transients=True)
-        assert quality["time_base", "transient"].n_refused == 2
-        assert not {999, 1000} & set(samples.index.tolist())
+def test_back_flow_and_its_guard_times() -> None:
+    channels = running(200)
+    flow = channels["leakage_flow"]
+    back = np.arange(2001) == 1000
+    channels["leakage_flow"] = replace(flow, refused=back, at_maximum=back)
+    samples, quality = together(channels)
+    lost = np.setdiff1d(np.arange(2001), samples.index)
+    np.testing.assert_array_equal(lost, range(900, 1301))
+    assert quality["time_base", "guard"].n_refused == 401
+    assert quality["time_base", "standstill"].n_refused == 0
 
-    def test_each_reason_counts_and_any_once(self) -> None:
-        """A gap in the flow within a standstill: refused for both, counted once under any."""
 
-        def halt(speed: Floats) -> None:
-            speed[1000:1100] = 0.0
+def test_transients_only_where_asked_for() -> None:
+    def step(speed: Floats) -> None:
+        speed[1000:] += 20.0
 
-        channels = self.with_speed(halt)
-        flow = channels["leakage_flow"]
-        awake = (np.arange(2001) < 1020) | (np.arange(2001) > 1060)
-        channels["leakage_flow"] = cleaned(flow.time_us[awake], flow.value[awake])
-        _, quality = together(channels)
-        assert quality["leakage_flow", "gap"].n_refused == 41
-        assert quality["time_base", "incomplete"].n_refused == 41
-        assert quality["time_base", "standstill"].n_refused == 100
-        assert quality["time_base", "any"].n_refused == 500
+    channels = with_speed(step)
+    _, quality = together(channels)
+    assert ("time_base", "transient") not in quality
+    samples, quality = together(channels, refuse_transients=True)
+    assert quality["time_base", "transient"].n_refused == 2
+    assert not {999, 1000} & set(samples.index.tolist())
+
+
+def test_each_reason_counts_and_any_once() -> None:
+    """A gap in the flow within a standstill: refused for both, counted once under any."""
+
+    def halt(speed: Floats) -> None:
+        speed[1000:1100] = 0.0
+
+    channels = with_speed(halt)
+    flow = channels["leakage_flow"]
+    awake = (np.arange(2001) < 1020) | (np.arange(2001) > 1060)
+    channels["leakage_flow"] = cleaned(flow.time_us[awake], flow.value[awake])
+    _, quality = together(channels)
+    assert quality["leakage_flow", "gap"].n_refused == 41
+    assert quality["time_base", "incomplete"].n_refused == 41
+    assert quality["time_base", "standstill"].n_refused == 100
+    assert quality["time_base", "any"].n_refused == 500
 
 
 def slow_interpolation(channel: CleanChannel, grid: Times) -> tuple[list[float | None], list[bool]]:
@@ -240,77 +243,72 @@ EVEN_STAMPS = st.tuples(
 ).map(lambda one: np.cumsum([one[0], *(step for n, step in one[1] for _ in range(n))]).tolist())
 
 
-class TestInterpolation:
-    @given(
-        st.one_of(ANY_STAMPS, EVEN_STAMPS),
-        st.integers(0, 2**32 - 1),
-        st.integers(1, 60),
-        st.booleans(),
-        st.booleans(),
-        st.sampled_from([10.0, 20.0, 30.0, 50.0]),
-        st.sampled_from([2, resampling.EVEN_SAMPLES]),
+@given(
+    st.one_of(ANY_STAMPS, EVEN_STAMPS),
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 60),
+    st.booleans(),
+    st.booleans(),
+    st.sampled_from([10.0, 20.0, 30.0, 50.0]),
+    st.sampled_from([2, resampling.EVEN_SAMPLES]),
+)
+def test_as_the_slow_definition(
+    times: list[int],
+    seed: int,
+    longest: int,
+    on_change: bool,
+    hold: bool,
+    period_us: float,
+    even_samples: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    time = np.array(times, np.int64)
+    value = rng.normal(0, 10, len(time))
+    refused = rng.random(len(time)) < 0.2
+    value[refused] = rng.choice([np.nan, np.inf, 1e9], refused.sum())
+    channel = cleaned(time, value, refused, period_us=period_us, longest_gap_us=longest)
+    channel = replace(channel, ends=rng.random(len(time)) < 0.2) if on_change else channel
+    channel = replace(channel, sampling=Sampling(on_change=on_change, hold=hold))
+    grid = np.arange(-20, 420, 10, dtype=np.int64)
+    # Also where the stretches are shorter than such as pay.
+    with patch.object(resampling, "EVEN_SAMPLES", even_samples):
+        got, present, silent = on_grid(channel, grid, 10)
+    expected, asleep = (slow_hold if hold else slow_interpolation)(channel, grid)
+    assert present.tolist() == [one is not None for one in expected]
+    assert silent.tolist() == asleep
+    np.testing.assert_allclose(
+        got[present], [one for one in expected if one is not None], rtol=1e-12, atol=1e-9
     )
-    def test_as_the_slow_definition(
-        self,
-        times: list[int],
-        seed: int,
-        longest: int,
-        on_change: bool,
-        hold: bool,
-        period_us: float,
-        even_samples: int,
-    ) -> None:
-        rng = np.random.default_rng(seed)
-        time = np.array(times, np.int64)
-        value = rng.normal(0, 10, len(time))
-        refused = rng.random(len(time)) < 0.2
-        value[refused] = rng.choice([np.nan, np.inf, 1e9], refused.sum())
-        channel = cleaned(time, value, refused, period_us=period_us, longest_gap_us=longest)
-        channel = replace(channel, ends=rng.random(len(time)) < 0.2) if on_change else channel
-        channel = replace(channel, sampling=Sampling(on_change=on_change, hold=hold))
-        grid = np.arange(-20, 420, 10, dtype=np.int64)
-        # Also where the stretches are shorter than such as pay.
-        with patch.object(resampling, "EVEN_SAMPLES", even_samples):
-            got, present, silent = on_grid(channel, grid, 10)
-        expected, asleep = (slow_hold if hold else slow_interpolation)(channel, grid)
-        assert present.tolist() == [one is not None for one in expected]
-        assert silent.tolist() == asleep
-        np.testing.assert_allclose(
-            got[present], [one for one in expected if one is not None], rtol=1e-12, atol=1e-9
-        )
-        assert np.isnan(got[~present]).all()
+    assert np.isnan(got[~present]).all()
 
 
-class TestAverage:
-    """Channels faster than the grid are averaged over its cells."""
+FAST_US = np.arange(1000, dtype=np.int64) * 10_000
+CELLS_US = np.arange(1, 100, dtype=np.int64) * STEP
 
-    TIME = np.arange(1000, dtype=np.int64) * 10_000
-    GRID = np.arange(1, 100, dtype=np.int64) * STEP
 
-    @pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
-    def test_mean_of_what_is_kept_of_the_cell_around_each_point(self, share: float) -> None:
-        rng = np.random.default_rng(1)
-        value, refused = rng.normal(0, 1, 1000), rng.random(1000) < share
-        value[refused] = np.nan
-        channel = cleaned(self.TIME, value, refused, period_us=1e4)
-        got, present, silent = on_grid(channel, self.GRID, STEP)
-        assert not silent.any()
-        cells = [value[round(at / 1e4) - 5 : round(at / 1e4) + 5] for at in self.GRID]
-        # Of ten samples at least half.
-        enough = [np.isfinite(cell).sum() >= 5 for cell in cells]
-        assert present.tolist() == enough
-        expected = [np.nanmean(cell) for cell, has in zip(cells, enough, strict=True) if has]
-        np.testing.assert_allclose(got[present], expected, rtol=1e-12)
-        assert np.isnan(got[~present]).all()
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+def test_mean_of_what_is_kept_of_the_cell_around_each_point(share: float) -> None:
+    rng = np.random.default_rng(1)
+    value, refused = rng.normal(0, 1, 1000), rng.random(1000) < share
+    value[refused] = np.nan
+    channel = cleaned(FAST_US, value, refused, period_us=1e4)
+    got, present, silent = on_grid(channel, CELLS_US, STEP)
+    assert not silent.any()
+    cells = [value[round(at / 1e4) - 5 : round(at / 1e4) + 5] for at in CELLS_US]
+    # Of ten samples at least half.
+    enough = [np.isfinite(cell).sum() >= 5 for cell in cells]
+    assert present.tolist() == enough
+    expected = [np.nanmean(cell) for cell, has in zip(cells, enough, strict=True) if has]
+    np.testing.assert_allclose(got[present], expected, rtol=1e-12)
+    assert np.isnan(got[~present]).all()
 
-    @pytest.mark.parametrize(("period_us", "averaged"), [(66_666.0, True), (66_667.0, False)])
-    def test_more_than_one_and_a_half_samples_a_cell(
-        self, period_us: float, averaged: bool
-    ) -> None:
-        """Spikes between points of the grid, which a mean sees and a line does not."""
-        value = np.where(self.TIME % STEP == 30_000, 1.0, 0.0)
-        got, _, _ = on_grid(cleaned(self.TIME, value, period_us=period_us), self.GRID, STEP)
-        assert bool(got.any()) == averaged
+
+@pytest.mark.parametrize(("period_us", "averaged"), [(66_666.0, True), (66_667.0, False)])
+def test_more_than_one_and_a_half_samples_a_cell(period_us: float, averaged: bool) -> None:
+    """Spikes between points of the grid, which a mean sees and a line does not."""
+    value = np.where(FAST_US % STEP == 30_000, 1.0, 0.0)
+    got, _, _ = on_grid(cleaned(FAST_US, value, period_us=period_us), CELLS_US, STEP)
+    assert bool(got.any()) == averaged
 
 
 Array = NDArray[np.float64]
