@@ -77,7 +77,6 @@ def misfits(truth: Truth, nights: int, seed: int = 1) -> list[Misfit]:
         blocks, means = night(truth, generator)
         theta = certify(merge(blocks), np.zeros(4), np.array([1e-9] * 3 + [0.0])).coefficients
         told = misfit(blocks, np.arange(len(blocks)), theta, FIXED, means)
-        assert told is not None
         found.append(told)
     return found
 
@@ -111,8 +110,6 @@ def test_a_misfit_is_the_same_in_any_unit_of_the_loss_factors() -> None:
         misfit(blocks / [*one, 1.0, 1.0], np.arange(len(blocks)), theta * one, FIXED, means)
         for one in (np.ones(4), unit)
     )
-    assert plain is not None
-    assert other is not None
     assert other.share == pytest.approx(plain.share, rel=1e-6)
 
 
@@ -147,7 +144,6 @@ def test_the_size_is_that_of_the_flow_which_the_fit_cannot_follow() -> None:
     proven_minimum = certify(whole, np.zeros(4), np.array([1e-9] * 3 + [0.0]))
     number = np.arange(len(blocks))
     told = misfit(blocks, number, proven_minimum.coefficients, FIXED, means)
-    assert told is not None
     assert 0.9 * proven_minimum.cost < told.l_per_min**2 < proven_minimum.cost
 
 
@@ -192,5 +188,4 @@ def test_flushing_that_is_estimated_is_no_misfit() -> None:
             upper = np.array([1e-9] * 3 + [0.0 if fixed[-1] else 20.0])
             theta = certify(merge(blocks), np.zeros(4), upper).coefficients
             told = misfit(blocks, np.arange(len(blocks)), theta, fixed, means)
-            assert told is not None
             assert (told.is_clear and told.share > 0.015) == is_clear

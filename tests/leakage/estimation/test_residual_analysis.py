@@ -39,7 +39,6 @@ def test_a_delayed_input_peaks_at_its_lag_alone(lag: int) -> None:
     u = generator.normal(size=n + 60)
     error = u[30 - lag : n + 30 - lag] + 2.0 * generator.normal(size=n)
     test = one(error, u[30 : n + 30])
-    assert test.largest is not None
     assert test.largest[0] == lag
     assert test.largest[1] == pytest.approx(1 / math.sqrt(5), abs=4 / math.sqrt(n))
     others = test.outside & (test.lags != lag)

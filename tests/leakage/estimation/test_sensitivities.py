@@ -72,7 +72,6 @@ def test_sources_add_by_squares() -> None:
     assert len(names) == len(set(names)) == 4  # temperature, X_o, X_s, the roller's curve
     squares = np.sum([effect.coefficients**2 for effect in budget.effects], axis=0)
     total = budget.coefficients()
-    assert total is not None
     assert total == pytest.approx(np.sqrt(squares))
 
 

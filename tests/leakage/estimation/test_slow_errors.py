@@ -258,9 +258,7 @@ def test_intervals_hold_under_slow_errors(kind: str, least: float, plain_at_most
         ):
             theta = certify(merge(made), -BOUNDS, BOUNDS).coefficients
             distribution = cluster_robust(made, theta, ~FREE, widening)
-            assert distribution is not None
             interval = distribution.interval(np.array([1.0, 0.0, 0.0]))
-            assert interval is not None
             held[name] += abs(theta[0] - 2.0) <= interval.half_width
     slack = 3 * math.sqrt(least * (1 - least) / NIGHTS)
     assert held["whitened"] / NIGHTS >= least - slack
@@ -334,7 +332,6 @@ def leakages(
 def free(blocks: SampleBlocks) -> tuple[SampleBlocks, Motor]:
     """The blocks, and the fitted motor, with the scale of the rollers free."""
     motor = MODEL.with_free_standard()
-    assert MODEL.standard is not None
     return blocks.with_free_known(motor.columns.index(MODEL.standard.name), 1.0), motor
 
 
@@ -348,7 +345,6 @@ def test_an_error_that_hides_the_level_costs_no_leakage() -> None:
         assert found.is_told, found.reason
         # model.md, section 3.
         assert found.leakage_l_per_min == pytest.approx(1.371423, rel=0.02)
-        assert found.interval is not None
         assert abs(found.leakage_l_per_min - 1.371423) <= found.interval.half_width
     assert n_hidden >= 5
 

@@ -52,7 +52,6 @@ def test_the_true_loss_factors_lie_in_their_intervals(found: FrameFit) -> None:
     intervals = found.conf_int(0.99)
     for path in MOTOR.column_paths:
         interval = intervals[path.coefficient_name]
-        assert interval is not None
         assert interval[0] < path.configured_coefficient < interval[1]
     assert found.validation.rmse_l_per_min == pytest.approx(NOISE, rel=0.1)
 

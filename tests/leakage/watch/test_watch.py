@@ -52,10 +52,7 @@ def told_of(plant: Plant, n: int, seed: int) -> tuple[Watch, Change, Change]:
     """The watch when a change was detected, that change, and the one in force at the end."""
     watches = story(plant, n, seed)
     told = first_told(watches)
-    assert told is not None
     first, last = told.verdict().change, watches[-1].verdict().change
-    assert first is not None
-    assert last is not None
     return told, first, last
 
 
@@ -132,35 +129,41 @@ def test_kept_arrays_stay_of_one_size_and_resume_in_a_long_history(
     assert max(sizes[70:]) < 1.1 * max(sizes[:70])
     # Summed up or not, the same change is detected.
     change = watches[-1].verdict().change
-    assert change is not None
     assert change.since == nights[78].day
     assert change.size.value == pytest.approx(0.1, abs=0.02)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(
-    ("plant", "by", "within"), [(GAPS_10, 0.10, 4), (GAPS_20, 0.20, 2), (FALL, -0.15, 3)]
+    ("plant", "cause", "flow", "within"),
+    [
+        (GAPS_10, "all_gaps", 0.10 * SHARES[:3].sum(), 4),
+        (GAPS_20, "all_gaps", 0.20 * SHARES[:3].sum(), 2),
+        (FALL, "all_gaps", -0.15 * SHARES[:3].sum(), 3),
+        (SLEEVE, "sleeve", 0.30 * SHARES[2], 3),
+        (METER, "all_flows", 0.10, 5),
+        (OIL, "oil_grade", 0.43, 5),
+        (SENSOR, "temperature_sensor", 0.137, 5),
+    ],
+    ids=["gaps", "large", "fall", "sleeve", "meter", "oil", "sensor"],
 )
-def test_all_gaps(plant: Plant, by: float, within: int, seed: int) -> None:
+def test_a_step_is_told_with_its_cause_its_size_and_its_begin(
+    plant: Plant, cause: str, flow: float, within: int, seed: int
+) -> None:
     told, first, last = told_of(plant, 50, seed)
-    flow = by * SHARES[:3].sum()
     assert BEGIN <= told.day < BEGIN + within
-    assert (last.cause, last.shape, last.is_rise) == ("all_gaps", "step", by > 0.0)
-    assert first.is_rise == (by > 0.0)
-    assert last.since_lower <= BEGIN <= last.since_upper
+    assert (last.shape, first.is_rise, last.is_rise) == ("step", flow > 0.0, flow > 0.0)
+    assert last.since == BEGIN
     assert abs(first.size.value - flow) < 3.0 * first.size.sd
-    assert last.size.value == pytest.approx(flow, abs=0.008)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_one_worn_gap_is_named_and_its_own_growth_told(seed: int) -> None:
-    told, _, last = told_of(SLEEVE, 50, seed)
-    assert told.day < BEGIN + 3
-    assert (last.cause, last.since) == ("sleeve", BEGIN)
-    assert last.probability > 0.9
-    assert last.path_growth is not None
-    assert last.path_growth.value == pytest.approx(0.30, abs=0.03)
-    assert last.size.value == pytest.approx(0.30 * SHARES[2], abs=0.01)
+    assert last.size.value == pytest.approx(flow, rel=0.1)
+    # Where it cannot be identified, the right one is the likeliest: never another.
+    is_of_all_flows = plant in (METER, OIL, SENSOR)
+    assert last.cause == cause or (is_of_all_flows and last.cause == "cannot_be_told")
+    assert next(iter(last.candidates)) == cause
+    assert last.grade == (46 if cause == "oil_grade" else None)
+    if cause == "sleeve":
+        assert last.probability > 0.9
+        assert last.path_growth.value == pytest.approx(0.30, abs=0.03)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -173,23 +176,6 @@ def test_a_ring_that_wears_goes_on_and_keeps_its_begin(seed: int) -> None:
     assert last.told_on > told.day
     assert last.since == pytest.approx(BEGIN, abs=2)
     assert last.size.value == pytest.approx(0.03 * 50 * SHARES[0], abs=0.012)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize(
-    ("plant", "cause", "flow"),
-    [(METER, "all_flows", 0.10), (OIL, "oil_grade", 0.43), (SENSOR, "temperature_sensor", 0.137)],
-    ids=["meter", "oil", "sensor"],
-)
-def test_what_is_common_to_all_flows(plant: Plant, cause: str, flow: float, seed: int) -> None:
-    told, _, last = told_of(plant, 45, seed)
-    assert told.day < BEGIN + 5
-    assert last.since == BEGIN
-    assert last.size.value == pytest.approx(flow, abs=0.012)
-    # Where it cannot be identified, the right one is the likeliest: never another.
-    assert last.cause in (cause, "cannot_be_told")
-    assert next(iter(last.candidates)) == cause
-    assert last.grade == (46 if cause == "oil_grade" else None)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -234,7 +220,6 @@ def test_what_grows_on_behind_its_detection_is_one_change(seed: int) -> None:
     told, first, _ = told_of(QUICK, 60, seed)
     assert told.day < BEGIN + 6
     settled = story(QUICK, 60, seed)[told.day + 9 - FIRST + 1].verdict().change
-    assert settled is not None
     assert settled.told_on == first.told_on
     assert settled.size.value == pytest.approx(0.5, abs=0.12)
     assert story(QUICK, 60, seed)[-1].verdict().present.value == pytest.approx(0.5, abs=0.04)
@@ -268,7 +253,6 @@ def test_a_second_change_keeps_its_own_size(seed: int) -> None:
             if change.path_growth is not None:
                 assert change.path_growth.value == pytest.approx(0.3, abs=0.09)
     last = watches[-1].verdict()
-    assert last.change is not None
     assert last.change.since == 60
     assert last.present.value == pytest.approx(0.3 * SHARES[1:3].sum(), abs=0.012)
 
@@ -288,7 +272,6 @@ def test_a_large_change_begins_an_baseline_period_that_carries_what_was_before(s
     assert after.verdict().newest_night.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.04)
     # What is in force is sized along the flows of the new period.
     begun = next(one for one in watches if one.state.n_baseline < FIRST)
-    assert begun.state.in_force is not None
     assert begun.state.in_force.along == pytest.approx(begun.state.baseline.all_flows)
 
 
@@ -311,10 +294,8 @@ def test_a_tank_whose_others_did_not_move_is_no_cause() -> None:
     """They say 0.5 ± 1 %: a change of 8 % is the motor's own."""
     watch = story(METER, 45, 1)[35 - FIRST]
     asked = watch.with_tank(Estimate(0.005, 0.01)).verdict().change
-    assert asked is not None
     assert "tank" not in asked.candidates
     moved = watch.with_tank(Estimate(0.10, 0.01)).verdict().change
-    assert moved is not None
     assert moved.cause == "tank"
 
 
@@ -323,7 +304,6 @@ def test_two_causes_at_once_are_several_and_named_as_none(seed: int) -> None:
     both = np.array([1.43, 1.1, 1.1, 1.1])
     plant = Plant(growth=lambda night: both if night >= BEGIN else 1.0)
     change = watched(plant.nights(40, seed), first=FIRST)[-1].verdict().change
-    assert change is not None
     assert change.cause == "cannot_be_told"
     assert next(iter(change.candidates)) == "several"
     assert change.size.value == pytest.approx(0.10 + 0.33 * SHARES[0], abs=0.012)
@@ -348,7 +328,6 @@ def test_size_on_a_machine_that_is_not_the_fitted_one(seed: int) -> None:
     plant = Plant(film="turbulent", growth=grown("all_gaps", 0.20, BEGIN))
     watches = watched(plant.nights(50, seed), first=FIRST)
     told, last = first_told(watches), watches[-1].verdict()
-    assert told is not None
     assert told.day < BEGIN + 4
     assert last.present.value == pytest.approx(
         of_flow(np.array([0.2, 0.2, 0.2, 0.0]), "turbulent"), abs=0.02
@@ -367,9 +346,7 @@ def test_a_name_is_careful_where_the_model_is_wrong(seed: int) -> None:
         watched(Plant(film=film, growth=growth).nights(40, seed), first=FIRST)[-1].verdict().change
         for film in ("barus", "turbulent")
     )
-    assert right is not None
     assert (right.cause, round(right.probability, 2)) == ("piston", 1.0)
-    assert wrong is not None
     assert wrong.cause == "cannot_be_told"
 
 
@@ -385,7 +362,6 @@ def test_the_evidence_of_the_smallest_change_is_the_limit() -> None:
     sd = (float(told.second[0, 0, names.index("all_flows")]) + 0.3**-2) ** -0.5
     freedom = state.wander.degrees_of_freedom(state.n_nights, np.array([10.0])).item()
     smallest = watch.verdict().smallest
-    assert smallest is not None
     gain = (smallest / sd) ** 2
     ratio = 0.5 * (freedom + 1) * np.log1p(gain / freedom) + np.log(2 * sd / 0.3)
     assert ratio - np.log(2 * len(names)) == pytest.approx(state.settings.limit)
@@ -424,20 +400,16 @@ def test_leakage_at_conditions_follows_the_worn_path() -> None:
 def test_change_since_is_what_others_on_the_tank_are_asked() -> None:
     watch = story(METER, 45, 2)[35 - FIRST]
     told = watch.change_since(BEGIN)
-    assert told is not None
     assert told.lower < 0.10 < told.upper
     assert watch.change_since(0) is None
     assert watch.change_since(36) is None
     # Adopted ten nights after it was detected, it is what has changed for others that are told
     # later.
     adopted = story(METER, 45, 2)[-1]
-    assert adopted.state.in_force is not None
     assert adopted.state.in_force.found is None
     later = adopted.change_since(BEGIN)
-    assert later is not None
     assert later.lower < 0.10 < later.upper
     before = adopted.change_since(40)
-    assert before is not None
     assert before.lower < 0.0 < before.upper
 
 

@@ -196,7 +196,6 @@ def test_an_analysis_that_comes_late_needs_no_log(spec: MotorSpec) -> None:
     fits = frame(FITS, before.rows["fits"]).to_dicts()
     published = PublishedNight(NIGHT, fits, (), blocks)
     anew = refit(with_sample(spec), published)
-    assert anew is not None
     for column in ("coefficients", "night_factor", "viscosity_ratio", "training_fit_percent"):
         (made,), (read,) = anew.rows["fits"], after.rows["fits"]
         assert made[column] == pytest.approx(read[column], rel=1e-9, abs=1e-12)

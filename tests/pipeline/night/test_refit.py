@@ -152,7 +152,6 @@ def freed(spec: MotorSpec) -> MotorSpec:
 def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSpec) -> None:
     stated = night(spec)
     free = refit_in_form(freed(spec), stated, None)
-    assert free is not None
     motor = spec.motor(NIGHT, "none")
     at = spec.settings.reference
     conditions = OperatingConditions.from_bar(at.pressure_bar, at.temperature_c, at.speed_rpm)
@@ -173,7 +172,6 @@ def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSp
 def test_a_night_read_with_its_scale_free_is_the_night_fitted_anew(spec: MotorSpec) -> None:
     read, stated = night(freed(spec)), night(spec)
     anew = refit_in_form(freed(spec), stated, None)
-    assert anew is not None
     assert read.rows.keys() == anew.rows.keys()
     for name in read.rows:
         table = next(table for table in NIGHT_TABLES if table.name == name)
@@ -193,11 +191,8 @@ def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorS
     reference = spec.settings.reference.model_copy(update={"pressure_bar": 100.0})
     moved = replace(spec, settings=spec.settings.model_copy(update={"reference": reference}))
     stated = refit(moved, published)
-    assert stated is not None
     anew = refit_in_form(freed(moved), stated, published)
     read = refit_in_form(freed(moved), night(moved), None)
-    assert anew is not None
-    assert read is not None
     (made_anew,), (made_read,) = anew.rows["fits"], read.rows["fits"]
     for name in ("reference_leakage_sensor_half_width", "reference_leakage_l_per_min"):
         assert made_anew[name] == pytest.approx(made_read[name], rel=0.02), name
@@ -216,7 +211,6 @@ def test_it_is_the_fit_of_a_type_whose_scale_is_free(tmp_path: Path, spec: Motor
     text += "scale = { value = 1.0, minimum = 0.0, maximum = 10.0, fixed = false }\n"
     declared = load_motor(tmp_path / "free", motor_toml("M1", "FREE"), {"FREE": text})
     free = refit_in_form(freed(spec), night(spec), None)
-    assert free is not None
     read = night(declared)
     scale = parameters(read)["scale_cam_roller"]
     assert scale["verdict"] == "identified"

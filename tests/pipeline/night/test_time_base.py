@@ -352,10 +352,8 @@ def test_the_zeros_are_those_that_were_put_in() -> None:
         (seen.pressure_bar, ZERO_BAR, 0.05),
         (seen.flow_l_per_min, ZERO_FLOW, 0.002),
     ):
-        assert zero is not None
         assert zero.value == pytest.approx(truth, abs=sd)
         # From the scatter of three medians of 155 samples and more each.
-        assert zero.standard_error is not None
         assert 0 < zero.standard_error < sd / 4
 
 
@@ -375,7 +373,6 @@ def test_readings_that_are_no_zero_are_left_out(
     stuck = is_at_maximum & np.isin(np.arange(N), disturbed)
     seen = found(still, bar, flow, leakage_flow=channel(flow, stuck))
     assert seen.n == n
-    assert seen.flow_l_per_min is not None
     assert seen.flow_l_per_min.value == pytest.approx(ZERO_FLOW, abs=0.001)
 
 
@@ -395,5 +392,4 @@ def test_two_ports_at_charge_pressure_have_a_difference_of_zero() -> None:
     }
     seen = settled_halts(still, GRID, channels, SensorHealth())
     assert seen.n == 3
-    assert seen.pressure_bar is not None
     assert seen.pressure_bar.value == pytest.approx(0.4)

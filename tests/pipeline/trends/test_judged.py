@@ -139,7 +139,6 @@ def test_where_the_model_is_disproved_no_part_is_named(cause: str, lack: float, 
             change(cause, path_growth=Estimate(0.5, 0.02), candidates=candidates), lack_of_fit=lack
         )
     )
-    assert found.change is not None
     assert found.change.cause == named
     assert (found.gap_growth is None) == (named != SLEEVE)
     if lack > 0.05:
@@ -154,7 +153,6 @@ def test_the_verdict_on_the_model_is_its_lack_of_fit() -> None:
 
 def test_a_gap_goes_with_the_cube_root_of_its_leakage() -> None:
     gap = judge(watched(change("piston_ring", path_growth=Estimate(1.197, 0.03)))).gap_growth
-    assert gap is not None
     assert gap.value == pytest.approx(0.3, abs=1e-4)
     # d(1 + g)^(1/3) = dg / (3 (1 + g)^(2/3)).
     assert gap.sd == pytest.approx(0.03 / (3 * 1.3**2), rel=1e-4)

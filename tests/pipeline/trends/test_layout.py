@@ -50,7 +50,6 @@ FIXED = '[flushing]\nmode = "fixed"\nflow_l_per_min = 4.0\n'
 def read_by(spec: MotorSpec, rows: pl.DataFrame) -> tuple[Layout, NightBlocks]:
     layout = Layout.of(spec, FIRST)
     stored = layout.blocks(spec, rows)
-    assert stored is not None
     return layout, layout.night_blocks(stored)
 
 
@@ -88,7 +87,6 @@ def test_an_estimated_flushing_is_a_path_and_a_stated_one_is_taken_off() -> None
     assert layout.watched == (*PATHS, "flushing", "known")
     assert estimated.drives[:, 3] == pytest.approx(1.0)
     flow = motor(more=ESTIMATED).motor(FIRST, "estimated").constant
-    assert flow is not None
     assert estimated.flow == pytest.approx(without.flow + flow.configured_coefficient)
     layout, fixed, _ = blocks(motor(more=FIXED))
     assert layout.watched == (*PATHS, "known")

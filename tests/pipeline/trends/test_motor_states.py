@@ -51,7 +51,6 @@ def test_a_state_comes_back_as_it_was_published(output: Path) -> None:
 
 def test_columns_of_before_say_the_same(output: Path) -> None:
     (state,) = latest_states(output, ["M1"])
-    assert state.watch is not None
     gap = {"gap_growth": 0.12, "gap_growth_lower": 0.1, "gap_growth_upper": 0.14}
     (row,) = latest_rows([replace(state, watch=replace(state.watch, **gap))], "r")
     assert row["deviation_percent"] == pytest.approx(21.0)

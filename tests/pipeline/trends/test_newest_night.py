@@ -136,7 +136,6 @@ def test_the_newest_night_is_the_newest_night_of_which_samples_are_kept(tmp_path
 def test_no_night_of_the_future_is_the_newest_night(tmp_path: Path) -> None:
     tables(tmp_path, (0, "M1", "ok", 8.0), (7, "M1", "ok", 8.0))
     found = newest_night_of(tmp_path, MOTORS, night_of(6))
-    assert found is not None
     assert found.night == night_of(0)
     assert newest_night_of(tmp_path, MOTORS, night_of(0) - DAY) is None
 
