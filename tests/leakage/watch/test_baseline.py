@@ -35,9 +35,12 @@ def mean_residual(baseline: Baseline, nights: Sequence[NightBlocks]) -> float:
 
 
 def test_coefficients_of_the_fitted_machine_are_found_again() -> None:
-    baseline = baseline_of(CB560, Plant().nights(60, 1))
+    nights = Plant().nights(60, 1)
+    baseline = baseline_of(CB560, nights)
     assert baseline.columns.theta == pytest.approx(COEFFICIENTS, rel=0.05)
-    assert baseline.lack_of_fit < 0.009
+    assert baseline.columns.least_scale == pytest.approx(
+        0.2 * np.mean([one.flow for one in nights])
+    )
     assert (baseline.all_paths[:4] * baseline.share).sum() == pytest.approx(1.0, abs=0.02)
 
 
@@ -79,19 +82,6 @@ def test_a_path_that_does_not_leak_has_a_coefficient_of_zero_and_costs_nothing()
     assert abs(mean_residual(baseline, pulling)) < 0.01
 
 
-def test_low_flow_has_a_floor_in_the_scale_only() -> None:
-    """Half of the blocks nearly still: their expectation stays theirs."""
-    nights = []
-    for one in Plant().nights(15, 6):
-        still = np.where(np.arange(30) % 2, 1.0, 0.02)
-        nights.append(replace(one, drives=one.drives * still[:, None], flow=one.flow * still))
-    baseline = baseline_of(CB560, nights)
-    flow = np.concatenate([one.flow for one in nights])
-    expected = np.concatenate([baseline.columns.expected(one.drives) for one in nights])
-    assert baseline.columns.least_scale == pytest.approx(0.2 * flow.mean())
-    assert expected == pytest.approx(flow, rel=0.08)
-
-
 def test_one_pressure_tells_no_gap_from_another() -> None:
     still, varied = (
         baseline_of(CB560, Plant(operating_point=operating_point).nights(15, 7))
@@ -99,16 +89,6 @@ def test_one_pressure_tells_no_gap_from_another() -> None:
     )
     assert (still.identifies_gaps, still.identifies_speed) == (False, False)
     assert (varied.identifies_gaps, varied.identifies_speed) == (True, True)
-
-
-def test_information_of_a_night_is_about_what_is_left_of_the_baseline() -> None:
-    """Solved for all, fifteen nights of the baseline say that the flow has not changed."""
-    nights = Plant().nights(15, 10)
-    baseline = baseline_of(CB560, nights)
-    told = [baseline.information(night) for night in nights]
-    certain = sum(one for one, _ in told) + baseline.columns.prior()
-    found = np.linalg.solve(certain, sum(score for _, score in told))
-    assert abs(found @ baseline.own_row) < 0.003
 
 
 @pytest.mark.parametrize(("film", "tells"), [("barus", True), ("slot", True), ("turbulent", False)])

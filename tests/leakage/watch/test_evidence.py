@@ -159,27 +159,19 @@ def test_sums_and_ratios_are_those_of_the_whole_model(serial: float, by_operatio
             for of_cause, cause in enumerate(CAUSES):
                 moved = data.moved(start, cause, shape)
                 at = shape, place, of_cause
-                assert told.first[at] == pytest.approx(
-                    moved @ precise @ np.concatenate(data.residuals), rel=1e-6, abs=1e-6
-                )
-                assert told.second[at] == pytest.approx(moved @ precise @ moved, rel=1e-6)
+                first = moved @ precise @ np.concatenate(data.residuals)
+                second = moved @ precise @ moved
+                assert told.first[at] == pytest.approx(first, rel=1e-6, abs=1e-6)
+                assert told.second[at] == pytest.approx(second, rel=1e-6)
+                if shape == STEP:
+                    # Posterior of the size, of a normal prior.
+                    certain = second + cause.spread**-2
+                    size = (first + cause.mean / cause.spread**2) / certain
+                    assert told.size[at] == pytest.approx(size, rel=1e-6, abs=1e-9)
+                    assert told.sd[at] == pytest.approx(certain**-0.5, rel=1e-6)
                 wanted = log_ratio_by_quadrature(data, start, cause, shape, covariance)
                 # Six pairs of shape and cause share the prior.
                 assert told.log_ratio[at] == pytest.approx(wanted - math.log(6.0), abs=1e-4)
-
-
-def test_posterior_of_the_size_is_of_a_normal_prior() -> None:
-    data = Dense.of_seed(2)
-    told, start = data.evidence().of_starts(np.array([3]), by_operation=False), 3
-    precise = np.linalg.inv(data.covariance(start, 0.3, by_operation=False))
-    for of_cause, cause in enumerate(CAUSES):
-        moved = data.moved(start, cause, STEP)
-        certain = moved @ precise @ moved + cause.spread**-2
-        mean = (
-            moved @ precise @ np.concatenate(data.residuals) + cause.mean / cause.spread**2
-        ) / certain
-        assert told.size[STEP, 0, of_cause] == pytest.approx(mean, rel=1e-6)
-        assert told.sd[STEP, 0, of_cause] == pytest.approx(certain**-0.5, rel=1e-6)
 
 
 def test_a_start_without_one_of_its_nights_forgets_that_night() -> None:
@@ -346,15 +338,6 @@ def test_only_what_moves_all_paths_remembers_for_long() -> None:
     both, apart = np.array([1.0, 1.0]), np.array([1.0, -1.0])
     assert both @ wander.long_spread @ both == pytest.approx(long * 2.0)
     assert apart @ wander.long_spread @ apart == pytest.approx(4.0 * 2.0)
-
-
-def test_long_changes_are_judged_by_fewer_degrees_of_freedom() -> None:
-    """n (1 − φ²)/(1 + φ²) nights, or 1.2 n over the inflation of a stretch's mean, and 6."""
-    memory = np.where((PHI == 0.6) & (SHARE == 1.0), 1.0, 0.0)
-    wander = Wander(np.eye(1), memory, np.eye(1))
-    inflation = 1.0 + 2.0 * sum((1 - lag / 20) * 0.6**lag for lag in range(1, 20))
-    found = wander.degrees_of_freedom(100, np.array([1.0, 20.0]))
-    assert found == pytest.approx([100 * 0.64 / 1.36 + 6, 120 / inflation + 6])
 
 
 @pytest.mark.parametrize("is_even", [True, False])
