@@ -9,23 +9,22 @@ import numpy as np
 import pytest
 
 from benchmarks.results_file import stored
-from benchmarks.watch.cb560 import FITTED, HEALTHY, SLEEVE, State, history
-from benchmarks.watch.cells import FOREIGN, RIG, cells, step
-from benchmarks.watch.foreign import Duty, Night
-from benchmarks.watch.foreign import history as foreign_history
+from benchmarks.watch.cb560 import FITTED
+from benchmarks.watch.cells import NOTHING, RIG, cells, change
+from benchmarks.watch.foreign import MACHINES
 from benchmarks.watch.outcomes import TRIAL, outcome
 from benchmarks.watch.rivals import chart
+from benchmarks.watch.simulator import Duty, State, history
 from benchmarks.watch.tables import parts, readme
-from pipeline.arrays import Array
 
 CELLS = cells()
 README = Path(__file__).parent.parent / "README.md"
 
 
 def test_a_seed_draws_the_same_operating_point_and_errors_whatever_changes() -> None:
-    same = history(FITTED, lambda _: HEALTHY, 3, (2,))
-    changed = history(FITTED, step(1, gain=1.06, paths={SLEEVE: 3.0}), 3, (2,))
-    more = history(FITTED, step(1, gain=1.06), 3, (2,))
+    same = history(FITTED, NOTHING.course, 3, (2,))
+    changed = history(FITTED, change(1, gain=1.06, balance_sleeve=3.0), 3, (2,))
+    more = history(FITTED, change(1, gain=1.06), 3, (2,))
     for night in range(3):
         assert np.array_equal(same.nights[night].drives, changed.nights[night].drives)
         assert np.array_equal(same.nights[night].conditions, changed.nights[night].conditions)
@@ -36,8 +35,8 @@ def test_a_seed_draws_the_same_operating_point_and_errors_whatever_changes() -> 
 
 
 def test_a_sensor_that_reads_low_changes_the_flow_at_the_conditions_as_read() -> None:
-    low = history(FITTED, step(1, reads_high_c=-3.0), 3, (3,))
-    thinner = history(FITTED, lambda night: State(viscosity=0.88 if night else 1.0), 3, (3,))
+    low = history(FITTED, change(1, reads_high_c=-3.0), 3, (3,))
+    thinner = history(FITTED, change(1, viscosity=0.88), 3, (3,))
     # An oil of VG 68 is some 12 % thinner at 58 °C than at 55 °C.
     assert low.newest_night[1:] == pytest.approx(thinner.newest_night[1:], abs=0.02)
 
@@ -63,19 +62,19 @@ BY_HAND = {
 }
 
 
-@pytest.mark.parametrize("name", FOREIGN)
+@pytest.mark.parametrize("name", MACHINES)
 def test_what_is_true_of_a_machine_is_what_its_physics_says(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def steady(_: object, __: object, load: Array, ___: object) -> Duty:
-        bar, celsius, rpm = (np.full((360, len(load)), one) for one in AT)
-        return bar, celsius, rpm
+    def steady(_: object, __: object, nights: int, ___: object) -> Duty:
+        return Duty(*(np.full((360, nights), one) for one in AT))
 
-    machine, (gaps, rest, power) = FOREIGN[name], BY_HAND[name]
-    monkeypatch.setattr(type(machine), "operating_point", steady)
+    machine, (gaps, rest, power) = MACHINES[name], BY_HAND[name]
+    monkeypatch.setattr(type(machine), "duty", steady)
     churning = 0.0025 * 6.0 if name == "winch" else 0.0
-    nights = [Night(), Night(wear=1.25), Night(viscosity=0.8), Night(meter=1.06)]
-    found = foreign_history(machine, nights.__getitem__, 4, (4,))
+    wear, viscosity, gain = np.array([[1, 1.25, 1, 1], [1, 1, 0.8, 1], [1, 1, 1, 1.06]])
+    state = State(wear=wear, viscosity=viscosity, gain=gain)
+    found = history(machine, lambda _: state, 4, (4,))
     thinned = gaps + (rest if name == "winch" else 0.0)
     whole = gaps + rest + churning
     expected = [0.0, 0.25 * gaps / whole, (0.8**-power - 1.0) * thinned / whole, 0.06]
@@ -85,7 +84,6 @@ def test_what_is_true_of_a_machine_is_what_its_physics_says(
 
 def test_every_cell_can_be_made() -> None:
     for cell in CELLS.values():
-        assert all(cell.event.course(night) for night in range(cell.event.nights))
         if cell.group != RIG:
             for one in cell.make((5,), 2):
                 assert [night.flow.min() >= 0.0 for night in one.nights] == [True, True]

@@ -15,11 +15,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.results_file import description, show_parts, store, stored, write_parts
-from benchmarks.watch.cb560 import OTHERWISE, history
+from benchmarks.watch.cb560 import OTHERWISE
 from benchmarks.watch.cells import BASELINE, NOTHING, RIG, YEAR, Cell, cells
 from benchmarks.watch.outcomes import FRESH, TRIAL, Outcome, outcome
 from benchmarks.watch.rig import folder
 from benchmarks.watch.rivals import charts
+from benchmarks.watch.simulator import history
 from benchmarks.watch.tables import parts, readme
 from pipeline.arrays import Array
 

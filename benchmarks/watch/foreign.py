@@ -1,154 +1,169 @@
-"""Machines that nobody here fitted: what happens to them, and what the watch sees of it.
+"""Machines that nobody here fitted, each with physics, oil and errors of its own.
 
-The physics of each is in a file of its own, which knows neither the fitted model nor its constants
-(`mill.py`, `winch.py`, `conveyor.py`). The model sees what a log has: pressure difference,
-temperature, speed and drain flow; its paths are those of a CB560.
+No machine knows the fitted model or its constants. The model sees what a log has: pressure
+difference, temperature, speed and drain flow; its paths are those of a CB560.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.simulated_nights import lagging
-from benchmarks.watch.cb560 import AN_HOUR, MODEL
-from benchmarks.watch.history import Event, History, block_means, night_blocks
-from leakage import OperatingConditions, regressors
+from benchmarks.watch.simulator import (
+    STEP_S,
+    THREE_PATHS,
+    Duty,
+    Errors,
+    Fitted,
+    Machine,
+    State,
+    levels,
+)
 from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression, phi_of
 
-STEP_S = 10.0
-ROWS = round(3600.0 / STEP_S)
 BASELINE = 15  # nights whose conditions are the machine's own
-Duty = tuple[Array, Array, Array]  # ΔP [bar], oil temperature [°C], speed [rpm]; (n, nights) each
+ROWS = round(3600.0 / STEP_S)
+Generator = np.random.Generator
 
 
-@dataclass(frozen=True, slots=True)
-class Night:
-    """What a machine and its sensors are in a night; as at first, by default."""
+@dataclass(frozen=True)
+class Foreign:
+    """What its sensors make of a machine: errors of the flow over the flow, of ΔP and of °C."""
 
-    wear: float = 1.0  # factor on the conductance of what wears
-    viscosity: float = 1.0
-    meter: float = 1.0
-    load: float = 1.0
-    warmer_k: float = 0.0
+    # quick, slow, gain_phi: errors of each sample and those that forget, the memory of a night's.
+    quick: float
+    slow: float
+    memory_s: float
+    bar: float
+    gain_phi: float = 0.6
+    two_gauges: bool = False  # whose difference is ΔP
+    draws: int = 3  # of errors of samples, of which the last two count
+    fitted: Fitted = THREE_PATHS
+    own_every: int = 12
 
-    @property
-    def as_first(self) -> Night:
-        """The same operating conditions of a machine in which nothing has changed."""
-        return Night(load=self.load, warmer_k=self.warmer_k)
-
-
-class Foreign(Protocol):
-    """A machine with physics of its own."""
-
-    def operating_point(self, generator: np.random.Generator, load: Array, warmer_k: Array) -> Duty:
-        """What it does in its nights, by factor on the load and warmth of each."""
-
-    def flow(self, operating_point: Duty, wear: Array, thinning: Array) -> Array:
-        """Drain flow [l/min], by factors on what wears and on the viscosity of each night."""
-
-    def errors(self, generator: np.random.Generator, nights: int) -> Duty:
-        """Errors of flow (relative), pressure [bar] and temperature [°C]."""
-
-
-def history(
-    machine: Foreign, story: Callable[[int], Night], nights: int, seed: Sequence[int]
-) -> History:
-    """Nights of a machine, as the model that is none of it sees them."""
-    of_duty, of_errors = (np.random.default_rng([*seed, part]) for part in range(2))
-    told = [story(place) for place in range(nights)]
-    operating_point = machine.operating_point(of_duty, _each(told, "load"), _each(told, "warmer_k"))
-    flow = _measured(machine, operating_point, told)
-    newest_night = (
-        flow.mean(axis=0) / _measured(machine, operating_point, [Night()] * nights).mean(axis=0)
-        - 1.0
-    )
-    pressure, temperature, speed = operating_point
-    bar, celsius, rpm = (one[::12, :BASELINE].reshape(-1, 1) for one in operating_point)
-    own = _measured(machine, (bar, celsius, rpm), told).mean(axis=0)
-    change = own / _measured(machine, (bar, celsius, rpm), [Night()]).mean() - 1.0
-    gain, off_bar, off_c = machine.errors(of_errors, nights)
-    seen = np.stack(np.broadcast_arrays(temperature + off_c, pressure + off_bar, speed), axis=-1)
-    at = OperatingConditions.from_bar(*(seen[..., one].T.ravel() for one in (1, 0, 2)))
-    columns = AN_HOUR.drives(regressors(MODEL, at)).reshape(nights, ROWS, -1).swapaxes(0, 1)
-    means = (block_means(one, STEP_S) for one in (columns, flow * (1.0 + gain), seen))
-    return History(AN_HOUR.watched, night_blocks(*means), newest_night, change)
+    def errors(self, of_samples: Generator, _: Generator, n: int, nights: int) -> Errors:
+        """Of the meter, and of sensors that err alike all night."""
+        quick, slow = of_samples.standard_normal((self.draws, n, nights))[-2:]
+        flow = self.quick * quick + self.slow * autoregression(slow, phi_of(STEP_S, self.memory_s))
+        first, second, third, fourth = of_samples.standard_normal((4, nights))
+        gain, bar, warm = (
+            (third, first - second, fourth) if self.two_gauges else (first, second, third)
+        )
+        return Errors(
+            1.0 + flow + 0.003 * autoregression(gain, self.gain_phi),
+            self.bar * bar,
+            0.3 * autoregression(warm, 0.6),
+        )
 
 
-def _measured(machine: Foreign, operating_point: Duty, nights: Sequence[Night]) -> Array:
-    """What a good meter would have read, shape (n, nights) [l/min]."""
-    flow = machine.flow(operating_point, _each(nights, "wear"), _each(nights, "viscosity"))
-    return flow * _each(nights, "meter")
+class Mill(Foreign):
+    """A mill's drive: slow, heavily loaded, its pressure difference read from two gauges.
+
+    Oil of Vogel's law. Leakage of both sides past gaps to the case, a part that a speed of 4 to
+    9 rpm drags along, and a bleed through an orifice.
+    """
+
+    CHARGE_BAR = 14.5  # of the low side above the case
+    GAP = 0.18  # l/min a bar, of 1 mPa s
+    DRAG = 0.02  # l/min a rpm
+    BLEED = 0.016  # l/min a √bar
+
+    def duty(self, generator: Generator, nights: int, state: State) -> Duty:
+        """Loads of three minutes about a level of the night, speeds of twenty, oil of the day."""
+        level = generator.uniform(150.0, 210.0, nights)
+        uneven = 90.0 * (levels(generator, ROWS, nights, 180.0, 8.0) - 0.5)
+        speed = 4.0 + 5.0 * levels(generator, ROWS, nights, 1200.0, 30.0)
+        warm = generator.normal(51.0, 2.0, nights) + state.warmer_k
+        warming = 4.0 * levels(generator, ROWS, nights, 1200.0, 600.0)
+        return Duty(state.load * (level + uneven), warm + warming, speed)
+
+    def flow(self, duty: Duty, state: State) -> Array:
+        """Gaps that wear, drag, bleed; 59 mPa s at 40 °C, 7.3 at 100 °C."""
+        pressure, temperature, speed = duty
+        mpa_s = 0.0573 * np.exp(962.0 / (temperature + 98.7)) * state.viscosity
+        gaps = self.GAP * state.wear * (pressure + 2.0 * self.CHARGE_BAR) / mpa_s
+        bleed = self.BLEED * np.sqrt(pressure + self.CHARGE_BAR)
+        found: Array = gaps + self.DRAG * speed + bleed
+        return found
 
 
-def _each(nights: Sequence[Night], name: str) -> Array:
-    return np.array([getattr(one, name) for one in nights])
+class Winch(Foreign):
+    """A harbour winch: loads come and go, and its clearances grow as it warms.
+
+    An oil whose viscosity falls by a constant share a kelvin and rises with pressure; gaps whose
+    height follows the temperature; a valve plate that lifts under load; churning.
+    """
+
+    IDLE_BAR, LIFT_BAR = (18.0, 30.0), (170.0, 290.0)
+    IDLE_S, LIFT_S = 70.0, 90.0  # how long each lasts on average
+    GAP, PLATE = 0.125, 0.0034  # l/min a bar and a bar^1.5, of 1 mPa s
+    CHURNING = 0.0025  # l/min a rpm
+    GROWS_PER_K = 0.003  # of a gap's height
+
+    def duty(self, generator: Generator, nights: int, state: State) -> Duty:
+        """Idling and lifts, each with a load and a speed of its own."""
+        lifts = np.zeros((ROWS, nights), dtype=np.bool_)
+        size, pace = np.zeros((2, ROWS, nights))
+        is_lift, drawn = np.zeros(nights, dtype=np.bool_), generator.random((2, nights))
+        for row in range(ROWS):
+            ends = generator.random(nights) < STEP_S / np.where(is_lift, self.LIFT_S, self.IDLE_S)
+            drawn = np.where(ends, generator.random((2, nights)), drawn)
+            is_lift = is_lift ^ ends
+            lifts[row], size[row], pace[row] = is_lift, *drawn
+        (idle, more_idle), (lift, more_lift) = (
+            (low, high - low) for low, high in (self.IDLE_BAR, self.LIFT_BAR)
+        )
+        pressure = np.where(lifts, state.load * (lift + more_lift * size), idle + more_idle * size)
+        warm = generator.normal(47.0, 2.5, nights) + state.warmer_k
+        time_s = STEP_S * np.arange(ROWS)[:, None]
+        temperature = warm - generator.uniform(3.0, 9.0, nights) * np.exp(-time_s / 1500.0)
+        return Duty(pressure, temperature, np.where(lifts, 12.0 + 45.0 * pace, 0.5))
+
+    def flow(self, duty: Duty, state: State) -> Array:
+        """Gaps that wear, the plate, churning; 47 mPa s at 45 °C, 0.17 % more a bar."""
+        pressure, temperature, speed = duty
+        warmer = temperature - 45.0
+        mpa_s = 47.0 * np.exp(-0.041 * warmer + 0.00012 * warmer**2 + 0.0017 * pressure)
+        gaps = self.GAP * state.wear * (1.0 + self.GROWS_PER_K * warmer) ** 3
+        drive = pressure / (mpa_s * state.viscosity)
+        found: Array = (gaps + self.PLATE * np.sqrt(pressure)) * drive + self.CHURNING * speed
+        return found
 
 
-def levels(generator: np.random.Generator, nights: int, hold_s: float, lag_s: float) -> Array:
-    """Levels within 0 to 1 that are held for so long each, smoothed; shape (n, nights)."""
-    held = round(hold_s / STEP_S)
-    drawn = np.repeat(generator.random((ROWS // held + 1, nights)), held, axis=0)
-    return lagging(drawn[:ROWS], STEP_S, lag_s)
+class Conveyor(Foreign):
+    """A conveyor's drives: steady, outdoors, several on a tank.
+
+    Oil of Andrade's law. Leakage between a laminar and a turbulent one, of pressure to the 1.15 and
+    viscosity to the −0.85, and a part that the speed pumps to the case.
+    """
+
+    GAP = 0.062  # l/min of 1 bar and 1 mPa s
+    PUMPED = 0.0016  # l/min of 1 rpm, to the 1.3
+
+    def duty(self, generator: Generator, nights: int, state: State) -> Duty:
+        """A belt of one speed, or nearly, its load new in a quarter of an hour; oil of the day."""
+        level = generator.uniform(95.0, 125.0, nights)
+        belt = levels(generator, ROWS, nights, 900.0, 120.0)
+        belt = belt + 0.3 * levels(generator, ROWS, nights, 60.0, 5.0)
+        speed = 30.0 + 5.0 * levels(generator, ROWS, nights, 1800.0, 60.0)
+        warm = generator.normal(46.0, 1.5, nights) + state.warmer_k
+        warming = 3.0 * levels(generator, ROWS, nights, 1800.0, 900.0)
+        return Duty(state.load * (level + 60.0 * (belt - 0.65)), warm + warming, speed)
+
+    def flow(self, duty: Duty, state: State) -> Array:
+        """Gaps that wear, and what the speed pumps; 60 mPa s at 40 °C, 36 at 50 °C."""
+        pressure, temperature, speed = duty
+        mpa_s = 60.0 * np.exp(5150.0 * (1.0 / (temperature + 273.15) - 1.0 / 313.15))
+        gaps = self.GAP * state.wear * pressure**1.15 / (mpa_s * state.viscosity) ** 0.85
+        found: Array = gaps + self.PUMPED * speed**1.3
+        return found
 
 
-def slow(generator: np.random.Generator, nights: int, memory_s: float) -> Array:
-    """Errors of unit variance that forget within a night, shape (n, nights)."""
-    return autoregression(generator.standard_normal((ROWS, nights)), phi_of(STEP_S, memory_s))
-
-
-def nightly(generator: np.random.Generator, nights: int, phi: float) -> Array:
-    """Errors of unit variance that last for a night, shape (nights,)."""
-    return autoregression(generator.standard_normal(nights), phi)
-
-
-def _ramp(place: int, begin: int, end: int) -> float:
-    return float(np.clip((place - begin) / (end - begin), 0.0, 1.0))
-
-
-def _warming(place: int) -> Night:
-    """A season of +12 K in 90 nights."""
-    return Night(warmer_k=12.0 * _ramp(place, 0, 90) - 6.0)
-
-
-def _from(begin: int, **changed: float) -> Callable[[int], Night]:
-    return lambda night: Night(**changed) if night >= begin else Night()
-
-
-WEAR = frozenset({"all_gaps", "all_flows"})
-OIL, METER = frozenset({"all_flows", "oil_grade"}), frozenset({"all_flows"})
-STORIES = {
-    "nothing": Event(_from(0), 100),
-    "load +30 %": Event(_from(30, load=1.3), 70),
-    "load −40 %": Event(_from(30, load=0.6), 70),
-    "season, +12 K in 90 nights": Event(_warming, 100),
-    "oil −20 %": Event(_from(30, viscosity=0.8), 60, 30, OIL),
-    "meter +6 %": Event(_from(30, meter=1.06), 60, 30, METER),
-    "wear, a step": Event(_from(30, wear=1.25), 60, 30, WEAR),
-    "the season, and a step of wear": Event(
-        lambda n: replace(_warming(n), wear=1.18 if n >= 45 else 1.0), 100, 45, WEAR
-    ),
-    "the season, and wear in 70 nights": Event(
-        lambda n: replace(_warming(n), wear=1.0 + 0.35 * _ramp(n, 20, 90)),
-        100,
-        20,
-        WEAR,
-        is_step=False,
-    ),
-    "wear in 8 nights": Event(
-        lambda n: Night(wear=1.0 + 0.4 * _ramp(n, 20, 28)), 50, 20, WEAR, is_step=False
-    ),
-    "wear in 45 nights, then a repair": Event(
-        lambda n: Night(wear=1.0 + 0.3 * _ramp(n, 15, 60) * (n < 60)), 90, 15, WEAR, is_step=False
-    ),
-    "every third night +8 %": Event(
-        lambda n: Night(meter=1.08 if n >= 40 and n % 3 == 0 else 1.0),
-        90,
-        40,
-        frozenset({"odd_nights"}),
-    ),
+MACHINES: Mapping[str, Machine] = {
+    "mill": Mill(0.012, 0.008, 900.0, 0.25, gain_phi=0.5, two_gauges=True),
+    "winch": Winch(0.02, 0.012, 500.0, 0.5, draws=2),
+    "conveyor": Conveyor(0.015, 0.01, 600.0, 0.3),
 }

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.watch.cells import Cell
-from benchmarks.watch.history import History
 from benchmarks.watch.rivals import charts
+from benchmarks.watch.simulator import History
 from leakage.watch import Change, Estimate, NightBlocks, Verdict, Watch, WatchSettings
 
 # Seeds of trials while building, and of the figures that are shown.

@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks.watch.cb560 import VG46
-from benchmarks.watch.history import BLOCK_S, History
+from benchmarks.watch.simulator import BLOCK_S, History
 from leakage import (
     Constant,
     FilmPressure,

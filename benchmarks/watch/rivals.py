@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from benchmarks.watch.cb560 import PATHS, PISTON, THETA
+from benchmarks.watch.simulator import PATHS, PISTON, THETA
 from leakage.watch import NightBlocks as Night
 from pipeline.arrays import Array
 

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from benchmarks.results_file import Part, table
-from benchmarks.watch.cb560 import PATHS
 from benchmarks.watch.cells import BASELINE, NOTHING, YEAR, Cell
 from benchmarks.watch.outcomes import Outcome
+from benchmarks.watch.simulator import PATHS
 
 SOON = 3  # nights within which a wear that has reached 8 % is to be told, the first being 1
 PARTS = {*PATHS, "known"}  # what a change may be called that names a part
@@ -243,7 +243,7 @@ def _sizes(found: Found) -> Rows:
     held: dict[tuple[str, str], tuple[list[bool], list[bool]]] = {}
     for cell, motors in found:
         event = cell.event
-        if event.begin is None or not event.right | event.near:
+        if event.begin is None or not (event.right or event.near):
             continue
         kind = "step" if event.is_step else "ramp" if event.begin else "ramp from the first night"
         since, size = held.setdefault((cell.machine, kind), ([], []))
