@@ -29,7 +29,7 @@ from leakage import Motor, OperatingConditions, leakage_l_per_min, regressors
 
 RESULTS = Path(__file__).parent / "results" / "guard.json"
 WARN, FAIL = 1.2, 2.0
-MINUTES, RATE_HZ = 240.0, 10.0
+MINUTES, RATE_HZ, DAY_MINUTES = 240.0, 10.0, 1440.0
 ROUNDS = 5
 # With threads of their own, a part and its yardstick would not be measured alike.
 ONE_THREAD = dict.fromkeys(
@@ -115,13 +115,16 @@ def _cases(folder: Path) -> list[Case]:
     from pipeline.logs.files import slice_night
     from pipeline.night.fit_night import fit_night
     from pipeline.run.fleet import RunRequest, run_fleet
+    from pipeline.run.motor_task import run_motor
 
     logging.disable()
-    write_day(folder / "day", MINUTES, RATE_HZ, *MOTORS)
-    logs = {name: log_of(folder / "day", name) for name in MOTORS}
+    write_day(folder / "hours", MINUTES, RATE_HZ, *MOTORS)
+    write_day(folder / "day", DAY_MINUTES, 1.0, "parquet")
+    logs = {name: log_of(folder / "hours", name) for name in MOTORS}
     fleets = {
-        name: load_fleet(make_fleet(folder / "day", folder / name, name, 1)) for name in MOTORS
+        name: load_fleet(make_fleet(folder / "hours", folder / name, name, 1)) for name in MOTORS
     }
+    whole_day = RunRequest(load_fleet(make_fleet(folder / "day", folder / "whole", "parquet", 1)))
     (spec,) = fleets["parquet"].motors
     content = read_log(logs["parquet"], spec.file.logs, spec.file.channels)
     channels = slice_night([content], night(NIGHT, spec.settings.nights))
@@ -131,8 +134,12 @@ def _cases(folder: Path) -> list[Case]:
     motor = spec.motor(NIGHT, "none")
     block = factors(_columns(motor, rows), np.array([0, rows]))[0]
 
-    def qr() -> object:
-        return np.linalg.qr(matrix, mode="r")
+    def qr(of: NDArray[np.float64] = matrix) -> object:
+        return np.linalg.qr(of, mode="r")
+
+    def day() -> object:
+        staging = Path(tempfile.mkdtemp(dir=folder))
+        return run_motor(whole_day.task(whole_day.specs[0], staging))
 
     def whole() -> object:
         fleet = fleets["parquet"]
@@ -154,6 +161,8 @@ def _cases(folder: Path) -> list[Case]:
     parquet, csv = fastest("pyarrow_parquet", "parquet"), fastest("pyarrow_csv", "csv")
     return [
         Case("motor-night, whole run / reading its Parquet", whole, parquet, 40),
+        Case("motor-day at 1 Hz, read, clean and fit / QR of as many samples",
+             day, lambda: qr(matrix[: round(60.0 * DAY_MINUTES)]), 10),
         Case("motor-night without reading / QR of as many samples", fitting, qr, 10),
         Case("Parquet, ours / PyArrow", reading("parquet"), parquet, 10),
         Case("CSV, ours / PyArrow", reading("csv"), csv, 2),
