@@ -19,15 +19,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import RESULTS
 from leakage import Motor, OperatingConditions, leakage_l_per_min, regressors
 
-RESULTS = Path(__file__).parent / "results" / "guard.json"
+COMMITTED = RESULTS / "guard.json"
 WARN, FAIL = 1.2, 2.0
 MINUTES, RATE_HZ, DAY_MINUTES = 240.0, 10.0, 1440.0
 ROUNDS = 5
@@ -37,8 +39,7 @@ ONE_THREAD = dict.fromkeys(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
+class Case(NamedTuple):
     """A part of the program and its yardstick, which is done so often that clocks can tell."""
 
     what: str
@@ -55,9 +56,9 @@ def main(options: Sequence[str] = ()) -> int:
     command = [sys.executable, "-m", __name__]
     text = subprocess.check_output(command, text=True, env={**os.environ, **ONE_THREAD})
     found: dict[str, float] = json.loads(text.splitlines()[-1])
-    if update or not RESULTS.exists():
-        RESULTS.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
-    return told(found, json.loads(RESULTS.read_text("utf-8")))
+    if update or not COMMITTED.exists():
+        COMMITTED.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+    return told(found, json.loads(COMMITTED.read_text("utf-8")))
 
 
 def told(found: Mapping[str, float], before: Mapping[str, float]) -> int:
@@ -81,31 +82,26 @@ def measured() -> dict[str, float]:
     """All figures: medians over the rounds of each part, over those of its yardstick."""
     with tempfile.TemporaryDirectory() as folder:
         cases = _cases(Path(folder))
-        taken: list[list[tuple[float, float]]] = [[] for _ in cases]
-        # Once for what is loaded and kept at the first time.
-        for case in cases:
-            _round(case)
-        for _ in range(ROUNDS):
-            for case, seconds in zip(cases, taken, strict=True):
-                seconds.append(_round(case))
+        # The first round is for what is loaded and kept at the first time.
+        rounds = [[_ratio(case) for case in cases] for _ in range(ROUNDS + 1)][1:]
+    ratios = zip(*rounds, strict=True)
     return {
-        case.what: round(statistics.median(part / yard for part, yard in seconds), 3)
-        for case, seconds in zip(cases, taken, strict=True)
+        case.what: round(statistics.median(of), 3) for case, of in zip(cases, ratios, strict=True)
     }
 
 
-def _round(case: Case) -> tuple[float, float]:
+def _ratio(case: Case) -> float:
     begin = time.process_time()
     case.part()
     middle = time.process_time()
     for _ in range(case.times):
         case.yardstick()
-    return middle - begin, (time.process_time() - middle) / case.times
+    return case.times * (middle - begin) / (time.process_time() - middle)
 
 
 def _cases(folder: Path) -> list[Case]:
-    """Parts of the program on a log of some hours, each with what it is measured by."""
-    from benchmarks.day_fleets import MOTORS, NIGHT, log_of, make_fleet, write_day
+    """Parts of the program on a log of some hours or a day, each with what it is measured by."""
+    from benchmarks.day_fleets import MOTORS, NIGHT, logs_of, make_fleet
     from benchmarks.log_readers import READERS
     from leakage.estimation.block_statistics import factors
     from leakage.estimation.proven_minimum import fit
@@ -118,13 +114,11 @@ def _cases(folder: Path) -> list[Case]:
     from pipeline.run.motor_task import run_motor
 
     logging.disable()
-    write_day(folder / "hours", MINUTES, RATE_HZ, *MOTORS)
-    write_day(folder / "day", DAY_MINUTES, 1.0, "parquet")
-    logs = {name: log_of(folder / "hours", name) for name in MOTORS}
-    fleets = {
-        name: load_fleet(make_fleet(folder / "hours", folder / name, name, 1)) for name in MOTORS
-    }
-    whole_day = RunRequest(load_fleet(make_fleet(folder / "day", folder / "whole", "parquet", 1)))
+    configs = {name: make_fleet(folder / name, name, 1, MINUTES, RATE_HZ) for name in MOTORS}
+    logs = {name: logs_of(config)[0] for name, config in configs.items()}
+    fleets = {name: load_fleet(config) for name, config in configs.items()}
+    of_day = make_fleet(folder / "day", "parquet", 1, DAY_MINUTES, 1.0)
+    a_day = RunRequest(load_fleet(of_day))
     (spec,) = fleets["parquet"].motors
     content = read_log(logs["parquet"], spec.file.logs, spec.file.channels)
     channels = slice_night([content], night(NIGHT, spec.settings.nights))
@@ -134,43 +128,40 @@ def _cases(folder: Path) -> list[Case]:
     motor = spec.motor(NIGHT, "none")
     block = factors(_columns(motor, rows), np.array([0, rows]))[0]
 
-    def qr(of: NDArray[np.float64] = matrix) -> object:
-        return np.linalg.qr(of, mode="r")
-
-    def day() -> object:
-        staging = Path(tempfile.mkdtemp(dir=folder))
-        return run_motor(whole_day.task(whole_day.specs[0], staging))
-
     def whole() -> object:
         fleet = fleets["parquet"]
         execution = fleet.execution.model_copy(update={"workers": 1, "backend": "sequential"})
-        output = folder / "out" / str(time.monotonic_ns())
+        output = Path(tempfile.mkdtemp(dir=folder))
         return run_fleet(RunRequest(replace(fleet, output=output, execution=execution)))
+
+    def day() -> object:
+        return run_motor(a_day.task(a_day.specs[0], Path(tempfile.mkdtemp(dir=folder))))
 
     def reading(name: str) -> Callable[[], object]:
         (one,) = fleets[name].motors
         return lambda: read_log(logs[name], one.file.logs, one.file.channels)
 
-    def fastest(reader: str, name: str) -> Callable[[], object]:
-        read = READERS[reader]()
-        return lambda: read(logs[name])
+    def fastest(name: str) -> Callable[[], object]:
+        return lambda: READERS[name](logs[name])
 
     def fitting() -> object:
         return fit_night(spec, night(NIGHT, spec.settings.nights), dict(channels))
 
-    parquet, csv = fastest("pyarrow_parquet", "parquet"), fastest("pyarrow_csv", "csv")
+    def qr(n: int = rows) -> object:
+        return np.linalg.qr(matrix[:n], mode="r")
+
+    parquet, day_rows = fastest("parquet"), round(60.0 * DAY_MINUTES)
     return [
         Case("motor-night, whole run / reading its Parquet", whole, parquet, 40),
         Case("motor-day at 1 Hz, read, clean and fit / QR of as many samples",
-             day, lambda: qr(matrix[: round(60.0 * DAY_MINUTES)]), 10),
+             day, lambda: qr(day_rows), 10),
         Case("motor-night without reading / QR of as many samples", fitting, qr, 10),
         Case("Parquet, ours / PyArrow", reading("parquet"), parquet, 10),
-        Case("CSV, ours / PyArrow", reading("csv"), csv, 2),
-        Case("MCAP, ours / plain reader", reading("mcap"), fastest("plain_mcap", "mcap")),
+        Case("CSV, ours / PyArrow", reading("csv"), fastest("csv"), 2),
+        Case("MCAP, ours / plain reader", reading("mcap"), fastest("mcap")),
         Case("statistics of blocks / QR of as many samples",
              lambda: factors(matrix, borders), qr, 3),
-        Case("fit from statistics / QR of as many samples",
-             lambda: fit(block, motor), qr, 3),
+        Case("fit from statistics / QR of as many samples", lambda: fit(block, motor), qr, 3),
     ]  # fmt: skip
 
 

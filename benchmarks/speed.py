@@ -1,11 +1,6 @@
 """How long a fleet's first night takes, beside just reading its logs.
 
-Whole processes from outside: `fit-fleet` on a fleet of which nothing is known yet, everything
-included, beside two fresh processes that read the same files into columns with the fastest reader
-there is, each half of them. Cases take turns, and a ratio is one of medians of one run; absolute
-times are of the machine that it ran on. Logs come from the page cache on both sides.
-
-The other parts were measured once and stay as they were stored (`speed.json`).
+Whole processes from outside, with logs from the page cache; `benchmarks/results/speed.md` says how.
 """
 
 from __future__ import annotations
@@ -19,127 +14,81 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, replace
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import polars as pl
 
-from benchmarks.day_fleets import logs_of, make_fleet, write_day
-from benchmarks.results_file import Part, description, store, stored, write_parts
+from benchmarks import RESULTS, made
+from benchmarks.day_fleets import MOTORS, logs_of, make_fleet
+from validation.tables import Row, Table, show
 
-READERS = {"parquet": "pyarrow_parquet", "csv": "pyarrow_csv", "mcap": "plain_mcap"}
-GOALS = {"parquet": 9.0, "csv": 4.0, "mcap": 1.4}
-DAY_MINUTES = 1440.0
-HUNDRED = 100
-ENVIRONMENT = {**os.environ, "POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1"}
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """What a command took."""
-
-    # elapsed_s, processor_s: on the clock, and of all its processes together.
-    elapsed_s: float
-    processor_s: float
-
-    @property
-    def cells(self) -> tuple[str, str]:
-        return f"{self.elapsed_s:.2f} s", f"{self.processor_s:.2f} s"
+HUNDRED, DAY_MINUTES, RATE_HZ = 100, 1440.0, 10.0
+ONE_THREAD = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1"}  # of processes that just read
 
 
 def main(options: Sequence[str] = ()) -> None:
-    """Measure, and write `benchmarks/results/speed.md`."""
+    """Measure, and put the table of a hundred motors into its page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks speed")
-    parser.add_argument("--repeats", type=int, default=3)
-    repeats = parser.parse_args(list(options)).repeats
-    load = os.getloadavg()[0]
+    parser.add_argument("--passes", type=int, default=3)
+    passes = parser.parse_args(list(options)).passes
+    how = made(passes=str(passes))
     with tempfile.TemporaryDirectory() as folder:
-        part = hundred(Path(folder), repeats)
-    words = f"{part.text} Load before it began: {load:.1f}."
-    store("speed", "hundred", asdict(replace(part, text=words)))
-    parts = [Part(**one) for one in stored("speed").values()]
-    write_parts("speed", "As fast as reading the logs", description(__doc__), parts)
-
-
-def hundred(folder: Path, repeats: int) -> Part:
-    """100 motors in each format, with one worker and with two, beside just reading."""
-    rows = []
-    for name, reader in READERS.items():
         # One format on the disk at a time.
-        day = folder / "day"
-        shutil.rmtree(day, ignore_errors=True)
-        write_day(day, DAY_MINUTES, 10.0, name)
-        config = make_fleet(day, folder / "fleet", name, HUNDRED)
-        cases = {
-            "one": partial(first_night, config, 1),
-            "two": partial(first_night, config, 2),
-            "read": partial(reading, reader, logs_of(config)),
+        rows = [row for name in MOTORS for row in _hundred(Path(folder), name, passes)]
+    show([how, Table("a hundred motors", rows)], RESULTS / "speed.md")
+
+
+def _hundred(folder: Path, name: str, passes: int) -> list[Row]:
+    """Motors in a format with one worker and with two, beside just reading, in turns."""
+    config = make_fleet(folder / "fleet", name, HUNDRED, DAY_MINUTES, RATE_HZ)
+    output, logs = folder / "out", list(map(str, logs_of(config)))
+    fit = ["pipeline.cli", "fit-fleet", str(config), "--output", str(output), "--json", "--jobs"]
+    read = ["benchmarks.log_readers", name]
+    cases = {
+        "reading": ([*read, *logs[::2]], [*read, *logs[1::2]]),
+        "one worker": ([*fit, "1"],),
+        "two workers": ([*fit, "2"],),
+    }
+    costs: dict[str, list[tuple[float, float]]] = {case: [] for case in cases}
+    for _ in range(passes):
+        for case, commands in cases.items():
+            shutil.rmtree(output, ignore_errors=True)
+            costs[case].append(_cost(commands, {} if "worker" in case else ONE_THREAD))
+    medians = {case: [*map(statistics.median, zip(*of, strict=True))] for case, of in costs.items()}
+    reading, one, two = (elapsed for elapsed, _ in medians.values())
+    tables = (output / "tables" / "motor_outcomes").rglob("*.parquet")
+    memory = pl.concat(map(pl.read_parquet, tables))["peak_memory_mib"].max()
+    ratios = {"over reading": f"{two / reading:.1f}", "faster": f"{one / two:.2f}"}
+    of_two = {**ratios, "largest worker": f"{memory:.0f} MiB"}
+    return [
+        {
+            "logs": name,
+            "what": case,
+            "elapsed": f"{elapsed:.2f} s",
+            "processor": f"{processor:.2f} s",
+            **(of_two if case == "two workers" else dict.fromkeys(of_two, "")),
         }
-        costs = interleaved(cases, repeats)
-        one, two, read = costs["one"], costs["two"], costs["read"]
-        ratio, faster = two.elapsed_s / read.elapsed_s, one.elapsed_s / two.elapsed_s
-        memory = f"{worker_peak_mib(config):.0f} MiB"
-        rows += [
-            [f"**{name}: two workers**", *two.cells, f"**{ratio:.1f}**", "", memory],
-            [f"{name}: one worker", *one.cells, "", f"{faster:.2f}", ""],
-            [f"{name}: reading, {reader.replace('_', ', ')}", *read.cells, "", "", ""],
-        ]
-    goals = ", ".join(f"{name} {goal:g}" for name, goal in GOALS.items())
-    text = (
-        f"{HUNDRED} motors × 24 h × 10 Hz, four channels, temperature at 1 Hz; each log the same "
-        f"file; medians of {repeats} passes. Goals: run over reading at most {goals}; two workers "
-        "1.9 times as fast as one."
-    )
-    header = "what | elapsed | processor | over reading | faster | largest worker"
-    return Part("A hundred motors", text, header, rows)
+        for case, (elapsed, processor) in medians.items()
+    ]
 
 
-def first_night(config: Path, jobs: int) -> Cost:
-    """A run over a fleet of which nothing is known yet, with its output beside the config."""
-    output = config.parent.parent / "out"
-    shutil.rmtree(output, ignore_errors=True)
-    command = [sys.executable, "-m", "pipeline.cli", "fit-fleet", str(config)]
-    return elapsed([*command, "--output", str(output), "--jobs", str(jobs), "--json"])
-
-
-def reading(reader: str, files: Sequence[Path]) -> Cost:
-    """Two fresh processes, each of which reads half of the files, at the same time."""
-    command = [sys.executable, "-m", "benchmarks.log_readers", reader]
-    halves = [half for half in (files[::2], files[1::2]) if half]
-    return elapsed(*([*command, *map(str, half)] for half in halves), environment=ENVIRONMENT)
-
-
-def elapsed(*commands: Sequence[str], environment: Mapping[str, str] | None = None) -> Cost:
-    """Commands at the same time."""
+def _cost(commands: Sequence[Sequence[str]], environment: Mapping[str, str]) -> tuple[float, float]:
+    """Seconds of modules run at the same time: on the clock, and of all processes together."""
     used, begin = _children_s(), time.perf_counter()
     processes = [
-        subprocess.Popen(one, stdout=subprocess.DEVNULL, env=environment) for one in commands
+        subprocess.Popen(
+            [sys.executable, "-m", *one],
+            stdout=subprocess.DEVNULL,
+            env={**os.environ, **environment},
+        )
+        for one in commands
     ]
     if any(process.wait() for process in processes):
         raise RuntimeError(f"{commands[0]} failed")
-    return Cost(time.perf_counter() - begin, _children_s() - used)
+    return time.perf_counter() - begin, _children_s() - used
 
 
 def _children_s() -> float:
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
-
-
-def interleaved(cases: Mapping[str, Callable[[], Cost]], repeats: int) -> dict[str, Cost]:
-    """Medians of several passes, in each of which every case has its turn."""
-    passes = [{name: case() for name, case in cases.items()} for _ in range(repeats)]
-    return {
-        name: Cost(
-            *map(statistics.median, zip(*(astuple(one[name]) for one in passes), strict=True))
-        )
-        for name in cases
-    }
-
-
-def worker_peak_mib(config: Path) -> float:
-    """Peak memory of the largest worker of the last run over a fleet."""
-    tables = config.parent.parent / "out" / "tables" / "motor_outcomes"
-    outcomes = pl.concat(pl.read_parquet(path) for path in tables.rglob("*.parquet"))
-    return float(outcomes["peak_memory_mib"].max() or 0.0)  # type: ignore[arg-type]

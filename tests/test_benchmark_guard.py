@@ -24,6 +24,6 @@ def test_twenty_percent_more_is_a_warning_and_twice_as_much_fails(
 
 @pytest.mark.full
 def test_it_measures_what_the_committed_results_name() -> None:
-    committed = json.loads(guard.RESULTS.read_text("utf-8"))
+    committed = json.loads(guard.COMMITTED.read_text("utf-8"))
     assert all(ratio > 0 for ratio in committed.values())
     assert guard.measured().keys() == committed.keys()

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.results_file import stored
+from benchmarks.watch import stored
 from benchmarks.watch.cb560 import FITTED
 from benchmarks.watch.cells import NOTHING, RIG, cells, change
 from benchmarks.watch.foreign import MACHINES
 from benchmarks.watch.outcomes import TRIAL, outcome
 from benchmarks.watch.rivals import chart
 from benchmarks.watch.simulator import Duty, State, history
-from benchmarks.watch.tables import parts, readme
+from benchmarks.watch.tables import readme, tables
 
 CELLS = cells()
 README = Path(__file__).parent.parent / "README.md"
@@ -93,15 +93,17 @@ def test_every_cell_can_be_made() -> None:
 def test_a_break_is_told_in_all_tables_that_have_it() -> None:
     cell = CELLS["wear; a sleeve breaks: its flow × 3; as modelled; 8"]
     found = {cell.key: [outcome(cell, 0, TRIAL, {})]}
-    tables = {part.heading: part.rows for part in parts(CELLS, found)}
-    (row,) = tables["What was told"]
-    assert row[5] in ("1 (1)", "2 (2)", "3 (3)")
-    assert row[6] == "1/0/0"
-    assert {"Since and size", "Probability"} < tables.keys()
+    rows = {table.name: table.rows for table in tables(CELLS, found)}
+    (row,) = rows["what was told"]
+    assert row["nights"] in ("1 (1)", "2 (2)", "3 (3)")
+    assert row["names"] == "1/0/0"
+    assert rows["since and size"]
+    assert rows["probability"]
+    assert not rows["false alarms"]
 
 
 def test_the_readme_has_the_table_that_is_printed() -> None:
-    assert "\n".join(readme(CELLS, stored("watch"))) in README.read_text("utf-8")
+    assert readme(CELLS, stored()).markdown() in README.read_text("utf-8")
 
 
 def test_a_chart_counts_in_the_scatter_of_its_baseline() -> None:

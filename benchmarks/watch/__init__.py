@@ -1,12 +1,114 @@
-"""The watch over a motor's nights: false alarms, delays, names and sizes, beside simpler methods.
+"""The watch over a motor's nights, beside simpler methods: measures cells, keeps what was found.
 
-Each cell is a number of motors to which the same happens, each with a seed of its own; the figures
-are of seeds that were not used while building. `--only PATTERN` measures the cells whose name
-matches (`group; words; machine; baseline`), `--motors N` fewer motors of each, `--list` shows them;
-`--trial` takes other seeds, and shows what is found without keeping it. The limits of the methods
-that users would make come first (`--only limits`).
+`benchmarks/results/watch.json` keeps it, a cell a line; the tables of all go into
+`benchmarks/results/watch.md` and the README.
 """
 
-from benchmarks.watch.command import main
+from __future__ import annotations
 
-__all__ = ["main"]
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from fnmatch import fnmatch
+from functools import cache, partial
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks import RESULTS, made
+from benchmarks.watch.cb560 import OTHERWISE
+from benchmarks.watch.cells import BASELINE, NOTHING, RIG, YEAR, cells
+from benchmarks.watch.outcomes import FRESH, TRIAL, Outcome, outcome
+from benchmarks.watch.rig import folder
+from benchmarks.watch.rivals import charts
+from benchmarks.watch.simulator import history
+from benchmarks.watch.tables import readme, tables
+from pipeline.arrays import Array
+from validation.tables import show
+
+LIMITS = "limits"
+# False alarms a motor-year, and motors, with which the limits of the rivals are calibrated.
+RATE, CALIBRATED_ON = 0.1, 100
+CALIBRATION = 2536
+
+all_cells = cache(cells)
+
+
+def main(options: Sequence[str] = ()) -> None:
+    """Measure all cells or some, and write their tables."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks watch")
+    parser.add_argument("--only", default="*", help="cells whose name matches, or limits")
+    parser.add_argument("--motors", type=int, help="at most so many of each cell")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--trial", action="store_true", help="seeds of trials; nothing is kept")
+    asked = parser.parse_args(list(options))
+    numbers = {
+        key: min(asked.motors or cell.motors, cell.motors)
+        for key, cell in all_cells().items()
+        if fnmatch(key, asked.only) and (cell.group != RIG or folder().exists())
+    }
+    fork = get_context("fork")
+    with ProcessPoolExecutor(asked.jobs, fork, threadpool_limits, (1,)) as pool:
+        if fnmatch(LIMITS, asked.only) and not asked.trial:
+            store(LIMITS, _limits(list(pool.map(_highest, range(CALIBRATED_ON)))))
+        base = TRIAL if asked.trial else FRESH
+        work = partial(_outcome, base=base, limits=stored().get(LIMITS, {}))
+        tasks = [(key, number) for key, motors in numbers.items() for number in range(motors)]
+        results = pool.map(work, *zip(*tasks, strict=True)) if tasks else iter(())
+        found: dict[str, list[Outcome]] = {}
+        for key, motors in numbers.items():
+            begin = time.perf_counter()
+            found[key] = [next(results) for _ in range(motors)]
+            sys.stderr.write(f"{key}: {time.perf_counter() - begin:.0f} s\n")
+            if not asked.trial:
+                store(key, found[key])
+    if asked.trial:
+        show(tables(all_cells(), found), None)
+    else:
+        show([made(), *tables(all_cells(), stored())], RESULTS / "watch.md")
+        show([readme(all_cells(), stored())], RESULTS.parents[1] / "README.md")
+
+
+def stored() -> dict[str, Any]:
+    """All that runs have found so far, by cell."""
+    file = RESULTS / "watch.json"
+    found: dict[str, Any] = json.loads(file.read_text("utf-8")) if file.exists() else {}
+    return found
+
+
+def store(cell: str, found: object) -> None:
+    """Keep what was found of a cell beside the others."""
+    cells = (stored() | {cell: found}).items()
+    lines = (f'"{one}": {json.dumps(of, ensure_ascii=False)}' for one, of in cells)
+    (RESULTS / "watch.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
+
+
+def _outcome(key: str, number: int, base: int, limits: dict[str, float]) -> Outcome:
+    return outcome(all_cells()[key], number, base, limits)
+
+
+def _highest(number: int) -> dict[str, Array]:
+    """Highest distance so far, by night and method, of a motor to which nothing happens."""
+    nights = history(OTHERWISE, NOTHING.course, YEAR, (CALIBRATION, number)).nights
+    found = charts(nights, BASELINE).items()
+    return {method: np.maximum.accumulate(values[BASELINE:]) for method, values in found}
+
+
+def _limits(motors: Sequence[dict[str, Array]]) -> dict[str, float]:
+    """Limits with which the charts of healthy motors begin to alarm at the rate."""
+    return {method: _limit(np.array([one[method] for one in motors])) for method in motors[0]}
+
+
+def _limit(highest: Array) -> float:
+    """Lowest limit whose first alarms come at most at the rate."""
+    for limit in np.arange(1.0, 12.0, 0.02):
+        above = highest > limit
+        exposed = np.where(above.any(axis=1), above.argmax(axis=1) + 1, highest.shape[1])
+        if above.any(axis=1).sum() <= RATE * exposed.sum() / YEAR:
+            return round(float(limit), 2)
+    return 12.0

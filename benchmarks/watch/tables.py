@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
 from scipy.special import gammaincinv
 
-from benchmarks.results_file import Part, table
 from benchmarks.watch.cells import BASELINE, YEAR, Cell, Event
 from benchmarks.watch.outcomes import Outcome
 from benchmarks.watch.simulator import PATHS
+from validation.tables import Table
 
 SOON = 3  # nights within which a wear that has reached 8 % is to be told, the first being 1
 PARTS = {*PATHS, "known"}  # what a change may be called that names a part
@@ -28,25 +28,26 @@ TYPES = {
 }
 
 
-def parts(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> Iterator[Part]:
+def tables(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> list[Table]:
     """Tables of all that was found."""
-    motors = _motors(cells, found)
-    for heading, (text, groups, header, rows, keys) in TABLES.items():
+    motors, made = _motors(cells, found), []
+    for name, (groups, header, rows, keys) in TABLES.items():
         of = motors.filter(pl.any_horizontal(pl.col("group").str.starts_with(g) for g in groups))
         by = rows(of).group_by(keys, maintain_order=True)
-        if body := [[_text(one, name) for name in header.split(" | ")] for _, one in by]:
-            yield Part(heading, text, header, body)
+        columns = header.split(" | ")
+        made.append(Table(name, [{one: _text(of, one) for one in columns} for _, of in by]))
+    return made
 
 
-def readme(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> list[str]:
+def readme(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> Table:
     """The README's table; a row that was not measured has no figures."""
     rows = []
     for words, key in README_ROWS.items():
         name = f"{key}; otherwise; {BASELINE}"
         is_known = name in found
         row = _readme_row(_motors(cells, {name: found[name]})) if is_known else ["–"] * 4
-        rows.append([words, *row])
-    return table(" | ".join(("", "watch", *README_CHARTS)), rows)
+        rows.append({"": words, **dict(zip(("watch", *README_CHARTS), row, strict=True))})
+    return Table("watch", rows)
 
 
 def _motors(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> pl.DataFrame:
@@ -250,10 +251,9 @@ def _in_words(motors: pl.DataFrame, nights: Nights) -> str:
     return f"{missed} of {n} not in {motors['left'][0]} nights"
 
 
-class Table(NamedTuple):
-    """A table: its words, groups and columns, of which rows, and by what they come together."""
+class Rows(NamedTuple):
+    """Of a table: groups and columns, of which rows, and by what they come together."""
 
-    text: str
     groups: tuple[str, ...]
     header: str
     rows: Callable[[pl.DataFrame], pl.DataFrame] = lambda motors: motors
@@ -262,61 +262,33 @@ class Table(NamedTuple):
 
 CHANGES = ("wear", "no wear", "second change", "from the", "names", "tank")
 TABLES = {
-    "False alarms": Table(
-        "Changes told a motor-year, all causes, with the upper end of an exact 95 % interval; the "
-        "same again counts once. Notices are changes of the temperature's effect alone, and ends "
-        "of what was told. Of charts, first alarms a motor-year until the first.",
+    "false alarms": Rows(
         ("healthy", "special"),
         "group | change | machine | baseline | false a year | false | notices | lack of fit | "
         "charts a year",
         lambda motors: motors.filter(pl.col("begin").is_null()),
     ),
-    "What was told": Table(
-        "Motors that alarmed; nights to the first alarm, median (90 % quantile), the change's "
-        "first being 1; names as they stand ten nights later: right / cannot be told / wrong.",
+    "what was told": Rows(
         (*CHANGES, "special"),
         "group | change | machine | baseline | told | nights | names | notices | charts",
     ),
-    "False second alarms": Table(
-        "Second changes told a motor-year after a first, where there is none.",
-        ("after a change",),
-        "change | machine | more a year",
-    ),
-    "Probability": Table(
-        "Changes whose likeliest cause is right, or less than right, by its probability; when it "
-        "was told and ten nights later; also where nothing that has a name has changed.",
+    "false second alarms": Rows(("after a change",), "change | machine | more a year"),
+    "probability": Rows(
         CHANGES,
         "P | right | less than right | right later | less than right later",
         _told,
         ("P",),
     ),
-    "Machines that nobody fitted": Table(
-        f"Motors with false alarms; motors told; told by night {SOON} of reaching 8 %; first sizes "
-        "within their intervals; motors with a part named; tonight's change, rms error (within "
-        "interval), at the night's own conditions / at the motor's.",
+    "machines that nobody fitted": Rows(
         ("not fitted",),
         "machine | change | false | told | soon | size held | part named | lack of fit | tonight",
     ),
-    "Since and size": Table(
-        "Nominal 95 % intervals of the first change told, as they are ten nights later. Wear from "
-        "the first night on began before anything could be told of it: its size is against the "
-        "baseline.",
+    "since and size": Rows(
         ("after", *CHANGES, "special", "not fitted"),
         "machine | kind | since held | size held",
         _sized,
         ("machine", "kind"),
     ),
-    "A healthy all-laminar machine": Table(
-        "Leakage by the level of the last night over the true one, less 1, median and range; "
-        "whether its interval holds the true one. Nothing has changed.",
-        ("laminar",),
-        "change | at | leakage | held",
-        _leakages,
-        ("at",),
-    ),
-    "A real pump's record": Table(
-        "False alarms before; nights from the change to the alarm; the first one's size.",
-        ("pump rig",),
-        "change | false alarms | told | nights | size | names",
-    ),
+    "laminar": Rows(("laminar",), "change | at | leakage | held", _leakages, ("at",)),
+    "record": Rows(("pump rig",), "change | false alarms | told | nights | size | names"),
 }
