@@ -1,8 +1,4 @@
-"""Steps that all readers share: readings are gathered in pieces, judged, converted and kept.
-
-Lists of pieces that are joined in the end would hold everything twice for a moment, and each piece
-would need memory of its own: arrays grow where they lie.
-"""
+"""Steps that all readers share: readings are gathered in pieces, judged, converted and kept."""
 
 from __future__ import annotations
 
@@ -10,23 +6,27 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
-from pipeline.config.channels import Channel, Channels
+from pipeline.config.channels import Channel, Channels, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import nulls
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog, ends
-from pipeline.ingest.quality import BLANK, is_bad, quality_states
-from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, placed, written_as_numbers
+from pipeline.ingest.quality import is_bad, quality_states
+from pipeline.ingest.time_stamps import (
+    TimeStamps,
+    WrittenStamps,
+    joined,
+    placed,
+    written_as_numbers,
+)
 from pipeline.messages import counted
 from pipeline.units import canonical_unit, to_canonical
-
-_T = TypeVar("_T", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +37,16 @@ class Readings:
     missing: NDArray[np.bool_]
     unparsed: NDArray[np.bool_]  # part of `missing`: there was something, and it is no number
     example: str | None = None  # the first of these, for a message
+
+    @staticmethod
+    def joined(parts: Sequence[Readings]) -> Readings:
+        """Readings one after the other."""
+        return Readings(
+            joined([part.raw for part in parts], np.float64),
+            joined([part.missing for part in parts], np.bool_),
+            joined([part.unparsed for part in parts], np.bool_),
+            next((part.example for part in parts if part.example is not None), None),
+        )
 
     def rows(self, chosen: Rows) -> Readings:
         """The readings of some rows."""
@@ -122,128 +132,61 @@ def _frozen(channel: RawChannel) -> RawChannel:
     return channel
 
 
-class Growing(Generic[_T]):
-    """An array that grows at its end, where it lies; a lone piece is kept as it is.
-
-    Examples
-    --------
-    >>> array = Growing(np.int64)
-    >>> for piece in ([1, 2], [3], [4, 5, 6]):
-    ...     array.append(np.array(piece))
-    >>> array.taken().tolist()
-    [1, 2, 3, 4, 5, 6]
-    """
-
-    def __init__(self, dtype: type[_T]) -> None:
-        self._array: NDArray[_T] = np.empty(0, dtype)
-        self._size = 0
-        self._is_own = False  # not a piece
-
-    def append(self, piece: NDArray[_T]) -> None:
-        """Add a piece at the end."""
-        begin, self._size = self._size, self._size + piece.size
-        if not begin:
-            self._array = piece
-            return
-        if not self._is_own:
-            first, self._array = self._array, np.empty(2 * self._size, piece.dtype)
-            self._array[:begin] = first
-            self._is_own = True
-        elif self._size > self._array.size:
-            # A large array is moved by its pages, not copied, and room costs nothing till used.
-            self._array.resize(2 * self._size, refcheck=False)
-        self._array[begin : self._size] = piece
-
-    def taken(self) -> NDArray[_T]:
-        """All elements, to be given up; room that was not needed goes back."""
-        if self._is_own:
-            self._array.resize(self._size, refcheck=False)
-        return self._array
-
-
-class _Column:
-    """Readings of a column or field."""
-
-    def __init__(self) -> None:
-        self.raw = Growing(np.float64)
-        self.missing, self.unparsed = Growing(np.bool_), Growing(np.bool_)
-        self.example: str | None = None
-        self.is_nothing = True  # no cell holds anything
-
-    def add(self, part: Readings) -> None:
-        self.raw.append(part.raw)
-        self.missing.append(part.missing)
-        self.unparsed.append(part.unparsed)
-        self.example = self.example or part.example
-        self.is_nothing &= bool(part.missing.all()) and not part.unparsed.any()
-
-    def taken(self) -> Readings:
-        parts = self.raw.taken(), self.missing.taken(), self.unparsed.taken()
-        return Readings(*parts, self.example)
-
-
 class Gathered:
     """Rows of a table, or messages of a topic, in the order of the file.
 
-    Readings go by the column or field that they stand in, states of quality by that and what is
-    good there.
+    `columns` are those, or the fields, that hold the readings of each channel. Two channels may
+    have one.
     """
 
-    def __init__(self) -> None:
-        self._time_us, self._kind = Growing(np.int64), Growing(np.int8)
-        self._example: str | None = None
-        self._columns: dict[Any, _Column] = {}
-        self._states: dict[Any, Growing[np.uint8]] = {}
-        self._blank: dict[Any, bool] = {}  # by those, whether no cell tells of a quality
+    def __init__(self, path: Path, channels: Channels, columns: Mapping[Any, Any]) -> None:
+        self.path, self.channels, self.columns = path, channels, columns
+        self._stamps: list[WrittenStamps] = []
+        self._readings: dict[Any, list[Readings]] = {one: [] for one in columns.values()}
+        self._states: dict[tuple[str, tuple[QualityValue, ...]], list[NDArray[np.uint8]]] = {
+            (one.quality_source, one.quality_good): []
+            for one in channels.values()
+            if one.quality_source
+        }
 
     def add(
         self,
         stamps: WrittenStamps,
         readings: Mapping[Any, Readings],
-        states: Mapping[Any, NDArray[np.uint8]],
+        qualities: Mapping[str, pa.Array | pa.ChunkedArray],
     ) -> None:
-        """Add a piece."""
-        self._time_us.append(stamps.time_us)
-        self._kind.append(stamps.kind)
-        self._example = self._example or stamps.example
-        for key, part in readings.items():
-            self._columns.setdefault(key, _Column()).add(part)
-        for key, marks in states.items():
-            self._states.setdefault(key, Growing(np.uint8)).append(marks)
-            self._blank[key] = self._blank.get(key, True) and bool((marks == BLANK).all())
-
-    def nothing(self) -> list[Any]:
-        """Columns and fields that are blank in all rows; none without rows."""
-        found: list[Any] = [key for key, column in self._columns.items() if column.is_nothing]
-        return found + [key[0] for key, is_blank in self._blank.items() if is_blank]
+        """Add a piece: readings by column, and cells by the channels' `quality_source`."""
+        self._stamps.append(stamps)
+        for column, parts in self._readings.items():
+            parts.append(readings[column])
+        for (source, good), states in self._states.items():
+            states.append(quality_states(self.path, source, qualities[source], good))
 
     def stamps(self, zone: str) -> TimeStamps:
-        """Time stamps of all rows, to be given up."""
-        stamps = WrittenStamps(self._time_us.taken(), self._kind.taken(), self._example)
-        return placed(stamps, zone)
+        """Time stamps of all rows, which are given up."""
+        parts, self._stamps = self._stamps, []
+        return placed(WrittenStamps.joined(parts), zone)
 
-    def channels(
-        self,
-        path: Path,
-        channels: Channels,
-        keys: Mapping[Any, tuple[Any, Any]],
-        places: Mapping[Any, tuple[Rows, NDArray[np.int64]]],
+    def channels_at(
+        self, places: Mapping[Any, tuple[Rows, NDArray[np.int64]]]
     ) -> dict[str, RawChannel]:
-        """Channels by the keys of their readings and states, and by their rows and time stamps.
+        """Channels by their rows and time stamps; all rows are given up.
 
-        A column is given up with its last channel, so that a long log is not held twice.
+        The pieces of a column are joined by themselves, so that a long log is not held twice.
         """
         found: dict[str, RawChannel] = {}
-        states = {key: marks.taken() for key, marks in self._states.items()}
-        for column in dict.fromkeys(column for column, _ in keys.values()):
-            readings = self._columns.pop(column, _Column()).taken()
-            for name in [name for name, key in keys.items() if key[0] == column]:
-                rows, time_us = places[name]
-                marks = states.get(keys[name][1])
-                own = None if marks is None else marks[rows]
-                some = readings.rows(rows)
-                found[name] = raw_channel(path, name, channels[name], time_us, some, own)
-        return {name: found[name] for name in channels}
+        states = {key: joined(parts, np.uint8) for key, parts in self._states.items()}
+        for column, parts in self._readings.items():
+            readings = Readings.joined(parts)
+            parts.clear()
+            for name, channel in self.channels.items():
+                if self.columns[name] == column:
+                    rows, time_us = places[name]
+                    marks = states.get((channel.quality_source, channel.quality_good))
+                    own = None if marks is None else marks[rows]
+                    some = readings.rows(rows)
+                    found[name] = raw_channel(self.path, name, channel, time_us, some, own)
+        return {name: found[name] for name in self.channels}
 
 
 def judged(
@@ -291,6 +234,12 @@ def judged(
         "row at a local time that the zone's clock change leaves out": skipped,
         "row with a time more than a day in the future": ahead,
     }
+
+
+def no_samples() -> RawChannel:
+    """A channel of which a file holds nothing."""
+    none = np.empty(0, np.bool_)
+    return _frozen(RawChannel(np.empty(0, np.int64), np.empty(0), none, 0))
 
 
 def without_rows_of_others(

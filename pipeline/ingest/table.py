@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,16 +17,15 @@ from pipeline.config.channels import Channel, Channels
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
     Gathered,
-    Growing,
     Readings,
     judged,
+    no_samples,
     raw_log,
     span,
     without_rows_of_others,
 )
 from pipeline.ingest.contract import LogFile, RawLog
-from pipeline.ingest.quality import quality_states
-from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, example_of
+from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, example_of, joined
 
 _MOST_NAMES = 40
 
@@ -112,13 +110,13 @@ class RawTable:
     ) -> None:
         self.file, self.columns = file, columns
         self._stamps_of, self._readings_of = stamps_of, readings_of
-        self._rows = Gathered()
+        own = _channels_of(file) if columns.numbers else {}
+        self._rows = Gathered(
+            file.path, own, {name: _column_of(file, one) for name, one in own.items()}
+        )
         # Of rows in layout "long": the number of the wanted name, -1 for others.
-        self._names = Growing(np.int16)
-        channels = file.channels.values()
-        named = {(one.quality_source, one.quality_good) for one in channels}
-        self._qualities = [one for one in named if one[0] in columns.qualities]
-        self._sources = list(dict.fromkeys(one.source for one in channels))
+        self._names: list[NDArray[np.int16]] = []
+        self._sources = list(dict.fromkeys(one.source for one in file.channels.values()))
         self._seen: dict[str, None] = {}  # the first names, of channels or else of motors
         self._has_motor = columns.motor is None
 
@@ -141,10 +139,7 @@ class RawTable:
         self._rows.add(
             self._stamps_of([cells[name] for name in columns.time]),
             {name: self._readings_of(name, cells[name]) for name in columns.numbers},
-            {
-                (column, good): quality_states(self.file.path, column, cells[column], good)
-                for column, good in self._qualities
-            },
+            cells,
         )
 
     def _see(self, names: pa.ChunkedArray) -> None:
@@ -177,36 +172,27 @@ class RawTable:
             )
         stamps, without_time = self._stamps()
         refused = {**refused, **without_time}
-        here = _channels_of(file)
-        keys: dict[str, tuple[Any, Any]] = {
-            name: (_column_of(file, one), (one.quality_source, one.quality_good))
-            for name, one in here.items()
-        }
         if logs.layout == "long":
-            remarks = self._absent()
-            names = self._names.taken()
+            names = joined(self._names, np.int16)
+            remarks = self._absent(names)
             rows: dict[str, Rows] = {
                 source: (names == number) & stamps.readable
                 for number, source in enumerate(self._sources)
             }
             by_source = {source: (own, stamps.time_us[own]) for source, own in rows.items()}
-            places = {name: by_source[one.source] for name, one in here.items()}
-            channels = self._rows.channels(file.path, here, keys, places)
+            places = {name: by_source[one.source] for name, one in file.channels.items()}
+            channels = self._rows.channels_at(places)
             count = sum(part.time_us.size for part in channels.values())
             return raw_log(channels, count, refused, remarks)
         kept = chosen_rows(stamps.readable)
-        place, nowhere = (kept, stamps.time_us[kept]), (slice(0), np.empty(0, np.int64))
-        places = {name: place if name in here else nowhere for name in file.channels}
-        keys = {name: keys.get(name, (None, None)) for name in file.channels}
-        channels = self._rows.channels(file.path, file.channels, keys, places)
+        here = self._rows.channels_at(dict.fromkeys(file.channels, (kept, stamps.time_us[kept])))
+        channels = {name: here.get(name, no_samples()) for name in file.channels}
         if logs.layout == "wide":
-            sources: dict[str, str] = {name: one.source for name, one in here.items()}
-            channels = without_rows_of_others(channels, sources)
+            channels = without_rows_of_others(channels, self._rows.columns)
         return raw_log(channels, int(np.count_nonzero(stamps.readable)), refused)
 
-    def _absent(self) -> list[str]:
+    def _absent(self, names: NDArray[np.int16]) -> list[str]:
         """Remarks on wanted names that no row of a long table has; none of all is an error."""
-        names: NDArray[np.int16] = self._names.taken()
         if not names.size:
             return []
         counts = np.bincount(names + 1, minlength=len(self._sources) + 1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Any, TypeVar
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -25,6 +25,7 @@ EARLIEST_US = int(datetime(1990, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
 LATEST_US = int(datetime(2200, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
 """Outside is no stamp: a clock never set, seconds for milliseconds, time since the log's start."""
 
+_T = TypeVar("_T", bound=np.generic)
 Numbers = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
 
 _EPOCH, _MICROSECOND = datetime(1970, 1, 1), timedelta(microseconds=1)
@@ -45,6 +46,15 @@ class WrittenStamps:
     kind: NDArray[np.int8]  # 0 no stamp, 1 on the wall clock, 2 in UTC
     example: str | None = None  # the first cell that holds something and no stamp, for a message
 
+    @staticmethod
+    def joined(parts: Sequence[WrittenStamps]) -> WrittenStamps:
+        """Stamps one after the other."""
+        return WrittenStamps(
+            joined([part.time_us for part in parts], np.int64),
+            joined([part.kind for part in parts], np.int8),
+            next((part.example for part in parts if part.example is not None), None),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class TimeStamps:
@@ -58,6 +68,11 @@ class TimeStamps:
     readable: NDArray[np.bool_]
     skipped: int = 0  # local times that do not exist, as the clock was put forward over them
     example: str | None = None  # the first that is not readable, as it is written, for a message
+
+
+def joined(parts: Sequence[NDArray[_T]], dtype: type[_T]) -> NDArray[_T]:
+    """Arrays of a type one after the other, of which there may be none."""
+    return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, dtype), *parts])
 
 
 def example_of(time_format: str) -> str:

@@ -8,14 +8,12 @@ message, by the `json` module or the format's own packages.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import chosen_rows
-from pipeline.config.channels import Channel, QualityValue
-from pipeline.config.field_paths import FieldPath, field_path, path_text
+from pipeline.config.field_paths import field_path, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Gathered, judged, raw_log, span
@@ -34,7 +32,6 @@ from pipeline.ingest.mcap.layout import NO_SCHEMA, ChannelRecord, Schema
 from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
 from pipeline.ingest.mcap.ros2 import ros2_decoder
-from pipeline.ingest.quality import quality_states
 from pipeline.ingest.time_stamps import TimeStamps, placed, written_as_numbers
 
 _PIECE = 2**20
@@ -42,6 +39,7 @@ _COST_OF_MESSAGE = 64
 """Bytes that a message takes while it is decoded, besides its payload."""
 
 _MOST_NAMES = 40
+_JSON = "json", NO_SCHEMA
 
 
 def _read(file: LogFile) -> RawLog:
@@ -127,33 +125,28 @@ def decoder_of(path: Path, topic: str, encoding: str, schema: Schema, wanted: Wa
     )
 
 
-def _quality_of(channel: Channel) -> tuple[FieldPath, tuple[QualityValue, ...]]:
-    """Path of a channel's quality, and what is good there."""
-    named = channel.quality_source
-    return field_path(named, channel.source) if named else (), channel.quality_good
-
-
 class _Topic:
     """What is wanted of the messages of one topic, gathered in the order of the file."""
 
     def __init__(self, file: LogFile, name: str) -> None:
-        self.path, self.salvage, self.name = file.path, file.logs.salvage, name
+        self.path, self.name = file.path, name
         self.channels = {key: one for key, one in file.channels.items() if one.source == name}
-        self.keys: dict[str, tuple[Any, Any]] = {
-            key: (field_path(one.field, name), _quality_of(one))
-            for key, one in self.channels.items()
+        fields = {key: field_path(one.field, name) for key, one in self.channels.items()}
+        self.qualities = {
+            one.quality_source: field_path(one.quality_source, name)
+            for one in self.channels.values()
+            if one.quality_source
         }
-        self.qualities = dict.fromkeys(
-            _quality_of(one) for one in self.channels.values() if one.quality_source
-        )
         logs = file.logs
         self.wanted = Wanted(
-            tuple(dict.fromkeys(field_path(one.field, name) for one in self.channels.values())),
-            tuple(dict.fromkeys(path for path, _ in self.qualities)),
+            tuple(dict.fromkeys(fields.values())),
+            tuple(dict.fromkeys(self.qualities.values())),
             field_path(logs.stamp) if logs.stamp else None,
             logs.time_format if logs.stamp else "epoch_ns",
         )
-        self.rows = Gathered()
+        self.unseen = [*self.wanted.readings, *self.wanted.qualities]
+        self.first = b""  # message
+        self.rows = Gathered(file.path, self.channels, fields)
         self.known = 0  # channels that the file has declared so far
         self.kind: tuple[str, Schema] | None = None  # of its messages: encoding, schema
         self.decoder: Decoder | None = None
@@ -177,7 +170,7 @@ class _Topic:
         """Know how its messages are read; several channels may have them, all of one kind."""
         # Of JSON, the schema is not looked at.
         schema = messages.schemas.get(channel.schema_id, NO_SCHEMA)
-        kind = channel.encoding, NO_SCHEMA if channel.encoding == "json" else schema
+        kind = _JSON if channel.encoding == "json" else (channel.encoding, schema)
         if self.kind not in (None, kind):
             how = f"messages of topic {self.name!r} are of two kinds: have one topic for each"
             raise LogError("log_encoding", self.path, how, self.name)
@@ -194,11 +187,15 @@ class _Topic:
         stamps = decoded.stamps
         if stamps is None:
             stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
-        states = {
-            (path, good): quality_states(self.path, path_text(path), decoded.qualities[path], good)
-            for path, good in self.qualities
-        }
-        self.rows.add(stamps, decoded.fields, states)
+        qualities = {one: decoded.qualities[path] for one, path in self.qualities.items()}
+        self.rows.add(stamps, decoded.fields, qualities)
+        self.first = self.first or payloads.first
+        # Elsewhere, a schema has told which fields there are.
+        for payload in payloads.each() if self.unseen and self.kind == _JSON else ():
+            message = json_object(payload)
+            self.unseen = [path for path in self.unseen if not has(message, path)]
+            if not self.unseen:
+                break
 
     def require_all(self, last: Messages) -> None:
         """Refuse a topic that no channel has, and a field that no message has."""
@@ -206,33 +203,17 @@ class _Topic:
             topics = sorted({one.topic for one in last.channels.values()})[:_MOST_NAMES]
             how = f"no topic {self.name!r}; there are {', '.join(map(repr, topics))}"
             raise LogError("log_column_missing", self.path, how)
-        # A schema has told which fields there are.
-        if self.kind[0] == "json":
-            for field in self.rows.nothing():
-                self._require_field(field)
-
-    def _require_field(self, field: FieldPath) -> None:
-        """Refuse a field that no message has; one that is null is a missing sample."""
-        there: dict[str, None] = {}
-        for messages in read_messages(self.path, salvage=self.salvage):
-            for i in messages.rows_of(self.name).tolist():
-                message = json_object(messages.payload(i)) or {}
-                if has(message, field):
-                    return
-                if len(there) < _MOST_NAMES:
-                    there |= dict.fromkeys(path_text(one) for one, _ in leaves(message))
-        names = ", ".join(map(repr, sorted(there)[:_MOST_NAMES]))
-        raise LogError(
-            "log_column_missing",
-            self.path,
-            f"no message of topic {self.name!r} has a field {path_text(field)!r}; "
-            f"there are {names}",
-            self.name,
-        )
+        if self.kind == _JSON and self.unseen and self.first:
+            there = sorted({path_text(path) for path, _ in leaves(json_object(self.first))})
+            raise LogError(
+                "log_column_missing",
+                self.path,
+                f"no message of topic {self.name!r} has a field {path_text(self.unseen[0])!r}; "
+                f"there are {', '.join(map(repr, there[:_MOST_NAMES]))}",
+                self.name,
+            )
 
     def raw_channels(self, stamps: TimeStamps) -> dict[str, RawChannel]:
         """Its channels at these stamps; the readings are given up."""
         kept = chosen_rows(stamps.readable)
-        place = kept, stamps.time_us[kept]
-        places = dict.fromkeys(self.channels, place)
-        return self.rows.channels(self.path, self.channels, self.keys, places)
+        return self.rows.channels_at(dict.fromkeys(self.channels, (kept, stamps.time_us[kept])))

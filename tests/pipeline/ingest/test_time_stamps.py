@@ -245,7 +245,7 @@ def test_an_hour_that_does_not_exist_is_refused_and_counted() -> None:
 def test_a_log_in_pieces_is_placed_as_a_whole() -> None:
     texts = ["2025-10-26T01:30:00", "2025-10-26T02:31:00", "2025-10-26T02:00:00"]
     texts += ["2025-10-26T02:45:00", "2025-10-26T03:15:00"]
-    gathered = Gathered()
+    gathered = Gathered(Path("log"), {}, {})
     for text in texts:
         gathered.add(written([pa.chunked_array([[text]])], "iso8601"), {}, {})
     whole = read(list(texts), zone="Europe/Stockholm")
