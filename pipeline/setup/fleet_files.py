@@ -9,7 +9,7 @@ import datetime as dt
 import json
 import os
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -38,7 +38,6 @@ _REFERENCE = {
     "temperature_c": "oil_temperature",
     "speed_rpm": "speed",
 }
-_FOLDERS_OF_LOGS = {"log", "logs", "data", "csv", "export", "exports", "daten", "archive"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,20 +59,22 @@ def fleet_files(
 ) -> dict[str, str]:
     """Texts of the fleet file and of each motor's, by path below the folder."""
     own = [_document(one, motor_type, oil) for one in proposal.motors]
-    names = [one.name or one.motor_id for one in proposal.motors]
-    shared = _common(list(map(_marked, own, names)))
+    first, *others = (
+        _marked(one, _name(motor)) for motor, one in zip(proposal.motors, own, strict=True)
+    )
+    shared = {key: one for key, one in first.items() if all(o.get(key) == one for o in others)}
     folders = {"output": "out"}
-    if "files" in proposal.motors[0].logs:
+    if "logs.files" in first:
         logs = Path(os.path.relpath(proposal.log_root, folder.resolve()))
         folders = {"logs": logs.as_posix()} | folders
     nights: Document = {"time_zone": proposal.motors[0].logs.get("time_zone", "UTC")}
     end_hour = night_end(observed)
     fleet: Document = {
-        "name": fleet_name(proposal.log_root),
+        "name": folder.resolve().name or "fleet",
         "folders": folders,
         "nights": nights | ({} if end_hour is None else {"end_hour": end_hour}),
         "reference": reference(observed),
-        "defaults": shared,
+        **{f"defaults.{key}": value for key, value in shared.items()},
     }
     return {"fleet.toml": _toml(fleet)} | {
         f"motors/{motor.motor_id}.toml": _motor_text(motor, its, shared)
@@ -81,12 +82,22 @@ def fleet_files(
     }
 
 
+def _name(motor: ProposedMotor) -> str:
+    return motor.name or motor.motor_id
+
+
 def _motor_text(motor: ProposedMotor, own: Document, shared: Document) -> str:
-    """A motor's file, without what the defaults have."""
-    name = motor.name or motor.motor_id
+    """A motor's file, without what the defaults have; a channel's table stands alone."""
     head = {"motor_id": motor.motor_id}
-    head |= {"name_in_log": name} if name != motor.motor_id else {}
-    return _toml(head | named(_without(_marked(own, name), shared), name))
+    head |= {"name_in_log": _name(motor)} if _name(motor) != motor.motor_id else {}
+    known = named(shared, _name(motor))
+    return _toml(head | {key: one for key, one in own.items() if not _is_said(one, known.get(key))})
+
+
+def _is_said(value: Any, known: Any) -> bool:
+    """True for what is known already, of a table with more keys or without."""
+    are_tables = isinstance(value, dict) and isinstance(known, dict)
+    return value.items() <= known.items() if are_tables else bool(value == known)
 
 
 def added_files(
@@ -110,9 +121,9 @@ def added_files(
         if any((path, *flow) in claimed for path in motor.files):
             continue
         own = _document(motor, motor_type, oil)
-        text = _motor_text(motor, own, defaults)
+        text = _motor_text(motor, own, _flat(defaults))
         whole = completed(tomllib.loads(text), defaults, motor.motor_id)
-        if motor.motor_id in ids or any(whole[key] != own[key] for key in own if key != "channels"):
+        if motor.motor_id in ids or whole["logs"] != motor.logs:
             message = (
                 f"{motor.motor_id} does not fit the fleet's [defaults] or ids: write it by hand"
             )
@@ -148,59 +159,41 @@ def defaults_of(fleet_file: Path) -> Document:
 
 def _document(motor: ProposedMotor, motor_type: str, oil: str) -> Document:
     channels = {name: dict(one.keys) for name, one in motor.channels.items()}
-    return {"motor_type": motor_type, "oil": oil, "logs": dict(motor.logs), "channels": channels}
+    machine = {"motor_type": motor_type, "oil": oil}
+    return _flat({**machine, "logs": motor.logs, "channels": channels})
+
+
+def _flat(document: Document) -> Document:
+    """A motor's document with the keys of logs, and the channels, by their paths."""
+    found = {key: one for key, one in document.items() if key not in ("logs", "channels")}
+    for table in ("logs", "channels"):
+        found |= {f"{table}.{key}": one for key, one in document.get(table, {}).items()}
+    return found
 
 
 def _marked(value: Any, name: str) -> Any:
-    """Texts with the mark in the place of a motor's name."""
-    if isinstance(value, dict):  # a query is of all motors
-        return {k: one if k == "database" else _marked(one, name) for k, one in value.items()}
+    """Texts with the mark in the place of a motor's name; a query is of all motors."""
+    if isinstance(value, dict):
+        return value if "query" in value else {k: _marked(one, name) for k, one in value.items()}
     if isinstance(value, list):
         return [_marked(inner, name) for inner in value]
     return value.replace(name, NAME_MARK) if isinstance(value, str) else value
 
 
-def _common(documents: list[Document]) -> Document:
-    """What is the same in all documents."""
-    first, rest = documents[0], documents[1:]
-    found: Document = {}
-    for key, value in first.items():
-        if not all(key in one for one in rest):
-            continue
-        others = [one[key] for one in rest]
-        if all(one == value for one in others):
-            found[key] = value
-        elif isinstance(value, dict) and "source" not in value:
-            found[key] = _common([value, *others])
-    return found
-
-
-def _without(own: Document, shared: Document) -> Document:
-    """What of a motor's document the defaults do not say; a channel's table stands alone."""
-    found: Document = {}
-    for key, value in own.items():
-        known = shared.get(key)
-        if isinstance(value, dict) and isinstance(known, dict):
-            if rest := _without(value, known):
-                found[key] = value if "source" in value else rest
-        elif value != known:
-            found[key] = value
-    return found
-
-
-def _toml(document: Mapping[str, Any]) -> str:
-    return "\n".join(_lines(document, "")).strip() + "\n"
-
-
-def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:
-    plain = {key: value for key, value in table.items() if not isinstance(value, dict)}
-    if name and plain:
-        yield f"\n[{name}]"
-    for key, value in plain.items():
-        yield f"{key} = {_value(value)}"
-    for key, value in table.items():
+def _toml(document: Document) -> str:
+    """Text of values, and of tables of values, by their path."""
+    tables: dict[str, Document] = {}
+    for path, value in document.items():
+        table, _, key = path.rpartition(".")
         if isinstance(value, dict):
-            yield from _lines(value, f"{name}.{key}" if name else key)
+            tables[path] = value
+        else:
+            tables.setdefault(table, {})[key] = value
+    lines: list[str] = []
+    for name, own in tables.items():
+        lines += [f"\n[{name}]"] * bool(name and own)
+        lines += [f"{key} = {_value(one)}" for key, one in own.items()]
+    return "\n".join(lines).strip() + "\n"
 
 
 def _value(value: object) -> str:
@@ -264,12 +257,6 @@ def night_end(observed: Sequence[Observed]) -> int | None:
     pauses = {stop: next(i for i in range(1, 25) if (stop + i) % 24 in covered) for stop in stops}
     longest = max(pauses, key=lambda stop: pauses[stop], default=None)
     return longest if longest is not None and pauses[longest] >= _PAUSE_H else None
-
-
-def fleet_name(root: Path) -> str:
-    """Name of the nearest folder that is not called after logs alone."""
-    names = (one.name for one in (root, *root.parents) if one.name)
-    return next((name for name in names if name.lower() not in _FOLDERS_OF_LOGS), "fleet")
 
 
 def observed_of(proposal: Proposal) -> dict[str, Observed]:

@@ -224,7 +224,7 @@ def test_an_answer_for_one_log_is_not_taken_for_another_of_another_size(tmp_path
 
 
 def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
-    """Two gauges, a day shift from 06:00 to 21:40, and a name that is no "logs"."""
+    """Two gauges, and a day shift from 06:00 to 21:40."""
     header = "Datum;Uhrzeit;Druck 1 [bar];Druck 2 [bar];T [°C];n [1/min];Lecköl [l/min]"
     for motor in ("M1", "M2"):
         rows = [
@@ -246,7 +246,7 @@ def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
     to = tmp_path / "fleet"
     files = fleet_files(found, to, "CB560", "vg68", tuple(observed_of(found).values()))
     fleet = tomllib.loads(files["fleet.toml"])
-    assert fleet["name"] == "mill"
+    assert fleet["name"] == "fleet"
     assert fleet["nights"] == {"time_zone": "Europe/Oslo", "end_hour": 22}
     assert fleet["reference"] == {"pressure_bar": 150.0, "temperature_c": 48.0, "speed_rpm": 6.5}
     # A motor that is new to the fleet is added, and no other; what the defaults have holds for it.
