@@ -39,6 +39,9 @@ class Wear:
         return float(self.gap_growth * share**self.power)
 
 
+NO_WEAR: Final = Wear("none", (), 1, 0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class DemoMotor:
     """A motor of the demo; its type, oil and log dialect stand in its config file."""
@@ -46,7 +49,7 @@ class DemoMotor:
     motor_id: str  # as in the config
     # Gap heights of this motor as built, relative to those of its type's config, by path, [-].
     gap_factors: Mapping[str, float]
-    wear: Wear | None = None
+    wear: Wear = NO_WEAR
     # Lowest and highest level of the pressure difference, [bar]; the same twice: one pressure.
     pressure_bar: tuple[float, float] = (15.0, 300.0)
     # pressure_drift_bar, pressure_ripple_bar: standard deviation of the slow and of the fast
@@ -100,23 +103,16 @@ class DemoNight:
         return np.random.default_rng([int(word) for word in np.frombuffer(digest, dtype="<u4")])
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """State of a motor in a night that no log shows."""
+def coefficients_of(night: DemoNight) -> dict[str, float]:
+    """A motor in a night: as built, with its wear and a small scatter between nights.
 
-    # By path: K of the gaps, [m³]; scale of the rollers' curve, [-]; flushing, [l/min].
-    coefficients: Mapping[str, float]
-    # Leakage without flushing at the reference conditions, [l/min].
-    reference_leakage_l_per_min: float
-
-
-def truth_of(night: DemoNight) -> Truth:
-    """State of a motor in a night: as built, with its wear and a small scatter between nights."""
-    rng, motor, wear = night.generator("truth"), night.motor, night.demo.wear
+    By path: K of the gaps [m³], scale of the rollers' curve [-], flushing [l/min].
+    """
+    rng, motor = night.generator("truth"), night.motor
     coefficients = {path.name: path.configured_coefficient for path in motor.paths}
     for path in motor.paths:
         if isinstance(path, AnnularGap):
-            grown = 1.0 + (wear.growth(path.name, night.number) if wear else 0.0)
+            grown = 1.0 + night.demo.wear.growth(path.name, night.number)
             scatter = float(np.exp(GAP_SCATTER * rng.standard_normal()))
             factor = night.demo.gap_factors.get(path.name, 1.0) * grown * scatter
             others = [parameter.value for parameter in path.parameters[1:]]
@@ -124,28 +120,32 @@ def truth_of(night: DemoNight) -> Truth:
     if motor.constant is not None:
         scatter = 1.0 + FLUSHING_SCATTER * rng.standard_normal()
         coefficients[motor.constant.name] = night.demo.flushing_l_per_min * scatter
+    return coefficients
+
+
+def reference_leakage(night: DemoNight, coefficients: Mapping[str, float]) -> float:
+    """Leakage without flushing at the reference conditions, [l/min]."""
     conditions = night.spec.settings.reference.conditions().operating
-    return Truth(coefficients, float(leakage_l_per_min(motor, conditions, coefficients)[0]))
+    return float(leakage_l_per_min(night.motor, conditions, coefficients)[0])
 
 
 def truth_document(plan: Plan, nights: Iterable[DemoNight]) -> dict[str, Any]:
     """Content of ``truth.json``: for people and tests, never read by the pipeline."""
     motors: dict[str, dict[str, Any]] = {}
     for night in nights:
-        truth, motor, wear = truth_of(night), night.motor, night.demo.wear
-        began = dt.timedelta(days=wear.first_night - 1) if wear else None
+        found, motor, wear = coefficients_of(night), night.motor, night.demo.wear
+        began = plan.first_night + dt.timedelta(days=wear.first_night - 1)
         about: dict[str, Any] = {
-            "wear": wear.words if wear else "none",
-            "worn_paths": list(wear.paths) if wear else [],
-            "first_night_of_wear": None if began is None else str(plan.first_night + began),
+            "wear": wear.words,
+            "worn_paths": list(wear.paths),
+            "first_night_of_wear": str(began) if wear.paths else None,
             "nights": {},
         }
         gaps = [path.name for path in motor.paths if isinstance(path, AnnularGap)]
-        flushing = truth.coefficients[motor.constant.name] if motor.constant else 0.0
         motors.setdefault(night.demo.motor_id, about)["nights"][str(night.label)] = {
-            "K_m3": {name: truth.coefficients[name] for name in gaps},
-            "C_f_l_per_min": flushing,
-            "reference_leakage_l_per_min": truth.reference_leakage_l_per_min,
+            "K_m3": {name: found[name] for name in gaps},
+            "C_f_l_per_min": found[motor.constant.name] if motor.constant else 0.0,
+            "reference_leakage_l_per_min": reference_leakage(night, found),
         }
     return {**asdict(plan), "first_night": str(plan.first_night), "motors": motors}
 

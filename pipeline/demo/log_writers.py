@@ -68,16 +68,13 @@ def _write_parquet(path: Path, recording: Recording, motor: MotorFile) -> None:
 
 def _write_mcap(path: Path, recording: Recording, motor: MotorFile) -> None:
     """Messages of one length, in the order in which they were recorded."""
-    places, stamps, texts, topics = [], [], [], []
+    messages: list[tuple[int, int, int, str]] = []
     for topic, (name, channel) in enumerate(motor.channels.items()):
         rows = np.flatnonzero(~np.isnan(recording.values[name]))
-        values = as_logged(name, recording.values[name][rows], channel)
-        places.append(rows)
-        stamps.append(recording.time_us[rows] + recording.own_delay_us[name][rows])
-        texts += pl.Series(np.rint(values * 1000.0) / 1000.0 + 0.0).cast(pl.String).to_list()
-        topics += [topic] * rows.size
-    stamp = np.concatenate(stamps)
-    order = np.lexsort((stamp, np.concatenate(places))).tolist()
+        values = np.rint(as_logged(name, recording.values[name][rows], channel) * 1000.0) / 1000.0
+        stamps = 1000 * (recording.time_us[rows] + recording.own_delay_us[name][rows])
+        texts = pl.Series(values + 0.0).cast(pl.String).to_list()
+        messages += zip(rows.tolist(), stamps.tolist(), [topic] * rows.size, texts, strict=True)
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD)
         writer.start(library="motor-leakage demo")
@@ -86,14 +83,7 @@ def _write_mcap(path: Path, recording: Recording, motor: MotorFile) -> None:
             writer.register_channel(channel.source, "json", schema)
             for channel in motor.channels.values()
         ]
-        sequence = dict.fromkeys(ids, 0)
-        published = (1000 * stamp).tolist()
-        for place in order:
-            number = ids[topics[place]]
-            payload = f'{{"value":{texts[place]:>{WIDTH}}}}'.encode()
-            time_ns = published[place]
-            writer.add_message(
-                number, time_ns + RECORDING_DELAY_NS, payload, time_ns, sequence[number]
-            )
-            sequence[number] += 1
+        for _, time_ns, topic, text in sorted(messages):
+            payload = f'{{"value":{text:>{WIDTH}}}}'.encode()
+            writer.add_message(ids[topic], time_ns + RECORDING_DELAY_NS, payload, time_ns)
         writer.finish()  # type: ignore[no-untyped-call]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from leakage import OperatingConditions, leakage_l_per_min
 from pipeline.config import Channel
 from pipeline.config.channels import ChannelName
-from pipeline.demo.fleet import DemoMotor, DemoNight, truth_of
+from pipeline.demo.fleet import DemoMotor, DemoNight, coefficients_of
 from pipeline.demo.noise import FloatArray, correlated_noise
 
 START_HOUR, END_HOUR = -2.5, 6.0  # UTC, of the date that labels the night
@@ -160,7 +160,7 @@ def _signals(
     if "pressure_difference" not in night.spec.file.channels:
         low = CHARGE_PRESSURE_BAR + 0.4 * correlated_noise(rng, time_s.size, step_s, 30.0)
         pressures = {"high_port_pressure": low + pressure_bar, "low_port_pressure": low}
-    motor, coefficients = night.motor, truth_of(night).coefficients
+    motor, coefficients = night.motor, coefficients_of(night)
     conditions = OperatingConditions.from_bar(
         pressure_bar, operation.oil_temperature_c, operation.speed_rpm
     )

@@ -13,7 +13,13 @@ from scipy.ndimage import median_filter
 
 from leakage import OperatingConditions, leakage_l_per_min, regressors
 from pipeline.config import MotorSpec
-from pipeline.demo.fleet import DEMO_FLEET, DemoNight, truth_document, truth_of
+from pipeline.demo.fleet import (
+    DEMO_FLEET,
+    DemoNight,
+    coefficients_of,
+    reference_leakage,
+    truth_document,
+)
 from pipeline.demo.recording import record_night, simulate_operation
 from tests.pipeline.demo.conftest import EXCITED, MOTORS, PLAN, night_of
 
@@ -35,7 +41,7 @@ def test_reference_leakage_of_an_unworn_motor_as_built_is_the_published_one(
     # model.md, section 3: the whole CB560 at 200 bar, 50 °C, 30 rpm: 1.371423 l/min.
     as_drawn = replace(MOTORS["CB560-01"], gap_factors={})
     nights = [DemoNight(as_drawn, specs["CB560-01"], PLAN, number) for number in range(1, 31)]
-    mean = np.mean([truth_of(night).reference_leakage_l_per_min for night in nights])
+    mean = np.mean([reference_leakage(night, coefficients_of(night)) for night in nights])
     assert mean == pytest.approx(1.371423, rel=2e-3)
 
 
@@ -69,7 +75,7 @@ def test_least_squares_recovers_the_truth(specs: dict[str, MotorSpec], motor_id:
 
 def recovery(night: DemoNight) -> NDArray[np.float64]:
     """Relative errors of K of each path and of the reference leakage, by plain least squares."""
-    recording, truth, motor = record_night(night), truth_of(night), night.motor
+    recording, truth, motor = record_night(night), coefficients_of(night), night.motor
     logged = ~np.isnan(recording.values["leakage_flow"])  # messages come every second
     values = {name: np.asarray(column)[logged] for name, column in recording.values.items()}
     pressure = values.get("pressure_difference")
@@ -92,8 +98,8 @@ def recovery(night: DemoNight) -> NDArray[np.float64]:
     solution, *_ = np.linalg.lstsq(used / scale, flow[rows] - columns[:, -1])
     found = dict(zip(names, solution / scale, strict=False))
     at_reference = leakage_l_per_min(motor, OperatingConditions.from_bar(200.0, 50.0, 30.0), found)
-    pairs = [(found[name], truth.coefficients[name]) for name in names]
-    pairs.append((float(at_reference[0]), truth.reference_leakage_l_per_min))
+    pairs = [(found[name], truth[name]) for name in names]
+    pairs.append((float(at_reference[0]), reference_leakage(night, truth)))
     return np.array([estimate / true - 1.0 for estimate, true in pairs])
 
 
