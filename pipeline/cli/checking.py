@@ -54,12 +54,12 @@ def check(
     missing, or a file of the output is damaged; 2: a fault in the config.
     """
     from pipeline.logs.finding import strays_told, unclaimed
-    from pipeline.setup.check import check_fleet
+    from pipeline.setup.check import check_motor
 
     if tables or repair:
         raise typer.Exit(_check_tables(config, output, as_json=as_json, is_mended=repair))
     fleet = load(config, None, None)
-    checks = check_fleet(fleet)
+    checks = tuple(map(check_motor, fleet.motors))
     for one in checks:
         if as_json:
             tell(asdict(one), "", as_json=True)

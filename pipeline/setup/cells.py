@@ -164,7 +164,10 @@ def _read(stamps: Sequence[str], form: str) -> list[dt.datetime]:
 
 @dataclass(frozen=True, slots=True)
 class TimeFormats:
-    """Formats in which all stamps can be read, as of `logs.time_format`, the likeliest first."""
+    """Formats in which all stamps can be read, as of `logs.time_format`, the likeliest first.
+
+    An empty format is of stamps of a type of their own.
+    """
 
     readings: dict[str, str]  # the first stamp in words, by format
     has_zone: bool = False

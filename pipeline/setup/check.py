@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from pipeline.arrays import SECOND_US, Array
-from pipeline.config import Channel, Fleet, MotorSpec
+from pipeline.config import Channel, MotorSpec
 from pipeline.config.channels import COUNTED, ChannelName
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
@@ -174,11 +174,6 @@ def _cut(spec: MotorSpec, records: Mapping[str, FileRecord], logs: FolderLogs) -
             stream.seek(max(record.size - LINE_END_BYTES, 0))
             if not set(stream.read()) & set(b"\r\n"):
                 yield f"{name}: the last line has no end: the log is cut, or being written"
-
-
-def check_fleet(fleet: Fleet) -> tuple[MotorCheck, ...]:
-    """Look at the logs of every motor."""
-    return tuple(map(check_motor, fleet.motors))
 
 
 # Channels

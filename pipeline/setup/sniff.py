@@ -316,12 +316,10 @@ def _mcap(path: Path) -> Table:
     columns = [one for topic in topics for one in _fields(topic, is_lone=len(topics) == 1)]
     logs: dict[str, Any] = {"format": "mcap", "time": "log_time"}
     questions: list[Question] = []
-    of_readings = [one for one in topics if any(c.keys["source"] == one.name for c in columns)]
-    stamp, formats = _stamp(of_readings)
-    if stamp:
-        logs["stamp"] = stamp
-        if formats is not None:
-            set_formats(logs, questions, formats)
+    of_readings = {one.keys["source"] for one in columns}
+    if stamp := _stamp([topic for topic in topics if topic.name in of_readings]):
+        logs["stamp"] = path_text(stamp[0])
+        set_formats(logs, questions, stamp[1])
     return Table(logs, tuple(questions), tuple(columns), ())
 
 
@@ -367,25 +365,21 @@ def _stamp_paths(topic: Topic) -> list[FieldPath]:
     ]
 
 
-def _stamp(topics: Sequence[Topic]) -> tuple[str, TimeFormats | None]:
-    """Path of a stamp that all messages have, and how it is written; None: as a pair of numbers."""
-    found = [_stamps_of(topic) for topic in topics]
-    for path, formats in found[0].items() if found else ():
-        if all(one.get(path, TimeFormats({"": ""})) == formats for one in found):
-            return path_text(path), formats
-    return "", None
+def _stamp(topics: Sequence[Topic]) -> tuple[FieldPath, TimeFormats] | None:
+    """A stamp that all messages have, written alike."""
+    found = [dict(_stamps_of(topic)) for topic in topics]
+    stamps = found[0].items() if found else ()
+    return next((one for one in stamps if all(one in own.items() for own in found)), None)
 
 
-def _stamps_of(topic: Topic) -> dict[FieldPath, TimeFormats | None]:
-    found: dict[FieldPath, TimeFormats | None] = {}
+def _stamps_of(topic: Topic) -> Iterator[tuple[FieldPath, TimeFormats]]:
     for path in _stamp_paths(topic):
         if path[:-1] and count_format(_finite(topic.fields[path])) == "epoch_s":
-            found[path[:-1]] = None
+            yield path[:-1], TimeFormats({"": ""}, has_zone=True)
     for path, numbers in topic.fields.items():
         form = count_format(_finite(numbers)) if is_time_name(str(path[-1])) else None
         if form:
-            found[path] = TimeFormats({form: ""}, form != "excel_days")
+            yield path, TimeFormats({form: ""}, form != "excel_days")
     for path, text in topic.texts.items():
         if is_stamp(text):
-            found[path] = time_formats([text])
-    return found
+            yield path, time_formats([text])

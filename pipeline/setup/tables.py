@@ -70,7 +70,7 @@ def timed(table: Table) -> Table:
     times, formats = named[:1], TimeFormats({})
     if of_kind["typed"]:
         times = of_kind["typed"][:1]
-        formats = TimeFormats({"iso8601": ""}, bool(times[0].unit))
+        formats = TimeFormats({"": ""}, bool(times[0].unit))
     elif of_kind["stamp"] or (of_kind["date"] and of_kind["clock"]):
         times = of_kind["stamp"][:1] or [of_kind["clock"][0], of_kind["date"][0]]
         formats = _formats(table, times[::-1])
@@ -84,7 +84,7 @@ def timed(table: Table) -> Table:
                 break
     logs, questions, names = dict(table.logs), list(table.questions), [one.name for one in times]
     logs |= dict(zip(("time", "date_column"), names, strict=False))
-    set_formats(logs, questions, formats, is_typed=bool(of_kind["typed"]))
+    set_formats(logs, questions, formats)
     # The other columns of times, such as that of arrival, are no readings either.
     rest = [one for one in table.columns if one.name not in names and one.kind not in TIMES]
     return replace(
@@ -105,15 +105,13 @@ def _formats(table: Table, columns: Sequence[Column]) -> TimeFormats:
     return time_formats([*stamps, *more])
 
 
-def set_formats(
-    logs: dict[str, Any], questions: list[Question], formats: TimeFormats, *, is_typed: bool = False
-) -> None:
+def set_formats(logs: dict[str, Any], questions: list[Question], formats: TimeFormats) -> None:
     """Keys and questions of the time's format and zone."""
     readings = formats.readings
     if not readings:
         questions.append(Question("time_format", "how are its time stamps written?"))
-    elif not is_typed:
-        logs["time_format"] = next(iter(readings))
+    elif form := next(iter(readings)):
+        logs["time_format"] = form
     if len(readings) > 1:
         said = ", or ".join(f"{reading} by {form}" for form, reading in readings.items())
         questions.append(Question("time_format", f"does it begin on {said}?", tuple(readings)))

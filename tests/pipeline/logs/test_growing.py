@@ -17,7 +17,7 @@ import pipeline.logs.motor_logs
 import pipeline.setup.check
 from pipeline.config import load_fleet
 from pipeline.logs.files import change_of, look_at
-from pipeline.setup.check import check_fleet
+from pipeline.setup.check import check_motor
 from tests.pipeline.calling import Call, Called
 from tests.pipeline.simulated import NIGHT, motor_toml
 from tests.pipeline.workshop import DAY, Workshop, check_same_figures
@@ -206,7 +206,7 @@ def test_the_check_notes_it_and_calls_it_no_fault(
         return found
 
     monkeypatch.setattr(pipeline.setup.check, "spanned", spanned)
-    (found,) = check_fleet(load_fleet(shop.fleet))
+    (found,) = map(check_motor, load_fleet(shop.fleet).motors)
     assert found.faults == ()
     assert any(note.startswith("log_growing: ") for note in found.notes)
 

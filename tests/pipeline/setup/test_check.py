@@ -20,7 +20,7 @@ from pipeline.logs.finding import unclaimed
 from pipeline.setup.check import (
     ChannelCheck,
     MotorCheck,
-    check_fleet,
+    check_motor,
     sampling_note,
 )
 from tests.conftest import OwnFleet
@@ -38,7 +38,7 @@ MOTORS = ["CB1120-01", "CB1120-02", "CB400-01", "CB400-02", "CB560-01", "CB560-0
 
 
 def checks_of(fleet_file: Path) -> dict[str, MotorCheck]:
-    return {one.motor_id: one for one in check_fleet(load_fleet(fleet_file))}
+    return {one.motor_id: one for one in map(check_motor, load_fleet(fleet_file).motors)}
 
 
 def test_a_sound_fleet_of_which_no_log_is_hashed_or_read_to_its_end(
