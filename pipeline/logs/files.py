@@ -31,56 +31,39 @@ NO_REACH: Mapping[str, int] = MappingProxyType({})
 
 
 def inspect_log(
-    name: str,
+    record: FileRecord,
     path: Path,
     before: FileRecord | None,
     spec: MotorSpec,
     latest_us: int | None = None,
 ) -> FileRecord:
-    """The record of a file: that of the run before while its content is the same, else a new one.
+    """The record of a file: that of the run before where its content is the same, else a new one.
 
-    `name` is its path relative to the log root. Samples after `latest_us` are refused [µs since
-    1970]; None: those a day after now.
+    Samples after `latest_us` are refused [µs since 1970]; None: those a day after now.
     """
-    record = look_at(name, path)
-    if record.status == "failed":
-        return record
-    # An unreadable file has no hash: its permissions may have changed.
-    if before and before.sha256 and record.state == before.state:
-        return before
     try:
-        with reading(name, is_asked=True):
+        with reading(record.path, is_asked=True):
             record = replace(record, sha256=content_hash(path))
     except OSError as error:
         return failed(record, _not_readable(path, error))
-    if before and before.sha256 == record.sha256:
-        found = replace(
-            before,
-            modified_ns=record.modified_ns,
-            inode=record.inode,
-            changed_ns=record.changed_ns,
-        )
-    else:
-        with reading(name):
-            found = spanned(record, path, spec, latest_us)
-    why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
-    return found if why is None else growing(found, why)
+    if before is None or before.sha256 != record.sha256:
+        with reading(record.path):
+            return spanned(record, path, spec, latest_us)
+    seen = {name: getattr(record, name) for name in ("modified_ns", "inode", "changed_ns")}
+    return replace(before, **seen)
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
     """The change of a file since it was looked at; None without one, or if the file is gone."""
-    try:
-        state = path.stat()
-    except OSError:
+    now = look_at(record.path, path)
+    if now.status == "failed" or now.state == record.state:
         return None
-    size, known = state.st_size, (record.size, record.modified_ns, record.inode)
-    if (size, state.st_mtime_ns, state.st_ino) == known:
-        return None
-    how = f"it went from {record.size} to {size} bytes" if size != record.size else "it changed"
+    is_longer = now.size != record.size
+    how = f"it went from {record.size} to {now.size} bytes" if is_longer else "it changed"
     return LogError("log_growing", path, f"{how} while it was read; the next run reads it")
 
 
-def _unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | None:
+def unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | None:
     """Reason to leave a file that was just written to to a later run; None without one."""
     age_s = (time.time_ns() - record.modified_ns) / 1e9
     # A clock that is far ahead must not keep a file out for good.
@@ -103,14 +86,7 @@ def look_at(name: str, path: Path) -> FileRecord:
         state = path.stat()
     except OSError as error:
         return failed(FileRecord(name, 0, 0, None), _not_readable(path, error))
-    record = FileRecord(
-        name,
-        state.st_size,
-        state.st_mtime_ns,
-        None,
-        inode=state.st_ino,
-        changed_ns=state.st_ctime_ns,
-    )
+    record = FileRecord(name, state.st_size, state.st_mtime_ns, None, changed_ns=state.st_ctime_ns)
     if not stat.S_ISREG(state.st_mode):
         # Opening a pipe would block.
         fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")

@@ -13,14 +13,13 @@ import tempfile
 import weakref
 from collections import OrderedDict
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 from fnmatch import fnmatchcase
 from hashlib import sha256
 from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
-from pipeline.logs.files import change_of, failed, growing, inspect_log
+from pipeline.logs.files import change_of, growing, inspect_log, look_at, unsettled
 from pipeline.logs.finding import GLOB_CHARACTERS, find_logs, legible, without_match
 from pipeline.logs.processed import FileRecord
 from pipeline.store.object_store import ObjectChangedError, ObjectStore, StoredObject
@@ -57,8 +56,23 @@ class FolderLogs:
         self.names = tuple(self._paths)
 
     def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
-        """The record of a log, as `inspect_log`; an unchanged one is not opened."""
-        return inspect_log(name, self._paths[name], before, self._spec, self._latest_us)
+        """The record of a log, as `inspect_log`."""
+        record = self._seen(name)
+        if record.status == "failed":
+            return record
+        if before is not None and record.is_as(before):
+            return before  # which is not opened
+        try:
+            path = self.path(name)
+        except LogError as error:
+            return growing(record, error)
+        found = inspect_log(record, path, before, self._spec, self._latest_us)
+        why = unsettled(record, path, self._spec.file.logs.settle_s) or self.change_of(record)
+        return found if why is None else growing(found, why)
+
+    def _seen(self, name: str) -> FileRecord:
+        """The record of a log that is not opened."""
+        return look_at(name, self.path(name))
 
     def path(self, name: str) -> Path:
         """A file with the content of a log; of one that is gone, where it was.
@@ -93,23 +107,10 @@ class StoredLogs(FolderLogs):
         weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
         self._copies: OrderedDict[str, Path] = OrderedDict()
 
-    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
-        """As `FolderLogs`; a listing tells of each object whether it is known."""
+    def _seen(self, name: str) -> FileRecord:
         found = self._found[name]
-        if before is not None and before.sha256 and _is_known(before, found):
-            return before
-        try:
-            path = self.path(name)
-        except LogError as error:
-            became = failed if error.code == "log_missing" else growing
-            return became(_record(name, found), error)
-        record = inspect_log(name, path, None, self._spec, self._latest_us)
-        record = replace(
-            record, modified_ns=_modified_ns(found), inode=_number(found.tag), changed_ns=0
-        )
-        if before is not None and before.sha256 == record.sha256 and record.sha256:
-            return replace(before, modified_ns=record.modified_ns, inode=record.inode)
-        return record
+        tag = int.from_bytes(sha256(found.tag.encode()).digest()[:6], "big")
+        return FileRecord(name, found.size, _modified_ns(found), None, inode=tag)
 
     def path(self, name: str) -> Path:
         """As `FolderLogs`."""
@@ -127,10 +128,8 @@ class StoredLogs(FolderLogs):
             with reading(name), path.open("wb") as stream:
                 self._store.fetch(found, stream)
         except ObjectChangedError as error:
-            if self._store.tag_of(found.key) is None:
-                how = "it was removed after it had been listed"
-                raise LogError("log_missing", Path(name), how) from error
-            raise _changed(path) from error
+            how = "it was replaced or removed meanwhile; the next run looks again"
+            raise LogError("log_growing", path, how) from error
         os.utime(path, ns=(_modified_ns(found), _modified_ns(found)))
         self._copies[name] = path
         if len(self._copies) > COPIES:
@@ -139,11 +138,7 @@ class StoredLogs(FolderLogs):
         return path
 
     def change_of(self, record: FileRecord) -> LogError | None:
-        """As `FolderLogs`: a copy never changes, so the object is asked for its tag."""
-        found = self._found.get(record.path)
-        if found is None or self._store.tag_of(found.key) in (found.tag, None):
-            return None
-        return _changed(Path(record.path))
+        """None: a copy never changes, and what is put there meanwhile is news to the next run."""
 
     def unmatched(self) -> tuple[str, ...]:
         """As `FolderLogs`."""
@@ -151,26 +146,8 @@ class StoredLogs(FolderLogs):
         return tuple(f"no object matches {pattern} below {url}" for pattern in self._unmatched)
 
 
-def _changed(path: Path) -> LogError:
-    return LogError("log_growing", path, "it was replaced while it was read; the next run reads it")
-
-
-def _record(name: str, found: StoredObject) -> FileRecord:
-    return FileRecord(name, found.size, _modified_ns(found), None, inode=_number(found.tag))
-
-
-def _is_known(record: FileRecord, found: StoredObject) -> bool:
-    known = (record.size, record.modified_ns, record.inode)
-    return known == (found.size, _modified_ns(found), _number(found.tag))
-
-
 def _modified_ns(found: StoredObject) -> int:
     return round(found.modified.timestamp()) * 1_000_000_000
-
-
-def _number(tag: str) -> int:
-    """An object's tag as a number, where a file has that of its inode."""
-    return int.from_bytes(sha256(tag.encode()).digest()[:6], "big")
 
 
 def _matching(

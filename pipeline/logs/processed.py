@@ -46,15 +46,19 @@ class FileRecord:
     status: str = "ok"
     error_code: str | None = None
     message: str | None = None
-    # inode, changed_ns: of the file, or of the tag of an object; one of them differs if another one
-    # has taken its name and time. 0 where they are not known.
+    # inode, changed_ns: of an object its tag as a number, of a file the time of its last change,
+    # which differs if another one has taken its name and time; else 0.
     inode: int = 0
     changed_ns: int = 0
 
     @property
-    def state(self) -> tuple[int, int, int]:
-        """Size and times; while they stay, the content counts as unchanged."""
-        return self.size, self.modified_ns, self.changed_ns
+    def state(self) -> tuple[int, int, int, int]:
+        """Size, times and tag; while they stay, the content counts as unchanged."""
+        return self.size, self.modified_ns, self.inode, self.changed_ns
+
+    def is_as(self, before: FileRecord | None) -> bool:
+        """True where there is a former record of the same state, of a log that could be read."""
+        return before is not None and bool(before.sha256) and before.state == self.state
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,12 +138,6 @@ def read_processed(state: State, motor_id: str) -> ProcessedLogs:
         },
         json.loads(settings[0][0]),
     )
-
-
-def read_states(state: State, motor_id: str) -> dict[str, tuple[int, int, int]]:
-    """Sizes and times of a motor's processed logs by path, as `FileRecord.state`."""
-    query = "SELECT path, size, modified_ns, changed_ns FROM logs WHERE motor_id = ?"
-    return {path: (size, *times) for path, size, *times in state.rows(query, motor_id)}
 
 
 def _file_record(row: dict[str, Any]) -> FileRecord:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -12,15 +11,13 @@ from threading import Thread
 from polars.exceptions import PanicException
 
 from pipeline.config import Execution, MotorSpec
+from pipeline.logs.files import look_at
 from pipeline.logs.finding import find_logs
-from pipeline.logs.processed import read_processed, read_states
+from pipeline.logs.processed import FileRecord, read_processed
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.tasks import MotorOutcome, MotorTask, lost, without_lost_part
 from pipeline.store.state import State
 from pipeline.workers.engine import Workers
-
-# Size and times of each log of a motor, as `FileRecord.state`; None where one is no file.
-LogStates = Mapping[str, tuple[int, int, int]] | None
 
 
 def motor_outcomes(
@@ -67,24 +64,22 @@ def unchanged_motors(
         for task in tasks
         if not (task.force or task.retry or task.spec.log_url or task.spec.file.logs.database)
     ]
-    answers: SimpleQueue[LogStates] = SimpleQueue()
+    answers: SimpleQueue[Mapping[str, FileRecord]] = SimpleQueue()
 
     def look() -> None:
         for task in asked:
-            answers.put(_states_of(task.spec))
+            answers.put(_look(task.spec))
 
     Thread(target=look, daemon=True, name="look at logs").start()
     for task in asked:
         try:
-            states = answers.get(timeout=execution.answer_s)
+            seen = answers.get(timeout=execution.answer_s)
         except Empty:
             return
-        motor_id = task.spec.motor_id
-        if not states or not states.items() <= read_states(state, motor_id).items():
-            continue
-        processed = read_processed(state, motor_id)
-        known = {name: processed.files[name] for name in states}
-        if any(one.sha256 is None for one in known.values()):
+        processed = read_processed(state, task.spec.motor_id)
+        before = processed.files
+        known = {name: before[name] for name, one in seen.items() if one.is_as(before.get(name))}
+        if not seen or len(known) < len(seen):
             continue
         with suppress(Exception, PanicException):  # which the motor's task tells
             nights = MotorNights(replace(task, processed=processed, looked_at=known))
@@ -92,15 +87,10 @@ def unchanged_motors(
                 yield nights.outcome()
 
 
-def _states_of(spec: MotorSpec) -> LogStates:
-    found = {}
+def _look(spec: MotorSpec) -> Mapping[str, FileRecord]:
+    """The logs of a motor as they are, unopened; none where one is absent."""
     try:
         paths, absent = find_logs(spec)
-        for name, path in paths.items():
-            here = path.stat()
-            if not stat.S_ISREG(here.st_mode):
-                return None
-            found[name] = (here.st_size, here.st_mtime_ns, here.st_ctime_ns)
     except OSError:
-        return None
-    return None if absent else found
+        return {}
+    return {} if absent else {name: look_at(name, path) for name, path in paths.items()}

@@ -146,14 +146,6 @@ class ObjectStore:
                     raise
                 raise ObjectChangedError(one.key) from error
 
-    def tag_of(self, key: str) -> str | None:
-        """Present tag of an object; None where there is none."""
-        with self._store_errors(key, "read"):
-            try:
-                return str(self._client.head(key)["e_tag"])
-            except FileNotFoundError:
-                return None
-
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
         """Objects in a folder and below."""
         with self._store_errors(prefix, "listed"):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pipeline.config import Channel, MotorSpec
 from pipeline.config.logs import Logs
-from pipeline.logs.files import inspect_log
+from pipeline.logs.locations import FolderLogs
 from pipeline.logs.processed import FileRecord
 
 UNITS = {
@@ -27,7 +27,10 @@ def with_files(spec: MotorSpec, *files: str) -> MotorSpec:
 
 
 def looked_at(path: Path, spec: MotorSpec, before: FileRecord | None = None) -> FileRecord:
-    return inspect_log(path.relative_to(spec.log_root).as_posix(), path, before, spec)
+    name = path.relative_to(spec.log_root).as_posix()
+    logs = spec.file.logs.model_copy(update={"files": (name,)})
+    here = replace(spec, file=spec.file.model_copy(update={"logs": logs}))
+    return FolderLogs(here).look_at(name, before)
 
 
 def us(time: dt.datetime) -> int:

@@ -117,7 +117,7 @@ def test_logs_that_do_not_answer_are_left_to_the_tasks(
 ) -> None:
     task, answered = workshop.task(), Event()
     assert unchanged(BESIDE, task, task) == 2
-    monkeypatch.setattr("pipeline.run.motors._states_of", lambda *_: answered.wait())
+    monkeypatch.setattr("pipeline.run.motors._look", lambda *_: answered.wait())
     hasty = BESIDE.model_copy(update={"answer_s": 0.01})
     assert unchanged(hasty, task, task) == 0
     answered.set()
