@@ -12,9 +12,6 @@ import logging
 from collections import defaultdict
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from functools import lru_cache
-from pathlib import Path
-from typing import Any
 
 import polars as pl
 from polars.exceptions import PanicException
@@ -42,7 +39,7 @@ from pipeline.run.tasks import MotorOutcome, MotorTask, Work, lost
 from pipeline.schema import INPUT_FILES, NIGHT_TABLES, OPERATION
 from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK
 from pipeline.store.publishing import stage, staged_file
-from pipeline.store.tables import files_of, read_rows, read_table
+from pipeline.store.tables import read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -75,13 +72,6 @@ def _tells_roller(outcome: NightOutcome) -> bool | None:
 def _place_of(record: FileRecord, nights: Collection[dt.date]) -> dt.date | None:
     """Night under which a file's row stands: its first, or else the motor's first; None: none."""
     return min(labels_of(record) or nights, default=None)
-
-
-@lru_cache(maxsize=2)
-def _readings_in(path: Path, _: int) -> dict[tuple[Any, ...], pl.DataFrame]:
-    """Readings by motor in a file last changed at a time; a process asks for each motor."""
-    readings = read_table(path, OPERATION, ("motor_id", "night", *COLUMNS.values()))
-    return readings.partition_by("motor_id", as_dict=True)
 
 
 class _Making(MotorNights):
@@ -233,10 +223,10 @@ class _Making(MotorNights):
         made = [one for one in nights if one in self.done and self.done[one].tables is None]
         rows = [row for one in made for row in self.done[one].rows["operation"]]
         if published := set(nights).difference(made):
-            for path in files_of(self.task.output, OPERATION, published):
-                month = _readings_in(path, path.stat().st_mtime_ns)
-                if (stored := month.get((self.spec.motor_id,))) is not None:
-                    rows += [row for row in stored.to_dicts() if row["night"] in published]
+            columns = ("night", *COLUMNS.values())
+            motor_ids = [self.spec.motor_id]
+            found = read_rows(self.task.output, OPERATION, motor_ids, columns, published)
+            rows += found.to_dicts()
         return usual_readings(rows)
 
     def _model_before(self, label: dt.date) -> PreviousModel:

@@ -12,10 +12,11 @@ import logging
 import os
 import socket
 import threading
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import polars as pl
+from pydantic import AwareDatetime, TypeAdapter
 
 from pipeline.errors import MotorLeakageError, StoreError
 from pipeline.schema import RUNS
@@ -39,8 +40,8 @@ class Beat:
     state: str  # running, finished, interrupted or failed
     stage: str  # motors, publishing, trends, recording or telling
     # started_at, beaten_at: begin of the run, and time of this beat.
-    started_at: dt.datetime
-    beaten_at: dt.datetime
+    started_at: AwareDatetime
+    beaten_at: AwareDatetime
     # pid, host: the process.
     pid: int
     host: str
@@ -48,7 +49,7 @@ class Beat:
     n_motors: int
     n_motors_done: int = 0
     run_id: str | None = None  # known once all motors are done: it is a hash of their inputs
-    last_good_run: dt.datetime | None = None  # end of the last run after which no failure stands
+    last_good_run: AwareDatetime | None = None  # end of the last run after which no failure stands
     error_code: str | None = None  # of a run that failed
 
     def is_missing(self, now: dt.datetime) -> bool:
@@ -65,16 +66,9 @@ def heartbeat_file(output: Path) -> Path:
 def read_heartbeat(output: Path) -> Beat | None:
     """The last beat; None without a valid one."""
     try:
-        document = json.loads(heartbeat_file(output).read_text("utf-8"))
-        known = {field.name: document.get(field.name) for field in fields(Beat)}
-        for name in ("started_at", "beaten_at", "last_good_run"):
-            if known[name] is not None:
-                known[name] = dt.datetime.fromisoformat(known[name])
-        beat = Beat(**known)
-        beat.is_missing(dt.datetime.now(dt.UTC))
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        return TypeAdapter(Beat).validate_json(heartbeat_file(output).read_bytes())
+    except (OSError, ValueError):
         return None
-    return beat
 
 
 class Heartbeat:
