@@ -75,11 +75,6 @@ def unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | Non
     )
 
 
-def growing(record: FileRecord, why: LogError) -> FileRecord:
-    """The record of a file that is being written, and left to the next run."""
-    return replace(record, status="growing", error_code=why.code, message=legible(why.message))
-
-
 def look_at(name: str, path: Path) -> FileRecord:
     """Size and time of a file; ``failed`` where there is no such file any more, or it is none."""
     try:
@@ -121,8 +116,9 @@ def spanned(
 
 
 def failed(record: FileRecord, error: LogError) -> FileRecord:
-    """The record of a file that cannot be read."""
-    return replace(record, status="failed", error_code=error.code, message=legible(error.message))
+    """The record of a file that cannot be read, or is being written and left to the next run."""
+    status = "growing" if error.code == "log_growing" else "failed"
+    return replace(record, status=status, error_code=error.code, message=legible(error.message))
 
 
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
-from pipeline.logs.files import change_of, growing, inspect_log, look_at, unsettled
+from pipeline.logs.files import change_of, failed, inspect_log, look_at, unsettled
 from pipeline.logs.finding import GLOB_CHARACTERS, find_logs, legible, without_match
 from pipeline.logs.processed import FileRecord
 from pipeline.store.object_store import ObjectChangedError, ObjectStore, StoredObject
@@ -65,10 +65,10 @@ class FolderLogs:
         try:
             path = self.path(name)
         except LogError as error:
-            return growing(record, error)
+            return failed(record, error)
         found = inspect_log(record, path, before, self._spec, self._latest_us)
         why = unsettled(record, path, self._spec.file.logs.settle_s) or self.change_of(record)
-        return found if why is None else growing(found, why)
+        return found if why is None else failed(found, why)
 
     def _seen(self, name: str) -> FileRecord:
         """The record of a log that is not opened."""

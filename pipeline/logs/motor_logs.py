@@ -17,7 +17,7 @@ from pipeline.config.hashes import reading_hash
 from pipeline.config.nights import DAY, Night, night_of, nights_between
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
-from pipeline.logs.files import covered, failed, growing, labels_of, reaches_us
+from pipeline.logs.files import covered, failed, labels_of, reaches_us
 from pipeline.logs.finding import require_answer
 from pipeline.logs.landing import land_nights
 from pipeline.logs.locations import FolderLogs, logs_of
@@ -268,7 +268,7 @@ class MotorLogs:
             found, content = failed(record, error), None
         why = self._source.change_of(record)
         if why is not None:
-            found, content = growing(record, why), None
+            found, content = failed(record, why), None
         self.files[name] = found
         if content is None:
             self.read.discard(name)

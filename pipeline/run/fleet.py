@@ -87,7 +87,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     _require_space(output, fleet.execution.minimum_free_mib)
     with (
         locked(output),
-        Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
+        Heartbeat(output, len(request.specs), last_good_run(output)) as heartbeat,
     ):
         remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in WRITTEN_FOLDERS])
@@ -95,7 +95,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         was_lost = not is_sound(output)
         with working_copy(fleet.object_store, output), staging_folder(output) as staging:
             if fleet.object_store:
-                heartbeat.say(last_good_run=_last_good_run(output))
+                heartbeat.say(last_good_run=last_good_run(output))
             folders = (fleet.log_root, staging) if fleet.has_log_folder else (staging,)
             is_new = make_ready(output)
             with open_state(output) as state:
@@ -140,14 +140,6 @@ def _require_space(output: Path, minimum_mib: float) -> None:
             f"{output} has {free_mib:.0f} MiB free, and execution.minimum_free_mib is "
             f"{minimum_mib:g}; nothing was done: free space, or prune",
         )
-
-
-def _last_good_run(output: Path) -> dt.datetime | None:
-    try:
-        return last_good_run(output)
-    except StoreError as error:
-        log.warning("%s", error)
-        return None
 
 
 def _run(

@@ -17,24 +17,32 @@ from pathlib import PurePosixPath
 from pipeline.errors import StoreError
 from pipeline.logs.processed import forget_nights
 from pipeline.messages import counted
-from pipeline.schema import DECISIONS
+from pipeline.schema import DECISIONS, TABLES
 from pipeline.store.atomic_files import move, remove
 from pipeline.store.published import (
     OF_MOTORS,
     OF_TRENDS,
     TABLE_OF,
     TableFault,
+    accepted,
     files_there,
-    is_called_as_ours,
     look_at,
     look_at_files,
     note,
-    proof_of,
+    proves_itself,
     share_due,
     verify_tables,
 )
 from pipeline.store.state import State
-from pipeline.store.tables import MONTH_PREFIX, PUT_ASIDE, days_of, read_table, whole_file
+from pipeline.store.tables import (
+    MONTH_PREFIX,
+    PUT_ASIDE,
+    days_of,
+    files_of,
+    name_of,
+    read_table,
+    whole_file,
+)
 from pipeline.trends.nights.decisions import Decision, put_back
 from pipeline.trends.nights.trend_record import note_touched
 
@@ -90,19 +98,16 @@ class Damage:
 
         Raises StoreError if the state cannot be written, or a file is of a newer version.
         """
-        proven, faults = {}, []
-        for name in files_there(self.state.output):
-            listed = self.state.rows("SELECT 1 FROM files WHERE name = ?", name)
-            if not is_called_as_ours(self.state.output, name):
+        output, proven, faults = self.state.output, {}, []
+        for table, path in ((one, path) for one in TABLES for path in files_of(output, one)):
+            looked = look_at(self.state, name_of(output, path))
+            if looked.fault is None and accepted(self.state, looked.name):
                 continue
-            if listed and look_at(self.state, name).fault is None:
-                continue
-            digest = proof_of(self.state.output, name)
-            if digest is not None:
-                proven[name] = digest
+            if proves_itself(path, table, looked.content):
+                proven[looked.name] = looked.sha256
             else:
                 message = "it is not listed, and is damaged or not what a run publishes"
-                faults.append(TableFault(name, "table_altered", message))
+                faults.append(TableFault(looked.name, "table_altered", message))
         note(self.state, proven)
         self.mend(faults)
 

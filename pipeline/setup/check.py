@@ -19,7 +19,7 @@ from pipeline.config.channels import COUNTED, ChannelName
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.database import DatabaseError
-from pipeline.logs.files import change_of, failed, growing, labels_of, look_at, spanned
+from pipeline.logs.files import change_of, failed, labels_of, look_at, spanned
 from pipeline.logs.landing import land_newest
 from pipeline.logs.locations import FolderLogs, logs_of
 from pipeline.logs.processed import FileRecord
@@ -159,7 +159,7 @@ def _looked_at(name: str, logs: FolderLogs, spec: MotorSpec) -> FileRecord:
     if record.status == "failed":
         return record
     found, why = spanned(record, path, spec), change_of(record, path)
-    return found if why is None else growing(found, why)
+    return found if why is None else failed(found, why)
 
 
 def _cut(spec: MotorSpec, records: Mapping[str, FileRecord], logs: FolderLogs) -> Iterator[str]:

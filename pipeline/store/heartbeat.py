@@ -134,11 +134,14 @@ class Heartbeat:
 
 
 def last_good_run(output: Path) -> dt.datetime | None:
-    """End of the last run after which no failure stands; None without one."""
-    for path in reversed(files_of(output, RUNS)):
-        rows = read_table(path, RUNS).filter(pl.col("status") == GOOD_RUN)
-        if not rows.is_empty():
-            ended = rows["finished_at"].max()
-            assert isinstance(ended, dt.datetime)
-            return ended
+    """End of the last run after which no failure stands; None without one that can be read."""
+    try:
+        for path in reversed(files_of(output, RUNS)):
+            rows = read_table(path, RUNS).filter(pl.col("status") == GOOD_RUN)
+            if not rows.is_empty():
+                ended = rows["finished_at"].max()
+                assert isinstance(ended, dt.datetime)
+                return ended
+    except StoreError as error:
+        log.warning("%s", error)
     return None

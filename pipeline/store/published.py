@@ -14,12 +14,12 @@ import hashlib
 import json
 import os
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
+from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES, Table
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put
 from pipeline.store.state import STATE_FILE, State, is_sound, read_state_file
 from pipeline.store.tables import (
@@ -27,10 +27,7 @@ from pipeline.store.tables import (
     PUT_ASIDE,
     days_of,
     from_parquet,
-    is_named_as_ours,
     name_of,
-    table_folder,
-    whole_file,
 )
 
 # List of all files and their SHA-256 for others to compare, written at a run's end.
@@ -124,7 +121,7 @@ def share_due(state: State, days: int, now: dt.datetime | None = None) -> set[st
 
 @dataclass(frozen=True, slots=True)
 class Looked:
-    """A file that was looked at, or its fault; without content and digest where there is none."""
+    """A file that was looked at; without content and digest where there is none to be read."""
 
     name: str
     content: bytes = b""
@@ -168,7 +165,7 @@ def _look_at(state: State, name: str) -> Looked:
         looked = Looked(name, content, hashlib.sha256(content).hexdigest())
         code, message = "table_altered", "it is not what was published"
     if known and (looked.sha256 or NO_FILE) not in known:
-        return Looked(name, fault=TableFault(name, code, f"{message}; {_again(name)}"))
+        return replace(looked, fault=TableFault(name, code, f"{message}; {_again(name)}"))
     return looked
 
 
@@ -214,34 +211,19 @@ def files_there(output: Path) -> list[str]:
     ]
 
 
-def proof_of(output: Path, name: str) -> str | None:
-    """SHA-256 of a file that is listed nowhere, if its own checksums prove it; else None.
+def proves_itself(path: Path, table: Table, content: bytes) -> bool:
+    """True where the own checksums of a file's content prove it, and its nights are those named.
 
     Raises StoreError if it is of a newer version of the program.
     """
-    path, table = output / "tables" / name, TABLE_OF[name.split("/")[0]]
     try:
-        content = path.read_bytes()
         rows = from_parquet(path, table, content)
-    except OSError:
-        return None
     except StoreError as error:
         if error.code == "store_newer":
             raise
-        return None
-    has_nights = MONTH_PREFIX in name and "night" in rows.columns
-    if has_nights and set(rows["night"].drop_nulls()) - set(days_of(path.stem)):
-        return None
-    return hashlib.sha256(content).hexdigest()
-
-
-def is_called_as_ours(output: Path, name: str) -> bool:
-    """True for a name under which a run publishes a file."""
-    table, path = TABLE_OF.get(name.split("/")[0]), output / "tables" / name
-    if table is None:
         return False
-    is_of_table = path.parent.parent == table_folder(output, table)
-    return path == whole_file(output, table) or (is_of_table and is_named_as_ours(path))
+    has_nights = MONTH_PREFIX in path.parent.name and "night" in rows.columns
+    return not has_nights or set(rows["night"].drop_nulls()) <= set(days_of(path.stem))
 
 
 def write_manifest(state: State) -> None:
