@@ -155,18 +155,18 @@ def test_short_segments(
 
 @pytest.mark.parametrize("longest", [0, 1, 25, 350])
 @pytest.mark.parametrize(
-    "lengths", [[50_000], [1, 2048, 2047, 2049, 1, 16, 17, 4096], [33_000, 3, 16_384, 1023, 16_385]]
+    "lengths",
+    [
+        [50_000],
+        [1, 2048, 2047, 2049, 1, 16, 17, 4096],
+        [33_000, 3, 16_384, 1023, 16_385],
+        [40] * 3000,
+    ],
 )
 def test_segments_of_many_pieces(lengths: list[int], longest: int) -> None:
-    """Around powers of two, where transforms change their length."""
+    """Around powers of two, where transforms change their length; more than are made at a time."""
     series = np.random.default_rng(1).normal(size=(2, sum(lengths)))
     assert_by_definition(series, lengths, Segments.of(places(lengths)), longest, min(longest, 25))
-
-
-def test_more_segments_than_are_transformed_at_a_time() -> None:
-    lengths = [40] * 3000
-    series = np.random.default_rng(2).normal(size=(2, sum(lengths)))
-    assert_by_definition(series, lengths, Segments.of(places(lengths)), 25, 0)
 
 
 @given(

@@ -56,14 +56,14 @@ def test_the_true_loss_factors_lie_in_their_intervals(found: FrameFit) -> None:
     assert found.validation.rmse_l_per_min == pytest.approx(NOISE, rel=0.1)
 
 
-@pytest.mark.parametrize("kind", [pd.DataFrame, pl.DataFrame, pl.LazyFrame, pa.table])
+def by_dates(samples: Samples) -> pd.DataFrame:
+    """Dates as the index, of another zone."""
+    return pd.DataFrame(samples).set_index("time").tz_localize("UTC").tz_convert("Europe/Berlin")
+
+
+@pytest.mark.parametrize("kind", [pd.DataFrame, pl.DataFrame, pl.LazyFrame, pa.table, by_dates])
 def test_every_kind_of_frame_gives_the_same(kind: Any, found: FrameFit) -> None:
     assert fit_frame(kind(made()), MOTOR).params == found.params
-
-
-def test_dates_may_be_the_index_of_a_pandas_frame(found: FrameFit) -> None:
-    frame = pd.DataFrame(made()).set_index("time").tz_localize("UTC").tz_convert("Europe/Berlin")
-    assert fit_frame(frame, MOTOR).params == found.params
 
 
 def test_estimates_of_a_chosen_period_are_from_its_samples_alone() -> None:
