@@ -84,11 +84,15 @@ def with_settings(spec: MotorSpec, section: str, **keys: Any) -> MotorSpec:
     return replace(spec, settings=spec.settings.model_copy(update={section: part}))
 
 
+def with_file(spec: MotorSpec, **keys: Any) -> MotorSpec:
+    """A motor with other keys of its own file."""
+    return replace(spec, file=spec.file.model_copy(update=keys))
+
+
 def with_channel(spec: MotorSpec, name: str, **keys: Any) -> MotorSpec:
     """A motor of which a channel is configured otherwise."""
     channel = spec.file.channels[name].model_copy(update=keys)
-    channels = {**spec.file.channels, name: channel}
-    return replace(spec, file=spec.file.model_copy(update={"channels": channels}))
+    return with_file(spec, channels={**spec.file.channels, name: channel})
 
 
 @dataclass(frozen=True, slots=True)

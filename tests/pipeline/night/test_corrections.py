@@ -26,7 +26,7 @@ from pipeline.night.transport_delay import (
 )
 from pipeline.schema import BLOCK_STATISTICS, FITS, frame
 from tests.pipeline.night.noise_free import configured_flow, fit, fit_of, fitted, refused_of
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate, with_file
 
 LINE: dict[str, Any] = {"line_length_m": 2.0, "line_inner_diameter_mm": 12.0}
 
@@ -143,12 +143,12 @@ def thin_flow(spec: MotorSpec) -> Array:
 
 
 def with_sample(spec: MotorSpec) -> MotorSpec:
-    return replace(spec, file=spec.file.model_copy(update={"oil_samples": (SAMPLE,)}))
+    return with_file(spec, oil_samples=(SAMPLE,))
 
 
 def with_sensor(spec: MotorSpec, name: str) -> MotorSpec:
-    channels = {**spec.file.channels, name: Channel(source=name, unit=UNITS[name])}
-    return replace(spec, file=spec.file.model_copy(update={"channels": channels}))
+    sensor = {name: Channel(source=name, unit=UNITS[name])}
+    return with_file(spec, channels=spec.file.channels | sensor)
 
 
 def readings(spec: MotorSpec, name: str) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +39,7 @@ from tests.pipeline.simulated import (
     motor_toml,
     operate,
     with_channel,
+    with_file,
     with_settings,
 )
 
@@ -66,8 +66,8 @@ def at_own(spec: MotorSpec, row: dict[str, Any]) -> float:
 
 
 def test_a_good_night_has_verdicts_intervals_and_shares(spec: MotorSpec) -> None:
-    outcome = fitted(spec, LONG, configured_flow(spec, LONG) + white(N))
-    rows, row = parameters(outcome), fit_of(outcome.rows)
+    found = outcome(spec)
+    rows, row = parameters(found), fit_of(found.rows)
     for name, true in true_k(spec).items():
         found = rows[name]
         assert found["verdict"] == "identified"
@@ -123,16 +123,16 @@ def test_stated_tolerances_become_a_budget_whose_squares_add(tmp_path: Path) -> 
     for name, key in (("oil_temperature", "offset_tolerance"), ("leakage_flow", GAIN)):
         text = text.replace(f"[channels.{name}]\n", f"[channels.{name}]\n{key} = 1.0\n")
     spec = load_motor(tmp_path, text)
-    outcome = fitted(spec, LONG, configured_flow(spec, LONG) + white(N))
+    rows = outcome(spec).rows
     reference = {
         one["source"]: one
-        for one in outcome.rows["sensitivities"]
+        for one in rows["sensitivities"]
         if one["indicator"] == "reference_leakage"
     }
     wanted = {"oil_temperature offset", "leakage_flow gain", "film pressure share"}
     assert wanted <= reference.keys()
     stated = [one["effect"] for one in reference.values() if one["assumed_sensor"] is None]
-    row = fit_of(outcome.rows)
+    row = fit_of(rows)
     assert row["reference_leakage_systematic"] == pytest.approx(np.linalg.norm(stated))
     # model.md, section 5: 1 °C moves the reference leakage by −4.8 %.
     share = reference["oil_temperature offset"]["effect"] / row["reference_leakage_l_per_min"]
@@ -175,11 +175,6 @@ def test_two_sided_leakage_is_found_again(tmp_path: Path, logged: bool) -> None:
 ALL_MODES = '[flushing]\nmode = "estimated"\nalso = ["none", "fixed"]\n'
 
 
-def with_flushing(spec: MotorSpec, **keys: Any) -> MotorSpec:
-    flushing = spec.file.flushing.model_copy(update=keys)
-    return replace(spec, file=spec.file.model_copy(update={"flushing": flushing}))
-
-
 def errors_of_k(spec: MotorSpec, rows: Rows, mode: str) -> list[float]:
     """Relative errors of the loss factors."""
     found, true = values_of(rows, mode), true_coefficients(spec)
@@ -202,7 +197,8 @@ def test_noise_free_night_gives_back_k_in_all_modes_side_by_side(tmp_path: Path)
 
 
 def test_four_litres_more_move_the_flushing_alone(spec: MotorSpec) -> None:
-    spec = with_flushing(spec, mode="estimated", flow_l_per_min=1.0)
+    keys = {"mode": "estimated", "flow_l_per_min": 1.0}
+    spec = with_file(spec, flushing=spec.file.flushing.model_copy(update=keys))
     operation = operate()
     # Noise, so that the night is like any other and the comparison means something.
     values = simulate(spec, operation, flushing=2.0)
@@ -376,19 +372,17 @@ BUDGET = [
 ]
 
 
-def test_parts_add_by_squares_and_an_unknown_model_adds_nothing() -> None:
+def test_parts_add_by_squares_each_where_it_belongs() -> None:
+    """Assumed sensors are in no stated error, constants in none of sensors; unknown adds nothing.
+
+    In an extrapolation constants count as far as they differ.
+    """
     assert ErrorParts(3.0, 4.0, 12.0).total == pytest.approx(13.0)
     assert ErrorParts(3.0, 4.0, None).total == pytest.approx(5.0)
     assert ErrorParts(None, 4.0, 12.0).total is None
     assert ErrorParts(3.0, 4.0, 12.0, 84.0).total == pytest.approx(85.0)
-
-
-def test_assumed_sensors_are_in_no_stated_error_and_constants_in_no_sensor_error() -> None:
     assert of_stated(BUDGET)["reference_leakage"] == pytest.approx(math.sqrt(16 + 4 + 1))
     assert of_sensors(BUDGET) == {"reference_leakage": pytest.approx(5.0)}
-
-
-def test_constants_count_in_an_extrapolation_as_far_as_they_differ() -> None:
     found = of_extrapolation(BUDGET, "reference_leakage", "own_conditions_leakage", 1.2)
     assert found == pytest.approx(math.hypot(2.0 - 1.2 * 1.5, 1.0))
 
@@ -431,9 +425,7 @@ def test_a_right_model_leaves_little_and_its_figures_have_all_parts(spec: MotorS
 
 
 def test_another_film_law_is_told_and_widens_the_total(spec: MotorSpec) -> None:
-    settings = spec.settings
-    slot = settings.model.model_copy(update={"film_pressure": "slot"})
-    truth = replace(spec, settings=settings.model_copy(update={"model": slot}))
+    truth = with_settings(spec, "model", film_pressure="slot")
     (fit,) = outcome(spec, truth).rows["fits"]
     assert fit["model_misfit_percent"] > 2.0
     assert fit["reference_leakage_model_half_width"] > fit["reference_leakage_sensor_half_width"]

@@ -25,7 +25,7 @@ from pipeline.night.refit import PublishedNight, refit, refit_in_form
 from pipeline.run.motor_nights import is_roller_free
 from pipeline.schema import BLOCK_STATISTICS, FITS, NIGHT_TABLES, frame
 from tests.pipeline.night.noise_free import fitted, parameters, white
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate, with_settings
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 OTHER_REFERENCE = QUICK + "[reference]\npressure_bar = 150.0\ntemperature_c = 45.0\n"
@@ -188,8 +188,7 @@ def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorS
         made["sensitivities"],
         frame(BLOCK_STATISTICS, made["block_statistics"]),
     )
-    reference = spec.settings.reference.model_copy(update={"pressure_bar": 100.0})
-    moved = replace(spec, settings=spec.settings.model_copy(update={"reference": reference}))
+    moved = with_settings(spec, "reference", pressure_bar=100.0)
     stated = refit(moved, published)
     anew = refit_in_form(freed(moved), stated, published)
     read = refit_in_form(freed(moved), night(moved), None)
