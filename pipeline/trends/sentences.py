@@ -145,7 +145,9 @@ def sentence(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[s
     """
     parts = [_limit_words(night)] if night.way == "limit" else []
     if night.state == "stale":
-        parts.append(_stale(night))
+        last = night.watched.night - dt.timedelta(days=night.watched.silent)
+        why = f": {night.why_no_blocks}" if night.why_no_blocks else ""
+        parts.append(f"nothing is known since {day(last)}{why}")
     elif night.watched.verdict is None:
         parts.append(_insufficient(night))
     if night.change is not None and night.change.cause != "temperature_effect":
@@ -223,12 +225,6 @@ def _limit_words(night: JudgedNight) -> str:
     )
 
 
-def _stale(night: JudgedNight) -> str:
-    last = night.watched.night - dt.timedelta(days=night.watched.silent)
-    why = night.why_no_blocks
-    return f"nothing is known since {day(last)}{f': {why}' if why else ''}"
-
-
 def _insufficient(night: JudgedNight) -> str:
     watched = night.watched
     begin = "" if watched.period.reason == "first nights" else f" since {watched.period.reason}"
@@ -257,18 +253,9 @@ def _changed(night: JudgedNight, change: Change) -> str:
     risen = "risen" if change.is_rise else "fallen"
     told = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
     goes_on = "; it goes on" if change.goes_on else ""
-    parts = (
-        f"{told}: {_newest_night(night)}, {_since(change)}{goes_on}",
-        _gap(night),
-        _others(change),
-    )
+    gap = "" if night.gap_growth is None else f"its gap {relative_change(night.gap_growth)}"
+    parts = f"{told}: {_newest_night(night)}, {_since(change)}{goes_on}", gap, _others(change)
     return "; ".join(one for one in parts if one)
-
-
-def _gap(night: JudgedNight) -> str:
-    """How far a gap that is named has grown."""
-    gap = night.gap_growth
-    return "" if gap is None else f"its gap {relative_change(gap)}"
 
 
 def _others(change: Change) -> str:

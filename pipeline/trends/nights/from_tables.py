@@ -111,7 +111,7 @@ class MotorNights:
 
 def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str, MotorNights]:
     """The published nights of the motors of some oil circuits; of those without a night nothing."""
-    read = _Rows.of(output, [one for circuit in circuits for one in circuit])
+    read = _Rows(output, [one for circuit in circuits for one in circuit])
     found: dict[str, MotorNights] = {}
     for circuit in circuits:
         told = [(one, history) for one in circuit if (history := _history(one, read)) is not None]
@@ -149,33 +149,28 @@ def read_blocks(
     return [one for one in found if not isinstance(one, str)]
 
 
-@dataclass(frozen=True, slots=True)
 class _Rows:
-    """Rows by motor, and then by night."""
+    """Rows by motor, and then by night; of parameters also by name."""
 
-    fits: defaultdict[str, dict[dt.date, Row]]
-    operation: defaultdict[str, dict[dt.date, Row]]
-    parameters: defaultdict[str, dict[dt.date, dict[str, Row]]]
-    alarms: defaultdict[str, list[Row]]
-
-    @classmethod
-    def of(cls, output: Path, wanted: Sequence[Wanted]) -> _Rows:
-        found = cls(defaultdict(dict), defaultdict(dict), defaultdict(dict), defaultdict(list))
+    def __init__(self, output: Path, wanted: Sequence[Wanted]) -> None:
+        self.fits: defaultdict[str, dict[dt.date, Row]] = defaultdict(dict)
+        self.operation: defaultdict[str, dict[dt.date, Row]] = defaultdict(dict)
+        self.parameters: defaultdict[str, dict[dt.date, dict[str, Row]]] = defaultdict(dict)
+        self.alarms: defaultdict[str, list[Row]] = defaultdict(list)
         read_from = {one.spec.motor_id: one.rows_from for one in wanted}
         made_from = {one.spec.motor_id: one.first for one in wanted if one.first is not None}
         for row in _rows_since(output, FITS, FIT_COLUMNS, read_from):
             if row["is_primary"]:
-                found.fits[row["motor_id"]][row["night"]] = row
+                self.fits[row["motor_id"]][row["night"]] = row
         for row in _rows_since(output, OPERATION, OPERATION_COLUMNS, read_from):
-            found.operation[row["motor_id"]][row["night"]] = row
+            self.operation[row["motor_id"]][row["night"]] = row
         for row in _rows_since(output, PARAMETERS, PARAMETER_COLUMNS, made_from):
-            fit = found.fits[row["motor_id"]].get(row["night"], {})
+            fit = self.fits[row["motor_id"]].get(row["night"], {})
             if row["flushing_mode"] == fit.get("flushing_mode"):
-                named = found.parameters[row["motor_id"]].setdefault(row["night"], {})
+                named = self.parameters[row["motor_id"]].setdefault(row["night"], {})
                 named[row["parameter"]] = row
         for row in read_rows(output, ALARMS, list(made_from)).drop("run_id").to_dicts():
-            found.alarms[row["motor_id"]].append(row)
-        return found
+            self.alarms[row["motor_id"]].append(row)
 
 
 def _rows_since(
@@ -205,21 +200,16 @@ def _history(wanted: Wanted, read: _Rows) -> History | None:
         known = before[before["known"] & (before["night"] < np.datetime64(wanted.rows_from))]
     new = blank_records(sorted(fits))
     for record, night in zip(new, sorted(fits), strict=True):
-        _fill(record, fits[night], operation.get(night, {}))
+        fit, operated = fits[night], operation.get(night, {})
+        record["known"], record["model"] = True, fit["model_hash"] or ""
+        figures = [(name, fit.get(column)) for name, column in OF_FIT.items()]
+        for name, value in [*figures, *((name, operated.get(name)) for name in OPERATED)]:
+            record[name] = np.nan if value is None else value
     records = every_night(np.concatenate([known, new]), wanted.until)
     if not len(records):
         return None
     layout = Layout.of(wanted.spec, wanted.until)
     return History(wanted.spec, layout, records, wanted.decisions)
-
-
-def _fill(record: np.void, fit: Row, operation: Row) -> None:
-    record["known"] = True
-    record["model"] = fit["model_hash"] or ""
-    for names, row in ((OF_FIT, fit), (dict(zip(OPERATED, OPERATED, strict=True)), operation)):
-        for name, column in names.items():
-            value = row.get(column)
-            record[name] = np.nan if value is None else value
 
 
 def _beginning(wanted: Wanted, history: History, first: dt.date) -> tuple[dt.date, bool]:

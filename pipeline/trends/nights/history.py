@@ -157,7 +157,9 @@ def periods_of(history: History, of_what: str = LEAKAGE) -> tuple[BaselinePeriod
             words = f"{EVENT_WORDS[event.kind]} on {event.date}{note}"
             found.append((history.place_from(event.date), words))
     for one in history.decisions:
-        if one.kind == "baseline_reset" and _is_of(one.indicator, of_what):
+        # Of a sensor's zero, or under any other name of the leakage; without one of both.
+        reset = one.indicator if one.indicator in (*SENSORS, "") else LEAKAGE
+        if one.kind == "baseline_reset" and reset in (of_what, ""):
             note = f": {one.note}" if one.note else ""
             found.append((history.place_from(one.night), f"reset from {one.night}{note}"))
     for place, words in found:
@@ -173,11 +175,6 @@ def periods_of(history: History, of_what: str = LEAKAGE) -> tuple[BaselinePeriod
 def period_at(periods: tuple[BaselinePeriod, ...], place: int) -> BaselinePeriod:
     """The baseline period of a night; the last one's for nights to come."""
     return next((one for one in periods if place < one.end), periods[-1])
-
-
-def _is_of(indicator: str, of_what: str) -> bool:
-    """True if a reset is of the leakage (under any of its names) or of a sensor's zero."""
-    return not indicator or (indicator if indicator in SENSORS else LEAKAGE) == of_what
 
 
 def _changed_settings(history: History) -> list[tuple[int, str]]:

@@ -74,18 +74,26 @@ class Layout:
         return tuple(path for path, name in pairs if name.startswith(LOSS_FACTOR))
 
     def machine(self, spec: MotorSpec, night: dt.date) -> Machine:
-        """The motor in a baseline period that begins with a night."""
-        return Machine(self.watched, self.gaps, _viscosities(spec, night))
+        """The motor in a baseline period that begins with a night.
 
-    @property
-    def stated_columns(self) -> tuple[str, ...]:
-        """Columns of the statistics as stored, the cam rollers in the known flow."""
-        rollers = None if self.standard is None else self.standard[0]
-        return tuple(name for place, name in enumerate(self.columns) if place != rollers)
+        An oil that is measured is no other grade, and corrects itself where the temperature is
+        wrong.
+        """
+        is_logged = any(name in spec.file.channels for name in VISCOSITIES)
+        if is_logged or spec.measured_curve(night) is not None:
+            return Machine(self.watched, self.gaps)
+        oil = spec.oil_on(night).oil()
+        at_40, at_100 = kinematic_viscosity_mm2_per_s(
+            np.array([40.0, 100.0]), oil.walther_a, oil.walther_b
+        ).tolist()
+        return Machine(self.watched, self.gaps, (at_40, at_100))
 
     def blocks(self, spec: MotorSpec, rows: pl.DataFrame) -> StoredBlocks | None:
         """Blocks of a night's rows, in their columns; None where they are of another model."""
-        stored = StoredBlocks.of(spec, rows.sort("block_start"), self.stated_columns)
+        # As stored, the cam rollers are in the known flow.
+        rollers = None if self.standard is None else self.standard[0]
+        columns = tuple(name for place, name in enumerate(self.columns) if place != rollers)
+        stored = StoredBlocks.of(spec, rows.sort("block_start"), columns)
         if stored is None or self.standard is None:
             return stored
         return replace(stored, factors=with_free_known(stored.factors, *self.standard))
@@ -127,18 +135,3 @@ class Layout:
         taken = [True] * len(self.paths) + [self.is_flushed, self.is_known]
         chosen: Array = columns[:, np.array(taken)]
         return chosen
-
-
-def _viscosities(spec: MotorSpec, night: dt.date) -> tuple[float, float] | None:
-    """Kinematic viscosity at 40 and 100 °C of the oil [mm²/s]; None where it is measured.
-
-    What is measured is no other grade, and corrects itself where the temperature is wrong.
-    """
-    is_logged = any(name in spec.file.channels for name in VISCOSITIES)
-    if is_logged or spec.measured_curve(night) is not None:
-        return None
-    oil = spec.oil_on(night).oil()
-    at_40, at_100 = kinematic_viscosity_mm2_per_s(
-        np.array([40.0, 100.0]), oil.walther_a, oil.walther_b
-    )
-    return float(at_40), float(at_100)

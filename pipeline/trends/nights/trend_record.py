@@ -33,22 +33,12 @@ def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
 
     Those of its circuit's other motors are no reason to make its trends anew.
     """
-    return hash_of(
-        {
-            "version": TRENDS_VERSION,
-            "config": config_hash(spec),
-            "resets": resets_of(decisions),
-        }
-    )
-
-
-def resets_of(decisions: Sequence[Decision]) -> list[tuple[str, str, str]]:
-    """Baselines that people have reset, for a hash."""
-    return [
+    resets = [
         (one.night.isoformat(), one.indicator, one.note)
         for one in decisions
         if one.kind == "baseline_reset"
     ]
+    return hash_of({"version": TRENDS_VERSION, "config": config_hash(spec), "resets": resets})
 
 
 def read_records(state: State) -> dict[str, Record]:

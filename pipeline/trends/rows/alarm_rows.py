@@ -87,24 +87,21 @@ def _of_indicator(
         if has_changed or (one.is_news and one.state in CHANGED):
             row, advice = _change(motor_id, name, one, told), one.advice
             if raised is not None and raised["to_state"] != one.state:
-                row["reason"] += f"; before its data changed: {_said(raised)}"
+                said = str(raised["reason"]).removesuffix(".")
+                row["reason"] += f"; before its data changed: {said}"
         elif raised is not None:
             row = raised
         elif told != one.state:
             what = "told before" if last_raised is None else f"raised on {last_raised}"
             what = f"what was {what} is not in the figures as they are now"
-            row = _closing(motor_id, name, one, told, what)
+            row = _row(motor_id, name, one, told)
+            row |= {"reason": f"recomputed: {what}", "way": RECOMPUTED, "path": None}
         if row is not None:
             rows.append(row | {"reason": f"{row['reason']}. {advice}"} if advice else row)
             told = row["to_state"]
             last_raised = one.night if told in RAISED else last_raised
         earlier = one.state
     return rows
-
-
-def _said(row: Row) -> str:
-    """Reason of a row within that of another one."""
-    return str(row["reason"]).removesuffix(".")
 
 
 def _change(motor_id: str, name: str, one: NightState, before: str) -> Row:
@@ -115,12 +112,6 @@ def _change(motor_id: str, name: str, one: NightState, before: str) -> Row:
         way = "baseline" if before == INSUFFICIENT else "recovered"
         return row | {"reason": f"{why}: {one.reason}", "way": way}
     return row | {"reason": one.reason, "way": one.way}
-
-
-def _closing(motor_id: str, name: str, one: NightState, told: str, what: str) -> Row:
-    """The row that says which state an indicator is in, where published rows say another."""
-    row = _row(motor_id, name, one, told)
-    return row | {"reason": f"recomputed: {what}", "way": RECOMPUTED, "path": None}
 
 
 def _row(motor_id: str, name: str, one: NightState, before: str) -> Row:

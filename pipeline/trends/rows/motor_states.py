@@ -295,16 +295,19 @@ def latest_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
     decisions = read_decisions(output)
     found = []
     for name in motor_ids:
-        night = data.get(name, {}).get("night")
+        night, newest_row = data.get(name, {}).get("night"), last.get(name, {})
+        is_failed = newest_row.get("status") == FAILED
         state = replace(
             _unknown(name),
             reason="no trends yet" if name in last else "no night yet",
-            last_night=last.get(name, {}).get("night"),
+            last_night=newest_row.get("night"),
             last_good_night=good.get(name, {}).get("night"),
             data_night=night,
             data_age_nights=(newest - night).days if newest and night else None,
             poor_fit=_poor_fit(good.get(name, {})),
-            failure=_failure(last.get(name, {})),
+            failure=f"night of {newest_row['night']} failed: {newest_row['reason']}"
+            if is_failed
+            else "",
             log_note=notes.get(name, ""),
         )
         if name in watch:
@@ -374,12 +377,6 @@ def _by_motor(rows: pl.DataFrame) -> dict[str, Row]:
     """The last of each motor's rows, by motor."""
     last = rows.unique("motor_id", keep="last", maintain_order=True)
     return {row["motor_id"]: row for row in last.iter_rows(named=True)}
-
-
-def _failure(last: Row) -> str:
-    """Sentence on a motor's last night if it failed; else empty."""
-    is_failed = last.get("status") == FAILED
-    return f"night of {last['night']} failed: {last['reason']}" if is_failed else ""
 
 
 def _log_notes(output: Path, data: Mapping[str, Row]) -> dict[str, str]:

@@ -70,13 +70,7 @@ class JudgedNight:
 
 
 def model_verdict(lack_of_fit: float) -> ModelVerdict:
-    """Verdict on a model by its lack of fit.
-
-    Examples
-    --------
-    >>> model_verdict(0.005), model_verdict(0.03), model_verdict(0.09)
-    ('supported', 'doubtful', 'disproved')
-    """
+    """Verdict on a model by its lack of fit."""
     if lack_of_fit <= SUPPORTED:
         return "supported"
     return "doubtful" if lack_of_fit <= DOUBTFUL else "disproved"
@@ -112,10 +106,6 @@ def _unnamed(change: Change, night: WatchedNight) -> Change:
     return change
 
 
-def _is_beyond(leakage: Estimate | None, limit: float) -> bool:
-    return leakage is not None and leakage.probability_above(limit) >= SURE
-
-
 def _state(night: JudgedNight) -> tuple[str, str]:
     """State, and the way into it."""
     spec, watched, change = night.spec, night.watched, night.change
@@ -123,7 +113,8 @@ def _state(night: JudgedNight) -> tuple[str, str]:
     if watched.silent > alarms.stale_after_nights:
         return "stale", "stale"
     for state, limit in (("alarm", limits.alarm_l_per_min), ("warning", limits.warning_l_per_min)):
-        if limit is not None and _is_beyond(night.reference, limit):
+        found = night.reference
+        if limit is not None and found is not None and found.probability_above(limit) >= SURE:
             return state, "limit"
     if watched.verdict is None:
         return "insufficient", "baseline"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,7 +29,7 @@ from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.schema import BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table, frame
 from pipeline.store.tables import read_rows
 from pipeline.trends.nights.decisions import Decision
-from tests.pipeline.simulated import motor_toml, write_configs
+from tests.pipeline.simulated import motor_toml, with_file, write_configs
 from tests.pipeline.written import write_nights
 
 Array = NDArray[np.float64]
@@ -81,8 +81,7 @@ def ramp(n: int, at: int, size: float) -> Array:
 
 def named(spec: MotorSpec, name: str, circuit: str = "", events: Sequence[Event] = ()) -> MotorSpec:
     """The same motor under another name."""
-    changes = {"motor_id": name, "oil_circuit": circuit, "events": tuple(events)}
-    return replace(spec, file=spec.file.model_copy(update=changes))
+    return with_file(spec, motor_id=name, oil_circuit=circuit, events=tuple(events))
 
 
 def night_of(place: int) -> dt.date:

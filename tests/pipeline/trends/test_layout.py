@@ -30,6 +30,7 @@ from pipeline.trends.nights.history import (
 from pipeline.trends.nights.layout import Layout
 from pipeline.trends.rows.trend_rows import oil_as_measured, viscosity_ratio
 from pipeline.trends.states.zeros import Zero, health, sensor_zeros, tolerance
+from tests.pipeline.simulated import with_file
 from tests.pipeline.trends.nights import (
     BLOCKS,
     FIRST,
@@ -112,7 +113,7 @@ def test_a_measured_oil_scales_what_it_drives() -> None:
     spec = motor()
     oil = spec.oil_on(FIRST).oil()
     sample = OilSample(date=FIRST, viscosity_40_c_mm2_per_s=0.8 * 68.0)
-    measured = replace(spec, file=spec.file.model_copy(update={"oil_samples": (sample,)}))
+    measured = with_file(spec, oil_samples=(sample,))
     _, sheet, rows = blocks(spec)
     _, found = read_by(measured, rows)
     assert (found.drives / sheet.drives).min() > 1.15
@@ -128,14 +129,18 @@ def test_statistics_of_other_columns_do_not_count() -> None:
     assert Layout.of(motor(), FIRST).blocks(motor(), other) is None
 
 
+def logged(spec: MotorSpec) -> MotorSpec:
+    """With a sensor of the oil's viscosity."""
+    sensor = {"kinematic_viscosity": Channel(source="nu", unit="cSt")}
+    return with_file(spec, channels=spec.file.channels | sensor)
+
+
 def test_the_oil_is_a_cause_unless_it_is_measured() -> None:
     """Kinematic viscosity of the VG 68 of the data sheet at 40 and 100 °C."""
     spec = motor()
     layout = Layout.of(spec, FIRST)
     assert layout.machine(spec, FIRST).oil == pytest.approx((68.0, 8.7), rel=1e-3)
-    channels = {**spec.file.channels, "kinematic_viscosity": Channel(source="nu", unit="cSt")}
-    logged = replace(spec, file=spec.file.model_copy(update={"channels": channels}))
-    assert layout.machine(logged, FIRST).oil is None
+    assert layout.machine(logged(spec), FIRST).oil is None
 
 
 def test_drives_at_conditions_are_without_the_flushing() -> None:
@@ -211,18 +216,13 @@ def test_a_move_within_the_stated_tolerance_is_none() -> None:
     assert watched(stepped(0.03))[FLOW_ZERO].state[-1] == "warning"
 
 
-def test_nights_without_a_halt_hold() -> None:
-    halts = stepped(0.03)
-    for values in halts.values():
-        values[90:] = np.nan
-    assert set(watched(halts)[FLOW_ZERO].state[90:]) == {"warning"}
-
-
-def test_what_a_night_says_hangs_on_no_later_one() -> None:
+def test_nights_without_a_halt_hold_and_no_night_hangs_on_a_later_one() -> None:
     whole, first = stepped(0.03), stepped(0.03)
     for values in first.values():
-        values[75:] = np.nan
-    assert watched(whole)[FLOW_ZERO].state[:75] == watched(first)[FLOW_ZERO].state[:75]
+        values[90:] = np.nan
+    state = watched(first)[FLOW_ZERO].state
+    assert set(state[90:]) == {"warning"}
+    assert state[:90] == watched(whole)[FLOW_ZERO].state[:90]
 
 
 def test_a_sensor_that_was_put_right_begins_anew() -> None:
@@ -240,11 +240,6 @@ def test_where_the_flushing_is_estimated_nobody_can_tell_the_flow_sensors_zero()
     found = watched(stepped(0.3), flushed)
     assert set(found[FLOW_ZERO].state) == {"insufficient"}
     assert found[PRESSURE_ZERO].state[-1] == "ok"
-
-
-def with_samples(*samples: OilSample) -> MotorSpec:
-    file = motor().file.model_copy(update={"oil_samples": samples})
-    return replace(motor(), file=file)
 
 
 def sample(place: int, at_40: float | None = None, water: float | None = None) -> OilSample:
@@ -269,18 +264,13 @@ def with_ratio(spec: MotorSpec, ratio: float | None) -> History:
 def test_words_on_a_measured_oil(
     samples: tuple[OilSample, ...], ratio: float | None, expected: str
 ) -> None:
-    said = oil_as_measured(with_ratio(with_samples(*samples), ratio), FEW - 1)
+    said = oil_as_measured(with_ratio(with_file(motor(), oil_samples=samples), ratio), FEW - 1)
     assert expected in said
     assert bool(said) == bool(expected)
 
 
 def test_a_sensor_measures_every_night() -> None:
-    channels = {
-        **motor().file.channels,
-        "kinematic_viscosity": Channel(source="nu", unit="cSt"),
-    }
-    spec = replace(motor(), file=motor().file.model_copy(update={"channels": channels}))
-    found = with_ratio(spec, 0.9)
+    found = with_ratio(logged(motor()), 0.9)
     assert oil_as_measured(found, FEW - 1).startswith("oil as measured by the log: 10 % thinner")
     assert viscosity_ratio(found, FEW - 1) == 0.9
     assert viscosity_ratio(found, 4) is None
