@@ -46,14 +46,18 @@ class Payloads:
     """Payloads of some messages, each with a newline before it."""
 
     text: NDArray[np.uint8]
-    start: NDArray[np.int64]  # of each payload in the text
     length: NDArray[np.int64]
     time_ns: NDArray[np.uint64]  # log or publish time
 
     @property
+    def start(self) -> NDArray[np.int64]:
+        """Of each payload in the text."""
+        return np.cumsum(self.length + 1) - self.length
+
+    @property
     def first(self) -> bytes:
         """The first payload; there is one at least."""
-        return self.text[self.start[0] :][: self.length[0]].tobytes()
+        return self.text[1:][: self.length[0]].tobytes()
 
     def each(self) -> Iterator[bytes]:
         """One payload after the other."""
@@ -99,33 +103,21 @@ def payloads_of(messages: Messages, chosen: Rows, time_ns: NDArray[np.uint64]) -
     if (length == length[0]).all():
         size = int(length[0]) + 1
         text = fields_at(messages.buffer, starts - 1, f"V{size}").view(np.uint8)
-        placed = np.arange(1, text.size + 1, size)
     else:
         edges = np.append(np.column_stack([starts - 1, ends]), ends[-1])
         buffers = [None, pa.py_buffer(edges), pa.py_buffer(messages.buffer)]
         pieces = pa.Array.from_buffers(pa.large_binary(), edges.size - 1, buffers)
         texts = pieces.take(pa.array(np.arange(0, edges.size - 1, 2)))
         text = np.frombuffer(texts.buffers()[2], np.uint8, int((length + 1).sum()))
-        placed = _starts(length)
-    text[placed - 1] = _NEWLINE
-    return Payloads(text, placed, length, time_ns[chosen])
+    payloads = Payloads(text, length, time_ns[chosen])
+    text[payloads.start - 1] = _NEWLINE
+    return payloads
 
 
 def stacked(parts: Sequence[Payloads]) -> Payloads:
     """Payloads one after the other."""
-    if len(parts) == 1:
-        return parts[0]
-    length = np.concatenate([part.length for part in parts])
-    return Payloads(
-        text=np.concatenate([part.text for part in parts]),
-        start=_starts(length),
-        length=length,
-        time_ns=np.concatenate([part.time_ns for part in parts]),
-    )
-
-
-def _starts(length: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.cumsum(length + 1) - length
+    arrays = zip(*((part.text, part.length, part.time_ns) for part in parts), strict=True)
+    return Payloads(*map(np.concatenate, arrays))
 
 
 def one_by_one(

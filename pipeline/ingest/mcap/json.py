@@ -141,7 +141,7 @@ def _table(payloads: Payloads, types: Mapping[FieldPath, pa.DataType]) -> pa.Tab
         )
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
         return None
-    return table if table.num_rows == payloads.start.size else None
+    return table if table.num_rows == payloads.length.size else None
 
 
 def _schema(types: Mapping[FieldPath, pa.DataType]) -> pa.Schema | None:

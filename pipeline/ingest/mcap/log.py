@@ -162,7 +162,7 @@ class _Topic:
         rows = messages.rows_of(self.name)
         if rows.size:
             self.held.append(payloads_of(messages, rows, times))
-            held = (one.text.size + _COST_OF_MESSAGE * one.start.size for one in self.held)
+            held = (one.text.size + _COST_OF_MESSAGE * one.length.size for one in self.held)
             if sum(held) >= _PIECE:
                 self.decode()
 
