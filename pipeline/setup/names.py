@@ -75,9 +75,7 @@ def is_in(words: Iterable[str], table: str, key: str) -> bool:
 
 def words_of(name: str) -> tuple[str, ...]:
     """Words and numbers of a name, in lower case, without what stands in brackets."""
-    plain = unicodedata.normalize("NFC", _BRACKETED.sub(" ", name))
-    # A unit of its own beside the quantity's letter is no word: "p_Pa".
-    plain = re.sub(r"(?<=[^\W_][\W_])Pa\b", " ", plain).replace("Δ", "d").replace("∆", "d")
+    plain = unicodedata.normalize("NFC", _BRACKETED.sub(" ", re.sub("[Δ∆]", "d", name)))
     found = _WORD.findall(_HIGHER.sub(" ", plain).lower())
     return tuple(re.sub(r"\bd p\b", "dp", " ".join(found)).split())
 
@@ -103,13 +101,11 @@ def _unit_text(name: str) -> str:
     bracketed = _BRACKETED.findall(name)
     behind = re.findall(r"(?:\bin |, ?| / )(\S+)$", name)
     words = [word for word in re.split(r"[\s_.]+", name) if word != "per"]
-    rates = ["/".join(words[-n:]) for n in (2, 3) if len(words) >= n]
-    # A lone letter is a unit only as a capital at the end of a name of several words.
-    last = [word for word in words[-1:] if len(words) > 1 and (len(word) > 1 or word.isupper())]
     inner = [word for word in _HIGHER.sub("_", name).split("_") if len(word) > 2]
-    others = [word for word in (*rates, *reversed(words[1:]), *inner) if len(word) > 1]
-    texts = (*bracketed, *behind, *rates, *last, *others)
-    return next((text for text in texts if unit_named(text)), "")
+    others = [
+        word for word in ("/".join(words[-2:]), *reversed(words[1:]), *inner) if len(word) > 1
+    ]
+    return next((text for text in (*bracketed, *behind, *others) if unit_named(text)), "")
 
 
 def _without_unit(name: str) -> str:
@@ -148,7 +144,6 @@ def _quantities(words: Sequence[str], name: str) -> Iterator[str]:
         found = [
             key for word in words for key in VOCABULARY["letter"] if is_in([word], "letter", key)
         ]
-        found += ["pressure"] * bool({"pa", "pb"} & set(words))
     return iter(found)
 
 
@@ -171,7 +166,6 @@ def _role(words: Sequence[str], name: str) -> str | None:
         if first == "p" or is_in([first], "quantity", "pressure")
     }
     marks = [word for word in words if word not in _PORT_WORDS or word in behind]
-    marks += [word[1] for word in words if word in ("pa", "pb")]
     return next((role for role in VOCABULARY["role"] if is_in(marks, "role", role)), None)
 
 
