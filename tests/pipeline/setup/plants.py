@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -37,33 +37,17 @@ CHANNELS = {
 }  # fmt: skip
 UNITS = dict.fromkeys(("dp", "high", "low", "charge", "case"), "bar")
 UNITS |= {"temp": "degC", "speed": "rpm", "flow": "l/min"}
-Mapped = Mapping[str, Place]
-Kinds = Mapping[str, str]
-"""Kind of reading by name in the log."""
+Plant = tuple[str, dict[str, dict[str, Place]]]
+"""Text of a log, and its motors' channels."""
 
 
-@dataclass(frozen=True)
-class Plant:
-    """A plant's log, and its motors' channels."""
-
-    name: str
-    text: str = field(repr=False)
-    motors: Mapping[str, Mapped]
-
-    def write(self, folder: Path) -> Path:
-        """Write the log; its path."""
-        path = folder / "log.csv"
-        path.parent.mkdir(parents=True)
-        path.write_bytes(self.text.encode())
-        return path
-
-
-def mapped(kinds: Kinds, column: str = "{}", units: Mapping[str, str] = UNITS) -> dict[str, Place]:
-    """Places of channels whose columns are called after their names in the log."""
+def mapped(
+    kinds: Mapping[str, str], place: str = "{}", units: Mapping[str, str] = UNITS, quality: str = ""
+) -> dict[str, Place]:
+    """Places of channels by their names in the log, of which `kinds` has the kinds of reading."""
     return {
-        CHANNELS[kind]: Place(column.format(name), units.get(kind))
+        CHANNELS[kind]: Place(place.format(name), units.get(kind), quality.format(name))
         for name, kind in kinds.items()
-        if kind in CHANNELS
     }
 
 
@@ -81,20 +65,22 @@ def stamp(row: int, form: str) -> str:
     return (START + timedelta(seconds=row)).strftime(form)
 
 
-def _ignition_dataset() -> Plant:
-    kinds = {"dP_bar": "dp", "OilTemp_C": "temp", "Speed_rpm": "speed", "Leak_lpm": "flow"}
-    rows = [
-        [stamp(row, "%Y-%m-%d %H:%M:%S"), *(f"{value(one, 1, row):.3f}" for one in kinds.values())]
+def rows(kinds: Mapping[str, str], form: str, end: str = "") -> list[list[str]]:
+    """Stamp and readings of a motor, row by row; `end` stands behind each reading."""
+    return [
+        [stamp(row, form), *(f"{value(kind, 1, row):.3f}{end}" for kind in kinds.values())]
         for row in range(ROWS)
     ]
-    rows = [["t_stamp", *(f"Conveyor/{name}" for name in kinds)], *rows]
-    names, *lines = [",".join(f'"{cell}"' for cell in row) for row in rows]
-    text = f'"#NAMES"\n{names}\n"#TYPES"\n"date","F","F","F","F"\n"#ROWS","{ROWS}"\n'
-    return Plant(
-        "Ignition, a dataset with #NAMES and #TYPES",
-        text + "\n".join(lines) + "\n",
-        {"Conveyor": mapped(kinds, "Conveyor/{}")},
-    )
+
+
+def _ignition_dataset() -> Plant:
+    kinds = {"dP_bar": "dp", "OilTemp_C": "temp", "Speed_rpm": "speed", "Leak_lpm": "flow"}
+    header = ["t_stamp", *(f"Conveyor/{name}" for name in kinds)]
+    names, *lines = [
+        ",".join(f'"{cell}"' for cell in row) for row in [header, *rows(kinds, "%Y-%m-%d %H:%M:%S")]
+    ]
+    marks = ('"#NAMES"', names, '"#TYPES"', '"date","F","F","F","F"', f'"#ROWS","{ROWS}"')
+    return "\n".join([*marks, *lines, ""]), {"Conveyor": mapped(kinds, "Conveyor/{}")}
 
 
 def _wincc_archive() -> Plant:
@@ -111,23 +97,15 @@ def _wincc_archive() -> Plant:
         for tag, kind in kinds.items()
     ]
     lines += [f'"$RT_OFF$";"{stamp(ROWS, form)}";0;2;46035250300,0000', ""]
-    places = {f"HYD_M{n}": mapped(kinds, f"HYD_M{n}_{{}}", {}) for n in (1, 2)}
-    return Plant("WinCC, archive export, German", "\r\n".join(lines), places)
+    return "\r\n".join(lines), {f"HYD_M{n}": mapped(kinds, f"HYD_M{n}_{{}}", {}) for n in (1, 2)}
 
 
 def _quality() -> Plant:
     kinds = {"PressureA": "high", "PressureB": "low", "OilTemp": "temp", "Speed": "speed"}
     kinds |= {"DrainFlow": "flow"}
-    lines = [",".join(["Time", *(f"Drum.{name},Drum.{name}.Q" for name in kinds)])]
-    for row in range(ROWS):
-        cells = (f"{value(kind, 1, row):.3f},192" for kind in kinds.values())
-        lines.append(",".join([stamp(row, "%Y-%m-%d %H:%M:%S.000"), *cells]))
-    places = {
-        channel: replace(place, quality=f"{place.source}.Q")
-        for channel, place in mapped(kinds, "Drum.{}", {}).items()
-    }
-    name = "OPC DA, a column of quality beside each value"
-    return Plant(name, "\n".join([*lines, ""]), {"Drum": places})
+    header = ["Time", *(f"Drum.{name},Drum.{name}.Q" for name in kinds)]
+    lines = map(",".join, [header, *rows(kinds, "%Y-%m-%d %H:%M:%S.000", ",192")])
+    return "\n".join([*lines, ""]), {"Drum": mapped(kinds, "Drum.{}", {}, "Drum.{}.Q")}
 
 
 def _influx_dutch() -> Plant:
@@ -149,14 +127,15 @@ def _influx_dutch() -> Plant:
         for number, (name, kind) in enumerate(kinds.items())
         for row in range(ROWS)
     ]
-    return Plant(
-        "InfluxDB, annotated CSV with a range and two tags, Dutch",
-        head + "\n".join(lines) + "\n",
-        {f"lier-{n}": mapped(kinds) for n in (1, 2)},
-    )
+    return head + "\n".join([*lines, ""]), {f"lier-{n}": mapped(kinds) for n in (1, 2)}
 
 
-PLANTS = (_ignition_dataset(), _wincc_archive(), _quality(), _influx_dutch())
+PLANTS = {
+    "Ignition, a dataset with #NAMES and #TYPES": _ignition_dataset(),
+    "WinCC, archive export, German": _wincc_archive(),
+    "OPC DA, a column of quality beside each value": _quality(),
+    "InfluxDB, annotated CSV with a range and two tags, Dutch": _influx_dutch(),
+}
 
 
 # Styles of header, of one wide table each
