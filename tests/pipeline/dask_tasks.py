@@ -6,7 +6,6 @@ import os
 import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tests.pipeline.misbehaviour import wait_until
 
@@ -45,12 +44,3 @@ def wait_for_word(task: Wait) -> int:
     if task.number:
         wait_until((task.folder / "go").exists)
     return task.number
-
-
-def kill_worker_of_parquet(task: Any) -> Any:
-    """Takes every worker with it that tries the one motor."""
-    from pipeline.run.motor_task import run_motor
-
-    if task.spec.motor_id == "CB400-02":
-        os.kill(os.getpid(), signal.SIGKILL)
-    return run_motor(task)

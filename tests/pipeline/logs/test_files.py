@@ -106,15 +106,6 @@ class TestInspect:
         monkeypatch.setattr(logs, "content_hash", lambda _: pytest.fail("was read again"))
         assert looked_at(path, spec, before) == before
 
-    def test_same_content_is_as_before(self, spec: MotorSpec, tmp_path: Path) -> None:
-        """A copy of the whole archive to another disk makes nothing new."""
-        path = write(tmp_path / "a.csv", every_minute())
-        before = fully_read(path, spec)
-        os.utime(path, ns=(1, 2))
-        now = path.stat()
-        expected = replace(before, modified_ns=2, changed_ns=now.st_ctime_ns)
-        assert looked_at(path, spec, before) == expected
-
     def test_what_is_no_file(self, spec: MotorSpec, tmp_path: Path) -> None:
         (tmp_path / "folder").mkdir()
         os.mkfifo(tmp_path / "pipe")  # must not be opened: it would wait for a writer

@@ -17,20 +17,17 @@ import pytest
 import pipeline.run.fleet
 import pipeline.run.motors
 import pipeline.store.publishing
-from pipeline.config import load_fleet
 from pipeline.errors import LockedError, StoreError
 from pipeline.logs.processed import ProcessedLogs
-from pipeline.run.fleet import RunRequest, run_fleet, staging_folder
+from pipeline.run.fleet import staging_folder
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from tests.conftest import OwnFleet
 from tests.pipeline.mini_fleet import mini_fleet
 from tests.pipeline.misbehaviour import MISBEHAVIOUR
-from tests.pipeline.notification.fleet import keep, told
 from tests.pipeline.remembered import processed_of
 from tests.pipeline.run.demo_runs import (
     CSV,
-    FIRST,
     MCAP,
     NIGHTS,
     PARQUET,
@@ -41,7 +38,6 @@ from tests.pipeline.run.demo_runs import (
     rows,
     run,
     status_of,
-    table_files,
 )
 
 # Room on the disk
@@ -94,34 +90,6 @@ def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
     monkeypatch.undo()
     assert nights_of(run(fleet, CSV)) == {CSV: NIGHTS}
     check_same_tables(output_of(fleet), fitted_output, CSV, PARQUET, MCAP)
-
-
-def test_a_back_fill_whose_worker_dies_ends_as_one_in_which_none_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its tables, alarms and notifications: a motor that is done last is not silent meanwhile."""
-
-    def run_or_die(task: MotorTask) -> MotorOutcome:
-        if task.spec.motor_id == "M1" and not (task.output / "died").exists():
-            (task.output / "died").touch()
-            MISBEHAVIOUR["kill"]()
-        return run_motor(task)
-
-    found = {}
-    for name in ("died", "whole"):
-        settings = f'backend = "loky"\n[alarms]\n{keep(tmp_path / name / "told")}\n'
-        fleet = mini_fleet(tmp_path / name, 2, 12, settings)
-        # The night that came before: a motor with no more nights than that is `stale`.
-        run(fleet, until=FIRST)
-        if name == "died":
-            monkeypatch.setattr(pipeline.run.motors, "run_motor", run_or_die)
-        result = run_fleet(RunRequest(load_fleet(fleet)))
-        monkeypatch.undo()
-        assert (result.n_nights, result.failed) == (22, ())
-        assert "stale" not in rows(output_of(fleet), "watch")["state"].to_list()
-        found[name] = table_files(output_of(fleet)), told(tmp_path / name)
-    assert (output_of(tmp_path / "died" / "configs" / "fleet.toml") / "died").exists()
-    assert found["died"] == found["whole"]
 
 
 # The lock, and outputs that cannot be written

@@ -15,8 +15,7 @@ from pipeline.cli import main
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from tests.conftest import OwnFleet
-from tests.pipeline.dask_processes import Processes, scheduler_with
-from tests.pipeline.dask_tasks import kill_worker_of_parquet
+from tests.pipeline.dask_processes import Processes
 from tests.pipeline.run.demo_runs import (
     MOTORS,
     output_of,
@@ -75,14 +74,3 @@ def test_the_command_ends_with_4_without_a_scheduler(
     )
     assert "Traceback" not in err
     assert not list(output_of(fleet).rglob("*.parquet"))
-
-
-@pytest.mark.full
-def test_a_scheduler_that_is_lost_fails_the_motors_that_are_not_done(
-    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fleet = own_fleet("CB400-02")
-    with scheduler_with(1, "--no-nanny") as processes:
-        monkeypatch.setattr("pipeline.run.motors.run_motor", kill_worker_of_parquet)
-        result = run(fleet, output_of(fleet), processes.execution(scheduler_wait_s=1.0))
-    assert [one.error_code for one in result.failed] == ["scheduler_lost"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import pipeline.logs.files
 import pipeline.logs.motor_logs
 import pipeline.run.fleet
 import pipeline.run.motors
-from pipeline.cli import main
 from pipeline.clock import latest_us
 from pipeline.config import load_fleet
 from pipeline.logs.finding import find_logs
@@ -39,28 +37,6 @@ def statuses(folder: Path, motor: str) -> list[str]:
 
 def table(folder: Path, name: str) -> pl.DataFrame:
     return pl.read_parquet(folder / "out" / "tables" / name / "**" / "*.parquet")
-
-
-def test_what_is_no_regular_file_is_never_opened(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """Through the whole command: to open one of them would wait for ever."""
-    config = mini_fleet(tmp_path, 2, 2, 'backend = "loky"\n')
-    logs = tmp_path / "logs" / "M1"
-    os.mkfifo(logs / f"{BLOCKS}.parquet")
-    os.mkfifo(tmp_path / "pipe")
-    (logs / f"{BLOCKS + DAY}.parquet").symlink_to(tmp_path / "pipe")
-    (logs / f"{BLOCKS + 2 * DAY}.parquet").symlink_to("/dev/zero")
-    monkeypatch.setattr(sys, "argv", ["motor-leakage", "fit-fleet", str(config)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 1
-    assert "this is no file; name files in `logs.files`" in capfd.readouterr().err
-    assert statuses(tmp_path, "M1") == ["ok", "ok", "failed", "failed", "failed"]
-    assert statuses(tmp_path, "M2") == ["ok", "ok"]
-    unread = table(tmp_path, "input_files").filter(status="failed").sort("path")
-    assert unread["error_code"].to_list() == ["log_not_readable"] * 3
-    assert unread["night"].to_list() == [BLOCKS, BLOCKS + DAY, BLOCKS + 2 * DAY]
 
 
 def opened_all_the_same(task: MotorTask) -> Any:

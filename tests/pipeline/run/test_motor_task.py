@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from polars.testing import assert_frame_equal
 
 import pipeline.logs.locations
 import pipeline.logs.motor_logs
@@ -183,19 +181,3 @@ def test_nights_in_any_order_come_to_the_same(
 
 
 # The record of processed logs
-
-
-def test_tables_that_somebody_removed_are_made_anew(workshop: Workshop) -> None:
-    """Processed logs stand beside the tables, and must not speak for tables that are gone."""
-    for day in range(3):
-        workshop.log(NIGHT + day * DAY, seed=day)
-    workshop.run()
-    before = workshop.rows("fits")
-    for path in (workshop.output / "tables").rglob(f"{NIGHT + DAY}.parquet"):
-        path.unlink()
-    # Its fit is the same again, so nothing that looks back on it has to be done.
-    assert workshop.run().nights == (NIGHT + DAY,)
-    assert_frame_equal(workshop.rows("fits"), before, check_exact=True)
-    shutil.rmtree(workshop.output / "tables")
-    assert len(workshop.run().nights) == 3
-    assert_frame_equal(workshop.rows("fits"), before, check_exact=True)

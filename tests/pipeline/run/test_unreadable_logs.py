@@ -101,7 +101,11 @@ def make_dangling_link(path: Path) -> None:
     path.symlink_to(path.parent / "nowhere")
 
 
-@pytest.mark.parametrize("make", [make_pipe, make_folder, make_dangling_link])
+def make_endless_link(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+@pytest.mark.parametrize("make", [make_pipe, make_folder, make_dangling_link, make_endless_link])
 def test_what_is_no_file_is_told_and_waited_for_by_nobody(
     workshop: Workshop, make: Callable[[Path], None]
 ) -> None:

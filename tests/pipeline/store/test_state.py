@@ -230,14 +230,3 @@ def test_what_is_no_state_changes_nothing(two: tuple[Path, bytes], content: byte
         assert state.meta("value") == "here"
         state.set_meta("value", "still open")
     assert decided(here) == ["M0", "M1"]
-
-
-def test_a_file_that_cannot_be_used_is_closed(tmp_path: Path) -> None:
-    keep(tmp_path, "before")
-    with closing(sqlite3.connect(tmp_path / STATE_FILE)) as connection:
-        connection.execute("PRAGMA user_version = 99")
-    handles = Path("/proc/self/fd")
-    before = len(list(handles.iterdir()))
-    with pytest.raises(StoreError) as caught:
-        kept(tmp_path)
-    assert (caught.value.code, len(list(handles.iterdir()))) == ("store_newer", before)

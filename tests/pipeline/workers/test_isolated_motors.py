@@ -22,6 +22,7 @@ from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.trends.tasks import TrendOutcome, TrendTask
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import MISBEHAVIOUR
+from tests.pipeline.run.demo_runs import output_of, rows
 
 GOOD, BAD, OTHER = "CB400-01", "CB400-02", "CB560-01"
 
@@ -56,19 +57,8 @@ def misbehave_at(night: str, what: str) -> None:
     module.fit_night = fit_or_misbehave
 
 
-def fits(output: Path, motor: str) -> pl.DataFrame:
-    found = pl.read_parquet(output / "tables/fits/**/*.parquet", hive_partitioning=False)
-    return found.filter(pl.col("is_primary"), motor_id=motor).sort("night").drop("run_id")
-
-
-def outcome_rows(output: Path) -> dict[str, dict[str, Any]]:
-    found = pl.read_parquet(output / "tables/motor_outcomes/**/*.parquet", hive_partitioning=False)
-    last = found.filter(pl.col("started_at") == pl.col("started_at").max())
-    return {row["motor_id"]: row for row in last.iter_rows(named=True)}
-
-
-def output_of(fleet_file: Path) -> Path:
-    return fleet_file.parent.parent / "out"
+def fits(output: Path) -> pl.DataFrame:
+    return rows(output, "fits", BAD).filter(pl.col("is_primary"))
 
 
 @pytest.mark.parametrize(
@@ -91,17 +81,17 @@ def test_a_night_that_takes_its_worker_along_costs_no_other_night(
     (outcome,) = fit(fleet, monkeypatch, what, "2026-01-03").outcomes
     assert (outcome.status, outcome.error_code) == ("failed", code)
     assert dict(outcome.counts) == {"ok": 2, "failed": 1}
-    found, before = fits(output_of(fleet), BAD), fits(fitted_output, BAD)
+    found, before = fits(output_of(fleet)), fits(fitted_output)
     assert found["error_code"].to_list() == [None, code, None]
     assert found["reason"][1]
     assert_frame_equal(found[:1], before[:1])
-    row = outcome_rows(output_of(fleet))[BAD]
+    (row,) = rows(output_of(fleet), "motor_outcomes", BAD).to_dicts()
     assert row["message"].startswith("night 2026-01-03: ")
     # Nothing is tried again by itself; asked for, it is done.
     again = replace(load_fleet(fleet), execution=Execution(backend="sequential"))
     assert run_fleet(RunRequest(again)).n_nights == 0
     assert run_fleet(RunRequest(again, retry=True)).failed == ()
-    assert_frame_equal(fits(output_of(fleet), BAD), before)
+    assert_frame_equal(fits(output_of(fleet)), before)
 
 
 def test_trends_that_take_their_worker_along_cost_their_motor_alone(
@@ -126,12 +116,11 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
     limits = Execution(workers=2, timeout_s=60.0, memory_limit_mib=1500)
     result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
     assert [one.motor_id for one in result.failed] == [BAD]
-    row = outcome_rows(output_of(fleet))[BAD]
+    (row,) = rows(output_of(fleet), "motor_outcomes", BAD).to_dicts()
     assert (row["status"], row["error_code"]) == ("failed", "worker_died")
     assert re.match(
         rf"trends: its worker process ended with SIGSEGV\(-11\), at {BAD}", row["message"]
     )
     # Its fits are there, and the trends of the others.
-    assert fits(output_of(fleet), BAD)["status"].to_list() == ["ok"] * 3
-    trends = pl.read_parquet(output_of(fleet) / "tables/trends/**/*.parquet")
-    assert set(trends["motor_id"]) == {GOOD, OTHER}
+    assert fits(output_of(fleet))["status"].to_list() == ["ok"] * 3
+    assert set(rows(output_of(fleet), "trends")["motor_id"]) == {GOOD, OTHER}
