@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -118,7 +118,7 @@ def _changed(before: Mapping[Key, Value], after: Mapping[Key, Value]) -> dict[Ke
 
 
 _LOG_COLUMNS = tuple(one.name for one in fields(FileRecord))
-_NIGHT_COLUMNS = tuple(one.name for one in fields(NightRecord))
+_NIGHT_COLUMNS = ("night", *(one.name for one in fields(NightRecord)))
 
 
 def read_processed(state: State, motor_id: str) -> ProcessedLogs:
@@ -126,30 +126,23 @@ def read_processed(state: State, motor_id: str) -> ProcessedLogs:
     settings = state.rows("SELECT settings FROM motors WHERE motor_id = ?", motor_id)
     if not settings:
         return ProcessedLogs()
-    logs = state.rows(f"SELECT {', '.join(_LOG_COLUMNS)} FROM logs WHERE motor_id = ?", motor_id)
-    nights = state.rows(
-        f"SELECT night, {', '.join(_NIGHT_COLUMNS)} FROM nights WHERE motor_id = ?", motor_id
-    )
-    return ProcessedLogs(
-        {row[0]: _file_record(dict(zip(_LOG_COLUMNS, row, strict=True))) for row in logs},
-        {
-            dt.date.fromisoformat(night): _night_record(dict(zip(_NIGHT_COLUMNS, row, strict=True)))
-            for night, *row in nights
-        },
-        json.loads(settings[0][0]),
-    )
+    files, nights = dict[str, FileRecord](), dict[dt.date, NightRecord]()
+    for row in _rows(state, "logs", _LOG_COLUMNS, motor_id):
+        files[row["path"]] = FileRecord(**row | {"nights": tuple(row["nights"].split())})
+    for row in _rows(state, "nights", _NIGHT_COLUMNS, motor_id):
+        label, tells = dt.date.fromisoformat(row.pop("night")), row.pop("tells_roller")
+        model = {mode: tuple(theta) for mode, theta in json.loads(row.pop("model")).items()}
+        tells = None if tells is None else tells == 1
+        nights[label] = NightRecord(**row, model=model, tells_roller=tells)
+    return ProcessedLogs(files, nights, json.loads(settings[0][0]))
 
 
-def _file_record(row: dict[str, Any]) -> FileRecord:
-    return FileRecord(**row | {"nights": tuple(row["nights"].split())})
-
-
-def _night_record(row: dict[str, Any]) -> NightRecord:
-    model = {mode: tuple(theta) for mode, theta in json.loads(row["model"]).items()}
-    tells = row["tells_roller"]
-    return NightRecord(
-        **row | {"model": model, "tells_roller": None if tells is None else tells == 1}
-    )
+def _rows(
+    state: State, table: str, columns: Sequence[str], motor_id: str
+) -> Iterator[dict[str, Any]]:
+    query = f"SELECT {', '.join(columns)} FROM {table} WHERE motor_id = ?"
+    for row in state.rows(query, motor_id):
+        yield dict(zip(columns, row, strict=True))
 
 
 def write_change(state: State, motor_id: str, change: ProcessedChange) -> None:
@@ -161,31 +154,27 @@ def write_change(state: State, motor_id: str, change: ProcessedChange) -> None:
         if change.settings is not None:
             text = json.dumps(change.settings, sort_keys=True)
             state.write("UPDATE motors SET settings = ? WHERE motor_id = ?", text, motor_id)
-        for table, key, changed in (
-            ("logs", "path", change.files),
-            ("nights", "night", change.nights),
+        for table, columns, changed in (
+            ("logs", _LOG_COLUMNS, change.files),
+            ("nights", _NIGHT_COLUMNS, change.nights),
         ):
             gone = [(motor_id, str(one)) for one, record in changed.items() if record is None]
-            state.write_all(f"DELETE FROM {table} WHERE (motor_id, {key}) = (?, ?)", gone)
-        files = [_file_row(one) for one in change.files.values() if one is not None]
-        nights = [_night_row(one, two) for one, two in change.nights.items() if two is not None]
-        for table, columns, rows in (
-            ("logs", _LOG_COLUMNS, files),
-            ("nights", ("night", *_NIGHT_COLUMNS), nights),
-        ):
+            state.write_all(f"DELETE FROM {table} WHERE (motor_id, {columns[0]}) = (?, ?)", gone)
             places = ", ".join("?" * (1 + len(columns)))
             insert = f"INSERT OR REPLACE INTO {table} (motor_id, {', '.join(columns)})"
-            state.write_all(f"{insert} VALUES ({places})", ((motor_id, *row) for row in rows))
+            kept = {str(one): record for one, record in changed.items() if record is not None}
+            rows = (
+                (motor_id, key, *(_stored(getattr(one, name)) for name in columns[1:]))
+                for key, one in kept.items()
+            )
+            state.write_all(f"{insert} VALUES ({places})", rows)
 
 
-def _file_row(record: FileRecord) -> list[Any]:
-    row = {name: getattr(record, name) for name in _LOG_COLUMNS}
-    return list((row | {"nights": " ".join(record.nights)}).values())
-
-
-def _night_row(night: dt.date, record: NightRecord) -> list[Any]:
-    row = {name: getattr(record, name) for name in _NIGHT_COLUMNS}
-    return [str(night), *(row | {"model": json.dumps(dict(record.model))}).values()]
+def _stored(value: Any) -> Any:
+    """A value of a record as its column has it."""
+    if isinstance(value, tuple):
+        return " ".join(value)
+    return json.dumps(dict(value)) if isinstance(value, Mapping) else value
 
 
 def as_published(spec: MotorSpec, settings: Mapping[str, Any] | None) -> MotorSpec:
