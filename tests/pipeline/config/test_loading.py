@@ -105,7 +105,12 @@ def test_no_fleet_file(tmp_path: Path) -> None:
         ("motor_id = 'ü'".encode("latin-1"), "is not UTF-8"),
         ("motor_id = 'a'".encode("utf-16"), "is not UTF-8"),
         (bytes(range(256)), "is not"),
-        (b"a = " + b"[" * 5000, "is not TOML"),
+        *(
+            (b"a = " + one, "is not TOML")
+            for one in (b"[" * 100_000, b"{a=" * 100_000, b"9" * 10_000)
+        ),
+        (b".".join([b"a"] * 1500) + b" = 1", "is not TOML"),
+        (b"motor_id = 0x" + b"f" * 10_000, "is not TOML"),
     ],
 )
 def test_a_file_that_is_no_toml_leaves_the_others_judged(

@@ -142,29 +142,3 @@ def test_faults_of_a_config_show_what_prints(tmp_path: Path) -> None:
         load_fleet(fleet)
     assert all(line.isprintable() for line in raised.value.message.split("\n"))
     assert len(raised.value.message.split("\n")) == 1 + len(raised.value.faults)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"x = " + b"[" * 100_000,
-        b"x = " + b"{a=" * 100_000,
-        b".".join([b"a"] * 1500) + b" = 1",
-        b"x = " + b"9" * 10_000,
-        b"motor_id = 0x" + b"f" * 10_000,
-        b"x = '\xff'",
-        b"\x00",
-    ],
-)
-@pytest.mark.parametrize("file", ["fleet.toml", "motors/M1.toml"])
-def test_a_config_of_any_depth_or_size_of_number_is_a_fault(
-    tmp_path: Path, content: bytes, file: str
-) -> None:
-    fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
-    path = fleet.parent / file
-    path.write_bytes(content + b"\n" + path.read_bytes())
-    with pytest.raises(ConfigError, match=r"not TOML|not UTF-8"):
-        load_fleet(fleet)
-
-
-# Those who are told
