@@ -54,17 +54,6 @@ def test_a_night_in_several_files_is_the_same_night(
     assert other.rows("input_files").height == len(borders) + 1
 
 
-def test_a_file_that_comes_later_joins_its_night(workshop: Workshop, other: Workshop) -> None:
-    workshop.log(NIGHT)
-    workshop.run()
-    operation, values = other.night(NIGHT)
-    for name, rows in (("b", slice(700, None)), ("a", slice(0, 700))):
-        write_log(other.logs / f"{name}.parquet", operation.time_us[rows], part(values, rows))
-        outcome = other.run()
-        assert outcome.nights == (NIGHT,)
-    check_same_figures(workshop, other, "input_files")
-
-
 def test_rows_that_two_files_share_count_once(workshop: Workshop, other: Workshop) -> None:
     workshop.log(NIGHT)
     workshop.run()

@@ -14,7 +14,7 @@ from polars.testing import assert_frame_equal
 from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, INPUT_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
 from pipeline.store.published import verify_tables
-from pipeline.store.publishing import NewFile, read_staged, stage, staged_file, staged_in
+from pipeline.store.publishing import read_staged, stage, staged_file, staged_in
 from pipeline.store.state import open_state
 from pipeline.store.tables import (
     files_of,
@@ -220,13 +220,3 @@ class TestRefused:
         in_the_way.unlink()
         publish(tmp_path, {"A": rows(LATER)})
         assert list(verify_tables(tmp_path)) == []
-
-    def test_after_a_failure_no_other_file_is_tried(self, tmp_path: Path) -> None:
-        def full() -> NewFile:
-            raise StoreError("store_write", "no space left on device")
-
-        def next_file() -> NewFile:
-            raise AssertionError("it is tried")
-
-        with publisher_of(tmp_path) as publisher, refused("store_write", "no space left"):
-            publisher._publish([full, next_file])

@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.config import Execution
 from pipeline.errors import EngineError
-from pipeline.workers.cluster import CODE, _tried, do_on_worker, own_versions
+from pipeline.workers.cluster import CODE, do_on_worker, own_versions
 from pipeline.workers.engine import open_workers
 from pipeline.workers.process import Loss
 from tests.pipeline.dask_processes import Processes, scheduler_with
@@ -139,26 +139,3 @@ def test_workers_with_two_threads_or_without_the_logs_are_refused(tmp_path: Path
         error = code_of(processes.execution(), tmp_path)
     assert error.code == "scheduler_unfit"
     assert "it has 2 threads" in error.message
-
-
-def test_a_scheduler_that_goes_when_all_is_done_is_not_missed(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    class Done:
-        def add_done_callback(self, call: Callable[[Any], None]) -> None:
-            call(self)
-
-        def result(self) -> tuple[str, dict[str, bytes]]:
-            return "done", {}
-
-    class Client:
-        status = "running"
-
-        def submit(self, *_: Any, **__: Any) -> Done:
-            return Done()
-
-    client: Any = Client()
-    for _, outcome in _tried(client, Execution(), {}, abs, [1]):
-        client.status = "closed"
-        assert outcome == "done"
-    assert caplog.text == ""
