@@ -19,7 +19,7 @@ FIRST_LAGS = 500
 def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -> Array:
     """ρ at lags from 0, over the pairs that exist; nan where none has a lag, or nothing varies."""
     place, mean = index - index[0], float(values.mean())
-    pairs = _pair_counts(place, longest_lag)
+    pairs = np.round(_products(np.ones(len(place)), 0.0, place, longest_lag))
     products = _products(values, mean, place, longest_lag)
     with np.errstate(invalid="ignore", divide="ignore"):
         at_lag = np.where(pairs > 0, products / pairs, np.nan)
@@ -35,30 +35,6 @@ def _products(values: Array, mean: float, place: NDArray[np.int64], longest_lag:
     own, _ = lagged_products([series], [mean], together, longest_lag)
     products: Array = own[0]
     return products
-
-
-def _pair_counts(place: NDArray[np.int64], longest_lag: int) -> Array:
-    """Number of pairs at lags from 0, across gaps too.
-
-    Over the lags it is made of straight lines, which meet where two ends of segments are that far
-    apart: two begins or two ends bend it down, a begin and an end up.
-    """
-    segments = Segments.of(place)
-    # With an end every few samples, transforms are faster.
-    if len(segments.begins) * longest_lag > 2 * len(place):
-        return np.round(_products(np.ones(len(place)), 0.0, place, longest_lag))
-    ends = np.column_stack([place[segments.begins], place[segments.ends - 1] + 1]).ravel()
-    bends = np.zeros(longest_lag + 1)
-    bends[0] = len(segments.begins)
-    for neighbour in range(1, len(ends)):
-        apart = ends[neighbour:] - ends[:-neighbour]
-        near = apart[apart <= longest_lag]
-        if not len(near):
-            break
-        bends += (-1.0) ** neighbour * np.bincount(near, minlength=longest_lag + 1)
-    lost = np.cumsum(np.cumsum(bends))
-    counts: Array = len(place) - np.append(0.0, lost[:-1])
-    return counts
 
 
 def correlation_time(values: Array, index: NDArray[np.int64], longest_lag: int) -> float:

@@ -20,9 +20,8 @@ from leakage.estimation.correlation import (
 from leakage.estimation.lagged_products import Segments, lagged_products, products_near_ends
 
 
-@pytest.mark.parametrize("n", [70, 115])
-def test_it_equals_the_sum_over_pairs_with_many_gaps_or_few(n: int) -> None:
-    generator = np.random.default_rng(1)
+def test_it_equals_the_sum_over_pairs_that_exist() -> None:
+    generator, n = np.random.default_rng(1), 70
     index = np.sort(generator.choice(120, size=n, replace=False))
     values = generator.normal(size=n)
     centred = dict(zip(index.tolist(), (values - values.mean()).tolist(), strict=True))
