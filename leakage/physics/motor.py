@@ -6,10 +6,10 @@ Source: the thesis, sections 2.3 and 3.1.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -208,7 +208,7 @@ def total_flow_l_per_min(
     Arguments and errors as of :func:`path_flows_l_per_min`.
     """
     flows = path_flows_l_per_min(motor, conditions, coefficients)
-    return _sum(flows.values(), len(conditions))
+    return sum(flows.values(), np.zeros(len(conditions)))
 
 
 def leakage_l_per_min(
@@ -223,7 +223,7 @@ def leakage_l_per_min(
     flows = path_flows_l_per_min(motor, conditions, coefficients)
     if motor.constant is not None:
         del flows[motor.constant.name]
-    return _sum(flows.values(), len(conditions))
+    return sum(flows.values(), np.zeros(len(conditions)))
 
 
 def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> NDArray[np.bool_]:
@@ -235,53 +235,30 @@ def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> NDArray[np.bool_]:
     return beyond
 
 
-class _Side(NamedTuple):
-    """One side from which paths leak to the case, for a chunk of samples."""
-
-    conditions: OperatingConditions
-    drive_per_s: NDArray[np.float64]
+# Drive, pressure difference and speed, as a regressor takes them.
+_Side: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
-def _chunks(
-    motor: Motor, conditions: OperatingConditions
-) -> Iterator[tuple[slice, tuple[_Side, ...]]]:
-    """Rows of one chunk of samples after the other, with the sides that leak and their ΔP/η."""
+def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[slice, list[_Side]]]:
+    """Rows of one chunk of samples after the other, with what regressors take, side by side.
+
+    Sides are those from which paths leak to the case.
+    """
     for start in range(0, len(conditions), _CHUNK):
         rows = slice(start, start + _CHUNK)
-        yield (
-            rows,
-            tuple(
-                _Side(
-                    side,
-                    flow_drive_per_s(
-                        side.pressure_difference_pa,
-                        side.oil_temperature_c,
-                        motor.oil,
-                        motor.film_pressure,
-                    ),
-                )
-                for side in conditions.part(rows).sides()
-            ),
-        )
+        sides = []
+        for side in conditions.part(rows).sides():
+            pressure, temperature = side.pressure_difference_pa, side.oil_temperature_c
+            drive = flow_drive_per_s(pressure, temperature, motor.oil, motor.film_pressure)
+            sides.append((drive, pressure, side.speed_rpm))
+        yield rows, sides
 
 
-def _regressor(path: LeakagePath, sides: tuple[_Side, ...]) -> NDArray[np.float64]:
+def _regressor(path: LeakagePath, sides: list[_Side]) -> NDArray[np.float64]:
     """Regressor of a path, summed over the sides; a constant flow has none of them."""
-    first, *others = (
-        path.regressor(
-            side.drive_per_s, side.conditions.pressure_difference_pa, side.conditions.speed_rpm
-        )
-        for side in sides
-    )
+    first, *others = (path.regressor(*side) for side in sides)
     if isinstance(path, Constant):
         return first
     for other in others:
         first += other
     return first
-
-
-def _sum(flows: Iterable[NDArray[np.float64]], length: int) -> NDArray[np.float64]:
-    total = np.zeros(length)
-    for flow in flows:
-        total += flow
-    return total

@@ -190,18 +190,8 @@ def flow_drive_per_s(
     """
     pressure = np.abs(np.asarray(pressure_difference_pa, dtype=np.float64))
     if film_pressure.model == "slot":
-        driving_pressure = _slot_pressure_pa(pressure, oil.pressure_viscosity_per_pa)
-        return driving_pressure / dynamic_viscosity_pa_s(temperature_c, 0.0, oil)
+        # Where pressure does not thicken the oil, the pressure itself.
+        alpha = oil.pressure_viscosity_per_pa
+        driving = np.expm1(-alpha * pressure) / -alpha if alpha else pressure
+        return driving / dynamic_viscosity_pa_s(temperature_c, 0.0, oil)
     return pressure / dynamic_viscosity_pa_s(temperature_c, film_pressure.share * pressure, oil)
-
-
-def _slot_pressure_pa(
-    pressure_pa: NDArray[np.float64], pressure_viscosity_per_pa: float
-) -> NDArray[np.float64]:
-    """Pressure that drives the slot at ambient viscosity, (1 - exp(-αp))/α; p itself at α = 0."""
-    if pressure_viscosity_per_pa == 0.0:
-        return pressure_pa
-    result: NDArray[np.float64] = (
-        np.expm1(-pressure_viscosity_per_pa * pressure_pa) / -pressure_viscosity_per_pa
-    )
-    return result

@@ -87,7 +87,14 @@ def fit_speed_curve(points: ArrayLike) -> tuple[float, ...]:
     speed, flow = given.T
     # `fit` maps the speeds to -1 ... 1 first: powers of 125 rpm would cost six digits.
     polynomial = Polynomial.fit(speed, flow, DEGREE)
-    _require_no_undershoot(polynomial, given)
+    between = np.linspace(speed.min(), speed.max(), _STEPS_OVER_RANGE + 1)
+    values = polynomial(between)
+    if values.min() < -_TOLERATED_UNDERSHOOT * flow.max():
+        raise CurveError(
+            "curve_undershoot",
+            f"the fitted polynomial falls to {values.min():.3g} l/min at"
+            f" {between[values.argmin()]:.4g} rpm; give more points there",
+        )
     coefficients = np.zeros(DEGREE + 1)
     fitted = polynomial.convert().coef
     coefficients[: fitted.size] = fitted
@@ -108,16 +115,4 @@ def _require_points(
             "curve_points",
             f"a simulated curve needs {least} points, at {different} different pressures or"
             f" speeds; {len(points)} at {found} are given",
-        )
-
-
-def _require_no_undershoot(polynomial: Polynomial, points: NDArray[np.float64]) -> None:
-    speed, flow = points.T
-    between = np.linspace(speed.min(), speed.max(), _STEPS_OVER_RANGE + 1)
-    values = polynomial(between)
-    if values.min() < -_TOLERATED_UNDERSHOOT * flow.max():
-        raise CurveError(
-            "curve_undershoot",
-            f"the fitted polynomial falls to {values.min():.3g} l/min at"
-            f" {between[values.argmin()]:.4g} rpm; give more points there",
         )
