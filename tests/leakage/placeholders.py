@@ -25,7 +25,7 @@ ROLLER_QUINTIC = (2.0e-11, -7.0e-9, 9.0e-7, -5.0e-5, 1.6e-3, 4.0e-3)
 REFERENCE_VISCOSITIES = {"VG 32": (32.0, 5.4), "VG 46": (46.0, 6.8), "VG 68": (68.0, 8.7)}
 
 
-def placeholder_oil(grade: str = "VG 68", pressure_viscosity_per_pa: float = 2.0e-8) -> Oil:
+def placeholder_oil(grade: str = "VG 68") -> Oil:
     """An oil of a grade, with the placeholder's density."""
     at_40_c, at_100_c = REFERENCE_VISCOSITIES[grade]
     return Oil.from_reference_viscosities(
@@ -36,7 +36,7 @@ def placeholder_oil(grade: str = "VG 68", pressure_viscosity_per_pa: float = 2.0
         viscosity_2_mm2_per_s=at_100_c,
         density_15_c_kg_per_m3=882.0,
         thermal_expansion_per_k=7.0e-4,
-        pressure_viscosity_per_pa=pressure_viscosity_per_pa,
+        pressure_viscosity_per_pa=2.0e-8,
     )
 
 
@@ -50,29 +50,21 @@ def eccentricity(name: str, value: float, *, fixed: bool = False) -> Parameter:
     return Parameter(f"e_{name}", "1", value, 0.0, 1.0, fixed)
 
 
-def piston_ring(count: int = 32, gap_um: float = 8.0) -> AnnularGap:
+def piston_ring(count: int = 32) -> AnnularGap:
     """Path o."""
-    return AnnularGap(
-        "o", count, 0.035, 0.004, gap("o", gap_um), None, deformation_pressure_pa=120e5
-    )
+    return AnnularGap("o", count, 0.035, 0.004, gap("o", 8.0), None, 120e5)
 
 
-def balance_piston(count: int = 32, gap_um: float = 10.0, e: float = 0.4) -> AnnularGap:
+def balance_piston(count: int = 32) -> AnnularGap:
     """Path p."""
-    return AnnularGap("p", count, 0.015, 0.020, gap("p", gap_um), eccentricity("p", e))
+    return AnnularGap("p", count, 0.015, 0.020, gap("p", 10.0), eccentricity("p", 0.4))
 
 
-def balance_sleeve(count: int = 32, gap_um: float = 12.0, e: float = 0.3) -> AnnularGap:
+def balance_sleeve(count: int = 32) -> AnnularGap:
     """Path s."""
+    own = gap("s", 12.0), eccentricity("s", 0.3)
     return AnnularGap(
-        "s",
-        count,
-        0.020,
-        0.020,
-        gap("s", gap_um),
-        eccentricity("s", e),
-        deformation_pressure_pa=900e5,
-        height_factor=1.1,
+        "s", count, 0.020, 0.020, *own, deformation_pressure_pa=900e5, height_factor=1.1
     )
 
 
@@ -82,21 +74,12 @@ def cam_roller(count: int = 32, *, free: bool = False) -> SpeedCurve:
     return SpeedCurve("r", count, ROLLER_QUINTIC, 0.0, 125.0, 200e5, 0.035, scale)
 
 
-def flushing_path(flushing: Flushing, flow_l_per_min: float) -> tuple[Constant, ...]:
-    """Path f, or none."""
-    if flushing == "none":
-        return ()
-    flow = Parameter("C_f", "l_per_min", flow_l_per_min, 0.0, 20.0, fixed=flushing == "fixed")
-    return (Constant("f", flow),)
-
-
 def placeholder_motor(
     motor_type: str = "CB560",
     *,
     flushing: Flushing = "none",
     flushing_l_per_min: float = 0.0,
     roller_is_free: bool = False,
-    oil: Oil | None = None,
     film_pressure: FilmPressure = THESIS_FILM_PRESSURE,
 ) -> Motor:
     """A motor type at the gaps of the worked values.
@@ -105,11 +88,10 @@ def placeholder_motor(
     f: the statistics' columns are o, p, s, one, known, measured.
     """
     count = HIGH_PRESSURE_COUNTS[motor_type]
-    paths: tuple[LeakagePath, ...] = (
-        piston_ring(count),
-        balance_piston(count),
-        balance_sleeve(count),
-        cam_roller(count, free=roller_is_free),
-        *flushing_path(flushing, flushing_l_per_min),
-    )
-    return Motor(motor_type, paths, oil or placeholder_oil(), film_pressure)
+    paths: list[LeakagePath] = [piston_ring(count), balance_piston(count), balance_sleeve(count)]
+    paths.append(cam_roller(count, free=roller_is_free))
+    if flushing != "none":
+        fixed = flushing == "fixed"
+        flow = Parameter("C_f", "l_per_min", flushing_l_per_min, 0.0, 20.0, fixed=fixed)
+        paths.append(Constant("f", flow))
+    return Motor(motor_type, tuple(paths), placeholder_oil(), film_pressure)

@@ -23,7 +23,7 @@ from pipeline.night.cleaning import CleanChannel
 from pipeline.night.halts import Halts, settled_halts
 from pipeline.night.resampling import on_grid
 from pipeline.night.time_base import Quality, Samples, bring_together, grid_period_us
-from tests.pipeline.night.channels import SECOND, STEP, Floats, Times, cleaned
+from tests.pipeline.night.channels import SECOND, STEP, Times, cleaned
 
 START = 1_767_333_600 * SECOND  # 2026-01-02 06:00 UTC
 END = START + 24 * 3600 * SECOND
@@ -127,23 +127,14 @@ def test_a_port_that_is_refused_refuses_the_difference(port: str) -> None:
     assert quality["time_base", "incomplete"].n_refused == 1
 
 
-def with_speed(change: Any, seconds: float = 200) -> dict[str, CleanChannel]:
-    channels = running(seconds)
-    speed = channels["speed"].value.copy()
-    change(speed)
-    channels["speed"] = replace(channels["speed"], value=speed)
-    return channels
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_standstill_and_its_guard_times(sign: float) -> None:
     """Still from 100.0 to 109.9 s: refused from 90.0 to 139.9 s."""
-
-    def halt(speed: Floats) -> None:
-        speed *= sign
-        speed[500:600], speed[1000:1100] = sign * 0.51, sign * 0.49
-
-    samples, quality = together(with_speed(halt))
+    channels = running(200)
+    speed = channels["speed"].value
+    speed *= sign
+    speed[500:600], speed[1000:1100] = sign * 0.51, sign * 0.49
+    samples, quality = together(channels)
     assert quality["time_base", "standstill"].n_refused == 100
     assert quality["time_base", "guard"].n_refused == 100 + 300
     assert quality["time_base", "any"].n_refused == 500
@@ -166,10 +157,8 @@ def test_back_flow_and_its_guard_times() -> None:
 
 
 def test_transients_only_where_asked_for() -> None:
-    def step(speed: Floats) -> None:
-        speed[1000:] += 20.0
-
-    channels = with_speed(step)
+    channels = running(200)
+    channels["speed"].value[1000:] += 20.0
     _, quality = together(channels)
     assert ("time_base", "transient") not in quality
     samples, quality = together(channels, refuse_transients=True)
@@ -179,11 +168,8 @@ def test_transients_only_where_asked_for() -> None:
 
 def test_each_reason_counts_and_any_once() -> None:
     """A gap in the flow within a standstill: refused for both, counted once under any."""
-
-    def halt(speed: Floats) -> None:
-        speed[1000:1100] = 0.0
-
-    channels = with_speed(halt)
+    channels = running(200)
+    channels["speed"].value[1000:1100] = 0.0
     flow = channels["leakage_flow"]
     awake = (np.arange(2001) < 1020) | (np.arange(2001) > 1060)
     channels["leakage_flow"] = cleaned(flow.time_us[awake], flow.value[awake])
