@@ -67,7 +67,7 @@ def test_rules_see_a_gap_wherever_credible_samples_are_far_apart(
         return np.zeros(len(course.value), np.bool_)
 
     steps, good = [step for step, _ in steps_and_good], [one for _, one in steps_and_good]
-    time_us = stamps(10)[0] + np.cumsum(np.array(steps, np.int64)) * SECOND // 10
+    time_us = np.cumsum(np.array(steps, np.int64)) * SECOND // 10
     value = np.where(good, lively(len(good)), 500.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cleaning, "CHANNEL_RULES", {"probe": rule})

@@ -37,11 +37,17 @@ MOVING = operate(minutes=60.0)
 
 # A meter of 1 cm³ a pulse, read at 10 Hz: at 0.35 l/min a reading is 0 or 0.6 l/min, the MAD is 0.
 FLOW = 0.35
-PULSE_TIME = np.arange(36_000, dtype=np.int64) * (SECOND // 10)
+PULSE_TIME = stamps(36_000)
 TOTAL = np.floor(FLOW * 1000 / 60 * PULSE_TIME / SECOND)
 PULSES = np.diff(TOTAL, prepend=0.0)
-COUNTED: dict[str, Any] = {"volume_per_count_cm3": 1.0}
+PULSED: dict[str, Any] = {"counts": "pulses", "volume_per_count_cm3": 1.0}
+COUNTED: dict[str, Any] = PULSED | {"counts": "cumulative"}
+MEANS: dict[str, Any] = {"sampling": "mean", "mean_of_s": 10.0}
 ON_CHANGE: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
+
+
+def seconds(n: int) -> Times:
+    return stamps(n, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -50,8 +56,8 @@ ON_CHANGE: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0
         (PULSES * 0.6, {"resolution": 0.6}, {}),
         # The step shows in the readings, also after a conversion from m³/h or gallons.
         *((PULSES * 0.6 * unit / unit, {}, {}) for unit in (1.0, 0.06, 1 / 3.785411784)),
-        (PULSES, COUNTED | {"counts": "pulses"}, {"no_interval": 1, "any": 1}),
-        (TOTAL, COUNTED | {"counts": "cumulative"}, {"no_interval": 1, "any": 1}),
+        (PULSES, PULSED, {"no_interval": 1, "any": 1}),
+        (TOTAL, COUNTED, {"no_interval": 1, "any": 1}),
     ],
 )
 def test_a_pulse_meter_keeps_its_mean(
@@ -90,14 +96,8 @@ def test_a_reset_costs_one_sample_and_is_counted() -> None:
     total = np.arange(100.0) * 3.0
     total[60:] -= total[60]
     for rolls_over_at in (None, 1e6):
-        found = as_read(
-            "leakage_flow",
-            np.arange(100, dtype=np.int64) * SECOND,
-            total,
-            counts="cumulative",
-            volume_per_count_cm3=1.0,
-            counter_rolls_over_at=rolls_over_at,
-        )
+        keys = COUNTED | {"counter_rolls_over_at": rolls_over_at}
+        found = as_read("leakage_flow", seconds(100), total, **keys)
         assert refused_by(found) == {"no_interval": 1, "counter_reset": 1, "any": 2}
         np.testing.assert_allclose(found.value[~found.refused], 0.18)
 
@@ -106,7 +106,7 @@ def test_a_gap_and_a_lost_reading_leave_no_interval() -> None:
     time = np.delete(np.arange(100, dtype=np.int64), np.arange(40, 60)) * SECOND
     total = time / SECOND * 3.0
     total[20] = np.inf
-    found = as_read("leakage_flow", time, total, counts="cumulative", volume_per_count_cm3=1.0)
+    found = as_read("leakage_flow", time, total, **COUNTED)
     assert found.counts["not_finite"] == 1
     assert found.counts["any"] == 4
     assert (np.diff(found.time_us) > 0).all()
@@ -114,10 +114,10 @@ def test_a_gap_and_a_lost_reading_leave_no_interval() -> None:
 
 
 def test_a_counter_that_stopped_is_frozen_and_a_steady_one_is_not() -> None:
-    time = np.arange(600, dtype=np.int64) * SECOND
+    time = seconds(600)
     pulses = np.full(600, 7.0)
     pulses[300:] = 0.0
-    found = as_read("leakage_flow", time, pulses, counts="pulses", volume_per_count_cm3=1.0)
+    found = as_read("leakage_flow", time, pulses, **PULSED)
     assert refused_by(found) == {"no_interval": 1, "frozen": 300, "any": 301}
 
 
@@ -130,13 +130,8 @@ def test_the_same_value_for_longer_than_the_longest_silence_is_frozen() -> None:
 
 
 def test_it_has_no_rate_to_set_the_time_base_by() -> None:
-    slow = as_read("speed", np.arange(50, dtype=np.int64) * SECOND, np.arange(50.0))
-    burst = as_read(
-        "pressure_difference",
-        np.arange(50, dtype=np.int64) * (SECOND // 10),
-        np.arange(50.0),
-        **ON_CHANGE,
-    )
+    slow = as_read("speed", seconds(50), np.arange(50.0))
+    burst = as_read("pressure_difference", stamps(50), np.arange(50.0), **ON_CHANGE)
     assert grid_period_us({"speed": slow, "p": burst}, TimeBase()) == SECOND
     assert grid_period_us({"p": burst}, TimeBase()) == SECOND // 10
 
@@ -157,27 +152,20 @@ def test_means_of_a_period_above_the_limit_are_refused_by_name(
 
 def test_a_mean_holds_over_its_period_and_is_not_averaged_again() -> None:
     time = np.arange(5, 100, 10, dtype=np.int64) * SECOND
-    found = as_read("speed", time, np.arange(10.0), sampling="mean", mean_of_s=10.0)
+    found = as_read("speed", time, np.arange(10.0), **MEANS)
     grid = np.array([-2, 1, 9, 12, 58, 61, 99, 102]) * SECOND
     value, present, silent = on_grid(found, grid, SECOND)
     assert value[present].tolist() == [0, 0, 1, 5, 6, 9]
     assert np.flatnonzero(silent).tolist() == [0, 7]
-    lost = as_read(
-        "speed",
-        np.delete(time, 4),
-        np.delete(np.arange(10.0), 4),
-        sampling="mean",
-        mean_of_s=10.0,
-    )
+    lost = as_read("speed", np.delete(time, 4), np.delete(np.arange(10.0), 4), **MEANS)
     _, present, _ = on_grid(lost, np.array([35, 44, 46, 55]) * SECOND, SECOND)
     assert present.tolist() == [True, False, False, True]
 
 
 def test_the_stamp_of_a_mean_is_moved_to_its_middle() -> None:
     time = np.arange(0, 1000, 10, dtype=np.int64) * SECOND
-    stated: dict[str, Any] = {"sampling": "mean", "mean_of_s": 10.0}
     for stamp, shift in (("begin", 5), ("middle", 0), ("end", -5)):
-        found = as_read("speed", time, np.arange(100.0), mean_stamp=stamp, **stated)
+        found = as_read("speed", time, np.arange(100.0), mean_stamp=stamp, **MEANS)
         np.testing.assert_array_equal(found.time_us, time + shift * SECOND)
 
 
@@ -220,10 +208,6 @@ Mask = NDArray[np.bool_]
 LONG = Logs(format="csv", files=("*.csv",), layout="long")
 
 
-def seconds(n: int) -> Times:
-    return np.arange(n, dtype=np.int64) * SECOND
-
-
 def swinging(n: int) -> Array:
     return 100.0 + 20.0 * np.sin(np.arange(n) / 3.0)
 
@@ -249,14 +233,12 @@ def test_a_blank_cell_between_the_samples_of_a_slow_channel_is_none_however_bad(
 def test_a_counter_of_which_a_reading_is_bad_leaves_no_interval() -> None:
     total = np.arange(60.0) * 3.0
     total[30] = 7.0
-    stated: dict[str, Any] = {"counts": "cumulative", "volume_per_count_cm3": 1.0}
-    found = as_read("leakage_flow", seconds(60), total, [30], **stated)
+    found = as_read("leakage_flow", seconds(60), total, [30], **COUNTED)
     assert refused_by(found) == {"bad_quality": 1, "no_interval": 2, "any": 3}
     np.testing.assert_allclose(found.value[~found.refused], 0.18)
     pulses = np.full(60, 3.0)
     pulses[30] = 500.0
-    stated["counts"] = "pulses"
-    found = as_read("leakage_flow", seconds(60), pulses, [30], **stated)
+    found = as_read("leakage_flow", seconds(60), pulses, [30], **PULSED)
     assert refused_by(found) == {"bad_quality": 1, "no_interval": 1, "any": 2}
 
 
