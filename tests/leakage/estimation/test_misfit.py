@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from leakage.estimation.block_statistics import factors, merge
 from leakage.estimation.misfit import Misfit, misfit, model_errors
-from leakage.estimation.proven_minimum import certify
+from leakage.estimation.proven_minimum import ProvenMinimum, certify
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors, total_flow_l_per_min
 from leakage.physics.oil import FilmPressure
@@ -70,15 +70,19 @@ def night(truth: Truth, generator: np.random.Generator) -> tuple[Array, Array]:
     return factors(np.column_stack([columns, flow]), np.arange(0, n + 1, BLOCK)), means
 
 
+def fit_of(blocks: Array, most_flushing: float = 0.0) -> ProvenMinimum:
+    return certify(merge(blocks), np.zeros(4), np.array([1e-9] * 3 + [most_flushing]))
+
+
+def misfit_of(blocks: Array, means: Array, most_flushing: float = 0.0) -> Misfit:
+    theta = fit_of(blocks, most_flushing).coefficients
+    fixed = FIXED & (most_flushing == 0.0)
+    return misfit(blocks, np.arange(len(blocks)), theta, fixed, means)
+
+
 def misfits(truth: Truth, nights: int, seed: int = 1) -> list[Misfit]:
     generator = np.random.default_rng(seed)
-    found = []
-    for _ in range(nights):
-        blocks, means = night(truth, generator)
-        theta = certify(merge(blocks), np.zeros(4), np.array([1e-9] * 3 + [0.0])).coefficients
-        told = misfit(blocks, np.arange(len(blocks)), theta, FIXED, means)
-        found.append(told)
-    return found
+    return [misfit_of(*night(truth, generator)) for _ in range(nights)]
 
 
 def with_roller(factor: float) -> Motor:
@@ -103,7 +107,7 @@ def test_a_right_model_leaves_little() -> None:
 
 def test_a_misfit_is_the_same_in_any_unit_of_the_loss_factors() -> None:
     blocks, means = night(Truth(with_roller(1.3)), np.random.default_rng(2))
-    theta = certify(merge(blocks), np.zeros(4), np.array([1e-9] * 3 + [0.0])).coefficients
+    theta = fit_of(blocks).coefficients
     # Columns of norms of 1e13 to 1e15, and of less than 1.
     unit = np.array([1e18] * 3 + [1.0])
     plain, other = (
@@ -140,16 +144,11 @@ def test_the_size_is_that_of_the_flow_which_the_fit_cannot_follow() -> None:
     truth = Truth(with_roller(0.6), error=0.0)
     generator = np.random.default_rng(3)
     blocks, means = night(truth, generator)
-    whole = merge(blocks)
-    proven_minimum = certify(whole, np.zeros(4), np.array([1e-9] * 3 + [0.0]))
-    number = np.arange(len(blocks))
-    told = misfit(blocks, number, proven_minimum.coefficients, FIXED, means)
-    assert 0.9 * proven_minimum.cost < told.l_per_min**2 < proven_minimum.cost
+    cost = fit_of(blocks).cost
+    assert 0.9 * cost < misfit_of(blocks, means).l_per_min ** 2 < cost
 
 
-def test_a_shift_of_the_flow_along_its_misfit_moves_no_figure_further_than_the_model_error() -> (
-    None
-):
+def test_a_shift_of_the_flow_moves_no_figure_further_than_the_model_error() -> None:
     blocks, _ = night(Truth(), np.random.default_rng(4))
     whole = merge(blocks)
     x, n = whole[:, :3], float(np.sum(whole[:, -3] ** 2))
@@ -179,13 +178,9 @@ def test_few_blocks_or_one_steady_state_tell_nothing_false() -> None:
 
 
 def test_flushing_that_is_estimated_is_no_misfit() -> None:
-    model = placeholder_motor(flushing="estimated", flushing_l_per_min=2.0)
-    truth = Truth(model)
+    truth = Truth(placeholder_motor(flushing="estimated", flushing_l_per_min=2.0))
     generator = np.random.default_rng(7)
-    for fixed, is_clear in ((np.zeros(4, dtype=bool), False), (FIXED, True)):
+    for most_flushing, is_clear in ((20.0, False), (0.0, True)):
         for _ in range(3):
-            blocks, means = night(truth, generator)
-            upper = np.array([1e-9] * 3 + [0.0 if fixed[-1] else 20.0])
-            theta = certify(merge(blocks), np.zeros(4), upper).coefficients
-            told = misfit(blocks, np.arange(len(blocks)), theta, fixed, means)
+            told = misfit_of(*night(truth, generator), most_flushing)
             assert (told.is_clear and told.share > 0.015) == is_clear
