@@ -22,9 +22,9 @@ README = Path(__file__).parent.parent / "README.md"
 
 
 def test_a_seed_draws_the_same_operating_point_and_errors_whatever_changes() -> None:
-    same = history(FITTED, NOTHING.course, 3, (2,))
-    changed = history(FITTED, change(1, gain=1.06, balance_sleeve=3.0), 3, (2,))
-    more = history(FITTED, change(1, gain=1.06), 3, (2,))
+    same = history(FITTED, NOTHING.course, (2,), 3)
+    changed = history(FITTED, change(1, gain=1.06, balance_sleeve=3.0), (2,), 3)
+    more = history(FITTED, change(1, gain=1.06), (2,), 3)
     for night in range(3):
         assert np.array_equal(same.nights[night].drives, changed.nights[night].drives)
         assert np.array_equal(same.nights[night].conditions, changed.nights[night].conditions)
@@ -35,8 +35,8 @@ def test_a_seed_draws_the_same_operating_point_and_errors_whatever_changes() -> 
 
 
 def test_a_sensor_that_reads_low_changes_the_flow_at_the_conditions_as_read() -> None:
-    low = history(FITTED, change(1, reads_high_c=-3.0), 3, (3,))
-    thinner = history(FITTED, change(1, viscosity=0.88), 3, (3,))
+    low = history(FITTED, change(1, reads_high_c=-3.0), (3,), 3)
+    thinner = history(FITTED, change(1, viscosity=0.88), (3,), 3)
     # An oil of VG 68 is some 12 % thinner at 58 °C than at 55 °C.
     assert low.newest_night[1:] == pytest.approx(thinner.newest_night[1:], abs=0.02)
 
@@ -74,7 +74,7 @@ def test_what_is_true_of_a_machine_is_what_its_physics_says(
     churning = 0.0025 * 6.0 if name == "winch" else 0.0
     wear, viscosity, gain = np.array([[1, 1.25, 1, 1], [1, 1, 0.8, 1], [1, 1, 1, 1.06]])
     state = State(wear=wear, viscosity=viscosity, gain=gain)
-    found = history(machine, lambda _: state, 4, (4,))
+    found = history(machine, lambda _: state, (4,), 4)
     thinned = gaps + (rest if name == "winch" else 0.0)
     whole = gaps + rest + churning
     expected = [0.0, 0.25 * gaps / whole, (0.8**-power - 1.0) * thinned / whole, 0.06]

@@ -94,7 +94,7 @@ def _outcome(key: str, number: int, base: int, limits: dict[str, float]) -> Outc
 
 def _highest(number: int) -> dict[str, Array]:
     """Highest distance so far, by night and method, of a motor to which nothing happens."""
-    nights = history(OTHERWISE, NOTHING.course, YEAR, (CALIBRATION, number)).nights
+    nights = history(OTHERWISE, NOTHING.course, (CALIBRATION, number), YEAR).nights
     found = charts(nights, BASELINE).items()
     return {method: np.maximum.accumulate(values[BASELINE:]) for method, values in found}
 

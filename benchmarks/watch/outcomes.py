@@ -11,13 +11,16 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.watch.cb560 import CB560, LAMINAR
 from benchmarks.watch.cells import Cell
 from benchmarks.watch.rivals import charts
-from benchmarks.watch.simulator import History
+from benchmarks.watch.simulator import History, drives_and_leakage
 from leakage.watch import Change, Estimate, NightBlocks, Verdict, Watch, WatchSettings
+from pipeline.arrays import Array
 
 # Seeds of trials while building, and of the figures that are shown.
 TRIAL, FRESH = 36, 20261203
+REFERENCE = np.array([50.0, 200.0, 30.0])  # [°C], [bar], [rpm]
 SETTLED = 10  # nights after which a cause has settled
 # A change of the temperature's effect alone is a notice; and what ends is no alarm.
 NOTICES = ("temperature_effect", "back_as_before")
@@ -37,11 +40,11 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
         "lack": round(verdicts[0].lack_of_fit, 4),
         "reached": _reached(histories[0], cell),
     }
-    if history.asked:
-        leakages = (watch.leakage_at(one.drives, one.conditions) for one in history.asked)
+    if isinstance(cell.of, CB560) and cell.of is LAMINAR:
+        # At reference conditions, and at the motor's own.
+        first = np.concatenate([one.conditions for one in history.nights[: cell.baseline]])
         found["leakages"] = [
-            [round(end / of.leakage - 1.0, 4) for end in _with_interval(one)]
-            for one, of in zip(leakages, history.asked, strict=True)
+            _leakage(watch, cell.of, at) for at in (REFERENCE, np.median(first, axis=0))
         ]
     if cell.has_rivals:
         values = charts(history.nights, cell.baseline)
@@ -49,6 +52,12 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
             method: _first(values[method] > limits[method], cell) for method in values
         }
     return found
+
+
+def _leakage(watch: Watch, of: CB560, at: Array) -> list[float]:
+    """By the level of the last night over the true one, less 1, with its interval."""
+    drives, true = drives_and_leakage(of, at)
+    return [round(one / true - 1.0, 4) for one in _with_interval(watch.leakage_at(drives, at))]
 
 
 def _watched(histories: Sequence[History], baseline: int) -> tuple[Watch, list[Verdict]]:

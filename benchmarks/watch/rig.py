@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import timedelta
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -41,35 +41,25 @@ PUMP = Motor("pump rig", (GAP, CASE), VG46, FilmPressure(share=0.0))
 WATCHED = Machine(("all_gaps", "flushing"), ("all_gaps",), (46.0, 6.8))
 
 
-@dataclass(frozen=True, slots=True)
-class Cut:
-    """Nights of a record: so long, one after another or so many that overlap."""
-
-    minutes: int
-    nights: int
-    is_mixed: bool = False
-    is_worn: bool = False
-
-    def make(self, seed: Sequence[int], _: int) -> Sequence[History]:
-        """The record's nights, all of them; a seed is for their order."""
-        nights = list(_nights(self.minutes, self.nights))
-        if self.is_mixed:
-            nights = [nights[at] for at in np.random.default_rng([*seed]).permutation(len(nights))]
-        more = np.where(self.is_worn & (np.arange(len(nights)) >= BEGIN), MORE, 1.0)
-        seen = (replace(one, day=day, flow=more[day] * one.flow) for day, one in enumerate(nights))
-        return [History(WATCHED, tuple(seen), more - 1.0, more - 1.0)]
+def nights_of_record(
+    minutes: int, nights: int, is_mixed: bool, seed: Sequence[int], begin: int | None
+) -> Sequence[History]:
+    """So many nights of the record with more leakage from one on; a seed is for their order."""
+    cut = list(_nights(minutes, nights))
+    if is_mixed:
+        cut = [cut[at] for at in np.random.default_rng([*seed]).permutation(len(cut))]
+    worn = range(len(cut) if begin is None else begin, len(cut))
+    more = np.where(np.isin(np.arange(len(cut)), worn), MORE, 1.0)
+    seen = (replace(one, day=day, flow=more[day] * one.flow) for day, one in enumerate(cut))
+    return [History(WATCHED, tuple(seen), more - 1.0, more - 1.0)]
 
 
-# Nights that overlap; and ten minutes, one after another.
-CUTS = {
-    f"{words}{', +10 % from night 20 on' if worn else ''}": replace(cut, is_worn=worn)
-    for words, cut in {
-        "27 nights of 10 min, one after another": Cut(10, 27),
-        "90 nights of 60 min that overlap": Cut(60, 90),
-        "90 nights of 60 min that overlap, mixed": Cut(60, 90, is_mixed=True),
-    }.items()
-    for worn in (False, True)
-}
+# Minutes and number of nights, which overlap or come one after another.
+CUTS = (
+    ("27 nights of 10 min, one after another", 27, partial(nights_of_record, 10, 27, False)),
+    ("90 nights of 60 min that overlap", 90, partial(nights_of_record, 60, 90, False)),
+    ("90 nights of 60 min that overlap, mixed", 90, partial(nights_of_record, 60, 90, True)),
+)
 
 
 def folder() -> Path:
@@ -86,16 +76,21 @@ def _nights(minutes: int, nights: int) -> tuple[NightBlocks, ...]:
 
 def _night(rows: pl.DataFrame) -> NightBlocks:
     """Blocks of the samples at which the meter reads."""
-    second = (rows[TIME] - rows[TIME][0]).dt.total_seconds().to_numpy().astype(float)
-    channels = (rows[name].cast(pl.Float64).to_numpy() for name in (PRESSURE, TEMPERATURE, FLOW))
-    pressure, temperature, flow = channels
-    reads = flow >= METER_READS_FROM
-    block = (second // BLOCK_S).astype(int)
-    kept = [at for at in np.unique(block) if (reads & (block == at)).sum() >= FEWEST]
-    columns = regressors(PUMP, OperatingConditions.from_bar(pressure, temperature, RPM))
-    seen = np.column_stack([temperature, pressure, np.full(len(flow), RPM)])
-    means = [
-        np.array([one[reads & (block == at)].mean(axis=0) for at in kept])
-        for one in (columns[:, :2], flow, seen)
-    ]
-    return NightBlocks(0, BLOCK_S * (np.array(kept) + 0.5), *means)
+    bar, celsius = (rows[name].cast(pl.Float64).to_numpy() for name in (PRESSURE, TEMPERATURE))
+    gap, case, *_ = regressors(PUMP, OperatingConditions.from_bar(bar, celsius, RPM)).T
+    blocks = (
+        rows.select(
+            ((pl.col(TIME) - pl.col(TIME).first()).dt.total_seconds() // BLOCK_S).alias("block"),
+            pl.col(FLOW, TEMPERATURE, PRESSURE).cast(pl.Float64),
+            gap=gap,
+            case=case,
+            rpm=RPM,
+        )
+        .filter(pl.col(FLOW) >= METER_READS_FROM)
+        .group_by("block", maintain_order=True)
+        .agg(pl.all().mean(), n=pl.len())
+        .filter(pl.col("n") >= FEWEST)
+    )
+    middle_s = BLOCK_S * (blocks["block"].to_numpy() + 0.5)
+    drives, seen = blocks.select("gap", "case"), blocks.select(TEMPERATURE, PRESSURE, "rpm")
+    return NightBlocks(0, middle_s, drives.to_numpy(), blocks[FLOW].to_numpy(), seen.to_numpy())

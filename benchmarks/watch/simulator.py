@@ -138,14 +138,6 @@ class Machine(Protocol):
         """What its sensors make of it."""
 
 
-class Asked(NamedTuple):
-    """Conditions of which the leakage is asked for after the last night, and what it is."""
-
-    drives: Array  # of the paths, shape (p,)
-    conditions: Array  # [°C], [bar], [rpm]
-    leakage: float  # [l/min]
-
-
 @dataclass(frozen=True, slots=True)
 class History:
     """A motor's nights, what the watch is given of it, and what is true."""
@@ -156,11 +148,10 @@ class History:
     # each night and without errors: at the night's conditions, and at those of the baseline.
     newest_night: Array
     change: Array
-    asked: tuple[Asked, ...] = ()
 
 
 def history(
-    machine: Machine, course: Course, nights: int, seed: Sequence[int], baseline: int = 60
+    machine: Machine, course: Course, seed: Sequence[int], nights: int, baseline: int = 60
 ) -> History:
     """A motor's nights, and by how much their flow has changed."""
     of_duty, of_samples, of_nights = (np.random.default_rng([*seed, part]) for part in range(3))
@@ -192,12 +183,12 @@ def history(
     return History(machine.fitted.watched, tuple(blocks), *changes)
 
 
-def asked(machine: Machine, conditions: Sequence[float]) -> Asked:
-    """The leakage of a machine in which nothing has changed, at some [°C], [bar] and [rpm]."""
-    temperature_c, pressure_bar, speed_rpm = (np.array([[one]]) for one in conditions)
-    duty = Duty(pressure_bar, temperature_c, speed_rpm)
+def drives_and_leakage(machine: Machine, conditions: Array) -> tuple[Array, float]:
+    """Of a machine in which nothing has changed, at some [°C], [bar] and [rpm]: (p,), [l/min]."""
+    celsius, bar, rpm = conditions.reshape(3, 1, 1)
+    duty = Duty(bar, celsius, rpm)
     drives = regressors(MODEL, duty.conditions())[0] @ machine.fitted.columns
-    return Asked(drives, np.array(conditions), float(machine.flow(duty, HEALTHY)[0, 0]))
+    return drives, float(machine.flow(duty, HEALTHY)[0, 0])
 
 
 def _flow(machine: Machine, duty: Duty, state: State) -> Array:
