@@ -21,7 +21,7 @@ from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.quality import quality_states
 from tests.dialects.csv_text import Csv
 
-from .mcap.protobuf_files import Field, class_of, declared, field_of, made_of, protobuf, set_of
+from .mcap.protobuf_files import Field, Member, class_of, declared, made_of, protobuf, set_of
 from .mcap_files import TOPIC, mcap_of
 from .sources import Source, changed, column
 from .test_csv import in_pieces
@@ -94,7 +94,7 @@ def json_mcap(qualities: Sequence[Any]) -> Way:
 
 def protobuf_mcap(path: Path) -> Source:
     """Fields that say whether they are set."""
-    fields = [field_of("value", Field.TYPE_DOUBLE), field_of("quality", Field.TYPE_UINT32)]
+    fields = [Member("value", Field.TYPE_DOUBLE), Member("quality", Field.TYPE_UINT32)]
     descriptors = set_of("proto2", declared("Hydraulics", fields, "proto2"))
     made, cells = class_of(descriptors), zip(VALUES, CODES, strict=True)
     given = [{"value": one, "quality": told} for one, told in cells]

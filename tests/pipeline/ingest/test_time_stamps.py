@@ -16,7 +16,6 @@ from pydantic import ValidationError
 from pipeline.config.time_formats import EPOCH_UNITS
 from pipeline.errors import LogError
 from pipeline.ingest import read_log
-from pipeline.ingest.assembly import Gathered
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.time_stamps import (
     TimeStamps,
@@ -240,19 +239,6 @@ def test_an_hour_that_does_not_exist_is_refused_and_counted() -> None:
     # 01:59:59 at +01:00 and 03:00:00 at +02:00 are a second apart.
     assert stamps.time_us[3] - stamps.time_us[0] == 1_000_000
     assert stamps.time_us[1:3].tolist() == [0, 0]
-
-
-def test_a_log_in_pieces_is_placed_as_a_whole() -> None:
-    texts = ["2025-10-26T01:30:00", "2025-10-26T02:31:00", "2025-10-26T02:00:00"]
-    texts += ["2025-10-26T02:45:00", "2025-10-26T03:15:00"]
-    gathered = Gathered(Path("log"), {}, {})
-    for text in texts:
-        gathered.add(written([pa.chunked_array([[text]])], "iso8601"), {}, {})
-    whole = read(list(texts), zone="Europe/Stockholm")
-    assert gathered.stamps("Europe/Stockholm").time_us.tolist() == whole.time_us.tolist()
-    offsets = ["+02:00", "+02:00", "+01:00", "+01:00", "+01:00"]
-    wanted = [us(datetime.fromisoformat(t + o)) for t, o in zip(texts, offsets, strict=True)]
-    assert whole.time_us.tolist() == wanted
 
 
 @given(st.lists(st.text(max_size=30) | st.none(), max_size=10))

@@ -19,7 +19,7 @@ from pipeline.ingest.conformance import NAMES, Cell, Format, Row
 from tests.dialects.columns import Parquet
 from tests.dialects.csv_text import Csv
 
-from .mcap.protobuf_files import NAME, Field, declared, field_of, set_of
+from .mcap.protobuf_files import NAME, Field, Member, declared, set_of
 from .mcap_files import mcap_bytes
 
 Write = Callable[[Path, Sequence[Row], Sequence[str]], None]
@@ -47,7 +47,7 @@ def parquet(**options: Any) -> Write:
     return table(Parquet("", options=options))
 
 
-VALUE = declared("Hydraulics", [field_of("value", Field.TYPE_DOUBLE)], "proto3")
+VALUE = declared("Hydraulics", [Member("value", Field.TYPE_DOUBLE)], "proto3")
 ENCODINGS: dict[str, tuple[tuple[str, str, bytes], Callable[[str, Cell], bytes]]] = {
     "json": (
         ("Value", "jsonschema", b'{"type": "object"}'),

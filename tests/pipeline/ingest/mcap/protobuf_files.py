@@ -67,8 +67,8 @@ class Member:
 
     name: str
     kind: int
-    type_name: str
-    role: str
+    type_name: str = ""
+    role: str = "plain"
     key: int = 0
 
 
@@ -111,9 +111,3 @@ def _set_type(field: Any, kind: int, type_name: str) -> None:
 def made_of(made: Any, fields: Mapping[str, Any]) -> bytes:
     """A payload of fields as JSON has them."""
     return bytes(json_format.ParseDict(fields, made()).SerializeToString())
-
-
-def field_of(
-    name: str, kind: int, type_name: str = "", role: str = "plain", key: int = 0
-) -> Member:
-    return Member(name, kind, type_name, role, key)

@@ -14,9 +14,9 @@ from pipeline.ingest.conformance import T0_US
 from tests.pipeline.ingest.mcap.protobuf_files import (
     NAME,
     Field,
+    Member,
     class_of,
     declared,
-    field_of,
     made_of,
     protobuf,
     set_of,
@@ -32,24 +32,24 @@ from tests.pipeline.ingest.mcap_files import (
     values,
 )
 
-PORT = [field_of("pressure", Field.TYPE_DOUBLE), field_of("side", Field.TYPE_UINT32)]
+PORT = [Member("pressure", Field.TYPE_DOUBLE), Member("side", Field.TYPE_UINT32)]
 HYDRAULICS = [
-    field_of("stamp", Field.TYPE_MESSAGE, ".google.protobuf.Timestamp"),
-    field_of("port", Field.TYPE_MESSAGE, ".motor.Port"),
-    field_of("ports", Field.TYPE_MESSAGE, ".motor.Port", "many"),
-    field_of("values", Field.TYPE_FLOAT, role="many"),
-    field_of("total", Field.TYPE_INT64),
-    field_of("running", Field.TYPE_BOOL),
-    field_of("name", Field.TYPE_STRING),
-    field_of("maybe", Field.TYPE_DOUBLE, role="optional"),
-    field_of("mode", Field.TYPE_ENUM, ".motor.Mode"),
-    field_of("wrapped", Field.TYPE_MESSAGE, ".google.protobuf.DoubleValue"),
-    field_of("by_name", Field.TYPE_DOUBLE, role="map", key=Field.TYPE_STRING),
-    field_of("by_number", Field.TYPE_MESSAGE, ".motor.Port", "map", Field.TYPE_INT32),
-    field_of("by_truth", Field.TYPE_ENUM, ".motor.Mode", "map", Field.TYPE_BOOL),
-    field_of("bar", Field.TYPE_DOUBLE, role="oneof"),
-    field_of("raw", Field.TYPE_INT32, role="oneof"),
-    field_of("itself", Field.TYPE_MESSAGE, ".motor.Hydraulics"),
+    Member("stamp", Field.TYPE_MESSAGE, ".google.protobuf.Timestamp"),
+    Member("port", Field.TYPE_MESSAGE, ".motor.Port"),
+    Member("ports", Field.TYPE_MESSAGE, ".motor.Port", "many"),
+    Member("values", Field.TYPE_FLOAT, role="many"),
+    Member("total", Field.TYPE_INT64),
+    Member("running", Field.TYPE_BOOL),
+    Member("name", Field.TYPE_STRING),
+    Member("maybe", Field.TYPE_DOUBLE, role="optional"),
+    Member("mode", Field.TYPE_ENUM, ".motor.Mode"),
+    Member("wrapped", Field.TYPE_MESSAGE, ".google.protobuf.DoubleValue"),
+    Member("by_name", Field.TYPE_DOUBLE, role="map", key=Field.TYPE_STRING),
+    Member("by_number", Field.TYPE_MESSAGE, ".motor.Port", "map", Field.TYPE_INT32),
+    Member("by_truth", Field.TYPE_ENUM, ".motor.Mode", "map", Field.TYPE_BOOL),
+    Member("bar", Field.TYPE_DOUBLE, role="oneof"),
+    Member("raw", Field.TYPE_INT32, role="oneof"),
+    Member("itself", Field.TYPE_MESSAGE, ".motor.Hydraulics"),
 ]
 DESCRIPTORS = set_of(
     "proto3", declared("Port", PORT, "proto3"), declared("Hydraulics", HYDRAULICS, "proto3")
@@ -130,7 +130,7 @@ def test_what_is_not_set_is_missing_where_that_can_be_told(
 
 def test_a_default_that_proto2_names_is_no_reading(tmp_path: Path) -> None:
     """A field absent from the message was not measured, whatever its default."""
-    members = [field_of("oil", Field.TYPE_DOUBLE, role="default")]
+    members = [Member("oil", Field.TYPE_DOUBLE, role="default")]
     descriptors = set_of("proto2", declared("Hydraulics", members, "proto2"))
     made = class_of(descriptors)
     data = protobuf([made_of(made, {}), made_of(made, {"oil": 20.5})], descriptors)

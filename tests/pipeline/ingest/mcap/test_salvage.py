@@ -105,20 +105,12 @@ def test_what_is_not_salvaged(tmp_path: Path) -> None:
 def damaged(data: bytes, kind: str, start: int) -> bytes:
     """A file with one kind of damage in the chunk that begins at a byte."""
     changed = bytearray(data)
-    size_at, checksum_at, name_at = start + 9 + 16, start + 9 + 24, start + 9 + 32
+    size_at, name_at = start + 9 + 16, start + 9 + 32
     match kind:
         case "cut":
             return data[: start + 100]
-        case "cut between":
-            return data[:start]
-        case "checksum":
-            changed[checksum_at] ^= 1
         case "content":
             changed[start + 120] ^= 0x10
-        case "size":
-            struct.pack_into("<Q", changed, size_at, 999)
-        case "packed size":
-            struct.pack_into("<Q", changed, name_at + int(changed[name_at - 4]), 2**30)
         case "length":
             struct.pack_into("<Q", changed, start + 1, 2**50)
         case "bomb":
@@ -141,11 +133,7 @@ def messages_before(data: bytes, start: int) -> int:
 
 CODES = {
     "cut": "log_truncated",
-    "cut between": "log_truncated",
-    "checksum": "log_damaged",
     "content": "log_damaged",
-    "size": "log_damaged",
-    "packed size": "log_damaged",
     "length": "log_damaged",
     "bomb": "log_too_large",
     "compression": "log_compression",
@@ -177,7 +165,7 @@ def test_each_kind_of_damage_in_each_mode(
     before = messages_before(whole, start)
     if code in ("log_too_large", "log_compression"):
         assert code_of(path, data, SALVAGE) == code
-    elif "cut" in kind and not before:
+    elif kind == "cut" and not before:
         with pytest.raises(LogError, match="no topic"):
             read(path, data)
     else:
