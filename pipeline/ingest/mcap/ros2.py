@@ -72,14 +72,6 @@ _Definitions = Mapping[str, Mapping[str, tuple[str, str]]]
 """Type and array of each field, by message; the array is empty for a single value."""
 
 
-class _CutError(Exception):
-    """A message ends before all that it says it has."""
-
-
-class _TooManyFieldsError(Exception):
-    """A message has more fields than any of a log."""
-
-
 def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
     """Decoder of the messages of a topic.
 
@@ -110,7 +102,7 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
         _require_plain(path, topic, payloads)
         try:
             return _decoded(*_found_in(payloads, definitions, root, paths), wanted)
-        except _TooManyFieldsError as error:
+        except OverflowError as error:
             how = f"messages of topic {topic!r} have more fields, one in another, than are read"
             raise LogError("log_too_large", path, how, topic) from error
 
@@ -304,9 +296,9 @@ class _Layout:
     def _count_one(self) -> None:
         self.fields_left -= 1
         if self.fields_left < 0:
-            raise _TooManyFieldsError
+            raise OverflowError
         if self.at > len(self.payload):
-            raise _CutError
+            raise EOFError
 
     def _length(self) -> int:
         """The length of a text or sequence that begins here."""
@@ -314,7 +306,7 @@ class _Layout:
         self.lengths.append(self.at)
         self.at += 4
         if self.at > len(self.payload):
-            raise _CutError
+            raise EOFError
         return int(struct.unpack_from(self.order + "I", self.payload, self.at - 4)[0])
 
     def is_of(self, text: memoryview, size: int) -> NDArray[np.bool_]:
@@ -331,14 +323,13 @@ class _Layout:
 def _layout_of(
     payload: bytes, definitions: _Definitions, root: str, wanted: frozenset[FieldPath]
 ) -> _Layout | None:
-    """The layout of a message; None where it is cut."""
-    order = _ORDERS.get(payload[:2])
-    if order is None:
+    """The layout of a message; None where it is cut, OverflowError where it has no end of fields."""
+    if payload[:2] not in _ORDERS:
         return None
-    layout = _Layout(payload, definitions, wanted, order)
+    layout = _Layout(payload, definitions, wanted, _ORDERS[payload[:2]])
     try:
         layout.pass_by(root, "", ())
-    except _CutError:
+    except EOFError:
         return None
     return layout if layout.at <= len(payload) else None
 
