@@ -19,6 +19,7 @@ from pipeline.errors import LogError
 from pipeline.ingest.assembly import Gathered, judged, raw_log, span
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog, Reader
 from pipeline.ingest.mcap.decoding import (
+    Decoded,
     Decoder,
     Payloads,
     Wanted,
@@ -191,11 +192,17 @@ class _Topic:
         self.rows.add(stamps, decoded.fields, qualities)
         self.first = self.first or payloads.first
         # Elsewhere, a schema has told which fields there are.
-        for payload in payloads.each() if self.unseen and self.kind == _JSON else ():
-            message = json_object(payload)
+        if self.unseen and self.kind == _JSON:
+            self._look_for_fields(payloads, decoded)
+
+    def _look_for_fields(self, payloads: Payloads, decoded: Decoded) -> None:
+        told = {path for path, one in decoded.fields.items() if (one.unparsed | ~one.missing).any()}
+        told |= {path for path, one in decoded.qualities.items() if one.null_count < len(one)}
+        self.unseen = [path for path in self.unseen if path not in told]
+        # One that is null is there, too.
+        for payload in payloads.each() if self.unseen else ():
+            message = json_object(payload) or {}
             self.unseen = [path for path in self.unseen if not has(message, path)]
-            if not self.unseen:
-                break
 
     def require_all(self, last: Messages) -> None:
         """Refuse a topic that no channel has, and a field that no message has."""
@@ -204,7 +211,7 @@ class _Topic:
             how = f"no topic {self.name!r}; there are {', '.join(map(repr, topics))}"
             raise LogError("log_column_missing", self.path, how)
         if self.kind == _JSON and self.unseen and self.first:
-            there = sorted({path_text(path) for path, _ in leaves(json_object(self.first))})
+            there = sorted({path_text(path) for path, _ in leaves(json_object(self.first) or {})})
             raise LogError(
                 "log_column_missing",
                 self.path,

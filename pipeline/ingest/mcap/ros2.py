@@ -323,7 +323,7 @@ class _Layout:
 def _layout_of(
     payload: bytes, definitions: _Definitions, root: str, wanted: frozenset[FieldPath]
 ) -> _Layout | None:
-    """The layout of a message; None where it is cut, OverflowError where it has no end of fields."""
+    """The layout of a message, None where it is cut; OverflowError: it has no end of fields."""
     if payload[:2] not in _ORDERS:
         return None
     layout = _Layout(payload, definitions, wanted, _ORDERS[payload[:2]])
