@@ -115,29 +115,27 @@ def _csv(path: Path) -> Table:
     encoding = _encoding(next(unpacked(path, _HEAD_BYTES), b""))
     lines = list(islice(_text_lines(path, encoding, _HEAD_BYTES), HEAD_ROWS))
     table = max((_taken_apart(lines, mark) for mark in _SEPARATORS), key=lambda one: one.fit)
-    if table.width < 2:
-        if any(len(_cells(line, mark)) > 2 for line in lines for mark in _SEPARATORS):
-            raise LogError("log_empty", path, "there are names of columns and no row of samples")
-        raise LogError("log_not_csv", path, "the first lines are no table of two columns or more")
-    header, units = _header(table)
-    if header is None:
-        raise LogError("log_not_csv", path, "no line above the first rows has names of the columns")
+    found = _header(table)
+    if found is None:
+        message = "the first lines are no names of columns with rows of samples below"
+        raise LogError("log_not_csv", path, message)
+    header, units = found
     names = table.rows[header]
     unit_rows = sum(any(row) for row in table.rows[header + 1 : table.first])
-    found = [row for row in table.rows[table.first :] if len(row) == table.width and row != names]
-    cells = list(zip(*found, strict=True)) or [()] * len(names)
+    samples = [row for row in table.rows[table.first :] if len(row) == table.width and row != names]
+    cells = list(zip(*samples, strict=True)) or [()] * len(names)
     columns = [
         Column(name, own, kind_of(own), unit, {"source": name})
         for name, unit, own in zip(names, units or ("",) * len(names), cells, strict=True)
         if name and names.count(name) == 1
     ]
-    at = {name: i for i, name in enumerate(names)}
 
     def rows(wanted: Sequence[str]) -> Rows:
+        places = [names.index(name) for name in wanted]
         below = islice(_text_lines(path, encoding, _SCANNED_BYTES), header + 1 + unit_rows, None)
         for row in (_cells(line, table.separator) for line in below):
             if len(row) == len(names) and row != names and not row[0].startswith("#"):
-                yield tuple(row[at[name]] for name in wanted)
+                yield tuple(row[place] for place in places)
 
     numbers = [one for one in columns if one.kind == "number"]
     marks = marks_of(cell for one in numbers for cell in one.cells)
@@ -148,10 +146,10 @@ def _csv(path: Path) -> Table:
         )
         raise LogError("log_not_csv", path, message)
     dialect: dict[str, Any] = {
-        "separator": table.separator if table.separator != "," else "",
-        "decimal": marks.decimal if marks.decimal != "." else "",
+        "separator": table.separator,
+        "decimal": marks.decimal,
         "thousands": marks.thousands,
-        "encoding": encoding if encoding != "utf-8" else "",
+        "encoding": encoding,
         "skip_rows": header,
         "unit_rows": unit_rows,
     }
@@ -159,8 +157,9 @@ def _csv(path: Path) -> Table:
     if not marks.is_certain:
         choices = (marks.decimal, "," if marks.decimal == "." else ".")
         questions = [Question("decimal", "a decimal mark, or between thousands?", choices)]
-    logs = {"format": "csv"} | {key: value for key, value in dialect.items() if value}
-    return timed(Table(logs, tuple(questions), tuple(columns), (), marks, rows))
+    known = Logs.model_fields
+    logs = {key: value for key, value in dialect.items() if value != known[key].default}
+    return timed(Table({"format": "csv"} | logs, tuple(questions), tuple(columns), (), marks, rows))
 
 
 def _encoding(head: bytes) -> str:
@@ -220,7 +219,7 @@ def _holds_sample(cell: str) -> bool:
     return is_number(cell) or kind_of([cell]) in TIMES
 
 
-def _header(table: _Lines) -> tuple[int | None, Cells]:
+def _header(table: _Lines) -> tuple[int, Cells] | None:
     """The line that has the names, and the cells of a line of units below it."""
     block: list[int] = []
     for at in range(table.first - 1, -1, -1):
@@ -233,7 +232,7 @@ def _header(table: _Lines) -> tuple[int | None, Cells]:
     # Annotations, such as "#datatype", are no names where others are there.
     block = [at for at in block if not table.rows[at][0].startswith("#")] or block
     if not block:
-        return None, ()
+        return None
     with_time = [at for at in block if any(map(is_time_name, table.rows[at]))]
     distinct = {at: len(set(table.rows[at]) - {""}) for at in block}
     header = with_time[0] if with_time else max(block, key=lambda at: (distinct[at], -at))
