@@ -9,7 +9,6 @@ import codecs
 import csv
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -100,29 +99,20 @@ def header_of(path: Path, logs: Logs) -> dict[str, str]:
 # Delimited text
 
 
-@dataclass(frozen=True, slots=True)
-class _Lines:
-    """Lines taken apart by one separator."""
-
-    separator: str
-    rows: tuple[Cells, ...] = ()
-    width: int = 1
-    first: int = 0  # the first row of samples
-    fit: tuple[bool, float, int] = (False, 0.0, 0)
-
-
 def _csv(path: Path) -> Table:
     encoding = _encoding(next(unpacked(path, _HEAD_BYTES), b""))
     lines = list(islice(_text_lines(path, encoding, _HEAD_BYTES), HEAD_ROWS))
-    table = max((_taken_apart(lines, mark) for mark in _SEPARATORS), key=lambda one: one.fit)
-    found = _header(table)
+    tables = {mark: _taken_apart(lines, mark) for mark in _SEPARATORS}
+    separator = max(tables, key=lambda mark: tables[mark][0])
+    (_, _, width), lined, first = tables[separator]
+    found = _header(lined[:first], width)
     if found is None:
         message = "the first lines are no names of columns with rows of samples below"
         raise LogError("log_not_csv", path, message)
     header, units = found
-    names = table.rows[header]
-    unit_rows = sum(any(row) for row in table.rows[header + 1 : table.first])
-    samples = [row for row in table.rows[table.first :] if len(row) == table.width and row != names]
+    names = lined[header]
+    unit_rows = sum(any(row) for row in lined[header + 1 : first])
+    samples = [row for row in lined[first:] if len(row) == width and row != names]
     cells = list(zip(*samples, strict=True)) or [()] * len(names)
     columns = [
         Column(name, own, kind_of(own), unit, {"source": name})
@@ -133,20 +123,20 @@ def _csv(path: Path) -> Table:
     def rows(wanted: Sequence[str]) -> Rows:
         places = [names.index(name) for name in wanted]
         below = islice(_text_lines(path, encoding, _SCANNED_BYTES), header + 1 + unit_rows, None)
-        for row in (_cells(line, table.separator) for line in below):
+        for row in (_cells(line, separator) for line in below):
             if len(row) == len(names) and row != names and not row[0].startswith("#"):
                 yield tuple(row[place] for place in places)
 
     numbers = [one for one in columns if one.kind == "number"]
     marks = marks_of(cell for one in numbers for cell in one.cells)
-    if marks.decimal == table.separator:
+    if marks.decimal == separator:
         message = (
             "a comma is the decimal mark and separates the cells, too: such a log is not read, "
             "have it written with another separator"
         )
         raise LogError("log_not_csv", path, message)
     dialect: dict[str, Any] = {
-        "separator": table.separator,
+        "separator": separator,
         "decimal": marks.decimal,
         "thousands": marks.thousands,
         "encoding": encoding,
@@ -201,42 +191,46 @@ def _cells(line: str, separator: str) -> Cells:
         return ()
 
 
-def _taken_apart(lines: Sequence[str], separator: str) -> _Lines:
-    rows = tuple(_cells(line, separator) for line in lines)
+def _taken_apart(
+    lines: Sequence[str], separator: str
+) -> tuple[tuple[bool, float, int], list[Cells], int]:
+    """How well the cells between separators are a table, the cells, and the first row of samples.
+
+    Is there a line above it that may have names, which share of cells are samples, and the width.
+    """
+    rows = [_cells(line, separator) for line in lines]
     # The rows of samples are the last ones, whatever stands before them.
     tail = Counter(len(row) for row in rows[len(rows) // 2 :] if len(row) > 1)
     width = max(tail, key=lambda one: (tail[one], one), default=1)
     samples = [sum(map(_holds_sample, row)) if len(row) == width else 0 for row in rows]
     first = next((i for i, count in enumerate(samples) if count > 1), None)
     if width < 2 or first is None:
-        return _Lines(separator, rows)
+        return (False, 0.0, 1), rows, 0
     share = sum(samples[first:]) / (width * sum(map(bool, rows[first:])))
     is_named = first > 0 and len(rows[first - 1]) == width
-    return _Lines(separator, rows, width, first, (is_named, share, width))
+    return (is_named, share, width), rows, first
 
 
 def _holds_sample(cell: str) -> bool:
     return is_number(cell) or kind_of([cell]) in TIMES
 
 
-def _header(table: _Lines) -> tuple[int, Cells] | None:
-    """The line that has the names, and the cells of a line of units below it."""
-    block: list[int] = []
-    for at in range(table.first - 1, -1, -1):
-        line = table.rows[at]
-        # Marks of a dataset, such as "#ROWS", may stand between.
-        if len(line) != table.width and any(line) and not line[0].startswith("#"):
-            break
-        if len(line) == table.width:
-            block.insert(0, at)
+def _header(above: Sequence[Cells], width: int) -> tuple[int, Cells] | None:
+    """The line that has the names, and the cells of a line of units below it; None: there is none.
+
+    They are above the rows of samples.
+    """
+    wide = [at for at, line in enumerate(above) if len(line) == width]
     # Annotations, such as "#datatype", are no names where others are there.
-    block = [at for at in block if not table.rows[at][0].startswith("#")] or block
+    block = [at for at in wide if not above[at][0].startswith("#")] or wide
     if not block:
         return None
-    with_time = [at for at in block if any(map(is_time_name, table.rows[at]))]
-    distinct = {at: len(set(table.rows[at]) - {""}) for at in block}
-    header = with_time[0] if with_time else max(block, key=lambda at: (distinct[at], -at))
-    below = [table.rows[at] for at in block if at > header]
+
+    def fit(at: int) -> tuple[bool, int, int]:
+        return any(map(is_time_name, above[at])), len({*above[at]} - {""}), -at
+
+    header = max(block, key=fit)
+    below = [above[at] for at in block if at > header]
     # The same in all cells are types of numbers, such as "F".
     units = [cells for cells in below if len(set(cells[1:]) - {""}) > 1 or len(cells) == 2]
     return header, _units_among(units)
