@@ -15,9 +15,8 @@ from pipeline.config.channels import PORT_PRESSURES
 from pipeline.config.section import known_zone
 from pipeline.errors import UsageError
 from pipeline.messages import plain
-from pipeline.setup.cells import Marks, as_number
 from pipeline.setup.names import QUANTITY_OF, Group, likely_units, meaning_of, missing_channels
-from pipeline.setup.tables import Column, Question, Table
+from pipeline.setup.tables import Column, Marks, Question, Table, as_number
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
 
 # What may be answered before it is asked.

@@ -26,16 +26,6 @@ from pipeline.ingest.csv_text import read_lines, unpacked, wide_encoding
 from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.ingest.parquet import decoded, opened, text_paths
-from pipeline.setup.cells import (
-    TimeFormats,
-    count_format,
-    is_number,
-    is_stamp,
-    is_time_name,
-    kind_of,
-    marks_of,
-    time_formats,
-)
 from pipeline.setup.names import VOCABULARY, is_in, unit_named, words_of
 from pipeline.setup.tables import (
     HEAD_ROWS,
@@ -46,7 +36,15 @@ from pipeline.setup.tables import (
     Question,
     Rows,
     Table,
+    TimeFormats,
+    count_format,
+    is_number,
+    is_stamp,
+    is_time_name,
+    kind_of,
+    marks_of,
     set_formats,
+    time_formats,
     timed,
 )
 

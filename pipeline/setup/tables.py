@@ -1,26 +1,51 @@
-"""What every log is to the setup: columns with their first cells, and what the log does not say."""
+"""What every log is to the setup: columns with their first cells, and what the log does not say.
+
+Cells are text: numbers and the marks in them, time stamps and their formats.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import datetime as dt
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import islice, pairwise, product
 from typing import Any
 
-from pipeline.config.logs import MISSING_TOKENS
-from pipeline.setup.cells import (
-    Marks,
-    TimeFormats,
-    as_number,
-    count_format,
-    is_stamp,
-    is_time_name,
-    time_formats,
-)
+import numpy as np
+import pyarrow as pa
 
-SAMPLES = 50  # cells of a column that are kept
+from pipeline.clock import latest_us, microseconds, utc
+from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
+from pipeline.ingest.time_stamps import EARLIEST_US, written, written_as_numbers
+from pipeline.setup.names import is_in, words_of
+
+SAMPLES = 50  # cells of a column that are kept, and by which it is judged
 HEAD_ROWS = 400
 TIMES = ("stamp", "date", "clock", "typed")
+
+_DATES = (
+    *("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%Y %m %d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"),
+    *("%d-%m-%Y", "%m-%d-%Y", "%d %m %Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y", "%d-%m-%y"),
+    *("%m-%d-%y", "%y-%m-%d", "%y/%m/%d", "%d-%b-%Y", "%d %b %Y", "%d-%b-%y", "%d %B %Y"),
+    *("%d-%B-%Y", "%d.%b.%Y", "%d/%b/%Y", "%Y%m%d"),
+)
+_CLOCKS = (
+    *("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%H.%M.%S", "%H.%M.%S,%f", "%H%M%S"),
+    *("%I:%M:%S %p", "%I:%M %p", "%I:%M:%S%p", "%I:%M:%S.%f %p"),
+)
+_ZONE = r"(?P<zone> ?(?:Z|[+-]\d\d:?\d\d|UTC|GMT))?"
+_MONTH = r"(?:\d{1,2}|[A-Za-z]{3,9})"
+_DATE = rf"\d{{4}}[-/. ]{_MONTH}[-/. ]\d{{1,2}}|\d{{1,2}}[-/. ]{_MONTH}[-/. ](?:\d{{4}}|\d\d)"
+_CLOCK = r"\d{1,2}[:.]\d\d(?:[:.]\d\d(?:[.,]\d+)?)?(?: ?[AaPp][Mm])?"
+_STAMP = re.compile(
+    rf"(?P<date>{_DATE}|\d{{8}})(?P<between>[ T_]|, |,| - )(?P<clock>{_CLOCK}|\d{{6}}){_ZONE}"
+)
+_ONLY_DATE, _ONLY_CLOCK = re.compile(_DATE), re.compile(rf"(?=.*:){_CLOCK}{_ZONE}")
+_ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?")
+_EARLIEST_COUNT_US = microseconds(dt.datetime(2001, 1, 1, tzinfo=dt.UTC))
+_MONTH_S = 20 * 86400.0
 
 Cells = tuple[str, ...]
 Rows = Iterator[Cells]
@@ -32,7 +57,7 @@ class Column:
 
     name: str
     cells: Cells
-    kind: str  # as `cells.kind_of` has it; "typed" for times by the file's own type
+    kind: str  # as `kind_of` has it; "typed" for times by the file's own type
     unit: str = ""  # what is written beside the name as a unit
     keys: Mapping[str, str] = field(default_factory=dict)  # of ``[channels.…]``, but for the unit
 
@@ -52,6 +77,15 @@ class Question:
 
 
 @dataclass(frozen=True, slots=True)
+class Marks:
+    """Marks that numbers have; not certain where either could be between thousands."""
+
+    decimal: str = "."
+    thousands: str = ""
+    is_certain: bool = True
+
+
+@dataclass(frozen=True, slots=True)
 class Table:
     """A log as its first lines, rows or messages tell it."""
 
@@ -61,6 +95,182 @@ class Table:
     times: Cells
     marks: Marks = field(default_factory=Marks)
     rows: Callable[[Sequence[str]], Rows] = lambda _: iter(())  # cells of some columns, further on
+
+
+# Cells
+
+
+def _number(decimal: str, thousands: str) -> re.Pattern[str]:
+    group = rf"[1-9]\d{{0,2}}(?:{re.escape(thousands)}\d{{3}})+|" if thousands else ""
+    mark = re.escape(decimal)
+    return re.compile(rf"[+-]?(?:(?:{group}\d+)(?:{mark}\d*)?|{mark}\d+)(?:[eE][+-]?\d+)?")
+
+
+_NUMBERS = {
+    Marks(decimal, thousands): _number(decimal, thousands)
+    for thousands in ("", *THOUSANDS)
+    for decimal in ".,"
+    if decimal != thousands
+}
+_NOT_FINITE = re.compile(r"(?i)[+-]?(nan|inf|infinity)")
+
+
+def is_number(cell: str) -> bool:
+    """True if a cell is a number in some dialect.
+
+    Examples
+    --------
+    >>> [is_number(cell) for cell in ("-1.234,5", "1e-3", "bar", "12.03.2025")]
+    [True, True, False, False]
+    """
+    fits = any(number.fullmatch(cell) for number in _NUMBERS.values())
+    return bool(cell) and (fits or bool(_NOT_FINITE.fullmatch(cell)))
+
+
+def marks_of(cells: Iterable[str]) -> Marks:
+    """Decimal mark and mark between thousands in which the most numbers can be read.
+
+    Examples
+    --------
+    >>> marks_of(["1.234,5", "7,25"])
+    Marks(decimal=',', thousands='.', is_certain=True)
+    >>> marks_of(["1.234", "5.678"])
+    Marks(decimal='.', thousands='', is_certain=False)
+    """
+    numbers = [cell for cell in cells if is_number(cell)]
+    if not any(re.search(r"\D", cell.lstrip("+-")) for cell in numbers):
+        return Marks()
+    counts = {
+        marks: sum(bool(one.fullmatch(cell)) for cell in numbers) for marks, one in _NUMBERS.items()
+    }
+    best = [marks for marks, count in counts.items() if count == max(counts.values())]
+    first = best[0]
+    return Marks(first.decimal, first.thousands, all(m.decimal == first.decimal for m in best))
+
+
+def as_number(cell: str, marks: Marks) -> float | None:
+    """A cell's number; None: it is none."""
+    plain = cell.replace(marks.thousands, "") if marks.thousands else cell
+    try:
+        return float(plain.replace(marks.decimal, "."))
+    except ValueError:
+        return None
+
+
+def kind_of(cells: Sequence[str]) -> str:
+    """Kind of most cells: stamp, date, clock, number, text or nothing."""
+    filled = [cell for cell in cells if cell not in MISSING_TOKENS][:SAMPLES]
+    tests = (
+        *(("stamp", is_stamp), ("number", is_number)),
+        *(("date", _ONLY_DATE.fullmatch), ("clock", _ONLY_CLOCK.fullmatch)),
+    )
+    for kind, test in tests:
+        if 2 * sum(bool(test(cell)) for cell in filled) > len(filled):
+            return kind
+    return "text" if filled else "nothing"
+
+
+def is_time_name(name: str) -> bool:
+    """True if a column's name is that of a time.
+
+    Examples
+    --------
+    >>> [is_time_name(name) for name in ("Zeit", "t_ms", "Timestamp (UTC)", "T_oil", "total")]
+    [True, True, True, False, False]
+    """
+    words = words_of(name)
+    is_count = (
+        len(words) < 2 or words[0] not in ("t", "ts") or words[1] in ("ms", "us", "s", "stamp")
+    )
+    return is_in(words[:1], "column", "time") and is_count
+
+
+def is_stamp(cell: str) -> bool:
+    """True if a cell is a whole time stamp, not a count."""
+    return bool(_ISO.fullmatch(cell) or _STAMP.fullmatch(cell))
+
+
+def _shapes(stamp: str) -> list[str]:
+    """Formats that a stamp may have by its marks."""
+    match = _STAMP.fullmatch(stamp)
+    if match is None:
+        return []
+    behind = re.sub(r"Z|[+-].*", "%z", match["zone"] or "")
+    has_fraction = bool(re.search(r"[:.]\d\d[:.]\d\d[.,]", match["clock"]))
+    clocks = [form for form in _CLOCKS if ("%f" in form) == has_fraction]
+    return [a + match["between"] + b + behind for a, b in product(_DATES, clocks)]
+
+
+def _read(stamps: Sequence[str], form: str) -> list[dt.datetime]:
+    """Stamps as the readers of logs have them, those apart that they cannot read.
+
+    Of two digits of a year, which they take for the whole of it, the year is none of a log.
+    """
+    found = written([pa.chunked_array([pa.array(stamps, pa.string())])], form)
+    is_read = (found.kind != 0) & (found.time_us >= EARLIEST_US)
+    return [utc(time_us) for time_us in found.time_us[is_read].tolist()]
+
+
+@dataclass(frozen=True, slots=True)
+class TimeFormats:
+    """Formats in which all stamps can be read, as of `logs.time_format`, the likeliest first.
+
+    An empty format is of stamps of a type of their own.
+    """
+
+    readings: dict[str, str]  # the first stamp in words, by format
+    has_zone: bool = False
+
+
+def time_formats(stamps: Sequence[str], decimal: str = ".") -> TimeFormats:
+    """Formats of time stamps in text, in the order of the log, none of them blank.
+
+    The decimal mark is for stamps that are counts.
+
+    Examples
+    --------
+    >>> list(time_formats(["13.02.2025 06:00:00,5"]).readings)
+    ['%d.%m.%Y %H:%M:%S,%f']
+    >>> list(time_formats(["03/04/2025 06:00:00"]).readings.values())
+    ['3 April 2025', '4 March 2025']
+    """
+    numbers = [as_number(stamp, Marks(decimal)) for stamp in stamps]
+    counts = [number for number in numbers if number is not None]
+    if stamps and len(counts) == len(stamps):
+        form = count_format(counts)
+        return TimeFormats({form: ""} if form else {}, form in EPOCH_UNITS)
+    has_zone = bool(stamps) and all(re.search(rf"\d{_ZONE[:-1]}$", one) for one in stamps)
+    if stamps and all(map(_ISO.fullmatch, stamps)):
+        return TimeFormats({"iso8601": ""}, has_zone)
+    ends = stamps[:: max(len(stamps) - 1, 1)]
+    likely = dict.fromkeys(form for stamp in ends for form in _shapes(stamp))
+    forms = (form for form in likely if len(_read(ends, form)) == len(ends))
+    read = {form: own for form in forms if len(own := _read(stamps, form)) == len(stamps)}
+    least = min(map(_misfit, read.values()), default=0)
+    days: dict[dt.datetime, str] = {}
+    for form, own in read.items():
+        if _misfit(own) == least:
+            days.setdefault(own[0], form)
+    return TimeFormats({form: f"{day.day} {day:%B %Y}" for day, form in days.items()}, has_zone)
+
+
+def _misfit(times: Sequence[dt.datetime]) -> int:
+    """Stamps in the future, and steps of months: a log has neither."""
+    seconds = [one.timestamp() for one in times]
+    leaps = sum(abs(b - a) > _MONTH_S for a, b in pairwise(seconds))
+    return leaps + sum(one > latest_us() / 1e6 for one in seconds)
+
+
+def count_format(numbers: Sequence[float]) -> str | None:
+    """Format of stamps that are counts, by their size; None: no count of a time after 2001."""
+    for form in (*EPOCH_UNITS, EXCEL_DAYS) if numbers else ():
+        time_us = written_as_numbers(np.array(numbers, np.float64), form).time_us
+        if time_us.min() > _EARLIEST_COUNT_US and time_us.max() < latest_us():
+            return form
+    return None
+
+
+# The time of a table
 
 
 def timed(table: Table) -> Table:
