@@ -222,10 +222,8 @@ class TimeFormats:
     has_zone: bool = False
 
 
-def time_formats(stamps: Sequence[str], decimal: str = ".") -> TimeFormats:
+def time_formats(stamps: Sequence[str]) -> TimeFormats:
     """Formats of time stamps in text, in the order of the log, none of them blank.
-
-    The decimal mark is for stamps that are counts.
 
     Examples
     --------
@@ -234,11 +232,6 @@ def time_formats(stamps: Sequence[str], decimal: str = ".") -> TimeFormats:
     >>> list(time_formats(["03/04/2025 06:00:00"]).readings.values())
     ['3 April 2025', '4 March 2025']
     """
-    numbers = [as_number(stamp, Marks(decimal)) for stamp in stamps]
-    counts = [number for number in numbers if number is not None]
-    if stamps and len(counts) == len(stamps):
-        form = count_format(counts)
-        return TimeFormats({form: ""} if form else {}, form in EPOCH_UNITS)
     has_zone = bool(stamps) and all(re.search(rf"\d{_ZONE[:-1]}$", one) for one in stamps)
     if stamps and all(map(_ISO.fullmatch, stamps)):
         return TimeFormats({"iso8601": ""}, has_zone)
@@ -289,8 +282,8 @@ def timed(table: Table) -> Table:
             counts = [as_number(cell, table.marks) for cell in one.filled]
             is_time = is_time_name(one.name) or one is table.columns[0]
             known = [number for number in counts if number is not None]
-            if one.kind == "number" and is_time and count_format(known):
-                times, formats = [one], time_formats(one.filled, table.marks.decimal)
+            if one.kind == "number" and is_time and (form := count_format(known)):
+                times, formats = [one], TimeFormats({form: ""}, form in EPOCH_UNITS)
                 break
     logs, questions, names = dict(table.logs), list(table.questions), [one.name for one in times]
     logs |= dict(zip(("time", "date_column"), names, strict=False))
