@@ -108,7 +108,10 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
 
 
 def _checked(spec: MotorSpec, logs: FolderLogs) -> MotorCheck:
-    names = _some(logs.names) if spec.log_url else logs.names
+    names = logs.names
+    if spec.log_url and len(names) > OPENED:
+        # The first, and the last, which are the newest where names hold a date.
+        names = (names[0], *names[1 - OPENED :])
     records = {name: _looked_at(name, logs, spec) for name in names}
     nights = {label for record in records.values() for label in labels_of(record)}
     dated = sorted(
@@ -143,11 +146,6 @@ def _checked(spec: MotorSpec, logs: FolderLogs) -> MotorCheck:
         channels=channels,
         notes=(*notes, *_cut(spec, records, logs), *logs.unmatched()),
     )
-
-
-def _some(names: Sequence[str]) -> Sequence[str]:
-    """The first and the last by name; the last are the newest where names hold a date."""
-    return names if len(names) <= OPENED else (names[0], *names[1 - OPENED :])
 
 
 def _looked_at(name: str, logs: FolderLogs, spec: MotorSpec) -> FileRecord:

@@ -40,7 +40,7 @@ class Asked:
         self.open: dict[str, Question] = {}
         self.unused: dict[str, None] = {}  # names of columns and tags that are no channel's
         self._asked: dict[str, tuple[str, ...]] = {}
-        self._alike: dict[tuple[str, ...], tuple[str, Sequence[str]]] = {}
+        self.alike: dict[tuple[str, ...], tuple[str, Sequence[str]]] = {}  # the first of a kind
 
     def ask(
         self, key: str, text: str, choices: Iterable[str] = (), known: Iterable[str] = ()
@@ -76,21 +76,6 @@ class Asked:
                 if one.key == "decimal" and answer != table.marks.decimal:
                     logs["thousands"] = table.marks.decimal
         return logs
-
-    def which(
-        self, own: str, motor: str, text: str, places: Sequence[str], known: Iterable[str]
-    ) -> str | None:
-        """The place of a motor's channel, ``motor_id.channel``, by its name.
-
-        Motors whose places are called alike but for the motor take the answer of the first.
-        """
-        rests = (re.sub(r"[\[(].*?[\])]", "", without_motor(place, motor)) for place in places)
-        kind = (own.rpartition(".")[2], *rests)
-        first, alike = self._alike.setdefault(kind, (own, places))
-        if own in self.answers or first == own:
-            return self.ask(own, text, places, (*places, *known))
-        answer = self.answers.get(first)
-        return places[alike.index(answer)] if answer in alike else None
 
     def require_known(self, motor_ids: Iterable[str]) -> None:
         """Refuse answers to what nobody asked; a motor's channel may always be named."""
@@ -196,11 +181,19 @@ class Chooser:
         return {_DIFFERENCE: self._which(_DIFFERENCE, why, names)}
 
     def _which(self, channel: str, why: str, names: Sequence[str], more: str = "") -> str | None:
-        """The column of a channel that is answered; None: it is asked."""
-        motor = f"{self.motor_id}, and motors alike"
-        text = f"{motor}: {why}: which is the {plain(channel)}?{more}"
+        """The column of a channel that is answered; None: it is asked.
+
+        Motors whose columns are called alike but for the motor take the answer of the first.
+        """
         own = f"{self.motor_id}.{channel}"
-        return self.asked.which(own, self.name, text, names, self.columns)
+        rests = (without_motor(name, self.name) for name in names)
+        first, alike = self.asked.alike.setdefault((channel, *rests), (own, names))
+        if own in self.asked.answers or first == own:
+            motor = f"{self.motor_id}, and motors alike"
+            text = f"{motor}: {why}: which is the {plain(channel)}?{more}"
+            return self.asked.ask(own, text, names, (*names, *self.columns))
+        answer = self.asked.answers.get(first)
+        return names[alike.index(answer)] if answer in alike else None
 
     def _size(self, name: str) -> float:
         """Typical magnitude of a pressure, in bar where its unit is said."""
