@@ -20,26 +20,16 @@ from tests.dialects.recorded import Recorded
 START_US = 1_741_845_600_000_000  # 13 March 2025, 06:00 UTC
 KPA = {"pressure": "kPa"}
 UNITS = {"pressure_difference": "kPa"}
+CALLED = {
+    "pressure_difference": ("dp", "kPa"),
+    "oil_temperature": ("Oil temp", "°C"),
+    "speed": ("Speed", "1/min"),
+    "leakage_flow": ("Drain flow", "l/min"),
+}
 # By place of the units in the log.
 NAMES: Mapping[str, Mapping[str, str]] = {
-    "name": {
-        "pressure_difference": "dp [kPa]",
-        "oil_temperature": "Oil temp [°C]",
-        "speed": "Speed [1/min]",
-        "leakage_flow": "Drain flow [l/min]",
-    },
-    "word": {
-        "pressure_difference": "dp_kPa",
-        "oil_temperature": "Oil temp_°C",
-        "speed": "Speed_1/min",
-        "leakage_flow": "Drain flow_l/min",
-    },
-    "nowhere": {
-        "pressure_difference": "dp",
-        "oil_temperature": "Oil temp",
-        "speed": "Speed",
-        "leakage_flow": "Drain flow",
-    },
+    place: {channel: form.format(*own) for channel, own in CALLED.items()}
+    for place, form in (("name", "{} [{}]"), ("word", "{}_{}"), ("nowhere", "{}"))
 }
 
 
