@@ -128,21 +128,14 @@ def land_newest(spec: MotorSpec, most: int) -> bool:
 def nights_with_rows(connection: Connection, sql: str, nights: Sequence[Night]) -> range:
     """Places of the first night of a query that has rows, to the last; an empty range: none has."""
 
-    def later(place: int) -> bool:
-        return has_rows(connection, sql, nights[place].start_us, nights[-1].end_us)
-
-    def until(place: int) -> bool:
-        return has_rows(connection, sql, nights[0].start_us, nights[place].end_us)
+    def has_rows(first: int, last: int) -> bool:
+        rows = between(sql, nights[first].start_us, nights[last].end_us)
+        asked = f"SELECT EXISTS (SELECT FROM (\n{rows}\n) AS log)"
+        return connection.ask(asked, lambda batches, _: any(one[0][0].as_py() for one in batches))
 
     places = range(len(nights))
-    end = bisect_left(places, True, key=lambda place: not later(place))
-    return range(bisect_left(places[:end], True, key=until), end)
-
-
-def has_rows(connection: Connection, sql: str, start_us: int, end_us: int) -> bool:
-    """True if a query has rows between two times [µs since 1970]."""
-    asked = f"SELECT EXISTS (SELECT FROM (\n{between(sql, start_us, end_us)}\n) AS log)"
-    return connection.ask(asked, lambda batches, _: any(one[0][0].as_py() for one in batches))
+    end = bisect_left(places, True, key=lambda place: not has_rows(place, -1))
+    return range(bisect_left(places[:end], True, key=lambda place: has_rows(0, place)), end)
 
 
 def file_name(label: dt.date) -> str:
