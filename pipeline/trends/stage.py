@@ -110,7 +110,7 @@ def _tell(
     """Tell the watches of a circuit's motors their nights, to all the same before the next."""
     for night in sorted({label for one in courses.values() for label in one.nights_to_come}):
         for name, course in courses.items():
-            if course.next_night == night:
+            if course.nights_to_come[:1] == (night,):
                 _guarded(done, name, course.step)
         watches = {
             name: course.watch

@@ -27,9 +27,8 @@ Array = NDArray[np.float64]
 
 DAYS_A_YEAR = 365.25
 # Names in `trends` of what the watch says of a night.
-INDICATORS = REFERENCE, OWN_REFERENCE, DEVIATION = (
-    *("reference_leakage", "own_reference_leakage", "baseline_deviation"),
-)
+REFERENCE, DEVIATION = "reference_leakage", "baseline_deviation"
+INDICATORS = (REFERENCE, "own_reference_leakage", DEVIATION)
 NO_HALT, NO_FIGURE = "no settled halt without pressure", "no figure"
 
 
@@ -186,7 +185,11 @@ def _of_fit(course: Course, watched: WatchedNight) -> Iterator[Row]:
     for number, name in enumerate([*history.layout.coefficients, "C_f"]):
         if name not in figures or (name == "C_f" and not history.layout.is_flushed):
             continue
-        row = _coefficient(figures[name])
+        # With its interval where it is identified; otherwise why it is not.
+        figure, verdict = figures[name], figures[name]["verdict"] or ""
+        why = "" if verdict in TOLD else figure["reason"] or verdict.replace("_", " ") or NO_FIGURE
+        row: Row = {} if why else {end: figure[end] for end in ("value", "lower", "upper")}
+        row |= {"gated_reason": why or None, "outside_fitted_range": False}
         yield row | {"indicator": name, "unit": _unit(name)}
         if name == "C_f":
             continue
@@ -200,14 +203,6 @@ def _of_fit(course: Course, watched: WatchedNight) -> Iterator[Row]:
                 # A loss factor goes with the cube of its gap.
                 gap = _scaled(row, lambda one, by=first: 100.0 * (math.cbrt(one / by) - 1.0))
                 yield row | gap | {"indicator": f"gap_change_{path}", "unit": "%"}
-
-
-def _coefficient(figure: Row) -> Row:
-    """A coefficient with its interval where it is identified; otherwise why not."""
-    verdict = figure["verdict"] or ""
-    why = "" if verdict in TOLD else figure["reason"] or verdict.replace("_", " ") or NO_FIGURE
-    known = {} if why else {end: figure[end] for end in ("value", "lower", "upper")}
-    return known | {"gated_reason": why or None, "outside_fitted_range": False}
 
 
 def _unit(name: str) -> str:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -20,7 +19,6 @@ from pipeline.trends.nights.history import (
     WATCHED,
     Array,
     BaselinePeriod,
-    Records,
     period_at,
     periods_of,
 )
@@ -111,8 +109,8 @@ class Course:
     waiting: list[NightBlocks] = field(default_factory=list)
     # Lowest and highest block means of the baseline period, shape (2, 3).
     seen: Array = field(default_factory=lambda: NOTHING_SEEN)
-    # The watch before the newest night, to be kept.
-    before: tuple[BaselinePeriod, dict[str, Any], Watch] | None = None
+    # The watch before the newest night, to be kept, with its period, its baseline and what it saw.
+    before: tuple[BaselinePeriod, Baseline, Array, Watch] | None = None
     # Flow a unit of each coefficient at some conditions, by oil and conditions.
     drives: dict[tuple[str, Conditions], Array | str] = field(default_factory=dict)
 
@@ -140,11 +138,6 @@ class Course:
         return self.nights.history.nights[self.place :]
 
     @property
-    def next_night(self) -> dt.date | None:
-        """The first of them; None after the last."""
-        return next(iter(self.nights_to_come), None)
-
-    @property
     def night(self) -> dt.date | None:
         """The night that the watch was told last; None before the first."""
         return self.nights.history.nights[self.place - 1] if self.place else None
@@ -159,9 +152,7 @@ class Course:
         history = self.nights.history
         self.before = None
         if self.watch is not None and self.baseline is not None:
-            numbers = KEPT_BASELINE.dump_python(self.baseline, mode="json")
-            own = {"baseline": numbers, "seen": self.seen.tolist()}
-            self.before = self.period, own, self.watch
+            self.before = self.period, self.baseline, self.seen, self.watch
         if self.place in (self.period.first, self.period.end):
             self.period = period_at(self.periods, self.place)
             self.watch, self.baseline, self.waiting, self.seen = None, None, [], NOTHING_SEEN
@@ -275,21 +266,20 @@ class Course:
             self.drives[key] = history.layout.drives_at(history.spec, night, at)
         return self.drives[key]
 
-    def records(self) -> Records:
-        """Records of the nights that were told, with the figures of each."""
+    def kept(self, key: str) -> Kept:
+        """What is kept for the next run: the watch before the newest night, which may be redone."""
+        nights, watch = self.nights.history.nights, None
+        if self.before is not None:
+            period, baseline, seen, before = self.before
+            own = {
+                "baseline": KEPT_BASELINE.dump_python(baseline, mode="json"),
+                "seen": seen.tolist(),
+            }
+            watch = KeptWatch(nights[period.first], own, before.day, before.arrays())
         records = self.nights.history.records[: self.place].copy()
         for column, name in enumerate(WATCHED):
             records[name] = self.figures[: self.place, column]
-        return records
-
-    def kept(self, key: str) -> Kept:
-        """What is kept for the next run: the watch before the newest night, which may be redone."""
-        watch = None
-        history = self.nights.history
-        if self.before is not None:
-            period, own, before = self.before
-            watch = KeptWatch(history.nights[period.first], own, before.day, before.arrays())
-        return Kept(key, history.nights[self.place - 1], self.records(), watch)
+        return Kept(key, nights[self.place - 1], records, watch)
 
 
 def _measured(at: Conditions) -> Array:
