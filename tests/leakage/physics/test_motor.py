@@ -116,6 +116,10 @@ def test_samples_beyond_the_curve_are_counted_on_both_sides() -> None:
     assert not speed_beyond_curve(without_roller, speed).any()
 
 
+def test_a_standard_can_be_freed() -> None:
+    assert placeholder_motor().with_free_standard() == placeholder_motor(roller_is_free=True)
+
+
 def test_coefficient_of_an_unknown_path_is_refused() -> None:
     with pytest.raises(ParameterError, match="has no path") as caught:
         total_flow_l_per_min(placeholder_motor(), WORKED, {"K_o": 1e-14})
