@@ -37,12 +37,13 @@ def operating_point(low_bar: float, high_bar: float, seed: int = 1) -> Operating
 
 
 def judged(
-    motor: Motor,
-    conditions: OperatingConditions,
+    motor: Motor | None = None,
+    conditions: OperatingConditions | None = None,
     noise: float = 0.02,
     blocks_kept: int = BLOCKS,
     slow: SlowErrors = NOT_SLOW,
 ) -> tuple[Fit, Identification, Excitation]:
+    motor, conditions = motor or placeholder_motor(), conditions or operating_point(10.0, 300.0)
     z = made_samples(motor, noise_l_per_min=noise, conditions=conditions)
     blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))[:blocks_kept]
     estimate = fit(merge(blocks), motor)
@@ -80,7 +81,7 @@ def test_paths_that_noise_hides_together_name_their_partner() -> None:
         for path in motor.paths
     )
     twins = replace(motor, paths=paths)
-    _, found, _ = judged(twins, operating_point(10.0, 300.0))
+    _, found, _ = judged(twins)
     gap, piston, sleeve, _ = found.coefficients
     assert gap.verdict == "identified"
     for judgement, other in ((piston, twins.column_paths[2]), (sleeve, twins.column_paths[1])):
@@ -91,9 +92,7 @@ def test_paths_that_noise_hides_together_name_their_partner() -> None:
 
 @pytest.mark.parametrize(("blocks", "reason"), [(1, "a single block"), (4, "degrees of freedom")])
 def test_too_few_blocks_say_so(blocks: int, reason: str) -> None:
-    estimate, found, seen = judged(
-        placeholder_motor("CB560"), operating_point(10.0, 300.0), noise=1e-4, blocks_kept=blocks
-    )
+    estimate, found, seen = judged(noise=1e-4, blocks_kept=blocks)
     assert "identified" not in verdicts(found)
     assert found.coefficients[1].verdict == "too_little_data"
     assert reason in found.coefficients[1].reason
@@ -105,10 +104,9 @@ def test_too_few_blocks_say_so(blocks: int, reason: str) -> None:
 
 
 def test_slow_errors_widen_every_interval_by_a_quarter() -> None:
-    motor, conditions = placeholder_motor("CB560"), operating_point(10.0, 300.0)
     halves = []
     for slow in (NOT_SLOW, replace(NOT_SLOW, memory=0.9, evidence=20.0)):
-        _, found, _ = judged(motor, conditions, slow=slow)
+        _, found, _ = judged(slow=slow)
         halves.append(found.coefficients[0].interval.half_width)
     assert halves[1] == pytest.approx(1.25 * halves[0])
 
@@ -120,9 +118,7 @@ def test_slow_errors_widen_every_interval_by_a_quarter() -> None:
 def test_a_leakage_is_as_sure_as_statistics_and_tolerances_leave_it(
     systematic_percent: float, verdict: str
 ) -> None:
-    estimate, found, seen = judged(
-        placeholder_motor("CB560"), operating_point(10.0, 300.0), noise=1e-4
-    )
+    estimate, found, seen = judged(noise=1e-4)
     systematic = systematic_percent / 100 * 1.371423
     leakage = judge_leakage(estimate, found, seen, REFERENCE, systematic)
     assert leakage.verdict == verdict
@@ -146,9 +142,7 @@ def test_a_leakage_near_what_was_seen_is_extrapolated(
     high_bar: float, celsius: float, rpm: float, systematic_percent: float, verdict: str
 ) -> None:
     """Model.md: up to 20 bar or 10 K short of the reference, up to 12 %."""
-    estimate, found, seen = judged(
-        placeholder_motor("CB560"), operating_point(10.0, high_bar), noise=1e-3
-    )
+    estimate, found, seen = judged(None, operating_point(10.0, high_bar), noise=1e-3)
     seen = replace(seen, pressure_bar=(10.0, high_bar))
     at = OperatingConditions.from_bar(200.0, celsius, rpm)
     systematic = systematic_percent / 100 * float(leakage_l_per_min(estimate.motor, at)[0])
@@ -287,7 +281,7 @@ def test_verdicts_just_below_and_just_above_each_limit(
 
 
 def test_a_leakage_needs_two_degrees_of_freedom() -> None:
-    estimate, found, seen = judged(placeholder_motor("CB560"), operating_point(10.0, 300.0))
+    estimate, found, seen = judged()
     for freedom, verdict in ((1.9, "too_little_data"), (2.1, "identified")):
         told: Any = Told(Interval(0.01, 0.005, freedom, 0.2))
         one = judge_leakage(estimate, replace(found, distribution=told), seen, REFERENCE)
@@ -295,12 +289,11 @@ def test_a_leakage_needs_two_degrees_of_freedom() -> None:
 
 
 def test_one_stretch_at_low_pressure_does_not_identify_the_ring() -> None:
-    motor = placeholder_motor("CB560")
     bar = np.repeat(np.random.default_rng(3).uniform(230, 300, PER_BLOCK * BLOCKS // 30), 30)
     bar[PER_BLOCK * 20 : PER_BLOCK * 20 + 100] = 40.0
     wide = operating_point(230.0, 300.0)
     conditions = OperatingConditions.from_bar(bar, wide.oil_temperature_c, wide.speed_rpm)
-    _, found, _ = judged(motor, conditions, noise=0.002)
+    _, found, _ = judged(None, conditions, noise=0.002)
     assert found.coefficients[0].verdict == "not_excited"
     assert "one short stretch" in found.coefficients[0].reason
     assert found.coefficients[0].interval is None
@@ -318,7 +311,7 @@ def test_leakage_of_which_only_the_flushing_is_estimated_is_fixed() -> None:
         else path
         for path in motor.paths
     )
-    estimate, found, seen = judged(replace(motor, paths=known), operating_point(10.0, 300.0))
+    estimate, found, seen = judged(replace(motor, paths=known))
     assert verdicts(found) == ["identified"]
     leakage = judge_leakage(estimate, found, seen, REFERENCE)
     assert (leakage.verdict, leakage.interval) == ("fixed", None)

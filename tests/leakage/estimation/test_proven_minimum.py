@@ -30,6 +30,7 @@ from tests.leakage.placeholders import (
 SEEDS = st.integers(0, 10_000)
 MOTOR = placeholder_motor(flushing="estimated", flushing_l_per_min=2.0)
 LOWER, UPPER = MOTOR.coefficient_bounds()
+PLAIN = placeholder_motor()
 
 
 def column_norms(z: Array) -> Array:
@@ -143,15 +144,11 @@ def test_the_condition_number_is_that_of_columns_of_one_length() -> None:
     assert certify(factor(z), np.zeros(4), np.full(4, np.inf)).condition_number == np.inf
 
 
-def constant_pressure(n: int = 2000) -> Array:
-    """180 bar throughout: the three gaps' columns are multiples of one another."""
-    conditions = made_conditions(n, pressure_bar=(180.0, 180.0))
-    return made_samples(placeholder_motor(), conditions=conditions)
-
-
 def test_constant_pressure_has_the_solution_of_least_norm() -> None:
-    z = constant_pressure()
-    lower, upper = placeholder_motor().coefficient_bounds()
+    # At 180 bar throughout the three gaps' columns are multiples of one another.
+    conditions = made_conditions(2000, pressure_bar=(180.0, 180.0))
+    z = made_samples(PLAIN, conditions=conditions)
+    lower, upper = PLAIN.coefficient_bounds()
     found = certify(factor(z), lower, upper)
     # Three gaps off their bounds, and one figure that the samples determine.
     assert found.off_bounds.sum() == 3
@@ -164,7 +161,7 @@ def test_constant_pressure_has_the_solution_of_least_norm() -> None:
     np.testing.assert_allclose(found.coefficients[:3] * norms, direction @ flow / 3.0, rtol=1e-9)
     assert found.coefficients[3] == 0.0
     # What is known is the leakage, not its split.
-    truth = true_coefficients(placeholder_motor())
+    truth = true_coefficients(PLAIN)
     np.testing.assert_allclose(
         (z[:, :4] @ found.coefficients).mean(), (z[:, :4] @ truth).mean(), rtol=2e-3
     )
@@ -193,9 +190,6 @@ def test_a_factor_that_is_not_finite_is_refused(value: float) -> None:
     with pytest.raises(EstimationError, match="not finite") as caught:
         certify(r, LOWER, UPPER)
     assert caught.value.code == "not_finite"
-
-
-PLAIN = placeholder_motor()
 
 
 def generator() -> np.random.Generator:

@@ -9,7 +9,7 @@ import pytest
 
 from leakage import AnnularGap, Motor, OperatingConditions, SpeedCurve, leakage_l_per_min
 from leakage.errors import ValidityError
-from leakage.estimation.sensitivities import ChannelTolerance, Tolerances, error_budget
+from leakage.estimation.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
 from leakage.physics.paths import LeakagePath
 from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
 from tests.leakage.placeholders import placeholder_motor
@@ -17,11 +17,15 @@ from tests.leakage.placeholders import placeholder_motor
 REFERENCE = OperatingConditions.from_bar(200.0, 50.0, 30.0)
 
 
+def budget_of(motor: Motor, tolerances: Tolerances, n: int = 1500) -> ErrorBudget:
+    conditions = made_conditions(n)
+    flow = made_samples(motor, noise_l_per_min=0.0, conditions=conditions)[:, -1]
+    return error_budget(motor, conditions, flow, tolerances, [REFERENCE])
+
+
 def effects(motor: Motor, tolerances: Tolerances) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Relative effect of each source on K and on the reference leakage, and the truth."""
-    conditions = made_conditions(1500)
-    flow = made_samples(motor, noise_l_per_min=0.0, conditions=conditions)[:, -1]
-    budget = error_budget(motor, conditions, flow, tolerances, [REFERENCE])
+    budget = budget_of(motor, tolerances)
     theta = true_coefficients(motor)[:-1]
     leakage = float(leakage_l_per_min(motor, REFERENCE)[0])
     found = {
@@ -64,10 +68,7 @@ def with_tolerance(path: LeakagePath) -> LeakagePath:
 def test_sources_add_by_squares() -> None:
     plain = placeholder_motor("CB560")
     motor = replace(plain, paths=tuple(map(with_tolerance, plain.paths)))
-    conditions = made_conditions(800)
-    flow = made_samples(motor, conditions=conditions)[:, -1]
-    tolerances = Tolerances(temperature_c=ChannelTolerance(offset=1.0))
-    budget = error_budget(motor, conditions, flow, tolerances, [REFERENCE])
+    budget = budget_of(motor, Tolerances(temperature_c=ChannelTolerance(offset=1.0)), 800)
     names = [effect.source.name for effect in budget.effects]
     assert len(names) == len(set(names)) == 4  # temperature, X_o, X_s, the roller's curve
     squares = np.sum([effect.coefficients**2 for effect in budget.effects], axis=0)
@@ -106,9 +107,6 @@ def test_a_film_pressure_share_at_its_end_steps_inwards() -> None:
 
 
 def test_an_absurd_tolerance_is_told() -> None:
-    motor = placeholder_motor("CB560")
-    conditions = made_conditions(100)
-    flow = made_samples(motor, conditions=conditions)[:, -1]
     tolerances = Tolerances(temperature_c=ChannelTolerance(offset=1000.0))
     with pytest.raises(ValidityError):
-        error_budget(motor, conditions, flow, tolerances)
+        budget_of(placeholder_motor("CB560"), tolerances, 100)

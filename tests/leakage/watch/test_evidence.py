@@ -248,21 +248,13 @@ def test_a_ramp_has_risen_by_a_day_on_its_first_night_and_less_its_mean_in_the_b
 ALL_PATHS = np.array([0.7, 0.3])
 
 
-def precise_nights(shifts: Array, weight: float = 1e9) -> tuple[Array, Array]:
-    """Information and scores of nights that tell their paths' shifts, shape (n, p), exactly."""
-    n, p = shifts.shape
-    return np.tile(weight * np.eye(p), (n, 1, 1)), weight * shifts
-
-
-def one_path(
-    shifts: Array, days: NDArray[np.int64] | None = None, prior: WanderPrior | None = None
-) -> Wander:
+def one_path(shifts: Array, days: NDArray[np.int64] | None = None) -> Wander:
     """Wander of a machine of one path, of which nothing else is known."""
     when = np.arange(len(shifts)) if days is None else days
-    information, score = precise_nights(shifts[:, None])
+    # Nights that tell their shifts exactly.
+    information, score = np.full((len(shifts), 1, 1), 1e9), 1e9 * shifts[:, None]
     wide = np.array([[1e-9]])
-    prior = prior or WanderPrior()
-    return estimate_wander(information, score, when, np.ones(1), wide, prior)
+    return estimate_wander(information, score, when, np.ones(1), wide, WanderPrior())
 
 
 def test_a_night_with_its_own_shift_says_what_its_blocks_say_with_it_in_their_errors() -> None:
