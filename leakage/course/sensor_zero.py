@@ -10,12 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from leakage.course.slope import Array
-
-Places = NDArray[np.int64]
+from leakage.arrays import Array, Mask, Places
 
 # Halts at the beginning, and as many at the end, that a drift is told from.
 LEAST_HALTS = 5
@@ -27,7 +24,7 @@ COVERAGE = 0.95
 class ZeroCourse:
     """Drift of a sensor's zero as known after each halt; shape (n,) each, nan below ten halts."""
 
-    drifts: NDArray[np.bool_]  # True where the move is certain and beyond the tolerance.
+    drifts: Mask  # True where the move is certain and beyond the tolerance.
     zero: Array  # Present zero [unit].
     # change, change_lower, change_upper: Present zero less initial zero, and its 95 % interval
     # [unit].

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr, stdtrit
 
-Array = NDArray[np.float64]
+from leakage.arrays import Array
+
 Nights = NDArray[np.int64]
 
 # Above this, a series of nights is hardly told from a trend.

@@ -36,11 +36,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy.special import gammaincc, ndtr
 
+from leakage.arrays import Array
 from leakage.course.slope import (
     HIGHEST_PHI,
     LEAST_NIGHTS,
     PARAMETERS,
-    Array,
     CourseFits,
     Nights,
     correlation_to_previous,

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.arrays import Array, Mask
 from leakage.estimation.block_statistics import merge, with_free_known
 from leakage.estimation.identifiability import Excitation, Identification, identify
 from leakage.estimation.misfit import Misfit, misfit
 from leakage.estimation.proven_minimum import Fit, ProvenMinimum, certify, fit
 from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
 from leakage.physics.motor import Motor
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +26,7 @@ class SampleBlocks:
     # length [s].
     number: NDArray[np.int64]
     block_s: float
-    trains: NDArray[np.bool_]  # mask of those that train, shape (b,)
+    trains: Mask  # mask of those that train, shape (b,)
     means: Array  # mean temperature [°C], pressure [bar] and speed [rpm] of each, shape (b, 3)
     excitation: Excitation  # range of the samples
 

@@ -22,9 +22,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.arrays import Array
 from leakage.errors import StatisticsError
-
-Array = NDArray[np.float64]
 
 
 def factor(z: Array) -> Array:

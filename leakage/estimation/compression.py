@@ -23,11 +23,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.arrays import Array, Mask
 from leakage.estimation.block_statistics import factor, factors, merge
 from leakage.estimation.proven_minimum import certify
 from leakage.estimation.sample_blocks import Block, merge_neighbours, numbers_of
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SECOND_US = 1_000_000
@@ -133,7 +133,7 @@ class CompressedSamples:
         chosen = [part is None or block.part == part for block in self.blocks]
         return merge(self.plain_factors[np.array(chosen, dtype=bool)])
 
-    def rows_of(self, part: str) -> NDArray[np.bool_]:
+    def rows_of(self, part: str) -> Mask:
         """Mask of the samples of a part, shape (n,)."""
         chosen = np.array([block.part == part for block in self.blocks], dtype=np.bool_)
         return np.repeat(chosen, [block.n for block in self.blocks])

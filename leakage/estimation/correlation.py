@@ -7,10 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.arrays import Array
 from leakage.estimation.choices import BAND, LONGEST_MEMORY_S, MEMORY_CELL_S
 from leakage.estimation.lagged_products import Segments, lagged_products
-
-Array = NDArray[np.float64]
 
 # Lags that are looked at first: most errors forget sooner, and more lags take longer.
 FIRST_LAGS = 500

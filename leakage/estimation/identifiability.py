@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from leakage.arrays import Array
 from leakage.estimation.choices import (
     FARTHEST,
     LARGEST_BLOCK_SHARE,
@@ -33,8 +33,6 @@ from leakage.estimation.uncertainty import ClusterRobust, Interval, cluster_robu
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import regressors
 from leakage.physics.paths import LeakagePath
-
-Array = NDArray[np.float64]
 
 Verdict: TypeAlias = Literal[
     "identified",

@@ -25,9 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Places = NDArray[np.int64]
+from leakage.arrays import Array, Mask, Places
+
 Spectra = NDArray[np.complex128]
 
 # Lengths of transforms: short ones waste time between calls, long ones leave the cache.

@@ -31,13 +31,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.arrays import Array, Mask
 from leakage.estimation.block_statistics import merge
 from leakage.estimation.choices import BLOCKS_A_COEFFICIENT, CLEAR, ROUNDING, WIDENING
 from leakage.estimation.slow_errors import slow_errors, whitened
 from leakage.estimation.uncertainty import cluster_robust
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Columns in front: the known flow, then products of the leakage; the constant is the ones.
 IN_FRONT = 5
@@ -147,9 +145,7 @@ def _beside(whole: Array, places: NDArray[np.int64], needed: Mask) -> Array:
     return left
 
 
-def model_errors(
-    whole: Array, fixed: NDArray[np.bool_], contrasts: Array, misfit_l_per_min: float
-) -> Array:
+def model_errors(whole: Array, fixed: Mask, contrasts: Array, misfit_l_per_min: float) -> Array:
     """R(c): what a misfit τ [l/min] can do to contrasts of coefficients, shape (m,).
 
     Contrasts have shape (m, c − 2); `whole` is the merged factor of the fit's blocks, not whitened.

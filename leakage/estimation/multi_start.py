@@ -15,14 +15,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from leakage.arrays import Array
 from leakage.estimation.block_statistics import criterion, sample_count
 from leakage.estimation.proven_minimum import ProvenMinimum, certify
 from leakage.physics.law import Parameter
 from leakage.physics.motor import Motor
-
-Array = NDArray[np.float64]
 
 # A start is at the minimum when its criterion is within this share of the proven minimum's.
 AT_MINIMUM = 1e-4

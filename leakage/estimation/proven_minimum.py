@@ -20,13 +20,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from leakage.arrays import Array, Mask
 from leakage.errors import EstimationError
 from leakage.estimation.block_statistics import criterion, sample_count
 from leakage.physics.motor import Motor
-
-Array = NDArray[np.float64]
 
 # A column counts as dependent below this share of the largest singular value: rounding, not noise.
 RANK_TOLERANCE = 1e-11
@@ -54,9 +52,9 @@ class ProvenMinimum:
     # Largest violation of the Karush–Kuhn–Tucker conditions, relative to ‖A_j‖ ‖b‖.
     dual_residual: float
     # at_lower, at_upper: coefficients that lie on a bound and are not fixed; shape (p + 1,).
-    at_lower: NDArray[np.bool_]
-    at_upper: NDArray[np.bool_]
-    fixed: NDArray[np.bool_]  # coefficients whose bounds are equal; shape (p + 1,)
+    at_lower: Mask
+    at_upper: Mask
+    fixed: Mask  # coefficients whose bounds are equal; shape (p + 1,)
     rank: int  # rank of the free, column-scaled regressors
     singular_values: Array  # of the free regressors, each column scaled to norm 1; largest first
     # Rank of the regressors whose coefficients are off their bounds: d of FPE and AIC.
@@ -72,9 +70,9 @@ class ProvenMinimum:
         return float(values[0] / values[-1]) if values[-1] > 0 else float("inf")
 
     @property
-    def off_bounds(self) -> NDArray[np.bool_]:
+    def off_bounds(self) -> Mask:
         """Coefficients that are estimated and off their bounds; shape (p + 1,)."""
-        off: NDArray[np.bool_] = ~(self.fixed | self.at_lower | self.at_upper)
+        off: Mask = ~(self.fixed | self.at_lower | self.at_upper)
         return off
 
 
@@ -169,8 +167,8 @@ def _bounded_minimum(
 
 
 def _minimum_of_face(
-    matrix: Array, target: Array, box: tuple[Array, Array], x: Array, inside: NDArray[np.bool_]
-) -> tuple[Array, NDArray[np.bool_]]:
+    matrix: Array, target: Array, box: tuple[Array, Array], x: Array, inside: Mask
+) -> tuple[Array, Mask]:
     """Go from x to the minimum over the coefficients inside, putting on its bound what meets it.
 
     By the least step, not to the least solution: with dependent columns only the step is sure to

@@ -58,6 +58,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
+from leakage.arrays import Array, Mask, Places
 from leakage.errors import ShapeError, StatisticsError
 from leakage.estimation.choices import (
     BAND,
@@ -68,7 +69,7 @@ from leakage.estimation.choices import (
     LEVEL,
     LONGEST_LAG,
 )
-from leakage.estimation.lagged_products import Array, Mask, Places, Segments
+from leakage.estimation.lagged_products import Segments
 from leakage.estimation.residual_moments import ResidualMoments
 from leakage.estimation.validation import (
     ROUNDING,

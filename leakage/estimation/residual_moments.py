@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from leakage.arrays import Array, Mask
 from leakage.estimation.choices import (
     CORRELATION_TIMES,
     LEAST_PAIR_SHARE,
@@ -20,13 +21,7 @@ from leakage.estimation.choices import (
     SHORTEST_SUM,
     THINNED_SAMPLES,
 )
-from leakage.estimation.lagged_products import (
-    Array,
-    Mask,
-    Segments,
-    lagged_products,
-    products_near_ends,
-)
+from leakage.estimation.lagged_products import Segments, lagged_products, products_near_ends
 
 # Inputs whose deviation is below this share of their mean do not vary.
 CONSTANT = 1e-12

@@ -14,8 +14,8 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from leakage.arrays import Mask
+
 Times = NDArray[np.int64]
 Stretch: TypeAlias = tuple[int, int]
 

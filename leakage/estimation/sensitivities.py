@@ -16,14 +16,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from leakage.arrays import Array
 from leakage.estimation.block_statistics import factors
 from leakage.estimation.proven_minimum import certify
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors
-
-Array = NDArray[np.float64]
 
 PASCALS_PER_BAR = 1e5
 # Beginnings of the names of sources that are sensors.

@@ -40,8 +40,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from leakage.arrays import Array, Mask, Places
 from leakage.estimation.block_statistics import merge, sample_count
 from leakage.estimation.choices import (
     EVIDENCE,
@@ -53,9 +53,6 @@ from leakage.estimation.choices import (
     RATIOS,
     ROUNDING,
 )
-
-Array = NDArray[np.float64]
-Places = NDArray[np.int64]
 
 # Relative size below which a column does not vary within blocks, or depends on others.
 RANK_TOLERANCE = 1e-9
@@ -125,7 +122,7 @@ class Means(NamedTuple):
 def slow_errors(
     factors: Array,
     number: Places,
-    fixed: NDArray[np.bool_],
+    fixed: Mask,
     values: Array,
     whole: Array | None = None,
     scales: bool | None = None,
@@ -232,7 +229,7 @@ def with_level(factors: Array, number: Places, errors: SlowErrors) -> Array:
     return merge(np.concatenate([made, whole]))
 
 
-def _design(whole: Array, fixed: NDArray[np.bool_], values: Array) -> Array | None:
+def _design(whole: Array, fixed: Mask, values: Array) -> Array | None:
     """Columns to an orthonormal basis of the free ones and to their least squares' errors."""
     free = np.flatnonzero(~fixed)
     scale = np.linalg.norm(whole[:, free], axis=0)

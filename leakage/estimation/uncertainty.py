@@ -35,12 +35,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from leakage.arrays import Array, Mask
 from leakage.estimation.block_statistics import merge
-
-Array = NDArray[np.float64]
 
 # Eigenvalues of I − G̃_b below this belong to a block without which a coefficient is unknown.
 LEVERAGE_FLOOR = 1e-8
@@ -72,7 +70,7 @@ class ClusterRobust:
 
     # Coefficients off their bounds and not fixed; the others have no interval; shape (p +
     # 1,).
-    active: NDArray[np.bool_]
+    active: Mask
     n_blocks: int  # blocks with samples
     _scale: Array
     _basis: Array
@@ -154,7 +152,7 @@ class ClusterRobust:
 def cluster_robust(
     factors: Array,
     coefficients: Array,
-    active: NDArray[np.bool_],
+    active: Mask,
     inflation: float = 1.0,
     whole: Array | None = None,
 ) -> ClusterRobust | None:

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.arrays import Array
 from leakage.estimation.block_statistics import factor, sample_count, squared_error
-
-Array = NDArray[np.float64]
 
 # A fit below it is poor: the mean of the samples judged describes them better than the model.
 POOR_FIT_PERCENT = 0.0

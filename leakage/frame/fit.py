@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from leakage.arrays import Array, Mask
 from leakage.errors import LeakageError, ShapeError
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
 from leakage.estimation.compression import CompressedSamples, compress
@@ -187,7 +187,7 @@ def _with_flushing(motor: Motor, flushing: float | str | None) -> Motor:
     return replace(motor, paths=(*others, Constant(FLUSHING_PATH, flow)))
 
 
-def _columns(motor: Motor, samples: FrameSamples) -> NDArray[np.float64]:
+def _columns(motor: Motor, samples: FrameSamples) -> Array:
     """Columns of the samples as ``motor.columns``, shape (n, c)."""
     # Column by column in memory as in the nightly run: other sums differ in their last bits.
     z = np.empty((len(samples.time_us), len(motor.columns)), order="F")
@@ -196,9 +196,7 @@ def _columns(motor: Motor, samples: FrameSamples) -> NDArray[np.float64]:
     return z
 
 
-def _sample_blocks(
-    samples: FrameSamples, made: CompressedSamples, used: NDArray[np.bool_]
-) -> SampleBlocks:
+def _sample_blocks(samples: FrameSamples, made: CompressedSamples, used: Mask) -> SampleBlocks:
     """The blocks behind the estimates."""
     blocks = [block for block, is_used in zip(made.blocks, used, strict=True) if is_used]
     borders_us = np.array([(block.start_us, block.end_us) for block in blocks]).T

@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.arrays import Array
 from leakage.estimation.proven_minimum import Fit
 from leakage.estimation.residual_analysis import ResidualAnalysis
 from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
@@ -20,7 +21,6 @@ from leakage.physics.paths import Constant
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 # Points of a curve over time: more are not seen.
 MOST_POINTS = 5000
 CURVE_POINTS = 60

@@ -11,6 +11,7 @@ import narwhals as nw
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.arrays import Array, Mask
 from leakage.errors import LeakageError
 from leakage.estimation.block_fit import BlockEstimate, SampleBlocks
 from leakage.estimation.choices import COEFFICIENT_FACTOR, LEAKAGE_FACTOR
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     import polars as pl
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 # Samples that carry the stated tolerances.
 THINNED = 1500
 
@@ -49,7 +49,7 @@ class FrameFit:
     motor: Motor
     samples: FrameSamples
     parts: NDArray[np.str_]  # Part of each sample, training, validation or guard, shape (n,).
-    used: NDArray[np.bool_]  # Mask of the samples behind the estimates, shape (n,).
+    used: Mask  # Mask of the samples behind the estimates, shape (n,).
     # blocks, estimate: The blocks of these, and what was estimated from them.
     blocks: SampleBlocks
     estimate: BlockEstimate

@@ -11,12 +11,12 @@ import narwhals as nw
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.arrays import Array, Mask
 from leakage.errors import LeakageError, ShapeError, StatisticsError
 from leakage.estimation.choices import ROUNDING
 from leakage.estimation.sample_blocks import SECOND_US, Stretch
 from leakage.physics.conditions import OperatingConditions
 
-Array = NDArray[np.float64]
 Columns: TypeAlias = Mapping[str, Array]
 Period: TypeAlias = tuple[Any, Any]
 
@@ -46,7 +46,7 @@ class FrameSamples:
     speed_rpm: Array
     flow_l_per_min: Array | None  # measured drain flow; None where it is not needed
     charge_over_case_bar: Array | None  # charge above case pressure; None: one-sided leakage
-    kept: NDArray[np.bool_]  # rows of the frame that are complete, shape (rows,)
+    kept: Mask  # rows of the frame that are complete, shape (rows,)
 
     @property
     def conditions(self) -> OperatingConditions:
@@ -90,7 +90,7 @@ class FrameSamples:
         index: NDArray[np.int64] = np.maximum.accumulate(place - later) + later
         return index
 
-    def only(self, chosen: NDArray[np.bool_]) -> FrameSamples:
+    def only(self, chosen: Mask) -> FrameSamples:
         """The chosen ones of these samples."""
         kept = self.kept.copy()
         kept[kept] = chosen

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from leakage.arrays import Array
 from leakage.errors import ParameterError
 from leakage.physics.law import (
     LITRES_PER_MINUTE,
@@ -25,7 +26,7 @@ from leakage.physics.law import (
 
 def film_thickness_ratio(
     gap_m: ArrayLike, eccentricity: ArrayLike, roughness_1_m: float, roughness_2_m: float
-) -> NDArray[np.float64]:
+) -> Array:
     r"""Film thickness ratio at the narrowest place of a gap, shape of the arguments, [-].
 
     .. math:: \Lambda = \frac{h (1 - e)}{\sqrt{R_{a1}^2 + R_{a2}^2}}
@@ -54,7 +55,7 @@ def film_thickness_ratio(
             f"roughness {roughness_1_m:g} m and {roughness_2_m:g} m: neither may be negative,"
             " and one must be above 0",
         )
-    ratio: NDArray[np.float64] = gap * closeness / roughness
+    ratio: Array = gap * closeness / roughness
     return ratio
 
 
@@ -143,7 +144,7 @@ class AnnularGap(Law):
         deformation = self.deformation_pressure_pa
         return math.inf if deformation is None else VISIBLE_BELOW * deformation
 
-    def coefficient(self, values: Values) -> NDArray[np.float64]:
+    def coefficient(self, values: Values) -> Array:
         r"""Lumped loss factor of all interfaces of the path.
 
         .. math:: K = n \frac{\pi r (c h)^3}{6 l} (1 + 1.5 e^2)
@@ -152,22 +153,22 @@ class AnnularGap(Law):
         """
         given = np.asarray(values, dtype=np.float64)
         gap_um = given[..., 0]
-        volume: NDArray[np.float64] = gap_um * gap_um * gap_um * self._widening(given)
+        volume: Array = gap_um * gap_um * gap_um * self._widening(given)
         return self._concentric_m3_per_um3 * volume
 
     def regressor(
         self,
-        drive_per_s: NDArray[np.float64],
-        pressure_difference_pa: NDArray[np.float64],
-        speed_rpm: NDArray[np.float64],  # noqa: ARG002
-    ) -> NDArray[np.float64]:
+        drive_per_s: Array,
+        pressure_difference_pa: Array,
+        speed_rpm: Array,  # noqa: ARG002
+    ) -> Array:
         r"""Flow per unit of K.
 
         .. math:: \varphi = 60\,000\, e^{-3|\Delta P|/X}\,\frac{|\Delta P|}{\eta}
 
         In [l/min per m³]; at constant viscosity the flow has its maximum at ΔP = X/3.
         """
-        flow: NDArray[np.float64] = LITRES_PER_MINUTE * drive_per_s
+        flow: Array = LITRES_PER_MINUTE * drive_per_s
         if self.deformation_pressure_pa is None:
             return flow
         closing = np.abs(pressure_difference_pa)
@@ -177,7 +178,7 @@ class AnnularGap(Law):
 
     def gap_um_from_coefficient(
         self, coefficient_m3: ArrayLike, eccentricity: float = 0.0
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         r"""Gap height of a loss factor at an eccentricity, [µm]: the inverse of `coefficient`.
 
         .. math:: h = \frac{1}{c} \left(\frac{6 l K}{n \pi r (1 + 1.5 e^2)}\right)^{1/3}
@@ -192,9 +193,7 @@ class AnnularGap(Law):
                 f" e = {eccentricity:g}; K must not be negative and e lie between 0 and 1",
             )
         widening = 1.0 + 1.5 * eccentricity * eccentricity
-        gap_um: NDArray[np.float64] = np.cbrt(
-            coefficient / (self._concentric_m3_per_um3 * widening)
-        )
+        gap_um: Array = np.cbrt(coefficient / (self._concentric_m3_per_um3 * widening))
         return gap_um
 
     def tolerances(self) -> tuple[PathTolerance, ...]:
@@ -269,9 +268,9 @@ class AnnularGap(Law):
         height_m_per_um = self.height_factor / MICROMETRES_PER_METRE
         return self.count * math.pi * self.radius_m * height_m_per_um**3 / (6.0 * self.length_m)
 
-    def _widening(self, values: NDArray[np.float64]) -> NDArray[np.float64] | float:
+    def _widening(self, values: Array) -> Array | float:
         """1 + 1.5 e², or 1 where the path has no eccentricity."""
         if self.eccentricity is None:
             return 1.0
-        eccentricity: NDArray[np.float64] = values[..., 1]
+        eccentricity: Array = values[..., 1]
         return 1.0 + 1.5 * eccentricity * eccentricity

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from leakage.arrays import Array
 from leakage.errors import ShapeError
 
 PASCALS_PER_BAR = 1e5
@@ -26,10 +27,10 @@ class OperatingConditions:
     Raises ShapeError if the channels differ in shape or are not one-dimensional.
     """
 
-    pressure_difference_pa: NDArray[np.float64]
-    oil_temperature_c: NDArray[np.float64]
-    speed_rpm: NDArray[np.float64]
-    charge_over_case_pa: NDArray[np.float64] | None = None
+    pressure_difference_pa: Array
+    oil_temperature_c: Array
+    speed_rpm: Array
+    charge_over_case_pa: Array | None = None
 
     def __post_init__(self) -> None:
         channels = [self.pressure_difference_pa, self.oil_temperature_c, self.speed_rpm]

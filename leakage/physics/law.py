@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from leakage.arrays import Array, Mask
 from leakage.errors import ParameterError
 
 LITRES_PER_MINUTE = 60_000.0  # in 1 m³/s
 
 CoefficientUnit = Literal["m3", "1", "l_per_min"]
-Values: TypeAlias = Sequence[float] | NDArray[np.float64]
+Values: TypeAlias = Sequence[float] | Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,22 +120,22 @@ class Law(ABC):
         """Name of the coefficient in tables."""
         return f"K_{self.name}"
 
-    def coefficient(self, values: Values) -> NDArray[np.float64]:
+    def coefficient(self, values: Values) -> Array:
         """Lumped coefficient of all interfaces of the path, shape (…), [coefficient_unit].
 
         `values` are those of `parameters` in their order and units, along the last axis; of one
         parameter alone, the coefficient is its value.
         """
-        value: NDArray[np.float64] = np.asarray(values, dtype=np.float64)[..., 0]
+        value: Array = np.asarray(values, dtype=np.float64)[..., 0]
         return value
 
     @abstractmethod
     def regressor(
         self,
-        drive_per_s: NDArray[np.float64],
-        pressure_difference_pa: NDArray[np.float64],
-        speed_rpm: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        drive_per_s: Array,
+        pressure_difference_pa: Array,
+        speed_rpm: Array,
+    ) -> Array:
         """Flow φ per unit of the coefficient, shape (n,), [l/min per its unit]; a new array.
 
         `drive_per_s` is ΔP/η, [1/s]; pressure difference [Pa] and speed [rpm] count by their size.
@@ -157,7 +157,7 @@ class Law(ABC):
         """
         return ()
 
-    def is_beyond(self, speed_rpm: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_beyond(self, speed_rpm: Array) -> Mask:
         """Mask of |ω| outside the speeds for which the law holds, shape (n,)."""
         return np.zeros(np.shape(speed_rpm), dtype=np.bool_)
 

@@ -12,8 +12,9 @@ from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from leakage.arrays import Array, Mask
 from leakage.errors import ParameterError
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.oil import THESIS_FILM_PRESSURE, FilmPressure, Oil, flow_drive_per_s
@@ -82,7 +83,7 @@ class Motor:
         """Path of each coefficient of θ: the columns', then the constant's or None."""
         return (*self.column_paths, self.constant)
 
-    def coefficient_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def coefficient_bounds(self) -> tuple[Array, Array]:
         """Bounds of θ that those of the parameters imply, each of shape (p + 1,)."""
         paths = self.coefficient_paths
         limits = [path.coefficient_bounds() if path else (0.0, 0.0) for path in paths]
@@ -126,9 +127,7 @@ class Motor:
         return ParameterError("motor_paths", f"motor type {self.motor_type!r} {what}")
 
 
-def regressors(
-    motor: Motor, conditions: OperatingConditions, out: NDArray[np.float64] | None = None
-) -> NDArray[np.float64]:
+def regressors(motor: Motor, conditions: OperatingConditions, out: Array | None = None) -> Array:
     r"""Columns in which the motor's flow is linear: y = known + Σ K φ + C_f + ε.
 
     .. math:: z(t) = (\varphi_1, \dots, \varphi_p, 1, \textstyle\sum_{known} K \varphi)
@@ -170,7 +169,7 @@ def path_flows_l_per_min(
     motor: Motor,
     conditions: OperatingConditions,
     coefficients: Mapping[str, float] | None = None,
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Array]:
     """Flow of each path, Q = K φ, by its name in declared order, shape (n,) each, [l/min].
 
     All interfaces of a path together; the constant among them.
@@ -202,7 +201,7 @@ def total_flow_l_per_min(
     motor: Motor,
     conditions: OperatingConditions,
     coefficients: Mapping[str, float] | None = None,
-) -> NDArray[np.float64]:
+) -> Array:
     """Flow over the drain-line sensor, flushing included, shape (n,), [l/min]; (5) of the thesis.
 
     Arguments and errors as of :func:`path_flows_l_per_min`.
@@ -215,7 +214,7 @@ def leakage_l_per_min(
     motor: Motor,
     conditions: OperatingConditions,
     coefficients: Mapping[str, float] | None = None,
-) -> NDArray[np.float64]:
+) -> Array:
     """Leakage of the motor, flushing excluded, shape (n,), [l/min]; (4) of the thesis.
 
     Arguments and errors as of :func:`path_flows_l_per_min`.
@@ -226,7 +225,7 @@ def leakage_l_per_min(
     return sum(flows.values(), np.zeros(len(conditions)))
 
 
-def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> NDArray[np.bool_]:
+def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> Mask:
     """Mask of speeds outside the range for which a path's law holds, shape (n,)."""
     speed = np.asarray(speed_rpm, dtype=np.float64)
     beyond = np.zeros(speed.shape, dtype=np.bool_)
@@ -236,7 +235,7 @@ def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> NDArray[np.bool_]:
 
 
 # Drive, pressure difference and speed, as a regressor takes them.
-_Side: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+_Side: TypeAlias = tuple[Array, Array, Array]
 
 
 def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[slice, list[_Side]]]:
@@ -254,7 +253,7 @@ def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[sli
         yield rows, sides
 
 
-def _regressor(path: LeakagePath, sides: list[_Side]) -> NDArray[np.float64]:
+def _regressor(path: LeakagePath, sides: list[_Side]) -> Array:
     """Regressor of a path, summed over the sides; a constant flow has none of them."""
     first, *others = (path.regressor(*side) for side in sides)
     if isinstance(path, Constant):

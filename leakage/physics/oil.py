@@ -7,8 +7,9 @@ from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from leakage.arrays import Array
 from leakage.errors import ParameterError
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
 
@@ -118,7 +119,7 @@ class FilmPressure:
 THESIS_FILM_PRESSURE = FilmPressure()
 
 
-def density_kg_per_m3(temperature_c: ArrayLike, oil: Oil) -> NDArray[np.float64]:
+def density_kg_per_m3(temperature_c: ArrayLike, oil: Oil) -> Array:
     r"""Density of the oil, shape of the temperature, [kg/m³].
 
     .. math:: \rho(T) = \frac{\rho_{15}}{1 + \beta (T - 15)}
@@ -138,9 +139,7 @@ def density_kg_per_m3(temperature_c: ArrayLike, oil: Oil) -> NDArray[np.float64]
     return oil.density_15_c_kg_per_m3 / expansion
 
 
-def dynamic_viscosity_pa_s(
-    temperature_c: ArrayLike, pressure_pa: ArrayLike, oil: Oil
-) -> NDArray[np.float64]:
+def dynamic_viscosity_pa_s(temperature_c: ArrayLike, pressure_pa: ArrayLike, oil: Oil) -> Array:
     r"""Dynamic viscosity at temperature and pressure above ambient (Barus), [Pa·s]; (1) of the
     thesis.
 
@@ -159,7 +158,7 @@ def dynamic_viscosity_pa_s(
     viscosity = kinematic_viscosity_mm2_per_s(temperature_c, oil.walther_a, oil.walther_b)
     ambient = _M2_PER_MM2 * viscosity * density_kg_per_m3(temperature_c, oil)
     thickening = np.exp(oil.pressure_viscosity_per_pa * np.asarray(pressure_pa, dtype=np.float64))
-    result: NDArray[np.float64] = ambient * thickening
+    result: Array = ambient * thickening
     return result
 
 
@@ -168,7 +167,7 @@ def flow_drive_per_s(
     temperature_c: ArrayLike,
     oil: Oil,
     film_pressure: FilmPressure = THESIS_FILM_PRESSURE,
-) -> NDArray[np.float64]:
+) -> Array:
     r"""Drive ΔP/η of a laminar leakage flow, [1/s]; never negative, the sign of ΔP has no effect.
 
     .. math:: \frac{|\Delta P|}{\eta(T, s |\Delta P|)} \;\text{(thesis, (1) and (3))}, \qquad

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from leakage.arrays import Array, Mask
 from leakage.errors import ParameterError
 from leakage.physics.law import (
     LITRES_PER_MINUTE,
@@ -75,16 +75,16 @@ class Laminar(Law):
         """The loss factor of one interface."""
         return (self.loss_factor,)
 
-    def coefficient(self, values: Values) -> NDArray[np.float64]:
+    def coefficient(self, values: Values) -> Array:
         """Lumped loss factor n·C_d, [m³]."""
         return self.count * super(Laminar, self).coefficient(values)
 
     def regressor(
         self,
-        drive_per_s: NDArray[np.float64],
-        pressure_difference_pa: NDArray[np.float64],  # noqa: ARG002
-        speed_rpm: NDArray[np.float64],  # noqa: ARG002
-    ) -> NDArray[np.float64]:
+        drive_per_s: Array,
+        pressure_difference_pa: Array,  # noqa: ARG002
+        speed_rpm: Array,  # noqa: ARG002
+    ) -> Array:
         """Flow per unit of the lumped loss factor, 60 000·ΔP/η, shape (n,), [l/min per m³]."""
         return LITRES_PER_MINUTE * drive_per_s
 
@@ -127,10 +127,10 @@ class Constant(Law):
 
     def regressor(
         self,
-        drive_per_s: NDArray[np.float64],
-        pressure_difference_pa: NDArray[np.float64],  # noqa: ARG002
-        speed_rpm: NDArray[np.float64],  # noqa: ARG002
-    ) -> NDArray[np.float64]:
+        drive_per_s: Array,
+        pressure_difference_pa: Array,  # noqa: ARG002
+        speed_rpm: Array,  # noqa: ARG002
+    ) -> Array:
         """Ones, shape (n,), [-]."""
         return np.ones_like(drive_per_s)
 
@@ -216,13 +216,13 @@ class SpeedCurve(Law):
         """Name of the scale in tables."""
         return self.scale.name
 
-    def curve_l_per_min(self, speed_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def curve_l_per_min(self, speed_rpm: Array) -> Array:
         """Leakage f(|ω|) of one interface at ΔP₀ and η₀, shape (n,), [l/min].
 
         Beyond the range of the points the value at its end.
         """
         speed = np.clip(np.abs(speed_rpm), self.speed_minimum_rpm, self.speed_maximum_rpm)
-        flow: NDArray[np.float64] = np.full_like(speed, self.coefficients[0])
+        flow: Array = np.full_like(speed, self.coefficients[0])
         for coefficient in self.coefficients[1:]:
             flow *= speed
             flow += coefficient
@@ -236,19 +236,19 @@ class SpeedCurve(Law):
         raised = tuple(coefficient * (1 + share) for coefficient in self.coefficients)
         return (PathTolerance("curve", share, replace(self, coefficients=raised)),)
 
-    def is_beyond(self, speed_rpm: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_beyond(self, speed_rpm: Array) -> Mask:
         """Mask of |ω| outside the range of the curve's points, shape (n,)."""
         speed = np.abs(speed_rpm)
-        beyond: NDArray[np.bool_] = speed > self.speed_maximum_rpm
+        beyond: Mask = speed > self.speed_maximum_rpm
         beyond |= speed < self.speed_minimum_rpm
         return beyond
 
     def regressor(
         self,
-        drive_per_s: NDArray[np.float64],
-        pressure_difference_pa: NDArray[np.float64],  # noqa: ARG002
-        speed_rpm: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        drive_per_s: Array,
+        pressure_difference_pa: Array,  # noqa: ARG002
+        speed_rpm: Array,
+    ) -> Array:
         r"""Flow per unit of the scale, [l/min]; the pressure is in the drive.
 
         .. math:: \varphi = n f(|\omega|)\,\frac{\eta_0}{\Delta P_0}\,\frac{|\Delta P|}{\eta}

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from leakage.arrays import Array
 from leakage.errors import CurveError
 
 DEGREE = 5  # of the polynomial over speed
@@ -44,7 +45,7 @@ def fit_deformation_pressure(points: ArrayLike) -> float:
     undeformed = gap**3 * pressure
     slope, intercept = np.polyfit(pressure, np.log(flow / undeformed), 1)
 
-    def deviation(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def deviation(unknowns: Array) -> Array:
         log_amplitude, decay = unknowns
         at = undeformed * np.exp(log_amplitude - decay * pressure)
         return np.asarray(at - flow, dtype=np.float64)
@@ -101,9 +102,7 @@ def fit_speed_curve(points: ArrayLike) -> tuple[float, ...]:
     return tuple(coefficients[::-1].tolist())
 
 
-def _require_points(
-    points: NDArray[np.float64], *, least: int, different: int, above_zero: bool
-) -> None:
+def _require_points(points: Array, *, least: int, different: int, above_zero: bool) -> None:
     """Refuse points that are too few, or have values that a simulation cannot have."""
     bad = points <= 0.0 if above_zero else points < 0.0
     if bad.any() or not np.isfinite(points).all():

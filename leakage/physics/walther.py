@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from leakage.arrays import Array
 from leakage.errors import ParameterError, ValidityError
 
 CELSIUS_ZERO_K = 273.15
@@ -75,7 +76,7 @@ def walther_through(temperature_c: float, viscosity_mm2_per_s: float, walther_b:
 
 def kinematic_viscosity_mm2_per_s(
     temperature_c: ArrayLike, walther_a: float, walther_b: float
-) -> NDArray[np.float64]:
+) -> Array:
     r"""Kinematic viscosity by Walther's equation (ASTM D341), shape of the temperature, [mm²/s].
 
     .. math:: \log_{10}\log_{10} Z = A - B \log_{10}(T + 273.15), \quad \nu = Z - 0.7
@@ -98,7 +99,7 @@ def kinematic_viscosity_mm2_per_s(
     _require_temperature_range(temperature)
     # 10**x as exp(x ln 10): the exponential is the fast one of the two.
     log10_z = np.exp(_LN10 * walther_a - walther_b * np.log(temperature + CELSIUS_ZERO_K))
-    viscosity: NDArray[np.float64] = np.exp(_LN10 * log10_z) - 0.7
+    viscosity: Array = np.exp(_LN10 * log10_z) - 0.7
     if np.any(viscosity < PLAIN_WALTHER_MINIMUM_MM2_PER_S):
         return _full_walther_viscosity(viscosity)
     return viscosity
@@ -118,7 +119,7 @@ def _walther_z(viscosity_mm2_per_s: float) -> float:
     return viscosity_mm2_per_s + 0.7 + math.exp(exponent)
 
 
-def _full_walther_viscosity(plain: NDArray[np.float64]) -> NDArray[np.float64]:
+def _full_walther_viscosity(plain: Array) -> Array:
     """Replace the viscosities below 2 mm²/s by those of D341's full form."""
     thin = np.minimum(plain, PLAIN_WALTHER_MINIMUM_MM2_PER_S)
     exponent = -0.7487 + thin * (-3.295 + thin * (0.6119 - 0.3193 * thin))
@@ -133,7 +134,7 @@ def _full_walther_viscosity(plain: NDArray[np.float64]) -> NDArray[np.float64]:
     return full
 
 
-def _require_temperature_range(temperature_c: NDArray[np.float64]) -> None:
+def _require_temperature_range(temperature_c: Array) -> None:
     lowest, highest = TEMPERATURE_RANGE_C
     # One that is nan is not compared, but looked at below.
     if (

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.arrays import Array
 from leakage.watch import choices
 from leakage.watch.attribution import (
     Attribution,
@@ -31,7 +32,6 @@ from leakage.watch.nights import (
     NOW_AND_THEN,
     RAMPS,
     SEVERAL,
-    Array,
     Change,
     Estimate,
     Machine,

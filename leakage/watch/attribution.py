@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
+from leakage.arrays import Array
 from leakage.watch import choices
 from leakage.watch.baseline import Baseline
 from leakage.watch.causes import (
@@ -23,7 +24,7 @@ from leakage.watch.causes import (
     Cause,
 )
 from leakage.watch.evidence import RAMP, SHAPES, STEP, Causes, Evidence, Places
-from leakage.watch.nights import FLUSHING, SEVERAL, Array, Estimate, Machine
+from leakage.watch.nights import FLUSHING, SEVERAL, Estimate, Machine
 
 # Causes below this probability are no candidates.
 LEAST_PROBABILITY = 0.01

@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
+from leakage.arrays import Array
 from leakage.watch import choices
-from leakage.watch.nights import FLUSHING, Array, Machine, NightBlocks
+from leakage.watch.nights import FLUSHING, Machine, NightBlocks
 from leakage.watch.within_night import (
     START,
     BlockErrors,

@@ -8,10 +8,11 @@ from itertools import combinations
 
 import numpy as np
 
+from leakage.arrays import Array
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
 from leakage.watch import choices
 from leakage.watch.baseline import Baseline
-from leakage.watch.nights import FLUSHING, Array, Machine
+from leakage.watch.nights import FLUSHING, Machine
 
 ALL_GAPS, ALL_FLOWS, OIL_GRADE = "all_gaps", "all_flows", "oil_grade"
 TEMPERATURE_SENSOR, TEMPERATURE_EFFECT = "temperature_sensor", "temperature_effect"

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from leakage.arrays import Array, Mask
 from leakage.watch import choices
 from leakage.watch.causes import Cause
-from leakage.watch.nights import RAMPS, STEPS, Array
+from leakage.watch.nights import RAMPS, STEPS
 from leakage.watch.wander import Wander, effective
 
 Places = NDArray[np.intp]
@@ -138,7 +139,7 @@ class Causes:
     sign: Array
     mean: Array
     spread: Array
-    is_half: NDArray[np.bool_]
+    is_half: Mask
 
     @classmethod
     def of(cls, every: Sequence[Cause]) -> Causes:
@@ -160,7 +161,7 @@ class Causes:
     def __len__(self) -> int:
         return len(self.every)
 
-    def prior(self, shape: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def prior(self, shape: int) -> tuple[Array, Array, Mask]:
         """Mean, spread and kind of the size's prior; of a ramp, of its rise in ten days."""
         if shape == STEP:
             return self.mean, self.spread, self.is_half
@@ -274,7 +275,7 @@ class Evidence:
         told = self.sums.since(starts, np.stack(weights, axis=1), without)
         return told[..., :-1], told[:2, ..., -1]
 
-    def operates_otherwise(self, starts: Places) -> NDArray[np.bool_]:
+    def operates_otherwise(self, starts: Places) -> Mask:
         """Whether a start's nights have other operating conditions than the baseline's, (k,)."""
         return self.operating_beyond(starts) > choices.OPERATING_OTHER
 

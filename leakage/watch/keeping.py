@@ -9,10 +9,11 @@ from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
+from leakage.arrays import Array
 from leakage.watch.baseline import Baseline
 from leakage.watch.causes import BACK, Cause
 from leakage.watch.evidence import Sums, Window
-from leakage.watch.nights import Array, Estimate, Machine, WatchSettings
+from leakage.watch.nights import Estimate, Machine, WatchSettings
 from leakage.watch.state import ChangeInForce, State, all_causes
 from leakage.watch.wander import Wander
 

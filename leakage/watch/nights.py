@@ -6,14 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from leakage.arrays import Array
 from leakage.errors import ShapeError
 from leakage.watch import choices
-
-Array = NDArray[np.float64]
 
 DAYS_A_YEAR = 365.0
 # Name of the path that a flushing is, and of the flow that the motor type states.

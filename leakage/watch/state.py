@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leakage.arrays import Array
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
@@ -22,7 +23,6 @@ from leakage.watch.nights import (
     FLUSHING,
     KNOWN,
     RAMPS,
-    Array,
     Change,
     Estimate,
     Machine,

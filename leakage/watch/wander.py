@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from leakage.arrays import Array
 from leakage.watch import choices
-from leakage.watch.nights import Array
 
 MOST_PASSES, CONVERGED = 60, 1e-3
 # Weight of a path in the prior of the wander is at least this share of its own unit.

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leakage.arrays import Array
 from leakage.errors import EstimationError
 from leakage.watch import choices, keeping
 from leakage.watch.adoption import (
@@ -29,7 +30,7 @@ from leakage.watch.adoption import (
 )
 from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS
 from leakage.watch.evidence import STEP
-from leakage.watch.nights import Array, Estimate, Machine, NightBlocks, Verdict, WatchSettings
+from leakage.watch.nights import Estimate, Machine, NightBlocks, Verdict, WatchSettings
 from leakage.watch.state import State, change_in_force, direction, on_first_baseline, present
 
 

@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
+from leakage.arrays import Array, Mask
 from leakage.watch import choices
-from leakage.watch.nights import Array
 
 # Where the search begins and where it may go: ln of the three errors and of τ [s].
 START = np.log([0.01, 0.005, 0.007, 600.0])
@@ -89,9 +88,7 @@ def estimate_errors(
     return BlockErrors.of(found.x)
 
 
-def _pieces(
-    nights: Sequence[tuple[Array, Array]],
-) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+def _pieces(nights: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Mask, Array]:
     """Pieces of nights of one length, the shorter ones filled up; of g different rows of times.
 
     Times between blocks [s], products of their residuals, and what is not filled up, shape

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.nights import nights_between
 from pipeline.trends.nights.decisions import LEAKAGE, SENSORS, Decision
 from pipeline.trends.nights.layout import Layout
 
-Array = NDArray[np.float64]
 # A structured array, one record a night.
 Records = NDArray[Any]
 

@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from leakage import LeakageError, regressors
 from leakage.estimation.block_statistics import with_free_known
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from leakage.watch import Machine, NightBlocks
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import VISCOSITIES
-
-Array = NDArray[np.float64]
 
 FLUSHING, KNOWN = "flushing", "known"
 # Beginning of the coefficients' names of gaps.

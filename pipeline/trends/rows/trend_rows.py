@@ -14,6 +14,7 @@ from leakage.course.slope import fit_slope
 from leakage.course.time_to_limit import time_to_limit
 from leakage.estimation.identifiability import TOLD
 from leakage.watch import Estimate
+from pipeline.arrays import Array
 from pipeline.night.time_base import VISCOSITIES
 from pipeline.trends.nights.history import NIGHTS_BEFORE, WATCHED, History
 from pipeline.trends.nights.layout import LOSS_FACTOR
@@ -23,7 +24,6 @@ from pipeline.trends.states.judged import JudgedNight
 from pipeline.trends.states.zeros import HALF, Zero, health
 
 Row = dict[str, Any]
-Array = NDArray[np.float64]
 
 DAYS_A_YEAR = 365.25
 # Names in `trends` of what the watch says of a night.

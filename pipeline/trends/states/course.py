@@ -12,16 +12,11 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from leakage.watch import Estimate, NightBlocks, Verdict, Watch, WatchSettings
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
 from pipeline.trends.nights.from_tables import MotorNights, read_blocks
-from pipeline.trends.nights.history import (
-    WATCHED,
-    Array,
-    BaselinePeriod,
-    period_at,
-    periods_of,
-)
+from pipeline.trends.nights.history import WATCHED, BaselinePeriod, period_at, periods_of
 from pipeline.trends.nights.kept import Kept, KeptWatch
 
 # A leakage is told at conditions as far beyond those of the baseline period's blocks [°C, bar,

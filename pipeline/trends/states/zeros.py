@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from leakage.course.sensor_zero import zero_course
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.trends.nights.decisions import FLOW_ZERO, PRESSURE_ZERO, SENSORS
 from pipeline.trends.nights.history import BaselinePeriod, History, periods_of
-
-Array = NDArray[np.float64]
 
 PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
 # A smaller move is no drift where the config states no tolerance: it moves the piston rings' K by

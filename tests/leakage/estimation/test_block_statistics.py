@@ -9,9 +9,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from leakage.arrays import Array
 from leakage.errors import StatisticsError
 from leakage.estimation.block_statistics import (
-    Array,
     criterion,
     factor,
     factors,

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from leakage.arrays import Array
 from leakage.errors import EstimationError
-from leakage.estimation.block_statistics import Array, criterion, factor
+from leakage.estimation.block_statistics import criterion, factor
 from leakage.estimation.multi_start import ECCENTRICITY_NUDGE, coefficients_at, points_of, search
 from leakage.estimation.proven_minimum import ProvenMinimum, certify
 from leakage.physics.annular_gap import AnnularGap
