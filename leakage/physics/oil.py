@@ -30,8 +30,9 @@ class Oil:
     `thermal_expansion_per_k`: Coefficient β of the density, [1/K].
     `pressure_viscosity_per_pa`: Barus coefficient α, [1/Pa].
 
-    Raises ParameterError if a constant is not finite or outside its physical range. Raises Source:
-    the thesis, equations (1) and (2).:
+    Raises ParameterError if a constant is not finite or outside its physical range.
+
+    Source: the thesis, equations (1) and (2).
     """
 
     name: str
