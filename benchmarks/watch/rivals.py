@@ -13,10 +13,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.watch.simulator import PATHS, PISTON, THETA
-from leakage.watch import NightBlocks as Night
+from leakage.watch import NightBlocks
 from pipeline.arrays import Array
 
-Predict = Callable[[Sequence[Night]], list[Array]]
+# Learns from blocks' inputs, (n, 4), and flow, (n,), what it expects of inputs.
+Learn = Callable[[Array, Array], Callable[[Array], Array]]
 
 PARTS = 5
 # Weight of the last night in a moving mean.
@@ -25,69 +26,41 @@ EWMA_WEIGHT = 0.2
 BOOSTING = {"max_iter": 200, "learning_rate": 0.05, "max_leaf_nodes": 8, "min_samples_leaf": 20}
 
 
-def regression(nights: Sequence[Night]) -> Predict:
+def regression(inputs: Array, flow: Array) -> Callable[[Array], Array]:
     """Least squares on ΔP/η, ΔP, ΔP²/η, ω ΔP/η and a constant."""
 
-    def columns(of: Sequence[Night]) -> Array:
-        drive = _drive(of)
-        _, pressure, speed = np.concatenate([one.conditions for one in of]).T / 100.0
+    def columns(of: Array) -> Array:
+        _, pressure, speed = of.T[:3] / 100.0
+        drive = of[:, 3]
         ones = np.ones(len(drive))
         return np.column_stack([ones, drive, pressure, drive * pressure, drive * speed])
 
-    found, *_ = np.linalg.lstsq(columns(nights), _flow(nights), rcond=None)
-    return lambda of: _by_night(columns(of) @ found, of)
+    found, *_ = np.linalg.lstsq(columns(inputs), flow, rcond=None)
+    return lambda of: columns(of) @ found
 
 
-def boosting(nights: Sequence[Night]) -> Predict:
-    """Gradient boosting on pressure, temperature, speed and ΔP/η."""
+def boosting(inputs: Array, flow: Array) -> Callable[[Array], Array]:
+    """Gradient boosting on temperature, pressure, speed and ΔP/η."""
     from sklearn.ensemble import HistGradientBoostingRegressor  # type: ignore[import-untyped]
 
-    def columns(of: Sequence[Night]) -> Array:
-        conditions = np.concatenate([one.conditions for one in of])
-        return np.column_stack([conditions, _drive(of)])
-
     model = HistGradientBoostingRegressor(early_stopping=False, random_state=0, **BOOSTING)
-    model.fit(columns(nights), _flow(nights))
-    return lambda of: _by_night(model.predict(columns(of)), of)
+    found: Callable[[Array], Array] = model.fit(inputs, flow).predict
+    return found
 
 
-def _drive(nights: Sequence[Night]) -> Array:
-    """ΔP/η, as the rigid pistons' drive has it, about 1."""
-    place = PATHS.index(PISTON)
-    drive: Array = np.concatenate([one.drives[:, place] for one in nights]) * THETA[place]
-    return drive
-
-
-def _flow(nights: Sequence[Night]) -> Array:
-    return np.concatenate([one.flow for one in nights])
-
-
-def _by_night(values: Array, nights: Sequence[Night]) -> list[Array]:
-    return np.split(values, np.cumsum([len(one.flow) for one in nights])[:-1])
-
-
-def mean_flow(nights: Sequence[Night], baseline: int) -> Array:
-    """Mean drain flow of each night over the baseline's, shape (n,)."""
-    flow = np.array([one.flow.mean() for one in nights])
-    change: Array = flow / flow[:baseline].mean() - 1.0
-    return change
-
-
-def over_expected(
-    nights: Sequence[Night], baseline: int, learn: Callable[[Sequence[Night]], Predict]
-) -> Array:
+def over_expected(nights: Sequence[NightBlocks], baseline: int, learn: Learn) -> Array:
     """Mean drain flow of each night over what a model of the baseline's expects, shape (n,)."""
-    change = np.empty(len(nights))
-
-    def changes(places: Sequence[int], predict: Predict) -> None:
-        of = [nights[place] for place in places]
-        for place, night, expected in zip(places, of, predict(of), strict=True):
-            change[place] = night.flow.mean() / expected.mean() - 1.0
-
-    for left_out in range(PARTS):
-        others = [nights[place] for place in range(baseline) if place % PARTS != left_out]
-        changes(range(left_out, baseline, PARTS), learn(others))
-    changes(range(baseline, len(nights)), learn(nights[:baseline]))
+    night = np.repeat(np.arange(len(nights)), [len(one.flow) for one in nights])
+    flow = np.concatenate([one.flow for one in nights])
+    # ΔP/η, as the rigid pistons' drive has it, about 1.
+    drive = np.concatenate([one.drives for one in nights])[:, PATHS.index(PISTON)] * THETA[1]
+    inputs = np.column_stack([np.concatenate([one.conditions for one in nights]), drive])
+    part = np.where(night < baseline, night % PARTS, PARTS)
+    expected = np.empty_like(flow)
+    for left_out in range(PARTS + 1):
+        others = (part != left_out) & (part < PARTS)
+        expected[part == left_out] = learn(inputs[others], flow[others])(inputs[part == left_out])
+    change: Array = np.bincount(night, flow) / np.bincount(night, expected) - 1.0
     return change
 
 
@@ -103,14 +76,16 @@ def chart(change: Array, baseline: int, weight: float = 1.0) -> Array:
     return moved
 
 
-def charts(nights: Sequence[Night], baseline: int) -> dict[str, Array]:
+def charts(nights: Sequence[NightBlocks], baseline: int) -> dict[str, Array]:
     """All of them: distance of each night from the baseline, shape (n,)."""
-    flow = mean_flow(nights, baseline)
+    flow = np.array([one.flow.mean() for one in nights])
     return {
         "mean flow, Shewhart": chart(flow, baseline),
         "mean flow, EWMA": chart(flow, baseline, EWMA_WEIGHT),
-        "regression, EWMA": chart(
-            over_expected(nights, baseline, regression), baseline, EWMA_WEIGHT
-        ),
-        "boosting, EWMA": chart(over_expected(nights, baseline, boosting), baseline, EWMA_WEIGHT),
+        **{
+            f"{learn.__name__}, EWMA": chart(
+                over_expected(nights, baseline, learn), baseline, EWMA_WEIGHT
+            )
+            for learn in (regression, boosting)
+        },
     }
