@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.watch.cb560 import CB560, LAMINAR
 from benchmarks.watch.cells import Cell
@@ -21,24 +19,36 @@ from pipeline.arrays import Array
 # Seeds of trials while building, and of the figures that are shown.
 TRIAL, FRESH = 36, 20261203
 REFERENCE = np.array([50.0, 200.0, 30.0])  # [°C], [bar], [rpm]
+REACHED = 0.08  # change of the flow from which nights are counted
 SETTLED = 10  # nights after which a cause has settled
 # A change of the temperature's effect alone is a notice; and what ends is no alarm.
 NOTICES = ("temperature_effect", "back_as_before")
 
 Outcome = dict[str, Any]
-Dated = tuple[int, Change]
 
 
 def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> Outcome:
     """Of one motor of a cell: a seed of its own, by cell and number."""
-    histories = cell.make((base, crc32(cell.key.encode()), number), cell.event.nights)
+    event = cell.event
+    histories = cell.make((base, crc32(cell.key.encode()), number), event.nights)
     watch, verdicts = _watched(histories, cell.baseline)
-    history = _against_baseline(histories[0], cell.baseline)
+    # Against the baseline's nights, in which wear may have begun.
+    history = histories[0]
+    at_first = 1.0 + history.change[: cell.baseline].mean()
+    newest_night, change = (
+        (1.0 + one) / at_first - 1.0 for one in (history.newest_night, history.change)
+    )
+    reached = np.flatnonzero(np.abs(history.change) >= REACHED)
+    is_reached = len(reached) and event.begin is not None and "odd_nights" not in event.right
+    said: dict[int, list[tuple[int, Change]]] = {}
+    for one in verdicts:
+        if one.change is not None:
+            said.setdefault(one.change.told_on, []).append((one.day, one.change))
     found = {
-        "told": [_told(told_on, said, history, cell) for told_on, said in _said(verdicts).items()],
-        "tonight": _newest_night(verdicts, history),
+        "told": [_told(told_on, of, change, cell) for told_on, of in said.items()],
+        "tonight": [*_missed(verdicts, newest_night), *_missed(verdicts, change)],
         "lack": round(verdicts[0].lack_of_fit, 4),
-        "reached": _reached(histories[0], cell),
+        "reached": int(reached[0]) if is_reached else None,
     }
     if isinstance(cell.of, CB560) and cell.of is LAMINAR:
         # At reference conditions, and at the motor's own.
@@ -47,17 +57,16 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
             _leakage(watch, cell.of, at) for at in (REFERENCE, np.median(first, axis=0))
         ]
     if cell.has_rivals:
-        values = charts(history.nights, cell.baseline)
+        begin = max(cell.baseline, event.begin or 0)
+        raised = {
+            method: np.flatnonzero(values[begin:] > limits[method])
+            for method, values in charts(history.nights, cell.baseline).items()
+        }
+        # Night of the first alarm since the change, 1 being its first, or since the baseline.
         found["rivals"] = {
-            method: _first(values[method] > limits[method], cell) for method in values
+            method: int(nights[0]) + 1 if len(nights) else None for method, nights in raised.items()
         }
     return found
-
-
-def _leakage(watch: Watch, of: CB560, at: Array) -> list[float]:
-    """By the level of the last night over the true one, less 1, with its interval."""
-    drives, true = drives_and_leakage(of, at)
-    return [round(one / true - 1.0, 4) for one in _with_interval(watch.leakage_at(drives, at))]
 
 
 def _watched(histories: Sequence[History], baseline: int) -> tuple[Watch, list[Verdict]]:
@@ -95,32 +104,14 @@ def _on_tank(watch: Watch, tank: Sequence[Watch]) -> Watch:
     return watch.with_tank(Estimate(value, float(weights.sum() ** -0.5)))
 
 
-def _against_baseline(history: History, baseline: int) -> History:
-    """Changes against the baseline's nights, in which wear may have begun."""
-    newest_night, change = (
-        (1.0 + one) / (1.0 + history.change[:baseline].mean()) - 1.0
-        for one in (history.newest_night, history.change)
-    )
-    return replace(history, newest_night=newest_night, change=change)
-
-
-def _said(verdicts: Sequence[Verdict]) -> dict[int, list[Dated]]:
-    """Changes in force night by night, by the night on which they were told."""
-    found: dict[int, list[Dated]] = {}
-    for verdict in verdicts:
-        if verdict.change is not None:
-            found.setdefault(verdict.change.told_on, []).append((verdict.day, verdict.change))
-    return found
-
-
-def _told(told_on: int, said: Sequence[Dated], history: History, cell: Cell) -> Outcome:
+def _told(told_on: int, said: Sequence[tuple[int, Change]], true: Array, cell: Cell) -> Outcome:
     """A change as it was detected, and ten nights later; a notice, once it becomes an alarm."""
     alarms = [one for one in said if one[1].cause not in NOTICES]
     night, first = (alarms or said)[0]
     last, settled = [one for one in said if one[0] <= max(told_on + SETTLED, night)][-1]
     # Told against the nights before its begin, or against the baseline.
     begin = cell.event.begin or 0
-    before = history.change[begin - 1] if begin > cell.baseline else 0.0
+    before = true[begin - 1] if begin > cell.baseline else 0.0
     return {
         "night": night,
         "is_notice": not alarms,
@@ -129,7 +120,7 @@ def _told(told_on: int, said: Sequence[Dated], history: History, cell: Cell) -> 
         "cause": _named(settled),
         "since": [settled.since_lower, settled.since, settled.since_upper],
         "size": [round(one, 4) for one in _with_interval(settled.size)],
-        "true": round(float((1.0 + history.change[last]) / (1.0 + before) - 1.0), 4),
+        "true": round(float((1.0 + true[last]) / (1.0 + before) - 1.0), 4),
     }
 
 
@@ -139,33 +130,19 @@ def _named(change: Change) -> list[object]:
     return [change.cause, likeliest, round(change.probability, 3)]
 
 
+def _missed(verdicts: Sequence[Verdict], true: Array) -> tuple[float, float]:
+    """Of tonight's change: root mean square error, and share of nights within the interval."""
+    value, lower, upper = np.array([_with_interval(one.newest_night) for one in verdicts]).T
+    of = true[-len(value) :]
+    inside = (lower <= of) & (of <= upper)
+    return round(float(np.sqrt(np.mean((value - of) ** 2))), 4), round(float(inside.mean()), 4)
+
+
+def _leakage(watch: Watch, of: CB560, at: Array) -> list[float]:
+    """By the level of the last night over the true one, less 1, with its interval."""
+    drives, true = drives_and_leakage(of, at)
+    return [round(one / true - 1.0, 4) for one in _with_interval(watch.leakage_at(drives, at))]
+
+
 def _with_interval(found: Estimate) -> tuple[float, float, float]:
     return found.value, found.lower, found.upper
-
-
-def _newest_night(verdicts: Sequence[Verdict], history: History) -> list[float]:
-    """Root mean square of the error, and share of nights within the interval.
-
-    Against the truth at the night's conditions, and at the motor's own.
-    """
-    value, lower, upper = np.array([_with_interval(one.newest_night) for one in verdicts]).T
-    found = []
-    for true in (history.newest_night[-len(value) :], history.change[-len(value) :]):
-        inside = (lower <= true) & (true <= upper)
-        found += [float(np.sqrt(np.mean((value - true) ** 2))), float(inside.mean())]
-    return [round(one, 4) for one in found]
-
-
-def _reached(history: History, cell: Cell) -> int | None:
-    """First night in which the flow has changed by 8 %."""
-    if "odd_nights" in cell.event.right:
-        return None
-    nights = np.flatnonzero(np.abs(history.change) >= 0.08)
-    return int(nights[0]) if len(nights) and cell.event.begin is not None else None
-
-
-def _first(raised: NDArray[np.bool_], cell: Cell) -> int | None:
-    """Night of the first alarm since the change, 1 being its first, or since the baseline."""
-    begin = max(cell.baseline, cell.event.begin or 0)
-    later = np.flatnonzero(raised[begin:])
-    return int(later[0]) + 1 if len(later) else None
