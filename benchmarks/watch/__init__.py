@@ -9,16 +9,13 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from fnmatch import fnmatch
-from functools import cache, partial
-from multiprocessing import get_context
+from itertools import groupby
 from typing import Any
 
+import joblib
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from benchmarks import RESULTS, made
 from benchmarks.watch.cb560 import OTHERWISE
@@ -36,8 +33,6 @@ LIMITS = "limits"
 RATE, CALIBRATED_ON = 0.1, 100
 CALIBRATION = 2536
 
-all_cells = cache(cells)
-
 
 def main(options: Sequence[str] = ()) -> None:
     """Measure all cells or some, and write their tables."""
@@ -47,31 +42,29 @@ def main(options: Sequence[str] = ()) -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--trial", action="store_true", help="seeds of trials; nothing is kept")
     asked = parser.parse_args(list(options))
-    numbers = {
-        key: min(asked.motors or cell.motors, cell.motors)
-        for key, cell in all_cells().items()
+    known = cells()
+    tasks = [
+        (key, number)
+        for key, cell in known.items()
         if fnmatch(key, asked.only) and (cell.group != RIG or folder().exists())
-    }
-    fork = get_context("fork")
-    with ProcessPoolExecutor(asked.jobs, fork, threadpool_limits, (1,)) as pool:
-        if fnmatch(LIMITS, asked.only) and not asked.trial:
-            store(LIMITS, _limits(list(pool.map(_highest, range(CALIBRATED_ON)))))
-        base = TRIAL if asked.trial else FRESH
-        work = partial(_outcome, base=base, limits=stored().get(LIMITS, {}))
-        tasks = [(key, number) for key, motors in numbers.items() for number in range(motors)]
-        results = pool.map(work, *zip(*tasks, strict=True)) if tasks else iter(())
-        found: dict[str, list[Outcome]] = {}
-        for key, motors in numbers.items():
-            begin = time.perf_counter()
-            found[key] = [next(results) for _ in range(motors)]
-            sys.stderr.write(f"{key}: {time.perf_counter() - begin:.0f} s\n")
-            if not asked.trial:
-                store(key, found[key])
+        for number in range(min(asked.motors or cell.motors, cell.motors))
+    ]
+    run = joblib.Parallel(asked.jobs, return_as="generator")
+    if fnmatch(LIMITS, asked.only) and not asked.trial:
+        store(LIMITS, _limits(list(run(map(joblib.delayed(_highest), range(CALIBRATED_ON))))))
+    of = {"base": TRIAL if asked.trial else FRESH, "limits": stored().get(LIMITS, {})}
+    results = run(joblib.delayed(outcome)(known[key], number, **of) for key, number in tasks)
+    found: dict[str, list[Outcome]] = {}
+    for key, motors in groupby(zip(tasks, results, strict=True), lambda pair: pair[0][0]):
+        found[key] = [motor for _, motor in motors]
+        sys.stderr.write(f"{key}\n")
+        if not asked.trial:
+            store(key, found[key])
     if asked.trial:
-        show(tables(all_cells(), found), None)
+        show(tables(known, found), None)
     else:
-        show([made(), *tables(all_cells(), stored())], RESULTS / "watch.md")
-        show([readme(all_cells(), stored())], RESULTS.parents[1] / "README.md")
+        show([made(), *tables(known, stored())], RESULTS / "watch.md")
+        show([readme(known, stored())], RESULTS.parents[1] / "README.md")
 
 
 def stored() -> dict[str, Any]:
@@ -86,10 +79,6 @@ def store(cell: str, found: object) -> None:
     cells = (stored() | {cell: found}).items()
     lines = (f'"{one}": {json.dumps(of, ensure_ascii=False)}' for one, of in cells)
     (RESULTS / "watch.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
-
-
-def _outcome(key: str, number: int, base: int, limits: dict[str, float]) -> Outcome:
-    return outcome(all_cells()[key], number, base, limits)
 
 
 def _highest(number: int) -> dict[str, Array]:

@@ -9,7 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
-from benchmarks.watch.cb560 import CB560, LAMINAR
+from benchmarks.watch.cb560 import LAMINAR
 from benchmarks.watch.cells import Cell
 from benchmarks.watch.rivals import charts
 from benchmarks.watch.simulator import History, drives_and_leakage
@@ -50,12 +50,10 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
         "lack": round(verdicts[0].lack_of_fit, 4),
         "reached": int(reached[0]) if is_reached else None,
     }
-    if isinstance(cell.of, CB560) and cell.of is LAMINAR:
+    if cell.group == "laminar":
         # At reference conditions, and at the motor's own.
         first = np.concatenate([one.conditions for one in history.nights[: cell.baseline]])
-        found["leakages"] = [
-            _leakage(watch, cell.of, at) for at in (REFERENCE, np.median(first, axis=0))
-        ]
+        found["leakages"] = [_leakage(watch, at) for at in (REFERENCE, np.median(first, axis=0))]
     if cell.has_rivals:
         begin = max(cell.baseline, event.begin or 0)
         raised = {
@@ -138,9 +136,9 @@ def _missed(verdicts: Sequence[Verdict], true: Array) -> tuple[float, float]:
     return round(float(np.sqrt(np.mean((value - of) ** 2))), 4), round(float(inside.mean()), 4)
 
 
-def _leakage(watch: Watch, of: CB560, at: Array) -> list[float]:
+def _leakage(watch: Watch, at: Array) -> list[float]:
     """By the level of the last night over the true one, less 1, with its interval."""
-    drives, true = drives_and_leakage(of, at)
+    drives, true = drives_and_leakage(LAMINAR, at)
     return [round(one / true - 1.0, 4) for one in _with_interval(watch.leakage_at(drives, at))]
 
 
