@@ -20,7 +20,7 @@ from pipeline.errors import StoreError
 from pipeline.messages import plain
 from pipeline.notification.outbox import backlogs
 from pipeline.notification.receivers import receivers_of
-from pipeline.report.charts import conditions_chart, night_chart, watch_chart
+from pipeline.report.charts import night_chart, watch_chart
 from pipeline.report.explain import EXPLAINED, paragraphs
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.pages import FOLDER, page_of
@@ -268,7 +268,7 @@ def _motor_values(
         "detailed": [
             int(night_file_name(motor.motor_id, night) in folder.files) for night in motor.nights
         ],
-        "figures": {"course": figure(course), "conditions": figure(conditions_chart(motor))},
+        "course": figure(course),
     }
     return {
         "row": row,

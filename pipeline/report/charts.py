@@ -102,22 +102,6 @@ def watch_chart(
     )
 
 
-def conditions_chart(motor: MotorHistory) -> Chart:
-    """For the analyst: measured flow, operating conditions and validation of each night."""
-    columns = {
-        "mean_flow_l_per_min": ("Drain flow, mean of the night", "l/min"),
-        "own_pressure_bar": ("Pressure difference", "bar"),
-        "own_temperature_c": ("Oil temperature", "°C"),
-        "own_speed_rpm": ("Speed", "rpm"),
-        "validation_fit_percent": ("Fit of the model on validation data", "%"),
-    }
-    panels = (
-        Panel(title, unit, (Line(title, motor.fitted(name), symbol="circle"),), height=90)
-        for name, (title, unit) in columns.items()
-    )
-    return Chart(motor.stamps, _shown(panels))
-
-
 def night_chart(samples: pl.DataFrame) -> Chart:
     """Measured and modelled drain flow of a night with its inputs, from rows of `predictions`."""
     time = samples["time"].dt.replace_time_zone(None).to_numpy().astype("datetime64[s]")

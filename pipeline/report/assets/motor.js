@@ -36,36 +36,6 @@ const motorLeakage = (() => {
     return Plotly.react(plot, traces, layout, CONFIG);
   }
 
-  /* With a chart focused: + and − zoom in time, arrows move, Home shows all. */
-  const STEPS = {
-    "+": [0.25, -0.25],
-    "-": [-0.5, 0.5],
-    ArrowLeft: [-0.2, -0.2],
-    ArrowRight: [0.2, 0.2],
-  };
-  function onKey(event) {
-    const plot = event.currentTarget;
-    const axis = plot._fullLayout?.xaxis;
-    const step = STEPS[event.key];
-    if (!axis || (!step && event.key !== "Home") || event.ctrlKey || event.metaKey) return;
-    event.preventDefault();
-    const [low, high] = axis.range.map((end) => axis.r2l(end));
-    const range = step
-      ? [axis.l2r(low + step[0] * (high - low)), axis.l2r(high + step[1] * (high - low))]
-      : axis._rangeInitial0 && [axis._rangeInitial0, axis._rangeInitial1];
-    Plotly.relayout(plot, { "xaxis.range": range });
-  }
-
-  /* On paper all charts have one width, whatever the window had. */
-  const drawn = () => [...document.querySelectorAll("[data-drawn=chart] .plot")];
-  const PAPER_WIDTH = 660;
-  window.addEventListener("beforeprint", () =>
-    drawn().forEach((plot) => Plotly.relayout(plot, { width: PAPER_WIDTH })),
-  );
-  window.addEventListener("afterprint", () =>
-    drawn().forEach((plot) => Plotly.relayout(plot, { width: null, autosize: true })),
-  );
-
   /* One night: chosen, loaded as a script of its own, and shown */
 
   const select = byId("choose");
@@ -98,7 +68,7 @@ const motorLeakage = (() => {
     const place = page.nights.indexOf(night);
     byId("earlier").disabled = place <= 0;
     byId("later").disabled = place >= page.nights.length - 1;
-    for (const id of ["course", "conditions"]) mark(id, night);
+    mark(night);
     if (loaded.has(night)) return show(loaded.get(night));
     if (!page.detailed[place])
       return fail(`The words on ${night} are not in this report, which was made with fewer nights.`);
@@ -114,9 +84,9 @@ const motorLeakage = (() => {
     return document.head.append(script);
   }
 
-  /* The chosen night is a line through the charts over the nights. */
-  function mark(id, night) {
-    const plot = plotOf(id);
+  /* The chosen night is a line through the chart over the nights. */
+  function mark(night) {
+    const plot = plotOf("course");
     if (!plot.layout || !night) return;
     const shapes = (plot.layout.shapes ?? []).filter((one) => one.name !== "chosen night");
     const line = { type: "line", x0: night, x1: night, yref: "paper", y0: 0, y1: 1 };
@@ -137,17 +107,9 @@ const motorLeakage = (() => {
     byId("night").scrollIntoView();
   }
 
-  function drawCourse(id) {
-    draw(id, page.figures[id]);
-    if (!page.figures[id].data) return;
-    plotOf(id).on("plotly_click", (event) => go(String(event.points[0].x).slice(0, 10)));
-    mark(id, wanted);
-  }
-
-  drawCourse("course");
-  /* Those in a closed fold have no width yet. */
-  byId("analyst").addEventListener("toggle", () => drawCourse("conditions"), { once: true });
-  document.querySelectorAll(".plot").forEach((plot) => plot.addEventListener("keydown", onKey));
+  draw("course", page.course);
+  if (page.course.data)
+    plotOf("course").on("plotly_click", (event) => go(String(event.points[0].x).slice(0, 10)));
   select.append(
     ...page.nights
       .map((night, at) => element("option", { value: night }, `${night}, ${page.statuses[at]}`))

@@ -73,9 +73,8 @@ def wait(browser: Chrome, script: str) -> Any:
 
 
 def drawn(browser: Chrome) -> dict[str, str]:
-    """Result of each figure, folded or not: a chart, or a reason why there is none."""
+    """Result of each figure: a chart, or a reason why there is none."""
     wait(browser, "return document.body.dataset.night")
-    browser.execute_script("document.getElementById('analyst').open = true")
     return wait(
         browser,
         "const all = [...document.querySelectorAll('figure.chart')];"
