@@ -9,7 +9,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from pipeline.cli import checking, housekeeping, looking, publishing, runs, starting, state
+from pipeline.cli import checking, looking, publishing, runs, starting, state
 from pipeline.cli.arguments import (
     EXIT_INTERRUPTED,
     EXIT_LOCKED,
@@ -47,8 +47,8 @@ app.command()(publishing.export)
 app.command()(state.status)
 app.command()(state.compare)
 app.command()(state.ack)
-app.command()(housekeeping.prune)
-app.command()(housekeeping.pull)
+app.command()(publishing.prune)
+app.command()(publishing.pull)
 baseline.command("reset")(state.baseline_reset)
 app.add_typer(baseline, name="baseline")
 

@@ -19,7 +19,7 @@ from pipeline.cli.arguments import (
     print_table,
     tell,
 )
-from pipeline.cli.reporter import tell_faults
+from pipeline.cli.runs import tell_faults
 from pipeline.errors import UsageError
 from pipeline.messages import counted, error_line
 

@@ -82,7 +82,7 @@ STATUS = """
 import contextlib, sys, pipeline.cli.state as s; from pathlib import Path; from typer import Exit
 with contextlib.suppress(Exit): s.status(Path(sys.argv[1]))"""
 RUN = """
-import pipeline.run.fleet; from pipeline.cli.reporter import progress
+import pipeline.run.fleet; from pipeline.cli.runs import progress
 with progress(1, as_json=False): pass"""
 
 

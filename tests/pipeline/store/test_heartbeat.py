@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.cli.status_lines import print_status
+from pipeline.cli.state import print_status
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.report.status import FleetStatus
