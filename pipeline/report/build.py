@@ -234,7 +234,7 @@ def _make_pages(fleet: Fleet, made: dt.datetime | None, folder: Folder, program:
     for spec in fleet.motors:
         motor_id = spec.motor_id
         changes = newest_changes(alarms.get(motor_id, frame(ALARMS, [])))
-        values = _motor_values(spec, motors[motor_id], by_id[motor_id], changes, folder)
+        values = _motor_values(spec, motors[motor_id], by_id[motor_id], changes)
         said = [one for one in decisions if one.motor_id == motor_id]
         page = page_of("motor.html", facts=facts, decisions=said, **values)
         folder.write(f"motors/{motor_id}.html", page.encode())
@@ -256,7 +256,6 @@ def _motor_values(
     motor: MotorHistory,
     row: FleetRow,
     changes: Sequence[Mapping[str, Any]],
-    folder: Folder,
 ) -> dict[str, Any]:
     """What the template of a motor's page names, besides facts and decisions."""
     paths = [path.name for path in spec.motor_type.paths()]
@@ -265,9 +264,6 @@ def _motor_values(
         "file": motor.motor_id,
         "nights": [str(night) for night in motor.nights],
         "statuses": [plain(status) for status in motor.fits["status"]],
-        "detailed": [
-            int(night_file_name(motor.motor_id, night) in folder.files) for night in motor.nights
-        ],
         "course": figure(course),
     }
     return {

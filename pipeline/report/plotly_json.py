@@ -6,21 +6,20 @@ of others and is never trusted.
 
 from __future__ import annotations
 
-import base64
 import json
+import math
 import textwrap
 from collections.abc import Mapping
 from html import escape
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from pipeline.arrays import Array
 from pipeline.report.charts import Chart, Line, Mark, Panel, Times
 
 Payload = dict[str, Any]
 
-LARGEST = float(np.finfo(np.float32).max)
 # In a string of JSON their escapes mean the same, and end no script element; what lies beyond
 # ASCII, and could end a line, is escaped by JSON itself.
 HARMFUL = "<>&"
@@ -83,12 +82,9 @@ def script_json(document: Mapping[str, Any]) -> str:
     return text
 
 
-def numbers(values: ArrayLike) -> Payload:
-    """Numbers as Plotly reads them from Base64: single floats, NaN where there is none."""
-    wide = np.asarray(values, dtype=np.float64)
-    # Beyond the largest single float is nothing that a chart could show.
-    single = np.where(np.abs(wide) < LARGEST, wide, np.nan).astype("<f4")
-    return {"dtype": "f4", "bdata": base64.b64encode(single.tobytes()).decode("ascii")}
+def numbers(values: Array) -> list[float | None]:
+    """Numbers as JSON has them, with six digits; null where there is none."""
+    return [float(f"{one:.6g}") if math.isfinite(one) else None for one in values.tolist()]
 
 
 def safe(name: str) -> str:

@@ -70,16 +70,14 @@ const motorLeakage = (() => {
     byId("later").disabled = place >= page.nights.length - 1;
     mark(night);
     if (loaded.has(night)) return show(loaded.get(night));
-    if (!page.detailed[place])
-      return fail(`The words on ${night} are not in this report, which was made with fewer nights.`);
     byId("said").textContent = `loading ${night}`;
     const source = `../data/${encodeURIComponent(page.file)}/${night}.js`;
     const script = element("script", { src: source });
     script.addEventListener("load", () => script.remove());
     script.addEventListener("error", () => {
       script.remove();
-      const what = "copy the whole folder of the report, or make it again";
-      if (wanted === night) fail(`${source.slice(3)} is not there; ${what}.`);
+      const why = "the report was made with fewer nights, or not copied as a whole";
+      if (wanted === night) fail(`${source.slice(3)} is not there: ${why}.`);
     });
     return document.head.append(script);
   }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import datetime as dt
 import json
 import re
@@ -33,11 +32,6 @@ from tests.pipeline.report.nights import (
 )
 
 PATHS = ("piston_ring", "balance_piston", "balance_sleeve", "cam_roller")
-
-
-def unpacked(column: dict[str, str]) -> np.ndarray:
-    """Numbers as Plotly reads them."""
-    return np.frombuffer(base64.b64decode(column["bdata"]), dtype=f"<{column['dtype']}")
 
 
 def alarm(number: int, to_state: str, indicator: str = "leakage") -> dict[str, Any]:
@@ -141,8 +135,7 @@ def test_every_panel_has_its_place_and_every_event_its_number() -> None:
     assert made["x"] == ["2026-01-01", "2026-01-03"]
     assert [one["yaxis"] for one in made["data"]] == ["y", "y", "y2", "y2", "y3", "y3"]
     bars = made["data"][0]["error_y"]
-    assert unpacked(bars["array"]).tolist() == [0.25, 2.0]
-    assert unpacked(bars["arrayminus"]).tolist() == [0.5, 1.0]
+    assert (bars["array"], bars["arrayminus"]) == ([0.25, 2.0], [0.5, 1.0])
     layout = made["layout"]
     domains = [layout[f"yaxis{n}"]["domain"] for n in ("", "2", "3")]
     assert 1.0 > domains[0][1] > domains[0][0] > domains[1][1] > domains[1][0] > domains[2][1]
@@ -156,9 +149,7 @@ def test_every_panel_has_its_place_and_every_event_its_number() -> None:
 
 
 def test_what_no_chart_can_show_is_no_number() -> None:
-    kept = unpacked(numbers([1.234567, -2e30, np.nan, np.inf, -np.inf, 1e300]))
-    assert kept[:2] == pytest.approx([1.234567, -2e30], rel=6e-8)
-    assert np.isnan(kept[2:]).all()
+    assert numbers(np.array([1.23456789, np.nan, np.inf, -np.inf])) == [1.23457, None, None, None]
     with pytest.raises(ValueError, match="JSON"):
         script_json({"value": float("nan")})
 
