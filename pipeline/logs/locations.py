@@ -6,7 +6,6 @@ every object: a known one is not opened.
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import tempfile
@@ -110,7 +109,8 @@ class StoredLogs(FolderLogs):
     def _seen(self, name: str) -> FileRecord:
         found = self._found[name]
         tag = int.from_bytes(sha256(found.tag.encode()).digest()[:6], "big")
-        return FileRecord(name, found.size, _modified_ns(found), None, inode=tag)
+        modified_ns = round(found.modified.timestamp()) * 1_000_000_000
+        return FileRecord(name, found.size, modified_ns, None, inode=tag)
 
     def path(self, name: str) -> Path:
         """As `FolderLogs`."""
@@ -130,7 +130,6 @@ class StoredLogs(FolderLogs):
         except ObjectChangedError as error:
             how = "it was replaced or removed meanwhile; the next run looks again"
             raise LogError("log_growing", path, how) from error
-        os.utime(path, ns=(_modified_ns(found), _modified_ns(found)))
         self._copies[name] = path
         if len(self._copies) > COPIES:
             _, oldest = self._copies.popitem(last=False)
@@ -144,10 +143,6 @@ class StoredLogs(FolderLogs):
         """As `FolderLogs`."""
         url = self._spec.log_url
         return tuple(f"no object matches {pattern} below {url}" for pattern in self._unmatched)
-
-
-def _modified_ns(found: StoredObject) -> int:
-    return round(found.modified.timestamp()) * 1_000_000_000
 
 
 def _matching(

@@ -152,12 +152,7 @@ class MotorLogs:
         self.absent = self._source.absent
         found = {name: self._look_at(name) for name in self._source.names}
         found |= {name: failed(FileRecord(name, 0, 0, None), one) for name, one in faults.items()}
-        return {
-            name: one
-            if one.read_with == self._read_with
-            else replace(one, read_with=self._read_with)
-            for name, one in found.items()
-        }
+        return {name: replace(one, read_with=self._read_with) for name, one in found.items()}
 
     def _look_at(self, name: str) -> FileRecord:
         still_alive()

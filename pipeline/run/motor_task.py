@@ -10,7 +10,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import replace
 
 import polars as pl
@@ -92,7 +92,8 @@ class _Making(MotorNights):
                 self.kept.add(label)
                 continue
             self._remember(outcome, before)
-            self._add(outcome.seconds)
+            for stage_name, taken in outcome.seconds.items():
+                self.seconds[stage_name] += taken
             # Also those that an earlier state of a file had been read for.
             for waiting in self.logs.waiting() & self.done.keys():
                 self._take_back(waiting)
@@ -109,10 +110,6 @@ class _Making(MotorNights):
             self._stage()
         n_refitted = sum(map(is_refit, self.done.values()))
         return replace(self.outcome(), n_refitted=n_refitted)
-
-    def _add(self, seconds: Mapping[str, float]) -> None:
-        for stage_name, taken in seconds.items():
-            self.seconds[stage_name] += taken
 
     def _take_back(self, label: dt.date) -> None:
         """Leave a night to the next run, as if it had not been done in this one."""
