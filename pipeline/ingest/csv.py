@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
@@ -24,7 +25,6 @@ import pyarrow.csv as arrow_csv
 from pipeline.config.logs import Logs
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
-from pipeline.ingest.arrow_types import nulls
 from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.contract import LogFile, Place, RawLog, Reader
 from pipeline.ingest.csv_text import is_packed, is_utf8, read_lines, repaired
@@ -37,7 +37,6 @@ MOST_CELLS = 2**14
 _HEAD = 2**20
 _SPAN_PIECE = 2**16
 _SHOWN = 60
-_NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
 _OPEN_QUOTE = "a quotation mark is opened and not closed in its row"
 
 
@@ -342,36 +341,32 @@ def _readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Read
     """
     if pa.types.is_floating(cells.type):
         return readings_of(cells)
-    plain = _without_groups(logs, cells) if logs.thousands else cells
+    texts = pl.Series(name, cells)
+    if texts.str.contains_any(["\n", "\r"]).any():
+        raise LogError("log_damaged", path, _OPEN_QUOTE, name)
+    plain = trimmed = texts.str.strip_chars()
+    if logs.thousands:
+        plain = _without_groups(logs, plain)
     if logs.decimal == ",":
         # A dot is then no decimal sign: 1.234 may be a thousand and more.
-        plain = pc.replace_substring(pc.replace_substring(plain, ".", "_"), ",", ".")
-    try:
-        return readings_of(plain.cast(pa.float64()))
-    except pa.ArrowInvalid:
-        pass
-    # Slower, where some cell is no bare number.
-    if pc.any(pc.match_substring_regex(cells, r"[\r\n]")).as_py():
-        raise LogError("log_damaged", path, _OPEN_QUOTE, name)
-    trimmed = pc.utf8_trim_whitespace(plain)
-    is_number = pc.match_substring_regex(trimmed, _NUMBER)
-    # The grammar lets through one sign at most; the cast below knows no plus.
-    unsigned = pc.utf8_ltrim(pc.if_else(is_number, trimmed, None), "+")
-    tokens = pa.array(logs.missing_tokens, pa.string())
-    blank = pc.is_in(pc.utf8_trim_whitespace(cells), value_set=tokens)
-    missing = np.logical_not(pc.fill_null(is_number, False).to_numpy())
-    unparsed = missing & ~nulls(cells) & np.logical_not(blank.to_numpy())
-    example = cells[int(np.argmax(unparsed))].as_py() if unparsed.any() else None
-    return Readings(readings_of(unsigned.cast(pa.float64())).raw, missing, unparsed, example)
+        plain = plain.str.replace_all(".", "_", literal=True).str.replace_all(
+            ",", ".", literal=True
+        )
+    numbers = plain.cast(pl.Float64, strict=False)
+    missing = numbers.is_null()
+    blank = trimmed.is_null() | trimmed.is_in(logs.missing_tokens)
+    strange = texts.filter(missing & ~blank)
+    return Readings(
+        numbers.fill_null(np.nan).to_numpy(),
+        missing.to_numpy(),
+        (missing & ~blank).to_numpy(),
+        strange[0] if len(strange) else None,
+    )
 
 
-def _without_groups(logs: Logs, cells: pa.ChunkedArray) -> pa.ChunkedArray:
+def _without_groups(logs: Logs, cells: pl.Series) -> pl.Series:
     """Numbers without marks between their thousands; a mark elsewhere makes it no number."""
-    trimmed = pc.utf8_trim_whitespace(cells)
     mark, decimal = re.escape(logs.thousands), re.escape(logs.decimal)
     grouped = rf"^[+-]?[0-9]{{1,3}}({mark}[0-9]{{3}})+({decimal}[0-9]*)?$"
-    return pc.if_else(
-        pc.match_substring_regex(trimmed, grouped),
-        pc.replace_substring(trimmed, logs.thousands, ""),
-        pc.replace_substring(trimmed, logs.thousands, "_"),
-    )
+    whole, none = (cells.str.replace_all(logs.thousands, to, literal=True) for to in ("", "_"))
+    return whole.zip_with(cells.str.contains(grouped), none)
