@@ -14,7 +14,7 @@ from pipeline.config.channels import QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import is_number, is_text
 
-_GOOD, _BAD, BLANK = 0, 1, 2
+_GOOD, _BAD, _BLANK = 0, 1, 2
 """States of a cell of a quality column."""
 
 _MOST_VALUES = 1000
@@ -41,46 +41,37 @@ def quality_states(
     >>> quality_states(Path("a.csv"), "quality", cells, ("Good", 192)).tolist()
     [0, 0, 0, 1, 1, 2]
     """
-    if not _can_be_quality(cells.type):
-        raise LogError("log_type", path, f"a column of type {cells.type} is no quality", name)
+    kind, is_a = cells.type, pa.types
+    if not (is_text(kind) or is_number(kind) or is_a.is_boolean(kind) or is_a.is_null(kind)):
+        raise LogError("log_type", path, f"a column of type {kind} is no quality", name)
+    encoded = cells.dictionary_encode()
+    if isinstance(encoded, pa.ChunkedArray):
+        encoded = encoded.combine_chunks()
+    values = encoded.dictionary.to_pylist()
+    if len(values) > _MOST_VALUES:
+        how = f"more than {_MOST_VALUES} different values are no quality"
+        raise LogError("log_type", path, how, name)
     texts = frozenset(map(_text, good))
     numbers = frozenset(number for text in texts if (number := _number(text)) is not None)
-    states = np.empty(len(cells), np.uint8)
-    at = 0
-    for chunk in cells.chunks if isinstance(cells, pa.ChunkedArray) else [cells]:
-        encoded = chunk if pa.types.is_dictionary(chunk.type) else chunk.dictionary_encode()
-        values = encoded.dictionary.to_pylist()
-        if len(values) > _MOST_VALUES:
-            raise LogError(
-                "log_type", path, f"more than {_MOST_VALUES} different values are no quality", name
-            )
-        # The last one is for null.
-        of_value = np.array([*(_state(v, texts, numbers) for v in values), BLANK], np.uint8)
-        if "" in texts:
-            of_value[-1] = _GOOD
-        index = encoded.indices.cast(pa.int64()).fill_null(len(values)).to_numpy()
-        states[at : at + len(chunk)] = of_value[index]
-        at += len(chunk)
+    blank = _GOOD if "" in texts else _BLANK
+    of_value = np.array([*(_state(v, texts, numbers) for v in values), blank], np.uint8)
+    states: NDArray[np.uint8] = of_value[
+        encoded.indices.cast(pa.int64()).fill_null(len(values)).to_numpy()
+    ]
     return states
 
 
 def is_bad(states: NDArray[np.uint8], missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Samples that the log does not call good: where the quality is blank, those with a value."""
-    bad: NDArray[np.bool_] = (states == _BAD) | ((states == BLANK) & ~missing)
+    bad: NDArray[np.bool_] = (states == _BAD) | ((states == _BLANK) & ~missing)
     return bad
-
-
-def _can_be_quality(kind: pa.DataType) -> bool:
-    if pa.types.is_dictionary(kind):
-        return _can_be_quality(kind.value_type)
-    return is_text(kind) or is_number(kind) or pa.types.is_boolean(kind) or pa.types.is_null(kind)
 
 
 def _state(value: object, texts: frozenset[str], numbers: frozenset[float]) -> int:
     text = "" if value is None or value != value else _text(value)
     if text in texts or _number(text) in numbers:
         return _GOOD
-    return _BAD if text else BLANK
+    return _BAD if text else _BLANK
 
 
 def _text(value: object) -> str:
