@@ -61,23 +61,8 @@ def readings_of(column: pa.Array | pa.ChunkedArray) -> Readings:
     # Not safe: an integer beyond 2**53 may lose its last digits, it is a measurement all the same.
     numbers = column.cast(pa.float64(), safe=False)
     missing, none = nulls(column), np.zeros(len(column), dtype=np.bool_)
-    raw = _with_nan(numbers, missing) if column.null_count else numbers.to_numpy()
-    return Readings(raw, missing, none)
-
-
-def _with_nan(
-    numbers: pa.Array | pa.ChunkedArray, missing: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Numbers with nan for null, where they lie if these cells can be written to."""
-    chunks = numbers.chunks if isinstance(numbers, pa.ChunkedArray) else [numbers]
-    if len(chunks) != 1 or not chunks[0].buffers()[1].is_mutable:
-        filled: NDArray[np.float64] = numbers.fill_null(np.nan).to_numpy()
-        return filled
-    # Arrow gives what lies below a null no meaning, so that this changes no number.
-    (one,) = chunks
-    raw = np.frombuffer(one.buffers()[1], np.float64, len(one), 8 * one.offset)
-    raw[missing] = np.nan
-    return raw
+    raw = numbers.fill_null(np.nan) if column.null_count else numbers
+    return Readings(raw.to_numpy(), missing, none)
 
 
 def _in_canonical_unit(
