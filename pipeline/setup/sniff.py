@@ -21,6 +21,7 @@ from charset_normalizer import from_bytes
 from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
+from pipeline.ingest import arrow_types
 from pipeline.ingest.contract import readable
 from pipeline.ingest.csv_text import read_lines, unpacked, wide_encoding
 from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
@@ -282,17 +283,15 @@ def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[
 
 def _column(field: pa.Field, values: pa.Array) -> Column | None:
     """A column of times, numbers or text; None for what is neither."""
-    of, name, kind, keys = pa.types, field.name, values.type, {"source": field.name}
-    if of.is_timestamp(kind):
+    kind, keys = values.type, {"source": field.name}
+    if pa.types.is_timestamp(kind):
         # In the place of a unit: what the type says of the zone.
-        return Column(name, (), "typed", kind.tz or "", keys)
+        return Column(field.name, (), "typed", kind.tz or "", keys)
+    if not (arrow_types.is_number(kind) or arrow_types.is_text(kind) or pa.types.is_null(kind)):
+        return None
     unit = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
     cells = tuple(map(_text, values.to_pylist()))
-    if of.is_floating(kind) or of.is_integer(kind) or of.is_decimal(kind):
-        is_filled = values.null_count < len(values)
-        return Column(name, cells, "number" if is_filled else "nothing", unit, keys)
-    is_text = of.is_null(kind) or of.is_string(kind) or of.is_large_string(kind)
-    return Column(name, cells, kind_of(cells), unit, keys) if is_text else None
+    return Column(field.name, cells, kind_of(cells), unit, keys)
 
 
 def _text(cell: object) -> str:
