@@ -18,6 +18,7 @@ from leakage.physics.law import (
     Law,
     Parameter,
     PathTolerance,
+    Side,
     Values,
     require_parameter,
     require_positive,
@@ -156,22 +157,17 @@ class AnnularGap(Law):
         volume: Array = gap_um * gap_um * gap_um * self._widening(given)
         return self._concentric_m3_per_um3 * volume
 
-    def regressor(
-        self,
-        drive_per_s: Array,
-        pressure_difference_pa: Array,
-        speed_rpm: Array,  # noqa: ARG002
-    ) -> Array:
+    def regressor(self, side: Side) -> Array:
         r"""Flow per unit of K.
 
         .. math:: \varphi = 60\,000\, e^{-3|\Delta P|/X}\,\frac{|\Delta P|}{\eta}
 
         In [l/min per m³]; at constant viscosity the flow has its maximum at ΔP = X/3.
         """
-        flow: Array = LITRES_PER_MINUTE * drive_per_s
+        flow: Array = LITRES_PER_MINUTE * side.drive_per_s
         if self.deformation_pressure_pa is None:
             return flow
-        closing = np.abs(pressure_difference_pa)
+        closing = np.abs(side.pressure_difference_pa)
         closing *= -3.0 / self.deformation_pressure_pa
         flow *= np.exp(closing, out=closing)
         return flow

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -98,6 +98,17 @@ class DerivedFigure:
     is_placeholder: bool = False  # whether the geometry behind it is one
 
 
+class Side(NamedTuple):
+    """What drives n samples' leakage to the case from one side, shape (n,) each.
+
+    Pressure difference and speed count by their size.
+    """
+
+    drive_per_s: Array  # ΔP/η [1/s]
+    pressure_difference_pa: Array
+    speed_rpm: Array
+
+
 class Law(ABC):
     """Surface of every law; laws differ in equation, parameters, tolerances and figures."""
 
@@ -130,16 +141,8 @@ class Law(ABC):
         return value
 
     @abstractmethod
-    def regressor(
-        self,
-        drive_per_s: Array,
-        pressure_difference_pa: Array,
-        speed_rpm: Array,
-    ) -> Array:
-        """Flow φ per unit of the coefficient, shape (n,), [l/min per its unit]; a new array.
-
-        `drive_per_s` is ΔP/η, [1/s]; pressure difference [Pa] and speed [rpm] count by their size.
-        """
+    def regressor(self, side: Side) -> Array:
+        """Flow φ per unit of the coefficient, shape (n,), [l/min per its unit]; a new array."""
 
     def tolerances(self) -> tuple[PathTolerance, ...]:
         """The path with each constant off whose tolerance is stated; none by default."""

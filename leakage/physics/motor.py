@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike
 from leakage.arrays import Array, Mask
 from leakage.errors import ParameterError
 from leakage.physics.conditions import OperatingConditions
+from leakage.physics.law import Side
 from leakage.physics.oil import THESIS_FILM_PRESSURE, FilmPressure, Oil, flow_drive_per_s
 from leakage.physics.paths import Constant, LeakagePath, SpeedCurve
 
@@ -234,11 +234,7 @@ def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> Mask:
     return beyond
 
 
-# Drive, pressure difference and speed, as a regressor takes them.
-_Side: TypeAlias = tuple[Array, Array, Array]
-
-
-def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[slice, list[_Side]]]:
+def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[slice, list[Side]]]:
     """Rows of one chunk of samples after the other, with what regressors take, side by side.
 
     Sides are those from which paths leak to the case.
@@ -249,13 +245,13 @@ def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[sli
         for side in conditions.part(rows).sides():
             pressure, temperature = side.pressure_difference_pa, side.oil_temperature_c
             drive = flow_drive_per_s(pressure, temperature, motor.oil, motor.film_pressure)
-            sides.append((drive, pressure, side.speed_rpm))
+            sides.append(Side(drive, pressure, side.speed_rpm))
         yield rows, sides
 
 
-def _regressor(path: LeakagePath, sides: list[_Side]) -> Array:
+def _regressor(path: LeakagePath, sides: list[Side]) -> Array:
     """Regressor of a path, summed over the sides; a constant flow has none of them."""
-    first, *others = (path.regressor(*side) for side in sides)
+    first, *others = (path.regressor(side) for side in sides)
     if isinstance(path, Constant):
         return first
     for other in others:

@@ -25,6 +25,7 @@ from leakage.physics.law import (
     Law,
     Parameter,
     PathTolerance,
+    Side,
     Values,
     require_parameter,
     require_positive,
@@ -79,14 +80,9 @@ class Laminar(Law):
         """Lumped loss factor n·C_d, [m³]."""
         return self.count * super(Laminar, self).coefficient(values)
 
-    def regressor(
-        self,
-        drive_per_s: Array,
-        pressure_difference_pa: Array,  # noqa: ARG002
-        speed_rpm: Array,  # noqa: ARG002
-    ) -> Array:
+    def regressor(self, side: Side) -> Array:
         """Flow per unit of the lumped loss factor, 60 000·ΔP/η, shape (n,), [l/min per m³]."""
-        return LITRES_PER_MINUTE * drive_per_s
+        return LITRES_PER_MINUTE * side.drive_per_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,14 +121,9 @@ class Constant(Law):
         """Name of the flow in tables."""
         return self.flow.name
 
-    def regressor(
-        self,
-        drive_per_s: Array,
-        pressure_difference_pa: Array,  # noqa: ARG002
-        speed_rpm: Array,  # noqa: ARG002
-    ) -> Array:
+    def regressor(self, side: Side) -> Array:
         """Ones, shape (n,), [-]."""
-        return np.ones_like(drive_per_s)
+        return np.ones_like(side.drive_per_s)
 
 
 LeakagePath: TypeAlias = Law
@@ -243,17 +234,12 @@ class SpeedCurve(Law):
         beyond |= speed < self.speed_minimum_rpm
         return beyond
 
-    def regressor(
-        self,
-        drive_per_s: Array,
-        pressure_difference_pa: Array,  # noqa: ARG002
-        speed_rpm: Array,
-    ) -> Array:
+    def regressor(self, side: Side) -> Array:
         r"""Flow per unit of the scale, [l/min]; the pressure is in the drive.
 
         .. math:: \varphi = n f(|\omega|)\,\frac{\eta_0}{\Delta P_0}\,\frac{|\Delta P|}{\eta}
         """
-        flow = self.curve_l_per_min(speed_rpm)
-        flow *= drive_per_s
+        flow = self.curve_l_per_min(side.speed_rpm)
+        flow *= side.drive_per_s
         flow *= self.count * self.reference_viscosity_pa_s / self.reference_pressure_pa
         return flow

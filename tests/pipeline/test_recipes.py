@@ -21,6 +21,7 @@ from leakage.physics.law import (
     Law,
     Parameter,
     PathTolerance,
+    Side,
     Values,
 )
 from pipeline.config import Cleaning, MotorSpec
@@ -70,13 +71,8 @@ class Orifice(Law):
     def coefficient(self, values: Values) -> Array:
         return np.asarray(values, dtype=np.float64)[..., 0]
 
-    def regressor(
-        self,
-        drive_per_s: Array,  # noqa: ARG002
-        pressure_difference_pa: Array,
-        speed_rpm: Array,  # noqa: ARG002
-    ) -> Array:
-        share = np.abs(pressure_difference_pa) / self.reference_pressure_pa
+    def regressor(self, side: Side) -> Array:
+        share = np.abs(side.pressure_difference_pa) / self.reference_pressure_pa
         return self.flow_l_per_min * np.sqrt(share)
 
     def tolerances(self) -> tuple[PathTolerance, ...]:

@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from leakage.errors import ParameterError
 from leakage.physics.annular_gap import VISIBLE_BELOW, film_thickness_ratio
-from leakage.physics.law import Parameter
+from leakage.physics.law import Parameter, Side
 from leakage.physics.oil import THESIS_FILM_PRESSURE, FilmPressure, flow_drive_per_s
 from leakage.physics.paths import Laminar, LeakagePath
 from tests.leakage.placeholders import (
@@ -46,7 +46,10 @@ def flow_l_per_min(
 ) -> float:
     pressure = vector(pressure_bar * 1e5)
     drive = flow_drive_per_s(pressure, vector(temperature_c), placeholder_oil(), film_pressure)
-    return path.configured_coefficient * path.regressor(drive, pressure, vector(speed_rpm)).item()
+    return (
+        path.configured_coefficient
+        * path.regressor(Side(drive, pressure, vector(speed_rpm))).item()
+    )
 
 
 @pytest.mark.parametrize(
@@ -100,7 +103,7 @@ def test_a_laminar_path_leaks_as_a_gap_that_pressure_does_not_close() -> None:
 def test_roller_leaks_its_curve_at_the_simulations_pressure_and_viscosity() -> None:
     roller = cam_roller(1)
     drive = vector(roller.reference_pressure_pa / roller.reference_viscosity_pa_s)
-    flow = roller.regressor(drive, vector(roller.reference_pressure_pa), vector(10.0))
+    flow = roller.regressor(Side(drive, vector(roller.reference_pressure_pa), vector(10.0)))
     assert flow.item() == pytest.approx(0.015832, rel=1e-12)
 
 
