@@ -15,6 +15,7 @@ from benchmarks.watch.rivals import charts
 from benchmarks.watch.simulator import History, drives_and_leakage
 from leakage.watch import Change, Estimate, NightBlocks, Verdict, Watch, WatchSettings
 from pipeline.arrays import Array
+from pipeline.trends.states.course import tank_change
 
 # Seeds of trials while building, and of the figures that are shown.
 TRIAL, FRESH = 36, 20261203
@@ -90,16 +91,11 @@ def _earlier(nights: Sequence[NightBlocks], day: int) -> Sequence[NightBlocks]:
 
 
 def _on_tank(watch: Watch, tank: Sequence[Watch]) -> Watch:
-    """The watch that knows what the others say since its change, weighted by their variances."""
+    """The watch that knows what the others say since its change, as in a run."""
     change = watch.verdict().change
-    if change is None:
-        return watch
-    others = [one.change_since(change.since) for one in tank if one is not watch]
-    if not (found := [one for one in others if one is not None]):
-        return watch
-    weights = np.array([one.sd**-2 for one in found])
-    value = float(weights @ [one.value for one in found] / weights.sum())
-    return watch.with_tank(Estimate(value, float(weights.sum() ** -0.5)))
+    others = [one for one in tank if one is not watch]
+    said = tank_change(others, change.since) if change else None
+    return watch.with_tank(said) if said else watch
 
 
 def _told(told_on: int, said: Sequence[tuple[int, Change]], true: Array, cell: Cell) -> Outcome:
