@@ -7,6 +7,7 @@ night. Its drain flow has short and slow errors as a real record has them
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,10 +16,9 @@ from benchmarks.watch.simulator import (
     MODEL,
     STEP_S,
     THETA,
-    THREE_PATHS,
     Duty,
     Errors,
-    Fitted,
+    Machine,
     State,
     levels,
 )
@@ -52,7 +52,7 @@ RING_PA = 120e5
 
 
 @dataclass(frozen=True)
-class CB560:
+class CB560(Machine):
     """In what a motor, its sensors and its nights differ from the usual and from the model."""
 
     # Pressure at which its films have their viscosity.
@@ -69,8 +69,6 @@ class CB560:
     paths: float = 0.0  # wander of each path
     minutes: int = 60  # of a night
     bar: tuple[float, float] | None = None  # every load is between these; None: a night's highest
-    fitted: Fitted = THREE_PATHS
-    own_every: int = 1
 
     def duty(self, generator: np.random.Generator, nights: int, state: State) -> Duty:
         """A warm-up under steps of load: 60 s of pressure, 90 s of speed."""
@@ -114,10 +112,9 @@ class CB560:
         found: Array = np.einsum("kni,ki->nk", columns, theta)
         return found
 
-    def errors(
-        self, of_samples: np.random.Generator, of_nights: np.random.Generator, n: int, nights: int
-    ) -> Errors:
+    def errors(self, seed: Sequence[int], n: int, nights: int) -> Errors:
         """Short and slow ones of the flow, and the wander."""
+        of_samples, of_nights = (np.random.default_rng([*seed, part]) for part in (1, 2))
         remembered = autoregression(of_nights.standard_normal((nights, 5)), self.phi)
         odd = of_nights.standard_t(3.0, nights) * (of_nights.random(nights) < self.odd)
         pressure = WANDER_PRESSURE_BAR * self.wander * of_nights.standard_normal(nights)

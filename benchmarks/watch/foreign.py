@@ -6,21 +6,12 @@ difference, temperature, speed and drain flow; its paths are those of a CB560.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.watch.simulator import (
-    STEP_S,
-    THREE_PATHS,
-    Duty,
-    Errors,
-    Fitted,
-    Machine,
-    State,
-    levels,
-)
+from benchmarks.watch.simulator import STEP_S, Duty, Errors, Machine, State, levels
 from pipeline.arrays import Array
 from pipeline.demo.noise import autoregression, phi_of
 
@@ -30,7 +21,7 @@ Generator = np.random.Generator
 
 
 @dataclass(frozen=True)
-class Foreign:
+class Foreign(Machine):
     """What its sensors make of a machine: errors of the flow over the flow, of ΔP and of °C."""
 
     # quick, slow, gain_phi: errors of each sample and those that forget, the memory of a night's.
@@ -41,11 +32,11 @@ class Foreign:
     gain_phi: float = 0.6
     two_gauges: bool = False  # whose difference is ΔP
     draws: int = 3  # of errors of samples, of which the last two count
-    fitted: Fitted = THREE_PATHS
-    own_every: int = 12
+    own_every = 12
 
-    def errors(self, of_samples: Generator, _: Generator, n: int, nights: int) -> Errors:
+    def errors(self, seed: Sequence[int], n: int, nights: int) -> Errors:
         """Of the meter, and of sensors that err alike all night."""
+        of_samples = np.random.default_rng([*seed, 1])
         quick, slow = of_samples.standard_normal((self.draws, n, nights))[-2:]
         flow = self.quick * quick + self.slow * autoregression(slow, phi_of(STEP_S, self.memory_s))
         first, second, third, fourth = of_samples.standard_normal((4, nights))

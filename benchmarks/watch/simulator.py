@@ -7,11 +7,12 @@ operating conditions and errors whatever changes.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
@@ -115,26 +116,23 @@ class Errors(NamedTuple):
     paths: float | Array = 1.0
 
 
-class Machine(Protocol):
-    """A machine with physics of its own."""
+@dataclass(frozen=True, kw_only=True)
+class Machine(ABC):
+    """A machine with physics of its own, and what is fitted to it."""
 
-    @property
-    def fitted(self) -> Fitted:
-        """What is fitted to it."""
+    fitted: Fitted = THREE_PATHS
+    own_every: ClassVar[int] = 1  # samples from one to the next of those of its own change
 
-    @property
-    def own_every(self) -> int:
-        """Samples from one to the next at which its own change is taken."""
-
+    @abstractmethod
     def duty(self, generator: np.random.Generator, nights: int, state: State) -> Duty:
         """What it does in its nights."""
 
+    @abstractmethod
     def flow(self, duty: Duty, state: State) -> Array:
         """Drain flow without errors, shape (n, nights) [l/min]."""
 
-    def errors(
-        self, of_samples: np.random.Generator, of_nights: np.random.Generator, n: int, nights: int
-    ) -> Errors:
+    @abstractmethod
+    def errors(self, seed: Sequence[int], n: int, nights: int) -> Errors:
         """What its sensors make of it."""
 
 
@@ -154,11 +152,10 @@ def history(
     machine: Machine, course: Course, seed: Sequence[int], nights: int, baseline: int = 60
 ) -> History:
     """A motor's nights, and by how much their flow has changed."""
-    of_duty, of_samples, of_nights = (np.random.default_rng([*seed, part]) for part in range(3))
     state = course(np.arange(float(nights)))
-    duty = machine.duty(of_duty, nights, state)
+    duty = machine.duty(np.random.default_rng([*seed, 0]), nights, state)
     n = len(duty.pressure_bar)
-    errors = machine.errors(of_samples, of_nights, n, nights)
+    errors = machine.errors(seed, n, nights)
     state = replace(state, wander=errors.paths)
     flow = _flow(machine, duty, state)
     read = duty._replace(
