@@ -144,7 +144,7 @@ def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel:
 def _leakage_panel(motor: MotorHistory) -> Panel:
     """The leakage; without any, the drain flow as measured, under its own name."""
     if np.isnan(motor.leakage[0]).all():
-        flow = Line("drain flow", motor.fitted("mean_flow_l_per_min"), GREY, symbol="circle")
+        flow = Line("drain flow", motor.mean_flow, GREY, symbol="circle")
         return Panel("Drain flow, mean of the night", "l/min", (flow,))
     own = _styled("leakage", 0, *motor.leakage)
     level = Line("baseline", motor.level, GREY, dash="dash")

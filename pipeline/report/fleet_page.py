@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.report.tables import MotorHistory
+from pipeline.report.words import figure
 from pipeline.thinning import keep_extremes
 from pipeline.trends.rows.motor_states import MotorState, urgency
 
@@ -25,25 +26,13 @@ LONGEST_GAP = 7
 
 
 @dataclass(frozen=True, slots=True)
-class Sparkline:
-    """A motor's leakage over the nights as SVG paths in a box of `WIDTH` by `HEIGHT`."""
-
-    line: str  # broken where nights have no value
-    baseline: str  # level of the newest baseline; empty without one
-    last: tuple[float, float]  # place of the newest value
-    # smallest, largest: of the values, l/min.
-    smallest: float
-    largest: float
-
-
-@dataclass(frozen=True, slots=True)
 class FleetRow:
     """A motor on the fleet page."""
 
     state: MotorState  # as `motor-leakage status` prints it
     motor_type: str
     newest_data: dt.datetime | None  # end of the newest data that were kept, UTC; None without any
-    line: Sparkline | None  # its leakage at its own conditions; None where there is none
+    line: str  # its leakage at its own conditions as SVG; empty where there is none
     reference: tuple[float, float, float] | None  # reference conditions: bar, °C, rpm
     # n_recent_good, n_recent: fitted nights, and nights with a row, among the fleet's newest 30.
     n_recent_good: int
@@ -78,22 +67,22 @@ def _row(motor: MotorHistory, motor_type: str, state: MotorState, span: Span | N
         state=state,
         motor_type=motor_type,
         newest_data=newest,
-        line=sparkline(motor, span) if span else None,
+        line=sparkline(motor, span) if span else "",
         reference=at.row(-1) if at.height else None,
         n_recent_good=recent.count("ok"),
         n_recent=len(recent),
     )
 
 
-def sparkline(motor: MotorHistory, span: Span) -> Sparkline | None:
-    """A motor's leakage at its own conditions; None without a value.
+def sparkline(motor: MotorHistory, span: Span) -> str:
+    """A motor's leakage at its own conditions as SVG, broken over long gaps; empty without a value.
 
     `span` are the nights at the edges of the picture, the same for all motors of a fleet.
     """
     leakage, _, _ = motor.leakage
     known = np.flatnonzero(np.isfinite(leakage))
     if not len(known):
-        return None
+        return ""
     value = leakage[known]
     first, newest = (np.datetime64(one) for one in span)
     days = (motor.stamps[known] - first).astype(float)
@@ -111,12 +100,11 @@ def sparkline(motor: MotorHistory, span: Span) -> Sparkline | None:
     longest = max(LONGEST_GAP, 3 * length / POINTS)
     letters = np.where(np.diff(days[kept], prepend=-np.inf) > longest, "M", "L")
     level = motor.level[np.isfinite(motor.level)]
-    return Sparkline(
-        line="".join(
-            f"{letter}{a:.1f} {b:.1f}" for letter, a, b in zip(letters, x, y, strict=True)
-        ),
-        baseline=f"M{MARGIN:g} {height(level)[-1]:.1f}H{WIDTH - MARGIN:g}" if len(level) else "",
-        last=(round(float(x[-1]), 1), round(float(y[-1]), 1)),
-        smallest=float(value.min()),
-        largest=float(value.max()),
+    line = "".join(f"{letter}{a:.1f} {b:.1f}" for letter, a, b in zip(letters, x, y, strict=True))
+    baseline = f"M{MARGIN:g} {height(level)[-1]:.1f}H{WIDTH - MARGIN:g}" if len(level) else ""
+    said = f"Leakage {figure(value.min())} to {figure(value.max())} l/min"
+    return (
+        f'<svg class="sparkline" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" aria-label="{said}">'
+        f'<path class="level" d="{baseline}"/><path d="{line}"/>'
+        f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="2.2"/></svg>'
     )

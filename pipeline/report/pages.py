@@ -9,9 +9,8 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from pipeline.messages import as_sentence, plain
-from pipeline.report.fleet_page import HEIGHT, WIDTH
 from pipeline.report.words import ABSENT, STATES, candidates, conditions, figure, percent
-from pipeline.trends.sentences import day, name_of
+from pipeline.trends.sentences import name_of
 
 FOLDER = Path(__file__).parent
 
@@ -32,7 +31,6 @@ def _environment() -> Environment:
     )
     environment.filters |= {
         "candidates": candidates,
-        "day": day,
         "figure": figure,
         "indicator": name_of,
         "percent": percent,
@@ -43,7 +41,5 @@ def _environment() -> Environment:
         "absent": ABSENT,
         "conditions": conditions,
         "states": STATES,
-        "spark_width": WIDTH,
-        "spark_height": HEIGHT,
     }
     return environment

@@ -76,9 +76,10 @@ class MotorHistory:
             level[self.stamps >= np.datetime64(start)] = mean
         return level
 
-    def fitted(self, name: str) -> Array:
-        """A column of `fits`, shape (n,); NaN where a night has none."""
-        return self.fits[name].cast(pl.Float64).to_numpy()
+    @cached_property
+    def mean_flow(self) -> Array:
+        """Drain flow as measured, l/min, shape (n,); NaN where a night has none."""
+        return self.fits["mean_flow_l_per_min"].to_numpy()
 
     def watched(self, name: str) -> Array:
         """A column of `watch`, shape (n,); NaN in nights without a row."""

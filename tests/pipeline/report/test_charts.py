@@ -172,8 +172,9 @@ def course(values: Any, first: int = 0, **more: Any) -> Any:
     return history([fit(n) for n, _ in numbered], watches, **more)
 
 
-def points(path: str) -> np.ndarray:
-    return np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path), dtype=float).reshape(-1, 2)
+def points(picture: str) -> np.ndarray:
+    (line,) = re.findall(r'<path d="([^"]+)"', picture)
+    return np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", line), dtype=float).reshape(-1, 2)
 
 
 def span(n: int) -> tuple[dt.date, dt.date]:
@@ -182,9 +183,9 @@ def span(n: int) -> tuple[dt.date, dt.date]:
 
 def test_noise_of_one_percent_looks_flat_and_a_third_more_does_not() -> None:
     noise = 1.4 * (1 + 0.01 * np.random.default_rng(1).standard_normal(60))
-    flat = points(sparkline(course(noise.tolist()), span(60)).line)
+    flat = points(sparkline(course(noise.tolist()), span(60)))
     noise[40:] *= 1.33
-    risen = points(sparkline(course(noise.tolist()), span(60)).line)
+    risen = points(sparkline(course(noise.tolist()), span(60)))
     assert np.ptp(flat[:, 1]) < 0.25 * HEIGHT
     assert np.ptp(risen[:, 1]) > 0.4 * HEIGHT
     # Up is more.
@@ -194,10 +195,10 @@ def test_noise_of_one_percent_looks_flat_and_a_third_more_does_not() -> None:
 def test_weeks_without_a_value_break_the_line_and_all_motors_share_one_time() -> None:
     broken = course([1.0] * 3 + [None] * 27 + [1.1] * 3, baselines=[baseline(1.05)])
     made = sparkline(broken, span(33))
-    assert made.line.count("M") == 2
-    assert made.baseline == f"M{MARGIN:g} {HEIGHT / 2:.1f}H{WIDTH - MARGIN:g}"
-    assert (made.smallest, made.largest) == (1.0, 1.1)
-    assert sparkline(course([None, None]), span(2)) is None
-    middle = points(sparkline(course([1.0] * 10, first=45), span(100)).line)[:, 0]
+    assert made.count("M") == 3  # of the baseline, and of each part of the line
+    assert f'd="M{MARGIN:g} {HEIGHT / 2:.1f}H{WIDTH - MARGIN:g}"' in made
+    assert "Leakage 1.00 to 1.10 l/min" in made
+    assert sparkline(course([None, None]), span(2)) == ""
+    middle = points(sparkline(course([1.0] * 10, first=45), span(100)))[:, 0]
     assert middle.min() == pytest.approx(MARGIN + 45 / 99 * (WIDTH - 2 * MARGIN), abs=0.06)
     assert middle.max() == pytest.approx(MARGIN + 54 / 99 * (WIDTH - 2 * MARGIN), abs=0.06)
