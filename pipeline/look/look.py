@@ -12,15 +12,14 @@ import logging
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from pipeline.clock import latest_us, microseconds, now, utc
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash, hash_of, own_version
 from pipeline.errors import MotorLeakageError, StoreError
 from pipeline.look.comparison import nights_before
-from pipeline.look.motor import Change, looked_at, verdicts, without_watch
-from pipeline.look.state import LookState, Rise, read_states, write_state
+from pipeline.look.motor import Row, looked_at, verdicts, without_watch
+from pipeline.look.state import LookState, read_states, write_state
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import TOLD_LOOKS, deliver, open_outbox, take_up
 from pipeline.notification.receivers import receivers_of
@@ -35,8 +34,6 @@ from pipeline.trends.tasks import circuits_of, decisions_of
 from pipeline.workers.process import one_thread
 
 log = logging.getLogger(__name__)
-
-Row = dict[str, Any]
 
 WHAT_TO_DO = "look at the motor and its drain filter now, and compare the drain flow by hand"
 
@@ -90,7 +87,7 @@ def _look_at_circuit(
         motor_id = spec.motor_id
         after, changes, fault = looks[motor_id]
         others = [one[0] for name, one in looks.items() if name != motor_id]
-        rows = [_row(motor_id, change, others) for change in changes]
+        rows = [_said(motor_id, row, others) for row in changes]
         if rows:
             if rows[-1]["to_state"] == after.state:
                 after = replace(after, reason=rows[-1]["reason"])
@@ -108,7 +105,7 @@ def _looked_at(
     before: LookState,
     said: Sequence[Decision],
     clock: dt.datetime,
-) -> tuple[LookState, list[Change], str]:
+) -> tuple[LookState, list[Row], str]:
     """State and changes of a motor; where it cannot be looked at, it stays as it was."""
     try:
         output = kept.output
@@ -126,40 +123,26 @@ def _looked_at(
     return state, [*given, *changes], ""
 
 
-def _row(motor_id: str, change: Change, others: Sequence[LookState]) -> Row:
-    row: Row = {
-        "motor_id": motor_id,
-        "time": utc(change.time_us),
-        "from_state": change.before,
-        "to_state": change.after,
-        "reason": change.reason,
-        "verdict": change.verdict or None,
-        "confirmed_by": change.night,
-    }
-    rise = change.rise
-    if rise is None:
-        return row
-    value, half = 100.0 * rise.change, 100.0 * rise.half_width
-    percent = (value, value - half, value + half)
-    row["since"] = utc(rise.began_us)
-    row |= zip(("change_percent", "change_lower", "change_upper"), percent, strict=True)
-    if change.verdict == "told":
+def _said(motor_id: str, row: Row, others: Sequence[LookState]) -> Row:
+    """A row with its motor, and words on a rise that is told."""
+    if row["verdict"] == "told":
+        percent = (row["change_percent"], row["change_lower"], row["change_upper"])
         row["reason"] = (
             f"drain flow {in_percent(0, *percent)} above the nights before since "
-            f"{row['since']:%Y-%m-%d %H:%M} UTC, told at {utc(rise.told_us):%H:%M}; "
-            f"{_circuit_words(rise, others)}{WHAT_TO_DO}"
+            f"{row['since']:%Y-%m-%d %H:%M} UTC, told at {row['time']:%H:%M}; "
+            f"{_circuit_words(row, others)}{WHAT_TO_DO}"
         )
-    return row
+    return {"motor_id": motor_id} | row
 
 
-def _circuit_words(rise: Rise, others: Sequence[LookState]) -> str:
+def _circuit_words(row: Row, others: Sequence[LookState]) -> str:
     """Whether the other motors of the oil circuit have moved alike, in words."""
     if not others:
         return ""
-    latest = [one.latest for one in others if one.judged_us > rise.began_us]
+    latest = [one.latest for one in others if utc(one.judged_us) > row["since"]]
     if not latest:
         return "the other motors of its oil circuit say nothing of that time; "
-    alike = sum(one >= rise.change / 2 for one in latest)
+    alike = sum(200.0 * one >= row["change_percent"] for one in latest)
     if alike == len(latest):
         return (
             "all motors of its oil circuit that run have risen alike: oil, temperature or charge "

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from pipeline.arrays import SECOND_US
+from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.nights import night_of
@@ -37,20 +39,27 @@ SHARE_OF_END = 0.5
 NOTHING = "nothing to judge since then"
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
-    """A change of state, or the verdict of a night on a rise."""
-
-    time_us: int  # when [µs since 1970]
-    before: str
-    after: str
-    reason: str
-    rise: Rise | None = None  # the rise that it tells or ends; None without one
-    verdict: str = ""  # ``told``, ``confirmed`` or ``withdrawn``; empty without one
-    night: dt.date | None = None  # night that gave the verdict
+Row = dict[str, Any]
+Looked = tuple[LookState, list[Row]]
 
 
-Looked = tuple[LookState, list[Change]]
+def _row(
+    time_us: int,
+    before: str,
+    after: str,
+    reason: str,
+    rise: Rise | None = None,
+    verdict: str | None = None,
+    night: dt.date | None = None,
+) -> Row:
+    """A row of `looks` but for its motor: a change of state, or a night's verdict on a rise."""
+    row: Row = {"time": utc(time_us), "from_state": before, "to_state": after, "reason": reason}
+    row |= {"verdict": verdict, "confirmed_by": night}
+    if rise is not None:
+        value, half = 100.0 * rise.change, 100.0 * rise.half_width
+        row |= {"since": utc(rise.began_us), "change_percent": value}
+        row |= {"change_lower": value - half, "change_upper": value + half}
+    return row
 
 
 def looked_at(
@@ -82,7 +91,7 @@ def _begun(spec: MotorSpec, before: NightsBefore, state: LookState, now_us: int)
 
 def _taken_up(spec: MotorSpec, before: NightsBefore, state: LookState, news: News) -> Looked:
     """Take up all blocks whose samples are there, some at a time."""
-    changes: list[Change] = []
+    changes: list[Row] = []
     newest_us = max((one.newest_us for one in news.files.values()), default=0)
     cause = news.fault or state.cause
     state = replace(state, files=news.files, newest_us=newest_us, cause=cause)
@@ -142,7 +151,7 @@ def _judged(
     """Take up the warm ones of some blocks, and judge the night so far."""
     length, warm = block_us(spec), list[int]()
     warm_us = round(spec.settings.look.warm_up_minutes * 60 * SECOND_US)
-    changes: list[Change] = []
+    changes: list[Row] = []
     for place, start_us in enumerate(blocks.start_us.tolist()):
         state, went = _went_blind(spec, state, start_us)
         changes += went
@@ -197,13 +206,13 @@ def moved(
 ) -> Looked:
     """Go into another state."""
     told = after == LOOK_NOW
-    change = Change(time_us, state.state, after, reason, rise, "told" if told else "")
+    row = _row(time_us, state.state, after, reason, rise, "told" if told else None)
     state = replace(
         state, state=after, since_us=time_us, reason=reason, rise=rise if told else None
     )
     if told and rise is not None:
         state = replace(state, waiting=(*state.waiting, rise))
-    return state, [change]
+    return state, [row]
 
 
 def _went_blind(spec: MotorSpec, state: LookState, until_us: int) -> Looked:
@@ -214,7 +223,7 @@ def _went_blind(spec: MotorSpec, state: LookState, until_us: int) -> Looked:
     return moved(state, blind_us, BLIND, f"{NOTHING}: {state.cause or 'no new samples'}")
 
 
-def _silent(spec: MotorSpec, state: LookState, now_us: int, changes: list[Change]) -> LookState:
+def _silent(spec: MotorSpec, state: LookState, now_us: int, changes: list[Row]) -> LookState:
     """The state by the clock, where the logs say nothing new."""
     if state.newest_us <= state.judged_us + JUDGED_EVERY * block_us(spec):
         state = replace(state, cause="no new samples")
@@ -275,7 +284,7 @@ def _found(
 
 def _by_night(
     spec: MotorSpec, state: LookState, rise: Rise, label: dt.date, found: float
-) -> tuple[LookState, Change]:
+) -> tuple[LookState, Row]:
     is_so = found >= SHARE_OF_END * rise.change
     verdict = "confirmed" if is_so else "withdrawn"
     end_us = night_labelled(label, spec.settings.nights).end_us
@@ -288,7 +297,7 @@ def _by_night(
     state = _settled(state, rise)
     if after != before:
         state = replace(state, state=after, since_us=end_us, reason=words, rise=None)
-    return state, Change(end_us, before, after, words, rise, verdict, label)
+    return state, _row(end_us, before, after, words, rise, verdict, label)
 
 
 def _settled(state: LookState, rise: Rise) -> LookState:
