@@ -132,6 +132,13 @@ def test_a_motors_nights_are_found_by_a_pattern_that_finds_no_other_motors(tmp_p
     assert found == {"W1": (["W1_[0-9]*.csv"], 2), "W1_b": (["W1_b_*.csv"], 1)}
 
 
+def test_motors_of_one_name_have_ids_of_their_own(tmp_path: Path) -> None:
+    for folder in ("A", "B"):
+        header = "time,dp [bar],T [°C],n [rpm],leak [l/min]"
+        seconds(tmp_path / folder / "M1" / "a.csv", header, ",200.5,45.5,30.5,1.5")
+    assert [one.motor_id for one in propose(tmp_path, {}).motors] == ["M1", "M1-2"]
+
+
 def test_forty_motors_are_a_line_each(tmp_path: Path) -> None:
     tags = ("dp [bar]", "T [°C]", "n [rpm]", "leak [l/min]")
     header = ",".join(["time", *(f"W{n}_{tag}" for n in range(40) for tag in tags)])
@@ -264,6 +271,11 @@ def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
     }
     assert maxima == {"M1": 99.0, "M2": 99.0}
     assert "has all of these motors" in RUN(app, options).stdout
+    # Not where the defaults would change how its log is read.
+    (to / "motors" / "M2.toml").unlink()
+    other = files["fleet.toml"].replace("[defaults.logs]", "[defaults.logs]\nsettle_s = 1.0")
+    (to / "fleet.toml").write_text(other, "utf-8")
+    assert RUN(app, options).exception.code == "defaults"
 
 
 def test_answers_that_cannot_be_are_refused(tmp_path: Path) -> None:
