@@ -166,9 +166,7 @@ def _encoding(head: bytes) -> str:
 
 
 def _words_known(head: bytes, encoding: str) -> int:
-    words = {
-        one for line in head.decode(encoding, "replace").splitlines() for one in words_of(line)
-    }
+    words = {*words_of(head.decode(encoding, "replace"))}
     return sum(is_in([word], "quantity", one) for one in VOCABULARY["quantity"] for word in words)
 
 
