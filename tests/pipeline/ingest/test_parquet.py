@@ -193,24 +193,6 @@ def test_a_nested_time(tmp_path: Path) -> None:
 LONG = SOURCE.but(layout="long", channel_column="tag", value_column="v")
 
 
-@pytest.mark.parametrize("dictionary", [False, True])
-def test_long_tables_of_many_row_groups(tmp_path: Path, dictionary: bool) -> None:
-    tags = pa.array(["dp", "n", None, "other", "dp"] * 40)
-    columns = {
-        "time": pa.array([T0_US + i for i in range(200)], pa.timestamp("us", "UTC")),
-        "tag": tags.dictionary_encode() if dictionary else tags,
-        "v": pa.array([float(i) for i in range(200)]),
-    }
-    source = LONG.but({**LONG.channels, "speed": column("n", "rpm")})
-    path = written(tmp_path, columns, row_group_size=7)
-    log = read_log(path, *source)
-    values = log.channels["pressure_difference"].value.tolist()
-    assert values == [float(i) for i in range(200) if i % 5 in (0, 4)]
-    times = (log.channels["speed"].time_us - T0_US).tolist()
-    assert times == list(range(1, 200, 5))
-    assert time_span(path, *source) == (T0_US, T0_US + 199)
-
-
 def test_a_long_table_whose_names_are_numbers(tmp_path: Path) -> None:
     path = written(tmp_path, {"time": TIMES, "tag": [1, 2, 3], "v": [1.0, 2.0, 3.0]})
     assert error(path, LONG).code == "log_type"
