@@ -24,10 +24,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import RESULTS
-from leakage import Motor, OperatingConditions, leakage_l_per_min, regressors
+from leakage import OperatingConditions, leakage_l_per_min, regressors
 
 COMMITTED = RESULTS / "guard.json"
 WARN, FAIL = 1.2, 2.0
@@ -123,10 +122,15 @@ def _cases(folder: Path) -> list[Case]:
     content = read_log(logs["parquet"], spec.file.logs, spec.file.channels)
     channels = slice_night([content], night(NIGHT, spec.settings.nights))
     rows = content.rows
-    matrix = np.random.default_rng(1).normal(size=(rows, 6))
-    borders = np.linspace(0, rows, 21).astype(np.int64)
+    rng = np.random.default_rng(1)
+    matrix, borders = rng.normal(size=(rows, 6)), np.linspace(0, rows, 21).astype(np.int64)
+    # A flow that the motor's own paths explain, and their columns.
+    ranges = ((20.0, 300.0), (40.0, 60.0), (3.0, 110.0))
+    made = OperatingConditions.from_bar(*(rng.uniform(*one, rows) for one in ranges))
     motor = spec.motor(NIGHT, "none")
-    block = factors(_columns(motor, rows), np.array([0, rows]))[0]
+    flow = leakage_l_per_min(motor, made) + rng.normal(0.0, 0.02, rows)
+    columns = np.column_stack([regressors(motor, made), flow])
+    block = factors(columns, np.array([0, rows]))[0]
 
     def whole() -> object:
         fleet = fleets["parquet"]
@@ -163,17 +167,6 @@ def _cases(folder: Path) -> list[Case]:
              lambda: factors(matrix, borders), qr, 3),
         Case("fit from statistics / QR of as many samples", lambda: fit(block, motor), qr, 3),
     ]  # fmt: skip
-
-
-def _columns(motor: Motor, rows: int) -> NDArray[np.float64]:
-    """Columns of a motor over made conditions, with a flow that its own paths explain."""
-    rng = np.random.default_rng(2)
-    conditions = OperatingConditions.from_bar(
-        rng.uniform(20.0, 300.0, rows), rng.uniform(40.0, 60.0, rows), rng.uniform(3.0, 110.0, rows)
-    )
-    columns = regressors(motor, conditions)
-    flow = leakage_l_per_min(motor, conditions) + rng.normal(0.0, 0.02, rows)
-    return np.column_stack([columns, flow])
 
 
 if __name__ == "__main__":
