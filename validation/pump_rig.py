@@ -15,20 +15,28 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from leakage import Motor, OperatingConditions, total_flow_l_per_min
+from leakage import Motor, total_flow_l_per_min
 from pipeline.config import load_fleet
 from pipeline.notebook import Tables
 from validation.fleet import DAY, FIRST, add_motor, fitted, new_fleet
 from validation.pictures import draw
-from validation.record import FLOW, PRESSURE, TEMPERATURE, TIME, Record, read_records, windows
+from validation.record import (
+    FLOW,
+    METER_READS_FROM,
+    PRESSURE,
+    TEMPERATURE,
+    TIME,
+    Record,
+    conditions,
+    read_records,
+    windows,
+)
 from validation.tables import NONE, Row, Table
 
 Fit = dict[str, Any]
 BLOCK = dt.timedelta(minutes=10)
 SHORT = dt.timedelta(minutes=20)
 STEP = dt.timedelta(minutes=5)
-METER_READS_FROM = 1.7  # l/min, as in the config
-SPEED_RPM = 1485.0
 VALUE = "reference_leakage_l_per_min"
 VARIANTS = {
     "held-out-all": (
@@ -97,12 +105,6 @@ def law_of(fleet: Path, tables: Tables, record: Record) -> tuple[Motor, dict[str
     (fit,) = labelled(tables, record)
     law = load_fleet(fleet).motors[0].motor(fit["night"], "estimated")
     return law, dict(zip((path.name for path in law.paths), fit["coefficients"], strict=True))
-
-
-def conditions(rows: pl.DataFrame) -> OperatingConditions:
-    return OperatingConditions.from_bar(
-        rows[PRESSURE].to_numpy(), rows[TEMPERATURE].to_numpy(), SPEED_RPM
-    )
 
 
 def fits_of(tables: Tables, motor_id: str) -> list[dict[str, Any]]:

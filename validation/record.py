@@ -13,6 +13,8 @@ from pathlib import Path
 
 import polars as pl
 
+from leakage import OperatingConditions
+
 TIME = "Czas2"
 STATE = "stan"
 PRESSURE = "Pressure - output"
@@ -20,6 +22,8 @@ TEMPERATURE = "Temperature - leak line"
 FLOW = "Flow - leak line"
 COLUMNS = (TIME, STATE, PRESSURE, TEMPERATURE, FLOW)
 WARM_C = 48.0
+METER_READS_FROM = 1.7  # l/min, as in the config
+SPEED_RPM = 1485.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +58,12 @@ def _record_of(file: Path) -> Record:
     if rows[STATE].n_unique() > 1 or not rows[TIME].is_sorted():
         raise SystemExit(f"{file}: several states, or a clock that goes back: cut it into files")
     return Record(re.sub(r"\W", "-", file.name.split(".")[0]), str(rows[STATE][0]), rows)
+
+
+def conditions(rows: pl.DataFrame) -> OperatingConditions:
+    """Operating conditions of a record's rows."""
+    bar, celsius = (rows[name].cast(pl.Float64).to_numpy() for name in (PRESSURE, TEMPERATURE))
+    return OperatingConditions.from_bar(bar, celsius, SPEED_RPM)
 
 
 def windows(rows: pl.DataFrame, length: dt.timedelta, step: dt.timedelta) -> list[pl.DataFrame]:

@@ -18,21 +18,20 @@ import polars as pl
 
 from benchmarks.watch.cb560 import VG46
 from benchmarks.watch.simulator import BLOCK_S, History
-from leakage import (
-    Constant,
-    FilmPressure,
-    Laminar,
-    Motor,
-    OperatingConditions,
-    Parameter,
-    regressors,
-)
+from leakage import Constant, FilmPressure, Laminar, Motor, Parameter, regressors
 from leakage.watch import Machine, NightBlocks
-from validation.record import FLOW, PRESSURE, TEMPERATURE, TIME, read_records, windows
+from validation.record import (
+    FLOW,
+    METER_READS_FROM,
+    PRESSURE,
+    SPEED_RPM,
+    TEMPERATURE,
+    TIME,
+    conditions,
+    read_records,
+    windows,
+)
 
-VARIABLE = "MOTOR_LEAKAGE_TEST_DATA"
-METER_READS_FROM = 1.7  # l/min, as in `validation/pump_rig`
-RPM = 1485.0
 FEWEST = 20  # samples of a block
 BEGIN, MORE = 20, 1.1
 GAP = Laminar("all_gaps", 1, Parameter("C_all", "m3", 5e-14, 1e-16, 1e-11))
@@ -64,7 +63,7 @@ CUTS = (
 
 def folder() -> Path:
     """Where the record is, if it is there."""
-    return Path(os.environ.get(VARIABLE, "../shared/data")) / "pump_rig"
+    return Path(os.environ.get("MOTOR_LEAKAGE_TEST_DATA", "../shared/data")) / "pump_rig"
 
 
 @cache
@@ -76,15 +75,14 @@ def _nights(minutes: int, nights: int) -> tuple[NightBlocks, ...]:
 
 def _night(rows: pl.DataFrame) -> NightBlocks:
     """Blocks of the samples at which the meter reads."""
-    bar, celsius = (rows[name].cast(pl.Float64).to_numpy() for name in (PRESSURE, TEMPERATURE))
-    gap, case, *_ = regressors(PUMP, OperatingConditions.from_bar(bar, celsius, RPM)).T
+    gap, case, *_ = regressors(PUMP, conditions(rows)).T
     blocks = (
         rows.select(
             ((pl.col(TIME) - pl.col(TIME).first()).dt.total_seconds() // BLOCK_S).alias("block"),
             pl.col(FLOW, TEMPERATURE, PRESSURE).cast(pl.Float64),
             gap=gap,
             case=case,
-            rpm=RPM,
+            rpm=SPEED_RPM,
         )
         .filter(pl.col(FLOW) >= METER_READS_FROM)
         .group_by("block", maintain_order=True)
