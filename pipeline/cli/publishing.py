@@ -56,9 +56,6 @@ def report(
             callback=absolute_folder, help="Folder of the report, instead of report/ in the output."
         ),
     ] = None,
-    motors: Annotated[
-        str, typer.Option(help="Ids of the motors to show, with blanks between; needs --to.")
-    ] = "",
     nights: Annotated[
         int | None, typer.Option(min=1, help="Newest nights with their own file; default: all.")
     ] = None,
@@ -85,12 +82,6 @@ def report(
 
         typer.echo(write_paper(fleet, pdf, to or Path.cwd()))
         return
-    if motors:
-        if to is None:
-            message = "--motors needs --to: the fleet's own report shows all motors"
-            raise UsageError("report_motors", message)
-        shown = [fleet.motor(one) for one in dict.fromkeys(motors.split())]
-        fleet = replace(fleet, motors=tuple(shown))
     folder = to or fleet.output / "report"
     result = build_report(fleet, folder, nights=nights, made=now())
     typer.echo(

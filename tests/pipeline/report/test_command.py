@@ -37,22 +37,6 @@ def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
     assert call("report", fleet)[1].startswith("1 motor, 0 nights updated, 1 file written")
 
 
-def test_some_motors_go_to_a_folder_of_their_own(
-    call: Call, own_fleet: OwnFleet, tmp_path: Path
-) -> None:
-    fleet = own_fleet(MOTOR, "CB560-01", fitted=True)
-    code, _, err = call("report", fleet, "--motors", MOTOR)
-    assert code == 2
-    assert "report_motors: --motors needs --to" in err
-    code, _, err = call("report", fleet, "--motors", MOTOR, "--to", tmp_path / "one")
-    assert (code, err) == (0, "")
-    assert [page.stem for page in (tmp_path / "one" / "motors").iterdir()] == [MOTOR]
-    assert "CB560" not in (tmp_path / "one" / "index.html").read_text("utf-8")
-    code, _, err = call("report", fleet, "--motors", "X", "--to", tmp_path / "two")
-    assert code == 2
-    assert "unknown_motor: no motor X; there are CB400-01" in err
-
-
 def test_damaged_tables_and_none_are_told(call: Call, own_fleet: OwnFleet, tmp_path: Path) -> None:
     fleet = own_fleet(MOTOR, fitted=True)
     next((fleet.parent.parent / "out" / "tables" / "parameters").rglob("*.parquet")).write_bytes(
