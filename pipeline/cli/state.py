@@ -105,8 +105,6 @@ def _print_json(found: FleetStatus, *, too_old: bool) -> None:
         "event": "fleet",
         "last_good_run": found.last_good_run,
         "too_old": too_old,
-        "findings": found.findings,
-        "findings_confirmed": found.findings_confirmed,
         "run": None if found.beat is None else asdict(found.beat),
         "receivers": [asdict(one) for one in found.receivers],
         "changed_by_rules": found.n_by_rules,
@@ -116,7 +114,7 @@ def _print_json(found: FleetStatus, *, too_old: bool) -> None:
 
 
 def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
-    """Lines below the motors: last run, deliveries, damage, inspections."""
+    """Lines below the motors: last run, deliveries, damage, looks."""
     ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
     yield f"last good run: {ended}{', which is too old' if too_old else ''}"
     newest = max((one.data_night for one in found.motors if one.data_night), default=None)
@@ -142,12 +140,6 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
             sum(getattr(one, name) for one in looks) for name in ("told", "confirmed", "withdrawn")
         )
         yield f"looks: {states}; rises told {told}, confirmed {confirmed}, withdrawn {withdrawn}"
-    if found.findings:
-        share = 100 * found.findings_confirmed / found.findings
-        yield (
-            f"inspections that confirmed an alarm: {found.findings_confirmed} of "
-            f"{found.findings} ({share:.0f} %)"
-        )
 
 
 def _run_line(found: FleetStatus) -> str | None:

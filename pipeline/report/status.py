@@ -1,4 +1,4 @@
-"""The fleet's state as published, and what inspections made of its alarms."""
+"""The fleet's state as published."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from pipeline.schema import ALARMS
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.published import TableFault, faults_of
 from pipeline.store.tables import read_rows
-from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.rows.motor_states import CHANGED, MotorState, published_states, urgency
 
 
@@ -28,10 +27,6 @@ class FleetStatus:
     motors: tuple[MotorState, ...]
     # When the last run ended that went through all motors; None where none did.
     last_good_run: dt.datetime | None
-    # findings_confirmed, findings: alarms with wear found at the inspection, and all inspected
-    # alarms.
-    findings_confirmed: int
-    findings: int
     beat: Beat | None = None  # heartbeat of the current or the last run; None before the first
     receivers: tuple[Backlog, ...] = ()  # changes of state not yet delivered, by receiver
     # States of past nights that a change of the program's rules raised, changed or withdrew.
@@ -48,13 +43,10 @@ def fleet_status(
     Raises StoreError if a table is damaged.
     """
     motors = current_states(output, motor_ids)
-    findings = last_findings(read_decisions(output))
     alarms = read_rows(output, ALARMS, motor_ids, ("rules", "state_before_rules", "to_state"))
     return FleetStatus(
         tuple(sorted(motors, key=urgency)),
         last_good_run(output),
-        findings.count("confirmed"),
-        len(findings),
         read_heartbeat(output),
         backlogs(output, receivers),
         changed_by_rules(alarms).height,
@@ -77,16 +69,6 @@ def changed_by_rules(alarms: pl.DataFrame) -> pl.DataFrame:
     before, after = pl.col("state_before_rules"), pl.col("to_state")
     raised = before.is_in(CHANGED) | after.is_in(CHANGED)
     return alarms.filter(pl.col("rules").is_not_null() & (before != after) & raised)
-
-
-def last_findings(decisions: Sequence[Decision]) -> list[str]:
-    """Finding of each alarm that was inspected; of several the last."""
-    found = {
-        (one.motor_id, one.indicator, one.night): one.finding
-        for one in decisions
-        if one.finding is not None
-    }
-    return list(found.values())
 
 
 def last_alarm(output: Path, motor_id: str, indicator: str, states: Collection[str]) -> dt.date:

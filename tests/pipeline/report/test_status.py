@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import json
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -14,14 +13,14 @@ import typer
 
 from pipeline.cli.arguments import duration
 from pipeline.errors import UsageError
-from pipeline.report.status import fleet_status, last_alarm, last_findings
+from pipeline.report.status import last_alarm
 from pipeline.report.words import STATES
 from pipeline.schema import ALARMS, LATEST, RUNS, frame
 from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.rows.motor_states import CHANGED, ORDER, TOLD, LookStatus, urgency
 from tests.pipeline.calling import Call
-from tests.pipeline.report.states import ADVICE, SENTENCES, night_of, output, said, state_of
+from tests.pipeline.report.states import ADVICE, SENTENCES, night_of, output, state_of
 from tests.pipeline.written import publisher_of, write_nights
 
 __all__ = ["output"]
@@ -86,20 +85,16 @@ def test_json_has_a_line_a_motor_and_one_for_the_fleet(
     # A motor's line has the columns of `latest`.
     assert motor.keys() ^ LATEST.schema.keys() <= {"event", "look", "run_id", *NOT_FILLED}
     assert (motor["cause"], motor["tonight_change"]) == ("balance_sleeve", 0.21)
-    assert (fleet["event"], fleet["too_old"], fleet["findings"]) == ("fleet", True, 0)
+    assert (fleet["event"], fleet["too_old"]) == ("fleet", True)
 
 
-def test_acknowledged_found_and_counted(output: Path, config: Path, call: Call) -> None:
+def test_acknowledged_and_found(output: Path, config: Path, call: Call) -> None:
     code, out, _ = call("ack", config, "M1", "--note", "rings ordered")
     assert (code, out) == (0, "M1: leakage, raised last on 2026-01-06: acknowledged\n")
     assert "(acknowledged: rings ordered)" in call("status", config)[1]
-    assert "inspections" not in call("status", config)[2]
     finding = ("ack", config, "M1", "--note", "worn", "--finding", "confirmed")
     assert call(*finding)[0] == 0
-    _, out, err = call("status", config)
-    assert "(acknowledged: worn)" in out
-    assert "inspections that confirmed an alarm: 1 of 1 (100 %)" in err
-    assert fleet_status(output, ["M1"]).findings_confirmed == 1
+    assert "(acknowledged: worn)" in call("status", config)[1]
     (first, second) = read_decisions(output)
     assert (first.kind, second.kind, second.finding) == ("acknowledged", "finding", "confirmed")
     assert second.night == night_of(4)
@@ -186,14 +181,6 @@ def test_a_duration_that_is_none(text: str) -> None:
 
 def test_every_state_has_a_meaning() -> None:
     assert set(STATES) == set(ORDER)
-
-
-def test_of_an_alarm_that_was_inspected_twice_the_last_word_counts() -> None:
-    first = said(4, "finding", finding="not_confirmed")
-    second = replace(first, finding="confirmed", time=first.time + dt.timedelta(days=1))
-    elsewhere = replace(first, motor_id="M2")
-    found = last_findings([first, said(4), second, elsewhere])
-    assert sorted(found) == ["confirmed", "not_confirmed"]
 
 
 def test_a_sudden_rise_within_the_day_comes_first_and_a_clear_look_is_not_shown() -> None:

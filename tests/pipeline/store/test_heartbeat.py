@@ -153,7 +153,7 @@ def test_what_status_says_of_a_run(
     at = dt.datetime.now(dt.UTC) - dt.timedelta(seconds=age_s)
     code = "store_write" if state == "failed" else None
     beat = Beat(state, "trends", at, at, 12, "host", 3, 2, error_code=code)
-    found = FleetStatus((), None, 0, 0, beat)
+    found = FleetStatus((), None, beat)
     print_status("Tests", found, too_old=False, as_json=False)
     first, *more = capsys.readouterr().err.splitlines()
     assert first == "last good run: never"
