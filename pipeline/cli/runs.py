@@ -57,6 +57,9 @@ def fit_fleet(
     since: Since = None,
     until: Until = None,
     as_json: AsJson = False,
+    fail_on_alarm: Annotated[
+        bool, typer.Option("--fail-on-alarm", help="End with 1 if the run raised an alarm.")
+    ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what would be done, and why; do nothing.")
     ] = False,
@@ -94,7 +97,7 @@ def fit_fleet(
             print_plan(request, as_json=as_json)
         else:
             _repeat_check(fleet, as_json=as_json)
-            _run(request, as_json=as_json)
+            _run(request, as_json=as_json, fail_on_alarm=fail_on_alarm)
 
 
 def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
@@ -118,7 +121,7 @@ def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
                 say(f"{spec.motor_id}: {told}", err=True)
 
 
-def _run(request: RunRequest, *, as_json: bool) -> NoReturn:
+def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn:
     """Run a fleet, say how it goes, and end with the exit code."""
     from pipeline.run.fleet import run_fleet
 
@@ -127,7 +130,8 @@ def _run(request: RunRequest, *, as_json: bool) -> NoReturn:
     print_summary(request, result, as_json=as_json)
     if result.interrupted:
         raise KeyboardInterrupt
-    failed = result.failed or result.n_standing or result.damage_left
+    alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)
+    failed = result.failed or result.n_standing or result.damage_left or alarmed
     raise typer.Exit(EXIT_MOTORS_FAILED if failed else EXIT_OK)
 
 

@@ -73,3 +73,15 @@ def test_nothing_of_path_query_or_token_is_left_anywhere(
     assert "S3CRET" not in said
     for path in (tmp_path / "out").rglob("*"):
         assert not path.is_file() or b"S3CRET" not in path.read_bytes()
+
+
+@pytest.mark.parametrize(("option", "code"), [((), 0), (("--fail-on-alarm",), 1)])
+def test_an_alarm_is_a_failure_for_whoever_asks_for_it(
+    tmp_path: Path, call: Call, option: tuple[str, ...], code: int
+) -> None:
+    config = told_fleet(tmp_path, "")
+    ended, out, _ = call("fit-fleet", config, *option)
+    assert ended == code
+    assert ": alarm: " in out
+    # Nothing is raised anew.
+    assert call("fit-fleet", config, *option)[0] == 0
