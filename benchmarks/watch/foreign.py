@@ -104,10 +104,8 @@ class Winch(Foreign):
             drawn = np.where(ends, generator.random((2, nights)), drawn)
             is_lift = is_lift ^ ends
             lifts[row], size[row], pace[row] = is_lift, *drawn
-        (idle, more_idle), (lift, more_lift) = (
-            (low, high - low) for low, high in (self.IDLE_BAR, self.LIFT_BAR)
-        )
-        pressure = np.where(lifts, state.load * (lift + more_lift * size), idle + more_idle * size)
+        idle, lift = (low + (high - low) * size for low, high in (self.IDLE_BAR, self.LIFT_BAR))
+        pressure = np.where(lifts, state.load * lift, idle)
         warm = generator.normal(47.0, 2.5, nights) + state.warmer_k
         time_s = STEP_S * np.arange(ROWS)[:, None]
         temperature = warm - generator.uniform(3.0, 9.0, nights) * np.exp(-time_s / 1500.0)

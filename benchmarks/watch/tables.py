@@ -40,14 +40,15 @@ def tables(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> list[Table]:
 
 
 def readme(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> Table:
-    """The README's table; a row that was not measured has no figures."""
-    rows = []
-    for words, key in README_ROWS.items():
-        name = f"{key}; otherwise; {BASELINE}"
-        is_known = name in found
-        row = _readme_row(_motors(cells, {name: found[name]})) if is_known else ["–"] * 4
-        rows.append({"": words, **dict(zip(("watch", *README_CHARTS), row, strict=True))})
-    return Table("watch", rows)
+    """The README's table: of what was measured of it."""
+    header = ("", "watch", *README_CHARTS)
+    keys = {words: f"{key}; otherwise; {BASELINE}" for words, key in README_ROWS.items()}
+    rows = [
+        [words, *_readme_row(_motors(cells, {key: found[key]}))]
+        for words, key in keys.items()
+        if key in found
+    ]
+    return Table("watch", [dict(zip(header, row, strict=True)) for row in rows])
 
 
 def _motors(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> pl.DataFrame:
@@ -207,10 +208,6 @@ def _leakages(motors: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def _sized(motors: pl.DataFrame) -> pl.DataFrame:
-    return motors.drop_nulls("kind").sort("machine", "kind")
-
-
 def _told(motors: pl.DataFrame) -> pl.DataFrame:
     """A row of each cause that was likeliest, as told and ten nights later."""
     later = motors.select(pl.col("P later").alias("P"), *SAID[2:])
@@ -286,7 +283,7 @@ TABLES = {
     "since and size": Rows(
         ("after", *CHANGES, "special", "not fitted"),
         "machine | kind | since held | size held",
-        _sized,
+        lambda motors: motors.drop_nulls("kind").sort("machine", "kind"),
         ("machine", "kind"),
     ),
     "laminar": Rows(("laminar",), "change | at | leakage | held", _leakages, ("at",)),
