@@ -13,6 +13,7 @@ import argparse
 import ast
 import contextlib
 import hashlib
+import json
 import multiprocessing
 import os
 import re
@@ -35,10 +36,11 @@ from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 from hypothesis import Phase, settings
 
-from benchmarks.results_file import Part, description, store, stored, write_parts
+from benchmarks import RESULTS, made
+from validation.tables import Row, Table, show
 
-NAME, TITLE = "mutation", "Faults that tests find"
 ROOT, REASONS = Path(__file__).parents[1], Path(__file__).with_suffix(".toml")
+FOUND = RESULTS / "mutation.json"
 FAULTS, PROCESSOR_S, LIMIT_S = 43, 120, 1200
 # Modules of an area, and its tests: files, the first place, and what imports from them of others.
 AREAS = {
@@ -71,11 +73,12 @@ Fault = tuple[str, int, str, str, str]
 
 def main(options: Sequence[str] = ()) -> None:
     """Plant the faults, run the tests, and write `benchmarks/results/mutation.md`."""
-    parser = argparse.ArgumentParser(prog=f"python -m benchmarks {NAME}")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks mutation")
     parser.add_argument("--only", choices=AREAS, action="append", help="areas; all without it")
     parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_args(list(options))
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    found: dict[str, Any] = json.loads(FOUND.read_text("utf-8"))
     fork = multiprocessing.get_context("forkserver")
     fork.set_forkserver_preload([__name__, "polars", "pyarrow.parquet", "pydantic", "scipy.stats"])
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(asked.jobs) as pool:
@@ -93,20 +96,22 @@ def main(options: Sequence[str] = ()) -> None:
             module, line, before, after, text = fault
             folder = copies.pop()
             (folder / module).write_text(text, "utf-8")
-            found = not passes(folder, _tests(module, area))
+            is_found = not passes(folder, _tests(module, area))
             shutil.copy2(ROOT / module, folder / module)
             copies.append(folder)
             key = f"{module}: {before} -> {after}"
-            sys.stderr.write(f"{'found' if found else 'SURVIVES'} {line} {key}\n")
-            return {"key": key, "line": line, "found": found}
+            sys.stderr.write(f"{'found' if is_found else 'SURVIVES'} {line} {key}\n")
+            return {"key": key, "line": line, "found": is_found}
 
         for area in asked.only or AREAS:
             planted = _sample(area)
             tests = {test for module, *_ in planted for test in _tests(module, area)}
             if not passes(copies[0], sorted(tests)):
                 parser.exit(1, f"{area}: a test fails without a fault\n")
-            store(NAME, area, list(pool.map(tried, planted)))
-    write_parts(NAME, TITLE, description(__doc__), list(_parts(stored(NAME))))
+            found |= {area: list(pool.map(tried, planted))}
+            lines = (f'"{one}": {json.dumps(of, ensure_ascii=False)}' for one, of in found.items())
+            FOUND.write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
+    show([made(), *_tables(found)], RESULTS / "mutation.md")
 
 
 def _copy(folder: Path) -> Path:
@@ -206,22 +211,21 @@ def _run(folder: Path, tests: list[str]) -> None:
     os._exit(0)
 
 
-def _parts(found: dict[str, Any]) -> Iterator[Part]:
-    found["all"] = together = [fault for faults in found.values() for fault in faults]
-    shares = {area: [fault["found"] for fault in faults] for area, faults in found.items()}
-    rows = [
-        (area, str(len(of)), str(sum(of)), f"{sum(of) / len(of):.0%}")
-        for area, of in shares.items()
-    ]
-    yield Part("Found", "By area.", "area | faults | found | share", rows)
-    reasons = tomllib.loads(REASONS.read_text("utf-8")) if REASONS.exists() else {}
-    yield Part(
-        "Not found",
-        "With the reason.",
-        "line | fault | reason",
-        [
-            (str(one["line"]), f"`{one['key']}`".replace("|", "\\|"), reasons.get(one["key"], ""))
-            for one in together
-            if not one["found"]
-        ],
-    )
+def _tables(found: dict[str, Any]) -> Iterator[Table]:
+    every = [fault for faults in found.values() for fault in faults]
+    rows: list[Row] = []
+    for area, faults in (*found.items(), ("all", every)):
+        n, n_found = len(faults), sum(fault["found"] for fault in faults)
+        rows.append({
+            "area": area, "faults": str(n), "found": str(n_found), "share": f"{n_found / n:.0%}"
+        })  # fmt: skip
+    yield Table("found by area", rows)
+    reasons = tomllib.loads(REASONS.read_text("utf-8"))
+    yield Table("not found, with the reason", [
+        {
+            "line": str(one["line"]),
+            "fault": f"`{one['key']}`".replace("|", "\\|"),
+            "reason": reasons.get(one["key"], ""),
+        }
+        for one in every if not one["found"]
+    ])  # fmt: skip
