@@ -59,6 +59,8 @@ def visit(browser: Chrome, page: Path, fragment: str = "") -> None:
     browser.get("about:blank")
     browser.get_log("browser")
     browser.get(page.resolve().as_uri() + fragment)
+    # On a busy machine `get` may end before the page's styles and scripts are there.
+    wait(browser, "return location.protocol === 'file:' && document.readyState === 'complete'")
 
 
 def complaints(browser: Chrome) -> list[str]:
