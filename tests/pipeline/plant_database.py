@@ -11,14 +11,14 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.config import MotorSpec, load_fleet
+from pipeline.config import load_fleet
 from pipeline.errors import LogError
 from pipeline.logs.landing import land_nights
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.tasks import MotorOutcome
 from tests.pipeline.postgres_server import PostgresServer
-from tests.pipeline.simulated import motor_toml, write_configs
-from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop
+from tests.pipeline.simulated import motor_toml
+from tests.pipeline.workshop import DAY, Workshop
 
 VARIABLE = "MOTOR_LEAKAGE_DATABASE"
 FIRST = dt.date(2026, 1, 2)
@@ -41,44 +41,37 @@ def logs_toml(query: str = QUERY, logs: str = "", more: str = "") -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Plant:
+class Plant(Workshop):
     """A motor whose nights lie in the table `log`."""
 
-    shop: Workshop
     server: PostgresServer
 
     @classmethod
     def at(cls, folder: Path, server: PostgresServer, nights: int = 3) -> Plant:
-        made = cls(Workshop.at(folder), server)
+        made = cls(folder, server)
+        made.configure()
         for seed, label in enumerate(NIGHTS[:nights]):
             made.fill(label, seed)
-        made.configure()
         return made
 
     def configure(self, text: str | None = None) -> None:
-        motor = motor_toml("M1", "MINI").replace(FILES, text or logs_toml())
-        write_configs(self.shop.folder, {"M1": motor}, {"MINI": MINI}, QUICK)
+        self.take(motor_toml("M1", "MINI").replace(FILES, text or logs_toml()))
 
     def fill(self, label: dt.date, seed: int) -> None:
-        operation, values = self.shop.night(label, seed)
+        operation, values = self.night(label, seed)
         self.server.fill("log", table(operation.time_us, values))
-
-    @property
-    def spec(self) -> MotorSpec:
-        (spec,) = load_fleet(self.shop.fleet).motors
-        return spec
 
     def land(self, clock: dt.datetime = CLOCK) -> dict[str, LogError]:
         return land_nights(self.spec, latest(clock))
 
     def run(self, clock: dt.datetime = CLOCK) -> MotorOutcome:
-        (outcome,) = run_fleet(RunRequest(load_fleet(self.shop.fleet), clock=clock)).outcomes
+        (outcome,) = run_fleet(RunRequest(load_fleet(self.fleet), clock=clock)).outcomes
         return outcome
 
     def files(self) -> dict[str, bytes]:
         return {one.name: one.read_bytes() for one in self.spec.log_root.glob("*.parquet")}
 
-    def rows(self, label: dt.date) -> pa.Table:
+    def landed(self, label: dt.date) -> pa.Table:
         return pq.read_table(self.spec.log_root / f"{label}.parquet")
 
 

@@ -1,9 +1,9 @@
-"""A workshop: one motor whose logs and config a test writes as it likes."""
+"""A workshop: a motor, or some, whose logs and config a test writes as it likes."""
 
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 from polars.testing import assert_frame_equal
 
-from pipeline.config import load_fleet
+from pipeline.config import MotorSpec, load_fleet
 from pipeline.logs.processed import read_processed
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.tasks import MotorOutcome, MotorTask
@@ -40,7 +40,7 @@ QUICK = FLEET + '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequ
 
 @dataclass(frozen=True, slots=True)
 class Workshop:
-    """One motor with logs that a test writes as it likes."""
+    """The motor M1, or some, with logs that a test writes as it likes."""
 
     folder: Path
 
@@ -70,18 +70,27 @@ class Workshop:
         self.logs.mkdir(parents=True, exist_ok=True)
         return self.logs
 
-    def configure(self, files: str | None = None, more: str = "", fleet: str = QUICK) -> None:
-        text = motor_toml("M1", "MINI", files=files, more=more)
-        write_configs(self.folder, {"M1": text}, {"MINI": MINI}, fleet)
+    def configure(
+        self,
+        files: str | None = None,
+        more: str = "",
+        fleet: str = QUICK,
+        motors: Sequence[str] = ("M1",),
+    ) -> None:
+        texts = {one: motor_toml(one, "MINI", files=files, more=more) for one in motors}
+        write_configs(self.folder, texts, {"MINI": MINI}, fleet)
 
     def run(self, since: dt.date | None = None, until: dt.date | None = None) -> MotorOutcome:
         request = RunRequest(load_fleet(self.fleet), (), since, until)
         (outcome,) = run_fleet(request).outcomes
         return outcome
 
+    @property
+    def spec(self) -> MotorSpec:
+        return load_fleet(self.fleet).motors[0]
+
     def task(self) -> MotorTask:
-        spec, *_ = load_fleet(self.folder / "configs" / "fleet.toml").motors
-        staging = self.folder / "staging"
+        spec, staging = self.spec, self.folder / "staging"
         staging.mkdir(exist_ok=True)
         with read_state_file(self.output) as state:
             return MotorTask(spec, self.output, staging, read_processed(state, spec.motor_id))
@@ -89,13 +98,15 @@ class Workshop:
     def night(self, label: dt.date, seed: int = 1) -> tuple[Operation, dict[str, Any]]:
         """A night with a little noise, the same for the same seed."""
         operation = operate(label, MINUTES, seed)
-        motor = self.task().spec.motor(label, "none")
+        motor = self.spec.motor(label, "none")
         noise = np.random.default_rng(seed).normal(0.0, 0.01, len(operation.time_us))
         return operation, operation.channels(operation.flow(motor) + noise)
 
-    def log(self, label: dt.date, name: str | None = None, seed: int = 1) -> Path:
+    def log(
+        self, label: dt.date, name: str | None = None, seed: int = 1, motor: str = "M1"
+    ) -> Path:
         operation, values = self.night(label, seed)
-        path = self.logs / (name or f"{label}.parquet")
+        path = self.folder / "logs" / motor / (name or f"{label}.parquet")
         write_log(path, operation.time_us, values)
         return path
 

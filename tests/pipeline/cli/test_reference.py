@@ -62,26 +62,6 @@ def _below(model: type[Section]) -> Iterator[type[Section]]:
         yield from _below(child)
 
 
-# Stated in the design, not read off the page.
-@pytest.mark.parametrize(
-    ("key", "words"),
-    [
-        ("cleaning.standstill_rpm", "`0.5`"),
-        ("nights.end_hour", "`6`"),
-        ("time_base.rate_hz", "number"),
-        ("transport_delay.mode", '`"off"`'),
-        ("path.gap_um", "`8.0, 1.0, 60.0, false`"),
-        ("path.radius_mm", "number, required"),
-        ("reference_viscosities_mm2_per_s", "[number, number], required"),
-        ("events.date", "day, required"),
-        ("flushing.mode", '`"none"`, `fixed` `estimated`'),
-        ("alarms.email.to", "list of text"),
-    ],
-)
-def test_key_has_its_type_and_default(key: str, words: str) -> None:
-    assert keys()[key] == words
-
-
 def test_the_example_is_a_fleet() -> None:
     fleet = load_fleet(DOCS / "example" / "fleet.toml")
     (motor,) = fleet.motors

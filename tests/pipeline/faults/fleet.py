@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import hashlib
 import os
 import shutil
@@ -25,23 +24,21 @@ from pipeline.store.published import verify_tables
 from pipeline.store.state import STATE_FILE
 from pipeline.store.tables import files_of, name_of, read_table
 from tests.pipeline.remembered import LASTING, processed_of, record_of
-from tests.pipeline.simulated import NIGHT, motor_toml, write_configs, write_log
-from tests.pipeline.workshop import MINI, QUICK, Workshop
+from tests.pipeline.simulated import NIGHT
+from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 # Of a process that imports the tests.
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
 MOTORS = ("M1", "M2")
-LATER = NIGHT + dt.timedelta(days=1)
+LATER = NIGHT + DAY
 # Tables of a run itself: they say when and how long.
 OF_RUNS = {"runs", "motor_outcomes"}
 Tables = dict[str, pl.DataFrame]
 
 
 @dataclass(frozen=True, slots=True)
-class TinyFleet:
+class TinyFleet(Workshop):
     """Logs and config, and outputs as runs leave them."""
-
-    folder: Path  # of `configs` and `logs`
 
     @property
     def before(self) -> Path:
@@ -57,33 +54,17 @@ class TinyFleet:
     def at(cls, folder: Path) -> TinyFleet:
         """Make it, and both outputs."""
         made = cls(folder)
-        write_configs(
-            folder,
-            {one: motor_toml(one, "MINI") for one in MOTORS},
-            {"MINI": MINI},
-            # A disk may become full in spite of the look at it before a run.
-            f"{QUICK}minimum_free_mib = 0\n",
-        )
+        # A disk may become full in spite of the look at it before a run.
+        made.configure(fleet=f"{QUICK}minimum_free_mib = 0\n", motors=MOTORS)
         for number, motor in enumerate(MOTORS):
-            made.log(motor, NIGHT, seed=number)
+            made.log(NIGHT, seed=number, motor=motor)
         made.run(made.before)
-        made.log("M1", NIGHT, seed=7)
+        made.log(NIGHT, seed=7)
         for number, motor in enumerate(MOTORS):
-            made.log(motor, LATER, seed=10 + number)
+            made.log(LATER, seed=10 + number, motor=motor)
         shutil.copytree(made.before, made.after)
         made.run(made.after)
         return made
-
-    def log(self, motor: str, night: dt.date, seed: int) -> Path:
-        """Write a log with a little noise, the same for the same seed."""
-        operation, values = Workshop(self.folder).night(night, seed)
-        path = self.folder / "logs" / motor / f"{night}.parquet"
-        write_log(path, operation.time_us, values)
-        return path
-
-    @property
-    def fleet(self) -> Path:
-        return self.folder / "configs" / "fleet.toml"
 
     def request(self, output: Path, **execution: Any) -> RunRequest:
         fleet = load_fleet(self.fleet)

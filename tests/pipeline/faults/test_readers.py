@@ -140,7 +140,7 @@ def check_readers(own: TinyFleet, n_runs: int) -> int:
     """Runs that publish one of two states in turn, under the eyes of two readers."""
     output = own.after
     path = own.folder / "logs" / "M1" / f"{NIGHT}.parquet"
-    states = [path.read_bytes(), own.log("M1", NIGHT, seed=8).read_bytes()]
+    states = [path.read_bytes(), own.log(NIGHT, seed=8).read_bytes()]
     with remembered_fits():
         told = []
         for state in (1, 0):

@@ -36,7 +36,7 @@ def test_a_connection_lost_in_a_result_is_made_anew_and_nothing_is_half_read(
     monkeypatch.setattr(pipeline.logs.database, "still_alive", lost_once)
     assert plant.land(CLOCK - 2 * DAY) == {}
     assert all(name.startswith(".") for names in signs for name in names)
-    assert plant.rows(FIRST).num_rows == LARGE
+    assert plant.landed(FIRST).num_rows == LARGE
     assert sorted(one.name for one in plant.spec.log_root.iterdir()) == [
         f"{FIRST}.parquet",
         "landed.json",

@@ -48,7 +48,7 @@ def test_a_run_reads_each_night_once_and_anew_where_its_rows_changed(
     for seed, label in enumerate(NIGHTS):
         files.log(label, seed=seed)
     files.run()
-    check_same_figures(files, plant.shop, "input_files")
+    check_same_figures(files, plant, "input_files")
     database.run(f"UPDATE log SET speed = speed + 1 WHERE time > {stamp(NIGHTS[1])}")
     assert (again := plant.run()).nights == (NIGHTS[2],)
     assert again.files == {"read": 1, "unchanged": 2}
@@ -68,7 +68,7 @@ def test_rows_are_looked_for_again_within_the_look_back(
     changed = {name for name, one in plant.files().items() if one != before[name]}
     assert changed == {f"{label}.parquet" for label in NIGHTS[1:]}
     assert (
-        plant.rows(NIGHTS[1]).num_rows
+        plant.landed(NIGHTS[1]).num_rows
         == pq.read_metadata(plant.spec.log_root / f"{FIRST}.parquet").num_rows + 1
     )
 
@@ -146,13 +146,13 @@ def test_a_motor_takes_its_own_rows_and_tags_of_a_long_table(
         assert plant.land() == {}
     finally:
         database.run("ALTER ROLE owner RESET standard_conforming_strings")
-    rows = plant.rows(FIRST)
+    rows = plant.landed(FIRST)
     assert set(rows["tag"].to_pylist()) == set(tags.values())
     assert set(rows["motor"].to_pylist()) == {"M1"}
     assert rows["reading"].type == pa.float64()
     spec = plant.spec
     found = read_log(spec.log_root / f"{FIRST}.parquet", spec.file.logs, spec.file.channels)
-    _, values = plant.shop.night(FIRST, seed=0)
+    _, values = plant.night(FIRST, seed=0)
     for name, value in values.items():
         channel = found.channels[name]
         # PostgreSQL makes 15 digits of a float.
@@ -168,7 +168,7 @@ def test_stamps_without_a_zone_are_of_the_zone_of_the_config(
     plant.land()
     spec, here = plant.spec, night(FIRST, plant.spec.settings.nights)
     log = read_log(spec.log_root / f"{FIRST}.parquet", spec.file.logs, spec.file.channels)
-    operation, _ = plant.shop.night(FIRST, seed=0)
+    operation, _ = plant.night(FIRST, seed=0)
     assert log.ends() == (operation.time_us[0], operation.time_us[-1])
     assert here.start_us <= operation.time_us[0] < here.end_us
 

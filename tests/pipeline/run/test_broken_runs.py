@@ -23,7 +23,6 @@ from pipeline.run.fleet import staging_folder
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from tests.conftest import OwnFleet
-from tests.pipeline.mini_fleet import mini_fleet
 from tests.pipeline.misbehaviour import MISBEHAVIOUR
 from tests.pipeline.remembered import processed_of
 from tests.pipeline.run.demo_runs import (
@@ -39,6 +38,7 @@ from tests.pipeline.run.demo_runs import (
     run,
     status_of,
 )
+from tests.pipeline.workshop import Workshop
 
 # Room on the disk
 
@@ -47,7 +47,9 @@ from tests.pipeline.run.demo_runs import (
 def test_a_run_with_too_little_room_touches_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, minimum_mib: int, is_refused: bool
 ) -> None:
-    fleet = mini_fleet(tmp_path, 1, 1)
+    shop = Workshop.at(tmp_path)
+    shop.log(NIGHTS[0])
+    fleet = shop.fleet
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=(100 << 20) - 1))
     if not is_refused:
         assert run(fleet, minimum_free_mib=minimum_mib).n_nights == 1
@@ -222,7 +224,9 @@ def test_rows_that_cannot_be_staged_are_told_as_that(
     def refused(*_: object) -> None:
         raise StoreError("store_write", "File too large")
 
-    fleet = mini_fleet(tmp_path, 1, 1)
+    shop = Workshop.at(tmp_path)
+    shop.log(NIGHTS[0])
+    fleet = shop.fleet
     monkeypatch.setattr("pipeline.run.motor_task.stage", refused)
     (lost,) = run(fleet).failed
     assert (lost.error_code, lost.message) == ("store_write", "File too large")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import os
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,10 @@ from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorTask
 from pipeline.workers.process import Loss
-from tests.pipeline.mini_fleet import FIRST, mini_fleet
 from tests.pipeline.remembered import processed_of
-from tests.pipeline.workshop import DAY, Workshop
+from tests.pipeline.workshop import DAY, QUICK, Workshop
 
+FIRST = dt.date(2026, 1, 2)
 BLOCKS = FIRST + 2 * DAY
 SILENCE = Loss("log_no_answer", "it did not answer within 3 s")
 
@@ -48,10 +49,15 @@ def opened_all_the_same(task: MotorTask) -> Any:
 def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = mini_fleet(tmp_path, 2, 2, 'backend = "loky"\nanswer_s = 3.0\n')
+    shop = Workshop(tmp_path)
+    isolated = QUICK.replace("sequential", "loky") + "answer_s = 3.0\n"
+    shop.configure(fleet=isolated, motors=("M1", "M2"))
+    for motor in ("M1", "M2"):
+        for night in (FIRST, FIRST + DAY):
+            shop.log(night, motor=motor)
     os.mkfifo(tmp_path / "logs" / "M1" / f"{BLOCKS}.parquet")
     monkeypatch.setattr(pipeline.run.motors, "run_motor", opened_all_the_same)
-    result = run_fleet(RunRequest(load_fleet(config)))
+    result = run_fleet(RunRequest(load_fleet(shop.fleet)))
     m1, m2 = result.outcomes
     assert (m1.status, m1.error_code, m2.status) == ("failed", "log_no_answer", "ok")
     assert statuses(tmp_path, "M1") == ["ok", "ok", "failed"]

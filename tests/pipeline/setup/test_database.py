@@ -26,7 +26,7 @@ def test_check_looks_at_the_newest_nights_and_writes_nothing(
     found = check_motor(plant.spec)
     assert (found.n_files, found.first, found.last) == (3, "2026-01-02", "2026-01-04")
     assert len(found.channels) == 4
-    assert not plant.shop.output.exists()
+    assert not plant.output.exists()
     database.run("ALTER TABLE log RENAME speed TO n")
     (fault,) = check_motor(plant.spec).faults
     assert fault.startswith("log_column_missing: ")
@@ -86,5 +86,5 @@ def test_what_init_cannot_ask_is_refused_without_a_secret(
 
 def test_a_look_refuses_a_database(database: PostgresServer, tmp_path: Path) -> None:
     plant = Plant.at(tmp_path, database, nights=0)
-    error = CliRunner().invoke(app, ["look", str(plant.shop.fleet)]).exception
+    error = CliRunner().invoke(app, ["look", str(plant.fleet)]).exception
     assert error.code == "look_logs"
