@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
@@ -99,11 +100,7 @@ def _wander(rng: np.random.Generator, n: int, memory_s: float) -> Array:
     keeps = float(np.exp(-PERIOD_S / memory_s))
     steps = np.sqrt(1.0 - keeps**2) * rng.standard_normal(n)
     steps[0] = rng.standard_normal()
-    made, last = np.empty(n), 0.0
-    for place, step in enumerate(steps.tolist()):
-        last = keeps * last + step
-        made[place] = last
-    return made
+    return np.asarray(lfilter([1.0], [1.0, -keeps], steps))
 
 
 def _as_text(drive: Drive, readings: pl.DataFrame, *, is_swapped: bool) -> str:

@@ -112,25 +112,16 @@ def kill() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def segfault() -> None:
-    ctypes.string_at(8)
-
-
-def abort() -> None:
-    os.abort()
-
-
-def leave() -> None:
-    os._exit(0)
-
-
 MISBEHAVIOUR: dict[str, Callable[[], None]] = {
     one.__name__: one
     for one in (
-        *(raise_error, panic, hang_in_python, hang_in_c, hang_in_a_pattern, stop, kill, segfault),
+        *(raise_error, panic, hang_in_python, hang_in_c, hang_in_a_pattern, stop, kill),
         *(eat_with_numpy, eat_with_python, eat_with_polars, eat_with_arrow, eat_at_once),
-        *(abort, leave),
     )
+} | {
+    "segfault": lambda: ctypes.string_at(8),
+    "abort": os.abort,
+    "leave": lambda: os._exit(0),
 }
 
 

@@ -8,7 +8,7 @@ import shutil
 import sys
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,6 @@ OF_RUNS = {"runs", "motor_outcomes"}
 Tables = dict[str, pl.DataFrame]
 
 
-@dataclass(frozen=True, slots=True)
 class TinyFleet(Workshop):
     """Logs and config, and outputs as runs leave them."""
 

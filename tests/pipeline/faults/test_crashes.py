@@ -178,58 +178,35 @@ WORKS = [(made, "killed") for made in CASES]
 WORKS += [(made, fault) for made in (nightly, first, notification) for fault in ("refused", "full")]
 
 
-def check_points(
-    made: Callable[[TinyFleet, Path], Case],
-    fleet: TinyFleet,
+# Without a part: a few points by chance; the parts together are all.
+PARTS = [None, *(pytest.param(part, marks=pytest.mark.full) for part in range(SLICES))]
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize(("made", "fault"), WORKS)
+def test_a_work_that_is_broken_off_is_made_up_for(
+    tiny_fleet: TinyFleet,
     victim: Victim,
-    folder: Path,
+    tmp_path: Path,
+    made: Callable[[TinyFleet, Path], Case],
     fault: Fault,
-    choose: Callable[[int], list[int]],
+    part: int | None,
 ) -> None:
-    case, output = made(fleet, folder), folder / "crashed" / "out"
+    case, output = made(tiny_fleet, tmp_path), tmp_path / "crashed" / "out"
     shutil.copytree(case.before, output)
     n = victim.crash_at(0, case.work, case.fleet.folder, output, fault).seen
+    assert n > 10
+    rng = np.random.default_rng(len(f"{made.__name__}{fault}"))
+    some = rng.choice(n, 3, replace=False) if part is None else np.arange(part, n, SLICES)
     ends: Counter[str] = Counter()
-    for point in choose(n):
+    for point in some.tolist():
         shutil.rmtree(output)
         shutil.copytree(case.before, output)
-        (folder / "told").unlink(missing_ok=True)
-        end = victim.crash_at(point, case.work, case.fleet.folder, output, fault)
+        (tmp_path / "told").unlink(missing_ok=True)
+        end = victim.crash_at(point + 1, case.work, case.fleet.folder, output, fault)
         case.crashed(output, end)
         with remembered_fits():
             case.fleet.run(output)  # nobody holds the lock any more
         case.repaired(output)
         ends[f"{end.how} {end.struck}"] += 1
-    assert n > 10
     sys.stdout.write(f"{made.__name__}, {fault}: {n} points, tried {dict(ends)}\n")
-
-
-@pytest.mark.parametrize(("made", "fault"), WORKS)
-def test_some_points(
-    tiny_fleet: TinyFleet,
-    victim: Victim,
-    tmp_path: Path,
-    made: Callable[[TinyFleet, Path], Case],
-    fault: Fault,
-) -> None:
-    rng = np.random.default_rng(len(f"{made.__name__}{fault}"))
-    check_points(
-        made, tiny_fleet, victim, tmp_path, fault,
-        lambda n: [int(one) + 1 for one in rng.choice(n, 3, replace=False)],
-    )  # fmt: skip
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("part", range(SLICES))
-@pytest.mark.parametrize(("made", "fault"), WORKS)
-def test_every_point(
-    tiny_fleet: TinyFleet,
-    victim: Victim,
-    tmp_path: Path,
-    made: Callable[[TinyFleet, Path], Case],
-    fault: Fault,
-    part: int,
-) -> None:
-    check_points(
-        made, tiny_fleet, victim, tmp_path, fault, lambda n: list(range(1 + part, n + 1, SLICES))
-    )

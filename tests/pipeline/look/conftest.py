@@ -13,7 +13,7 @@ from tests.pipeline.look.fleet import Growing, configured, made_watch
 
 @pytest.fixture(scope="session")
 def before(tmp_path_factory: pytest.TempPathFactory) -> NightsBefore:
-    return made_watch(configured(tmp_path_factory.mktemp("made")).fleet.motors[0])
+    return made_watch(configured(tmp_path_factory.mktemp("made")).spec)
 
 
 @pytest.fixture

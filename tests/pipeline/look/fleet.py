@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -15,16 +13,16 @@ from numpy.typing import NDArray
 
 from leakage.watch import NightBlocks, Watch
 from pipeline.clock import utc
-from pipeline.config import Fleet, MotorSpec, load_fleet
+from pipeline.config import MotorSpec, load_fleet
 from pipeline.look.comparison import NightsBefore, blocks_within, night_blocks
 from pipeline.look.look import MotorLook, look_at_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.schema import LOOKS
-from pipeline.store.tables import read_table
 from pipeline.trends.nights.layout import Layout
 from pipeline.trends.states.course import watch_settings
+from tests.pipeline.calling import change
+from tests.pipeline.notification.fleet import keep, told
 from tests.pipeline.simulated import Operation, motor_toml, night_of, operate, raw, write_configs
-from tests.pipeline.workshop import DAY, MINI, QUICK
+from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop
 
 FIRST = dt.date(2026, 1, 2)
 NIGHTS = 20
@@ -60,60 +58,44 @@ def noise(seed: int, n: int) -> NDArray[np.float64]:
     return np.asarray(np.random.default_rng(seed).normal(0.0, 0.1, n))
 
 
-@lru_cache(maxsize=64)
-def _loaded(file: Path) -> Fleet:
-    return load_fleet(file)
+loaded = lru_cache(maxsize=64)(load_fleet)
 
 
-@dataclass(frozen=True, slots=True)
-class Growing:
+class Growing(Workshop):
     """The fleet, in a folder."""
 
-    folder: Path
-
-    @property
-    def fleet(self) -> Fleet:
-        return _loaded(self.folder / "configs" / "fleet.toml")
-
-    @property
-    def output(self) -> Path:
-        return self.folder / "out"
-
-    def log(self, motor: str = "M1") -> Path:
+    def today(self, motor: str = "M1") -> Path:
         """The log that grows today."""
         return self.folder / "logs" / motor / "today.csv"
 
     def append(self, rows: Sequence[str], motor: str = "M1") -> None:
-        path = self.log(motor)
+        path = self.today(motor)
         is_new = not path.exists()
         with path.open("a", encoding="utf-8") as file:
             file.write((HEADER if is_new else "") + "".join(rows))
 
     def look(self, minutes: float = MINUTES) -> tuple[MotorLook, ...]:
         """Look so long after the begin of today's log."""
-        return look_at_fleet(self.fleet, clock=BEGIN + dt.timedelta(minutes=minutes))
+        return look_at_fleet(loaded(self.fleet), clock=BEGIN + dt.timedelta(minutes=minutes))
 
     def run(self, *, days: int = 1) -> None:
         """The nightly run, so many mornings after today's log began."""
         clock = BEGIN + days * DAY
-        assert not run_fleet(RunRequest(self.fleet, clock=clock)).failed
+        assert not run_fleet(RunRequest(loaded(self.fleet), clock=clock)).failed
 
-    def rows(self) -> list[dict[str, object]]:
+    def looks(self) -> list[dict[str, object]]:
         """Published rows of `looks`, in order."""
-        files = sorted((self.output / "tables" / "looks").rglob("*.parquet"))
-        return [row for path in files for row in read_table(path, LOOKS).to_dicts()]
+        return self.rows("looks").to_dicts()
 
     def told(self) -> list[dict[str, object]]:
         """Changes that were delivered, in order."""
-        path = self.folder / "told.jsonl"
-        lines = path.read_text("utf-8").splitlines() if path.exists() else []
-        return [change for line in lines for change in json.loads(line)["changes"]]
+        return [change for one in told(self.folder) for change in one["changes"]]
 
     def copy(self, folder: Path) -> Growing:
         shutil.copytree(self.folder, folder)
-        file = folder / "configs" / "fleet.toml"
-        file.write_text(file.read_text("utf-8").replace(f"{self.folder}/", f"{folder}/"), "utf-8")
-        return Growing(folder)
+        made = Growing(folder)
+        change(made.fleet, "fleet.toml", f"{self.folder}/", f"{folder}/")
+        return made
 
 
 def configured(folder: Path, motors: Sequence[str] = ("M1",), circuit: str = "") -> Growing:
@@ -125,8 +107,7 @@ def configured(folder: Path, motors: Sequence[str] = ("M1",), circuit: str = "")
         text = text.replace('format = "parquet"', 'format = "csv"\ntime = "time"')
         texts[motor] = text.replace("[logs]", f"{more}[logs]", 1)
         (folder / "logs" / motor).mkdir(parents=True)
-    file = folder / "told.jsonl"
-    teller = f'[alarms]\ncommand = ["sh", "-c", "cat >> {file}; echo >> {file}"]\n'
+    teller = f"[alarms]\n{keep(folder / 'told')}\n"
     write_configs(folder, texts, {"MINI": MINI}, QUICK + LOOK + teller)
     return Growing(folder)
 
@@ -134,11 +115,10 @@ def configured(folder: Path, motors: Sequence[str] = ("M1",), circuit: str = "")
 def published(folder: Path) -> Growing:
     """The fleet with its nights published."""
     made = configured(folder)
-    (spec,) = made.fleet.motors
     for night in range(NIGHTS):
         label = FIRST + night * DAY
-        rows = night_rows(spec, label, seed=night)
-        (made.log().parent / f"{label}.csv").write_text(HEADER + "".join(rows), "utf-8")
+        rows = night_rows(made.spec, label, seed=night)
+        (made.logs / f"{label}.csv").write_text(HEADER + "".join(rows), "utf-8")
     made.run(days=0)
     return made
 

@@ -23,7 +23,7 @@ def tables(fleet: Growing) -> dict[str, bytes]:
 def test_a_day_of_looks_leaves_the_tables_of_the_night_as_they_are_without(tmp_path: Path) -> None:
     looked = published(tmp_path / "looked")
     alone = looked.copy(tmp_path / "alone")
-    rows = night_rows(looked.fleet.motors[0], TODAY, 500, 0.8, 30.0)
+    rows = night_rows(looked.spec, TODAY, 500, 0.8, 30.0)
     alone.append(rows)
     alone.run()
     for minute in range(24 * 60):
@@ -33,7 +33,7 @@ def test_a_day_of_looks_leaves_the_tables_of_the_night_as_they_are_without(tmp_p
             looked.run()
         looked.look(minute + 1)
     assert tables(looked) == tables(alone)
-    moves = [(row["to_state"], row["verdict"]) for row in looked.rows()]
+    moves = [(row["to_state"], row["verdict"]) for row in looked.looks()]
     assert moves[:3] == [("blind", None), ("clear", None), ("look_now", "told")]
     assert moves[3] == ("look_now", "confirmed")
     scores = look_statuses(looked.output, ["M1"])["M1"]
@@ -43,7 +43,7 @@ def test_a_day_of_looks_leaves_the_tables_of_the_night_as_they_are_without(tmp_p
 
 def test_columns_that_change_are_told_as_that_and_not_as_a_rise(tmp_path: Path) -> None:
     fleet = published(tmp_path / "fleet")
-    healthy = night_rows(fleet.fleet.motors[0], TODAY, 500)
+    healthy = night_rows(fleet.spec, TODAY, 500)
     cells = [row.rstrip().split(",") for row in healthy]
     others = {
         "mpa": (
@@ -63,6 +63,6 @@ def test_columns_that_change_are_told_as_that_and_not_as_a_rise(tmp_path: Path) 
         other.look(begin / 60)
         other.append(rows[begin:])
         other.look()
-        assert [row["to_state"] for row in other.rows()] == ["blind", "clear", "blind"]
-        assert words in str(other.rows()[-1]["reason"])
+        assert [row["to_state"] for row in other.looks()] == ["blind", "clear", "blind"]
+        assert words in str(other.looks()[-1]["reason"])
         assert other.told() == []

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.config import load_fleet
 from pipeline.errors import LockedError
 from pipeline.look import look as module
 from pipeline.store.locks import locked
@@ -29,11 +30,11 @@ SECONDS = 60
 
 
 def day(fleet: Growing, rise: float = 0.8, motor: int = 0) -> list[str]:
-    return night_rows(fleet.fleet.motors[motor], TODAY, 500 + motor, rise, RISE)
+    return night_rows(load_fleet(fleet.fleet).motors[motor], TODAY, 500 + motor, rise, RISE)
 
 
 def states(fleet: Growing) -> list[tuple[str, str]]:
-    return [(str(row["from_state"]), str(row["to_state"])) for row in fleet.rows()]
+    return [(str(row["from_state"]), str(row["to_state"])) for row in fleet.looks()]
 
 
 BEGUN = [("not_ready", "blind"), ("blind", "clear")]
@@ -67,7 +68,7 @@ def test_looks_each_minute_tell_what_one_look_at_the_end_tells(
     other.append(rows)
     other.look()
     assert states(fleet) == TOLD
-    assert fleet.rows() == other.rows()
+    assert fleet.looks() == other.looks()
     assert len(fleet.told()) == 1
     check_same(fleet, other)
 
@@ -84,7 +85,7 @@ def test_a_healthy_motor_is_clear_and_blind_when_its_log_ends(fleet: Growing) ->
     assert states(fleet) == BEGUN
     fleet.look(MINUTES + 70)
     assert states(fleet) == [*BEGUN, ("clear", "blind")]
-    assert "no new samples" in str(fleet.rows()[-1]["reason"])
+    assert "no new samples" in str(fleet.looks()[-1]["reason"])
     assert fleet.told() == []
 
 
@@ -100,12 +101,12 @@ def test_motors_of_a_tank_that_rise_alike_are_said_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fleet: Growing
 ) -> None:
     tank = configured(tmp_path / "tank", ("M1", "M2"), circuit="tank")
-    watches = {one.motor_id: made_watch(one) for one in tank.fleet.motors}
+    watches = {one.motor_id: made_watch(one) for one in load_fleet(tank.fleet).motors}
     monkeypatch.setattr(module, "nights_before", lambda _, spec, *__: watches[spec.motor_id])
     tank.append(day(tank), "M1")
     tank.append(day(tank, motor=1), "M2")
     tank.look()
-    told = [row for row in tank.rows() if row["to_state"] == "look_now"]
+    told = [row for row in tank.looks() if row["to_state"] == "look_now"]
     assert len(told) == 2
     assert all("all motors of its oil circuit" in str(row["reason"]) for row in told)
 
@@ -118,7 +119,7 @@ def test_without_a_watch_nothing_is_read_and_nobody_is_told(
     (found,) = fleet.look()
     assert (found.state.state, found.state.reason) == ("not_ready", "5 of 8 nights")
     assert found.state.files == {}
-    assert fleet.rows() == fleet.told() == []
+    assert fleet.looks() == fleet.told() == []
 
 
 def test_a_log_written_anew_under_the_reader_is_told_once(fleet: Growing, tmp_path: Path) -> None:
@@ -126,17 +127,16 @@ def test_a_log_written_anew_under_the_reader_is_told_once(fleet: Growing, tmp_pa
     fleet.append(rows[: 20 * SECONDS])
     fleet.look(20)
     # Cut and written anew with what was there before, then rotated away under another name.
-    fleet.log().write_text(HEADER + "".join(rows[: 41 * SECONDS]), "utf-8")
+    fleet.today().write_text(HEADER + "".join(rows[: 41 * SECONDS]), "utf-8")
     fleet.look(41)
-    fleet.log().rename(fleet.log().with_name("old.csv"))
+    fleet.today().rename(fleet.today().with_name("old.csv"))
     fleet.append(rows[41 * SECONDS :])
     fleet.look()
     assert states(fleet) == TOLD
     assert len(fleet.told()) == 1
     other.append(rows)
     other.look()
-    ours, theirs = (look_of(one.output, "M1").blocks for one in (fleet, other))
-    np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+    check_same(fleet, other)
 
 
 def test_neither_a_single_stamp_far_ahead_nor_a_nightly_run_blinds_and_a_second_look_is_refused(
@@ -161,7 +161,7 @@ def test_a_log_that_cannot_be_read_costs_no_other_motor_and_is_said(fleet: Growi
     (found,) = fleet.look()
     assert not found.fault
     assert found.state.state == "blind"
-    fleet.log().unlink()
+    fleet.today().unlink()
     fleet.append(day(fleet))
     fleet.look()
     assert states(fleet)[-1] == TOLD[-1]
@@ -170,7 +170,7 @@ def test_a_log_that_cannot_be_read_costs_no_other_motor_and_is_said(fleet: Growi
 def look(folder: Path, _: Path) -> None:
     """A look in a process of its own."""
     fleet = Growing(folder)
-    before = made_watch(fleet.fleet.motors[0])
+    before = made_watch(fleet.spec)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(module, "nights_before", lambda *_: before)
         fleet.look()
@@ -194,5 +194,5 @@ def test_a_look_that_is_broken_off_anywhere_is_made_up_for(
             other = fleet.copy(tmp_path / str(point))
             victim.crash_at(point, look, other.folder, other.output, fault)
             other.look()
-            assert other.rows() == whole.rows()
+            assert other.looks() == whole.looks()
             assert {one["id"] for one in other.told()} == {told["id"]}

@@ -46,7 +46,7 @@ def test_reading_goes_on_behind_the_last_piece_before_what_is_needed(
     place: Growing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "PIECE_BYTES", 1_000)
-    (spec,), text = place.fleet.motors, rows()
+    spec, text = place.spec, rows()
     place.append(text[:100])
     first = read(spec, {}, 0)
     assert seconds(first) == list(range(100))
@@ -65,7 +65,7 @@ def test_reading_goes_on_behind_the_last_piece_before_what_is_needed(
 
 
 def test_a_torn_row_waits_for_its_end(place: Growing) -> None:
-    (spec,), text = place.fleet.motors, rows()
+    spec, text = place.spec, rows()
     place.append([*text[:10], text[10][:30]])
     first = read(spec, {}, 0)
     assert seconds(first) == list(range(10))
@@ -74,24 +74,24 @@ def test_a_torn_row_waits_for_its_end(place: Growing) -> None:
 
 
 def test_a_file_that_is_cut_or_replaced_is_read_from_its_begin(place: Growing) -> None:
-    (spec,), text = place.fleet.motors, rows()
+    spec, text = place.spec, rows()
     place.append(text[:100])
     seen = read(spec, {}, 0).files
-    place.log().unlink()
+    place.today().unlink()
     place.append(text[100:110])
     assert seconds(read(spec, seen, 100)) == list(range(100, 110))
-    place.log().unlink()
+    place.today().unlink()
     # Longer than before, and another one.
     place.append(text[200:400])
     assert seconds(read(spec, seen, 100)) == list(range(200, 400))
 
 
 def test_a_rotated_file_loses_no_row(place: Growing) -> None:
-    (spec,), text = place.fleet.motors, rows()
+    spec, text = place.spec, rows()
     place.append(text[:100])
     seen = read(spec, {}, 0).files
     place.append(text[100:120])
-    place.log().rename(place.log().with_name("yesterday.csv"))
+    place.today().rename(place.today().with_name("yesterday.csv"))
     place.append(text[120:150])
     found = seconds(read(spec, seen, 100))
     assert set(range(100, 150)) <= set(found)
@@ -101,15 +101,15 @@ def test_a_rotated_file_loses_no_row(place: Growing) -> None:
 def test_an_old_file_is_not_opened_and_a_damaged_one_is_tried_when_it_has_changed(
     place: Growing,
 ) -> None:
-    (spec,) = place.fleet.motors
-    old = place.log().with_name("old.csv")
+    spec = place.spec
+    old = place.today().with_name("old.csv")
     old.write_text("\x00", "utf-8")
     os.utime(old, ns=((FIRST_US - 3 * 86_400_000_000) * 1000,) * 2)
-    place.log().write_text("something,else\n1,2\n", "utf-8")
+    place.today().write_text("something,else\n1,2\n", "utf-8")
     first = read(spec, {}, 0)
     assert set(first.files) == {"M1/today.csv"}
     assert "no column" in first.fault
     assert read_news(spec, first.files, FIRST_US, LATEST_US) is None
-    place.log().unlink()
+    place.today().unlink()
     place.append(rows()[:10])
     assert seconds(read(spec, first.files, 0)) == list(range(10))

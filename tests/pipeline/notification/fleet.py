@@ -30,15 +30,11 @@ def told(folder: Path) -> list[dict[str, Any]]:
 
 def told_fleet(folder: Path, alarms: str) -> Path:
     """Publish some nights and write the config, with lines of `[alarms]`; the fleet's file."""
-    config = write_config(folder, alarms)
+    fleet = f"{QUICK}[alarms]\n{alarms}\n"
+    config = configure(folder, fleet=fleet, limits=LIMITS)
     (spec,) = load_fleet(config).motors
     publish(folder / "out", Nights(spec, N).frames())
     return config
-
-
-def write_config(folder: Path, alarms: str) -> Path:
-    fleet = f"{QUICK}[alarms]\n{alarms}\n"
-    return configure(folder, fleet=fleet, limits=LIMITS)
 
 
 def run(config: Path) -> RunResult:

@@ -169,15 +169,6 @@ def test_a_receiver_is_told_of_what_comes_while_the_config_names_it(
     assert again.motors() == ["M4"]
 
 
-def test_rows_that_a_killed_run_published_are_told_by_the_next(tmp_path: Path) -> None:
-    receiver = Fake()
-    with open_state(tmp_path) as state:
-        open_outbox(state, ["command"], FLEET)
-    publish(tmp_path, row("M1"))  # and there the run was killed
-    run(tmp_path, [row("M1"), row("M2")], receiver)
-    assert receiver.motors() == ["M1", "M2"]
-
-
 def test_a_row_that_is_made_anew_is_not_told_again(tmp_path: Path) -> None:
     receiver = Fake()
     run(tmp_path, [row("M1")], receiver)
@@ -289,12 +280,12 @@ def test_what_was_taken_is_known_at_once(tmp_path: Path) -> None:
     assert [one["night"] for one in receiver.changes()] == ["2026-02-17", "2026-02-18"]
 
 
-def test_a_damaged_table_waits_and_keeps_nothing_else(
+def test_what_a_killed_run_published_is_told_and_a_damaged_table_waits(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     receiver, later = Fake(), FIRST + dt.timedelta(20)
     run(tmp_path, [], receiver)
-    publish(tmp_path, row("M1"), row("M2", later))
+    publish(tmp_path, row("M1"), row("M2", later))  # and there the run was killed
     whole = night_file(tmp_path, ALARMS, FIRST).read_bytes()
     night_file(tmp_path, ALARMS, FIRST).write_bytes(whole[:-4])
     run(tmp_path, [], receiver)

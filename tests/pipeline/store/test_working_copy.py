@@ -33,7 +33,8 @@ from pipeline.store.tables import night_file
 from pipeline.store.working_copy import ROOT, Snapshot, key_of, pull, push, read_snapshot
 from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
 from tests.conftest import OwnFleet
-from tests.pipeline.notification.fleet import keep, told_fleet, write_config
+from tests.pipeline.calling import change
+from tests.pipeline.notification.fleet import keep, told, told_fleet
 from tests.pipeline.run.demo_runs import CSV, PARQUET, status_of, table_files
 from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
 from tests.pipeline.workshop import DAY, Workshop
@@ -368,7 +369,7 @@ def test_what_is_told_is_published_and_known_on_every_machine(
 
     fleet = told_fleet(tmp_path, keep(tmp_path / "none" / "told"))
     run(fleet, tmp_path / "out")
-    write_config(tmp_path, keep(tmp_path / "told"))
+    change(fleet, "fleet.toml", "/none/told", "/told")
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.store.working_copy, "push", denied)
         with pytest.raises(StoreError):
@@ -376,7 +377,7 @@ def test_what_is_told_is_published_and_known_on_every_machine(
     assert not (tmp_path / "told").exists()
     for machine in ("second", "third", "out"):
         run(fleet, tmp_path / machine)
-        assert len((tmp_path / "told").read_text().splitlines()) == 1
+        assert len(told(tmp_path)) == 1
         with open_state(tmp_path / machine) as state:
             assert waiting(state, "command") == []
 
