@@ -7,6 +7,7 @@ one.
 from __future__ import annotations
 
 import datetime as dt
+import os
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -17,6 +18,7 @@ import polars as pl
 import pytest
 
 from pipeline.errors import StoreError
+from pipeline.run.mending import repair
 from pipeline.schema import (
     BLOCK_STATISTICS,
     FITS,
@@ -30,19 +32,7 @@ from pipeline.store.published import share_due, verify_tables
 from pipeline.store.state import open_state
 from pipeline.store.tables import night_file, read_rows
 from pipeline.trends.nights.from_tables import FIT_COLUMNS
-from tests.pipeline.faults.damage import (
-    EVERY_RUN,
-    codes,
-    cut_off,
-    flip,
-    found,
-    left,
-    name_of,
-    remove_aside,
-    repaired,
-    rot,
-    rot_of_footer,
-)
+from tests.pipeline.faults.damage import flip, name_of, remove_aside, rot, rot_of_footer, told
 from tests.pipeline.faults.fleet import MOTORS, TinyFleet, check_repaired
 from tests.pipeline.remembered import change, processed_of
 from tests.pipeline.simulated import NIGHT
@@ -55,7 +45,8 @@ pytestmark = pytest.mark.usefixtures("_quick")
     ("table", "damage", "code"),
     [(one, Path.unlink, "table_missing") for one in (PREDICTIONS, INPUT_FILES, TRENDS)]
     + [(one, rot, "table_altered") for one in (BLOCK_STATISTICS, FITS)]
-    + [(FITS, cut_off, "table_altered"), (TRENDS, rot_of_footer, "table_altered")],
+    + [(FITS, lambda path: os.truncate(path, 100), "table_altered")]
+    + [(TRENDS, rot_of_footer, "table_altered")],
 )
 def test_a_file_that_is_gone_or_damaged_is_named_and_made_anew_by_the_run_that_proves_it(
     tiny_fleet: TinyFleet,
@@ -68,12 +59,12 @@ def test_a_file_that_is_gone_or_damaged_is_named_and_made_anew_by_the_run_that_p
     path = night_file(output, table, NIGHT)
     damage(path)
     left_over = [path.read_bytes()] if path.exists() else []
-    result = tiny_fleet.run(output, **EVERY_RUN)
-    assert found(result) == [(name_of(path, output), code)]
+    result = tiny_fleet.run(output, prove_within_days=1)
+    assert told(result.damage) == [(name_of(path, output), code)]
     assert (result.damage_left, result.failed) == ((), ())
     assert f"{code}: {name_of(path, output)}: " in caplog.text
-    told = pl.read_parquet(max((output / "tables" / "runs").rglob("*.parquet")))["damage"]
-    assert told.list.first().to_list()[-1].startswith(f"{code}: {name_of(path, output)}: ")
+    of_run = pl.read_parquet(max((output / "tables" / "runs").rglob("*.parquet")))["damage"]
+    assert of_run.list.first().to_list()[-1].startswith(f"{code}: {name_of(path, output)}: ")
     assert [one.read_bytes() for one in output.rglob("*.damaged")] == left_over
     remove_aside(output)
     check_repaired(output, tiny_fleet.after)
@@ -91,7 +82,7 @@ def test_what_a_program_has_written_to_is_proven_in_the_next_run(
     rot(path)  # which keeps the time
     assert tiny_fleet.run(output).damage == ()
     path.write_bytes(whole[:-50] + bytes(50))
-    assert found(tiny_fleet.run(output)) == [(name_of(path, output), "table_altered")]
+    assert told(tiny_fleet.run(output).damage) == [(name_of(path, output), "table_altered")]
 
 
 @pytest.mark.parametrize("days", [range(30), (29,), (0, 1, 5, 6, 29), [0] * 30])
@@ -129,7 +120,7 @@ def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     change(output, "DELETE FROM trends WHERE motor_id = 'M1'")
     result = tiny_fleet.run(output)
     assert {outcome.error_code for outcome in result.failed} == {"store_read"}
-    assert found(result) == [(name_of(path, output), "table_altered")]
+    assert told(result.damage) == [(name_of(path, output), "table_altered")]
     result = tiny_fleet.run(output)
     assert (result.failed, result.damage_left) == ((), ())
     remove_aside(output)
@@ -168,7 +159,11 @@ def test_a_file_that_may_not_be_read_is_named_and_left_alone(
     path.unlink()
     path.mkdir()
     result = tiny_fleet.run(output)
-    assert found(result) == left(result) == [(name_of(path, output), "table_unreadable")]
+    assert (
+        told(result.damage)
+        == told(result.damage_left)
+        == [(name_of(path, output), "table_unreadable")]
+    )
     assert path.is_dir()
 
 
@@ -180,17 +175,18 @@ def test_without_logs_it_is_named_until_they_come_back_or_people_give_it_up(
     path.unlink()
     for _ in range(2):
         result = fleet.run(output)
-        assert left(result) == [(name_of(path, output), "table_missing")]
+        assert told(result.damage_left) == [(name_of(path, output), "table_missing")]
     # Of other tables nothing is made anew for it.
     assert read_rows(output, FITS, MOTORS).equals(kept, null_equal=True)
     other = shutil.copytree(output, tmp_path / "other")
     assert tiny_fleet.run(other).damage_left == ()
     check_repaired(other, tiny_fleet.after)
-    before, after = repaired(output)
+    with open_state(output) as state:
+        before, after = repair(state)
     assert [fault.code for fault in before] == ["table_missing"]
     assert after == ()
     assert fleet.run(output).damage == ()
-    assert codes(output) == []
+    assert list(verify_tables(output)) == []
 
 
 def test_parameters_are_made_anew_from_stored_blocks(
@@ -203,7 +199,7 @@ def test_parameters_are_made_anew_from_stored_blocks(
     result = without_logs().run(output)
     assert result.damage_left == ()
     pl.testing.assert_frame_equal(pl.read_parquet(path).select(columns), before, rel_tol=1e-9)
-    assert codes(output) == []
+    assert list(verify_tables(output)) == []
 
 
 def test_rows_of_a_motor_whose_logs_are_gone_are_named(
@@ -212,7 +208,7 @@ def test_rows_of_a_motor_whose_logs_are_gone_are_named(
     fleet, path = without_logs("M1"), night_file(output, BLOCK_STATISTICS, NIGHT)
     path.unlink()
     result = fleet.run(output)
-    assert left(result) == [(name_of(path, output), "rows_lost")]
+    assert told(result.damage_left) == [(name_of(path, output), "rows_lost")]
     assert result.damage_left[0].message.startswith("rows of M2 are not made anew: ")
     assert pl.read_parquet(path)["motor_id"].unique().to_list() == ["M1"]
     # What is known of its night still is: the night after is not judged anew.
@@ -224,6 +220,6 @@ def test_a_file_of_a_run_is_named_and_given_up(tiny_fleet: TinyFleet, output: Pa
     path = min((output / "tables" / "runs").rglob("*.parquet"))
     path.unlink()
     result = tiny_fleet.run(output)
-    assert found(result) == [(name_of(path, output), "table_missing")]
+    assert told(result.damage) == [(name_of(path, output), "table_missing")]
     assert result.damage_left == ()
-    assert codes(output) == []
+    assert list(verify_tables(output)) == []

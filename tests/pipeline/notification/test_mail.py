@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import email.policy
-import ipaddress
 import json
 import socket
 import ssl
@@ -18,15 +17,12 @@ from typing import Any
 import pytest
 from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import SMTP, AuthResult, Envelope, LoginPassword, Session
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
 
 from pipeline.config.alarms import Email
 from pipeline.notification.delivery import Delivery, UndeliveredError
 from pipeline.notification.mail import Mail
 
+CERTIFICATE = Path(__file__).with_name("server.pem")
 PASSWORD = "correct horse"  # noqa: S105
 
 
@@ -80,13 +76,13 @@ class Server:
 
 
 @contextmanager
-def serving(certificate: Path | None = None, *, tls: bool = False) -> Iterator[Server]:
+def serving(*, starttls: bool = False, tls: bool = False) -> Iterator[Server]:
     with socket.create_server(("127.0.0.1", 0)) as free:  # aiosmtpd chooses none itself
         server = Server(free.getsockname()[1])
     context = None
-    if certificate is not None:
+    if starttls or tls:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.load_cert_chain(certificate)
+        context.load_cert_chain(CERTIFICATE)
     controller = Controller(
         server,
         hostname="127.0.0.1",
@@ -101,32 +97,6 @@ def serving(certificate: Path | None = None, *, tls: bool = False) -> Iterator[S
         yield server
     finally:
         controller.stop()
-
-
-@pytest.fixture(scope="module")
-def certificate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Key and certificate for 127.0.0.1, signed by itself."""
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "127.0.0.1")])
-    now = dt.datetime.now(dt.UTC)
-    made = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - dt.timedelta(hours=1))
-        .not_valid_after(now + dt.timedelta(hours=1))
-        .add_extension(
-            x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]), False
-        )
-        .sign(key, hashes.SHA256())
-    )
-    path = tmp_path_factory.mktemp("tls") / "server.pem"
-    pem, plain = serialization.Encoding.PEM, serialization.NoEncryption()
-    secret = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, plain)
-    path.write_bytes(secret + made.public_bytes(pem))
-    return path
 
 
 def fault_of(settings: Email, deadline_s: float = 30.0) -> UndeliveredError:
@@ -211,14 +181,14 @@ LOGIN = {"user": "leakage", "password": "${MAIL_PASSWORD}"}
 
 @pytest.mark.parametrize("security", ["starttls", "tls"])
 def test_it_logs_in_over_a_checked_certificate(
-    certificate: Path, security: str, monkeypatch: pytest.MonkeyPatch
+    security: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MAIL_PASSWORD", PASSWORD)
-    with serving(certificate, tls=security == "tls") as server:
+    with serving(**{security: True}) as server:
         settings = server.settings(**LOGIN, security=security)
         assert "certificate" in fault_of(settings).why
         assert server.logins == []
-        monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+        monkeypatch.setenv("SSL_CERT_FILE", str(CERTIFICATE))
         Mail(settings).take(delivery(RING))
         monkeypatch.setenv("MAIL_PASSWORD", "wrong")
         assert fault_of(settings).why == "SMTP 535"
