@@ -73,11 +73,6 @@ class TinyFleet(Workshop):
     def run(self, output: Path, **execution: Any) -> RunResult:
         return run_fleet(self.request(output, **execution))
 
-    def copy(self, output: Path) -> Path:
-        """The output of before, to be run on."""
-        shutil.rmtree(output, ignore_errors=True)
-        return shutil.copytree(self.before, output)
-
 
 @contextmanager
 def remembered_fits() -> Iterator[None]:
