@@ -151,16 +151,11 @@ def die_once(marker: str) -> str:
 
 def workers_of(parent: int) -> int:
     """Number of workers of a process that are at work: those that have something loaded."""
-    mine = f"PPid:\t{parent}\n"
-    found = 0
-    for status in Path("/proc").glob("[0-9]*/status"):
-        try:
-            found += mine in status.read_text() and "popen_loky_posix" in (
-                status.with_name("cmdline").read_text()
-            )
-        except OSError:  # ended meanwhile
-            continue
-    return found
+    import psutil
+
+    processes = psutil.process_iter(["ppid", "cmdline"])
+    mine = (one.info["cmdline"] or () for one in processes if one.info["ppid"] == parent)
+    return sum("popen_loky_posix" in " ".join(command) for command in mine)
 
 
 def count_beside_or_die(marker: str) -> int:

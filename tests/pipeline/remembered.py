@@ -40,10 +40,3 @@ def change(output: Path, statement: str, *values: Any) -> None:
     """Change something of what is remembered."""
     with open_state(output) as state:
         state.write(statement, *values)
-
-
-def forget(output: Path, motor_id: str | None = None) -> None:
-    """Forget a motor's record of processed logs, or those of all."""
-    for table in ("logs", "nights", "motors"):
-        where, values = ("", ()) if motor_id is None else (" WHERE motor_id = ?", (motor_id,))
-        change(output, f"DELETE FROM {table}{where}", *values)

@@ -1,9 +1,10 @@
 """A plant's first day: from a folder of logs of other physics to what is told of each motor.
 
-The plant is a sugar mill, and its physics are others than the model that is fitted. Three slow drives, one CSV file a day each, as a German control system writes them. The drain flow
-has a laminar part, a part that goes with the speed and one through an orifice; the oil's viscosity
-falls by a power of e. What goes wrong is what goes wrong in plants: a drive worsens, two columns
-change places, a file is cut, and one drive logs MPa beside bar.
+The plant is a sugar mill of other physics than the model that is fitted. Three slow drives write
+one CSV file a day each, as a German control system does. The drain flow has a laminar part, a part
+that goes with the speed and one through an orifice; the oil's viscosity falls by a power of e. What
+goes wrong is what goes wrong in plants: a drive worsens, two columns change places, a file is cut,
+and one drive logs MPa beside bar.
 """
 
 from __future__ import annotations

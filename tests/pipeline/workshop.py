@@ -16,8 +16,9 @@ from pipeline.config import MotorSpec, load_fleet
 from pipeline.logs.processed import read_processed
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.tasks import MotorOutcome, MotorTask
-from pipeline.schema import NIGHT_TABLES, TABLES
+from pipeline.schema import NIGHT_TABLES
 from pipeline.store.state import read_state_file
+from tests.pipeline.run.demo_runs import rows
 from tests.pipeline.simulated import FLEET, Operation, motor_toml, operate, write_configs, write_log
 
 DAY = dt.timedelta(days=1)
@@ -111,12 +112,7 @@ class Workshop:
         return path
 
     def rows(self, table: str) -> pl.DataFrame:
-        (declared,) = (one for one in TABLES if one.name == table)
-        files = sorted((self.output / "tables" / table).rglob("*.parquet"))
-        if not files:
-            return pl.DataFrame(schema=declared.schema).drop("run_id")
-        found = pl.concat([pl.read_parquet(path, hive_partitioning=False) for path in files])
-        return found.sort(declared.key).drop("run_id")
+        return rows(self.output, table)
 
     def statuses(self) -> dict[dt.date, str]:
         return dict(self.rows("fits").select("night", "status").iter_rows())

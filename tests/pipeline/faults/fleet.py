@@ -8,7 +8,6 @@ import shutil
 import sys
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +15,14 @@ import polars as pl
 import pytest
 
 import pipeline.run.motor_task
-from pipeline.config import load_fleet
 from pipeline.night.fit_night import NightOutcome, fit_night
-from pipeline.run.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.fleet import RunResult
 from pipeline.schema import LATEST, TABLES, TREND_TABLES, Table
 from pipeline.store.published import verify_tables
 from pipeline.store.state import STATE_FILE
 from pipeline.store.tables import files_of, name_of, read_table
 from tests.pipeline.remembered import LASTING, processed_of, record_of
+from tests.pipeline.run import demo_runs
 from tests.pipeline.simulated import NIGHT
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
@@ -31,8 +30,6 @@ from tests.pipeline.workshop import DAY, QUICK, Workshop
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
 MOTORS = ("M1", "M2")
 LATER = NIGHT + DAY
-# Tables of a run itself: they say when and how long.
-OF_RUNS = {"runs", "motor_outcomes"}
 Tables = dict[str, pl.DataFrame]
 
 
@@ -65,13 +62,8 @@ class TinyFleet(Workshop):
         made.run(made.after)
         return made
 
-    def request(self, output: Path, **execution: Any) -> RunRequest:
-        fleet = load_fleet(self.fleet)
-        how = fleet.execution.model_copy(update=execution)
-        return RunRequest(replace(fleet, output=output, execution=how))
-
     def run(self, output: Path, **execution: Any) -> RunResult:
-        return run_fleet(self.request(output, **execution))
+        return demo_runs.run(self.fleet, output=output, **execution)
 
 
 @contextmanager
@@ -135,7 +127,7 @@ def check_old_or_new(output: Path, old: Path, new: Path, failed: Collection[str]
     now, before, after = (tables_in(one) for one in (output, old, new))
     for name in sorted(now.keys() | before.keys() | after.keys()):
         table = name.split("/")[0]
-        if table in OF_RUNS:
+        if table in demo_runs.OF_RUNS:
             continue
         for motor in MOTORS if failed else (None,):
             if motor in failed and table in {one.name for one in (*TREND_TABLES, LATEST)}:
@@ -174,7 +166,7 @@ def check_tables(output: Path, expected: Path) -> None:
     """All tables are those of a run that nothing disturbed."""
     now, after = tables_in(output), tables_in(expected)
     for name in sorted(now.keys() | after.keys()):
-        if name.split("/")[0] not in OF_RUNS:
+        if name.split("/")[0] not in demo_runs.OF_RUNS:
             assert same(now.get(name), after.get(name)), name
 
 

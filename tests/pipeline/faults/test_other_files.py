@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pipeline.config import load_fleet
 from pipeline.export.csv import CsvRequest, export_csv
 from pipeline.report.build import build_report
 from pipeline.schema import FITS, PARAMETERS
@@ -24,7 +26,7 @@ def export(tables: Path, folder: Path) -> None:
 
 
 def report(tables: Path, folder: Path) -> None:
-    build_report(TinyFleet(tables.parent).request(tables).fleet, folder)
+    build_report(replace(load_fleet(TinyFleet(tables.parent).fleet), output=tables), folder)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
