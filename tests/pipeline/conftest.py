@@ -1,4 +1,4 @@
-"""Fixtures of several rooms: a Dask cluster for all tests of a process, and real files."""
+"""Fixtures of several rooms: real files, a cluster, a database, an object store, the command."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from tests.pipeline.calling import Call, Called
 from tests.pipeline.dask_processes import Processes, scheduler_with
 from tests.pipeline.plant_database import VARIABLE as ADDRESS_VARIABLE
 from tests.pipeline.postgres_server import PostgresServer, postgres_server
+from tests.pipeline.s3_server import Server, s3_server
 
 VARIABLE = "MOTOR_LEAKAGE_TEST_DATA"
 DEFAULT = Path(__file__).parents[3] / "shared" / "data"
@@ -59,6 +60,13 @@ def database(postgres: PostgresServer, monkeypatch: pytest.MonkeyPatch) -> Itera
     monkeypatch.setattr(pipeline.logs.database, "WAITS_S", (0.0,))
     yield postgres
     postgres.end_connections()
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    """An object store with an empty bucket."""
+    with s3_server(monkeypatch) as found:
+        yield found
 
 
 @pytest.fixture

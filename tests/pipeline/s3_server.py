@@ -20,8 +20,11 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+import pipeline.store.object_store
 from pipeline.store.object_store import ObjectStore
 
+BUCKET = "tests"
+URL = f"s3://{BUCKET}/fleet"
 S3 = "{http://s3.amazonaws.com/doc/2006-03-01/}"
 
 
@@ -49,7 +52,6 @@ def never(_: Request) -> bool:
 class Server:
     """The server, what it holds and was asked, and what it is to refuse."""
 
-    bucket: str
     objects: dict[str, Stored] = field(default_factory=dict)
     requests: list[Request] = field(default_factory=list)
     fails: Callable[[Request], bool] = never
@@ -83,7 +85,7 @@ class Handler(BaseHTTPRequestHandler):
         bucket, _, key = request.path.removeprefix("/").partition("/")
         if self.served.fails(request):
             self._answer(503)
-        elif bucket != self.served.bucket:
+        elif bucket != BUCKET:
             self._answer(404, b"<Error><Code>NoSuchBucket</Code></Error>")
         else:
             with self.served.lock:
@@ -170,9 +172,10 @@ class Handler(BaseHTTPRequestHandler):
 
 
 @contextmanager
-def s3_server(monkeypatch: pytest.MonkeyPatch, bucket: str) -> Iterator[Server]:
+def s3_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     """A server with an empty bucket, and the environment that leads to it."""
-    found = Server(bucket)
+    monkeypatch.setattr(pipeline.store.object_store, "RETRIES", 1)
+    found = Server()
     handler = type("Handler", (Handler,), {"served": found})
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         server.daemon_threads = True

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import polars as pl
-import pytest
 from deltalake import DeltaTable
 from polars.testing import assert_frame_equal
 
@@ -14,17 +12,9 @@ from pipeline.export.delta import export_delta
 from pipeline.schema import FITS, TABLES
 from pipeline.store.tables import read_rows, table_folder
 from tests.pipeline.calling import refused
-from tests.pipeline.s3_server import Server, s3_server
+from tests.pipeline.s3_server import BUCKET, Server
 from tests.pipeline.store.test_working_copy import FIRST
 from tests.pipeline.workshop import DAY, Workshop
-
-BUCKET = "test-delta"
-
-
-@pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
-    with s3_server(monkeypatch, BUCKET) as found:
-        yield found
 
 
 def back(place: str) -> pl.DataFrame:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import json
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,26 +13,16 @@ import pytest
 from typer.testing import CliRunner
 
 import pipeline.run.motor_task
-import pipeline.store.object_store
 from pipeline.cli import app
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.logs.locations import FolderLogs, StoredLogs
 from pipeline.setup.check import check_motor
 from pipeline.store.object_store import ObjectStore
-from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
+from tests.pipeline.s3_server import URL, Request, Server, never, upload
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
-BUCKET = "test-stored-logs"
-URL = f"s3://{BUCKET}/logs"
 FIRST = dt.date(2026, 1, 2)
-
-
-@pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
-    monkeypatch.setattr(pipeline.store.object_store, "RETRIES", 1)
-    with s3_server(monkeypatch, BUCKET) as found:
-        yield found
 
 
 def with_nights(folder: Path, n: int) -> Workshop:

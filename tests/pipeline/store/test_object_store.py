@@ -4,24 +4,13 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Iterator
 
 import pytest
 
 import pipeline.store.object_store
 from pipeline.store.object_store import ObjectChangedError, ObjectStore
 from tests.pipeline.calling import refused
-from tests.pipeline.s3_server import Server, s3_server
-
-BUCKET = "test-object-store"
-URL = f"s3://{BUCKET}/folder"
-
-
-@pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
-    monkeypatch.setattr(pipeline.store.object_store, "RETRIES", 1)
-    with s3_server(monkeypatch, BUCKET) as found:
-        yield found
+from tests.pipeline.s3_server import URL, Server
 
 
 def test_an_object_is_created_once_and_a_replacement_asks_for_the_tag_that_it_replaces(

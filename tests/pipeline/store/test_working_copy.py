@@ -9,7 +9,6 @@ import datetime as dt
 import hashlib
 import json
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ import duckdb
 import polars as pl
 import pytest
 
-import pipeline.store.object_store
 import pipeline.store.working_copy
 from pipeline.cli.arguments import load
 from pipeline.config import load_fleet
@@ -36,19 +34,10 @@ from tests.conftest import OwnFleet
 from tests.pipeline.calling import change
 from tests.pipeline.notification.fleet import keep, told, told_fleet
 from tests.pipeline.run.demo_runs import CSV, PARQUET, status_of, table_files
-from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
+from tests.pipeline.s3_server import BUCKET, URL, Request, Server, never, upload
 from tests.pipeline.workshop import DAY, Workshop
 
-BUCKET = "test-working-copy"
-URL = f"s3://{BUCKET}/fleet"
 FIRST = dt.date(2026, 1, 2)
-
-
-@pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
-    monkeypatch.setattr(pipeline.store.object_store, "RETRIES", 1)
-    with s3_server(monkeypatch, BUCKET) as found:
-        yield found
 
 
 @pytest.fixture
