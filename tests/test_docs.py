@@ -23,6 +23,7 @@ from pipeline.demo import shipped_configs
 from pipeline.ingest import csv as csv_log
 from pipeline.ingest import csv_text, parquet
 from pipeline.ingest.mcap import layout as mcap_layout
+from tests.pipeline.cli.test_extras import stated
 from tests.pipeline.cli.test_reference import keys
 from tests.reference_pages import PAGES
 
@@ -148,14 +149,10 @@ def test_codes_of_the_operations_page_are_the_program_s() -> None:
 
 
 def test_every_dependency_has_its_line() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-    extras = project["project"].get("optional-dependencies", {})
-    groups = [project["project"]["dependencies"], *project["dependency-groups"].values()]
-    texts = [one for group in [*groups, *extras.values()] for one in group if isinstance(one, str)]
-    stated = {re.split(r"[^\w-]", one)[0] for one in texts}
+    names = {re.split(r"[^\w-]", one)[0] for one in stated()}
     page = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
     part = page.partition("## Dependencies")[2].partition("\n## ")[0]
-    assert sorted(cell for cell in first_cells(part) if cell.islower()) == sorted(stated)
+    assert sorted(cell for cell in first_cells(part) if cell.islower()) == sorted(names)
 
 
 @pytest.mark.parametrize("path", HAND_WRITTEN, ids=lambda path: path.name)

@@ -18,6 +18,7 @@ from tests.pipeline.dask_processes import Processes, scheduler_with
 from tests.pipeline.plant_database import VARIABLE as ADDRESS_VARIABLE
 from tests.pipeline.postgres_server import PostgresServer, postgres_server
 from tests.pipeline.s3_server import Server, s3_server
+from tests.pipeline.workshop import Workshop
 
 VARIABLE = "MOTOR_LEAKAGE_TEST_DATA"
 DEFAULT = Path(__file__).parents[3] / "shared" / "data"
@@ -60,6 +61,12 @@ def database(postgres: PostgresServer, monkeypatch: pytest.MonkeyPatch) -> Itera
     monkeypatch.setattr(pipeline.logs.database, "WAITS_S", (0.0,))
     yield postgres
     postgres.end_connections()
+
+
+@pytest.fixture
+def workshop(tmp_path: Path) -> Workshop:
+    """A motor without a log yet."""
+    return Workshop.at(tmp_path)
 
 
 @pytest.fixture

@@ -11,11 +11,8 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.config import load_fleet
 from pipeline.errors import LogError
 from pipeline.logs.landing import land_nights
-from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.run.tasks import MotorOutcome
 from tests.pipeline.postgres_server import PostgresServer
 from tests.pipeline.simulated import motor_toml
 from tests.pipeline.workshop import DAY, Workshop
@@ -63,10 +60,6 @@ class Plant(Workshop):
 
     def land(self, clock: dt.datetime = CLOCK) -> dict[str, LogError]:
         return land_nights(self.spec, latest(clock))
-
-    def run(self, clock: dt.datetime = CLOCK) -> MotorOutcome:
-        (outcome,) = run_fleet(RunRequest(load_fleet(self.fleet), clock=clock)).outcomes
-        return outcome
 
     def files(self) -> dict[str, bytes]:
         return {one.name: one.read_bytes() for one in self.spec.log_root.glob("*.parquet")}

@@ -81,9 +81,8 @@ class Workshop:
         texts = {one: motor_toml(one, "MINI", files=files, more=more) for one in motors}
         write_configs(self.folder, texts, {"MINI": MINI}, fleet)
 
-    def run(self, since: dt.date | None = None, until: dt.date | None = None) -> MotorOutcome:
-        request = RunRequest(load_fleet(self.fleet), (), since, until)
-        (outcome,) = run_fleet(request).outcomes
+    def run(self, **request: Any) -> MotorOutcome:
+        (outcome,) = run_fleet(RunRequest(load_fleet(self.fleet), **request)).outcomes
         return outcome
 
     @property

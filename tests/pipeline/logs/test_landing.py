@@ -40,19 +40,19 @@ def test_a_run_reads_each_night_once_and_anew_where_its_rows_changed(
 ) -> None:
     plant, files = Plant.at(tmp_path / "sql", database), Workshop.at(tmp_path / "files")
     monkeypatch.setenv(VARIABLE, f"postgresql://owner:{SECRET}@127.0.0.1:9/postgres")
-    gone = plant.run()
+    gone = plant.run(clock=CLOCK)
     assert (gone.counts, gone.error_code) == ({"failed": 1}, "database_unreachable")
     assert SECRET not in str(gone)
     monkeypatch.setenv(VARIABLE, database.address())
-    assert plant.run().counts == {"ok": 3}
+    assert plant.run(clock=CLOCK).counts == {"ok": 3}
     for seed, label in enumerate(NIGHTS):
         files.log(label, seed=seed)
     files.run()
     check_same_figures(files, plant, "input_files")
     database.run(f"UPDATE log SET speed = speed + 1 WHERE time > {stamp(NIGHTS[1])}")
-    assert (again := plant.run()).nights == (NIGHTS[2],)
+    assert (again := plant.run(clock=CLOCK)).nights == (NIGHTS[2],)
     assert again.files == {"read": 1, "unchanged": 2}
-    assert plant.run().files == {"unchanged": 3}
+    assert plant.run(clock=CLOCK).files == {"unchanged": 3}
 
 
 def test_rows_are_looked_for_again_within_the_look_back(

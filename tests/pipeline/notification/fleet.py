@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config import load_fleet
-from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from tests.pipeline.trends.nights import Nights, configure, publish
 
 QUICK = '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
@@ -35,7 +34,3 @@ def told_fleet(folder: Path, alarms: str) -> Path:
     (spec,) = load_fleet(config).motors
     publish(folder / "out", Nights(spec, N).frames())
     return config
-
-
-def run(config: Path) -> RunResult:
-    return run_fleet(RunRequest(load_fleet(config)))

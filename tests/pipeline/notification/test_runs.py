@@ -10,8 +10,9 @@ import pytest
 
 from pipeline.notification import outbox
 from tests.pipeline.calling import Call
-from tests.pipeline.notification.fleet import run, told_fleet
+from tests.pipeline.notification.fleet import told_fleet
 from tests.pipeline.notification.servers import Hook, hook
+from tests.pipeline.run.demo_runs import run
 
 
 @pytest.fixture(autouse=True)

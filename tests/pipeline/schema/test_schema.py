@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import re
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import polars as pl
@@ -29,6 +29,7 @@ from pipeline.schema import (
     frame,
     staged_table,
 )
+from tests.pipeline.store.made_rows import example
 
 EACH_TABLE = pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])
 # How a unit shows in a column's name.
@@ -116,11 +117,7 @@ class TestFrame:
     @EACH_TABLE
     def test_absent_values_are_null_whatever_the_order(self, table: Table) -> None:
         """A column that only the last of many rows has."""
-        last = table.columns[-1].name
-        kind = str(table.schema[last])
-        values = {"Int64": 1, "Float64": 1.0, "Boolean": True, "Date": dt.date(2026, 1, 2)}
-        values |= {"List(String)": ["x"], "List(Float32)": [1.0], "List(Float64)": [1.0]}
-        value: Any = values.get(kind, "x")
+        last, value = list(example(table).items())[-1]
         found = frame(table, [{}] * 1000 + [{last: value}])
         assert dict(found.schema) == dict(pl.Schema(table.schema))
         assert found[last].to_list() == [None] * 1000 + [value]

@@ -155,11 +155,6 @@ def run_at(workshop: Workshop, night: dt.date, **asked: Any) -> Any:
     return outcome
 
 
-@pytest.fixture
-def workshop(tmp_path: Path) -> Workshop:
-    return Workshop.at(tmp_path)
-
-
 def test_samples_of_the_future_are_refused_by_the_clock_of_the_run(workshop: Workshop) -> None:
     workshop.log(NIGHT)
     ahead = workshop.log(NIGHT + 3 * DAY, "ahead.parquet")
