@@ -11,6 +11,7 @@ import pytest
 from pipeline.config import load_fleet
 from pipeline.errors import LockedError
 from pipeline.look import look as module
+from pipeline.look.comparison import NightsBefore
 from pipeline.store.locks import locked
 from tests.pipeline.faults.crash import FAULTS, Fault, victim_in
 from tests.pipeline.look.fleet import (
@@ -27,6 +28,19 @@ from tests.pipeline.remembered import look_of
 
 RISE = 30.0
 SECONDS = 60
+
+
+@pytest.fixture(scope="module")
+def before(tmp_path_factory: pytest.TempPathFactory) -> NightsBefore:
+    return made_watch(configured(tmp_path_factory.mktemp("made")).spec)
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: NightsBefore) -> Growing:
+    """One motor whose last published night ends before today's log begins."""
+    made = configured(tmp_path / "fleet")
+    monkeypatch.setattr(module, "nights_before", lambda *_: before)
+    return made
 
 
 def day(fleet: Growing, rise: float = 0.8, motor: int = 0) -> list[str]:
