@@ -12,12 +12,14 @@ import pytest
 
 import pipeline.logs.database
 from pipeline.cli import main
+from pipeline.config import MotorSpec
 from pipeline.messages import FORM
 from tests.pipeline.calling import Call, Called
 from tests.pipeline.dask_processes import Processes, scheduler_with
 from tests.pipeline.plant_database import VARIABLE as ADDRESS_VARIABLE
 from tests.pipeline.postgres_server import PostgresServer, postgres_server
 from tests.pipeline.s3_server import Server, s3_server
+from tests.pipeline.simulated import load_motor, motor_toml
 from tests.pipeline.workshop import Workshop
 
 VARIABLE = "MOTOR_LEAKAGE_TEST_DATA"
@@ -61,6 +63,12 @@ def database(postgres: PostgresServer, monkeypatch: pytest.MonkeyPatch) -> Itera
     monkeypatch.setattr(pipeline.logs.database, "WAITS_S", (0.0,))
     yield postgres
     postgres.end_connections()
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> MotorSpec:
+    """The motor M1 of a shipped type, without a log."""
+    return load_motor(tmp_path, motor_toml("M1"))
 
 
 @pytest.fixture

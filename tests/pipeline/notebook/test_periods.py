@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.config import MotorSpec
 from pipeline.errors import UsageError
 from pipeline.notebook import fit_periods
-from tests.pipeline.simulated import load_motor, motor_toml, operate, write_log
+from tests.pipeline.simulated import operate, write_log
 
 FIRST = dt.date(2026, 3, 2)
 DAY = dt.timedelta(days=1)
@@ -18,9 +19,8 @@ NOISE = 0.02
 
 
 @pytest.fixture
-def config(tmp_path: Path) -> Path:
+def config(tmp_path: Path, spec: MotorSpec) -> Path:
     """Three nights of 24 minutes; in the third the motor leaks a tenth more."""
-    spec = load_motor(tmp_path, motor_toml("M1"))
     for at, more in enumerate((1.0, 1.0, 1.1)):
         operation = operate(FIRST + at * DAY, minutes=24.0, seed=at)
         flow = more * operation.flow(spec.motor(FIRST, "none"))

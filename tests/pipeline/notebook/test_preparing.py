@@ -37,11 +37,6 @@ FRAME_NAMES = {
 }
 
 
-@pytest.fixture
-def spec(tmp_path: Path) -> MotorSpec:
-    return load_motor(tmp_path, motor_toml("M1"))
-
-
 def night_like_the_demo_s(
     spec: MotorSpec, minutes: float = 90.0
 ) -> tuple[NDArray[np.int64], dict[str, Array]]:

@@ -29,7 +29,7 @@ from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.schema import BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table, frame
 from pipeline.store.tables import read_rows
 from pipeline.trends.nights.decisions import Decision
-from tests.pipeline.simulated import motor_toml, with_file, write_configs
+from tests.pipeline.simulated import FLEET, motor_toml, with_file, write_configs
 from tests.pipeline.written import write_nights
 
 Array = NDArray[np.float64]
@@ -61,12 +61,11 @@ def configure(
 ) -> Path:
     """Write the config of a fleet of one motor; returns the fleet's file."""
     text = motor_toml(name, "CB560", more=more)
-    header = f'name = "Tests"\n[folders]\nlogs = "../logs"\noutput = "../out"\n{fleet}'
     types = {}
     if limits:
         shipped = (shipped_configs() / "motor_types" / "CB560.toml").read_text("utf-8")
         types["CB560"] = f"{shipped}\n{limits}"
-    return write_configs(folder, {name: text}, types, fleet=header)
+    return write_configs(folder, {name: text}, types, FLEET + fleet)
 
 
 def step(n: int, at: int, size: float) -> Array:
