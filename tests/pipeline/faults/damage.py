@@ -27,10 +27,6 @@ def rot_of_footer(path: Path) -> None:
     flip(path, path.stat().st_size - 100)
 
 
-def name_of(path: Path, output: Path) -> str:
-    return path.relative_to(output).as_posix().removeprefix("tables/")
-
-
 def told(damage: Iterable[TableFault]) -> list[tuple[str, str]]:
     return [(fault.path, fault.code) for fault in damage]
 

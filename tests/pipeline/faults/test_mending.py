@@ -30,9 +30,9 @@ from pipeline.schema import (
 )
 from pipeline.store.published import share_due, verify_tables
 from pipeline.store.state import open_state
-from pipeline.store.tables import night_file, read_rows
+from pipeline.store.tables import name_of, night_file, read_rows
 from pipeline.trends.nights.from_tables import FIT_COLUMNS
-from tests.pipeline.faults.damage import flip, name_of, remove_aside, rot, rot_of_footer, told
+from tests.pipeline.faults.damage import flip, remove_aside, rot, rot_of_footer, told
 from tests.pipeline.faults.fleet import MOTORS, TinyFleet, check_repaired
 from tests.pipeline.remembered import change, processed_of
 from tests.pipeline.simulated import NIGHT
@@ -60,11 +60,11 @@ def test_a_file_that_is_gone_or_damaged_is_named_and_made_anew_by_the_run_that_p
     damage(path)
     left_over = [path.read_bytes()] if path.exists() else []
     result = tiny_fleet.run(output, prove_within_days=1)
-    assert told(result.damage) == [(name_of(path, output), code)]
+    assert told(result.damage) == [(name_of(output, path), code)]
     assert (result.damage_left, result.failed) == ((), ())
-    assert f"{code}: {name_of(path, output)}: " in caplog.text
+    assert f"{code}: {name_of(output, path)}: " in caplog.text
     of_run = pl.read_parquet(max((output / "tables" / "runs").rglob("*.parquet")))["damage"]
-    assert of_run.list.first().to_list()[-1].startswith(f"{code}: {name_of(path, output)}: ")
+    assert of_run.list.first().to_list()[-1].startswith(f"{code}: {name_of(output, path)}: ")
     assert [one.read_bytes() for one in output.rglob("*.damaged")] == left_over
     remove_aside(output)
     check_repaired(output, tiny_fleet.after)
@@ -82,7 +82,7 @@ def test_what_a_program_has_written_to_is_proven_in_the_next_run(
     rot(path)  # which keeps the time
     assert tiny_fleet.run(output).damage == ()
     path.write_bytes(whole[:-50] + bytes(50))
-    assert told(tiny_fleet.run(output).damage) == [(name_of(path, output), "table_altered")]
+    assert told(tiny_fleet.run(output).damage) == [(name_of(output, path), "table_altered")]
 
 
 @pytest.mark.parametrize("days", [range(30), (29,), (0, 1, 5, 6, 29), [0] * 30])
@@ -120,7 +120,7 @@ def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     change(output, "DELETE FROM trends WHERE motor_id = 'M1'")
     result = tiny_fleet.run(output)
     assert {outcome.error_code for outcome in result.failed} == {"store_read"}
-    assert told(result.damage) == [(name_of(path, output), "table_altered")]
+    assert told(result.damage) == [(name_of(output, path), "table_altered")]
     result = tiny_fleet.run(output)
     assert (result.failed, result.damage_left) == ((), ())
     remove_aside(output)
@@ -132,7 +132,7 @@ def test_a_flipped_bit_of_any_file_is_told(output: Path) -> None:
     for path in sorted((output / "tables").rglob("*.parquet")):
         whole = path.read_bytes()
         flip(path, int(rng.integers(len(whole))))
-        assert [one.path for one in verify_tables(output)] == [name_of(path, output)]
+        assert [one.path for one in verify_tables(output)] == [name_of(output, path)]
         path.write_bytes(whole)
 
 
@@ -162,7 +162,7 @@ def test_a_file_that_may_not_be_read_is_named_and_left_alone(
     assert (
         told(result.damage)
         == told(result.damage_left)
-        == [(name_of(path, output), "table_unreadable")]
+        == [(name_of(output, path), "table_unreadable")]
     )
     assert path.is_dir()
 
@@ -175,7 +175,7 @@ def test_without_logs_it_is_named_until_they_come_back_or_people_give_it_up(
     path.unlink()
     for _ in range(2):
         result = fleet.run(output)
-        assert told(result.damage_left) == [(name_of(path, output), "table_missing")]
+        assert told(result.damage_left) == [(name_of(output, path), "table_missing")]
     # Of other tables nothing is made anew for it.
     assert read_rows(output, FITS, MOTORS).equals(kept, null_equal=True)
     other = shutil.copytree(output, tmp_path / "other")
@@ -208,7 +208,7 @@ def test_rows_of_a_motor_whose_logs_are_gone_are_named(
     fleet, path = without_logs("M1"), night_file(output, BLOCK_STATISTICS, NIGHT)
     path.unlink()
     result = fleet.run(output)
-    assert told(result.damage_left) == [(name_of(path, output), "rows_lost")]
+    assert told(result.damage_left) == [(name_of(output, path), "rows_lost")]
     assert result.damage_left[0].message.startswith("rows of M2 are not made anew: ")
     assert pl.read_parquet(path)["motor_id"].unique().to_list() == ["M1"]
     # What is known of its night still is: the night after is not judged anew.
@@ -220,6 +220,6 @@ def test_a_file_of_a_run_is_named_and_given_up(tiny_fleet: TinyFleet, output: Pa
     path = min((output / "tables" / "runs").rglob("*.parquet"))
     path.unlink()
     result = tiny_fleet.run(output)
-    assert told(result.damage) == [(name_of(path, output), "table_missing")]
+    assert told(result.damage) == [(name_of(output, path), "table_missing")]
     assert result.damage_left == ()
     assert list(verify_tables(output)) == []
