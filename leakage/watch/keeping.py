@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
 from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
@@ -93,12 +94,22 @@ def _packed(name: str, part: Any) -> Arrays:
 
 def _unpacked(kind: type[Part], name: str, kept: Mapping[str, Any]) -> Part:
     values: dict[str, Any] = json.loads(bytes(kept[name]))
-    for field, hint in get_type_hints(kind).items():
+    for field, part in _parts_of(kind).items():
         own, value = f"{name}.{field}", values.get(field)
         if isinstance(value, list):
             values[field] = tuple(value)
         elif field not in values:
-            # A part in it, which may be none, or an array.
-            parts: list[Any] = [one for one in (hint, *get_args(hint)) if is_dataclass(one)]
-            values[field] = _unpacked(parts[0], own, kept) if parts else kept[own]
+            values[field] = _unpacked(part, own, kept) if part else kept[own]
     return kind(**values)
+
+
+@cache
+def _parts_of(kind: type) -> dict[str, Any]:
+    """Dataclass of each field that has one, which may be none of it, too; None of the others.
+
+    Kept, as a night of a thousand motors asks for the same hints seven thousand times.
+    """
+    return {
+        field: next((one for one in (hint, *get_args(hint)) if is_dataclass(one)), None)
+        for field, hint in get_type_hints(kind).items()
+    }
