@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from leakage.watch.state import ChangeInForce, State, all_causes
 from leakage.watch.wander import Wander
 
 Arrays = dict[str, Any]
-Part = TypeVar("Part")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +62,7 @@ def arrays_of(state: State) -> dict[str, Array]:
 
 def state_of(machine: Machine, settings: WatchSettings, arrays: Mapping[str, Any]) -> State:
     """The state that was kept."""
-    kept = _unpacked(Kept, "state", arrays)
+    kept: Kept = _unpacked(Kept, "state", arrays)
     undone = [
         Cause(BACK, along, mean, spread)
         for along, (mean, spread) in zip(kept.undone, kept.undone_size.tolist(), strict=True)
@@ -92,7 +91,7 @@ def _packed(name: str, part: Any) -> Arrays:
     return {name: np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)} | kept
 
 
-def _unpacked(kind: type[Part], name: str, kept: Mapping[str, Any]) -> Part:
+def _unpacked(kind: Any, name: str, kept: Mapping[str, Any]) -> Any:
     values: dict[str, Any] = json.loads(bytes(kept[name]))
     for field, part in _parts_of(kind).items():
         own, value = f"{name}.{field}", values.get(field)
@@ -104,7 +103,7 @@ def _unpacked(kind: type[Part], name: str, kept: Mapping[str, Any]) -> Part:
 
 
 @cache
-def _parts_of(kind: type) -> dict[str, Any]:
+def _parts_of(kind: Any) -> dict[str, Any]:
     """Dataclass of each field that has one, which may be none of it, too; None of the others.
 
     Kept, as a night of a thousand motors asks for the same hints seven thousand times.
