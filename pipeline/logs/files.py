@@ -28,6 +28,8 @@ from pipeline.workers.process import reading
 LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
 NO_REACH: Mapping[str, int] = MappingProxyType({})
+# Of a record: what is another one where a file is written to or replaced.
+OF_CONTENT = ("size", "modified_ns", "inode")
 
 
 def inspect_log(
@@ -56,7 +58,9 @@ def inspect_log(
 def change_of(record: FileRecord, path: Path) -> LogError | None:
     """The change of a file since it was looked at; None without one, or if the file is gone."""
     now = look_at(record.path, path)
-    if now.status == "failed" or now.state == record.state:
+    # Not by `changed_ns`: a backup that links the file does nothing to its content.
+    is_same = all(getattr(now, one) == getattr(record, one) for one in OF_CONTENT)
+    if now.status == "failed" or is_same:
         return None
     is_longer = now.size != record.size
     how = f"it went from {record.size} to {now.size} bytes" if is_longer else "it changed"
@@ -81,7 +85,14 @@ def look_at(name: str, path: Path) -> FileRecord:
         state = path.stat()
     except OSError as error:
         return failed(FileRecord(name, 0, 0, None), _not_readable(path, error))
-    record = FileRecord(name, state.st_size, state.st_mtime_ns, None, changed_ns=state.st_ctime_ns)
+    record = FileRecord(
+        name,
+        state.st_size,
+        state.st_mtime_ns,
+        None,
+        inode=state.st_ino,
+        changed_ns=state.st_ctime_ns,
+    )
     if not stat.S_ISREG(state.st_mode):
         # Opening a pipe would block.
         fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")

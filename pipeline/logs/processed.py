@@ -46,8 +46,8 @@ class FileRecord:
     status: str = "ok"
     error_code: str | None = None
     message: str | None = None
-    # inode, changed_ns: of an object its tag as a number, of a file the time of its last change,
-    # which differs if another one has taken its name and time; else 0.
+    # inode: of an object its tag as a number. changed_ns: time of a file's last change, also of its
+    # name, which differs if another one has taken its name and time; 0 of an object.
     inode: int = 0
     changed_ns: int = 0
 

@@ -6,8 +6,6 @@ their logs, and stay as they are where these are gone. May go in 2028, with its 
 
 from __future__ import annotations
 
-import datetime as dt
-import json
 import logging
 import re
 from collections import defaultdict
@@ -17,6 +15,7 @@ from pathlib import Path
 from shutil import rmtree
 
 import polars as pl
+from pydantic import TypeAdapter
 
 from pipeline.errors import StoreError
 from pipeline.schema import NIGHTLY_TABLES, TABLES, WHOLE_TABLES, Table
@@ -38,6 +37,7 @@ log = logging.getLogger(__name__)
 
 OLD_FOLDERS = ("manifest", "ledger", "history")
 JOURNAL = "decisions.jsonl"
+DECISION = TypeAdapter(Decision)
 OLD_FILES = (JOURNAL, "decisions.damaged", "outbox.json", "outbox.copy.json")
 # Of a night, of a day of looks, and of a run.
 OLD_NAME = re.compile(r"(looks-)?\d{4}-\d{2}-\d{2}|\d{8}T\d{12}Z")
@@ -104,8 +104,8 @@ def _decisions(journal: Path) -> Iterator[Decision]:
     """Decisions in an old journal; damaged lines are left out."""
     content = journal.read_bytes() if journal.exists() else b""
     for line in content.splitlines():
-        with suppress(ValueError, TypeError, KeyError):
-            known = {name: json.loads(line).get(name) for name in Decision.__slots__}
-            known["time"] = dt.datetime.fromisoformat(known["time"])
-            known["night"] = dt.date.fromisoformat(known["night"])
-            yield Decision(**known)
+        with suppress(ValueError):
+            decision = DECISION.validate_json(line)
+            # Times without a zone do not compare with others.
+            if decision.time.tzinfo is not None:
+                yield decision

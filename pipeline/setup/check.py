@@ -165,10 +165,9 @@ def _cut(spec: MotorSpec, records: Mapping[str, FileRecord], logs: FolderLogs) -
     if spec.file.logs.format != "csv":
         return
     for name, record in records.items():
-        path = logs.path(name)
-        if record.status != "ok" or path.suffix in PACKED:
+        if record.status != "ok" or name.endswith(PACKED):
             continue
-        with path.open("rb") as stream:
+        with logs.path(name).open("rb") as stream:
             stream.seek(max(record.size - LINE_END_BYTES, 0))
             if not set(stream.read()) & set(b"\r\n"):
                 yield f"{name}: the last line has no end: the log is cut, or being written"

@@ -19,7 +19,7 @@ from pipeline.config.channels import GOOD_QUALITY
 from pipeline.config.logs import MISSING_TOKENS
 from pipeline.errors import LogError
 from pipeline.logs.finding import SUFFIXES, logs_below, suffix_of
-from pipeline.setup.names import groups_of, is_in, meaning_of, words_of
+from pipeline.setup.names import FEWEST_CHANNELS, groups_of, is_in, meaning_of, words_of
 from pipeline.setup.questions import Asked, Chooser
 from pipeline.setup.sniff import sniff
 from pipeline.setup.tables import SAMPLES, Cells, Column, Question, Table
@@ -128,7 +128,7 @@ def _motors(table: Table, kind: _Kind, asked: Asked) -> list[ProposedMotor]:
     several = {
         one.name: own
         for one in table.columns
-        if one.name != tag and (own := _motors_of_rows(one, moments, table))
+        if one.name != tag and (own := _motors_of_rows(one, moments, table, has_tags=bool(tag)))
     }
     column = next(iter(several), None)
     if len(several) > 1:
@@ -197,11 +197,13 @@ def _of_tags(table: Table) -> Table | None:
     return replace(table, logs={**table.logs, **own}, columns=tuple(columns))
 
 
-def _motors_of_rows(column: Column, moments: Sequence[str], table: Table) -> Cells:
+def _motors_of_rows(
+    column: Column, moments: Sequence[str], table: Table, *, has_tags: bool
+) -> Cells:
     """Cells of a column that names the motor of each row; none where it does not.
 
     Its name says so, or rows of other cells repeat most of a cell's moments, a stamp or a stamp of
-    a tag.
+    a tag, which is the last of them. Of tags, each cell comes with a motor's: others name gauges.
     """
     words = [word for word in words_of(column.name) if not is_in([word], "column", "number")]
     is_named = is_in(words[-1:], "column", "motor")
@@ -211,6 +213,11 @@ def _motors_of_rows(column: Column, moments: Sequence[str], table: Table) -> Cel
     for cell, *moment in table.rows([column.name, *moments]):
         if cell not in MISSING_TOKENS:
             seen_with.setdefault(cell.strip(), set()).add(tuple(moment))
+    if has_tags:
+        tags = ({moment[-1] for moment in own} for own in seen_with.values())
+        channels = ({meaning_of(name).channel for name in own} - {None} for own in tags)
+        if min(map(len, channels), default=0) < FEWEST_CHANNELS:
+            return ()
     if not (is_named and column.kind == "text"):
         seen = Counter(moment for own in seen_with.values() for moment in own)
         shared = (sum(seen[one] > 1 for one in own) / len(own) for own in seen_with.values())

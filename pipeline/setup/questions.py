@@ -133,7 +133,7 @@ class Chooser:
             why = f"{', '.join(names)} may be it"
             found[channel] = self._which(channel, why, names) if is_open else names[0]
         if bare:
-            found |= self._ports(sorted(bare, key=self._size, reverse=True))
+            found |= self._ports(sorted(bare, key=self._size, reverse=True), found)
         for channel in missing_channels(found):
             found[channel] = self._which(channel, "none was found", list(self.columns))
         return found
@@ -157,18 +157,21 @@ class Chooser:
             bare = []
             if len(high) == len(low) == 1 and self._size(*high) < self._size(*low):
                 bare = [*high, *low]  # the low port's is the higher one
-        elif bare:
-            bare = [*bare, *high, *low]
-        if bare or _DIFFERENCE in rivals:
+        if (bare and high and low) or _DIFFERENCE in rivals:
             for port in PORT_PRESSURES:
                 rivals.pop(port, None)
         return rivals, bare
 
-    def _ports(self, names: Sequence[str]) -> dict[str, str | None]:
+    def _ports(
+        self, names: Sequence[str], found: Mapping[str, str | None]
+    ) -> dict[str, str | None]:
         """Channels of pressures of which the names do not say whose they are, the highest first."""
         high, low = PORT_PRESSURES
         told = " and ".join(f"{name} (typically {self._size(name):.4g})" for name in names)
         why = f"the log does not say whose pressure {told} is"
+        if low in found or high in found:
+            other = low if high in found else high
+            return {other: self._which(other, why, names)}
         if len(names) > 1:
             more = f" The other is the low port's; {NONE}: they are no ports'"
             chosen = self._which(high, why, [*names, NONE], more)

@@ -166,7 +166,9 @@ def _encoding(head: bytes) -> str:
 
 
 def _words_known(head: bytes, encoding: str) -> int:
-    words = {*words_of(head.decode(encoding, "replace"))}
+    # Line by line: a bracket that is open at a line's end encloses nothing of the next.
+    lines = head.decode(encoding, "replace").splitlines()
+    words = {word for line in lines for word in words_of(line)}
     return sum(is_in([word], "quantity", one) for one in VOCABULARY["quantity"] for word in words)
 
 
@@ -200,7 +202,10 @@ def _taken_apart(
     tail = Counter(len(row) for row in rows[len(rows) // 2 :] if len(row) > 1)
     width = max(tail, key=lambda one: (tail[one], one), default=1)
     samples = [sum(map(_holds_sample, row)) if len(row) == width else 0 for row in rows]
-    first = next((i for i, count in enumerate(samples) if count > 1), None)
+    # A line of a preamble may hold a sample or two, and others follow it that hold none.
+    least = max(min(2, max(samples, default=0)), 1)
+    starts = (i for i, n in enumerate(samples) if n >= least and all(samples[i : i + 3]))
+    first = next(starts, None)
     if width < 2 or first is None:
         return (False, 0.0, 1), rows, 0
     share = sum(samples[first:]) / (width * sum(map(bool, rows[first:])))

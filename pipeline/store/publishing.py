@@ -228,7 +228,8 @@ class Publisher:
                 return NO_FILE, frame(table, [])
             return looked.sha256, from_parquet(path, table, looked.content)
         except StoreError as error:
-            if error.code == "store_read":
+            # What could not be read for now may be sound.
+            if error.code == "store_read" and (fault is None or fault.code != "table_unreadable"):
                 distrust(self.state, looked.name)
             raise
 

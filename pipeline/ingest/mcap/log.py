@@ -200,7 +200,9 @@ class _Topic:
         told |= {path for path, one in decoded.qualities.items() if one.null_count < len(one)}
         self.unseen = [path for path in self.unseen if path not in told]
         # One that is null is there, too.
-        for payload in payloads.each() if self.unseen else ():
+        for payload in payloads.each():
+            if not self.unseen:
+                break
             message = json_object(payload) or {}
             self.unseen = [path for path in self.unseen if not has(message, path)]
 

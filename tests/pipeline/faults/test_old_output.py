@@ -46,7 +46,10 @@ def old(output: Path) -> Path:
     lines = [
         json.dumps(asdict(one) | {"sha256": "…"}, default=str) for one in read_decisions(output)
     ]
-    (output / "decisions.jsonl").write_text("\n".join([*lines, lines[0][:-9]]), "utf-8")
+    said = json.loads(lines[0])
+    damaged = [5, said | {"motor_id": []}, said | {"time": "2026-03-04T05:00:00", "note": "when?"}]
+    lines += [lines[0][:-9], *map(json.dumps, damaged)]
+    (output / "decisions.jsonl").write_text("\n".join(lines), "utf-8")
     for table in MONTHLY:
         for path in files_of(output, table):
             parts = dict(split(path, read_table(path, table)))

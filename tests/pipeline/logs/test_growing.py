@@ -165,6 +165,16 @@ def test_a_change_shows_in_size_or_time(tmp_path: Path, content: str | None, wor
     assert words in str(why)
 
 
+def test_a_backup_that_links_a_log_changes_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,n\n")
+    record = look_at("a.csv", path)
+    (tmp_path / "copy").hardlink_to(path)
+    path.chmod(0o640)
+    assert look_at("a.csv", path).state != record.state
+    assert change_of(record, path) is None
+
+
 @pytest.mark.parametrize("age_s", [0, 3601, -7200])
 def test_a_file_written_to_a_moment_ago_waits_where_that_is_asked_for(
     tmp_path: Path, age_s: int

@@ -231,6 +231,35 @@ def test_an_answer_for_one_log_is_not_taken_for_another_of_another_size(tmp_path
     assert [one.channels["pressure_difference"].unit for one in found.motors] == ["bar", "kPa"]
 
 
+def test_of_two_gauges_the_one_that_says_its_port_is_not_asked_for(tmp_path: Path) -> None:
+    header = "time,HP [bar],pressure [bar],T [°C],n [rpm],leak [l/min]"
+    log = seconds(tmp_path / "a.csv", header, ",160.5,12.5,45.5,30.5,1.5")
+    (question,) = propose(log, {}).questions
+    assert question.key == "a.low_port_pressure"
+    found = propose(log, {question.key: "pressure [bar]"})
+    assert found.questions == ()
+    assert found.motors[0].channels["high_port_pressure"].name == "HP [bar]"
+
+
+def test_gauges_that_tags_are_of_are_no_motors(tmp_path: Path) -> None:
+    tags = {
+        "dp": ("180.5", "bar", "gauges"), "oil temperature": ("45.5", "degC", "thermo"),
+        "speed": ("30.5", "rpm", "encoder"), "drain flow": ("1.5", "l/min", "meter"),
+    }  # fmt: skip
+    rows = [
+        f"2025-03-01T06:00:{second:02}Z,{tag},{value},{unit},{asset}"
+        for second in range(30)
+        for tag, (value, unit, asset) in tags.items()
+    ]
+    log = tmp_path / "a.csv"
+    log.write_text("\n".join(["time,tag,value,unit,asset", *rows, ""]))
+    (motor,) = propose(log, {}).motors
+    assert set(motor.channels) == {
+        "pressure_difference", "oil_temperature", "speed", "leakage_flow"
+    }  # fmt: skip
+    assert "motor_column" not in motor.logs
+
+
 def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
     """Two gauges, and a day shift from 06:00 to 21:40."""
     header = "Datum;Uhrzeit;Druck 1 [bar];Druck 2 [bar];T [°C];n [1/min];Lecköl [l/min]"

@@ -149,6 +149,28 @@ def test_parquet_with_times_in_text_and_units_in_the_metadata(
     require_it_reads(path, log)
 
 
+@pytest.mark.parametrize(
+    ("above", "skipped"),
+    [
+        (b"Report,Plant A,Line 2,,\nfrom,2025-01-01 00:00:00,2025-01-02 00:00:00,,\n", 2),
+        (b"range,0,100,,\n", 1),
+    ],
+)
+def test_a_line_above_the_names_may_hold_samples(
+    tmp_path: Path, above: bytes, skipped: int
+) -> None:
+    row = b"2025-03-01 06:00:00,20.5,40.5,7.5,1.5\n"
+    names = b"time,dp [bar],T [degC],n [rpm],drain flow [l/min]\n"
+    found = sniff(log_in(tmp_path, above + names + 5 * row))
+    assert found.logs["skip_rows"] == skipped
+    assert found.columns[0].name == "dp [bar]"
+
+
+def test_two_columns_whose_stamps_nobody_knows(tmp_path: Path) -> None:
+    (column,) = sniff(log_in(tmp_path, b"time,p\n" + b"Jan 1 2025 00:00:01,1.5\n" * 5)).columns
+    assert column.name == "p"
+
+
 def test_what_cannot_be_told_is_a_question(tmp_path: Path) -> None:
     rows = b"2025-03-01 06:00:00,20130,7.5,me\n2025-03-01 06:00:01,20140,7.4,me\n"
     path = log_in(tmp_path, b"time,dp,n,T,who\n" + rows.replace(b"7.", b"8.5,7."))
