@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.errors import UsageError
+from pipeline.night.masks import out_of_range
 from pipeline.units import (
     CHANNELS,
+    FALLBACK_VALID_RANGE,
     QUANTITIES,
     UNITS,
     canonical_unit,
@@ -59,10 +61,42 @@ def test_published_conversions(channel: str, value: float, unit: str, expected: 
     assert from_canonical(channel, [expected], unit) == pytest.approx([value], rel=1e-7, abs=1e-9)
 
 
+# What such motors and their sensors can show: peaks of 450 bar on either port, no pressure below a
+# vacuum, a charge pump's and a case's own limits, mineral oil that still flows, 500 rpm.
+USUAL = {
+    "pressure_difference": (-450.0, 450.0),
+    "high_port_pressure": (-1.0, 450.0),
+    "low_port_pressure": (-1.0, 450.0),
+    "charge_pressure": (-1.0, 100.0),
+    "case_pressure": (-1.0, 50.0),
+    "oil_temperature": (-40.0, 120.0),
+    "speed": (-500.0, 500.0),
+    "leakage_flow": (0.0, 200.0),
+    "running_hours": (0.0, 1e6),
+    "kinematic_viscosity": (1.0, 5000.0),
+    "dynamic_viscosity": (1.0, 5000.0),
+}
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_a_reading_beyond_what_a_channel_can_show_is_refused(channel: str) -> None:
+    low, high = USUAL[channel]
+    readings = np.array([low - 0.01, low, high, high + 2e-6 * high + 0.001])
+    refused = out_of_range(readings, FALLBACK_VALID_RANGE[channel])
+    assert refused.tolist() == [True, False, False, True]
+
+
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_a_canonical_reading_keeps_every_digit(channel: str) -> None:
     values = np.random.default_rng(1).normal(0.0, 300.0, 100)
     np.testing.assert_array_equal(to_canonical(channel, values, canonical_unit(channel)), values)
+
+
+def test_canonical_units_are_those_of_the_tables() -> None:
+    units = {"oil_temperature": "degC", "speed": "rpm", "leakage_flow": "l/min"}
+    units |= {"kinematic_viscosity": "mm2/s", "dynamic_viscosity": "mPa.s", "running_hours": "h"}
+    pressures = {name: "bar" for name in CHANNELS if "pressure" in name}
+    assert {channel: canonical_unit(channel) for channel in CHANNELS} == units | pressures
 
 
 @pytest.mark.parametrize(("quantity", "unit"), EVERY_UNIT)
