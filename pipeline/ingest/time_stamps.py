@@ -71,7 +71,13 @@ class TimeStamps:
 
 
 def joined(parts: Sequence[NDArray[_T]], dtype: type[_T]) -> NDArray[_T]:
-    """Arrays of a type one after the other, of which there may be none."""
+    """Arrays of a type one after the other, of which there may be none.
+
+    Examples
+    --------
+    >>> joined([], np.int8)
+    array([], dtype=int8)
+    """
     return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, dtype), *parts])
 
 
