@@ -32,6 +32,7 @@ from pipeline.store.published import share_due, verify_tables
 from pipeline.store.state import open_state
 from pipeline.store.tables import name_of, night_file, read_rows
 from pipeline.trends.nights.from_tables import FIT_COLUMNS
+from tests.pipeline.calling import contents, refused
 from tests.pipeline.faults.damage import flip, remove_aside, rot, rot_of_footer, told
 from tests.pipeline.faults.fleet import MOTORS, TinyFleet, check_repaired
 from tests.pipeline.remembered import change, processed_of
@@ -223,3 +224,27 @@ def test_a_file_of_a_run_is_named_and_given_up(tiny_fleet: TinyFleet, output: Pa
     assert told(result.damage) == [(name_of(output, path), "table_missing")]
     assert result.damage_left == ()
     assert list(verify_tables(output)) == []
+
+
+def test_damage_is_named_and_made_anew_where_the_state_is_lost_too(
+    tiny_fleet: TinyFleet, output: Path
+) -> None:
+    path = night_file(output, PREDICTIONS, NIGHT)
+    rot(path)
+    for state in output.glob("state.*"):
+        state.unlink()
+    assert told(tiny_fleet.run(output).damage) == [(name_of(output, path), "table_altered")]
+    remove_aside(output)
+    check_repaired(output, tiny_fleet.after)
+
+
+def test_files_of_a_newer_program_are_kept_where_the_state_is_lost(
+    tiny_fleet: TinyFleet, output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for state in output.glob("state.*"):
+        state.unlink()
+    before = contents(output / "tables")
+    monkeypatch.setattr("pipeline.store.tables.SCHEMA_VERSION", 1)
+    with refused("store_newer"):
+        tiny_fleet.run(output)
+    assert contents(output / "tables") == before
