@@ -65,8 +65,9 @@ def blank(workshop: Workshop, *but: dt.date) -> None:
             os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
     with open_state(workshop.output) as kept:  # the system would not take that time back
         for path in workshop.logs.iterdir():
-            changed_ns, name = path.stat().st_ctime_ns, f"M1/{path.name}"
-            kept.write("UPDATE logs SET changed_ns = ? WHERE path = ?", changed_ns, name)
+            state, name = path.stat(), f"M1/{path.name}"
+            seen = state.st_ctime_ns, state.st_ino
+            kept.write("UPDATE logs SET changed_ns = ?, inode = ? WHERE path = ?", *seen, name)
 
 
 def planned(workshop: Workshop) -> Mapping[dt.date, tuple[Work, str]]:
