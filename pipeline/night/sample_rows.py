@@ -95,7 +95,9 @@ def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
     # Comparing with the few edges between the values is quicker than a search for each value.
     lowest, highest = values.min(), values.max()
     beyond = [
-        int(np.count_nonzero(values >= edge)) if lowest < edge <= highest else n * (edge <= lowest)
+        int(np.count_nonzero(values >= edge))
+        if lowest < edge <= highest
+        else n * bool(edge <= lowest)
         for edge in edges[1:-1]
     ]
     return [more - fewer for more, fewer in pairwise([n, *beyond, 0])]
