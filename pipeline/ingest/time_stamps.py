@@ -46,15 +46,6 @@ class WrittenStamps:
     kind: NDArray[np.int8]  # 0 no stamp, 1 on the wall clock, 2 in UTC
     example: str | None = None  # the first cell that holds something and no stamp, for a message
 
-    @staticmethod
-    def joined(parts: Sequence[WrittenStamps]) -> WrittenStamps:
-        """Stamps one after the other."""
-        return WrittenStamps(
-            joined([part.time_us for part in parts], np.int64),
-            joined([part.kind for part in parts], np.int8),
-            next((part.example for part in parts if part.example is not None), None),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class TimeStamps:
