@@ -21,7 +21,6 @@ from pipeline.ingest.quality import is_bad, quality_states
 from pipeline.ingest.time_stamps import (
     TimeStamps,
     WrittenStamps,
-    joined,
     placed,
     written_as_numbers,
 )
@@ -182,8 +181,8 @@ class Gathered:
         self._time_us, self._kind = Growing(np.int64), Growing(np.int8)
         self._example: str | None = None
         self._readings = {one: _Column() for one in columns.values()}
-        self._states: dict[tuple[str, tuple[QualityValue, ...]], list[NDArray[np.uint8]]] = {
-            (one.quality_source, one.quality_good): []
+        self._states: dict[tuple[str, tuple[QualityValue, ...]], Growing[np.uint8]] = {
+            (one.quality_source, one.quality_good): Growing(np.uint8)
             for one in channels.values()
             if one.quality_source
         }
@@ -216,7 +215,7 @@ class Gathered:
         A column is given up with its last channel, so that a long log is not held twice.
         """
         found: dict[str, RawChannel] = {}
-        states = {key: joined(parts, np.uint8) for key, parts in self._states.items()}
+        states = {key: marks.taken() for key, marks in self._states.items()}
         for column in list(self._readings):
             readings = self._readings.pop(column).taken()
             for name, channel in self.channels.items():

@@ -17,6 +17,7 @@ from pipeline.config.channels import Channel, Channels
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
     Gathered,
+    Growing,
     Readings,
     judged,
     no_samples,
@@ -25,7 +26,7 @@ from pipeline.ingest.assembly import (
     without_rows_of_others,
 )
 from pipeline.ingest.contract import LogFile, RawLog
-from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, example_of, joined
+from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, example_of
 
 _MOST_NAMES = 40
 
@@ -115,7 +116,7 @@ class RawTable:
             file.path, own, {name: _column_of(file, one) for name, one in own.items()}
         )
         # Of rows in layout "long": the number of the wanted name, -1 for others.
-        self._names: list[NDArray[np.int16]] = []
+        self._names = Growing(np.int16)
         self._sources = list(dict.fromkeys(one.source for one in file.channels.values()))
         self._seen: dict[str, None] = {}  # the first names, of channels or else of motors
         self._has_motor = columns.motor is None
@@ -173,7 +174,7 @@ class RawTable:
         stamps, without_time = self._stamps()
         refused = {**refused, **without_time}
         if logs.layout == "long":
-            names = joined(self._names, np.int16)
+            names = self._names.taken()
             remarks = self._absent(names)
             rows: dict[str, Rows] = {
                 source: (names == number) & stamps.readable

@@ -61,17 +61,6 @@ class TimeStamps:
     example: str | None = None  # the first that is not readable, as it is written, for a message
 
 
-def joined(parts: Sequence[NDArray[_T]], dtype: type[_T]) -> NDArray[_T]:
-    """Arrays of a type one after the other, of which there may be none.
-
-    Examples
-    --------
-    >>> joined([], np.int8)
-    array([], dtype=int8)
-    """
-    return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, dtype), *parts])
-
-
 def example_of(time_format: str) -> str:
     """A stamp as a format has it, for a message.
 

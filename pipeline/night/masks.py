@@ -43,7 +43,8 @@ def stretches(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def steps_where(holds: Callable[[Times], Mask], time_us: Times) -> NDArray[np.intp]:
     """Places of the steps, from each time to the next, of which something holds.
 
-    A night has millions: some at a time, which stay in the cache, take a fifth of the time.
+    Some at a time, which stay in the cache: a night at 100 Hz takes half the time, and no array of
+    its own length.
 
     Examples
     --------

@@ -82,7 +82,7 @@ def _fill_even(
 ) -> None:
     """Fill in stretches of samples in equal steps, of one period of the grid or several.
 
-    The same values as by a search for each time of the grid, in a tenth of the time.
+    The same values as by a search for each time of the grid, which takes several times as long.
     """
     time, step_us = channel.time_us, int(channel.period_us or 0)
     apart = step_us // period_us

@@ -205,6 +205,14 @@ class TestRefused:
         publish(tmp_path, {"A": {QUALITY: {NIGHT: [row("A")]}}}, missed=[name])
         assert [one[0] for one in published(tmp_path)] == ["A"]
 
+    def test_what_cannot_be_read_for_now_is_no_damage(self, tmp_path: Path) -> None:
+        """A folder in its place cannot be read by anybody, whatever rights they have."""
+        night_file(tmp_path, QUALITY, NIGHT).mkdir(parents=True)
+        with refused("store_read", "it cannot be read"):
+            publish_night(tmp_path, {"A": [row("A")]})
+        with open_state(tmp_path) as state:
+            assert state.rows("SELECT name FROM files") == []
+
     def test_a_failure_leaves_what_was_there(self, tmp_path: Path) -> None:
         def rows(night: dt.date) -> dict[Table, dict[dt.date, list[Row]]]:
             blocks = [{"motor_id": "A", "night": night}]
