@@ -2,9 +2,10 @@
 
 A sample of small faults (an operator, a comparison, a number, a loop that does not run) by
 cosmic-ray's operators, as many in each area: one at most at a place of the text, chosen by a hash
-of its line, so that a change elsewhere leaves the sample as it is. Each is planted in a copy of the
-project, and the tests nearest to its module run until one fails or their time is up. What survives
-is listed with its reason, by hand, from `benchmarks/mutation.toml`.
+of its function and operator, so that a change elsewhere leaves the sample as it is. Each is planted
+in a copy of the project, and the tests nearest to its module run until one fails or their time is
+up. What survives is listed with its reason, by hand, from `benchmarks/mutation.toml`, which names
+the function, the operator, and which of the operator's places in that function it is.
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from cosmic_ray.ast import ast_nodes, get_ast
@@ -67,8 +69,16 @@ LEFT_OUT = re.compile(
     "Variable|RemoveDecorator|NoOp|[qtE]_Is|Is_(?!IsNot)|IsNot_(?!Is$)|(UAdd|USub)_(Invert|Not)"
     "|Invert_|(Add|Sub|Mul|Div|Mod|Pow)_(.Shift|Bit)|Shift_(?!.Shift)|Bit[A-Za-z]+_(?!Bit)"
 )
-# The module's name, line, the line before and after, and all of the text after.
-Fault = tuple[str, int, str, str, str]
+
+
+class Fault(NamedTuple):
+    """A fault: where it is planted, and the module's text with it."""
+
+    key: str  # Module, function, operator, and which of its places in the function.
+    module: str
+    line: int
+    change: str  # The line before and after.
+    text: str
 
 
 def main(options: Sequence[str] = ()) -> None:
@@ -93,19 +103,17 @@ def main(options: Sequence[str] = ()) -> None:
             return run.exitcode == 0
 
         def tried(fault: Fault) -> dict[str, Any]:
-            module, line, before, after, text = fault
             folder = copies.pop()
-            (folder / module).write_text(text, "utf-8")
-            is_found = not passes(folder, _tests(module, area))
-            shutil.copy2(ROOT / module, folder / module)
+            (folder / fault.module).write_text(fault.text, "utf-8")
+            is_found = not passes(folder, _tests(fault.module, area))
+            shutil.copy2(ROOT / fault.module, folder / fault.module)
             copies.append(folder)
-            key = f"{module}: {before} -> {after}"
-            sys.stderr.write(f"{'found' if is_found else 'SURVIVES'} {line} {key}\n")
-            return {"key": key, "line": line, "found": is_found}
+            sys.stderr.write(f"{'found' if is_found else 'SURVIVES'} {fault.line} {fault.key}\n")
+            return {"key": fault.key, "line": fault.line, "change": fault.change, "found": is_found}
 
         for area in asked.only or AREAS:
             planted = _sample(area)
-            tests = {test for module, *_ in planted for test in _tests(module, area)}
+            tests = {test for fault in planted for test in _tests(fault.module, area)}
             if not passes(copies[0], sorted(tests)):
                 parser.exit(1, f"{area}: a test fails without a fault\n")
             found |= {area: list(pool.map(tried, planted))}
@@ -128,32 +136,51 @@ def _sample(area: str) -> list[Fault]:
     modules = [path for part in AREAS[area][0].split() for path in ROOT.glob(part)]
     places = sorted(place for module in modules for place in _places(module))
     faults: dict[tuple[str, int, int], Fault] = {}
-    for *_, name, line, column, operator, occurrence in places:
+    for _, key, name, line, column, operator, occurrence in places:
         if len(faults) < FAULTS and (name, line, column) not in faults:
             text = (ROOT / name).read_text("utf-8")
             after = mutate_code(text, get_operator(operator)(), occurrence) or text
             old, new = (lines.splitlines()[line - 1].strip() for lines in (text, after))
             with contextlib.suppress(SyntaxError):
                 ast.parse(after if old != new else "no fault")
-                faults[name, line, column] = name, line, old, new, after
+                faults[name, line, column] = Fault(key, name, line, f"{old} -> {new}", after)
     return list(faults.values())
 
 
 def _places(module: Path) -> Iterator[tuple[str, str, str, int, int, str, int]]:
-    """Where operators can change something in a module: rank of the place, of the operator."""
+    """Where operators can change something in a module, each with its rank and its key."""
     text, name = module.read_text("utf-8"), module.relative_to(ROOT).as_posix()
-    nodes, lines, idle = list(ast_nodes(get_ast(text))), text.splitlines(), list(_idle(text))
+    nodes, idle, functions = list(ast_nodes(get_ast(text))), list(_idle(text)), _functions(text)
     for operator in operator_names():
         if LEFT_OUT.search(operator) or get_operator(operator).arguments():
             continue
-        found = [at for node in nodes for at in get_operator(operator)().mutation_positions(node)]
-        for number, (start, _) in enumerate(found):
+        places = [at for node in nodes for at in get_operator(operator)().mutation_positions(node)]
+        seen = Counter[str]()
+        for number, (start, _) in enumerate(places):
+            # Functions stand in order of their first line: the last that holds the line is inmost.
+            inside = [names for first, last, names in functions if first <= start[0] <= last]
+            function = inside[-1] if inside else "module"
+            seen[function] += 1
             if not any(first <= start < last for first, last in idle):
-                at = f"{name} {start[1]} {lines[start[0] - 1]}"
-                place, change = (
-                    hashlib.sha256(of.encode()).hexdigest() for of in (at, at + operator)
-                )
-                yield place, change, name, *start, operator, number
+                change = operator.removeprefix("core/")
+                key = f"{name}:{function}: {change} {seen[function]}"
+                rank = hashlib.sha256(key.encode()).hexdigest()
+                yield rank, key, name, *start, operator, number
+
+
+def _functions(text: str) -> list[tuple[int, int, str]]:
+    """First and last line and full name of each function and class of a module, in order."""
+    spans: list[tuple[int, int, str]] = []
+
+    def visit(node: ast.AST, prefix: str) -> None:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.FunctionDef | ast.ClassDef):
+                full = f"{prefix}{child.name}"
+                spans.append((child.lineno, child.end_lineno or child.lineno, full))
+                visit(child, f"{full}.")
+
+    visit(ast.parse(text), "")
+    return sorted(spans)
 
 
 def _idle(text: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
@@ -223,9 +250,9 @@ def _tables(found: dict[str, Any]) -> Iterator[Table]:
     reasons = tomllib.loads(REASONS.read_text("utf-8"))
     yield Table("not found, with the reason", [
         {
-            "line": str(one["line"]),
-            "fault": f"`{one['key']}`".replace("|", "\\|"),
-            "reason": reasons.get(one["key"], ""),
+            "fault": f"`{fault['key']}`",
+            "change": f"`{fault['change']}`".replace("|", "\\|"),
+            "reason": reasons.get(fault["key"], ""),
         }
-        for one in every if not one["found"]
+        for fault in every if not fault["found"]
     ])  # fmt: skip
