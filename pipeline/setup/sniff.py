@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pyarrow as pa
-from charset_normalizer import from_bytes
 
 from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.config.logs import Logs
@@ -152,17 +151,21 @@ def _csv(path: Path) -> Table:
 
 
 def _encoding(head: bytes) -> str:
+    """The first encoding in which the head makes sense, or that which makes most known words."""
     if wide := wide_encoding(head):
         return wide
+    if _decodes(head, "utf-8"):
+        return "utf-8"
+    likely = [name for name in _ENCODINGS if _decodes(head, name)]
+    return max(likely, key=lambda name: _words_known(head, name), default="latin-1")
+
+
+def _decodes(head: bytes, encoding: str) -> bool:
     try:
-        codecs.getincrementaldecoder("utf-8")().decode(head)
+        codecs.getincrementaldecoder(encoding)().decode(head)
     except UnicodeDecodeError:
-        # Of a few lines several encodings make sense; the right one makes the most known words.
-        found = from_bytes(head, cp_isolation=_ENCODINGS)
-        likely = {name for one in found for name in one.could_be_from_charset}
-        ranked = [name for name in _ENCODINGS if name in likely]
-        return max(ranked, key=lambda name: _words_known(head, name), default="latin-1")
-    return "utf-8"
+        return False
+    return True
 
 
 def _words_known(head: bytes, encoding: str) -> int:

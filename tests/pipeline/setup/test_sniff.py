@@ -255,3 +255,24 @@ def test_any_dialect_reads_back_what_was_written(tmp_path: Path, form: str) -> N
     log = log_of(step_s=60.0, blank=4 if layout == "wide" else None)
     (path,) = dialect.write(tmp_path, "log", log)
     require_it_reads(path, log, logs["time_format"])
+
+
+@pytest.mark.parametrize(
+    ("encoding", "header"),
+    [
+        (
+            "cp1252",
+            "Zeit;Druckdifferenz [bar];Öltemperatur [°C];Drehzahl [1/min];Leckölstrom [l/min]",
+        ),
+        ("cp1250", "Czas;Różnica ciśnień [bar];Temp. oleju [°C];Prędkość [1/min];Przepływ [l/min]"),
+        ("gb18030", "时间;压差 [bar];油温 [°C];转速 [1/min];泄漏流量 [l/min]"),
+    ],
+)
+def test_of_several_encodings_that_of_the_most_known_words(
+    tmp_path: Path, encoding: str, header: str
+) -> None:
+    rows = "2025-03-01 06:00:00;20,5;40,5;7,5;1,5\n" * 5
+    path = log_in(tmp_path, f"{header}\n{rows}".encode(encoding))
+    (motor,) = propose(path, {"time_zone": "UTC"}).motors
+    assert motor.logs["encoding"] == encoding
+    assert len(motor.channels) == 4
