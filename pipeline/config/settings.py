@@ -353,8 +353,6 @@ class Retention(Section):
 
     predictions: int | None = Field(None, ge=1)
     """Nights kept of `predictions`."""
-    starts: int | None = Field(None, ge=1)
-    """Nights kept of `starts`."""
     residual_tests: int | None = Field(None, ge=1)
     """Nights kept of `residual_tests`."""
     sensitivities: int | None = Field(None, ge=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from leakage.estimation.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
 from leakage.estimation.proven_minimum import ProvenMinimum
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
-from leakage.estimation.validation import Agreement, agreement
+from leakage.estimation.validation import Agreement, agreement, criteria
 from pipeline.arrays import Array
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
@@ -170,13 +171,19 @@ def _mode_columns(
 def agreement_columns(
     spec: MotorSpec, judged_on: Callable[[str], Array], fitted: ProvenMinimum
 ) -> Row:
-    """Agreement of the training fit with the training and the validation samples."""
+    """Agreement of the training fit with the training and the validation samples, and its criteria.
+
+    The criteria are those of a squared loss: a robust one has none of them.
+    """
     theta, resolution = fitted.coefficients, spec.file.channels["leakage_flow"].resolution
-
-    def of(part: str) -> Row:
-        return _agreement(part, agreement(judged_on(part), theta, resolution))
-
-    return of(TRAINING) | of(VALIDATION)
+    training, validation = (
+        agreement(judged_on(part), theta, resolution) for part in (TRAINING, VALIDATION)
+    )
+    row = _agreement(TRAINING, training) | _agreement(VALIDATION, validation)
+    if spec.settings.estimation.loss == "squared":
+        cost = (training.rmse_l_per_min or 0.0) ** 2
+        row |= asdict(criteria(cost, fitted.n_estimated, training.n))
+    return row
 
 
 def _agreement(of: str, found: Agreement) -> Row:

@@ -1,8 +1,8 @@
 """Names, types, units and meaning of every column of every table. The only place.
 
 ``columns.csv`` has a line a column, in the order of the tables; ``docs/tables.md`` and the table
-``data_dictionary`` are made from it. Columns are only ever added, at the end of their table; each
-addition raises the version.
+``data_dictionary`` are made from it. From the first release on columns are only added, at the end
+of their table, and each addition raises the version.
 """
 
 from __future__ import annotations
@@ -108,7 +108,6 @@ def _table(name: str, row: str) -> Table:
 FITS = _table("fits", "a motor, a night, a flushing mode")
 PARAMETERS = _table("parameters", "a fit, a parameter")
 SENSITIVITIES = _table("sensitivities", "a fit, an indicator, a source of systematic error")
-STARTS = _table("starts", "a fit, a start")
 RESIDUAL_TESTS = _table("residual_tests", "a fit, a part, a test (and input), a lag")
 RESIDUAL_VERDICTS = _table("residual_verdicts", "a fit, a part, a test (and input)")
 PREDICTIONS = _table("predictions", "a fit, a time, thinned for plots by its extremes")
@@ -120,7 +119,6 @@ TRENDS = _table("trends", "a motor, a night, an indicator")
 WATCH = _table("watch", "a motor, a night")
 ALARMS = _table("alarms", "a change of state")
 BASELINES = _table("baselines", "a motor, a baseline as it was frozen in a night")
-CHANGE_POINTS = _table("change_points", "a motor, a night, an indicator, a change seen from it")
 LOOKS = _table("looks", "a change of state of the look within the day")
 DECISIONS = _table("decisions", "what people said of a motor")
 LATEST = _table("latest", "a motor, as of the last run")
@@ -136,7 +134,6 @@ NIGHT_TABLES = (
     FITS,
     PARAMETERS,
     SENSITIVITIES,
-    STARTS,
     RESIDUAL_TESTS,
     RESIDUAL_VERDICTS,
     PREDICTIONS,
@@ -146,7 +143,7 @@ NIGHT_TABLES = (
     INPUT_FILES,
 )
 # The same, made from the tables above after all motors are done.
-TREND_TABLES = (WATCH, TRENDS, ALARMS, BASELINES, CHANGE_POINTS)
+TREND_TABLES = (WATCH, TRENDS, ALARMS, BASELINES)
 # One file a night, as many rows are rewritten; of all others but those below one file a month.
 NIGHTLY_TABLES = (PREDICTIONS, BLOCK_STATISTICS, RESIDUAL_TESTS)
 # One file each.

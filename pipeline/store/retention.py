@@ -24,7 +24,6 @@ from pipeline.store.tables import days_of, files_of, name_of
 # Tables that may be pruned, and what is lost with each.
 LOSSES: Mapping[str, str] = {
     "predictions": "the report's course of measured and predicted flow",
-    "starts": "the search start by start, of earlier versions",
     "residual_tests": "residual correlations lag by lag; residual_verdicts stays",
     "sensitivities": "the share of each tolerance in ±; the sum stays in fits and parameters",
     "block_statistics": "a changed setting of the fit then needs the logs of these nights, and "

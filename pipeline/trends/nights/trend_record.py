@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
@@ -24,8 +24,7 @@ class Record:
     last_night: dt.date  # the last night
     # First night whose trends are out of date, as its rows were made anew; None without one.
     redo_from: dt.date | None = None
-    # Rules that made them, by name; None in a record of an older version.
-    rules: Mapping[str, int | str] | None = None
+    rules: Mapping[str, int | str] = field(default_factory=dict)  # those that made them, by name
 
 
 def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
@@ -49,7 +48,7 @@ def read_records(state: State) -> dict[str, Record]:
             trend_hash,
             dt.date.fromisoformat(last_night),
             None if redo_from is None else dt.date.fromisoformat(redo_from),
-            None if rules is None else json.loads(rules),
+            json.loads(rules),
         )
         for motor_id, trend_hash, last_night, redo_from, rules in rows
     }
@@ -69,7 +68,7 @@ def write_record(state: State, motor_id: str, record: Record, kept: bytes | None
         record.trend_hash,
         str(record.last_night),
         None if record.redo_from is None else str(record.redo_from),
-        None if record.rules is None else json.dumps(record.rules),
+        json.dumps(record.rules),
         kept,
     )
 

@@ -61,7 +61,7 @@ def alarm_rows(
         NightState(one.night, one.time, INSUFFICIENT, RECOMPUTED, "no longer watched by itself")
         for one in nights
     ]
-    # Indicators of older versions are closed.
+    # Indicators that are no longer watched are closed.
     every = {name: states.get(name, gone) for name in [*states, *sorted(by_indicator)]}
     return [
         row
@@ -142,8 +142,6 @@ def change_of_rules(record: Record | None, now: Mapping[str, int | str]) -> str:
     """Change since a record was written, such as ``trends 5 to 6``; empty: none."""
     if record is None:
         return ""
-    if record.rules is None:
-        return "those of an older version"
     return ", ".join(
         f"{name} {record.rules.get(name, '?')} to {version}"
         for name, version in now.items()

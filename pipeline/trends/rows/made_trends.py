@@ -11,7 +11,7 @@ from leakage.estimation.identifiability import TOLD
 from leakage.watch import Estimate, Watch
 from pipeline.clock import utc
 from pipeline.config.nights import night as night_labelled
-from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TRENDS, WATCH, Table
+from pipeline.schema import ALARMS, BASELINES, TRENDS, WATCH, Table
 from pipeline.trends.nights.decisions import LEAKAGE
 from pipeline.trends.nights.trend_record import Record
 from pipeline.trends.rows.alarm_rows import NightState, alarm_rows, marked
@@ -112,8 +112,8 @@ class MadeTrends:
         course = self.course
         published = course.nights.alarms
         rows = alarm_rows(course.spec.motor_id, self.states, published)
-        alarms = marked(rows, published, before, record.rules or {})
-        return {**self.rows, ALARMS: alarms, CHANGE_POINTS: []}
+        alarms = marked(rows, published, before, record.rules)
+        return {**self.rows, ALARMS: alarms}
 
 
 def _last_changed(alarms: Sequence[Row], first: dt.date) -> dt.date:

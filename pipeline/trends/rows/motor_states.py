@@ -206,19 +206,12 @@ def _latest_row(state: MotorState) -> Row:
 
 
 def state_of_row(row: Mapping[str, Any]) -> MotorState:
-    """The state of a row of `latest`; of a version without a watch, that it is to be made."""
+    """The state of a row of `latest`."""
     known: Row = {name: row[name] for name in STORED}
     known["log_note"] = known["log_note"] or ""
     if row["watch_night"] is not None:
         watch = {**row, "night": row["watch_night"], "sentence": row["reason"]}
         known["watch"] = WatchRow.of(watch)
-    if known["state"] not in ORDER or known["advice"] is None:
-        return MotorState(
-            row["motor_id"],
-            "insufficient",
-            "the state is of an earlier version",
-            "Wait for the next run.",
-        )
     return MotorState(**known)
 
 

@@ -72,7 +72,7 @@ def test_check_is_1_where_the_folder_of_the_metrics_is_missing(call: Call, fleet
 
 
 @pytest.mark.parametrize(
-    "command", [("check", "--tables"), ("prune", "--tables", "starts", "--keep", "1")]
+    "command", [("check", "--tables"), ("prune", "--tables", "predictions", "--keep", "1")]
 )
 def test_2_where_there_are_no_tables(
     call: Call, own_fleet: OwnFleet, tmp_path: Path, command: tuple[str, ...]

@@ -78,6 +78,12 @@ def test_a_good_night_has_verdicts_intervals_and_shares(spec: MotorSpec) -> None
     assert (row["reference_verdict"], row["interval_status"]) == ("identified", "ok")
     assert row["reference_leakage_l_per_min"] == pytest.approx(1.371423, rel=0.01)
     assert row["n_parameters"] == 3
+    # Equation (25), and AIC and BIC as Burnham and Anderson have them.
+    n, cost = row["n_training"], row["training_rmse_l_per_min"] ** 2
+    assert row["fpe"] == pytest.approx(cost * (n + 3) / (n - 3))
+    assert row["aic"] == pytest.approx(n * (math.log(2 * math.pi * cost) + 1) + 6)
+    assert row["aicc"] == pytest.approx(row["aic"] + 24 / (n - 4))
+    assert row["bic"] == pytest.approx(row["aic"] + 3 * (math.log(n) - 2))
     # h and e of a balance piston never get a ±.
     for name in ("h_balance_piston", "e_balance_piston", "h_balance_sleeve", "e_balance_sleeve"):
         assert rows[name]["verdict"] == "only_in_combination"
@@ -139,6 +145,7 @@ def test_hubers_loss_withstands_what_the_cleaning_lets_through(spec: MotorSpec) 
     for loss in ("squared", "huber"):
         row = fit_of(fitted(with_settings(spec, "estimation", loss=loss), LONG, flow).rows)
         assert row["loss"] == loss
+        assert (row.get("fpe") is None) == (row.get("bic") is None) == (loss == "huber")
         off[loss] = abs(row["own_conditions_leakage_l_per_min"] - at_own(spec, row))
     assert off["huber"] < 0.25 * off["squared"]
 
@@ -315,7 +322,7 @@ def check_unfitted(found: Any, outcome: str, words: list[str]) -> None:
     assert row["error_code"] == found.error_code
     assert row.get("window_start") is None
     assert row.get("reference_leakage_l_per_min") is None
-    assert not found.rows.keys() & {"parameters", "starts", "predictions"}
+    assert not found.rows.keys() & {"parameters", "predictions"}
 
 
 COUNTED = 'counts = "cumulative"\nvolume_per_count_cm3 = 1.0\n'

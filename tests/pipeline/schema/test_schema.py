@@ -39,7 +39,7 @@ DESIGN: dict[str, tuple[tuple[str, ...], str]] = {
         "motor_id motor_type night window_start window_end flushing_mode is_primary status reason "
         "n_training n_validation training_fit_percent validation_fit_percent "
         "previous_model_fit_percent training_rmse_l_per_min validation_rmse_l_per_min smoothing_s "
-        "fpe aic aicc bic n_effective cost certificate_gap n_starts n_starts_at_minimum rank "
+        "fpe aic aicc bic n_effective cost rank "
         "condition_number reference_leakage_l_per_min reference_leakage_lower "
         "reference_leakage_upper reference_leakage_systematic reference_verdict "
         "own_conditions_leakage_l_per_min own_conditions_leakage_lower "
@@ -47,10 +47,8 @@ DESIGN: dict[str, tuple[tuple[str, ...], str]] = {
     ),
     "parameters": (
         (*FIT_KEY, "parameter"),
-        "value unit lower upper systematic feasible_min feasible_max verdict reason "
-        "spread_over_starts",
+        "value unit lower upper systematic feasible_min feasible_max verdict reason",
     ),
-    "starts": ((*FIT_KEY, "start"), "cost status reason iterations initial_values final_values"),
     "residual_tests": (
         (*FIT_KEY, "part", "smoothed", "test", "input", "lag"),
         "value bound outside",

@@ -135,9 +135,12 @@ def test_the_config_says_how_many_nights_or_the_caller_does() -> None:
     retention = Retention(predictions=90)
     assert nights_kept(retention, [], None) == {"predictions": 90}
     assert nights_kept(retention, ["predictions"], None) == {"predictions": 90}
-    assert nights_kept(retention, ["predictions", "starts"], 5) == {"predictions": 5, "starts": 5}
-    with pytest.raises(UsageError, match="the number of nights of starts"):
-        nights_kept(retention, ["starts"], None)
+    assert nights_kept(retention, ["predictions", "residual_tests"], 5) == {
+        "predictions": 5,
+        "residual_tests": 5,
+    }
+    with pytest.raises(UsageError, match="the number of nights of residual_tests"):
+        nights_kept(retention, ["residual_tests"], None)
     with pytest.raises(UsageError, match="--keep needs --tables"):
         nights_kept(retention, [], 5)
 

@@ -6,7 +6,6 @@ import datetime as dt
 from dataclasses import fields, replace
 from pathlib import Path
 
-import polars as pl
 import pytest
 
 from pipeline.schema import ALARMS, LATEST, WATCH, frame
@@ -59,16 +58,6 @@ def test_columns_of_before_say_the_same(output: Path) -> None:
     assert (row["change_start"], row["known_since"]) == (night_of(2), night_of(3))
     assert (row["gap_path"], row["gap_change_percent"]) == ("balance_sleeve", pytest.approx(12.0))
     assert row["gap_change_upper"] == pytest.approx(14.0)
-
-
-def test_a_table_of_an_earlier_version_says_that_the_next_run_makes_it(output: Path) -> None:
-    (state,) = latest_states(output, ["M1"])
-    rows = frame(LATEST, latest_rows([state], "r"))
-    old = rows.with_columns(pl.lit("duty_outside").alias("state"))
-    with publisher_of(output) as publisher:
-        publisher.whole(LATEST, old)
-    (found,) = published_states(output, ["M1"])
-    assert (found.state, found.advice) == ("insufficient", "Wait for the next run.")
 
 
 @pytest.mark.parametrize(("state", "since"), [("ok", None), ("stale", 4)])
