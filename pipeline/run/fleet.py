@@ -25,7 +25,6 @@ from pipeline.notification.receivers import receivers_of
 from pipeline.run.mending import EVERY_DAY, Damage, restore_decisions
 from pipeline.run.motors import motor_outcomes
 from pipeline.run.notification import deliver_alarms, measure, queue_summary
-from pipeline.run.old_layout import taken_over
 from pipeline.run.publishing import (
     STAGES,
     config_hash_of,
@@ -44,7 +43,7 @@ from pipeline.store.locks import interrupts_held, locked
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.published import write_manifest
 from pipeline.store.publishing import Publisher
-from pipeline.store.state import is_sound, make_ready, open_state
+from pipeline.store.state import is_sound, make_ready, open_state, put_old_aside
 from pipeline.store.working_copy import pull, working_copy
 from pipeline.trends.tasks import TrendOutcome
 from pipeline.workers.engine import Workers, open_workers
@@ -91,6 +90,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     ):
         remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in WRITTEN_FOLDERS])
+        put_old_aside(output)
         # A copy that is pulled into it is whole, and says no more that it was lost.
         was_lost = not is_sound(output)
         with working_copy(fleet.object_store, output), staging_folder(output) as staging:
@@ -100,10 +100,9 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
             is_new = make_ready(output)
             with open_state(output) as state:
                 damage = Damage(state)
-                with taken_over(state) as is_old:
-                    if is_old or is_new or was_lost:
-                        restore_decisions(state)
-                        damage.take_stock()
+                if is_new or was_lost:
+                    restore_decisions(state)
+                    damage.take_stock()
                 open_outbox(state, [one.name for one in receivers], fleet.name)
                 with open_workers(fleet.execution, folders) as workers:
                     result = _run(request, staging, progress, heartbeat, workers, damage)

@@ -14,6 +14,7 @@ import logging
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,10 @@ from pipeline.store.atomic_files import make_folders, move, put, remove, store_e
 log = logging.getLogger(__name__)
 
 STATE_FILE, BACKUP_FILE, DAMAGED_FILE = "state.db", "state.backup.db", "state.damaged.db"
-# Of `PRAGMA user_version`; raise it with a step in `open_state` that brings older files up to it.
-VERSION = 1
+# Of `PRAGMA user_version`: an output of an earlier one is put aside and made anew from the logs.
+VERSION = 2
+# What a run leaves in an output folder; the state comes last, as it says of which version all is.
+OUTPUT = ("tables", "report", "manifest.json", "views.sql", BACKUP_FILE)
 # So long a command waits for the transaction of another process [s].
 BUSY_S = 30.0
 
@@ -108,8 +111,8 @@ class State:
     def replace(self, content: bytes) -> None:
         """Take the content of another state file over; decisions of the present one are kept.
 
-        Raises StoreError (``store_read``) if it is none; ``store_newer`` if it is of a newer
-        version of the program; else as `write`.
+        Raises StoreError (``store_read``) if it is none; ``store_newer`` or ``store_older`` if it is
+        of another version of the program; else as `write`.
         """
         tables = self.rows("SELECT name FROM sqlite_schema WHERE type = 'table'")
         names = [name for (name,) in tables if name != "decisions"]
@@ -175,7 +178,8 @@ def _errors(code: str) -> Iterator[None]:
 def open_state(output: Path) -> Iterator[State]:
     """Open the state file for changes; it is made where there is none.
 
-    Raises StoreError: ``store_write``; ``store_newer``: it is of a newer version of the program.
+    Raises StoreError: ``store_write``; ``store_newer``, ``store_older``: it is of another version
+    of the program.
     """
     with store_errors(output):
         make_folders(output)
@@ -244,7 +248,31 @@ def _version(state: State, database: str = "main") -> int:
     if version > VERSION:
         message = f"{STATE_FILE} is of version {version}; update the program"
         raise StoreError("store_newer", message)
+    if 0 < version < VERSION:
+        what = "`fit-fleet` puts this output aside and makes it anew from the logs"
+        raise StoreError("store_older", f"{STATE_FILE} is of an earlier version; {what}")
     return int(version)
+
+
+def put_old_aside(output: Path) -> None:
+    """Put an output of an earlier version aside: the run then begins anew from the logs.
+
+    Wherever that is broken off, the next run goes on. Raises StoreError if a file cannot be moved.
+    """
+    versions = (_version_of(output / name) for name in (STATE_FILE, BACKUP_FILE))
+    if not any(0 < (version or 0) < VERSION for version in versions):
+        return
+    aside = next(place for n in count(1) if not (place := output / f"old-{n}").exists())
+    log.warning(
+        "the output is of an earlier version: it is put aside as %s, and all nights are made anew "
+        "from their logs",
+        aside.name,
+    )
+    with store_errors(aside):
+        make_folders(aside)
+    for name in (*OUTPUT, f"{STATE_FILE}-shm", f"{STATE_FILE}-wal", STATE_FILE):
+        if (output / name).exists():
+            move(output / name, aside / name)
 
 
 def make_ready(output: Path) -> bool:
