@@ -111,7 +111,7 @@ class State:
     def replace(self, content: bytes) -> None:
         """Take the content of another state file over; decisions of the present one are kept.
 
-        Raises StoreError (``store_read``) if it is none; ``store_newer`` or ``store_older`` if it is
+        Raises StoreError (``store_read``) if it is none; ``store_newer``, ``store_older`` if it is
         of another version of the program; else as `write`.
         """
         tables = self.rows("SELECT name FROM sqlite_schema WHERE type = 'table'")
