@@ -18,12 +18,53 @@ FIRST_LAGS = 500
 def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -> Array:
     """ρ at lags from 0, over the pairs that exist; nan where none has a lag, or nothing varies."""
     place, mean = index - index[0], float(values.mean())
-    pairs = np.round(_products(np.ones(len(place)), 0.0, place, longest_lag))
+    pairs = pair_counts(place, longest_lag)
     products = _products(values, mean, place, longest_lag)
     with np.errstate(invalid="ignore", divide="ignore"):
         at_lag = np.where(pairs > 0, products / pairs, np.nan)
         result: Array = at_lag / at_lag[0] if at_lag[0] > 0 else np.full(longest_lag + 1, np.nan)
     return result
+
+
+def pair_counts(place: NDArray[np.int64], longest_lag: int) -> Array:
+    r"""Return how many pairs of samples are k apart, across gaps too, for k from 0 on.
+
+    With d the edges of the stretches without a gap, +1 at a begin and −1 behind an end, the counts
+    c have the second difference −D, :math:`D(k) = \sum d(t) d(t + k)`: exact, and of the few edges
+    alone.
+
+    Parameters
+    ----------
+    place
+        Places of the samples on an even time base, increasing, shape (n,).
+    longest_lag
+        Largest k.
+
+    Returns
+    -------
+    Counts, shape (longest_lag + 1,).
+
+    Examples
+    --------
+    >>> pair_counts(np.array([0, 1, 2, 5]), 3)
+    array([4., 2., 1., 1.])
+    """
+    behind = np.flatnonzero(np.diff(place) != 1)
+    begins = place[np.append(0, behind + 1)]
+    ends = place[np.append(behind, len(place) - 1)] + 1
+    edges = np.column_stack([begins, ends]).ravel()
+    products = np.zeros(longest_lag + 1, dtype=np.int64)
+    # Neighbours that are an odd number of edges apart have opposite signs.
+    for neighbour in range(1, len(edges)):
+        apart = edges[neighbour:] - edges[:-neighbour]
+        apart = apart[apart <= longest_lag]
+        if not len(apart):
+            break
+        products += (-1) ** neighbour * np.bincount(apart, minlength=longest_lag + 1)
+    # At lag 0 each edge meets itself, and half of that lies on either side.
+    slopes = np.append(0, -len(edges) // 2 - np.cumsum(products)[:-1])
+    counts: Array = (len(place) + np.cumsum(slopes)).astype(float)
+    return counts
 
 
 def _products(values: Array, mean: float, place: NDArray[np.int64], longest_lag: int) -> Array:

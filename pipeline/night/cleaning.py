@@ -28,17 +28,8 @@ from pipeline.night.masks import (
     frozen,
     out_of_range,
     spike,
-    steps_where,
 )
-from pipeline.night.time_order import (
-    Ordered,
-    carried_over,
-    corrected,
-    n_jittered,
-    order_once,
-    samples_of,
-    typical_period_us,
-)
+from pipeline.night.time_order import SharedStamps, Steps, carried_over, corrected, samples_of
 
 Places = NDArray[np.intp]
 
@@ -51,8 +42,9 @@ class CleanChannel:
     value: Values  # in the unit of the tables, shape (n,)
     refused: Mask  # samples that a rule refused, shape (n,)
     at_maximum: Mask  # samples at which the sensor was at its maximum, shape (n,)
-    period_us: float | None  # typical distance of two samples; None for fewer than two
+    steps: Steps  # from each sample to the next, and their typical length
     longest_gap_us: float  # longer silence than this is a gap
+    gaps: Places  # steps that are one
     counts: Mapping[str, int]  # refused samples by reason, and ``any`` for those refused at all
     n_samples: int  # samples that the rules looked at
     # Samples by reason that were kept although it applies: `backward_time` for those put back in
@@ -64,25 +56,30 @@ class CleanChannel:
     # Samples at the front that are from before the night, 0 or 1; no count has them.
     n_carried: int = 0
 
+    @property
+    def period_us(self) -> float | None:
+        """Typical distance of two samples [µs]; None for fewer than two."""
+        return self.steps.period_us
+
 
 def clean_channel(
     raw: RawChannel,
     rules: ChannelRules,
     night_start_us: int | None = None,
-    ordered: Ordered | None = None,
+    stamps: SharedStamps | None = None,
 ) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
     Of what lies before `night_start_us`, the last sample of an on-change channel carries over, and
-    no rule counts it; None: all samples are of the night. `ordered` has the stamps of the channel
-    before, and gets these.
+    no rule counts it; None: all samples are of the night. `stamps` has those of the channel before,
+    which may be the same.
     """
+    stamps = stamps or SharedStamps()
     early, here = None, raw
     if night_start_us is not None and raw.time_us.min(initial=night_start_us) < night_start_us:
         before = raw.time_us < night_start_us
         early, here = raw.rows(before), raw.rows(chosen_rows(~before))
-    stamps = [] if ordered is None else ordered
-    order = order_once(stamps, here.time_us, puts_in_order=rules.puts_in_order)
+    order = stamps.order(here.time_us, puts_in_order=rules.puts_in_order)
     n_put_back, n_backward, n_duplicate = (
         int(np.count_nonzero(~here.missing[rows]))
         for rows in (order.late, order.backward, order.repeated)
@@ -90,19 +87,29 @@ def clean_channel(
     cells = corrected(here.rows(order.rows, order.time_us), rules)
     # A day at 100 Hz is not to be in memory twice.
     del raw, here
-    period = typical_period_us(cells.time_us[~cells.missing])
-    longest_gap_us = _longest_gap_us(period, rules)
-    samples = samples_of(cells, rules, period)
+    readings_us = cells.time_us if not cells.missing.any() else cells.time_us[~cells.missing]
+    steps = stamps.steps(readings_us)
+    longest_gap_us = _longest_gap_us(steps.period_us, rules)
+    samples = samples_of(cells, rules, steps.period_us)
+    if samples.time_us is not readings_us:
+        steps = steps.with_period(samples.time_us)
     noted = {"backward_time": n_put_back}
     if not rules.sampling.on_change:
-        noted["jitter"] = n_jittered(samples.time_us, period)
+        noted["jitter"] = steps.n_jittered(samples.time_us)
     n_carried = 0
     if early is not None and night_start_us is not None:
         carried = carried_over(early, rules, night_start_us - longest_gap_us)
         n_carried = len(carried.time_us)
         if n_carried:
             samples = RawChannel.joined([carried, samples])
-    time, value, masks = _judged(samples, rules, period, longest_gap_us)
+            steps = steps.with_period(samples.time_us)
+    time, value, masks = _judged_alone(samples, rules, longest_gap_us)
+    if time is not samples.time_us:
+        steps = steps.with_period(time)
+    gaps = steps.longer_than(longest_gap_us, time)
+    credible = ~reduce(np.logical_or, masks.values())
+    course = _course(time, value, credible, gaps, longest_gap_us, rules, steps.period_us)
+    masks |= {reason: _within(credible, rule(course)) for reason, rule in CHANNEL_RULES.items()}
     refused = reduce(np.logical_or, masks.values())
     counts = {reason: int(np.count_nonzero(mask[n_carried:])) for reason, mask in masks.items()}
     counts |= {"backward_time": n_backward, "duplicate_time": n_duplicate}
@@ -112,8 +119,9 @@ def clean_channel(
         value=value,
         refused=refused,
         at_maximum=masks["at_maximum"],
-        period_us=period,
+        steps=steps,
         longest_gap_us=longest_gap_us,
+        gaps=gaps,
         counts=counts | {"any": int(np.count_nonzero(refused[n_carried:])) + out_of_order},
         n_samples=len(time) - n_carried + out_of_order,
         noted=noted,
@@ -129,13 +137,10 @@ def _ends(masks: Mapping[str, Mask]) -> Mask:
     return found | masks["bad_quality"] if "bad_quality" in masks else found
 
 
-def _judged(
-    samples: RawChannel,
-    rules: ChannelRules,
-    period_us: float | None,
-    longest_gap_us: float,
+def _judged_alone(
+    samples: RawChannel, rules: ChannelRules, longest_gap_us: float
 ) -> tuple[Times, Values, dict[str, Mask]]:
-    """Times and values, of a counter as a flow, and which samples each rule refuses."""
+    """Return times and values, of a counter as a flow, and what each value is refused for alone."""
     time, value, sampling = samples.time_us, samples.value, rules.sampling
     masks = {"missing": samples.missing, "not_finite": ~(samples.missing | np.isfinite(value))}
     if samples.bad_quality is not None:
@@ -151,14 +156,6 @@ def _judged(
         "out_of_range": out_of_range(value, rules.valid_range),
         "at_maximum": at_maximum(value, rules.sensor_maximum, rules.resolution),
     }
-    credible = ~reduce(np.logical_or, masks.values())
-    rows = chosen_rows(credible)
-    kept_us, readings = time[rows], value[rows]
-    long_steps = steps_where(lambda steps_us: steps_us > longest_gap_us, time)
-    borders = _borders(kept_us, long_steps, np.flatnonzero(~credible), longest_gap_us)
-    stated = max(rules.resolution, sampling.resolution_l_per_min(period_us))
-    course = Course(kept_us, readings, borders, rules, stated or step_of_readings(readings))
-    masks |= {reason: _within(credible, rule(course)) for reason, rule in CHANNEL_RULES.items()}
     return time, value, masks
 
 
@@ -181,6 +178,23 @@ class Course:
     rules: ChannelRules  # the channel's limits
     # Step of the readings: stated, of a counter's periods, or as the readings show it.
     resolution: float
+
+
+def _course(
+    time_us: Times,
+    value: Values,
+    credible: Mask,
+    gaps: Places,
+    longest_gap_us: float,
+    rules: ChannelRules,
+    period_us: float | None,
+) -> Course:
+    """Return the credible samples with the gaps between them and their resolution."""
+    rows = chosen_rows(credible)
+    kept_us, readings = time_us[rows], value[rows]
+    borders = _borders(kept_us, gaps, np.flatnonzero(~credible), longest_gap_us)
+    stated = max(rules.resolution, rules.sampling.resolution_l_per_min(period_us))
+    return Course(kept_us, readings, borders, rules, stated or step_of_readings(readings))
 
 
 def _borders(time_us: Times, long_steps: Places, refused: Places, longest_gap_us: float) -> Places:

@@ -30,7 +30,7 @@ from pipeline.night.sample_rows import operation_row, prediction_rows, quality_r
 from pipeline.night.statistics import NightStatistics, left_out, night_statistics, too_uniform
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples, bring_together
-from pipeline.night.time_order import Ordered
+from pipeline.night.time_order import SharedStamps
 from pipeline.night.viscosity import SensorRatio, sensor_ratio
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
 from pipeline.units import RUNNING_HOURS
@@ -166,10 +166,10 @@ def clean_channels(
         for name, channel in file.channels.items()
         if name != RUNNING_HOURS
     }
-    ordered: Ordered = []
+    stamps = SharedStamps()
     # Each is taken out when it is its turn.
     cleaned = {
-        name: clean_channel(channels.pop(name), one, night.start_us, ordered)
+        name: clean_channel(channels.pop(name), one, night.start_us, stamps)
         for name, one in rules.items()
     }
     counted = tuple(

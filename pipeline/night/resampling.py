@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times, Values
 from pipeline.night.cleaning import CleanChannel
-from pipeline.night.masks import steps_where
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
 AVERAGE_ABOVE = 1.5
@@ -66,7 +65,7 @@ def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGr
         rows = np.unique(np.concatenate([[0], after - 1, after]).clip(0, len(time) - 1))
     value[others] = np.interp(grid_us[others], time[rows], known[rows], left=np.nan, right=np.nan)
     # Before the first sample, within gaps between two, and after the last it is silent.
-    gaps = steps_where(lambda steps_us: steps_us > channel.longest_gap_us, time)
+    gaps = channel.gaps
     if channel.ends is not None:
         gaps = np.union1d(gaps, np.flatnonzero(channel.ends[:-1]))
     begins = [0, *grid_us.searchsorted([*time[gaps], time[-1]], "right").tolist()]
@@ -86,7 +85,7 @@ def _fill_even(
     """
     time, step_us = channel.time_us, int(channel.period_us or 0)
     apart = step_us // period_us
-    edges = steps_where(lambda steps_us: steps_us != step_us, time)
+    edges = channel.steps.uneven
     if not apart or step_us % period_us or len(edges) > len(time) // EVEN_SAMPLES:
         return
     for before, last in zip([-1, *edges.tolist()], [*edges.tolist(), len(time) - 1], strict=True):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Mask, Times
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.masks import missing_sample, steps_where
+from pipeline.night.masks import NO_BORDERS, missing_sample, steps_where
 
 # A place is free where no other sample lies nearer than this share of a period, and belongs to the
 # log where one lies within this many periods.
@@ -65,18 +65,75 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     return Order(once, time_us[once], late, np.flatnonzero(~chosen), rows[again])
 
 
-# The stamps that were ordered last, and their order; empty before any.
-Ordered = list[tuple[Times, Order]]
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """Distances of consecutive stamps, most of which are alike."""
+
+    period_us: float | None  # their median [µs]; None for fewer than two stamps
+    uneven: NDArray[np.intp]  # places of the steps of another length
+
+    @classmethod
+    def of(cls, time_us: Times) -> Steps:
+        """Return the steps of increasing stamps, shape (n,)."""
+        n = len(time_us) - 1
+        if n < 1:
+            return cls(None, NO_BORDERS)
+        # Where most are alike, which is where sorting takes longest, their length is the median.
+        places = np.arange(0, n, max(1, n // LOOKED_AT))
+        some = np.sort(time_us[places + 1] - time_us[places])
+        likely = some[len(some) // 2]
+        uneven = steps_where(lambda steps_us: steps_us != likely, time_us)
+        if 2 * len(uneven) < n:
+            return cls(float(likely), uneven)
+        median = float(np.median(np.diff(time_us)))
+        return cls(median, steps_where(lambda steps_us: steps_us != median, time_us))
+
+    def with_period(self, time_us: Times) -> Steps:
+        """Return the steps of other stamps beside the same period."""
+        if self.period_us is None:
+            return replace(self, uneven=np.arange(len(time_us) - 1))
+        return replace(
+            self, uneven=steps_where(lambda steps_us: steps_us != self.period_us, time_us)
+        )
+
+    def longer_than(self, limit_us: float, time_us: Times) -> NDArray[np.intp]:
+        """Return the places of the steps beyond a limit [µs]; the stamps are those of the steps."""
+        if self.period_us is not None and self.period_us > limit_us:
+            return steps_where(lambda steps_us: steps_us > limit_us, time_us)
+        long: Mask = time_us[self.uneven + 1] - time_us[self.uneven] > limit_us
+        return self.uneven[long]
+
+    def n_jittered(self, time_us: Times) -> int:
+        """Return how many samples come neither one nor several periods after the one before."""
+        if not self.period_us:
+            return 0
+        steps = time_us[self.uneven + 1] - time_us[self.uneven]
+        whole = np.maximum(np.round(steps / self.period_us), 1.0)
+        jitter = np.abs(steps - whole * self.period_us) > JITTER_SHARE * self.period_us
+        return int(np.count_nonzero(jitter))
 
 
-def order_once(last: Ordered, time_us: Times, *, puts_in_order: bool) -> Order:
-    """As `order_of`; channels of one table have the same stamps, and share their order.
+class SharedStamps:
+    """Order and steps of the stamps that the channels of one table have in common.
 
-    Only the last one is kept: channels with stamps of their own would hold all of a day's.
+    Only the last ones are held: channels with stamps of their own would hold all of a day's.
     """
-    if not (last and np.array_equal(last[0][0], time_us)):
-        last[:] = [(time_us, order_of(time_us, puts_in_order=puts_in_order))]
-    return last[0][1]
+
+    def __init__(self) -> None:
+        self._ordered: tuple[Times, Order] | None = None
+        self._steps: tuple[Times, Steps] | None = None
+
+    def order(self, time_us: Times, *, puts_in_order: bool) -> Order:
+        """As `order_of`, once for stamps that are the same."""
+        if self._ordered is None or not np.array_equal(self._ordered[0], time_us):
+            self._ordered = time_us, order_of(time_us, puts_in_order=puts_in_order)
+        return self._ordered[1]
+
+    def steps(self, time_us: Times) -> Steps:
+        """As `Steps.of`, once for the very same array."""
+        if self._steps is None or self._steps[0] is not time_us:
+            self._steps = time_us, Steps.of(time_us)
+        return self._steps[1]
 
 
 def backward_time(time_us: Times) -> Mask:
@@ -132,7 +189,7 @@ def written_late(
     near nothing. Neither is restored. `in_order` are the stamps of all samples but the backward.
     """
     rows = np.flatnonzero(backward)
-    period = typical_period_us(in_order) if len(rows) else None
+    period = Steps.of(in_order).period_us if len(rows) else None
     if period is None:
         return rows[:0], rows[:0]
     out_of_order = np.sort(time_us[rows])
@@ -166,29 +223,6 @@ def _distance_of_nearest(ordered: Times, stamps: Times, *, own: int) -> NDArray[
     return np.where(after - before > 1 + own, 0.0, np.minimum(earlier_us, later_us))
 
 
-def typical_period_us(time_us: Times) -> float | None:
-    """Median distance of consecutive samples [µs]; None for fewer than two."""
-    n = len(time_us) - 1
-    if n < 1:
-        return None
-    # Where most are alike, which is where sorting takes longest, their length is the median.
-    places = np.arange(0, n, max(1, n // LOOKED_AT))
-    some = np.sort(time_us[places + 1] - time_us[places])
-    likely = some[len(some) // 2]
-    n_others = len(steps_where(lambda steps_us: steps_us != likely, time_us))
-    return float(likely if 2 * n_others < n else np.median(np.diff(time_us)))
-
-
-def n_jittered(time_us: Times, period_us: float | None) -> int:
-    """Number of samples that come neither one nor several periods after the one before."""
-    if not period_us:
-        return 0
-    others = steps_where(lambda steps_us: steps_us != period_us, time_us)
-    steps = time_us[others + 1] - time_us[others]
-    whole = np.maximum(np.round(steps / period_us), 1.0)
-    return int(np.count_nonzero(np.abs(steps - whole * period_us) > JITTER_SHARE * period_us))
-
-
 def corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
     """Samples at the times at which they hold."""
     if not rules.sampling.shift_us:
@@ -201,7 +235,7 @@ def samples_of(cells: RawChannel, rules: ChannelRules, period_us: float | None) 
     if rules.sampling.on_change:
         samples = _says_something(cells, rules)
     elif cells.missing.any():
-        row_us = typical_period_us(cells.time_us)
+        row_us = Steps.of(cells.time_us).period_us
         samples = ~cells.missing
         samples |= missing_sample(cells.time_us, cells.missing, period_us, row_us)
     else:

@@ -12,6 +12,8 @@ from pipeline.config.logs import Logs
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
+from pipeline.night.masks import NO_BORDERS
+from pipeline.night.time_order import Steps
 from tests.pipeline.simulated import CANONICAL
 
 SECOND = 1_000_000
@@ -76,14 +78,16 @@ def cleaned(
     longest_gap_us: float = 5.0 * STEP,
     at_maximum: object = False,
 ) -> CleanChannel:
-    n = len(time_us)
+    n, times = len(time_us), np.asarray(time_us, np.int64)
+    steps = Steps(period_us, NO_BORDERS).with_period(times)
     return CleanChannel(
-        time_us=np.asarray(time_us, np.int64),
+        time_us=times,
         value=np.asarray(value, np.float64),
         refused=np.broadcast_to(np.asarray(refused, np.bool_), n).copy(),
         at_maximum=np.broadcast_to(np.asarray(at_maximum, np.bool_), n).copy(),
-        period_us=period_us,
+        steps=steps,
         longest_gap_us=longest_gap_us,
+        gaps=steps.longer_than(longest_gap_us, times),
         counts={},
         n_samples=n,
     )

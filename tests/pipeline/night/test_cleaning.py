@@ -27,10 +27,9 @@ from pipeline.night.masks import (
     transient,
 )
 from pipeline.night.time_order import (
-    Ordered,
+    SharedStamps,
+    Steps,
     backward_time,
-    n_jittered,
-    typical_period_us,
     written_late,
 )
 from tests.pipeline.night.channels import (
@@ -94,10 +93,22 @@ def test_channel_of_few_samples(n: int) -> None:
 
 
 def test_typical_period_is_a_median() -> None:
-    assert typical_period_us(np.array([0, 10, 20, 5000, 5010])) == 10.0
-    assert typical_period_us(np.array([0, 1, 3, 6, 10])) == 2.5  # of 1, 2, 3, 4: none is of most
-    assert typical_period_us(np.array([0, 4, 8, 11, 14])) == 3.5  # two of four are not most
-    assert typical_period_us(np.array([7])) is None
+    assert Steps.of(np.array([0, 10, 20, 5000, 5010])).period_us == 10.0
+    assert Steps.of(np.array([0, 1, 3, 6, 10])).period_us == 2.5  # of 1, 2, 3, 4: none is of most
+    assert Steps.of(np.array([0, 4, 8, 11, 14])).period_us == 3.5  # two of four are not most
+    assert Steps.of(np.array([7])).period_us is None
+
+
+@given(
+    st.lists(st.integers(1, 40), min_size=2, max_size=30),
+    st.integers(0, 45),
+)
+def test_long_steps_are_those_beyond_a_limit_however_regular_the_others(
+    lengths: list[int], limit_us: int
+) -> None:
+    time_us = np.cumsum(lengths)
+    expected = [place for place, length in enumerate(lengths[1:]) if length > limit_us]
+    assert Steps.of(time_us).longer_than(limit_us, time_us).tolist() == expected
 
 
 @pytest.mark.parametrize("first", range(10))
@@ -184,20 +195,15 @@ def test_times_that_are_left_are_strictly_increasing_and_all_are_counted(
 
 def test_channels_of_one_table_share_their_order_and_others_have_their_own() -> None:
     """The stamps are compared: a table with other ones is not put in the first one's order."""
-    ordered: Ordered = []
+    shared_stamps = SharedStamps()
     first, other = stamps(50), stamps(50)
     first[[20, 21]] = first[[21, 20]]
     other[40] = other[39]
-    kept = []
     for time in (first, first.copy(), other, other.copy()):
         alone = clean_channel(raw(time, lively(50)), RULES)
-        shared = clean_channel(raw(time, lively(50)), RULES, None, ordered)
+        shared = clean_channel(raw(time, lively(50)), RULES, None, shared_stamps)
         np.testing.assert_array_equal(shared.time_us, alone.time_us)
         assert (shared.counts, shared.noted) == (alone.counts, alone.noted)
-        # One of them is kept: those of a day at 100 Hz are large.
-        kept += [order for _, order in ordered]
-    assert [kept[0] is one for one in kept] == [True, True, False, False]
-    assert kept[2] is kept[3]
 
 
 @given(
@@ -421,4 +427,5 @@ def test_jitter_is_counted_and_refuses_nothing() -> None:
 
 def test_samples_left_out_are_no_jitter() -> None:
     time = np.delete(stamps(1000), [5, 70, 71, 72])
-    assert n_jittered(time, float(STEP)) == n_jittered(time, None) == 0
+    steps = Steps.of(time)
+    assert (steps.period_us, steps.n_jittered(time)) == (STEP, 0)
