@@ -66,7 +66,7 @@ check: $(RUN)  ## check a fleet's config and the head of its logs: CONFIG=...
 demo-logs: $(DEMO)/truth.json ## simulated logs of the six motors of configs/fleet.toml, in demo/
 
 $(DEMO)/truth.json: | $(RUN)
-	$(BIN)/motor-leakage demo .
+	$(BIN)/motor-leakage demo . $(if $(LAST_NIGHT),--last-night $(LAST_NIGHT))
 
 lint: $(DEV)     ## style, types, law of imports, and up-to-date docs
 	$(BIN)/ruff check .
@@ -101,6 +101,8 @@ docs: $(DEV)   ## regenerate the config and table reference
 docs-site: $(FULL) ## the documentation as pages that can be browsed and searched, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
+# Pictures and pages of the docs are those of one demo, whenever they are made.
+pictures: LAST_NIGHT := 2026-03-17
 pictures: report $(FULL) ## make the pictures of the README and the docs anew, from the demo
 	$(BIN)/python -m tests.pictures out/report docs/pictures
 	$(BIN)/python -m tests.notebooks .

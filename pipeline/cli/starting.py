@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, load, print_table
+from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, day, load, print_table
 from pipeline.errors import UsageError
 from pipeline.messages import counted
 
@@ -30,6 +31,10 @@ def demo(
     ] = 90.0,
     rate: Annotated[float, typer.Option(min=0.1, max=100.0, help="Samples a second.")] = 5.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 1,
+    last_night: Annotated[
+        dt.date | None,
+        typer.Option(parser=day, metavar="DATE", help="Label of the last night; else yesterday."),
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Worker processes.")] = 2,
 ) -> None:
     """Write logs of a simulated fleet in three formats to demo/, and the truth beside them.
@@ -37,11 +42,21 @@ def demo(
     Example: motor-leakage demo . --nights 3
 
     They are the logs of the fleet configs/fleet.toml, which the examples of the other commands
-    name. Its tables go to out/.
+    name. Its tables go to out/. The flows are the same whatever the last night's date is.
     """
+    from pipeline.clock import now
     from pipeline.demo import write_demo
 
-    write_demo(folder, nights=nights, minutes=minutes, rate_hz=rate, seed=seed, workers=jobs)
+    last = last_night or now().date() - dt.timedelta(days=1)
+    write_demo(
+        folder,
+        nights=nights,
+        minutes=minutes,
+        rate_hz=rate,
+        seed=seed,
+        workers=jobs,
+        first_night=last - dt.timedelta(days=nights - 1),
+    )
     config = folder / "configs" / "fleet.toml"
     typer.echo(f"logs written to {folder / 'demo' / 'logs'}; the fleet's config is {config}")
 
