@@ -48,7 +48,6 @@ app.command()(state.status)
 app.command()(state.compare)
 app.command()(state.ack)
 app.command()(publishing.prune)
-app.command()(publishing.pull)
 baseline.command("reset")(state.baseline_reset)
 app.add_typer(baseline, name="baseline")
 

@@ -66,7 +66,7 @@ Output = Annotated[
     Path | None,
     typer.Option(
         callback=absolute_folder,
-        help="Output folder instead of the config's; it goes into no object store.",
+        help="Output folder instead of the config's; it is copied nowhere.",
     ),
 ]
 Motor = Annotated[str, typer.Argument(help="The motor's id.")]
@@ -79,7 +79,7 @@ Jobs = Annotated[int | None, typer.Option(min=1, help="Motors fitted at the same
 def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = True) -> Fleet:
     """The fleet of a config, with the options of the command line.
 
-    A run into another output folder is private: nothing is taken from or put into an object store.
+    A run into another output folder is private: it is copied nowhere.
     """
     from pipeline.config import ConfigError, Fault, load_fleet, overlap
 

@@ -96,12 +96,11 @@ def _check_tables(config: Path, output: Path | None, *, as_json: bool, is_mended
     from pipeline.store.published import verify_tables
     from pipeline.store.state import make_ready, open_state
     from pipeline.store.tables import existing_tables
-    from pipeline.store.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
     folder = fleet.output
     if is_mended:
-        with locked(folder), working_copy(fleet.object_store, folder):
+        with locked(folder):
             make_ready(folder)
             with open_state(folder) as state:
                 found, left = repair(state)

@@ -1,9 +1,8 @@
-"""Commands on published tables: in words, as pages or CSV; pruned, or as a working copy."""
+"""Commands on published tables: in words, as pages or CSV; pruned."""
 
 from __future__ import annotations
 
 import datetime as dt
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -172,7 +171,6 @@ def prune(
     from pipeline.store.retention import prune as remove
     from pipeline.store.state import make_ready, open_state
     from pipeline.store.tables import existing_tables
-    from pipeline.store.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
     existing_tables(fleet.output)
@@ -180,7 +178,7 @@ def prune(
     newest_night = newest_of_fleet(fleet, now())
     old = old_files(fleet.output, kept, None if newest_night is None else newest_night.night)
     if yes and old:
-        with locked(fleet.output), working_copy(fleet.object_store, fleet.output):
+        with locked(fleet.output):
             make_ready(fleet.output)
             with open_state(fleet.output) as state:
                 remove(state, old)
@@ -204,27 +202,3 @@ def prune(
     if not as_json:
         size = sum(one.size_bytes for one in old) / 1024**2
         say(f"{size:.1f} MiB {word}" + ("" if yes or not old else "; say --yes to remove them"))
-
-
-def pull(
-    config: ConfigFile,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            callback=absolute_folder, help="Folder of the copy, instead of the config's output."
-        ),
-    ] = None,
-) -> None:
-    """Bring the output folder up to date with the object store that it is published to.
-
-    Example: motor-leakage pull configs/fleet.toml
-    """
-    from pipeline.run.fleet import refresh
-
-    fleet = load(config, None, None, logs=False)
-    if output is not None:
-        fleet = replace(fleet, output=output)
-    if not fleet.object_store:
-        say(f"{fleet.output} is published nowhere else: folders.object_store is not set")
-        return
-    say(f"{counted(refresh(fleet), 'file')} of {fleet.object_store} in {fleet.output}")

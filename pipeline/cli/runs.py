@@ -8,7 +8,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -77,8 +77,9 @@ def fit_fleet(
     A night or log that failed stands as failed, and is not tried again while it is unchanged, but
     with --retry. A failed night whose log was removed fails no more.
 
-    Exit code 0: no failure stands; 1: one does, the others are done, or published rows are lost;
-    2: wrong usage or config; 3: another run holds the output; 4: nothing could be published.
+    Exit code 0: no failure stands; 1: one does, the others are done, or published rows are lost, or
+    they were not copied to folders.copy_to; 2: wrong usage or config; 3: another run holds the
+    output; 4: nothing could be published.
     """
     with stoppable():
         from pipeline.run.fleet import RunRequest
@@ -131,8 +132,8 @@ def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn
     if result.interrupted:
         raise KeyboardInterrupt
     alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)
-    failed = result.failed or result.n_standing or result.damage_left or alarmed
-    raise typer.Exit(EXIT_MOTORS_FAILED if failed else EXIT_OK)
+    faults = result.failed or result.n_standing or result.damage_left or result.copy_fault
+    raise typer.Exit(EXIT_MOTORS_FAILED if faults or alarmed else EXIT_OK)
 
 
 def fit(
@@ -171,7 +172,7 @@ def fit(
     from pipeline.run.fleet import RunRequest, run_fleet
 
     with TemporaryDirectory() as folder:
-        fleet = replace(load(config, Path(folder), None), object_store="")
+        fleet = load(config, Path(folder), None)
         request = RunRequest(fleet, fleet.known_motors([motor]), since=night, until=night)
         result = run_fleet(request)
         growing = [one for outcome in result.outcomes for one in outcome.growing]
@@ -318,6 +319,7 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
             "errors": errors,
             "damage": [asdict(fault) for fault in result.damage],
             "damage_left": [asdict(fault) for fault in result.damage_left],
+            "copy_fault": result.copy_fault,
             "alarms": [
                 {name: row[name] for name in ("motor_id", "indicator", "to_state", "reason")}
                 for row in result.alarms
@@ -341,6 +343,9 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
     if result.damage:
         n_files, left = counted(len(result.damage), "file"), len(result.damage_left)
         say(f"damaged or missing: {n_files}, of which not repaired: {left}")
+    if result.copy_fault:
+        place = request.fleet.copy_to
+        say(f"not copied to {place}: {result.copy_fault}; the next run copies it", err=True)
     for row in result.alarms:
         # A new baseline needs no attention; `alarms` has it.
         if row["way"] != "baseline":

@@ -101,7 +101,7 @@ class Fleet:
     output: Path
     settings: Settings
     retention: Retention
-    object_store: str = ""  # where the output is published; empty: nowhere else
+    copy_to: str = ""  # URL that a run copies the tables to; empty: none
     metrics_file: Path | None = None
     log_url: str = ""  # empty where the logs lie in a folder
 
@@ -134,9 +134,9 @@ class Fleet:
         return self.log_url or str(folder)
 
     def at_output(self, output: Path) -> Fleet:
-        """The fleet with another output folder, which goes into no object store."""
+        """The fleet with another output folder, which is copied nowhere."""
         motors = tuple(spec.at_output(output) for spec in self.motors)
-        return replace(self, output=output, motors=motors, object_store="")
+        return replace(self, output=output, motors=motors, copy_to="")
 
 
 def overlap(fleet: Fleet) -> str | None:

@@ -96,7 +96,7 @@ def load_fleet(path: Path) -> Fleet:
         log_root=log_root,
         output=output,
         settings=fleet,
-        object_store=folders.object_store,
+        copy_to=folders.copy_to,
         metrics_file=path.absolute().parent / textfile if textfile else None,
         log_url=next((one.log_url for one in resolved if one.log_url), ""),
     )

@@ -311,8 +311,8 @@ class Folders(Section):
     """Root of the logs, a folder or a URL such as s3://bucket/logs."""
     output: RelativeFolder | None = None
     """Output folder; by default `out/` in the working directory."""
-    object_store: str = Field("", pattern=r"^$|^(s3|az|gs)://[^/\s]+(/\S*)?$")
-    """Where the output is published, such as s3://bucket/fleet."""
+    copy_to: str = Field("", pattern=r"^$|^(s3|az|gs)://[^/\s]+(/\S*)?$")
+    """URL that each run copies new and changed tables to, such as s3://bucket/fleet."""
 
 
 class Execution(Section):

@@ -38,18 +38,18 @@ from pipeline.run.publishing import (
 from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
 from pipeline.schema.fits import FAILED
 from pipeline.store.atomic_files import make_folders, remove_leftovers, store_errors
+from pipeline.store.copying import copy_output
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.locks import interrupts_held, locked
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.published import write_manifest
 from pipeline.store.publishing import Publisher
-from pipeline.store.state import is_sound, make_ready, open_state, put_old_aside
-from pipeline.store.working_copy import pull, working_copy
+from pipeline.store.state import make_ready, open_state, put_old_aside
 from pipeline.trends.tasks import TrendOutcome
 from pipeline.workers.engine import Workers, open_workers
 from pipeline.workers.process import Loss
 
-__all__ = ["RunRequest", "RunResult", "refresh", "run_fleet"]
+__all__ = ["RunRequest", "RunResult", "run_fleet"]
 
 log = logging.getLogger(__name__)
 
@@ -91,16 +91,12 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in WRITTEN_FOLDERS])
         put_old_aside(output)
-        # A copy that is pulled into it is whole, and says no more that it was lost.
-        was_lost = not is_sound(output)
-        with working_copy(fleet.object_store, output), staging_folder(output) as staging:
-            if fleet.object_store:
-                heartbeat.say(last_good_run=last_good_run(output))
+        with staging_folder(output) as staging:
             folders = (fleet.log_root, staging) if fleet.has_log_folder else (staging,)
             is_new = make_ready(output)
             with open_state(output) as state:
                 damage = Damage(state)
-                if is_new or was_lost:
+                if is_new:
                     restore_decisions(state)
                     damage.take_stock()
                 open_outbox(state, [one.name for one in receivers], fleet.name)
@@ -115,18 +111,22 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         heartbeat.say(stage="telling")
         deliver_alarms(fleet, receivers)
         measure(fleet, receivers, result)
+        if fleet.copy_to and not result.interrupted:
+            heartbeat.say(stage="copying")
+            result = replace(result, copy_fault=_copy_fault(fleet))
         # Whoever waits for this may run at once.
         heartbeat.finished(interrupted=result.interrupted, good=result.is_good)
     return result
 
 
-def refresh(fleet: Fleet) -> int:
-    """Bring the working copy of an object store up to date; returns how many files there are.
-
-    Raises LockedError if a run works in it, StoreError if it cannot be read.
-    """
-    with locked(fleet.output):
-        return len(pull(ObjectStore.at(fleet.object_store), fleet.output).files)
+def _copy_fault(fleet: Fleet) -> str:
+    """Copy the published tables to their URL; returns why that failed, or an empty text."""
+    try:
+        with interrupts_held():
+            copy_output(fleet.copy_to, fleet.output)
+    except StoreError as error:
+        return f"{error.code}: {error}"
+    return ""
 
 
 def _require_space(output: Path, minimum_mib: float) -> None:

@@ -10,12 +10,11 @@ from pipeline.config import Fleet
 from pipeline.errors import StoreError
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.mail import EMAIL
-from pipeline.notification.outbox import add_summary, backlogs, deliver, waiting
+from pipeline.notification.outbox import add_summary, backlogs, deliver
 from pipeline.run.metrics import metrics_text, write_metrics
 from pipeline.run.tasks import RunResult
 from pipeline.store.heartbeat import last_good_run
 from pipeline.store.state import State, open_state
-from pipeline.store.working_copy import working_copy
 from pipeline.trends.rows.motor_states import published_states, urgency
 
 log = logging.getLogger(__name__)
@@ -45,10 +44,6 @@ def deliver_alarms(fleet: Fleet, receivers: Sequence[Receiver]) -> None:
     """Deliver what waits; that it cannot be delivered costs nobody the run."""
     try:
         with open_state(fleet.output) as state:
-            if not any(waiting(state, one.name) for one in receivers):
-                return
-        # What was delivered is to be known on every machine.
-        with working_copy(fleet.object_store, fleet.output), open_state(fleet.output) as state:
             for fault in deliver(state, receivers, fleet.name):
                 log.warning("%s", fault)
     except StoreError as error:

@@ -174,6 +174,7 @@ class RunResult:
     seconds_by_stage: Mapping[str, float] = field(default_factory=dict)
     damage: tuple[TableFault, ...] = ()  # published files that were found damaged or gone
     damage_left: tuple[TableFault, ...] = ()  # what of it could not be made anew
+    copy_fault: str = ""  # why the tables could not be copied to `folders.copy_to`
 
     @property
     def files(self) -> Counter[str]:

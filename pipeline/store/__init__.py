@@ -1,4 +1,4 @@
-"""Files of an output: whole or not at all, checksummed, published, kept in an object store.
+"""Files of an output: whole or not at all, checksummed, published, copied to a URL.
 
 Knows nothing of motors; imports `config` and `schema`.
 """

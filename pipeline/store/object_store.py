@@ -1,6 +1,5 @@
-"""A bucket of an object store: S3, Azure or Google, with conditional puts.
+"""A bucket of an object store: S3, Azure or Google.
 
-Of the libraries at hand only `obstore` has a put that fails if another writer was first.
 Credentials come from the environment alone, by the names of each provider's own tools.
 """
 
@@ -86,41 +85,13 @@ class ObjectStore:
         client: Any = from_url  # its overloads know one provider each
         return cls(url.rstrip("/"), client(url, retry_config=retries))
 
-    def create(self, key: str, content: bytes) -> None:
-        """Put an object that never changes; a present one has the same content."""
-        from obstore.exceptions import AlreadyExistsError
-
+    def put(self, key: str, content: bytes) -> None:
+        """Put an object, in place of one that has its key."""
         with self._store_errors(key, "written"):
-            try:
-                self._client.put(key, content, mode="create", use_multipart=False)
-            except AlreadyExistsError:
-                return
+            self._client.put(key, content, use_multipart=False)
 
-    def replace(self, key: str, content: bytes, tag: str | None) -> str:
-        """Replace the object that has a tag, or make it where the tag is None; returns the new tag.
-
-        Raises StoreError (``object_store_conflict``) if another writer has replaced it since.
-        """
-        from obstore.exceptions import AlreadyExistsError, PreconditionError
-
-        mode: Any = "create" if tag is None else {"e_tag": tag}
-        with self._store_errors(key, "written"):
-            try:
-                put = self._client.put(key, content, mode=mode, use_multipart=False)
-            except (AlreadyExistsError, PreconditionError) as error:
-                # The client may have sent a request again whose first answer came too late.
-                found = self.get(key)
-                if found is not None and found[0] == content:
-                    return found[1]
-                raise StoreError(
-                    "object_store_conflict",
-                    f"{self.url}/{key} was replaced by another run meanwhile; nothing of this run "
-                    "is published, and the next one does it",
-                ) from error
-        return str(put["e_tag"])
-
-    def get(self, key: str) -> tuple[bytes, str] | None:
-        """Content and tag of an object; None where there is none."""
+    def get(self, key: str) -> bytes | None:
+        """Content of an object; None where there is none."""
         with self._store_errors(key, "read"):
             try:
                 got = self._client.get(key)
@@ -128,7 +99,7 @@ class ObjectStore:
                 if _is_absent_bucket(error):
                     raise
                 return None
-            return bytes(got.bytes()), str(got.meta["e_tag"])
+            return bytes(got.bytes())
 
     def fetch(self, one: StoredObject, stream: BinaryIO) -> None:
         """Write an object's content to a stream.

@@ -79,14 +79,6 @@ def note(state: State, files: Mapping[str, str | None]) -> None:
         )
 
 
-def stamp_anew(state: State, files: Mapping[str, str]) -> None:
-    """Note size and time of files whose SHA-256, by name, was compared with what is listed."""
-    state.write_all(
-        "UPDATE files SET size = ?, modified_ns = ? WHERE name = ? AND sha256 = ?",
-        [(*_stamp(state.output, name), name, digest) for name, digest in files.items()],
-    )
-
-
 def accepted(state: State, name: str) -> tuple[str, ...]:
     """Digests that a file may have, `NO_FILE` among them for none; empty where it is not listed."""
     rows = state.rows("SELECT sha256, coming FROM files WHERE name = ?", name)
@@ -94,7 +86,7 @@ def accepted(state: State, name: str) -> tuple[str, ...]:
 
 
 def distrust(state: State, name: str) -> None:
-    """Let the next run look at a file, or fetch it anew, whatever it is now."""
+    """Let the next run look at a file, whatever it is now."""
     state.write(
         "INSERT INTO files (name, sha256, modified_ns) VALUES (?, 'unknown', -1)"
         " ON CONFLICT (name) DO UPDATE SET modified_ns = -1",

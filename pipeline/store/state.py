@@ -108,35 +108,6 @@ class State:
         with _errors("store_read"):
             return self._connection.serialize()
 
-    def replace(self, content: bytes) -> None:
-        """Take the content of another state file over; decisions of the present one are kept.
-
-        Raises StoreError (``store_read``) if it is none; ``store_newer``, ``store_older`` if it is
-        of another version of the program; else as `write`.
-        """
-        tables = self.rows("SELECT name FROM sqlite_schema WHERE type = 'table'")
-        names = [name for (name,) in tables if name != "decisions"]
-        self.write("ATTACH ':memory:' AS incoming")
-        try:
-            with _errors("store_read"):
-                # Not in the mode of a log, which there is not in memory: "Database File Format",
-                # 1.3.3.
-                plain = content[:18] + b"\1\1" + content[20:]
-                self._connection.deserialize(plain, name="incoming")
-            _version(self, "incoming")
-            with self.transaction():
-                self.write("PRAGMA defer_foreign_keys = ON")
-                for name in names:
-                    self.write(f"DELETE FROM {name}")
-                for name in names:
-                    self.write(f"INSERT INTO {name} SELECT * FROM incoming.{name}")
-                self.write(
-                    "INSERT INTO decisions"
-                    " SELECT * FROM incoming.decisions EXCEPT SELECT * FROM main.decisions"
-                )
-        finally:
-            self.write("DETACH incoming")
-
     def meta(self, name: str) -> str:
         """A value by its name; empty where there is none."""
         found = self.rows("SELECT value FROM meta WHERE name = ?", name)
@@ -243,8 +214,8 @@ def _make_tables(state: State) -> None:
     state.write(f"PRAGMA user_version = {VERSION}")
 
 
-def _version(state: State, database: str = "main") -> int:
-    ((version,),) = state.rows(f"PRAGMA {database}.user_version")
+def _version(state: State) -> int:
+    ((version,),) = state.rows("PRAGMA user_version")
     if version > VERSION:
         message = f"{STATE_FILE} is of version {version}; update the program"
         raise StoreError("store_newer", message)

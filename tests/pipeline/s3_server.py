@@ -1,12 +1,14 @@
 """A small S3 server on loopback whose requests can be made to fail.
 
-What the clients ask for: buckets by their path, objects with tags, conditional puts and gets, byte
-ranges, listings in one page, removals one by one or many at once.
+What the clients ask for: buckets by their path, objects with tags, conditional gets, byte ranges,
+listings in one page, removals one by one or many at once.
 """
 
 from __future__ import annotations
 
+import datetime as dt
 import hashlib
+import itertools
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -37,7 +39,7 @@ class Request:
 @dataclass(frozen=True, slots=True)
 class Stored:
     content: bytes
-    put_on: float
+    put_on: int  # seconds on the server's clock
 
     @property
     def tag(self) -> str:
@@ -56,6 +58,7 @@ class Server:
     requests: list[Request] = field(default_factory=list)
     fails: Callable[[Request], bool] = never
     before: Callable[[Request], object] = never
+    clock: Iterator[int] = field(default_factory=itertools.count)
     port: int = 0
     lock: Any = field(default_factory=threading.Lock)
 
@@ -64,6 +67,15 @@ class Server:
 
     def forget(self) -> None:
         self.requests.clear()
+
+    def below(self, url: str) -> dict[str, bytes]:
+        """Content of all objects below a URL, by path."""
+        folder = url.removeprefix(f"s3://{BUCKET}/") + "/"
+        return {
+            key.removeprefix(folder): stored.content
+            for key, stored in sorted(self.objects.items())
+            if key.startswith(folder)
+        }
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -96,7 +108,8 @@ class Handler(BaseHTTPRequestHandler):
     def _serve(self, key: str, query: dict[str, list[str]], body: bytes) -> None:
         objects = self.served.objects
         if self.command == "PUT":
-            self._put(key, body)
+            objects[key] = Stored(body, next(self.served.clock))
+            self._answer(200, ETag=objects[key].tag)
         elif self.command == "DELETE":
             objects.pop(key, None)
             self._answer(204)
@@ -108,17 +121,6 @@ class Handler(BaseHTTPRequestHandler):
             self._answer(404, b"<Error><Code>NoSuchKey</Code></Error>")
         else:
             self._get(found)
-
-    def _put(self, key: str, body: bytes) -> None:
-        objects = self.served.objects
-        found = objects.get(key)
-        wanted = self.headers.get("If-Match")
-        is_taken = found is not None and self.headers.get("If-None-Match") == "*"
-        if is_taken or (wanted and (found is None or found.tag != wanted)):
-            self._answer(412, b"<Error><Code>PreconditionFailed</Code></Error>")
-            return
-        objects[key] = Stored(body, float(len(self.served.requests)))
-        self._answer(200, ETag=objects[key].tag)
 
     def _get(self, found: Stored) -> None:
         headers = {"ETag": found.tag, "Last-Modified": formatdate(found.put_on, usegmt=True)}
@@ -155,7 +157,7 @@ class Handler(BaseHTTPRequestHandler):
                 continue
             found = ET.SubElement(root, "Contents")
             said = {"Key": key, "Size": str(len(one.content)), "ETag": one.tag}
-            said["LastModified"] = f"2026-01-01T00:00:00.{int(one.put_on) % 1000:03d}Z"
+            said["LastModified"] = f"{dt.datetime.fromtimestamp(one.put_on, dt.UTC):%FT%TZ}"
             for name, text in said.items():
                 ET.SubElement(found, name).text = text
         for folder in sorted(folders):
@@ -197,4 +199,4 @@ def upload(folder: Path, url: str) -> None:
     store = ObjectStore.at(url)
     for path in sorted(folder.rglob("*")):
         if path.is_file():
-            store.create(path.relative_to(folder).as_posix(), path.read_bytes())
+            store.put(path.relative_to(folder).as_posix(), path.read_bytes())

@@ -12,8 +12,8 @@ from pipeline.export.delta import export_delta
 from pipeline.schema import FITS, TABLES
 from pipeline.store.tables import read_rows, table_folder
 from tests.pipeline.calling import refused
+from tests.pipeline.run.demo_runs import FIRST
 from tests.pipeline.s3_server import BUCKET, Server
-from tests.pipeline.store.test_working_copy import FIRST
 from tests.pipeline.workshop import DAY, Workshop
 
 
