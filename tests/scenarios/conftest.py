@@ -1,0 +1,107 @@
+"""Fleets that scenarios share, and the check that what a scenario declares it has done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pipeline.demo.fleet import PISTON, RING, SLEEVE, Plan
+from tests.conftest import made_once
+from tests.scenarios import command
+from tests.scenarios.covering import declared_by, items_of
+from tests.scenarios.fleets import DAY, FIRST, ScenarioFleet, Simulated, make_fleet, ramp, step
+
+DEMO_NIGHTS = 54
+
+
+@pytest.fixture(autouse=True)
+def _declared(request: pytest.FixtureRequest) -> Iterator[None]:
+    """What a scenario declares it has run, and read more of it than an exit code."""
+    command.CALLS.clear()
+    yield
+    done = {item for call in command.CALLS if call.is_examined for item in items_of(call)}
+    left = declared_by(request.function) - done
+    assert not left, f"declared, but not run, or nothing of it read: {sorted(left)}"
+
+
+@pytest.fixture(scope="session")
+def _demo(shared_folder: Path) -> ScenarioFleet:
+    def make(folder: Path) -> None:
+        folder.mkdir()
+        extent = ("--nights", DEMO_NIGHTS, "--minutes", 30, "--rate", 1)
+        for words in (
+            ("demo", ".", *extent, "--last-night", FIRST + (DEMO_NIGHTS - 1) * DAY),
+            ("fit-fleet", "configs/fleet.toml"),
+            ("report", "configs/fleet.toml"),
+        ):
+            done = command.run_command(*words, folder=folder, process=True)
+            assert done.code == 0, done.err
+
+    folder = made_once(shared_folder / "scenario-demo", make)
+    return ScenarioFleet(folder, {}, Plan(DEMO_NIGHTS, 30.0, 1.0, 1, FIRST), "demo/logs")
+
+
+@pytest.fixture(scope="session")
+def demo(_demo: ScenarioFleet) -> ScenarioFleet:
+    """The demo: `demo`, `fit-fleet` and `report` as processes; only to be read."""
+    return _demo
+
+
+# A healthy motor, a sleeve that is damaged at once, balance pistons that wear, rings that break; in
+# three formats, two motors on one oil circuit.
+PLANT = (
+    Simulated("calm", format="csv", circuit="press"),
+    Simulated("broken", step(SLEEVE, at=14, gap=0.15), format="parquet"),
+    Simulated("worn", ramp(PISTON, begin=11, end=20, gap=0.25), format="mcap", circuit="press"),
+    Simulated("ringed", step(RING, at=13, gap=0.20), format="csv"),
+)
+
+
+# Unstated oil of a tank of three, a stated change of it, a meter, all gaps, flushing, an overhaul.
+OTHERS = (
+    *(Simulated(f"thinner_{n}", unstated_oil=(14, "vg46"), circuit="tank") for n in (1, 2, 3)),
+    Simulated(
+        "refilled",
+        lines=f'[[events]]\ndate = {FIRST + 11 * DAY}\nkind = "oil_change"\noil = "vg46"\n',
+    ),
+    Simulated("metered", misread={"leakage_flow": (14, 1.25, 0.0)}),
+    Simulated("aged", step(at=14, gap=0.06)),
+    Simulated(
+        "overhauled",
+        step(SLEEVE, at=1, gap=0.15, repaired_on=11),
+        lines=f'[[events]]\ndate = {FIRST + 10 * DAY}\nkind = "overhaul"\nnote = "new sleeves"\n',
+    ),
+    Simulated(
+        "flushed",
+        step(SLEEVE, at=14, gap=0.15),
+        flushing=1.0,
+        lines='[flushing]\nmode = "estimated"\nflow_l_per_min = 0.8\nmaximum_l_per_min = 5.0\n',
+    ),
+)
+
+
+def fitted_once(folder: Path, motors: tuple[Simulated, ...]) -> ScenarioFleet:
+    """A fleet of twenty nights, fitted by whichever worker comes first."""
+    made_once(folder, lambda place: make_fleet(place, *motors, nights=20).fitted())
+    by_name = {motor.motor_id: motor for motor in motors}
+    return ScenarioFleet(folder, by_name, Plan(20, 40.0, 1.0, 1, FIRST))
+
+
+@pytest.fixture(scope="session")
+def shared_plant(shared_folder: Path) -> ScenarioFleet:
+    """The fitted plant, only to be read."""
+    return fitted_once(shared_folder / "scenario-plant", PLANT)
+
+
+@pytest.fixture(scope="session")
+def others(shared_folder: Path) -> ScenarioFleet:
+    """Fitted motors whose change is no wear of a part; only to be read."""
+    return fitted_once(shared_folder / "scenario-others", OTHERS)
+
+
+@pytest.fixture
+def plant(shared_plant: ScenarioFleet, tmp_path: Path) -> ScenarioFleet:
+    """A fitted fleet of four motors and twenty nights of one's own."""
+    return shared_plant.copy(tmp_path / "plant")

@@ -1,0 +1,63 @@
+"""The demo as a newcomer runs it: what the tables, `status` and the pages say of six motors."""
+
+from __future__ import annotations
+
+import datetime as dt
+
+import pytest
+
+from tests.scenarios.conftest import DEMO_NIGHTS
+from tests.scenarios.covering import covers
+from tests.scenarios.fleets import DAY, ScenarioFleet
+
+STATES = {
+    "CB400-01": ("ok", None),
+    "CB400-02": ("warning", "piston_ring"),
+    "CB560-01": ("warning", "balance_sleeve"),
+    "CB560-02": ("warning", "balance_piston"),
+    "CB1120-01": ("warning", "balance_piston and balance_sleeve"),
+    "CB1120-02": ("warning", "cannot_be_told"),  # it holds one pressure
+}
+
+
+@pytest.mark.parametrize("motor", STATES)
+def test_the_state_and_the_cause_are_those_of_the_truth(demo: ScenarioFleet, motor: str) -> None:
+    truth, newest = demo.truth(), demo.newest(motor)
+    assert (newest["state"], newest["cause"]) == STATES[motor]
+    if newest["cause"] not in (None, "cannot_be_told"):
+        assert tuple(newest["cause"].split(" and ")) == truth.worn(motor)
+        assert newest["cause_probability"] > 0.9
+    assert newest["data_age_nights"] == 0
+    assert newest["sensor_health"] == "ok"
+
+
+@pytest.mark.parametrize("motor", STATES)
+def test_the_change_lies_within_its_interval(demo: ScenarioFleet, motor: str) -> None:
+    nights = [row for row in demo.nights(motor) if row["leakage_change_percent"] is not None]
+    assert len(nights) == DEMO_NIGHTS - 7  # from the last night of the baseline on
+    for row in nights[::4]:
+        true = demo.true_change_percent(row)
+        assert row["leakage_change_lower"] < true < row["leakage_change_upper"], row["night"]
+        assert abs(true - row["leakage_change_percent"]) < 1.0
+
+
+@pytest.mark.parametrize("motor", [motor for motor, (state, _) in STATES.items() if state != "ok"])
+def test_the_onset_is_that_of_the_truth(demo: ScenarioFleet, motor: str) -> None:
+    began = demo.truth().document["motors"][motor]["first_night_of_wear"]
+    newest, began = demo.newest(motor), dt.date.fromisoformat(began)
+    # A gap that grows slowly shows some nights after its growth began.
+    assert newest["onset_earliest"] - 7 * DAY <= began <= newest["onset_latest"]
+    assert began < newest["detected_on"] <= began + 24 * DAY
+
+
+@covers("status --json")
+def test_status_says_what_the_tables_say(demo: ScenarioFleet) -> None:
+    plain, machine = demo.run("status"), demo.run("status", "--json")
+    motors = {line["motor_id"]: line for line in machine.events("motor")}
+    states = {motor: (line["state"], line["cause"]) for motor, line in motors.items()}
+    assert states == STATES
+    listed = [line.split("\t")[:2] for line in plain.out.splitlines()[1:]]
+    assert [name for name, _ in listed] == list(motors)  # the motor that needs attention most first
+    assert listed[-1] == ["CB400-01", "ok"]
+    for line in plain.out.splitlines()[1:]:
+        assert motors[line.split("\t")[0]]["sentence"] in line
