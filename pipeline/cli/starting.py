@@ -6,7 +6,7 @@ import datetime as dt
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -64,7 +64,11 @@ def demo(
 def init(
     source: Annotated[
         Path,
-        typer.Argument(metavar="SOURCE", help="A log, or a folder of logs."),
+        typer.Argument(
+            metavar="SOURCE",
+            help="A log, a folder of logs, or sql:NAME, the database whose address is in the "
+            "environment variable NAME.",
+        ),
     ],
     to: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the new config.")] = Path(
         "fleet"
@@ -73,6 +77,13 @@ def init(
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Answer to a question; may come several times."),
     ] = None,
+    query: Annotated[
+        str,
+        typer.Option(
+            metavar="SQL",
+            help="Of a database: the query of the samples, with {start} and {end}.",
+        ),
+    ] = "",
     write: Annotated[
         bool, typer.Option("--write", help="Write the files; else they are only shown.")
     ] = False,
@@ -84,8 +95,11 @@ def init(
 
     Example: motor-leakage init demo/logs --to my-fleet
 
+    Example: motor-leakage init sql:DATABASE --query 'SELECT * FROM log WHERE time >= {start} AND
+    time < {end}'
+
     Exit code 0: all is known; 1: questions are open, or a log cannot be read, and nothing is
-    written; 2: wrong usage, or a file is there already.
+    written; 2: wrong usage, or a file is there already; 4: a database does not answer.
     """
     from pipeline.demo import shipped_configs
     from pipeline.setup.fleet_files import (
@@ -103,13 +117,13 @@ def init(
     }
     answers |= dict(map(_answer, answer or ()))
     root = fleet.log_root if fleet else None
-    proposal = _proposed(source, answers, root)
+    proposal = _proposed(source, query, answers, root)
     configs = to if add else shipped_configs()
     while questions := [*proposal.questions, *_of_the_machine(configs, answers)]:
         if not sys.stdin.isatty():
             break
         answers |= {one.key: str(typer.prompt(_text(one))) for one in questions}
-        proposal = _proposed(source, answers, root)
+        proposal = _proposed(source, query, answers, root)
     observed = observed_of(proposal)
     _print(proposal, observed)
     faults = (*proposal.faults, *(one.fault for one in observed.values() if one.fault))
@@ -144,9 +158,23 @@ def _text(question: Question) -> str:
     return f"{question.text}{choices}"
 
 
-def _proposed(source: Path, answers: dict[str, str], root: Path | None) -> Proposal:
+def _proposed(source: Path, query: str, answers: dict[str, str], root: Path | None) -> Proposal:
     from pipeline.setup.propose import propose
 
+    kind, _, variable = str(source).partition(":")
+    if kind in ("postgresql", "postgres"):
+        # Not quoted: it may hold a password, and so does the shell's history by now.
+        message = (
+            "put the address into an environment variable, such as PLANT_DATABASE, and name it: "
+            "motor-leakage init sql:PLANT_DATABASE"
+        )
+        raise UsageError("source", message)
+    if kind == "sql":
+        from pipeline.setup.database import propose_from_database
+
+        return propose_from_database(f"${{{variable}}}", query, answers)
+    if query:
+        raise UsageError("source", "--query is of a database: name it as sql:NAME")
     if root is not None and not source.resolve().is_relative_to(root):
         raise UsageError("source", f"--add takes logs below the fleet's folder of logs, {root}")
     return propose(source, answers, root)
@@ -177,7 +205,7 @@ def _print(proposal: Proposal, observed: Mapping[str, Observed]) -> None:
     rows = []
     for motor in proposal.motors:
         for channel, column in motor.channels.items():
-            unit, quality = column.unit or "to be asked", column.keys.get("quality_source", "")
+            unit, quality = column.unit or "to be asked", _quality(column.keys)
             values = "; ".join(column.filled[:3])
             rows.append((motor.motor_id, channel, column.name, unit, quality, values))
     print_table(COLUMNS, rows)
@@ -187,10 +215,16 @@ def _print(proposal: Proposal, observed: Mapping[str, Observed]) -> None:
         typer.echo(f"not used: {', '.join(proposal.unused[:_MOST_UNUSED])}")
 
 
+def _quality(keys: Mapping[str, Any]) -> str:
+    """A channel's quality, and its good codes where they are not the usual ones."""
+    codes = ", ".join(map(str, keys.get("quality_good", ())))
+    return str(keys.get("quality_source", "")) + (f" ({codes})" if codes else "")
+
+
 def _logs_of(motor: ProposedMotor, seen: Observed | None) -> str:
     """Files and days of a motor, the column of the time, and the order of its date."""
     time = [motor.logs.get(key, "") for key in ("date_column", "time", "time_format")]
-    words = [counted(len(motor.files), "file")]
+    words = [counted(len(motor.files), "file") if motor.files else motor.logs["format"]]
     if seen and seen.spans:
         first, last = seen.spans[0][0].date(), max(end for _, end in seen.spans).date()
         words.append(f"{first} to {last} ({counted((last - first).days + 1, 'day')})")

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from statistics import median
 from typing import Any
 
-from pipeline.config.channels import PORT_PRESSURES
+from pipeline.config.channels import GOOD_QUALITY, PORT_PRESSURES
 from pipeline.config.section import known_zone
 from pipeline.errors import UsageError
 from pipeline.messages import plain
 from pipeline.setup.names import QUANTITY_OF, Group, likely_units, meaning_of, missing_channels
-from pipeline.setup.tables import Column, Marks, Question, Table, as_number
+from pipeline.setup.tables import Column, Marks, Quality, Question, Table, as_number
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
 
 # What may be answered before it is asked.
@@ -120,7 +120,9 @@ class Chooser:
             if name := found.get(channel):
                 column = self.columns[name]
                 unit = self._unit(channel, column)
-                keys = {**column.keys, "unit": unit} if unit else column.keys
+                keys = {**column.keys, **({"unit": unit} if unit else {})}
+                if column.quality is not None:
+                    keys |= self._quality_keys(column.quality)
                 yield channel, replace(column, unit=unit or "", keys=keys)
 
     def _found(self) -> dict[str, str | None]:
@@ -223,3 +225,23 @@ class Chooser:
         if key in self.asked.answers and self.asked.answers[key] not in likely:
             key = f"{key} in {self.asked.log}"
         return self.asked.ask(key, text, likely, units)
+
+    def _quality_keys(self, quality: Quality) -> dict[str, Any]:
+        """Keys of a channel's quality; none where it is not to be used."""
+        codes: Sequence[str | int] = quality.good or ()
+        key = f"good codes of {' '.join(quality.words)}"
+        if not codes or key in self.asked.answers:
+            seen = "; ".join(dict.fromkeys(quality.cells))
+            text = (
+                f"quality {quality.source} ({seen}): which codes are those of a good sample, with "
+                f"commas between them? {NONE}: it is no quality"
+            )
+            answer = self.asked.ask(key, text)
+            if answer is None or answer == NONE:
+                self.asked.unused[quality.source] = None
+                return {}
+            codes = [int(code) if code.isdigit() else code for code in answer.split(",")]
+        known = {str(code).casefold() for code in GOOD_QUALITY}
+        is_default = {str(code).casefold() for code in codes} <= known
+        source = {"quality_source": quality.source}
+        return source if is_default else source | {"quality_good": list(codes)}

@@ -27,12 +27,14 @@ from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.ingest.parquet import decoded, opened, text_paths
 from pipeline.setup.names import VOCABULARY, is_in, unit_named, words_of
+from pipeline.setup.qualities import quality_words, whole_row_quality
 from pipeline.setup.tables import (
     HEAD_ROWS,
     SAMPLES,
     TIMES,
     Cells,
     Column,
+    Quality,
     Question,
     Rows,
     Table,
@@ -56,7 +58,7 @@ _ENCODINGS = ["cp1252", "cp1250", "cp1251", "cp1254", "gb18030", "shift_jis"]
 # Fields beside a reading that are none.
 _NO_READINGS = {
     *("seq", "sequence", "sec", "secs", "nanosec", "nsec", "nsecs", "nanos", "seconds"),
-    *("nanoseconds", "variance", "covariance", "id", "status", "quality", "index", "stamp"),
+    *("nanoseconds", "variance", "covariance", "id", "index", "stamp"),
 }
 # Units that messages of ROS 2's sensor_msgs are in by their definition.
 _STANDARD_UNITS = {("FluidPressure", "fluid_pressure"): "Pa", ("Temperature", "temperature"): "°C"}
@@ -325,6 +327,7 @@ def _fields(topic: Topic, *, is_lone: bool) -> Iterator[Column]:
         path
         for path, numbers in topic.fields.items()
         if path[:-1] not in stamps and _key(path).lower() not in _NO_READINGS and _finite(numbers)
+        if not quality_words(_key(path))
         if not (is_time_name(_key(path)) and count_format(_finite(numbers)))
     ]
     for path in paths:
@@ -341,7 +344,25 @@ def _fields(topic: Topic, *, is_lone: bool) -> Iterator[Column]:
         unit = _STANDARD_UNITS.get((kind, text)) or next(iter(beside), "")
         cells = tuple(f"{number:.6g}" for number in _finite(topic.fields[path]))
         keys = {"source": topic.name} | ({"field": text} if text != "value" else {})
-        yield Column(name, cells, "number", unit or (text if unit_named(text) else ""), keys)
+        unit = unit or (text if unit_named(text) else "")
+        yield Column(name, cells, "number", unit, keys, _quality_beside(topic, path))
+
+
+def _quality_beside(topic: Topic, path: FieldPath) -> Quality | None:
+    """The quality of a field: a field beside it, or of the message."""
+    beside = {
+        at: tuple(f"{number:.15g}" for number in _finite(topic.fields[at])) for at in topic.fields
+    }
+    beside |= {at: (text,) for at, text in topic.texts.items()}
+    for parent in dict.fromkeys((path[:-1], ())):
+        columns = [
+            Column(str(at[-1]), cells, "text", keys={"source": path_text(at)})
+            for at, cells in beside.items()
+            if at[:-1] == parent
+        ]
+        if found := whole_row_quality(columns):
+            return found
+    return None
 
 
 def _key(path: FieldPath) -> str:

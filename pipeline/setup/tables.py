@@ -52,6 +52,16 @@ Rows = Iterator[Cells]
 
 
 @dataclass(frozen=True, slots=True)
+class Quality:
+    """A column or field that says of what quality readings are."""
+
+    source: str  # as a config finds it
+    words: Cells  # of its name, those for a quality
+    cells: Cells
+    good: tuple[str | int, ...] | None  # codes of a good sample; None where they are asked for
+
+
+@dataclass(frozen=True, slots=True)
 class Column:
     """A column, tag or field: its name, how a config finds it, and some of its cells."""
 
@@ -59,7 +69,8 @@ class Column:
     cells: Cells
     kind: str  # as `kind_of` has it; "typed" for times by the file's own type
     unit: str = ""  # what is written beside the name as a unit
-    keys: Mapping[str, str] = field(default_factory=dict)  # of ``[channels.…]``, but for the unit
+    keys: Mapping[str, Any] = field(default_factory=dict)  # of ``[channels.…]``, but for the unit
+    quality: Quality | None = None
 
     @property
     def filled(self) -> Cells:

@@ -1,0 +1,103 @@
+"""What of a log may be a motor's channels: columns or tags; and the motors that rows name."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pipeline.config.logs import MISSING_TOKENS
+from pipeline.setup.names import FEWEST_CHANNELS, is_in, meaning_of, words_of
+from pipeline.setup.qualities import quality_words, whole_row_quality, with_qualities
+from pipeline.setup.tables import SAMPLES, Cells, Column, Table
+
+_SHARED_BY_CHANCE = 0.5  # stamps of a second in which a state changes
+
+
+def signals_of(table: Table) -> Table:
+    """Return the table with the columns, or tags, that may be channels of a motor."""
+    return _of_tags(table) or _of_columns(table)
+
+
+def _of_columns(table: Table) -> Table:
+    """Return the columns that may be channels of a log with a row a moment."""
+    columns = with_qualities(table.columns) if table.logs["format"] != "mcap" else table.columns
+    return replace(
+        table, columns=tuple(one for one in columns if one.kind in ("number", "nothing"))
+    )
+
+
+def _of_tags(table: Table) -> Table | None:
+    """Return the channels of a log with a row a sample and names in a column, or None."""
+    columns = [one for one in table.columns if not quality_words(one.name)]
+    numbers = [one for one in columns if one.kind == "number"]
+    named = [one for one in numbers if is_in(words_of(one.name), "column", "value")]
+    values = numbers if len(numbers) == 1 else named
+    texts = [one for one in columns if one.kind == "text"]
+    units = [one.name for one in texts if is_in(words_of(one.name), "column", "unit")][:1]
+    names = [one for one in texts if one.name not in units]
+    if len(values) != 1 or not names:
+        return None
+    column = max(names, key=lambda one: len({meaning_of(cell).channel for cell in one.filled}))
+    seen: dict[str, tuple[list[str], str]] = {}
+    for name, cell, *unit in table.rows([column.name, values[0].name, *units]):
+        cells, _ = seen.setdefault(name.strip(), ([], next(iter(unit), "")))
+        if len(cells) < SAMPLES and cell not in MISSING_TOKENS:
+            cells.append(cell)
+    quality = whole_row_quality(table.columns)
+    tags = [
+        Column(name, tuple(cells), "number", unit, {"source": name}, quality)
+        for name, (cells, unit) in seen.items()
+        if name not in MISSING_TOKENS
+    ]
+    known = {meaning_of(one.name, one.unit).channel for one in tags} - {None}
+    if len(known) < 2 - is_in(words_of(column.name)[-1:], "column", "channel"):
+        return None
+    own = {"layout": "long", "channel_column": column.name, "value_column": values[0].name}
+    return replace(table, logs={**table.logs, **own}, columns=tuple(tags))
+
+
+def columns_without_use(table: Table, signals: Table, motor_columns: Sequence[str]) -> list[str]:
+    """Return names of columns that are neither read nor candidates of a channel."""
+    logs = signals.logs
+    read = {logs.get(key) for key in ("channel_column", "value_column")} | {*motor_columns}
+    read |= {one.name for one in signals.columns}
+    read |= {one.quality.source for one in signals.columns if one.quality}
+    is_unit = logs.get("layout") == "long"
+    return [
+        one.name
+        for one in table.columns
+        if one.name not in read
+        and one.kind != "nothing"
+        and not (is_unit and is_in(words_of(one.name), "column", "unit"))
+    ]
+
+
+def motors_of_rows(column: Column, table: Table, tag: str | None) -> Cells:
+    """Return the cells of a column that names the motor of each row, or none where it does not.
+
+    Its name says so, or rows of other cells repeat most of a cell's moments, a stamp or a stamp of
+    a `tag`. Of tags, each cell comes with a motor's: others name gauges.
+    """
+    words = [word for word in words_of(column.name) if not is_in([word], "column", "number")]
+    is_named = is_in(words[-1:], "column", "motor")
+    if meaning_of(column.name, column.unit).channel or not (is_named or column.kind == "text"):
+        return ()
+    if column.name == tag or quality_words(column.name):
+        return ()
+    moments = [*table.times, tag] if tag else table.times
+    seen_with: dict[str, set[Cells]] = {}
+    for cell, *moment in table.rows([column.name, *moments]):
+        if cell not in MISSING_TOKENS:
+            seen_with.setdefault(cell.strip(), set()).add(tuple(moment))
+    if tag:
+        tags = ({moment[-1] for moment in own} for own in seen_with.values())
+        channels = ({meaning_of(name).channel for name in own} - {None} for own in tags)
+        if min(map(len, channels), default=0) < FEWEST_CHANNELS:
+            return ()
+    if not (is_named and column.kind == "text"):
+        seen = Counter(moment for own in seen_with.values() for moment in own)
+        shared = (sum(seen[one] > 1 for one in own) / len(own) for own in seen_with.values())
+        if min(shared, default=0.0) <= _SHARED_BY_CHANCE:
+            return ()
+    return tuple(sorted(seen_with)) if len(seen_with) > 1 else ()
