@@ -38,7 +38,7 @@ SOURCES = [
     path for package in ("leakage", "pipeline") for path in sorted((ROOT / package).rglob("*.py"))
 ]
 # Beginnings of the codes that stand in tables, each of which has its line.
-ROOMS = ("log_", "database_", "task_", "scheduler_", "object_store_")
+ROOMS = ("log_", "task_", "scheduler_", "object_store_")
 NO_CODES = {"log_note", "log_of_samples"}
 
 

@@ -10,15 +10,20 @@ import json
 import os
 import re
 import shutil
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
+import polars as pl
 import pytest
 import typer.main
 
 from pipeline.cli import app
 from tests.pipeline.run.test_metrics import metrics
+from tests.pipeline.simulated import NIGHT, motor_toml
+from tests.pipeline.workshop import DAY, Workshop, check_same_figures
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 UNITS = sorted((EXAMPLES / "systemd").iterdir())
@@ -75,6 +80,49 @@ def test_the_dashboard_asks_for_metrics_that_there_are() -> None:
     }
     assert {"id": "custom.fillBelowTo", "value": "lower"} in bands["upper"]
     assert {one["legendFormat"] for one in curve["targets"]} > bands.keys()
+
+
+def test_nights_of_a_database_are_fitted_as_logs_are(tmp_path: Path) -> None:
+    """As the page on logs says: the script on an SQLite file, then `check` and the run."""
+    logged, queried = (Workshop.at(tmp_path / name) for name in ("logged", "queried"))
+    for workshop in (logged, queried):
+        workshop.take(motor_toml("M1"))
+    with closing(sqlite3.connect(tmp_path / "plant.db")) as database, database:
+        for seed, night in enumerate((NIGHT - DAY, NIGHT, NIGHT + DAY)):
+            rows = pl.read_parquet(logged.log(night, seed=seed))
+            time = rows["time"].cast(pl.Datetime("us")).dt.to_string("%F %T%.6f+00:00")
+            rows = rows.with_columns(time, motor=pl.lit("M1"))
+            if not seed:
+                names = ", ".join(rows.columns)
+                database.execute(f"CREATE TABLE log ({names})")
+            database.executemany(
+                f"INSERT INTO log VALUES ({', '.join('?' * rows.width)})", rows.rows()
+            )
+    script = EXAMPLES / "database" / "nights_to_parquet.py"
+
+    def run(*command: str | Path) -> str:
+        command = (sys.executable, *command)
+        done = subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
+        return done.stdout
+
+    def write(*days: str) -> set[str]:
+        run(script, "plant.db", queried.logs.parent, *days)
+        return {path.name for path in queried.logs.iterdir()}
+
+    assert write() == set()  # the newest nights have no rows
+    asked = write("--since", str(NIGHT - DAY), "--until", str(NIGHT))
+    assert asked == {f"{NIGHT - DAY}.parquet", f"{NIGHT}.parquet"}
+    (seen,) = map(
+        json.loads, run("-m", "pipeline.cli", "check", queried.fleet, "--json").splitlines()
+    )
+    assert (seen["n_nights"], seen["faults"]) == (2, [])
+    run("-m", "pipeline.cli", "fit-fleet", queried.fleet)
+    (logged.logs / f"{NIGHT + DAY}.parquet").unlink()
+    logged.run()
+    check_same_figures(queried, logged, "input_files")
+    # The same rows again are no news.
+    write("--since", str(NIGHT - DAY), "--until", str(NIGHT))
+    assert queried.run().nights == ()
 
 
 @pytest.fixture(scope="session")

@@ -84,7 +84,7 @@ def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = Tr
     from pipeline.config import ConfigError, Fault, load_fleet, overlap
 
     fleet = load_fleet(config)
-    if logs and fleet.has_log_folder and not fleet.log_root.is_dir():
+    if logs and not fleet.log_url and not fleet.log_root.is_dir():
         fault = Fault(config.name, "folders.logs", f"expected a folder at {fleet.log_root}")
         raise ConfigError([fault])
     if output is not None and output != fleet.output:

@@ -55,7 +55,7 @@ def look(
     with stoppable():
         fleet = load(config, output, None)
         wanted = fleet.known_motors(motors.split())
-        _require_files(fleet, wanted)
+        _require_files(fleet)
         due = time.monotonic()
         while pause_s:
             try:
@@ -97,17 +97,12 @@ def _look(fleet: Fleet, wanted: Sequence[str], *, as_json: bool) -> Sequence[Mot
     return found
 
 
-def _require_files(fleet: Fleet, wanted: Sequence[str]) -> None:
-    """Refuse motors whose logs are no files of a folder."""
+def _require_files(fleet: Fleet) -> None:
+    """Refuse a fleet whose logs are no files of a folder."""
     if fleet.log_url:
         raise UsageError(
             "look_logs", "logs in an object store cannot be looked at yet: leave it to fit-fleet"
         )
-    asked = [spec for spec in fleet.motors if not wanted or spec.motor_id in wanted]
-    if there := [spec.motor_id for spec in asked if spec.file.logs.database]:
-        names = ", ".join(there)
-        message = f"logs in a database cannot be looked at yet: leave out {names} with --motors"
-        raise UsageError("look_logs", message)
 
 
 def _measure(fleet: Fleet) -> None:

@@ -115,7 +115,7 @@ def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
     from pipeline.setup.check import check_motor
     from pipeline.setup.operation import SWAPPED
 
-    for spec in (one for one in fleet.motors if one.file.logs.database is None):
+    for spec in fleet.motors:
         seen = check_motor(spec)
         for told in (*seen.faults, *seen.notes):
             if told.startswith(("unit_", "column")) or told.endswith(SWAPPED):

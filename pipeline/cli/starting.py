@@ -64,11 +64,7 @@ def demo(
 def init(
     source: Annotated[
         Path,
-        typer.Argument(
-            metavar="SOURCE",
-            help="A log, a folder of logs, or sql:NAME, the database whose address is in the "
-            "environment variable NAME.",
-        ),
+        typer.Argument(metavar="SOURCE", help="A log, or a folder of logs."),
     ],
     to: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the new config.")] = Path(
         "fleet"
@@ -77,13 +73,6 @@ def init(
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Answer to a question; may come several times."),
     ] = None,
-    query: Annotated[
-        str,
-        typer.Option(
-            metavar="SQL",
-            help="Of a database: the query of the samples, with {start} and {end}.",
-        ),
-    ] = "",
     write: Annotated[
         bool, typer.Option("--write", help="Write the files; else they are only shown.")
     ] = False,
@@ -95,11 +84,8 @@ def init(
 
     Example: motor-leakage init demo/logs --to my-fleet
 
-    Example: motor-leakage init sql:DATABASE --query 'SELECT * FROM log WHERE time >= {start} AND
-    time < {end}'
-
     Exit code 0: all is known; 1: questions are open, or a log cannot be read, and nothing is
-    written; 2: wrong usage, or a file is there already; 4: a database does not answer.
+    written; 2: wrong usage, or a file is there already.
     """
     from pipeline.demo import shipped_configs
     from pipeline.setup.fleet_files import (
@@ -117,13 +103,13 @@ def init(
     }
     answers |= dict(map(_answer, answer or ()))
     root = fleet.log_root if fleet else None
-    proposal = _proposed(source, query, answers, root)
+    proposal = _proposed(source, answers, root)
     configs = to if add else shipped_configs()
     while questions := [*proposal.questions, *_of_the_machine(configs, answers)]:
         if not sys.stdin.isatty():
             break
         answers |= {one.key: str(typer.prompt(_text(one))) for one in questions}
-        proposal = _proposed(source, query, answers, root)
+        proposal = _proposed(source, answers, root)
     observed = observed_of(proposal)
     _print(proposal, observed)
     faults = (*proposal.faults, *(one.fault for one in observed.values() if one.fault))
@@ -158,23 +144,9 @@ def _text(question: Question) -> str:
     return f"{question.text}{choices}"
 
 
-def _proposed(source: Path, query: str, answers: dict[str, str], root: Path | None) -> Proposal:
+def _proposed(source: Path, answers: dict[str, str], root: Path | None) -> Proposal:
     from pipeline.setup.propose import propose
 
-    kind, _, variable = str(source).partition(":")
-    if kind in ("postgresql", "postgres"):
-        # Not quoted: it may hold a password, and so does the shell's history by now.
-        message = (
-            "put the address into an environment variable, such as PLANT_DATABASE, and name it: "
-            "motor-leakage init sql:PLANT_DATABASE"
-        )
-        raise UsageError("source", message)
-    if kind == "sql":
-        from pipeline.setup.database import propose_from_database
-
-        return propose_from_database(f"${{{variable}}}", query, answers)
-    if query:
-        raise UsageError("source", "--query is of a database: name it as sql:NAME")
     if root is not None and not source.resolve().is_relative_to(root):
         raise UsageError("source", f"--add takes logs below the fleet's folder of logs, {root}")
     return propose(source, answers, root)
@@ -224,7 +196,7 @@ def _quality(keys: Mapping[str, Any]) -> str:
 def _logs_of(motor: ProposedMotor, seen: Observed | None) -> str:
     """Files and days of a motor, the column of the time, and the order of its date."""
     time = [motor.logs.get(key, "") for key in ("date_column", "time", "time_format")]
-    words = [counted(len(motor.files), "file") if motor.files else motor.logs["format"]]
+    words = [counted(len(motor.files), "file")]
     if seen and seen.spans:
         first, last = seen.spans[0][0].date(), max(end for _, end in seen.spans).date()
         words.append(f"{first} to {last} ({counted((last - first).days + 1, 'day')})")

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 # Object stores that logs and tables may lie in.
 URL_SCHEMES = ("s3", "az", "gs")
 # Folders of the output that a run writes or empties.
-LANDED_FOLDER = "landed"
-OWN_FOLDERS = ("tables", "staging", "report", LANDED_FOLDER)
+OWN_FOLDERS = ("tables", "staging", "report")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,18 +33,10 @@ class MotorSpec:
     motor_type: MotorTypeFile
     oils: Mapping[str, OilFile]
     settings: Settings
-    log_root: Path  # those of a database are written there, a folder of the output
+    log_root: Path
     log_url: str = ""  # in the place of `log_root`
     roller_is_free: bool = False  # scale of the rollers' curve, as the motor's own nights decide
     circuit_samples: tuple[OilSample, ...] = ()  # of its oil circuit's file
-
-    def at_output(self, output: Path) -> MotorSpec:
-        """The motor with the nights of its database, if it has one, below an output folder."""
-        if self.file.logs.database is None:
-            return self
-        logs = self.file.logs.model_copy(update={"files": ("*.parquet",)})
-        file, root = self.file.model_copy(update={"logs": logs}), output / LANDED_FOLDER
-        return replace(self, file=file, log_root=root / self.motor_id, log_url="")
 
     @property
     def stated(self) -> MotorSpec:
@@ -123,20 +114,13 @@ class Fleet:
         return next(spec for spec in self.motors if spec.motor_id == motor_id)
 
     @property
-    def has_log_folder(self) -> bool:
-        """True if any motor has logs in the folder of the logs."""
-        return any(not (spec.log_url or spec.file.logs.database) for spec in self.motors)
-
-    @property
     def log_place(self) -> str:
         """Where the logs lie, for messages."""
-        folder = self.log_root if self.has_log_folder else self.output / LANDED_FOLDER
-        return self.log_url or str(folder)
+        return self.log_url or str(self.log_root)
 
     def at_output(self, output: Path) -> Fleet:
         """The fleet with another output folder, which is copied nowhere."""
-        motors = tuple(spec.at_output(output) for spec in self.motors)
-        return replace(self, output=output, motors=motors, copy_to="")
+        return replace(self, output=output, copy_to="")
 
 
 def overlap(fleet: Fleet) -> str | None:
@@ -145,7 +129,7 @@ def overlap(fleet: Fleet) -> str | None:
     A run would read its own tables as logs, or write into the logs, or remove them.
     """
     logs, output = fleet.log_root, fleet.output
-    if not fleet.has_log_folder:
+    if fleet.log_url:
         return None
     if output == logs:
         return f"expected another folder than that of the logs, {logs}"

@@ -87,10 +87,9 @@ def load_fleet(path: Path) -> Fleet:
         own = {f"motors/{name}.toml": one for name, one in motors.own.items()}
         raise ConfigError(_at_their_place(faults, own, defaults, path.name))
     output, textfile = places["output"], fleet.metrics.textfile
-    resolved = tuple(spec.at_output(output) for spec in specs)
     found = Fleet(
         name=fleet.name,
-        motors=resolved,
+        motors=tuple(specs),
         execution=fleet.execution,
         retention=fleet.retention,
         log_root=log_root,
@@ -98,7 +97,7 @@ def load_fleet(path: Path) -> Fleet:
         settings=fleet,
         copy_to=folders.copy_to,
         metrics_file=path.absolute().parent / textfile if textfile else None,
-        log_url=next((one.log_url for one in resolved if one.log_url), ""),
+        log_url=log_url,
     )
     if (expected := overlap(found)) is not None:
         raise ConfigError([fault_at(path.name, ("folders", "output"), expected, folders.output)])
@@ -176,8 +175,7 @@ def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
     first: dict[object, str] = {}
     for spec in specs:
         flow, logs = spec.file.channels[COUNTED], spec.file.logs
-        query = logs.database and (logs.database.connection, logs.database.query)
-        place = (query or logs.files, logs.motor_name, flow.source, flow.field, flow.value_column)
+        place = (logs.files, logs.motor_name, flow.source, flow.field, flow.value_column)
         other = first.setdefault(place, spec.motor_id)
         if other != spec.motor_id:
             message = (

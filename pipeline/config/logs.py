@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import codecs
-import datetime as dt
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, Field
 
-from pipeline.config.alarms import Secret
 from pipeline.config.field_paths import FieldText
 from pipeline.config.readers import FormatName
-from pipeline.config.section import Misfit, NonNegative, Positive, Section, Stage, TimeZone
+from pipeline.config.section import Misfit, NonNegative, Section, Stage, TimeZone
 from pipeline.config.time_formats import TimeFormat
 
 # Cells of a CSV that mean "no sample". `NaN` does not: it is a reading that is not finite.
@@ -21,8 +19,6 @@ MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/
 THOUSANDS = (".", ",", "'", "’", " ", "\u00a0", "\u202f", "_")
 # Bytes of a pattern of logs; S3 takes no longer names, and most systems 255 bytes a part.
 LONGEST_PATTERN, LONGEST_NAME = 1024, 255
-START, END = "{start}", "{end}"
-"""Stand in a query for the borders of a night, half open."""
 
 
 def _pattern(pattern: str) -> str:
@@ -55,48 +51,17 @@ Pattern = Annotated[str, AfterValidator(_pattern)]
 Encoding = Annotated[str, AfterValidator(_encoding)]
 
 
-class Database(Section):
-    """A query in a PostgreSQL database, asked night by night."""
-
-    shapes = Stage.NOTHING
-
-    query: str
-    """`SELECT` with marks: `SELECT * FROM log WHERE time >= {start} AND time < {end}`."""
-    connection: Secret = Field("${MOTOR_LEAKAGE_DATABASE}", min_length=1)
-    """`${NAME}`: variable with `postgresql://user:password@host/database?sslmode=verify-full`."""
-    begin: dt.date
-    """First night that is asked for."""
-    look_back_days: int = Field(3, ge=0, le=366)
-    """Nights that every run asks for again."""
-    statement_timeout_s: Positive = Field(600.0, le=86_400.0)
-    """Longest time for a night's query."""
-    connect_timeout_s: int = Field(10, ge=2, le=600)
-    """Longest time to connect."""
-
-    @field_validator("query")
-    @classmethod
-    def _asks_for_a_night(cls, query: str) -> str:
-        if START not in query or END not in query:
-            raise ValueError(f"expected the marks {START} and {END} in it")
-        query = query.strip().removesuffix(";").rstrip()
-        if query.split(maxsplit=1)[0].upper() not in ("SELECT", "WITH"):
-            raise ValueError("expected a query that begins with SELECT or WITH")
-        return query
-
-
 class Logs(Section):
-    """The motor's log files and their dialect, or the database that has its samples."""
+    """The motor's log files and their dialect."""
 
     shapes = Stage.READING
 
     format: FormatName
-    """`csv`, `parquet`, `mcap`, `sql`, or a format of an installed package."""
+    """`csv`, `parquet`, `mcap`, or a format of an installed package."""
     options: dict[str, Any] = Field({})
     """Options of an installed package's reader."""
-    files: Annotated[tuple[Pattern, ...], Stage.NOTHING] = ()
+    files: Annotated[tuple[Pattern, ...], Stage.NOTHING]
     """Paths or globs below the log root."""
-    database: Annotated[Database | None, Stage.NOTHING] = None
-    """With `sql`: where the samples are."""
     time: str = "time"
     """Column of the time; MCAP: `log_time` or `publish_time`."""
     time_format: TimeFormat = "iso8601"
@@ -138,9 +103,11 @@ class Logs(Section):
     """MCAP: read a damaged file up to the damage."""
 
     def misfits(self) -> Iterator[Misfit]:
-        separator, thousands, is_sql = self.separator, self.thousands, self.format == "sql"
+        separator, thousands = self.separator, self.thousands
         if not separator.isascii() or separator in '"\r\n':
             yield self.at("separator", "expected a character of ASCII that is no quotation mark")
+        if not self.files:
+            yield self.at("files", "expected at least one path or glob")
         if separator == self.decimal:
             yield self.at("separator", "expected another mark than the decimal mark")
         if thousands and thousands not in THOUSANDS:
@@ -148,13 +115,5 @@ class Logs(Section):
         if thousands and thousands in (self.decimal, separator):
             message = "expected another mark than the decimal mark and the separator"
             yield self.at("thousands", message)
-        if is_sql != (self.database is not None):
-            yield ("database",), 'expected together with format = "sql", and only then', None
-        if is_sql and self.files:
-            yield self.at("files", 'expected no files with format = "sql"')
-        if not is_sql and not self.files:
-            yield self.at("files", "expected at least one path or glob")
-        if is_sql and self.layout == "file_per_channel":
-            yield self.at("layout", 'expected "wide" or "long" with format = "sql"')
         if bool(self.motor_column) != bool(self.motor_name):
             yield self.at("motor_name", "expected motor_column and motor_name together")

@@ -13,8 +13,6 @@ from pydantic import AfterValidator
 
 GROUP = "motor_leakage.readers"
 BUILT_IN = {name: f"pipeline.ingest.{name}:READER" for name in ("csv", "mcap", "parquet")}
-# Nights of a database are written as Parquet.
-BUILT_IN["sql"] = BUILT_IN["parquet"]
 
 
 def reader_entry(name: str) -> EntryPoint:

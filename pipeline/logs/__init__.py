@@ -1,4 +1,4 @@
-"""A motor's log files: places, nights, the record of processed ones; nights of a database.
+"""A motor's log files: places, nights, the record of processed ones.
 
 Imports `ingest`, `store`, `config` and what lies below.
 """

@@ -130,7 +130,7 @@ def logs_below(folder: Path) -> Iterator[Path]:
 
 def unclaimed(fleet: Fleet) -> tuple[str, ...]:
     """Logs in the folder of the logs that no motor claims, by their path in it."""
-    if fleet.log_url or not fleet.has_log_folder:
+    if fleet.log_url:
         return ()
     claimed = {path for spec in fleet.motors for path in find_logs(spec)[0].values()}
     others = [path for path in logs_below(fleet.log_root) if path not in claimed]

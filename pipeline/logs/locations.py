@@ -85,9 +85,8 @@ class FolderLogs:
         return change_of(record, self.path(record.path))
 
     def unmatched(self) -> tuple[str, ...]:
-        """Messages about globs that match no log; a database may have no rows yet."""
-        logs = self._spec.file.logs
-        return () if logs.database else without_match(self._spec.log_root, logs.files)
+        """Messages about globs that match no log."""
+        return without_match(self._spec.log_root, self._spec.file.logs.files)
 
 
 class StoredLogs(FolderLogs):
@@ -187,5 +186,5 @@ def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:
 def logs_of(
     spec: MotorSpec, latest_us: int | None = None, silent: Collection[str] = ()
 ) -> FolderLogs:
-    """A motor's logs at the place in its config; nights of a database are files once landed."""
+    """A motor's logs at the place in its config."""
     return StoredLogs(spec, latest_us) if spec.log_url else FolderLogs(spec, latest_us, silent)

@@ -19,7 +19,6 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
 from pipeline.logs.files import covered, failed, labels_of, reaches_us
 from pipeline.logs.finding import require_answer
-from pipeline.logs.landing import land_nights
 from pipeline.logs.locations import FolderLogs, logs_of
 from pipeline.logs.processed import FileRecord
 from pipeline.workers.process import Loss, reading, still_alive
@@ -145,13 +144,9 @@ class MotorLogs:
         return self._source.unmatched()
 
     def _look(self) -> dict[str, FileRecord]:
-        """Each file as its ends tell it; those of a database are landed before."""
-        faults: Mapping[str, LogError] = {}
-        if self._spec.file.logs.database is not None:
-            faults = land_nights(self._spec, self._latest_us, self._silent)
+        """Each file as its ends tell it."""
         self.absent = self._source.absent
         found = {name: self._look_at(name) for name in self._source.names}
-        found |= {name: failed(FileRecord(name, 0, 0, None), one) for name, one in faults.items()}
         return {name: replace(one, read_with=self._read_with) for name, one in found.items()}
 
     def _look_at(self, name: str) -> FileRecord:

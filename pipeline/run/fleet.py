@@ -17,7 +17,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.config import Fleet
-from pipeline.config.fleet import LANDED_FOLDER
 from pipeline.errors import StoreError
 from pipeline.logs.finding import legible
 from pipeline.notification.outbox import open_outbox
@@ -55,9 +54,6 @@ log = logging.getLogger(__name__)
 
 Progress = Callable[[MotorOutcome], None]
 
-# Folders of the output in which a killed run leaves temporary files.
-WRITTEN_FOLDERS = ("tables", LANDED_FOLDER)
-
 
 def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunResult:
     """Fit every new night of a fleet's motors and publish the tables.
@@ -89,10 +85,10 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         Heartbeat(output, len(request.specs), last_good_run(output)) as heartbeat,
     ):
         remove_leftovers([output], below=False)
-        remove_leftovers([output / name for name in WRITTEN_FOLDERS])
+        remove_leftovers([output / "tables"])
         put_old_aside(output)
         with staging_folder(output) as staging:
-            folders = (fleet.log_root, staging) if fleet.has_log_folder else (staging,)
+            folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
             is_new = make_ready(output)
             with open_state(output) as state:
                 damage = Damage(state)

@@ -59,11 +59,7 @@ def unchanged_motors(
     """
     if execution.backend == "dask":  # the logs may be seen by its workers alone
         return
-    asked = [
-        task
-        for task in tasks
-        if not (task.force or task.retry or task.spec.log_url or task.spec.file.logs.database)
-    ]
+    asked = [task for task in tasks if not (task.force or task.retry or task.spec.log_url)]
     answers: SimpleQueue[Mapping[str, FileRecord]] = SimpleQueue()
 
     def look() -> None:

@@ -7,9 +7,8 @@ leave silences: which of the two it was makes no difference to the config. A run
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -18,9 +17,7 @@ from pipeline.config import Channel, MotorSpec
 from pipeline.config.channels import COUNTED, ChannelName
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
-from pipeline.logs.database import DatabaseError
 from pipeline.logs.files import change_of, failed, labels_of, look_at, spanned
-from pipeline.logs.landing import land_newest
 from pipeline.logs.locations import FolderLogs, logs_of
 from pipeline.logs.processed import FileRecord
 from pipeline.night.channel_rules import ChannelRules
@@ -85,29 +82,11 @@ class MotorCheck:
 def check_motor(spec: MotorSpec) -> MotorCheck:
     """Look at the ends of each of a motor's logs, and into the newest; nothing is written.
 
-    Of logs in an object store, which have to be copied for it, the first and the last few by name;
-    of a database the newest nights that have rows.
+    Of logs in an object store, which have to be copied for it, the first and the last few by name.
 
     Raises StoreError if an object store cannot be read.
     """
-    if spec.file.logs.database is None:
-        return _checked(spec, logs_of(spec))
-    with TemporaryDirectory(prefix="motor-leakage-nights-") as folder:
-        here = replace(spec, log_root=Path(folder))
-        faults, notes = list[str](), (f"the newest nights with rows were read, at most {OPENED}",)
-        try:
-            if not land_newest(here, OPENED):
-                first = spec.file.logs.database.begin
-                faults.append(f"database_empty: there are no rows from the night {first} on")
-        except DatabaseError as error:
-            faults.append(f"{error.code}: {error.message}")
-        found = _checked(here, logs_of(here))
-    return replace(
-        found, faults=(*faults, *found.faults), notes=(*found.notes, *notes * bool(found.n_files))
-    )
-
-
-def _checked(spec: MotorSpec, logs: FolderLogs) -> MotorCheck:
+    logs = logs_of(spec)
     names = logs.names
     if spec.log_url and len(names) > OPENED:
         # The first, and the last, which are the newest where names hold a date.

@@ -63,10 +63,8 @@ def fleet_files(
         _marked(one, _name(motor)) for motor, one in zip(proposal.motors, own, strict=True)
     )
     shared = {key: one for key, one in first.items() if all(o.get(key) == one for o in others)}
-    folders = {"output": "out"}
-    if "logs.files" in first:
-        logs = Path(os.path.relpath(proposal.log_root, folder.resolve()))
-        folders = {"logs": logs.as_posix()} | folders
+    logs = Path(os.path.relpath(proposal.log_root, folder.resolve()))
+    folders = {"logs": logs.as_posix(), "output": "out"}
     nights: Document = {"time_zone": proposal.motors[0].logs.get("time_zone", "UTC")}
     end_hour = night_end(observed)
     fleet: Document = {
@@ -198,8 +196,7 @@ def _toml(document: Document) -> str:
 
 def _value(value: object) -> str:
     # Text of JSON is text of TOML, but for one character.
-    plain = isinstance(value, dt.date)
-    return str(value) if plain else json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 # Figures of the fleet file
@@ -207,8 +204,6 @@ def _value(value: object) -> str:
 
 def observe(motor: ProposedMotor) -> Observed:
     """Look at the ends of a motor's logs, and into the newest where every unit is known."""
-    if not motor.files:
-        return Observed()
     logs = Logs.model_validate({**motor.logs, "files": tuple(motor.logs["files"])}, strict=False)
     channels: Any = {
         name: Channel.model_validate({"unit": canonical_unit(name), **one.keys})

@@ -1,4 +1,4 @@
-"""Fixtures of several rooms: real files, a cluster, a database, an object store, the command."""
+"""Fixtures of several rooms: real files, a cluster, an object store, the command."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ from pathlib import Path
 
 import pytest
 
-import pipeline.logs.database
 from pipeline.cli import main
 from pipeline.config import MotorSpec
 from pipeline.messages import FORM
 from tests.pipeline.calling import Call, Called
 from tests.pipeline.dask_processes import Processes, scheduler_with
-from tests.pipeline.plant_database import VARIABLE as ADDRESS_VARIABLE
-from tests.pipeline.postgres_server import PostgresServer, postgres_server
 from tests.pipeline.s3_server import Server, s3_server
 from tests.pipeline.simulated import load_motor, motor_toml
 from tests.pipeline.workshop import Workshop
@@ -46,23 +43,6 @@ def two_workers(_cluster: Processes) -> Processes:
     """Two workers; their nannies start them again where a test before has killed one."""
     _cluster.wait_for(2)
     return _cluster
-
-
-@pytest.fixture(scope="session")
-def postgres() -> Iterator[PostgresServer]:
-    """A database server; each test makes tables of its own."""
-    with postgres_server() as server:
-        yield server
-
-
-@pytest.fixture
-def database(postgres: PostgresServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[PostgresServer]:
-    """The server without any table of a test before, and the environment that leads to it."""
-    postgres.run("DROP SCHEMA public CASCADE", "CREATE SCHEMA public")
-    monkeypatch.setenv(ADDRESS_VARIABLE, postgres.address())
-    monkeypatch.setattr(pipeline.logs.database, "WAITS_S", (0.0,))
-    yield postgres
-    postgres.end_connections()
 
 
 @pytest.fixture

@@ -22,7 +22,6 @@ from pipeline.config.hashes import (
     settings_of,
     why_anew,
 )
-from pipeline.config.logs import Database
 from pipeline.config.motor_types import LaminarPath, LeakageLimits, Unknown
 from pipeline.config.motors import Event
 from pipeline.config.nights import DAY
@@ -53,10 +52,8 @@ def spec(tmp_path_factory: pytest.TempPathFactory) -> MotorSpec:
         OilSample(date=NIGHT - DAY, viscosity_40_c_mm2_per_s=60.0, viscosity_100_c_mm2_per_s=8.0),
         OilSample(date=NIGHT + DAY, viscosity_40_c_mm2_per_s=61.0, viscosity_100_c_mm2_per_s=8.1),
     )
-    database = Database(query="SELECT {start} {end}", begin=NIGHT)
     file = spec.file.model_copy(
         update={
-            "logs": spec.file.logs.model_copy(update={"database": database}),
             "events": (Event(date=NIGHT - 30 * DAY, kind="overhaul"),),
             "oil_samples": samples,
         }

@@ -81,7 +81,7 @@ FAULTS: dict[str, list[tuple[str, str, str, str]]] = {
         ),
         # The motor
         ('motor_id = "CB400-01"', 'motor_id = "CB400-07"', "motor_id", "as the file"),
-        ('format = "csv"', 'format = "xlsx"', "logs.format", ": csv, mcap, parquet, sql"),
+        ('format = "csv"', 'format = "xlsx"', "logs.format", ": csv, mcap, parquet"),
         ('["CB400-01/*.csv"]', '"CB400-01/*.csv"', "logs.files", "valid array"),
         ('["CB400-01/*.csv"]', "[]", "logs.files", "at least one"),
         ("[logs]", "[[logs]]", "logs", "expected an object"),

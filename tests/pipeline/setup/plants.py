@@ -97,7 +97,8 @@ def _wincc_archive() -> Plant:
         for tag, kind in kinds.items()
     ]
     lines += [f'"$RT_OFF$";"{stamp(ROWS, form)}";0;2;46035250300,0000', ""]
-    return "\r\n".join(lines), {f"HYD_M{n}": mapped(kinds, f"HYD_M{n}_{{}}", {}, "Validity") for n in (1, 2)}
+    motors = {f"HYD_M{n}": mapped(kinds, f"HYD_M{n}_{{}}", {}, "Validity") for n in (1, 2)}
+    return "\r\n".join(lines), motors
 
 
 def _quality() -> Plant:
