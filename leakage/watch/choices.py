@@ -127,3 +127,12 @@ BACK_SPREAD = 0.15
 # How far the motors of a tank move apart, as a share of what the others' nights say; how much
 # likelier their common oil is than a cause of the motor's own.
 TANK_SPREAD, TANK_PRIOR = 0.1, 10.0
+
+# -- within the day --------------------------------------------------------------------------------
+# Evidence and least rise from which the night so far is reported. Without the deduction for an odd
+# night, each of some hundred looks a day may err: see `benchmarks/results/watch.md`.
+INTRADAY_LIMIT, INTRADAY_LEAST_RISE = 10.0, 0.05
+# Numbers of latest blocks of two minutes that are tried as the night so far, beside all of it.
+INTRADAY_BLOCKS = (2, 5, 15)
+# Share of a rise below which it has ended, or is withdrawn.
+INTRADAY_SHARE = 0.5

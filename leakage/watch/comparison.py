@@ -10,8 +10,10 @@ import numpy as np
 from scipy.special import expit
 
 from leakage.errors import EstimationError
-from leakage.watch.adoption import begin, of_odd_night, with_evidence
+from leakage.watch import choices
+from leakage.watch.adoption import begin, with_evidence
 from leakage.watch.attribution import name_of
+from leakage.watch.evidence import Evidence, Window
 from leakage.watch.nights import Estimate, Machine, NightBlocks, WatchSettings
 from leakage.watch.state import State
 from leakage.watch.watch import with_night
@@ -65,19 +67,34 @@ def compare(
         state = with_night(state, night)
         state = with_evidence(state, state.evidence_now(), start)
     evidence, starts = state.evidence_now(), np.array([start])
-    log_ratio = np.logaddexp.reduce(evidence.of_starts(starts).log_ratio, axis=(0, 2))
-    log_ratio = log_ratio - of_odd_night(evidence, state.window, starts, log_ratio)
+    log_ratio = _without_odd_night(evidence, state.window, start)
     change = _change(state, start)
     name = name_of(evidence, machine, state.baseline, int(state.window.days[start]), change.value)
     return Comparison(
         change,
-        float(expit(log_ratio[0])),
+        float(expit(log_ratio)),
         name.cause,
         name.probability,
         name.candidates,
         state.baseline.lack_of_fit,
         bool(evidence.operating_beyond(starts) > 0.0),
     )
+
+
+def _without_odd_night(evidence: Evidence, window: Window, start: int) -> float:
+    """Logarithm of the likelihood ratio of a change at a start, less what an odd night explains.
+
+    That is at most what the nights after lose without it: a step, which every night after shows,
+    loses next to nothing, and all of it goes where one night made it.
+    """
+    nights = np.arange(start, len(window))
+    whole = float(np.logaddexp.reduce(evidence.of_starts(nights[:1]).log_ratio, axis=None))
+    if len(nights) == 1:
+        return whole - float(window.odd[start])
+    rest = evidence.of_starts(np.full(len(nights), start), without=nights).log_ratio
+    alone = whole - float(np.logaddexp.reduce(rest, axis=(0, 2)).min())
+    odd = np.logaddexp(math.log(1.0 - choices.ODD), math.log(choices.ODD) + alone)
+    return whole - min(float(window.odd[start:].max()), max(float(odd), 0.0))
 
 
 def _change(state: State, start: int) -> Estimate:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import json
 import sys
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -98,9 +97,9 @@ def _print_json(found: FleetStatus, *, too_old: bool) -> None:
     from pipeline.trends.rows.motor_states import latest_rows
 
     for motor, row in zip(found.motors, latest_rows(found.motors, ""), strict=True):
-        look = None if motor.look is None else asdict(motor.look)
+        intraday = None if motor.intraday is None else asdict(motor.intraday)
         del row["run_id"]
-        typer.echo(json.dumps({"event": "motor", **row, "look": look}, default=str))
+        typer.echo(json.dumps({"event": "motor", **row, "intraday": intraday}, default=str))
     fleet = {
         "event": "fleet",
         "last_good_run": found.last_good_run,
@@ -114,7 +113,7 @@ def _print_json(found: FleetStatus, *, too_old: bool) -> None:
 
 
 def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
-    """Lines below the motors: last run, deliveries, damage, looks."""
+    """Lines below the motors: last run, deliveries, damage, intraday check."""
     ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
     yield f"last good run: {ended}{', which is too old' if too_old else ''}"
     newest = max((one.data_night for one in found.motors if one.data_night), default=None)
@@ -132,14 +131,13 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
     if found.damage:
         first, files = found.damage[0], counted(len(found.damage), "published file")
         yield f"damaged or missing: {files}, such as {first.path}: {first.code}"
-    looks = [motor.look for motor in found.motors if motor.look is not None]
-    if looks:
-        counts = Counter(one.state.replace("_", " ") for one in looks)
-        states = ", ".join(f"{n} {state}" for state, n in sorted(counts.items()))
-        told, confirmed, withdrawn = (
-            sum(getattr(one, name) for one in looks) for name in ("told", "confirmed", "withdrawn")
+    checks = [motor.intraday for motor in found.motors if motor.intraday is not None]
+    if checks:
+        risen, confirmed, withdrawn = (
+            sum(getattr(one, name) for one in checks)
+            for name in ("risen", "confirmed", "withdrawn")
         )
-        yield f"looks: {states}; rises told {told}, confirmed {confirmed}, withdrawn {withdrawn}"
+        yield f"intraday rises: reported {risen}, confirmed {confirmed}, withdrawn {withdrawn}"
 
 
 def _run_line(found: FleetStatus) -> str | None:

@@ -283,17 +283,6 @@ class Trend(Section):
     """Time beyond which a limit is `beyond_horizon`."""
 
 
-class Look(Section):
-    """Looks within the day; nothing here changes a figure of a night."""
-
-    shapes = Stage.NOTHING
-
-    warm_up_minutes: NonNegative = 20.0
-    """Minutes after a start that are not judged."""
-    blind_after_minutes: Positive = 60.0
-    """Minutes without judgement after which a motor is `blind`."""
-
-
 class Folders(Section):
     """Folders; each is relative to the fleet file."""
 
@@ -385,7 +374,6 @@ class Settings(Section):
     sensor_health: SensorHealth = left_out()
     trend: Trend = left_out()
     alarms: Alarms = left_out()
-    look: Look = left_out()
 
     def misfits(self) -> Iterator[Misfit]:
         if self.smoothing.window_s >= self.windows.block_s:

@@ -88,10 +88,10 @@ def fit_night(
             rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
             counter = channels.get(RUNNING_HOURS)
             rows["operation"] = [operation_row(spec, night, samples, counter)]
-            _require_enough(samples, quality, spec)
+            require_enough(samples, quality, spec)
             samples, outside = choose_parts(spec.file, spec.settings, night, samples)
             rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
-            _require_parts(samples, outside)
+            require_parts(samples, outside)
         with _timed(seconds, "statistics_s"):
             motor = spec.stated.motor(night.date, spec.file.flushing.mode)
             statistics = night_statistics(spec.stated, motor, night, samples)
@@ -192,7 +192,8 @@ def clean_channels(
     return samples, counted + joint
 
 
-def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSpec) -> None:
+def require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSpec) -> None:
+    """Raise Insufficient if the motor stood still, or too few of its samples are kept."""
     still = next(
         q.n_refused for q in quality if (q.channel, q.reason) == ("time_base", "standstill")
     )
@@ -233,7 +234,8 @@ def choose_parts(
     return (samples.only(~outside) if outside.any() else samples), counted
 
 
-def _require_parts(samples: Samples, outside: tuple[Quality, ...]) -> None:
+def require_parts(samples: Samples, outside: tuple[Quality, ...]) -> None:
+    """Raise Insufficient if no sample lies in a part that is good enough."""
     if len(samples.index):
         return
     causes = _shares({q.reason.replace("_", " "): q for q in outside})

@@ -23,7 +23,14 @@ PORTS = {"starttls": 587, "tls": 465, "none": 25}
 # Characters of a subject at most; the rest stands in the text.
 LONGEST_SUBJECT = 150
 LEAKAGE = "leakage"
-URGENCY = {"look_now": -5, "alarm": -4, "warning": -3, "common_cause": -2, "stale": -1}
+URGENCY = {
+    "risen": -5,
+    "confirmed": -5,
+    "alarm": -4,
+    "warning": -3,
+    "common_cause": -2,
+    "stale": -1,
+}
 
 Row = Mapping[str, Any]
 # A motor, and lines on it.

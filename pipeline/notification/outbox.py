@@ -3,7 +3,7 @@
 Rows come from the published tables alone, and each is known by its key and its content: a run may
 be broken off anywhere, and a row that is made anew is delivered again only if it has changed. A
 failed delivery waits, unchanged, for the next run; of one that was taken only the keys of its rows
-stay. Rows of `looks` are a topic of their own: a look never waits for a run.
+stay. Rows of `looks` are a topic of their own: an intraday check never waits for a run.
 
 All raise StoreError if the state file cannot be read or written.
 """
@@ -61,11 +61,7 @@ def _tells_alarm(row: Row) -> bool:
 
 
 TOLD_ALARMS = Told(ALARMS, ALARM_CONTENT, _tells_alarm)
-TOLD_LOOKS = Told(
-    LOOKS,
-    ("from_state", "to_state", "reason", "verdict"),
-    lambda row: "look_now" in (row["from_state"], row["to_state"]),
-)
+TOLD_LOOKS = Told(LOOKS, ("from_state", "to_state", "reason"), lambda _: True)
 
 
 @dataclass(frozen=True, slots=True)

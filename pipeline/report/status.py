@@ -10,7 +10,7 @@ from pathlib import Path
 import polars as pl
 
 from pipeline.errors import UsageError
-from pipeline.look.state import look_statuses
+from pipeline.intraday.rows import intraday_statuses
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import Backlog, backlogs
 from pipeline.schema import ALARMS
@@ -55,13 +55,13 @@ def fleet_status(
 
 
 def current_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
-    """States of some motors as the last run left them, with their looks within the day.
+    """States of some motors as the last run left them, with their intraday check.
 
     Raises StoreError if a table is damaged.
     """
-    looks = look_statuses(output, motor_ids)
+    intraday = intraday_statuses(output, motor_ids)
     found = published_states(output, motor_ids)
-    return [replace(one, look=looks.get(one.motor_id)) for one in found]
+    return [replace(one, intraday=intraday.get(one.motor_id)) for one in found]
 
 
 def changed_by_rules(alarms: pl.DataFrame) -> pl.DataFrame:

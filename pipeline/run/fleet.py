@@ -18,6 +18,7 @@ from pathlib import Path
 
 from pipeline.config import Fleet
 from pipeline.errors import StoreError
+from pipeline.intraday.check import settle_rises
 from pipeline.logs.finding import legible
 from pipeline.notification.outbox import open_outbox
 from pipeline.notification.receivers import receivers_of
@@ -98,6 +99,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
                 open_outbox(state, [one.name for one in receivers], fleet.name)
                 with open_workers(fleet.execution, folders) as workers:
                     result = _run(request, staging, progress, heartbeat, workers, damage)
+                settle_rises(fleet, state)
                 queue_summary(fleet, state)
                 write_manifest(state)
         # A motor without an outcome of its own has its own words.

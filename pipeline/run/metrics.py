@@ -9,11 +9,11 @@ from pathlib import Path
 from pipeline.config import Fleet
 from pipeline.config.nights import night
 from pipeline.errors import StoreError
-from pipeline.look.state import BLIND, NOT_READY
+from pipeline.intraday.check import NOT_JUDGED, MotorCheck
 from pipeline.notification.outbox import Backlog
 from pipeline.run.tasks import MotorOutcome
 from pipeline.store.atomic_files import put, remove_leftovers
-from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW, ORDER, LookStatus, MotorState
+from pipeline.trends.rows.motor_states import CLEAR, ORDER, RISEN, MotorState
 
 HEAD = "# Made by motor-leakage"
 # Name of a metric, its column of `watch`, and what it is.
@@ -92,25 +92,23 @@ def metrics_text(
     return _text(fleet, families)
 
 
-def look_metrics_file(path: Path) -> Path:
-    """File of the looks within the day beside that of the runs, as both replace theirs whole."""
-    return path.with_name(f"{path.stem}-look{path.suffix}")
+def intraday_metrics_file(path: Path) -> Path:
+    """File of the intraday check beside that of the runs, as both replace theirs whole."""
+    return path.with_name(f"{path.stem}-intraday{path.suffix}")
 
 
-def look_metrics_text(fleet: Fleet, looks: Mapping[str, LookStatus]) -> str:
-    """The metrics of the looks within the day, by motor."""
+def intraday_metrics_text(fleet: Fleet, checks: Sequence[MotorCheck]) -> str:
+    """The metrics of an intraday check, by motor."""
     return _text(
         fleet,
         {
-            ("look_state", "1 for the state of a motor within the day, 0 for the others"): [
-                ({"motor": motor_id, "state": state}, float(one.state == state))
-                for motor_id, one in looks.items()
-                for state in (LOOK_NOW, CLEAR, BLIND, NOT_READY)
+            ("intraday_state", "1 for the state of a motor within the day, 0 for the others"): [
+                ({"motor": one.motor_id, "state": state}, float(one.state == state))
+                for one in checks
+                for state in (RISEN, CLEAR, NOT_JUDGED)
             ],
-            ("look_state_timestamp_seconds", "Time since which a motor is in that state"): [
-                ({"motor": motor_id}, one.since.timestamp())
-                for motor_id, one in looks.items()
-                if one.since is not None
+            ("intraday_judged_timestamp_seconds", "End of the samples that were judged"): [
+                ({"motor": one.motor_id}, one.end_us / 1e6) for one in checks if one.end_us
             ],
         },
     )

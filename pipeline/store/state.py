@@ -56,7 +56,6 @@ CREATE TABLE trends (
     motor_id TEXT PRIMARY KEY, trend_hash TEXT NOT NULL, last_night TEXT NOT NULL,
     redo_from TEXT, rules TEXT, kept BLOB
 );
-CREATE TABLE looks (motor_id TEXT PRIMARY KEY, state TEXT NOT NULL);
 CREATE TABLE queues (
     topic TEXT NOT NULL, receiver TEXT NOT NULL, told_since TEXT NOT NULL,
     fault TEXT NOT NULL DEFAULT '', summarised TEXT NOT NULL DEFAULT '',

@@ -43,8 +43,8 @@ FITS_OF_A_NIGHT = {
 LIMITS = ("days_to_limit", "days_to_limit_lower", "days_to_limit_upper", "days_to_limit_status")
 # States that ask for something.
 TOLD = (*CHANGED, "stale")
-# States of the looks within the day: a sudden rise, and none.
-LOOK_NOW, CLEAR = "look_now", "clear"
+# States of the intraday check: a sudden rise, and none.
+RISEN, CLEAR = "risen", "clear"
 # Columns of `latest` that the watch fills under the names they have in its own table.
 AS_IN_WATCH = tuple(
     name
@@ -54,29 +54,21 @@ AS_IN_WATCH = tuple(
 
 
 @dataclass(frozen=True, slots=True)
-class LookStatus:
-    """State of a motor's looks, for people."""
+class IntradayStatus:
+    """State of a motor's intraday check, for people."""
 
-    # state, since, reason: as of `LookState`; since None: no change of state yet.
     state: str
-    since: dt.datetime | None
+    since: dt.datetime
     reason: str
-    # told, confirmed, withdrawn: rises told, and those that a night confirmed or withdrew.
-    told: int = 0
+    # risen, confirmed, withdrawn: rises reported, and those that a night confirmed or withdrew.
+    risen: int = 0
     confirmed: int = 0
     withdrawn: int = 0
 
     @property
     def words(self) -> str:
-        """State in words.
-
-        Examples
-        --------
-        >>> LookStatus("not_ready", None, "5 of 8 nights").words
-        'within the day not ready: 5 of 8 nights'
-        """
-        since = "" if self.since is None else f" since {self.since:%Y-%m-%d %H:%M} UTC"
-        return f"within the day {self.state.replace('_', ' ')}{since}: {self.reason}"
+        """State in words."""
+        return f"within the day {self.state} since {self.since:%Y-%m-%d %H:%M} UTC: {self.reason}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,23 +106,21 @@ class MotorState:
     limit_dates: str = ""
     # Note of the last acknowledgement since the state began; empty without one.
     acknowledged: str = ""
-    # Standing of the looks within the day, which the table `latest` does not hold; None where there
-    # was none.
-    look: LookStatus | None = None
+    # State of its intraday check, which the table `latest` does not hold; None where it reported
+    # nothing.
+    intraday: IntradayStatus | None = None
 
     @property
     def sentence(self) -> str:
         """The state in words, a sudden rise within the day first."""
-        rise = self.look.words if self.look is not None and self.is_sudden else ""
+        rise = self.intraday.words if self.intraday is not None and self.is_sudden else ""
         return f"{rise}; {self.reason}" if rise else self.reason
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Further notes on the motor, in words."""
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
-        is_told = self.look is not None and not self.is_sudden and self.look.state != CLEAR
-        look = self.look.words if self.look is not None and is_told else ""
-        every = (dates, self.failure, self.log_note, self.poor_fit, self.oil, look)
+        every = (dates, self.failure, self.log_note, self.poor_fit, self.oil)
         return tuple(note for note in every if note)
 
     @property
@@ -147,7 +137,7 @@ class MotorState:
     @property
     def is_sudden(self) -> bool:
         """A sudden rise within the day stands."""
-        return self.look is not None and self.look.state == LOOK_NOW
+        return self.intraday is not None and self.intraday.state == RISEN
 
     @property
     def path(self) -> str | None:
@@ -162,7 +152,7 @@ class MotorState:
 
 
 # Fields of a state that are columns of `latest` as they are.
-STORED = tuple(one.name for one in fields(MotorState) if one.name not in ("watch", "look"))
+STORED = tuple(one.name for one in fields(MotorState) if one.name not in ("watch", "intraday"))
 
 
 def latest_rows(states: Iterable[MotorState], run_id: str) -> list[Row]:

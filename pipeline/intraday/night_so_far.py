@@ -1,0 +1,251 @@
+"""The night so far of a motor: its logs up to now, as blocks; and its watch up to the night before.
+
+The same cleaning, blocks and watch as the nightly run's.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from leakage.watch import NightBlocks, Watch
+from pipeline.arrays import SECOND_US
+from pipeline.config import MotorSpec
+from pipeline.config.nights import DAY, Night, night_of, nights_between
+from pipeline.config.nights import night as night_labelled
+from pipeline.errors import LogError
+from pipeline.ingest import RawChannel, RawLog, read_log
+from pipeline.logs.files import look_at, reaches_us, slice_night, spanned
+from pipeline.logs.finding import find_logs
+from pipeline.logs.processed import FileRecord
+from pipeline.night.column_change import COLUMNS, USUAL_NIGHTS, column_change, usual_readings
+from pipeline.night.fit_night import (
+    Insufficient,
+    choose_parts,
+    clean_channels,
+    require_enough,
+    require_parts,
+)
+from pipeline.night.sample_rows import statistics_rows
+from pipeline.night.statistics import night_statistics
+from pipeline.night.stored_blocks import BLOCK_COLUMNS
+from pipeline.night.viscosity import sensor_ratio
+from pipeline.schema import BLOCK_STATISTICS, staged_table
+from pipeline.store.tables import read_rows
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.from_tables import read_blocks
+from pipeline.trends.nights.history import History, periods_of
+from pipeline.trends.nights.kept import decoded, key_of
+from pipeline.trends.nights.layout import Layout
+from pipeline.trends.states.course import watch_settings
+
+# Latest samples are left out: what follows may be a halt, and its guard time reaches back [µs].
+SETTLE_US = 30 * SECOND_US
+# Latest samples of a channel that say how far it goes: a single wrong stamp does not.
+LATEST = 5
+# After a pause as long, blocks are left out for as long: oil and motor are cold [µs].
+WARM_UP_US = 20 * 60 * SECOND_US
+FEWEST_BLOCKS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class NightSoFar:
+    """Blocks of a night, and its end [µs since 1970]."""
+
+    night: Night
+    blocks: NightBlocks
+    end_us: int
+
+
+def read_so_far(
+    spec: MotorSpec, known: Mapping[str, FileRecord], latest_us: int
+) -> tuple[Night, dict[str, RawChannel]]:
+    """The night of the newest samples in a motor's logs, and its channels.
+
+    `known`: The logs as the last nightly run read them, which says how far most of them go; where
+    none is new, there is no night so far. Samples after `latest_us` are refused.
+
+    Raises Insufficient if there are no new samples.
+    """
+    nights, faults = spec.settings.nights, list[str]()
+    logs = list[RawLog]()
+    for path in _newest_logs(spec, known, latest_us, faults):
+        try:
+            logs.append(read_log(path, spec.file.logs, spec.file.channels, latest_us))
+        except LogError as error:
+            faults.append(error.message)
+    stamps = [one.time_us for log in logs for one in log.channels.values() if len(one.time_us)]
+    if not stamps:
+        raise Insufficient("", faults[-1] if faults else "no new samples since the nightly run")
+    newest_us = max(int(np.median(some[-LATEST:])) for some in stamps)
+    night = night_labelled(night_of(newest_us, nights), nights)
+    return night, slice_night(logs, night, reaches_us(spec))
+
+
+def _newest_logs(
+    spec: MotorSpec, known: Mapping[str, FileRecord], latest_us: int, faults: list[str]
+) -> list[Path]:
+    """Logs of the night with the newest stamp and the day before it, in order of their ends.
+
+    The newest stamp may be a wrong one, up to a day ahead. None where no log is new.
+    """
+    ends, is_new = dict[Path, int](), False
+    for name, path in find_logs(spec)[0].items():
+        record, before = look_at(name, path), known.get(name)
+        if before is not None and _state(before) == _state(record):
+            record = before
+        elif record.status == "ok":
+            record, is_new = spanned(record, path, spec, latest_us), True
+        if record.last_us is not None:
+            ends[path] = record.last_us
+        elif record.message:
+            faults.append(record.message)
+    if not is_new or not ends:
+        return []
+    nights = spec.settings.nights
+    label = night_of(max(ends.values()), nights)
+    first_us = night_labelled(label - DAY, nights).start_us
+    in_order = sorted(ends, key=lambda path: (ends[path], path))
+    return [path for path in in_order if ends[path] >= first_us]
+
+
+def _state(record: FileRecord) -> tuple[int, int]:
+    """What is another one where a log was written to."""
+    return record.size, record.modified_ns
+
+
+def blocks_so_far(
+    spec: MotorSpec, layout: Layout, night: Night, channels: dict[str, RawChannel]
+) -> NightSoFar:
+    """Short blocks of a warm motor, by the night's own rules.
+
+    Raises Insufficient or LeakageError where they say nothing.
+    """
+    # Blocks are not merged, and no stretch is too short: what follows is not there yet.
+    windows = spec.settings.windows.model_copy(
+        update={"maximum_blocks": 10**6, "longest_gap_s": None}
+    )
+    spec = replace(spec, settings=spec.settings.model_copy(update={"windows": windows}))
+    samples, quality = clean_channels(spec.file, spec.settings, night, channels)
+    require_enough(samples, quality, spec)
+    samples = samples.only(samples.time_us <= samples.time_us[-1:] - SETTLE_US)
+    samples, outside = choose_parts(spec.file, spec.settings, night, samples)
+    require_parts(samples, outside)
+    motor = spec.stated.motor(night.date, spec.file.flushing.mode)
+    ratio = sensor_ratio(motor.oil, samples)
+    if isinstance(ratio, str):
+        raise Insufficient("", ratio)
+    statistics = night_statistics(spec.stated, motor, night, samples)
+    rows = statistics_rows(spec.motor_id, night.date, motor, statistics, ratio)
+    begins = np.array([block.start_us for block in statistics.blocks])
+    warm = _warm(begins, night.start_us)
+    if np.count_nonzero(warm) < FEWEST_BLOCKS:
+        raise Insufficient("", "the motor has not run for long enough yet")
+    stored = pl.from_arrow(
+        staged_table(
+            BLOCK_STATISTICS, [row for row, is_warm in zip(rows, warm, strict=True) if is_warm]
+        )
+    )
+    assert isinstance(stored, pl.DataFrame)
+    blocks = layout.blocks(spec, stored)
+    if blocks is None:
+        raise Insufficient("", "the nights before are of another model")
+    return NightSoFar(night, layout.night_blocks(blocks), statistics.blocks[-1].end_us)
+
+
+def _warm(begins_us: np.ndarray, night_start_us: int) -> np.ndarray:
+    """Blocks that do not follow a start of the motor; over the night's border it ran on."""
+    pause = np.diff(begins_us, prepend=night_start_us) >= WARM_UP_US
+    started = np.maximum.accumulate(np.where(pause, begins_us, night_start_us - WARM_UP_US))
+    return begins_us - started >= WARM_UP_US
+
+
+@dataclass(frozen=True, slots=True)
+class NightsBefore:
+    """Watch of a motor after the last published night before another one."""
+
+    watch: Watch
+    layout: Layout
+    merged: int  # short blocks in one as the nights store it
+    usual: Mapping[str, float]  # as of `usual_readings`
+
+    def columns_changed(self, spec: MotorSpec, blocks: NightBlocks) -> str | None:
+        """Why blocks look like those of other columns or units than the nights before."""
+        return column_change(spec, self.usual, _readings(blocks)) if self.usual else None
+
+    def blocks_of(
+        self, output: Path, spec: MotorSpec, label: dt.date, begin_us: int
+    ) -> NightBlocks | None:
+        """Published blocks of a night from a time on; its last one where it ends before."""
+        rows = read_rows(output, BLOCK_STATISTICS, [spec.motor_id], BLOCK_COLUMNS, nights=[label])
+        stored = self.layout.blocks(spec, rows) if rows.height else None
+        if stored is None:
+            return None
+        blocks = self.layout.night_blocks(stored)
+        is_late = stored.rows["block_end"].dt.timestamp("us").to_numpy() > begin_us
+        is_late[-1] = True
+        parts = (blocks.middle_s, blocks.drives, blocks.flow, blocks.conditions)
+        return NightBlocks(blocks.day, *(part[is_late] for part in parts))
+
+
+def nights_before(
+    output: Path,
+    spec: MotorSpec,
+    decisions: Sequence[Decision],
+    content: bytes | None,
+    label: dt.date,
+) -> NightsBefore:
+    """The watch before a night, by what the last nightly run left of it.
+
+    Raises Insufficient if there is none; StoreError if a published table is damaged.
+    """
+    kept = decoded(content)
+    if kept is None:
+        raise Insufficient("", "the nightly run has not published a night yet")
+    if kept.key != key_of(spec, decisions):
+        raise Insufficient("", "settings, events or resets have changed: the nightly run redoes it")
+    if any(kept.last_night < one.date <= label for one in spec.file.baseline_events):
+        raise Insufficient("", "a new baseline begins")
+    last = label - DAY
+    layout = Layout.of(spec, last)
+    history = History(spec, layout, kept.records, tuple(decisions))
+    period = history.nights[periods_of(history)[-1].first]
+    machine, settings, known = layout.machine(spec, period), watch_settings(spec), kept.watch
+    if known is not None and (known.period != period or known.day >= label.toordinal()):
+        known = None
+    begin = period.toordinal() if known is None else known.day + 1
+    first = min(dt.date.fromordinal(begin), label - USUAL_NIGHTS * DAY)
+    nights = read_blocks(output, spec, layout, nights_between(max(first, period), last))
+    new = [night for night in nights if night.day >= begin]
+    if known is not None:
+        watch = Watch.of_arrays(machine, settings, known.arrays)
+    elif len(new) < settings.baseline_nights:
+        why = f"{len(new)} of {settings.baseline_nights} nights of a baseline"
+        raise Insufficient("", why)
+    else:
+        watch = Watch.begin(machine, new[: settings.baseline_nights], settings)
+        new = new[settings.baseline_nights :]
+    for night in new:
+
+        def earlier(day: int, until: int = night.day) -> list[NightBlocks]:
+            since = nights_between(dt.date.fromordinal(day), dt.date.fromordinal(until))
+            return read_blocks(output, spec, layout, since)
+
+        watch = watch.after(night, earlier)
+    apart = [float(np.median(np.diff(one.middle_s))) for one in nights if len(one.flow) > 1]
+    length_s = float(np.median(apart)) if apart else 0.0
+    merged = max(1, round(length_s / spec.settings.windows.block_s))
+    rows = [{COLUMNS[name]: value for name, value in _readings(one).items()} for one in nights]
+    return NightsBefore(watch, layout, merged, usual_readings(rows[-USUAL_NIGHTS:]))
+
+
+def _readings(blocks: NightBlocks) -> dict[str, float]:
+    """Mean readings of some blocks, by channel."""
+    temperature, pressure, speed = blocks.conditions.mean(axis=0).tolist()
+    readings = (pressure, temperature, speed, float(blocks.flow.mean()))
+    return dict(zip(COLUMNS, readings, strict=True))
