@@ -54,7 +54,7 @@ endif
 fit-fleet: $(RUN) ## fit a fleet: CONFIG=configs/fleet.toml JOBS=4 MOTORS="A B" SINCE=2026-01-01 UNTIL=...
 	$(BIN)/motor-leakage fit-fleet $(FLEET) $(OPTIONS)
 
-look: $(RUN)   ## new minutes of growing logs, told at once: CONFIG=... EVERY=10min
+look: $(RUN)   ## intraday check of growing logs: CONFIG=... EVERY=10min
 	$(BIN)/motor-leakage look $(FLEET) $(if $(EVERY),--every $(EVERY)) $(if $(MOTORS),--motors "$(MOTORS)")
 
 report: $(RUN) ## pages of the fleet and its motors: CONFIG=configs/fleet.toml

@@ -18,6 +18,8 @@ from leakage.watch.nights import Estimate, Machine, NightBlocks, WatchSettings
 from leakage.watch.state import State
 from leakage.watch.watch import with_night
 
+TINY = 1e-300
+
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
@@ -67,7 +69,7 @@ def compare(
         state = with_night(state, night)
         state = with_evidence(state, state.evidence_now(), start)
     evidence, starts = state.evidence_now(), np.array([start])
-    log_ratio = _without_odd_night(evidence, state.window, start)
+    log_ratio = _with_odd_nights(evidence, state.window, start)
     change = _change(state, start)
     name = name_of(evidence, machine, state.baseline, int(state.window.days[start]), change.value)
     return Comparison(
@@ -81,20 +83,23 @@ def compare(
     )
 
 
-def _without_odd_night(evidence: Evidence, window: Window, start: int) -> float:
-    """Logarithm of the likelihood ratio of a change at a start, less what an odd night explains.
+def _with_odd_nights(evidence: Evidence, window: Window, start: int) -> float:
+    """Logarithm of the likelihood ratio of a change at a start, where any night after may be odd.
 
-    That is at most what the nights after lose without it: a step, which every night after shows,
-    loses next to nothing, and all of it goes where one night made it.
+    With or without a change, all nights are ordinary, or one of them is odd and says nothing: a
+    step, which every night shows, loses next to nothing by that, and what one night made all.
     """
     nights = np.arange(start, len(window))
-    whole = float(np.logaddexp.reduce(evidence.of_starts(nights[:1]).log_ratio, axis=None))
-    if len(nights) == 1:
-        return whole - float(window.odd[start])
-    rest = evidence.of_starts(np.full(len(nights), start), without=nights).log_ratio
-    alone = whole - float(np.logaddexp.reduce(rest, axis=(0, 2)).min())
-    odd = np.logaddexp(math.log(1.0 - choices.ODD), math.log(choices.ODD) + alone)
-    return whole - min(float(window.odd[start:].max()), max(float(odd), 0.0))
+    whole = np.logaddexp.reduce(evidence.of_starts(nights[:1]).log_ratio, axis=None)
+    # As `odd` has it of each night: ln(1 − ε + ε LR) of the night alone; here ln(ε LR).
+    odd = window.odd[start:]
+    odd = odd + np.log(np.maximum(-np.expm1(math.log(1.0 - choices.ODD) - odd), TINY))
+    rest = np.zeros(1)
+    if len(nights) > 1:
+        others = evidence.of_starts(np.full(len(nights), start), without=nights)
+        rest = np.logaddexp.reduce(others.log_ratio, axis=(0, 2))
+    changed = np.logaddexp(whole, np.logaddexp.reduce(odd + rest))
+    return float(changed - np.logaddexp(0.0, np.logaddexp.reduce(odd)))
 
 
 def _change(state: State, start: int) -> Estimate:

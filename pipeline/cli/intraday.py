@@ -80,9 +80,11 @@ def _check(fleet: Fleet, wanted: Sequence[str], *, as_json: bool) -> Sequence[Mo
             f"{row['time']:%Y-%m-%d %H:%M} {check.motor_id}: {row['to_state']}: {row['reason']}"
             for row in check.rows
         ]
+        if check.fault:
+            say(f"{check.motor_id}: {check.fault}", err=True)
+        elif check.state == NOT_JUDGED:
+            lines = [f"{check.motor_id}: not judged: {check.reason}"]
         tell(event, "\n".join(lines), as_json=as_json)
-        if check.state == NOT_JUDGED and not as_json:
-            say(f"{check.motor_id}: not judged: {check.fault or check.reason}", err=True)
     if not as_json:
         states = Counter(check.state.replace("_", " ") for check in found)
         counts = ", ".join(f"{n} {state}" for state, n in sorted(states.items()))

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.logs.processed import ProcessedLogs, read_processed
-from pipeline.look.state import LookState, read_states
 from pipeline.store.published import MANIFEST_FILE
 from pipeline.store.state import BACKUP_FILE, STATE_FILE, open_state
 from pipeline.trends.nights.trend_record import Record, read_records
@@ -28,12 +27,6 @@ def record_of(output: Path, motor_id: str = "M1") -> Record | None:
     """Record of a motor's trends."""
     with open_state(output) as state:
         return read_records(state).get(motor_id)
-
-
-def look_of(output: Path, motor_id: str = "M1") -> LookState:
-    """State of a motor's looks."""
-    with open_state(output) as state:
-        return read_states(state).get(motor_id, LookState())
 
 
 def change(output: Path, statement: str, *values: Any) -> None:

@@ -28,7 +28,7 @@ Fault = Literal["killed", "refused", "full"]
 FAULTS: dict[Fault, tuple[int, int, int]] = {
     "killed": (1, 0, 0), "refused": (0, errno.EIO, 0), "full": (0, errno.ENOSPC, 1)
 }  # fmt: skip
-LOADED = ("pipeline.run.motor_task", "pipeline.trends.stage", "pipeline.look.look")
+LOADED = ("pipeline.run.motor_task", "pipeline.trends.stage", "pipeline.intraday.check")
 
 
 @dataclass(frozen=True, slots=True)

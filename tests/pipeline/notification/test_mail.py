@@ -142,13 +142,13 @@ def test_a_message_says_what_since_when_what_to_do_and_where_to_read_on() -> Non
 
 def test_a_rise_within_the_day_is_told_with_its_time() -> None:
     """A row of `looks` has neither a night nor an indicator."""
-    rise = change("CB400-02", "", "clear", "look_now", "drain flow +82 %")
+    rise = change("CB400-02", "", "clear", "risen", "drain flow +82 %")
     rise["time"] = "2026-03-02 14:34:00+00:00"
     del rise["night"], rise["indicator"]
     mail = mailed(rise)
-    assert mail["Subject"] == "Mill 3: CB400-02 look now"
+    assert mail["Subject"] == "Mill 3: CB400-02 risen"
     first, second = mail.get_content().splitlines()
-    assert first == f"CB400-02: look now since {rise['time']}; before that clear"
+    assert first == f"CB400-02: risen since {rise['time']}; before that clear"
     assert second == "  Drain flow +82 %."
 
 

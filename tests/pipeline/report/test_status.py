@@ -18,7 +18,7 @@ from pipeline.report.words import STATES
 from pipeline.schema import ALARMS, LATEST, RUNS, frame
 from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.rows.motor_states import CHANGED, ORDER, TOLD, LookStatus, urgency
+from pipeline.trends.rows.motor_states import CHANGED, ORDER, TOLD, IntradayStatus, urgency
 from tests.pipeline.calling import Call
 from tests.pipeline.report.states import ADVICE, SENTENCES, night_of, output, state_of
 from tests.pipeline.written import publisher_of, write_nights
@@ -81,7 +81,7 @@ def test_json_has_a_line_a_motor_and_one_for_the_fleet(
     motor, fleet = map(json.loads, out.splitlines())
     assert (motor["event"], motor["motor_id"], motor["state"]) == ("motor", "M1", "alarm")
     # A motor's line has the columns of `latest`.
-    assert motor.keys() ^ LATEST.schema.keys() <= {"event", "look", "run_id"}
+    assert motor.keys() ^ LATEST.schema.keys() <= {"event", "intraday", "run_id"}
     assert (motor["cause"], motor["tonight_change"]) == ("balance_sleeve", 0.21)
     assert (fleet["event"], fleet["too_old"]) == ("fleet", True)
 
@@ -181,11 +181,11 @@ def test_every_state_has_a_meaning() -> None:
     assert set(STATES) == set(ORDER)
 
 
-def test_a_sudden_rise_within_the_day_comes_first_and_a_clear_look_is_not_shown() -> None:
+def test_a_sudden_rise_within_the_day_comes_first_and_a_clear_one_is_not_shown() -> None:
     since = dt.datetime(2026, 3, 2, 14, 30, tzinfo=dt.UTC)
-    rise = LookStatus("look_now", since, "drain flow +82 % [75, 90]", told=1)
-    broken = state_of("M2", look=rise)
-    quiet = state_of("M3", look=LookStatus("clear", since, "x"))
+    rise = IntradayStatus("risen", since, "drain flow +82 % [75, 90]", risen=1)
+    broken = state_of("M2", intraday=rise)
+    quiet = state_of("M3", intraday=IntradayStatus("clear", since, "x"))
     assert min((state_of("M1", "alarm"), quiet, broken), key=urgency).motor_id == "M2"
-    assert "look now since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
+    assert "risen since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
     assert "clear" not in quiet.why

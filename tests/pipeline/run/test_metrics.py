@@ -12,16 +12,17 @@ import pytest
 from pipeline.config import Fleet
 from pipeline.config.settings import Settings
 from pipeline.errors import StoreError
+from pipeline.intraday.check import MotorCheck
 from pipeline.notification.outbox import Backlog
 from pipeline.run.metrics import (
     HEAD,
-    look_metrics_file,
-    look_metrics_text,
+    intraday_metrics_file,
+    intraday_metrics_text,
     metrics_text,
     write_metrics,
 )
 from pipeline.run.tasks import MotorOutcome
-from pipeline.trends.rows.motor_states import LookStatus, MotorState
+from pipeline.trends.rows.motor_states import MotorState
 from pipeline.trends.rows.watch_rows import WatchRow
 
 WHEN = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
@@ -98,13 +99,18 @@ def test_an_absent_folder_is_not_made(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_looks_have_a_file_of_their_own() -> None:
-    assert look_metrics_file(Path("/a/mill.prom")) == Path("/a/mill-look.prom")
-    looks = {"M1": LookStatus("look_now", WHEN, "+82 %"), "M2": LookStatus("blind", None, "x")}
-    lines = look_metrics_text(cast(Fleet, SomeFleet()), looks).splitlines()
-    assert lines[0] == HEAD
-    assert [line for line in lines if "look_now" in line and line.endswith(" 1.0")] == [
-        line for line in lines if 'motor="M1",state="look_now"' in line
+def test_the_intraday_check_has_a_file_of_its_own() -> None:
+    assert intraday_metrics_file(Path("/a/mill.prom")) == Path("/a/mill-intraday.prom")
+    end_us = round(WHEN.timestamp() * 1e6)
+    checks = [
+        MotorCheck("M1", "risen", "+82 %", end_us=end_us),
+        MotorCheck("M2", "not_judged", "no new samples"),
     ]
-    (since,) = (line for line in lines if line.startswith("motor_leakage_look_state_timestamp"))
-    assert since.endswith(f" {WHEN.timestamp()!r}")
+    lines = intraday_metrics_text(cast(Fleet, SomeFleet()), checks).splitlines()
+    assert lines[0] == HEAD
+    states = [line for line in lines if "intraday_state{" in line and line.endswith(" 1.0")]
+    assert len(states) == 2
+    assert 'motor="M1",state="risen"' in states[0]
+    assert 'motor="M2",state="not_judged"' in states[1]
+    (judged,) = (line for line in lines if line.startswith("motor_leakage_intraday_judged"))
+    assert judged.endswith(f" {WHEN.timestamp()!r}")
