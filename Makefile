@@ -120,7 +120,7 @@ requirements:    ## make the pins of requirements/ anew of pyproject.toml
 	$(PYTHON) -m venv $(VENV)-uv
 	$(VENV)-uv/bin/pip install --quiet --disable-pip-version-check uv
 	$(call PINS,run) --group build
-	$(call PINS,dev) --group dev $(addprefix --extra ,dask delta protobuf s3) $(call BEYOND)
+	$(call PINS,dev) --group dev $(addprefix --extra ,dask protobuf s3) $(call BEYOND)
 	sed -i '1i -r run.txt' requirements/dev.txt
 	$(call PINS,full) --group full $(call BEYOND,,dev)
 	sed -i '1i -r dev.txt' requirements/full.txt

@@ -24,7 +24,6 @@ from pipeline.cli.arguments import (
     tell,
 )
 from pipeline.clock import now
-from pipeline.errors import UsageError
 from pipeline.messages import counted
 
 
@@ -93,12 +92,8 @@ def report(
 def export(
     config: ConfigFile,
     csv: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write CSV there, one file per table.")
-    ] = None,
-    delta: Annotated[
-        str | None,
-        typer.Option(metavar="PLACE", help="Write Delta Lake tables below a folder or URL."),
-    ] = None,
+        Path, typer.Option(metavar="FOLDER", help="Write CSV there, one file per table.")
+    ],
     tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
     motors: Motors = "",
     since: Since = None,
@@ -112,37 +107,24 @@ def export(
     ] = False,
     output: Output = None,
 ) -> None:
-    """Write published tables in another format; files of the same name are replaced.
+    """Write published tables as CSV; files of the same name are replaced.
 
     Example: motor-leakage export configs/fleet.toml --csv csv --tables fits,parameters --bom
 
     Excel with a decimal comma reads --separator ';' --decimal , as it is.
 
     Text that a spreadsheet would evaluate as a formula gets an apostrophe in front.
-
-    Example: motor-leakage export configs/fleet.toml --delta lake
-
-    Delta Lake tables are written whole, each in one transaction.
     """
     from pipeline.config import load_fleet
     from pipeline.export.csv import CsvRequest, export_csv, tables_named
-    from pipeline.export.delta import export_delta
 
-    if (csv is None) == (delta is None):
-        raise UsageError("export_format", "expected one of --csv FOLDER and --delta PLACE")
     fleet = load_fleet(config)
     root, named = output or fleet.output, tables_named(tables.replace(",", " ").split())
     require_order(since, until)
     ids = fleet.known_motors(motors.split())
     request = CsvRequest(named, ids, since, until, separator, decimal, bom)
-    if delta is not None:
-        if request != CsvRequest(named):
-            raise UsageError("export_format", "--delta writes whole tables: expected only --tables")
-        for place, version, n_rows in export_delta(root, delta, named):
-            typer.echo(f"{place}: version {version}, {counted(n_rows, 'row')}")
-    if csv is not None:
-        for path, n_rows in export_csv(root, csv, request):
-            typer.echo(f"{path}: {counted(n_rows, 'row')}")
+    for path, n_rows in export_csv(root, csv, request):
+        typer.echo(f"{path}: {counted(n_rows, 'row')}")
 
 
 def prune(

@@ -1,4 +1,4 @@
-"""Published tables in other formats.
+"""Published tables as CSV.
 
 Imports `store` and `schema`.
 """

@@ -163,7 +163,7 @@ class ObjectChangedError(Exception):
 
 
 def _require_http_allowed() -> None:
-    """Ask for the variable that Polars and Delta Lake ask for, too."""
+    """Ask for the variable that Polars asks for, too."""
     name = next((name for name in ENDPOINTS if name in os.environ), None)
     allowed = os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true", "yes", "on", "y", "t")
     if name and os.environ[name].startswith("http://") and not allowed:

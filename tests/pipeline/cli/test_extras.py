@@ -16,14 +16,13 @@ ROOT = Path(__file__).parents[3]
 WITHOUT = """
 import importlib, pkgutil, sys
 from pathlib import Path
-for name in ("dask", "distributed", "obstore", "deltalake"):
+for name in ("dask", "distributed", "obstore"):
     sys.modules[name] = None
 import pipeline
 for module in pkgutil.walk_packages(pipeline.__path__, "pipeline."):
     if not module.name.endswith("__main__"):
         importlib.import_module(module.name)
 from pipeline.config import Execution
-from pipeline.export.delta import export_delta
 from pipeline.workers.engine import open_workers
 from pipeline.errors import MotorLeakageError
 from pipeline.store.object_store import ObjectStore
@@ -34,7 +33,7 @@ def dask():
         pass
 
 
-for ask in (dask, lambda: ObjectStore.at("s3://b/x"), lambda: list(export_delta(Path(), "x"))):
+for ask in (dask, lambda: ObjectStore.at("s3://b/x")):
     try:
         ask()
     except MotorLeakageError as error:
@@ -44,8 +43,8 @@ for ask in (dask, lambda: ObjectStore.at("s3://b/x"), lambda: list(export_delta(
 
 def test_without_the_extras_all_modules_load_and_each_use_names_its_extra() -> None:
     told = [line.split(" ", 1) for line in python(WITHOUT).stdout.splitlines()]
-    assert [code for code, _ in told] == ["dask_missing", "object_store_missing", "delta_missing"]
-    for (_, message), extra in zip(told, ("dask", "s3", "delta"), strict=True):
+    assert [code for code, _ in told] == ["dask_missing", "object_store_missing"]
+    for (_, message), extra in zip(told, ("dask", "s3"), strict=True):
         assert f"motor-leakage[{extra}]" in message
 
 

@@ -74,7 +74,7 @@ def test_version(call: Call) -> None:
 
 
 NO_COMMAND_NEEDS = ("pandas", "matplotlib", "plotly", "jinja2", "pyarrow.dataset")
-EXTRAS = ("dask", "distributed", "obstore", "deltalake", "duckdb")
+EXTRAS = ("dask", "distributed", "obstore", "duckdb")
 NOT_AT_ONCE = (*NO_COMMAND_NEEDS, "scipy", "pyarrow.compute", "rich")
 
 
