@@ -57,29 +57,17 @@ def report(
     nights: Annotated[
         int | None, typer.Option(min=1, help="Newest nights with their own file; default: all.")
     ] = None,
-    pdf: Annotated[
-        str,
-        typer.Option(
-            metavar="MOTOR", help="Write one page on this motor as PDF instead, here or in --to."
-        ),
-    ] = "",
 ) -> None:
     """Write the report: pages for the fleet and each motor that open without a server.
 
     Example: motor-leakage report configs/fleet.toml
 
-    Example: motor-leakage report configs/fleet.toml --pdf CB400-02
-
-    Then open out/report/index.html. A further call only writes what has changed.
+    Then open out/report/index.html. A further call only writes what has changed. A motor's page
+    prints as a work order on one sheet.
     """
     from pipeline.report.build import build_report
 
     fleet = load(config, output, None, logs=False)
-    if pdf:
-        from pipeline.report.paper import write_paper
-
-        typer.echo(write_paper(fleet, pdf, to or Path.cwd()))
-        return
     folder = to or fleet.output / "report"
     result = build_report(fleet, folder, nights=nights, made=now())
     typer.echo(

@@ -15,6 +15,7 @@ from typing import Any
 
 import polars as pl
 
+from leakage import AnnularGap
 from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import StoreError
 from pipeline.messages import plain
@@ -270,6 +271,7 @@ def _motor_values(
         "row": row,
         "last": motor.fits.row(-1, named=True) if motor.nights else None,
         "marks": course.marks,
+        "parts": [(path.name, isinstance(path, AnnularGap)) for path in spec.motor_type.paths()],
         "payload": script_json(payload),
         "changes": changes,
     }

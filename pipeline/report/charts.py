@@ -1,4 +1,4 @@
-"""The charts of a motor and of a night, as data: drawn by Plotly on pages, by Matplotlib on paper.
+"""The charts of a motor and of a night, as data; `plotly_json` has them as Plotly draws them.
 
 A chart is some panels below one another on one axis of time.
 """
@@ -59,7 +59,7 @@ class Panel:
     unit: str
     lines: tuple[Line, ...]
     ends: tuple[float, float] | None = None  # of its axis; None: as the lines need
-    height: int = 170  # pixels on a page; on paper the heights' proportions hold
+    height: int = 170  # pixels
 
 
 @dataclass(frozen=True, slots=True)

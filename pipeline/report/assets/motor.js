@@ -106,8 +106,13 @@ const motorLeakage = (() => {
   }
 
   draw("course", page.course);
-  if (page.course.data)
+  if (page.course.data) {
     plotOf("course").on("plotly_click", (event) => go(String(event.points[0].x).slice(0, 10)));
+    /* On paper it is as wide as the sheet (`zoom` of report.css), whatever the window is. */
+    const resize = (width) => Plotly.relayout(plotOf("course"), { width, autosize: !width });
+    window.addEventListener("beforeprint", () => resize(950));
+    window.addEventListener("afterprint", () => resize(null));
+  }
   select.append(
     ...page.nights
       .map((night, at) => element("option", { value: night }, `${night}, ${page.statuses[at]}`))

@@ -73,7 +73,7 @@ def test_version(call: Call) -> None:
     assert (code, out, err) == (0, f"motor-leakage {version('motor-leakage')}\n", "")
 
 
-NO_COMMAND_NEEDS = ("pandas", "matplotlib", "plotly", "jinja2", "pyarrow.dataset")
+NO_COMMAND_NEEDS = ("pandas", "plotly", "jinja2", "pyarrow.dataset")
 EXTRAS = ("dask", "distributed", "obstore", "duckdb")
 NOT_AT_ONCE = (*NO_COMMAND_NEEDS, "scipy", "pyarrow.compute", "rich")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import datetime as dt
 import re
 from dataclasses import replace
@@ -35,6 +36,11 @@ pytestmark = needs_browser
 MOTORS = 6
 PAGES = ("index.html", f"motors/{WORN}.html", "glossary.html")
 NIGHT = "return document.body.dataset.night"
+# Within the width of a scroll bar.
+FILLED = """
+const plot = document.querySelector('#course .plot');
+return Math.abs(plot.clientWidth - plot.querySelector('.main-svg').clientWidth) < 20;
+"""
 
 
 # The fleet
@@ -155,6 +161,30 @@ def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
         ".shapes.filter((shape) => shape.name === 'chosen night').map((one) => one.x0)"
     )
     assert marked == [NIGHTS[0]]
+
+
+def test_every_motor_s_page_prints_as_a_work_order_on_one_sheet(
+    browser: Chrome, told: Path
+) -> None:
+    for page in sorted((told / "motors").glob("*.html")):
+        visit(browser, page)
+        drawn(browser)
+        asked = {"preferCSSPageSize": True}
+        sheets = base64.b64decode(browser.execute_cdp_cmd("Page.printToPDF", asked)["data"])
+        assert sheets.count(b"/Type /Page\n") == 1, page.stem
+        # On the screen the chart fills its place again.
+        wait(browser, FILLED)
+        sheet = browser.find_element(By.CLASS_NAME, "sheet")
+        assert not sheet.is_displayed()
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+        parts = [one.text for one in sheet.find_elements(By.CSS_SELECTOR, "tbody th")]
+        assert parts == ["piston ring", "balance piston", "balance sleeve", "cam roller"]
+        for words in ("Not opened", "Measured gap", "Signature", f"ack CONFIG {page.stem}"):
+            assert words in sheet.text
+        assert browser.find_element(By.ID, "sentence").is_displayed()
+        assert browser.find_element(By.ID, "course").is_displayed()
+        assert not browser.find_element(By.ID, "night").is_displayed()
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
 
 
 def test_no_button_sends_a_chart_away(browser: Chrome, report: Path) -> None:
