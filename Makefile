@@ -88,7 +88,7 @@ test-full: $(FULL) ## all tests, with the long ones (84 minutes, two tests at a 
 bench: $(FULL)  ## the benchmarks, into benchmarks/results/
 	$(BIN)/python -m benchmarks all
 
-validate: $(DEV) ## figures of docs/evidence.md: DATA=folder of the pump rig's records
+validate: $(FULL) ## figures of docs/evidence.md: DATA=folder of the pump rig's records
 	$(BIN)/python -m validation pump_rig $(DATA) --page docs/evidence.md
 	$(BIN)/python -m validation machines --page docs/evidence.md
 

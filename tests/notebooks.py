@@ -7,14 +7,17 @@ the text of the outputs.
 
 from __future__ import annotations
 
-import base64
 import io
 import sys
+import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from PIL import Image
+from plotly.graph_objects import Figure
+
+from tests.pipeline.report.browser import opened, wait
 
 DOCS = Path(__file__).parent.parent / "docs"
 NAMES = ("one_motor", "fleet_year", "motor_type")
@@ -36,12 +39,12 @@ def executed(names: Sequence[str], folder: Path) -> dict[str, Any]:
     return notebooks
 
 
-def figures(name: str, notebook: Any) -> Iterator[tuple[str, str]]:
-    """Name of the picture of each figure of an executed notebook, and its PNG in base 64."""
+def figures(name: str, notebook: Any) -> Iterator[tuple[str, Figure]]:
+    """Name of the picture of each figure of an executed notebook, and the figure."""
     for at, cell in enumerate(notebook.cells):
         for output in cell.get("outputs", ()):
-            if png := output.get("data", {}).get("image/png"):
-                yield f"{name}_{at}.png", png
+            if shown := output.get("data", {}).get("application/vnd.plotly.v1+json"):
+                yield f"{name}_{at}.png", Figure(shown["data"], shown["layout"])
 
 
 def main(folder: Path) -> None:
@@ -50,11 +53,18 @@ def main(folder: Path) -> None:
     kept.mkdir(parents=True, exist_ok=True)
     import nbformat
 
-    for name, notebook in executed(NAMES, folder).items():
-        nbformat.write(notebook, kept / f"{name}.ipynb")
-        for picture, png in figures(name, notebook):
-            image = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")
-            image.quantize(COLOURS).save(DOCS / "pictures" / picture, optimize=True)
+    with opened() as browser, tempfile.TemporaryDirectory() as work:
+        for name, notebook in executed(NAMES, folder).items():
+            nbformat.write(notebook, kept / f"{name}.ipynb")
+            for picture, figure in figures(name, notebook):
+                page = Path(work) / "figure.html"
+                figure.update_layout(width=900, height=400, margin_t=50)
+                figure.write_html(page, config={"displayModeBar": False})
+                browser.get(page.as_uri())
+                wait(browser, "return document.querySelector('.main-svg .trace')")
+                chart = browser.find_element("class name", "svg-container").screenshot_as_png
+                image = Image.open(io.BytesIO(chart)).convert("RGB")
+                image.quantize(COLOURS).save(DOCS / "pictures" / picture, optimize=True)
 
 
 if __name__ == "__main__":

@@ -62,13 +62,15 @@ class TestRecords:
         assert windows(rows(3), 4 * minute, minute) == []
 
 
+def recorded(folder: Path) -> Path:
+    """A record of the law with a pause; its folder."""
+    return written(folder, rows(12), rows(18, begin=BEGIN + dt.timedelta(minutes=14)))
+
+
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Table]:
     folder = tmp_path_factory.mktemp("rig")
-    record = written(folder, rows(12), rows(18, begin=BEGIN + dt.timedelta(minutes=14)))
-    tables = pump_rig.judge(record, folder / "work", folder / "pictures")
-    assert (folder / "pictures" / "real_machines_dane_UT9.png").stat().st_size > 10_000
-    return {table.name: table for table in tables}
+    return {table.name: table for table in pump_rig.judge(recorded(folder), folder / "work")}
 
 
 class TestPumpRig:
@@ -87,6 +89,12 @@ class TestPumpRig:
         (row,) = answers["labels"].rows
         assert (row["record"], row["state"]) == ("dane_UT9", "1")
         assert float(row["leakage, l/min"]) == pytest.approx(0.0135 * 150.0, rel=0.03)
+
+
+@pytest.mark.full
+def test_a_record_has_a_picture(tmp_path: Path) -> None:
+    pump_rig.judge(recorded(tmp_path), tmp_path / "work", tmp_path)
+    assert (tmp_path / "real_machines_dane_UT9.png").stat().st_size > 10_000
 
 
 def test_published_coefficients_are_recovered_by_config_alone(tmp_path: Path) -> None:

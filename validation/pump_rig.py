@@ -19,7 +19,6 @@ from leakage import Motor, total_flow_l_per_min
 from pipeline.config import load_fleet
 from pipeline.notebook import Tables
 from validation.fleet import DAY, FIRST, add_motor, fitted, new_fleet
-from validation.pictures import draw
 from validation.record import (
     FLOW,
     METER_READS_FROM,
@@ -63,6 +62,8 @@ def judge(folder: Path, work: Path, pictures: Path | None = None) -> list[Table]
     cuts = fitted(fleet)
     known = [record for record in records if labelled(cuts, record)]
     if pictures:
+        from validation.pictures import draw  # by Matplotlib, of requirements/full.txt
+
         for record in known:
             law, coefficients = law_of(fleet, cuts, record)
             flow = total_flow_l_per_min(law, conditions(record.warm()), coefficients)

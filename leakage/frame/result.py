@@ -35,7 +35,7 @@ from leakage.physics.paths import LeakagePath
 
 if TYPE_CHECKING:
     import polars as pl
-    from matplotlib.axes import Axes
+    from plotly.graph_objects import Figure
 
 # Samples that carry the stated tolerances.
 THINNED = 1500
@@ -252,13 +252,13 @@ class FrameFit:
         """The estimates as a frame of Polars."""
         return nw.from_dict(self.columns(), backend="polars").to_polars()
 
-    def plot(self, ax: Axes | None = None) -> Axes:
+    def plot(self) -> Figure:
         """Measured and predicted flow over time, with the parts."""
         from leakage.frame import plots
 
-        return plots.plot(self.samples, self.parts, self.predict(), ax)
+        return plots.plot(self.samples, self.parts, self.predict())
 
-    def plot_residuals(self, part: str = "validation") -> list[Axes]:
+    def plot_residuals(self, part: str = "validation") -> Figure:
         """Autocorrelation of the errors, and their correlation with each input, with 99 % bands."""
         from leakage.frame import plots
 
@@ -266,11 +266,8 @@ class FrameFit:
         return plots.plot_residuals(self.residual_tests(part), period_s)
 
     def plot_leakage(
-        self,
-        temperature_c: float | None = None,
-        speed_rpm: float | None = None,
-        ax: Axes | None = None,
-    ) -> Axes:
+        self, temperature_c: float | None = None, speed_rpm: float | None = None
+    ) -> Figure:
         """Leakage by path over pressure, with the total ± of the sum; at the means by default."""
         from leakage.frame import plots
 
@@ -281,7 +278,7 @@ class FrameFit:
             samples.speed_rpm.mean() if speed_rpm is None else speed_rpm,
             None if charge is None else charge.mean(),
         )
-        return plots.plot_leakage(self.estimate.fit, at, self._total_half_widths, ax)
+        return plots.plot_leakage(self.estimate.fit, at, self._total_half_widths)
 
 
 def _on_rows(values: Array, samples: FrameSamples, frame: Any) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import polars as pl
@@ -190,14 +189,19 @@ def test_wrong_arguments(keys: Any, words: str) -> None:
         fit_frame(made(600), MOTOR, **keys)
 
 
-def test_plots_are_axes_and_show_what_they_say(found: FrameFit) -> None:
-    mpl.use("agg")
-    axes = found.plot()
-    measured, predicted = axes.get_lines()[:2]
-    assert len(measured.get_xdata()) == len(predicted.get_xdata()) == 3600
-    assert found.plot_residuals()[0].get_title() == "errors: passed"
+def test_plots_show_what_they_say(found: FrameFit) -> None:
+    flow = found.plot()
+    assert [one.name for one in flow.data] == ["measured", "predicted"]
+    assert [len(one.x) for one in flow.data] == [3600, 3600]
+    training, validation = flow.layout.shapes
+    assert (training.name, validation.name) == ("training", "validation")
+    assert flow.data[0].x[0] == training.x0 < training.x1 < validation.x0
+    residuals = found.plot_residuals()
+    assert residuals.layout.annotations[0].text == "errors:<br>passed"
+    assert (residuals.data[2].y == found.residual_tests("validation").whiteness.values).all()
     leaking = found.plot_leakage(50.0, 30.0)
-    (total,) = leaking.get_lines()
-    at_200 = float(np.interp(200.0, total.get_xdata(), total.get_ydata()))
+    *_, lower, upper, total = leaking.data
+    at_200 = float(np.interp(200.0, total.x, total.y))
     assert at_200 == pytest.approx(found.leakage(200.0, 50.0, 30.0).leakage_l_per_min, rel=1e-3)
-    assert found.plot(axes) is axes
+    assert (lower.y < total.y).all()
+    assert (total.y < upper.y).all()
