@@ -32,7 +32,6 @@ from pipeline.ingest.mcap.json import json_decoder, json_object
 from pipeline.ingest.mcap.layout import NO_SCHEMA, ChannelRecord, Schema
 from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
-from pipeline.ingest.mcap.ros2 import ros2_decoder
 from pipeline.ingest.time_stamps import TimeStamps, placed, written_as_numbers
 
 _PIECE = 2**20
@@ -115,6 +114,9 @@ def decoder_of(path: Path, topic: str, encoding: str, schema: Schema, wanted: Wa
         case "protobuf", "protobuf":
             return protobuf_decoder(path, topic, schema, wanted)
         case "cdr", "ros2msg":
+            # Imported where it is needed: most logs have no such messages.
+            from pipeline.ingest.mcap.ros2 import ros2_decoder
+
             return ros2_decoder(path, topic, schema, wanted)
     raise LogError(
         "log_encoding",

@@ -1,10 +1,10 @@
-"""Messages of ROS 2 in CDR, the encoding of DDS, laid out as a definition in ``ros2msg`` says.
+"""Messages of ROS 2 in CDR, the encoding of DDS, as a definition in ``ros2msg`` says.
 
-Messages of one length, whose texts and sequences have one length too, have one layout: it is found
-in the first of them, and their numbers are then read at once. The format's own package judges the
-definition; it reads no ``wstring`` and no types of ROS 1, and takes cut messages for whole ones.
-CDR aligns a number to its own size, counted from behind the four bytes that say the byte order (OMG
-DDS-XTypes 1.3, 7.4.1, XCDR version 1).
+The format's own package reads definitions and messages. Of messages of one length, whose texts and
+sequences have one length too, it reads the first, and says where each number stands in it; the
+wanted ones are then taken from all of these messages at once. Where they have too many layouts, or
+one is cut, it reads each message, which takes some thirty times as long. It reads no ``wstring``
+and no types of ROS 1.
 """
 
 from __future__ import annotations
@@ -12,64 +12,55 @@ from __future__ import annotations
 import io
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from mcap_ros2._cdr import CdrReader
+from mcap_ros2._dynamic import TimeDefinition, _for_each_msgdef, _read_complex_type
+from mcap_ros2._vendor.rosidl_adapter.parser import MessageSpecification
 from numpy.typing import NDArray
 
 from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.decoding import (
-    NANOSECONDS,
-    SECONDS,
     Decoded,
     Decoder,
-    Numbers,
     Payloads,
     Wanted,
+    leaves,
+    number_of,
+    one_by_one,
     pair_of,
     stamps_of_pairs,
+    value_at,
 )
 from pipeline.ingest.mcap.layout import Schema, column
-from pipeline.ingest.time_stamps import written_as_numbers
+from pipeline.ingest.time_stamps import WrittenStamps, written_as_numbers
 
-_HEAD = 4
-_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
-"""Byte order by representation identifier, for plain CDR."""
+_ORDERS = {b"\x00\x00", b"\x00\x01"}
+"""Representation identifiers of plain CDR: high byte first, low byte first."""
 
 _OTHERS = {bytes([0, mark]) for mark in (*range(2, 12), *range(0x10, 0x16))}
 """Identifiers of PL_CDR, XML, CDR2, D_CDR2 and PL_CDR2 (DDS-XTypes 1.3, table 60)."""
 
-_NUMBERS = {
-    "bool": "?",
-    "byte": "u1",
-    # Unsigned in ROS 2; signed in the format's own package, whose figures we keep.
-    "char": "i1",
-    "float32": "f4",
-    "float64": "f8",
-    **{f"int{8 * size}": f"i{size}" for size in (1, 2, 4, 8)},
-    **{f"uint{8 * size}": f"u{size}" for size in (1, 2, 4, 8)},
-}
-_UNREAD = ("wstring", "time", "duration")
-_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(?:<=)?\d*\])?")
-_TIME = {"sec": ("uint32", ""), "nanosec": ("uint32", "")}
+_HEAD = 4
 _BROKEN = "a message that is cut or not in CDR"
+_MOST_NAMES = 40
+_MOST_LAYOUTS = 16
 
-MOST_FIELDS = 2**18
-"""Fields of a message; definitions of a few lines may have any number, one in another."""
+MOST_READ = 2**18
+"""Numbers of a message; definitions of a few lines may have any number, one in another."""
 
-_LONGEST_SIZE = len("[<=1000000000]")
-_DEEPEST = 8
-
-_Definitions = Mapping[str, Mapping[str, tuple[str, str]]]
-"""Type and array of each field, by message; the array is empty for a single value."""
+_Definitions = dict[str, MessageSpecification]
+"""Definitions of messages by ``package/Name``."""
 
 
 def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
@@ -78,62 +69,77 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
     Raises
     ------
     LogError
-        ``log_damaged`` for a definition that is none, ``log_encoding`` for a type that is not read.
-        The decoder raises ``log_encoding`` where no message is in plain CDR, and ``log_too_large``
-        where messages have no end of fields.
+        ``log_damaged`` for a definition that is none, ``log_encoding`` for a type that is not read,
+        ``log_column_missing`` or ``log_type`` for a field that is not in it or no number, and
+        ``log_too_large`` where messages have no end of numbers. The decoder raises
+        ``log_encoding`` where no message is in plain CDR, and ``log_too_large``.
     """
-    decode_one = _official_decoder(path, topic, schema)
-    definitions, root = _definitions(schema), _short(schema.name)
-    try:
-        _require_known(definitions, root, (), set())
-    except NotImplementedError as error:
-        how = f"messages of topic {topic!r} have {error}"
-        raise LogError("log_encoding", path, how, topic) from error
-    except (ValueError, RecursionError) as error:
-        how = f"the definition of {schema.name} cannot be read: {error}"
-        raise LogError("log_damaged", path, how) from error
-    for one in (*wanted.readings, *wanted.qualities):
-        _require_number(path, topic, definitions, root, one)
-    pairs = tuple((*wanted.stamp, name) for name in (*SECONDS, *NANOSECONDS) if wanted.stamp)
-    stamp = (wanted.stamp, *pairs) if wanted.stamp else ()
-    paths = frozenset((*wanted.readings, *wanted.qualities, *stamp))
+    paths = (*wanted.readings, *wanted.qualities)
+    topic_of = _Topic(path, topic, _short(schema.name), _definitions(path, topic, schema))
+    sample = topic_of.sample(schema, paths)
+    for number in paths:
+        _require_number(path, topic, sample, number)
+    stamp = () if wanted.stamp is None else (wanted.stamp,)
+    values = {at: partial(value_at, path=at) for at in (*paths, *stamp)}
+    parts = _stamp_parts(sample, wanted.stamp)
+
+    def tree(payload: bytes) -> Any:
+        message = topic_of.read(payload, _Reader)
+        return None if message is None else _tree(message)
 
     def decode(payloads: Payloads) -> Decoded:
         _require_plain(path, topic, payloads)
-        try:
-            return _decoded(*_found_in(payloads, definitions, root, paths), wanted)
-        except OverflowError as error:
-            how = f"messages of topic {topic!r} have more fields, one in another, than are read"
-            raise LogError("log_too_large", path, how, topic) from error
-
-    def tree(payload: bytes) -> Any:
-        try:
-            return _tree(decode_one(payload)) if payload[:2] in _ORDERS else None
-        except (struct.error, ValueError, LookupError, TypeError, RecursionError):
-            return None
+        numbers = _at_once(payloads, topic_of, (*paths, *parts))
+        if numbers is None:
+            return one_by_one(list(map(tree, payloads.each())), wanted, values, _BROKEN)
+        none, floats = np.zeros(payloads.length.size, np.bool_), np.float64
+        fields = {at: Readings(numbers[at].astype(floats), none, none) for at in wanted.readings}
+        words = {at: pa.array(numbers[at]) for at in wanted.qualities}
+        return Decoded(fields, _stamps([numbers[at] for at in parts], wanted.time_format), words)
 
     return Decoder(decode, tree)
 
 
-def _official_decoder(path: Path, topic: str, schema: Schema) -> Any:
-    """Function of the format's own package of a payload."""
-    # Imported where it is needed: most logs have no such messages.
-    from mcap.records import Schema as SchemaRecord
-    from mcap_ros2.decoder import DecoderFactory
+@dataclass(frozen=True, slots=True)
+class _Topic:
+    """The messages of a topic, as the package reads them."""
 
-    record = SchemaRecord(1, schema.data, "ros2msg", schema.name)
-    # rosbag2 puts a service's own definition there, or the package refuses the name.
-    if re.search(rb"^(SRV:|---)", schema.data, re.MULTILINE) or "/srv/" in schema.name:
-        how = f"messages of topic {topic!r} are events of a service, which are not read"
-        raise LogError("log_encoding", path, how, topic)
-    try:
-        # Its parser prints what it raises.
-        with redirect_stderr(io.StringIO()), redirect_stdout(io.StringIO()):
-            return DecoderFactory().decoder_for("cdr", record)
-    # The package raises whatever its parser meets.
-    except Exception as error:
-        how = f"the definition of {schema.name} cannot be read: {error}"
-        raise LogError("log_damaged", path, how) from error
+    path: Path
+    name: str
+    root: str  # the message's own definition
+    definitions: _Definitions
+    classes: dict[str, type] = field(default_factory=dict)  # the package's, of messages
+
+    def read(self, payload: bytes, reader_of: Callable[[bytes], CdrReader]) -> Any:
+        """A message; None for one that is cut, or in another encoding."""
+        if payload[:2] not in _ORDERS or len(payload) < _HEAD:
+            return None
+        reader, root = reader_of(payload), self.definitions[self.root]
+        try:
+            message = _read_complex_type(root, self.definitions, reader, self.classes)
+        except (struct.error, EOFError):
+            return None
+        except OverflowError as error:
+            raise _too_large(self.path, self.name) from error
+        return message if reader.offset <= len(payload) else None
+
+    def sample(self, schema: Schema, paths: Sequence[FieldPath]) -> Any:
+        """A message of zeros, as dicts, lists and values; its sequences are as long as is asked.
+
+        Raises LogError as `ros2_decoder`.
+        """
+        longest = 1 + max((step for at in paths for step in at if isinstance(step, int)), default=0)
+        zeros = b"\0\1" + bytes(2 + 8 * MOST_READ)
+        try:
+            message = self.read(zeros, partial(_SampleReader, length=longest))
+        except NotImplementedError as error:
+            how = f"messages of topic {self.name!r} have a field that is not read: {error}"
+            raise LogError("log_encoding", self.path, how, self.name) from error
+        except (LookupError, ValueError, RecursionError) as error:
+            raise _damaged(self.path, schema, error) from error
+        if message is None:
+            raise _too_large(self.path, self.name)
+        return _tree(message)
 
 
 def _tree(node: Any) -> Any:
@@ -142,7 +148,7 @@ def _tree(node: Any) -> Any:
     if names:
         return {name: _tree(getattr(node, name)) for name in names}
     if isinstance(node, list | bytes):
-        return [_tree(one) for one in node]
+        return [_tree(element) for element in node]
     return int(node) if isinstance(node, bool) else node
 
 
@@ -150,7 +156,7 @@ def _require_plain(path: Path, topic: str, payloads: Payloads) -> None:
     if payloads.first[:2] in _ORDERS:
         return
     heads = {payload[:2] for payload in payloads.each()}
-    if heads & _OTHERS and not heads & _ORDERS.keys():
+    if heads & _OTHERS and not heads & _ORDERS:
         raise LogError(
             "log_encoding",
             path,
@@ -163,23 +169,27 @@ def _require_plain(path: Path, topic: str, payloads: Payloads) -> None:
 # Definitions
 
 
-def _definitions(schema: Schema) -> _Definitions:
-    """Fields of a message and of those that it is made of; constants have no layout."""
+def _definitions(path: Path, topic: str, schema: Schema) -> _Definitions:
+    """Definitions of a message and of those that it is made of."""
+    # rosbag2 puts a service's own definition there, or the package refuses the name.
+    if re.search(rb"^(SRV:|---)", schema.data, re.MULTILINE) or "/srv/" in schema.name:
+        how = f"messages of topic {topic!r} are events of a service, which are not read"
+        raise LogError("log_encoding", path, how, topic)
     # Recorders leave these out where nothing else names them.
-    found = {"builtin_interfaces/Time": _TIME, "builtin_interfaces/Duration": _TIME}
-    name = _short(schema.name)
-    for text in re.split(r"^={3,}\s*$", schema.data.decode(), flags=re.MULTILINE):
-        fields = {}
-        for line in text.splitlines():
-            words = line.partition("#")[0].split()
-            if words[:1] == ["MSG:"] and len(words) > 1:
-                name = _short(words[1])
-            elif len(words) > 1 and "=" not in " ".join(words[1:]):
-                kind = _FIELD.fullmatch(words[0])
-                if kind:
-                    fields[words[1]] = (_full(kind[1], name), kind[2] or "")
-        found[name] = fields
-    return found
+    times = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
+    definitions = dict.fromkeys(times, TimeDefinition)
+
+    def add(_: str, short_name: str, definition: MessageSpecification) -> None:
+        definitions[short_name] = definition
+
+    try:
+        # Its parser prints what it raises.
+        with redirect_stderr(io.StringIO()), redirect_stdout(io.StringIO()):
+            _for_each_msgdef(schema.name, schema.data.decode(), add)
+    # The package raises whatever its parser meets.
+    except Exception as error:
+        raise _damaged(path, schema, error) from error
+    return definitions
 
 
 def _short(name: str) -> str:
@@ -187,206 +197,155 @@ def _short(name: str) -> str:
     return f"{name.split('/')[0]}/{name.split('/')[-1]}"
 
 
-def _full(kind: str, message: str) -> str:
-    """A type by its name, that of a message with its package."""
-    if kind in _NUMBERS or kind == "string" or kind in _UNREAD:
-        return kind
-    return _short(kind) if "/" in kind else f"{message.split('/')[0]}/{kind}"
+def _damaged(path: Path, schema: Schema, error: Exception) -> LogError:
+    return LogError("log_damaged", path, f"the definition of {schema.name} cannot be read: {error}")
 
 
-def _require_known(
-    definitions: _Definitions, name: str, around: tuple[str, ...], known: set[str]
-) -> None:
-    """Refuse a message that holds itself, or what is not defined, or a type that is not read."""
-    if name in around:
-        raise ValueError(f"{name} holds itself")
-    if name not in definitions:
-        raise ValueError(f"there is no definition of {name}")
-    for field_name, (kind, array) in definitions[name].items():
-        if len(array) > _LONGEST_SIZE:
-            raise ValueError(f"{field_name} is longer than any message")
-        if kind in _UNREAD:
-            raise NotImplementedError(f"a field of type {kind}, which is not read")
-        if kind not in _NUMBERS and kind != "string" and kind not in known:
-            _require_known(definitions, kind, (*around, name), known)
-    known.add(name)
+def _too_large(path: Path, topic: str) -> LogError:
+    how = f"messages of topic {topic!r} have more than {MOST_READ} numbers"
+    return LogError("log_too_large", path, how, topic)
 
 
-def _require_number(
-    path: Path, topic: str, definitions: _Definitions, root: str, wanted: FieldPath
-) -> None:
-    """Refuse a field that is not in the definition, or is no number there."""
-    place: tuple[str, str] | None = (root, "")
-    for step in wanted:
-        kind, array = place or ("", "")
-        if isinstance(step, str):
-            place = definitions.get(kind, {}).get(step) if not array else None
-        else:
-            bound = array.strip("[]")
-            place = (kind, "") if array and not (bound.isdecimal() and step >= int(bound)) else None
-    if place is None:
-        names = islice(_numbers_in(definitions, root, ()), 40)
-        there = ", ".join(repr(path_text(one)) for one in names)
+def _require_number(path: Path, topic: str, sample: Any, wanted: FieldPath) -> None:
+    """Refuse a field that a sample of the messages has not, or that is no number there."""
+    value = value_at(sample, wanted)
+    if value is None:
+        numbers = (at for at, leaf in leaves(sample) if number_of(leaf) is not None)
+        there = ", ".join(repr(path_text(at)) for at in islice(numbers, _MOST_NAMES))
         how = f"messages of topic {topic!r} have no field {path_text(wanted)!r}; there are {there}"
         raise LogError("log_column_missing", path, how, topic)
-    if place[0] not in _NUMBERS or place[1]:
-        how = f"field {path_text(wanted)!r} is no number but {'an array' if place[1] else place[0]}"
+    if number_of(value) is None:
+        kind = "an array" if isinstance(value, list) else "text or a message"
+        how = f"field {path_text(wanted)!r} is no number but {kind}"
         raise LogError("log_type", path, how, topic)
 
 
-def _numbers_in(definitions: _Definitions, kind: str, above: FieldPath) -> Iterator[FieldPath]:
-    """Paths of numbers within a message; of arrays the first."""
-    for name, (inner, array) in definitions[kind].items() if len(above) < _DEEPEST else ():
-        path = (*above, name, 0) if array else (*above, name)
-        if inner in _NUMBERS:
-            yield path
-        elif inner in definitions:
-            yield from _numbers_in(definitions, inner, path)
+def _stamp_parts(sample: Any, stamp: FieldPath | None) -> tuple[FieldPath, ...]:
+    """Where a stamp's number stands, or its seconds and nanoseconds."""
+    if stamp is None:
+        return ()
+    value = value_at(sample, stamp)
+    names = pair_of(value) if isinstance(value, dict) else None
+    return (stamp,) if names is None else tuple((*stamp, name) for name in names)
 
 
 # Messages
 
 
-@dataclass(slots=True)
-class _Layout:
-    """The layout of a message, from the payload itself."""
+class _Payload(bytes):
+    """A payload that counts what is read of it: EOFError at its end."""
 
-    payload: bytes
-    definitions: _Definitions
-    wanted: frozenset[FieldPath]
-    order: str
-    at: int = _HEAD
-    fields_left: int = MOST_FIELDS
-    numbers: dict[FieldPath, tuple[int, str]] = field(default_factory=dict)  # place, NumPy's type
-    lengths: list[int] = field(default_factory=list)  # where lengths of texts and sequences stand
+    n_read = 0
 
-    def pass_by(self, kind: str, array: str, path: FieldPath) -> None:
-        """Go past a value, or an array of values."""
-        bound = array.strip("[]")
-        count = 1 if not array else int(bound) if bound.isdecimal() else self._length()
-        if kind in _NUMBERS:
-            self._count_one()
-            self._pass_numbers(_NUMBERS[kind], count, path, is_array=bool(array))
-            return
-        for i in range(count):
-            self._count_one()
-            if kind == "string":
-                length = self._length()  # moves on, too
-                self.at += length
-                continue
-            fields = self.definitions[kind]
-            # A message of no fields has one byte on the wire.
-            self.at += not fields
-            within = (*path, i) if array else path
-            for name, (inner, many) in fields.items():
-                self.pass_by(inner, many, (*within, name))
+    def __getitem__(self, part: Any) -> Any:
+        self.pass_to(part.stop)
+        return super().__getitem__(part)
 
-    def _pass_numbers(self, kind: str, count: int, path: FieldPath, *, is_array: bool) -> None:
-        size = np.dtype(kind).itemsize
-        # Nothing is aligned where there is nothing.
-        self.at += (_HEAD - self.at) % size if count else 0
-        if not is_array and path in self.wanted:
-            self.numbers[path] = self.at, self.order + kind
-        for one in self.wanted if is_array else ():
-            step = one[-1] if one[:-1] == path else None
-            if isinstance(step, int) and step < count:
-                self.numbers[one] = self.at + step * size, self.order + kind
-        self.at += size * count
-
-    def _count_one(self) -> None:
-        self.fields_left -= 1
-        if self.fields_left < 0:
+    def pass_to(self, end: int) -> None:
+        """Count a number or an array of bytes, read up to a place."""
+        self.n_read += 1
+        if self.n_read > MOST_READ:
             raise OverflowError
-        if self.at > len(self.payload):
+        if end > len(self):
             raise EOFError
 
-    def _length(self) -> int:
-        """The length of a text or sequence that begins here."""
-        self.at += -self.at % 4
-        self.lengths.append(self.at)
-        self.at += 4
-        if self.at > len(self.payload):
-            raise EOFError
-        return int(struct.unpack_from(self.order + "I", self.payload, self.at - 4)[0])
 
-    def is_of(self, text: memoryview, size: int) -> NDArray[np.bool_]:
-        """True for messages of the layout: their byte order and all lengths in them are its own.
+class _Reader(CdrReader):
+    """The package's reader, which takes cut messages for whole ones, with an end."""
 
-        The text has a byte before each payload; both together have a size.
-        """
-        same = column(text, 1, "V2", size) == np.frombuffer(self.payload[:2], "V2")
-        for at in self.lengths:
-            same &= column(text, at + 1, "<u4", size) == np.frombuffer(self.payload, "<u4", 1, at)
-        return np.asarray(same, np.bool_)
+    data: _Payload
 
+    def __init__(self, payload: bytes) -> None:
+        super().__init__(_Payload(payload))
 
-def _layout_of(
-    payload: bytes, definitions: _Definitions, root: str, wanted: frozenset[FieldPath]
-) -> _Layout | None:
-    """The layout of a message, None where it is cut; OverflowError: it has no end of fields."""
-    if payload[:2] not in _ORDERS:
-        return None
-    layout = _Layout(payload, definitions, wanted, _ORDERS[payload[:2]])
-    try:
-        layout.pass_by(root, "", ())
-    except EOFError:
-        return None
-    return layout if layout.at <= len(payload) else None
+    def _unpack(self, fn: Any, size: int) -> Any:
+        value = super()._unpack(fn, size)
+        self.data.pass_to(self.offset)
+        return value
+
+    def string_raw(self, length: int) -> str:
+        """A text, in whatever encoding."""
+        return self.uint8_array(length).decode(errors="replace")
 
 
-def _found_in(
-    payloads: Payloads, definitions: _Definitions, root: str, wanted: frozenset[FieldPath]
-) -> tuple[dict[FieldPath, Numbers], NDArray[np.bool_]]:
-    """The wanted numbers that messages have, and which are broken; one layout is read at once.
+class _SampleReader(_Reader):
+    """A reader of a message of which all texts and sequences have one length."""
 
-    Numbers keep their own type: those of a stamp have more digits than a float64.
+    def __init__(self, payload: bytes, length: int) -> None:
+        super().__init__(payload)
+        self.length = length
+
+    def uint32(self) -> int:
+        """A length: for numbers of a message the package takes the class's own function."""
+        return self.length
+
+
+class _Place(NamedTuple):
+    """Where a number stands in a payload, and its type."""
+
+    at: int
+    kind: str
+
+    def __ne__(self, _: object) -> Any:
+        """The place of a truth value, which the package makes by comparing a byte with 0."""
+        return _Place(self.at, "?")
+
+
+class _PlaceReader(_Reader):
+    """A reader that gives the places of numbers instead of the numbers, but for lengths."""
+
+    def __init__(self, payload: bytes, lengths: list[int]) -> None:
+        super().__init__(payload)
+        self.lengths = lengths  # where these stand
+
+    def _unpack(self, fn: Any, size: int) -> Any:
+        super()._unpack(fn, size)
+        return _Place(self.offset - size, fn.__self__.format)
+
+    def uint32(self) -> int:
+        """A length, as of `_SampleReader`."""
+        place: Any = super().uint32()
+        self.lengths.append(place.at)
+        return int(np.frombuffer(self.data, place.kind, 1, place.at)[0])
+
+
+def _at_once(
+    payloads: Payloads, topic: _Topic, paths: Sequence[FieldPath]
+) -> dict[FieldPath, NDArray[Any]] | None:
+    """Numbers at some paths; None unless messages have few layouts, and each has all the numbers.
+
+    They keep their type: those of a stamp have more digits than a float64.
     """
-    found: dict[FieldPath, Numbers] = {}
-    broken = np.zeros(payloads.length.size, np.bool_)
+    numbers: dict[FieldPath, NDArray[Any]] = {}
     for rows, length, text in payloads.by_length():
-        size, left = length + 1, np.arange(rows.size)
-        while left.size:
-            first = bytes(text[left[0] * size + 1 :][:length])
-            layout = _layout_of(first, definitions, root, wanted)
-            if layout is None:
-                broken[rows[left[0]]] = True
-                left = left[1:]
-                continue
-            same = layout.is_of(text, size)[left]
-            own = left[same]
-            for path, (at, kind) in layout.numbers.items():
-                numbers = column(text, at + 1, kind.replace("?", "u1"), size)[own]
-                numbers = numbers != 0 if kind[1:] == "?" else numbers
-                if path not in found:
-                    empty = np.zeros(broken.size, numbers.dtype.newbyteorder("="))
-                    found[path] = empty, np.zeros(broken.size, np.bool_)
-                for array, values in zip(found[path], (numbers, True), strict=True):
-                    array[rows[own]] = values
-            left = left[~same]
-    return found, broken
+        left, size = np.arange(rows.size), length + 1
+        for _ in range(_MOST_LAYOUTS):
+            first, lengths = bytes(text[left[0] * size + 1 :][:length]), list[int]()
+            message = topic.read(first, partial(_PlaceReader, lengths=lengths))
+            if message is None:
+                return None
+            same = column(text, 1, "V2", size)[left] == np.frombuffer(first, "V2", 1)
+            for at in lengths:
+                same &= column(text, at + 1, "V4", size)[left] == np.frombuffer(first, "V4", 1, at)
+            own, left = left[same], left[~same]
+            tree = _tree(message)
+            for path in paths:
+                place = value_at(tree, path)
+                if not isinstance(place, _Place):
+                    return None
+                found = column(text, place.at + 1, place.kind.replace("?", "u1"), size)[own]
+                found = found != 0 if place.kind == "?" else found
+                empty = np.empty(payloads.length.size, found.dtype.newbyteorder("="))
+                numbers.setdefault(path, empty)[rows[own]] = found
+            if not left.size:
+                break
+        else:
+            return None
+    return numbers
 
 
-def _decoded(
-    found: Mapping[FieldPath, Numbers], broken: NDArray[np.bool_], wanted: Wanted
-) -> Decoded:
-    """All readings, stamps and qualities."""
-    none: Numbers = (np.zeros(broken.size), np.zeros(broken.size, np.bool_))
-    example = _BROKEN if broken.any() else None
-    fields: dict[FieldPath, Readings] = {}
-    for path in wanted.readings:
-        numbers, there = found.get(path, none)
-        raw = np.where(there, numbers.astype(np.float64), np.nan)
-        fields[path] = Readings(raw, ~there, broken, example)
-    cells: dict[FieldPath, pa.Array] = {}
-    for path in wanted.qualities:
-        numbers, there = found.get(path, none)
-        cells[path] = pa.array(numbers, mask=~there)
-    if wanted.stamp is None:
-        return Decoded(fields, None, cells)
-    pair = pair_of([str(one[-1]) for one in found if one[:-1] == wanted.stamp])
-    if pair is not None:
-        stamps = stamps_of_pairs(*(found[(*wanted.stamp, name)] for name in pair))
-    else:
-        # Nothing is before 1990, so that a missing one is not readable.
-        stamps = written_as_numbers(found.get(wanted.stamp, none)[0], wanted.time_format)
-    return Decoded(fields, stamps, cells)
+def _stamps(parts: Sequence[NDArray[Any]], time_format: str) -> WrittenStamps | None:
+    if len(parts) < 2:
+        return written_as_numbers(parts[0], time_format) if parts else None
+    there = np.ones(parts[0].size, np.bool_)
+    return stamps_of_pairs(*((part, there) for part in parts))

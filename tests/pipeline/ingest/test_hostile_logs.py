@@ -201,14 +201,14 @@ HOSTILE: dict[str, tuple[Hostile, str]] = {
     "a header in each line": (repeated(b"", b"time,n\n", 10**5, bytes), ""),
     "a line without an end": (repeated(b"time,n\n", b"1", 2**26, bytes), "log_not_csv"),
     # Definitions
-    "a message within itself, twice each": (ros2(twice_over(27)), "log_type"),
+    "a message within itself, twice each": (ros2(twice_over(27)), "log_too_large"),
     "a message within itself": (ros2(within("W w\nuint8 v", "MSG: m/W\nW w")), "log_damaged"),
     "messages in messages without an end": (
         ros2(within("L0 a\nuint8 v", *(f"MSG: m/L{i}\nL{i + 1} a" for i in range(5000)))),
         "log_damaged",
     ),
     "a sequence of millions of nothing": (ros2(SEQUENCE, MANY), "log_too_large"),
-    "an array of more than there is": (ros2(f"uint8[{'9' * 30}] a\nuint8 v"), "log_damaged"),
+    "an array of more than there is": (ros2(f"uint8[{'9' * 30}] a\nuint8 v"), "log_too_large"),
     "a size of thousands of digits": (ros2(f"uint8[{'9' * 5000}] a\nuint8 v"), "log_damaged"),
     "files that import files": (protobuf(*imports(5000)), "log_damaged"),
     "files that import each other": (

@@ -90,31 +90,39 @@ def code(folder: Path, data: bytes, field: str) -> str:
     return error_of(folder, data, field).code
 
 
-def message(rng: random.Random, i: int) -> dict[str, Any]:
-    """A message of HYDRAULICS whose texts and sequences have any length."""
+def message(rng: random.Random, i: int, shape: random.Random | None = None) -> dict[str, Any]:
+    """A message of HYDRAULICS whose texts and sequences have any length, or that of a shape."""
+    shape = shape or rng
 
     def port() -> dict[str, Any]:
         return {"side": rng.randrange(-128, 128), "pressure": rng.gauss(100, 20)}
 
     return {
-        "header": {"stamp": {"sec": 1740808800 + i, "nanosec": 999}, "frame_id": "x" * (i % 7)},
-        "sensor": "s" * rng.randrange(9),
+        "header": {
+            "stamp": {"sec": 1740808800 + i, "nanosec": 999},
+            "frame_id": "x" * shape.randrange(7),
+        },
+        "sensor": "s" * shape.randrange(9),
         "running": bool(i % 2),
-        "raw": bytes(rng.randrange(256) for _ in range(rng.randrange(4))),
+        "raw": bytes(rng.randrange(256) for _ in range(shape.randrange(4))),
         "temperature": rng.gauss(50, 1),
         "ports": [port(), port()],
         "pressures": [rng.gauss(100, 20) for _ in range(3)],
-        "more": [port() for _ in range(rng.randrange(3))],
-        "counts": [rng.randrange(-(2**15), 2**15) for _ in range(rng.randrange(4))],
-        "names": ["n" * rng.randrange(5) for _ in range(rng.randrange(3))],
+        "more": [port() for _ in range(shape.randrange(3))],
+        "counts": [rng.randrange(-(2**15), 2**15) for _ in range(shape.randrange(4))],
+        "names": ["n" * shape.randrange(5) for _ in range(shape.randrange(3))],
         "total": rng.randrange(-(2**63), 2**63),
         "since": {"sec": 1, "nanosec": rng.randrange(10**9)},
     }
 
 
-def test_messages_of_any_layout_are_read_as_by_the_official_reader(tmp_path: Path) -> None:
+@pytest.mark.parametrize("n_shapes", [1, 2, 150])
+def test_messages_of_any_layout_are_read_as_by_the_official_reader(
+    tmp_path: Path, n_shapes: int
+) -> None:
     rng = random.Random(3)  # noqa: S311
-    messages = [message(rng, i) for i in range(150)]
+    shapes = [random.Random(453 + i % n_shapes) for i in range(150)]  # noqa: S311
+    messages = [message(rng, i, shape) for i, shape in enumerate(shapes)]
     path = tmp_path / "log.mcap"
     path.write_bytes(ros2_of(HYDRAULICS, encoded(messages)))
     for field, found in all_values(path, FIELDS).items():
@@ -219,6 +227,12 @@ def test_any_bytes_for_a_message_do_no_harm(
         ("float64[ value", "value", "log_damaged"),
         ("float64 value\nfloat32 value", "value", "log_damaged"),
         ("time at\nfloat64 value", "value", "log_encoding"),
+        ("float64[300000] many\nfloat64 value", "value", "log_too_large"),
+        (
+            "Port[1000000000] many\nfloat64 value\n===\nMSG: motor_msgs/Port\nuint8[5] a",
+            "value",
+            "log_too_large",
+        ),
     ],
 )
 def test_definitions_and_fields_that_do_not_serve_are_told(
