@@ -133,7 +133,7 @@ def test_readers_of_the_copy_need_no_list_of_files(
     shop.log(FIRST + DAY)
     assert call("fit-fleet", shop.fleet)[0] == 0
     names: dict[str, Any] = {}
-    exec(block_of_scale("python", "read_parquet", URL), names)  # noqa: S102 - our own page
+    exec(block_of_scale("python", "fits = ", URL), names)  # noqa: S102 - our own page
     fits: pl.DataFrame = names["fits"]
     assert sorted(fits["night"].to_list()) == [FIRST, FIRST + DAY]
     for path, content in server.below(URL).items():
