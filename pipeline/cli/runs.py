@@ -77,9 +77,9 @@ def fit_fleet(
     A night or log that failed stands as failed, and is not tried again while it is unchanged, but
     with --retry. A failed night whose log was removed fails no more.
 
-    Exit code 0: no failure stands; 1: one does, the others are done, or published rows are lost, or
-    they were not copied to folders.copy_to; 2: wrong usage or config; 3: another run holds the
-    output; 4: nothing could be published.
+    Exit code 0: no failure stands; 1: one does, the others are done, or no motor has any log, or
+    published rows are lost, or they were not copied to folders.copy_to; 2: wrong usage or config;
+    3: another run holds the output; 4: nothing could be published.
     """
     with stoppable():
         from pipeline.run.fleet import RunRequest
@@ -132,8 +132,9 @@ def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn
     if result.interrupted:
         raise KeyboardInterrupt
     alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)
-    faults = result.failed or result.n_standing or result.damage_left or result.copy_fault
-    raise typer.Exit(EXIT_MOTORS_FAILED if faults or alarmed else EXIT_OK)
+    faults = result.damage_left or result.copy_fault
+    is_sound = result.is_good and not faults
+    raise typer.Exit(EXIT_OK if is_sound and not alarmed else EXIT_MOTORS_FAILED)
 
 
 def fit(

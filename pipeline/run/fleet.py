@@ -103,7 +103,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
                 queue_summary(fleet, state)
                 write_manifest(state)
         # A motor without an outcome of its own has its own words.
-        if not any(one.files or not one.finished for one in result.outcomes):
+        if result.without_logs:
             place = fleet.log_place
             log.warning("no log of any motor is below %s: is the folder mounted?", place)
         heartbeat.say(stage="telling")

@@ -188,8 +188,13 @@ class RunResult:
 
     @property
     def is_good(self) -> bool:
-        """True where it went through all motors, and no failure stands."""
-        return not (self.interrupted or self.failed or self.n_standing)
+        """True where it went through all motors, some had a log, and no failure stands."""
+        return not (self.interrupted or self.failed or self.n_standing or self.without_logs)
+
+    @property
+    def without_logs(self) -> bool:
+        """True where no motor has any log: the folder may not be mounted."""
+        return not any(outcome.files or not outcome.finished for outcome in self.outcomes)
 
     @property
     def failed(self) -> tuple[MotorOutcome, ...]:

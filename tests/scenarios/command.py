@@ -66,6 +66,12 @@ def run_command(
     return result
 
 
+def examined() -> None:
+    """Note that a table was read: what calls did so far is looked at, not their code alone."""
+    for call in CALLS:
+        call.is_examined = True
+
+
 def run_line(line: str, folder: Path) -> Result:
     """Run a line of a page, such as ``motor-leakage status configs/fleet.toml``."""
     program, *arguments = shlex.split(line)

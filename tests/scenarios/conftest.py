@@ -61,7 +61,7 @@ PLANT = (
 
 # Unstated oil of a tank of three, a stated change of it, a meter, all gaps, flushing, an overhaul.
 OTHERS = (
-    *(Simulated(f"thinner_{n}", unstated_oil=(14, "vg46"), circuit="tank") for n in (1, 2, 3)),
+    *(Simulated(f"thinner_{n}", unstated_oil=(14, "vg46"), circuit="tank") for n in (1, 2)),
     Simulated(
         "refilled",
         lines=f'[[events]]\ndate = {FIRST + 11 * DAY}\nkind = "oil_change"\noil = "vg46"\n',

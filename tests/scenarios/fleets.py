@@ -22,7 +22,7 @@ from pipeline.demo.fleet import Wear as DemoWear
 from pipeline.demo.log_writers import write_log
 from pipeline.demo.recording import Recording, record_night
 from tests.scenarios import published
-from tests.scenarios.command import Result, run_command
+from tests.scenarios.command import Result, examined, run_command
 
 FIRST = dt.date(2026, 1, 2)
 DAY = dt.timedelta(days=1)
@@ -159,6 +159,7 @@ class ScenarioFleet:
 
     def table(self, name: str) -> DataFrame:
         """A published table, by the names of the design."""
+        examined()
         return published.table(self.output, name)
 
     def nights(self, motor: str) -> list[published.Row]:

@@ -54,7 +54,10 @@ def table(output: Path, name: str) -> pl.DataFrame:
 
 
 def _nights(output: Path) -> pl.DataFrame:
-    rows, key = _read(output, "fits").filter("is_primary"), ["motor_id", "night"]
+    rows, key = _read(output, "fits"), ["motor_id", "night"]
+    if not rows.height:
+        return rows
+    rows = rows.filter("is_primary")
     for other in (_read(output, "watch"), _read(output, "operation")):
         if other.height:
             twice = [name for name in other.columns if name in rows.columns and name not in key]

@@ -1,0 +1,123 @@
+"""The output folder: export, prune, check of tables, and what a run does about damage."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+
+import polars as pl
+import pytest
+from polars.testing import assert_frame_equal
+
+from tests.scenarios.covering import covers
+from tests.scenarios.fleets import ScenarioFleet
+
+
+@covers("export --csv --tables --motors --since --until --output")
+def test_csv_has_the_rows_of_the_tables(plant: ScenarioFleet) -> None:
+    since, until = plant.label(5), plant.label(7)
+    done = plant.run(
+        "export", "--csv", "csv", "--tables", "latest,parameters", "--motors", "broken calm",
+        "--since", since, "--until", until, "--output", plant.output,
+    )  # fmt: skip
+    files = sorted(path.name for path in (plant.folder / "csv").iterdir())
+    assert files == ["latest.csv", "parameters.csv"]
+    published = plant.table("parameters").filter(
+        pl.col("motor_id").is_in(["broken", "calm"]) & pl.col("night").is_between(since, until)
+    )
+    written = pl.read_csv(plant.folder / "csv" / "parameters.csv", schema=published.schema)
+    key = ["motor_id", "night", "flushing_mode", "parameter"]
+    assert_frame_equal(written.sort(key), published.sort(key))
+    assert f"parameters.csv: {published.height} rows" in done.out
+
+
+@covers("export --separator --decimal --bom")
+def test_csv_for_a_spreadsheet_with_a_decimal_comma(plant: ScenarioFleet) -> None:
+    done = plant.run(
+        "export", "--csv", "csv", "--tables", "latest", "--separator", ";", "--decimal", ",",
+        "--bom",
+    )  # fmt: skip
+    content = (plant.folder / "csv" / "latest.csv").read_bytes()
+    assert content.startswith("\ufeffmotor_id;state;".encode())
+    written = pl.read_csv(content, separator=";", decimal_comma=True)
+    value = "own_leakage_l_per_min"
+    published = plant.table("latest").select("motor_id", value).sort("motor_id")
+    assert_frame_equal(written.select("motor_id", value).sort("motor_id"), published)
+    assert "latest.csv: 4 rows" in done.out
+
+
+@covers("prune --tables --keep --yes --json --output")
+def test_prune_lists_and_then_removes_old_nights_of_heavy_tables(plant: ScenarioFleet) -> None:
+    def nights() -> list[dt.date]:
+        return plant.table("predictions")["night"].unique().sort().to_list()
+
+    words = ("prune", "--tables", "predictions", "--keep", 5, "--output", plant.output)
+    before, states = nights(), plant.table("latest")
+    for arguments, removed, left in (((), False, before), (("--yes",), True, before[-5:])):
+        (line,) = plant.run(*words, "--json", *arguments).events("prune")
+        assert (line["table"], line["n_files"], line["removed"]) == ("predictions", 15, removed)
+        assert (line["first_night"], line["last_night"]) == ("2026-01-02", "2026-01-16")
+        assert nights() == left
+    assert_frame_equal(plant.table("latest"), states)
+    (plan, *_) = plant.run("fit-fleet", "--dry-run", "--json").events("plan")
+    assert plan["nights"] == {}
+
+
+@covers("check --json --output")
+def test_check_looks_at_each_log(plant: ScenarioFleet) -> None:
+    def motors(code: int) -> dict[str, dict[str, object]]:
+        done = plant.run("check", "--json", "--output", plant.output)
+        assert done.code == code
+        return {line["motor_id"]: line for line in done.lines if "log_format" in line}
+
+    for motor, line in motors(0).items():
+        assert (line["n_files"], line["n_nights"], line["faults"]) == (20, 20, [])
+        assert line["log_format"] == plant.motors[motor].format
+        assert (line["first"], line["last"]) == ("2026-01-02", "2026-01-21")
+        channels = {channel["channel"]: channel for channel in line["channels"]}
+        assert 15.0 < channels["pressure_difference"]["median"] < 280.0
+        assert round(channels["speed"]["rate_hz"], 3) == 1.0
+    plant.log("ringed", 7).write_text("time,pressure_difference\n1,2\n")
+    plant.change("motors/broken.toml", 'source = "speed"', 'source = "rpm"')
+    damaged = motors(1)
+    assert "ringed_2026-01-08.csv" in str(damaged["ringed"]["faults"])
+    assert "rpm" in str(damaged["broken"]["faults"])
+    assert damaged["calm"]["faults"] == []
+
+
+def a_table(plant: ScenarioFleet) -> Path:
+    """The newest file of the measured and modelled flow."""
+    return max((plant.output / "tables" / "predictions").rglob("*.parquet"))
+
+
+@covers("check --tables --repair")
+@pytest.mark.parametrize("fate", ["altered", "missing"])
+def test_a_damaged_table_is_detected_and_made_again(plant: ScenarioFleet, fate: str) -> None:
+    path, before = a_table(plant), plant.table("predictions").drop("run_id")
+    content = path.read_bytes()
+    if fate == "altered":
+        path.write_bytes(content[:-9] + bytes(9))
+    else:
+        path.unlink()
+    found = plant.run("check", "--tables", "--json")
+    assert found.code == 1
+    assert found.events("tables")[0]["n_faults"] == 1
+    assert f"table_{fate}" in str(found.lines)
+    repaired = plant.run("check", "--repair", "--json")
+    assert repaired.events("tables")[0]["n_faults"] == 1
+    plant.run("fit-fleet")
+    after = plant.run("check", "--tables", "--json")
+    assert (after.code, after.events("tables")[0]["n_faults"]) == (0, 0)
+    assert_frame_equal(plant.table("predictions").drop("run_id"), before, check_row_order=False)
+
+
+def test_a_lost_state_file_costs_no_figure_and_no_word_of_people(plant: ScenarioFleet) -> None:
+    plant.run("ack", "broken", "--note", "seen")
+    plant.run("fit-fleet")
+    before = {name: plant.table(name).drop("run_id") for name in ("nights", "decisions")}
+    for path in plant.output.glob("state*"):
+        path.unlink()
+    assert plant.run("fit-fleet").code == 0
+    for name, rows in before.items():
+        assert_frame_equal(plant.table(name).drop("run_id"), rows, check_row_order=False)
+    assert plant.newest("broken")["acknowledged"] == "seen"
