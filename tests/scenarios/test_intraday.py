@@ -91,6 +91,30 @@ def test_a_healthy_day_is_silent_and_a_stopped_log_is_not_judged(fleet: Scenario
     assert states(fleet) == []
 
 
+@covers("look --every --output")
+def test_checked_again_and_again_a_step_is_reported_when_it_comes(
+    fleet: ScenarioFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grow(fleet, BREAK)
+    minutes = iter((BREAK + 5, END))
+
+    def wait(_: float) -> None:
+        """In place of waiting the log grows; behind its end, Ctrl-C."""
+        minute = next(minutes, None)
+        if minute is None:
+            raise KeyboardInterrupt
+        grow(fleet, minute)
+
+    monkeypatch.setattr("pipeline.cli.intraday.time.sleep", wait)
+    done = fleet.run("look", "--every", "5min", "--output", fleet.output)
+    assert done.code == 130
+    states_said = [
+        line.split("checked: ")[1] for line in done.out.splitlines() if "checked" in line
+    ]
+    assert states_said == ["2 clear", "1 clear, 1 risen", "1 clear, 1 risen"]
+    assert done.out.count("M1: risen: drain flow +") == 1
+
+
 @pytest.mark.parametrize(("goes_on", "verdict"), [(True, "confirmed"), (False, "withdrawn")])
 @covers("look")
 def test_the_nightly_run_confirms_or_withdraws_a_rise(
