@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 from tests.pipeline.notification.servers import hook
@@ -159,3 +160,16 @@ def test_too_few_nights_and_changed_settings_are_said(tmp_path: Path) -> None:
     assert "7 of 8 nights of a baseline" in young.run("look").out
     young.append("fleet.toml", "[cleaning]\nstandstill_rpm = 0.7")
     assert "settings, events or resets have changed" in young.run("look").out
+
+
+@covers("look --motors")
+def test_motors_whose_rollers_scale_is_estimated_are_judged_in_every_format(
+    plant: ScenarioFleet,
+) -> None:
+    fits = plant.table("fits").filter(pl.col("is_primary")).sort("night")
+    free = dict(fits.group_by("motor_id").agg(pl.col("roller_is_free").last()).rows())
+    assert any(free.values())
+    for motor in plant.motors:
+        plant.write_night(motor, plant.plan.nights + 1, until=BREAK + 5, rise=0.3, rise_at=BREAK)
+    done = plant.run("look", "--motors", "calm broken worn")
+    assert "3 motors checked: 3 risen" in done.out, (free, done.out)
