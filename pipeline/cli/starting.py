@@ -93,6 +93,7 @@ def init(
         defaults_of,
         fleet_files,
         observed_of,
+        with_sampling,
         write_fleet,
     )
 
@@ -111,6 +112,7 @@ def init(
         answers |= {one.key: str(typer.prompt(_text(one))) for one in questions}
         proposal = _proposed(source, answers, root)
     observed = observed_of(proposal)
+    proposal = with_sampling(proposal, observed)
     _print(proposal, observed)
     faults = (*proposal.faults, *(one.fault for one in observed.values() if one.fault))
     for one in questions:
@@ -183,6 +185,12 @@ def _print(proposal: Proposal, observed: Mapping[str, Observed]) -> None:
     print_table(COLUMNS, rows)
     for motor in proposal.motors:
         typer.echo(f"{motor.motor_id}: {_logs_of(motor, observed.get(motor.motor_id))}")
+        for channel, column in motor.channels.items():
+            if silence_s := column.keys.get("longest_silence_s"):
+                typer.echo(
+                    f"{motor.motor_id}: {channel} is sent on change or compressed: "
+                    f"a silence of up to {silence_s:g} s is no gap"
+                )
     if proposal.unused:
         typer.echo(f"not used: {', '.join(proposal.unused[:_MOST_UNUSED])}")
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # Raise one when the code makes other samples of the same file; other statistics of the same
 # samples, so that old blocks never merge with new ones; other figures of the same statistics.
 READING_VERSION = 2
-STATISTICS_VERSION = 2
+STATISTICS_VERSION = 3
 FIGURES_VERSION = 6
 
 ALL = ~Stage.NOTHING

@@ -77,7 +77,7 @@ class Cleaning(Section):
     gap_sample_periods: Positive = 5.0
     """Silence that is a gap, in sample periods."""
     temperature_gap_s: Positive = 5.0
-    """The same of the oil temperature [s]."""
+    """No shorter silence of the oil temperature is a gap."""
     maximum_mean_s: Positive = 10.0
     """Longest averaging period of a channel."""
     out_of_order: Literal["sort", "refuse"] = "sort"

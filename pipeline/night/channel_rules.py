@@ -164,6 +164,7 @@ class ChannelRules:
     # seconds.
     gap_sample_periods: float
     longest_gap_s: float | None
+    shortest_gap_s: float = 0.0  # a gap is no shorter, however fast the samples are
     # Values smaller in magnitude never count as frozen: a halted motor's speed stays 0.
     at_rest_below: float = 0.0
     sampling: Sampling = PERIODIC  # what the samples are
@@ -182,9 +183,6 @@ class ChannelRules:
         # A value that did not change was not sent: silence is no sign of a frozen sensor.
         silence_s = channel.longest_silence_s or 0.0
         fallback = max(fallback, silence_s) if channel.sampling == "on_change" else fallback
-        temperature_gap_s = max(
-            cleaning.temperature_gap_s, cleaning.gap_sample_periods * (channel.mean_of_s or 0.0)
-        )
         rules = cls(
             valid_range=channel.valid_range or FALLBACK_VALID_RANGE[name],
             sensor_maximum=channel.sensor_maximum,
@@ -193,7 +191,8 @@ class ChannelRules:
             hampel_threshold=cleaning.hampel_threshold,
             frozen_after_s=channel.frozen_after_s or fallback,
             gap_sample_periods=cleaning.gap_sample_periods,
-            longest_gap_s=silence_s or (temperature_gap_s if is_temperature else None),
+            longest_gap_s=silence_s or None,
+            shortest_gap_s=cleaning.temperature_gap_s if is_temperature else 0.0,
             at_rest_below=cleaning.standstill_rpm if name == "speed" else 0.0,
             sampling=Sampling.of(channel),
             puts_in_order=cleaning.out_of_order == "sort",

@@ -239,4 +239,4 @@ CHANNEL_RULES: dict[str, Callable[[Course], Mask]] = {"spike": _spikes, "frozen"
 def _longest_gap_us(period_us: float | None, rules: ChannelRules) -> float:
     if rules.longest_gap_s is not None:
         return rules.longest_gap_s * SECOND_US
-    return rules.gap_sample_periods * (period_us or 0.0)
+    return max(rules.gap_sample_periods * (period_us or 0.0), rules.shortest_gap_s * SECOND_US)

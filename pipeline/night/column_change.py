@@ -1,12 +1,25 @@
-"""Columns that change places, or their unit, from one night on: told as that, not as wear."""
+"""Columns that change places, or their unit, from one night on: reported as that, not as wear.
+
+A reading of another unit is a factor between units off for a whole night, which a load, a speed or
+a temperature may be, too. It is another unit where two of three signs say so:
+
+| Sign | Holds where |
+|---|---|
+| exact | the reading in the other unit is the usual one, nearly |
+| relation | the motor's model has the flow of the night as usual with it, and not without it |
+| alone | all other readings are the usual ones |
+"""
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from itertools import chain, combinations
 from statistics import median
 from typing import Any
 
+from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.config.channels import PORT_PRESSURES
 from pipeline.messages import plain
@@ -19,15 +32,18 @@ COLUMNS = {
     "speed": "mean_speed_rpm",
     "leakage_flow": "mean_flow_l_per_min",
 }
+LOWEST, HIGHEST = " lowest", " highest"  # behind a channel: the mean of such a night
 FLOW = "leakage_flow"
 DIFFERENCE = "pressure_difference"
 PLACES = (DIFFERENCE, "oil_temperature", "speed")
-# Of these, and of two gauges where each is known by itself. A speed may well be ten times another
-# night's, with the flow as before.
-OF_ONE_UNIT = (DIFFERENCE, *PORT_PRESSURES, "oil_temperature")
-# Factors within which a reading is as usual, and beyond which it is not; a difference of two gauges
-# of which one is in another unit is further off than any load with the same flow.
-NEAR, FAR, GAUGE_FAR = 1.5, 2.0, 10.0
+# Gauges of two are compared where each is known by itself.
+OF_ONE_UNIT = (DIFFERENCE, *PORT_PRESSURES, "oil_temperature", "speed", FLOW)
+# Factors within which a reading is as usual, or nearly (standstill and load shift means), and
+# beyond which it is not, or is no wear of a night; a difference of two gauges of which one is in
+# another unit is further off than any load with the same flow.
+USUAL, NEAR, FAR, WORN, GAUGE_FAR = 1.3, 1.5, 2.0, 3.0, 10.0
+USUAL_C = 8.0
+SIGNS = 2
 # A low port without charge pressure may be at any multiple of it [bar].
 CHARGED_BAR = 5.0
 # Nights before that say what is usual, and how many of them are needed.
@@ -41,11 +57,15 @@ def readings_of(row: Mapping[str, Any]) -> dict[str, float]:
 
 
 def usual_readings(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
-    """Medians of the channels over rows of `operation`; empty where these are few."""
-    means = list(filter(None, map(readings_of, rows)))
-    if len(means) < FEWEST_USUAL:
+    """Return medians, and lowest and highest means, of the channels; empty where rows are few."""
+    nights = list(filter(None, map(readings_of, rows)))
+    if len(nights) < FEWEST_USUAL:
         return {}
-    return {name: median(one[name] for one in means) for name in COLUMNS}
+    return {
+        name + end: of(night[name] for night in nights)
+        for name in COLUMNS
+        for end, of in (("", median), (LOWEST, min), (HIGHEST, max))
+    }
 
 
 def column_change(
@@ -53,16 +73,28 @@ def column_change(
 ) -> str | None:
     """Why readings look like those of other columns or units than before; None: they do not.
 
-    The drain flow is as before, which it would not be had load or oil changed as far. Both have
-    the channels of `COLUMNS`, in the units of the tables, and may have each gauge of two.
+    Both have the channels of `COLUMNS`, in the units of the tables, and may have each gauge of two.
     """
-    least = min(one[name] for one in (usual, now) for name in COLUMNS)
-    if least <= 0.0 or _factor(now[FLOW], usual[FLOW]) > FAR:
+    if min(means[name] for means in (usual, now) for name in COLUMNS) <= 0.0:
         return None
     return next(chain(_swapped(usual, now), _other_unit(spec, usual, now)), None)
 
 
+def _model_flow(spec: MotorSpec, means: Mapping[str, float]) -> float | None:
+    """Return the flow of the configured model at mean conditions, or None where it has none."""
+    conditions = OperatingConditions.from_bar(
+        means[DIFFERENCE], means["oil_temperature"], means["speed"]
+    )
+    with suppress(LeakageError):
+        motor = spec.motor(dt.date.max, spec.file.flushing.mode)
+        return float(total_flow_l_per_min(motor, conditions)[0])
+    return None
+
+
 def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[str]:
+    """Yield pairs of columns that changed places; the flow is as before."""
+    if _factor(now[FLOW], usual[FLOW]) > FAR:
+        return
     for one, other in combinations(PLACES, 2):
         are_far = all(_factor(now[name], usual[name]) > FAR for name in (one, other))
         pairs = (now[one], usual[other]), (now[other], usual[one])
@@ -77,22 +109,82 @@ def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[s
 def _other_unit(
     spec: MotorSpec, usual: Mapping[str, float], now: Mapping[str, float]
 ) -> Iterator[str]:
-    channels = {str(name): one for name, one in spec.file.channels.items()}
-    far = {
-        name: _factor(now[name], usual[name]) for name in OF_ONE_UNIT if _is_known(name, usual, now)
-    }
-    for name in [name for name in far if far[name] > FAR]:
-        configured = channels[name if name in channels else PORT_PRESSURES[0]].unit
+    channels = {str(name): channel for name, channel in spec.file.channels.items()}
+    for name in (name for name in OF_ONE_UNIT if _is_known(name, usual, now)):
+        configured = channels[name if name in channels else PORT_PRESSURES[0]]
+        if configured.counts is not None:
+            continue
         for unit in UNITS[QUANTITIES[name]]:
-            in_log = from_canonical(name, now[name], configured)
-            reading = float(to_canonical(name, in_log, unit))
-            if reading > 0.0 and _factor(reading, usual[name]) < NEAR:
+            reading = _in_unit(name, now[name], configured.unit, unit)
+            is_unusual = name == FLOW or _beyond(name, now[name], usual) > NEAR
+            is_other = reading > 0.0 and is_unusual and _factor(reading, now[name]) > FAR
+            if is_other and _signs(spec, name, reading, usual, now) >= SIGNS:
                 yield (
                     f"unit changed? {_changed(name, usual, now)}: as before if the log is now in "
-                    f"{unit} where the config has {configured}"
+                    f"{unit} where the config has {configured.unit}"
                 )
-    if far[DIFFERENCE] > GAUGE_FAR and DIFFERENCE not in channels:
+    far = _factor(now[DIFFERENCE], usual[DIFFERENCE])
+    is_as_before = _factor(now[FLOW], usual[FLOW]) <= FAR
+    if far > GAUGE_FAR and DIFFERENCE not in channels and is_as_before:
         yield f"unit changed? {_changed(DIFFERENCE, usual, now)}: of one of its two gauges?"
+
+
+def _in_unit(name: str, value: float, configured: str, unit: str) -> float:
+    """Return a reading as it is if the log is in another unit than configured."""
+    return float(to_canonical(name, from_canonical(name, value, configured), unit))
+
+
+def _signs(
+    spec: MotorSpec,
+    name: str,
+    reading: float,
+    usual: Mapping[str, float],
+    now: Mapping[str, float],
+) -> int:
+    """Return how many signs there are that a reading is the right one of a channel."""
+    right = _with_reading(name, reading, now)
+    before, found, mended = (_relation(spec, means) for means in (usual, now, right))
+    off, left = _factor(found, before), _factor(mended, before)
+    if name != FLOW:
+        left_of_range = _beyond(name, reading, usual)
+        is_exact, is_related = left_of_range < USUAL, off > NEAR and left < USUAL
+    else:
+        # The flow itself is no sign of its unit; no wear of a night is as far off.
+        left_of_range, is_exact, is_related = left, left < USUAL, off > WORN
+    if left_of_range > NEAR:
+        return 0
+    others = [one for one in COLUMNS if one not in (name, _difference_of(name))]
+    return is_exact + is_related + all(_is_usual(one, usual, now) for one in others)
+
+
+def _beyond(name: str, value: float, usual: Mapping[str, float]) -> float:
+    """Return the factor by which a mean is beyond those of the usual nights; 1 within them."""
+    lowest, highest = (usual.get(name + end, usual[name]) for end in (LOWEST, HIGHEST))
+    return max(lowest / value, value / highest, 1.0)
+
+
+def _with_reading(name: str, reading: float, now: Mapping[str, float]) -> dict[str, float]:
+    """Return the means with another reading of a channel, of which the difference may be."""
+    right = {**now, name: reading}
+    if name in PORT_PRESSURES:
+        high, low = (right[port] for port in PORT_PRESSURES)
+        right[DIFFERENCE] = abs(high - low)
+    return right
+
+
+def _difference_of(name: str) -> str:
+    return DIFFERENCE if name in PORT_PRESSURES else name
+
+
+def _relation(spec: MotorSpec, means: Mapping[str, float]) -> float:
+    """Return the flow over that of the configured model; the flow where it has none."""
+    return means[FLOW] / (_model_flow(spec, means) or 1.0)
+
+
+def _is_usual(name: str, usual: Mapping[str, float], now: Mapping[str, float]) -> bool:
+    if name == "oil_temperature":
+        return abs(now[name] - usual[name]) < USUAL_C
+    return _beyond(name, now[name], usual) < USUAL
 
 
 def _is_known(name: str, usual: Mapping[str, float], now: Mapping[str, float]) -> bool:

@@ -198,7 +198,7 @@ def require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSp
         q.n_refused for q in quality if (q.channel, q.reason) == ("time_base", "standstill")
     )
     # Guard times alone may cover a night of a sensor at its maximum: that is no standstill.
-    if not samples.n_running and 2 * still > samples.n_grid:
+    if not samples.n_running and 2 * still > samples.n_logged:
         raise Insufficient(STOOD_STILL, "the motor stood still all night")
     if samples.kept_share < spec.settings.windows.minimum_kept_share:
         told = [q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")]

@@ -6,7 +6,7 @@ An on-change channel begins with its last sample before the night.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from math import ceil
@@ -19,7 +19,7 @@ from pipeline.config import Cleaning, Settings, TimeBase
 from pipeline.config.nights import Night
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.halts import Halts, settled_halts
-from pipeline.night.masks import ROUNDING, near, stretches, transient
+from pipeline.night.masks import ROUNDING, near, steps_where, stretches, transient
 from pipeline.night.resampling import on_grid
 from pipeline.night.transport_delay import delay_inputs
 
@@ -68,8 +68,8 @@ class Samples:
     low_pressures_bar: Mapping[str, Values]
     period_us: int  # period of the grid
     n_grid: int  # samples of the grid between the first and the last of the log
-    # Those of them that the log covers and in which the motor ran, away from standstill and its
-    # guard times; where every channel is silent, nobody knows.
+    # Those of them in the logger's sessions in which the motor ran, away from standstill and its
+    # guard times.
     n_running: int
     first_index: int = 0  # place of the log's first sample on the grid
     # Transport delay on the whole grid that the samples were paired with; None where it is off.
@@ -131,11 +131,9 @@ def bring_together(
     values: dict[str, Values] = {}
     present: dict[str, Mask] = {}
     found: list[Quality] = []
-    logged = np.zeros(len(grid), dtype=np.bool_)
     for name, channel in channels.items():
         values[name], present[name], silent = on_grid(channel, grid, period)
         found.append(Quality.of(name, "gap", silent))
-        logged |= ~silent
     if "high_port_pressure" in channels:
         high, low = "high_port_pressure", "low_port_pressure"
         values["pressure_difference"] = values[high] - values[low]
@@ -156,7 +154,8 @@ def bring_together(
     found += [Quality.of("time_base", reason, mask) for reason, mask in masks.items()]
     # By their places, which takes a third of the time that a mask does.
     kept = np.flatnonzero(~refused)
-    running = logged & ~(masks["standstill"] | masks["guard"])
+    off = between_sessions(channels.values(), grid) & refused
+    running = ~(off | masks["standstill"] | masks["guard"])
     n_logged = int(np.count_nonzero(present["speed"]))
     n_turning = n_logged - int(np.count_nonzero(masks["standstill"]))
     del together
@@ -184,6 +183,23 @@ def bring_together(
         ),
         tuple(found),
     )
+
+
+def between_sessions(channels: Collection[CleanChannel], grid_us: Times) -> Mask:
+    """Times at which the logger was off: no channel has a sample near.
+
+    Near is what is no gap of the channel that has the shortest.
+    """
+    longest_us = min(channel.longest_gap_us for channel in channels if channel.period_us)
+    off = np.ones(len(grid_us), dtype=np.bool_)
+    for channel in channels:
+        time = channel.time_us
+        gaps = steps_where(lambda steps_us: steps_us > longest_us, time)
+        begins = grid_us.searchsorted(time[np.append(gaps + 1, 0)])
+        ends = grid_us.searchsorted(time[np.append(gaps, -1)], "right")
+        for begin, end in zip(np.sort(begins).tolist(), np.sort(ends).tolist(), strict=True):
+            off[begin:end] = False
+    return off
 
 
 def _first_us(channels: Mapping[str, CleanChannel], night_start_us: int) -> int:

@@ -1,8 +1,4 @@
-"""`motor-leakage check`: the config, and a look at the logs, before a night depends on them.
-
-Samples that a clock writes lie evenly; those sent on change, or left by a historian's compression,
-leave silences: which of the two it was makes no difference to the config. A running total rises.
-"""
+"""`motor-leakage check`: the config, and a look at the logs, before a night depends on them."""
 
 from __future__ import annotations
 
@@ -12,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.arrays import SECOND_US, Array
-from pipeline.config import Channel, MotorSpec
-from pipeline.config.channels import COUNTED, ChannelName
+from pipeline.arrays import SECOND_US
+from pipeline.config import MotorSpec
+from pipeline.config.channels import ChannelName
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.files import change_of, failed, labels_of, look_at, spanned
@@ -31,21 +27,13 @@ from pipeline.setup.column_check import (
 )
 from pipeline.setup.operation import night_of_log, operation, swapped
 from pipeline.setup.propose import LARGEST_LOG_BYTES
+from pipeline.setup.sampling import sampling_note
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
 # A line end in UTF-16 or UTF-32 is up to four bytes long.
 LINE_END_BYTES = 4
 PACKED = (".gz", ".zst")
-# Samples of the head of a log that are looked at, and fewest that tell anything.
-HEAD, FEWEST = 20_000, 30
-# Larger figures are no readings, and their squares no numbers.
-LARGEST = 1e100
-# A step is a silence beyond so many of the shortest tenth of steps; a log is irregular where
-# silences are so frequent, and take up so much of the time.
-SILENCE_STEPS, SILENT_STEPS_SHARE, SILENT_TIME_SHARE = 3.5, 0.02, 0.2
-# A running total may be reset or roll over so often; below, it rises all the time.
-FALLS_SHARE, FEWEST_RISES = 0.005, 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,39 +196,3 @@ def _channel_check(spec: MotorSpec, name: ChannelName, raw: RawChannel) -> Chann
             if count and reason not in ("any", "missing")
         },
     )
-
-
-def sampling_note(name: str, channel: Channel, raw: RawChannel) -> str:
-    """Where a channel's samples do not look as it is configured, and what to set; else empty."""
-    rows = np.flatnonzero(~raw.missing & (np.abs(raw.value) < LARGEST))[:HEAD]
-    time_us, first = np.unique(raw.time_us[rows], return_index=True)
-    value, steps = raw.value[rows][first], np.diff(time_us) / 1e6
-    if value.size < FEWEST or not np.ptp(value):
-        return ""
-    if name == COUNTED and _rises(value) != (channel.counts == "cumulative"):
-        if channel.counts == "cumulative":
-            return f"{name}: configured as a running total, and falls again and again"
-        keys = 'counts = "cumulative", unit = "count" and volume_per_count_cm3'
-        return f"{name}: looks like a running total: then {keys}"
-    # Silences are frequent and take up much of the time: a clock did not write these samples.
-    silent = steps > SILENCE_STEPS * np.quantile(steps, 0.1)
-    in_silence = steps[silent].sum() / steps.sum()
-    is_irregular = silent.mean() >= SILENT_STEPS_SHARE and in_silence >= SILENT_TIME_SHARE
-    if not is_irregular or channel.sampling == "on_change" or channel.counts is not None:
-        return ""
-    # Without the longest hundredth.
-    reach = float(np.quantile(steps, 0.99, method="higher"))
-    return (
-        f"{name}: looks sent on change, compressed, or lost in part: then sampling = "
-        f'"on_change" and longest_silence_s; silences here reach {reach:.3g} s'
-    )
-
-
-def _rises(value: Array) -> bool:
-    """True if values only rise, resets and roll-overs apart."""
-    changes = np.diff(value)
-    falls = changes < 0
-    if int(np.sum(changes > 0)) < FEWEST_RISES or float(np.mean(falls)) > FALLS_SHARE:
-        return False
-    # A reading that warms up falls now and then by its step; a total falls to its begin.
-    return bool(np.all(-changes[falls] > 0.3 * np.ptp(value)))

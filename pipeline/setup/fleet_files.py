@@ -10,7 +10,7 @@ import json
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -27,6 +27,8 @@ from pipeline.errors import LogError, UsageError
 from pipeline.ingest import read_log, time_span
 from pipeline.logs.finding import find_logs
 from pipeline.setup.propose import LARGEST_LOG_BYTES, Proposal, ProposedMotor
+from pipeline.setup.sampling import silence_keys
+from pipeline.setup.tables import Column
 from pipeline.units import canonical_unit
 
 Document = dict[str, Any]
@@ -47,6 +49,7 @@ class Observed:
     spans: tuple[tuple[dt.datetime, dt.datetime], ...] = ()  # in local time, of files by name
     # Median magnitude in the newest log by channel, of the speed while it turned.
     typical: Mapping[str, float] = field(default_factory=dict)
+    sampling: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # keys, by channel
     fault: str = ""  # why the newest log cannot be read as proposed
 
 
@@ -222,6 +225,8 @@ def observe(motor: ProposedMotor) -> Observed:
         found = read_log(newest, logs, channels).channels
     except LogError as error:
         return Observed(fault=f"{error.code}: {error.message}")
+    every_us = np.unique(np.concatenate([one.time_us for one in found.values()]))
+    sampling = {name: silence_keys(one, every_us) for name, one in found.items()}
     sizes = {name: np.abs(one.value[np.isfinite(one.value)]) for name, one in found.items()}
     if "speed" in sizes:
         sizes["speed"] = sizes["speed"][sizes["speed"] > _STANDSTILL_RPM]
@@ -229,7 +234,7 @@ def observe(motor: ProposedMotor) -> Observed:
     if typical.keys() >= set(PORT_PRESSURES):
         high, low = (typical[port] for port in PORT_PRESSURES)
         typical["pressure_difference"] = abs(high - low)
-    return Observed(spans, typical)
+    return Observed(spans, typical, {name: keys for name, keys in sampling.items() if keys})
 
 
 def reference(observed: Sequence[Observed]) -> dict[str, float]:
@@ -252,6 +257,25 @@ def night_end(observed: Sequence[Observed]) -> int | None:
     pauses = {stop: next(i for i in range(1, 25) if (stop + i) % 24 in covered) for stop in stops}
     longest = max(pauses, key=lambda stop: pauses[stop], default=None)
     return longest if longest is not None and pauses[longest] >= _PAUSE_H else None
+
+
+def with_sampling(proposal: Proposal, observed: Mapping[str, Observed]) -> Proposal:
+    """Return the proposal with the sampling of each motor's channels.
+
+    Motors that nobody looked into have what all others have in common.
+    """
+    known = [one.sampling for one in observed.values() if one.typical]
+    common = known[0] if known and all(one == known[0] for one in known) else {}
+
+    def channels(motor: ProposedMotor) -> dict[str, Column]:
+        own = observed[motor.motor_id].sampling if motor.motor_id in observed else common
+        return {
+            name: replace(column, keys={**column.keys, **own.get(name, {})})
+            for name, column in motor.channels.items()
+        }
+
+    motors = tuple(replace(motor, channels=channels(motor)) for motor in proposal.motors)
+    return replace(proposal, motors=motors)
 
 
 def observed_of(proposal: Proposal) -> dict[str, Observed]:

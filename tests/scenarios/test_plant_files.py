@@ -277,3 +277,50 @@ def test_logs_of_the_same_time_are_of_several_motors(tmp_path: Path) -> None:
     assert init(tmp_path).code == 0
     motors = load_fleet(tmp_path / "fleet" / "fleet.toml").motors
     assert [spec.motor_id for spec in motors] == ["Datalog1", "Datalog2", "Datalog3"]
+
+
+# Sessions and silences
+
+
+def test_silence_between_sessions_is_no_loss(tmp_path: Path) -> None:
+    """The logger records while the machine runs; the temperature every half minute."""
+    times = pl.Series(operation(1, 40.0)[0].time_us)
+    pauses = pl.Series(np.arange(len(times)) // 480 * 3600 * 10**6)
+    stamp = (times + pauses).cast(pl.Datetime("us")).dt.strftime("%Y-%m-%d %H:%M:%SZ")
+    lines = [
+        f"{time},{p},{t if at % 30 == 0 else ''},{n},{q}\n"
+        for at, (time, (p, t, n, q)) in enumerate(zip(stamp, rows(1, 40.0), strict=True))
+    ]
+    write(tmp_path, "w_2026-01-02.csv", f"time,{HEADER}\n{''.join(lines)}")
+    assert init(tmp_path).code == 0
+    assert fit(tmp_path).code == 0
+    (night,) = nights_of(tmp_path).rows(named=True)
+    assert night["status"] == "ok"
+    assert night["kept_percent"] > 90.0
+    assert night["logged_hours"] == pytest.approx(40 / 60, rel=0.05)
+
+
+@pytest.mark.parametrize("layout", ["wide", "long"])
+def test_values_that_are_sent_on_change_are_proposed_as_such(layout: str, tmp_path: Path) -> None:
+    """A temperature is written when it has changed by 0.2 °C."""
+    lines, sent = [], -100.0
+    for time, row in zip(stamps(1, minutes=40.0), rows(1, 40.0), strict=True):
+        cells = dict(zip(NAMES.values(), map(str, row), strict=True))
+        if abs(row[1] - sent) < 0.2:
+            cells["oil_temp_degC"] = ""
+        sent = sent if cells["oil_temp_degC"] == "" else row[1]
+        if layout == "wide":
+            lines.append(f"{time},{','.join(cells.values())}\n")
+        else:
+            lines += [f"{time},W.{name},{cell}\n" for name, cell in cells.items() if cell]
+    header = f"time,{HEADER}" if layout == "wide" else "time,tag,value"
+    write(tmp_path, "w_2026-01-02.csv", f"{header}\n{''.join(lines)}")
+    proposed = init(tmp_path)
+    assert proposed.code == 0
+    assert "oil_temperature is sent on change" in proposed.out
+    assert fit(tmp_path).code == 0
+    (night,) = nights_of(tmp_path).rows(named=True)
+    assert night["status"] == "ok"
+    assert night["kept_percent"] > 90.0
+    true = operation(1, 40.0)[1]["oil_temperature"].mean()
+    assert night["mean_temperature_c"] == pytest.approx(true, abs=0.3)

@@ -30,6 +30,9 @@ def told(spec: MotorSpec, now: tuple[float, ...]) -> str:
         pytest.param((18.1, 44.0, 6.0, 1.9), "if the log is now in MPa", id="MPa"),
         pytest.param((2610.0, 44.0, 6.0, 1.9), "if the log is now in psi", id="psi"),
         pytest.param((180.0, 113.0, 6.5, 2.0), "if the log is now in degF", id="degF"),
+        pytest.param((180.0, 45.0, 0.681, 2.0), "if the log is now in rad/s", id="rad/s"),
+        pytest.param((160.0, 47.0, 7.0, 118.0), "if the log is now in l/h", id="l/h"),
+        pytest.param((175.0, 45.0, 6.5, 0.53), "if the log is now in us_gal/min", id="gal/min"),
     ],
 )
 def test_other_columns_and_units_are_told(
@@ -46,6 +49,8 @@ def test_other_columns_and_units_are_told(
         pytest.param((180.0, 8.0, 40.0, 0.3), id="a fast cold start: the flow falls with the oil"),
         pytest.param((180.0, 45.0, 65.0, 2.2), id="ten times the speed"),
         pytest.param((180.0, 45.0, 6.5, 5.0), id="worn"),
+        pytest.param((180.0, 45.0, 6.5, 16.0), id="broken"),
+        pytest.param((23.7, 44.0, 30.0, 0.4), id="a light load of another duty"),
         pytest.param((80.0, 30.0, 9.0, 1.2), id="light load"),
         pytest.param((180.0, -5.0, 6.5, 2.0), id="below zero"),
     ],

@@ -22,8 +22,8 @@ from pipeline.setup.check import (
     ChannelCheck,
     MotorCheck,
     check_motor,
-    sampling_note,
 )
+from pipeline.setup.sampling import sampling_note
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import Call, change, refused
 from tests.pipeline.simulated import (
