@@ -1,0 +1,132 @@
+"""The demo's pages without a browser: they draw and say what the tables and `explain` have."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+
+from tests.scenarios.covering import covers
+from tests.scenarios.fleets import ScenarioFleet
+
+HEALTHY, WORN, BLIND = "CB400-01", "CB560-02", "CB1120-02"  # the last holds one pressure
+
+
+def payload(path: Path) -> Any:
+    """What a motor's page, or a night's script, gives to the scripts of the page."""
+    marks = r'id="payload">(.*?)</script>' if path.suffix == ".html" else r"^\w+\.night\((.*)\);\n$"
+    (found,) = re.findall(marks, path.read_text("utf-8"), re.DOTALL)
+    return json.loads(found)
+
+
+def lines(figure: Any) -> dict[str, list[float | None]]:
+    """Values of each line of a chart."""
+    return {trace["name"]: trace["y"] for trace in figure["data"]}
+
+
+def column(rows: list[dict[str, Any]], name: str) -> list[float | None]:
+    """A column with the six digits of the pages."""
+    return [None if row[name] is None else float(f"{row[name]:.6g}") for row in rows]
+
+
+def test_the_chart_over_the_nights_is_that_of_the_tables(demo: ScenarioFleet) -> None:
+    page = demo.output / "report" / "motors" / f"{WORN}.html"
+    chart, nights = payload(page)["course"], demo.nights(WORN)
+    assert chart["x"] == [str(row["night"]) for row in nights]
+    drawn = lines(chart)
+    assert drawn["leakage"] == column(nights, "own_leakage_l_per_min")
+    bars = {trace["name"]: trace.get("error_y") for trace in chart["data"]}["leakage"]
+    newest = nights[-1]
+    lower, value, upper = (newest[f"own_leakage_{one}"] for one in ("lower", "l_per_min", "upper"))
+    assert bars["array"][-1] == pytest.approx(upper - value, rel=1e-4)
+    assert bars["arrayminus"][-1] == pytest.approx(value - lower, rel=1e-4)
+    gaps = demo.table("trends").filter(
+        pl.col("motor_id") == WORN, pl.col("indicator") == "gap_change_balance_piston"
+    )
+    newest_gap = gaps.sort("night")["value"].to_list()[-1]
+    assert drawn["balance piston"][-1] == pytest.approx(newest_gap, rel=1e-5)
+    # Marked are the baseline, and the night in which the change was detected.
+    shapes = chart["layout"]["shapes"]
+    ends = {(shape["x0"], shape["x1"]) for shape in shapes if shape["type"] == "rect"}
+    assert ends == {(str(newest["baseline_start"]), str(newest["baseline_end"]))}
+    detected = str(min(row["detected_on"] for row in nights if row["detected_on"]))
+    assert detected in {shape["x0"] for shape in shapes if shape["type"] == "line"}
+    assert drawn["baseline"][-1] == pytest.approx(drawn["leakage"][8], rel=0.02)
+
+
+def test_what_stands_beside_the_chart(demo: ScenarioFleet) -> None:
+    page = (demo.output / "report" / "motors" / f"{WORN}.html").read_text("utf-8")
+    detected = str(min(row["detected_on"] for row in demo.nights(WORN) if row["detected_on"]))
+    assert f'<a href="#{detected}">{detected}</a> change detected: balance piston' in page
+    assert "30 of 30" in page
+    changes = re.findall(r'<tr><td><a href="#([\d-]+)"', page.partition('id="alarm-table"')[2])
+    assert len(changes) > 1
+    assert changes == sorted(changes, reverse=True)
+    newest = demo.newest(WORN)
+    for name in ("leakage_change", "mean_change", "gap_change"):
+        value, *ends = (newest[f"{name}_{one}"] for one in ("percent", "lower", "upper"))
+        words = [f"{one:+.1f}".replace("-", "\N{MINUS SIGN}") for one in (value, *ends)]
+        assert '{}</span> <span class="interval">[{}, {}]'.format(*words) in page
+
+
+@covers("explain")
+def test_a_night_has_the_words_of_explain_and_the_samples_of_the_tables(
+    demo: ScenarioFleet,
+) -> None:
+    night = demo.label(30)
+    shown = payload(demo.output / "report" / "data" / WORN / f"{night}.js")
+    words = [line for title, of in shown["words"] for line in (title, *of) if line]
+    explained = demo.run("explain", WORN, night).out.splitlines()
+    assert words == [line.strip() for line in explained if line]
+    rows = (
+        demo.table("predictions")
+        .filter(pl.col("motor_id") == WORN, pl.col("night") == night)
+        .sort("time")
+    )
+    drawn = lines(shown["figure"])
+    for name, title in (("measured_l_per_min", "measured"), ("speed_rpm", "Speed")):
+        # Nothing is drawn where samples are missing.
+        values = [value for value in drawn[title] if value is not None]
+        assert values == column(rows.to_dicts(), name)
+        assert len(drawn[title]) > len(values)
+    for part in ("training", "validation"):
+        values = [value for value in drawn[f"model, {part} data"] if value is not None]
+        assert values == column(rows.filter(part=part).to_dicts(), "predicted_l_per_min")
+    pairs = zip(shown["figure"]["x"], drawn["measured"], strict=True)
+    times = [time for time, value in pairs if value is not None]
+    assert times == rows["time"].dt.strftime("%Y-%m-%dT%H:%M:%S").to_list()
+
+
+def test_a_motor_of_one_pressure_has_no_figure_of_a_part(demo: ScenarioFleet) -> None:
+    page = demo.output / "report" / "motors" / f"{BLIND}.html"
+    assert {*lines(payload(page)["course"])} == {
+        "leakage",
+        "baseline",
+        "evidence",
+        "limit: a change is detected above it",
+    }
+    assert "change detected: cause not known" in page.read_text("utf-8")
+
+
+def test_noise_looks_like_noise_and_wear_like_wear(demo: ScenarioFleet) -> None:
+    """On the small pictures of the fleet, and on the chart of a motor."""
+    index = (demo.output / "report" / "index.html").read_text("utf-8")
+    heights = {}
+    for motor in (HEALTHY, WORN):
+        (picture,) = re.findall(rf'<tr data-motor="{motor}">.*?(<svg.*?</svg>)', index, re.DOTALL)
+        flows = [row["own_leakage_l_per_min"] for row in demo.nights(motor)]
+        known = [flow for flow in flows if flow is not None]
+        (ends,) = re.findall(r'aria-label="Leakage ([\d.]+) to ([\d.]+) l/min"', picture)
+        assert list(map(float, ends)) == pytest.approx([min(known), max(known)], rel=5e-3)
+        (line,) = re.findall(r'<path d="([^"]+)"', picture)
+        heights[motor] = [float(one) for one in re.findall(r" ([\d.]+)", line)]
+    # Of 28; up is more.
+    assert max(heights[HEALTHY]) - min(heights[HEALTHY]) < 7
+    assert heights[WORN][0] - heights[WORN][-1] > 8
+    chart = payload(demo.output / "report" / "motors" / f"{HEALTHY}.html")["course"]
+    low, high = chart["layout"]["yaxis"]["range"]
+    assert high - low > 0.3 * low
