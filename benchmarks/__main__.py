@@ -8,6 +8,7 @@ import sys
 # What compares with results that are there does not make them.
 BENCHMARKS = {
     "guard": "is the program slower than it was? (not in `all`)",
+    "intraday": "false rises of the intraday check on healthy days",
     "mutation": "faults planted in the code, and how many the nearest tests find",
     "speed": "a fleet's first night beside just reading its logs",
     "watch": "false alarms, delays, names and sizes, beside simpler methods",

@@ -129,8 +129,9 @@ BACK_SPREAD = 0.15
 TANK_SPREAD, TANK_PRIOR = 0.1, 10.0
 
 # -- within the day --------------------------------------------------------------------------------
-# Evidence and least rise from which the night so far is reported. Without the deduction for an odd
-# night, each of some hundred looks a day may err: see `benchmarks/results/watch.md`.
+# Evidence and least rise from which the night so far is reported, at most 0.1 times a healthy
+# motor-year though some hundred checks a day may err: `benchmarks/results/intraday.md`. Less than
+# the least rise is a step that waits for the night.
 INTRADAY_LIMIT, INTRADAY_LEAST_RISE = 10.0, 0.05
 # Numbers of latest blocks of two minutes that are tried as the night so far, beside all of it.
 INTRADAY_BLOCKS = (2, 5, 15)

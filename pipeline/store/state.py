@@ -2,7 +2,7 @@
 
 Logs and nights that were done, trends, published files, what waits for receivers, and people's
 decisions. One process at a time, the holder of the run's lock, writes all but the decisions and
-what is of the looks. Workers never open it: SQLite's log does not work across machines.
+what the intraday check delivers. Workers never open it: SQLite's log does not work across machines.
 
 It can be lost. The run then takes the backup of the run before, and without that begins anew: the
 logs and tables give the same tables again, and the table `decisions` what people have said.

@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import polars as pl
 import pytest
 
+from tests.pipeline.faults.crash import FAULTS, Fault, victim_in
+from tests.pipeline.notification.fleet import keep, told
 from tests.pipeline.notification.servers import hook
 from tests.pipeline.notification.test_mail import serving
+from tests.scenarios.command import run_command
 from tests.scenarios.covering import covers
 from tests.scenarios.fleets import ScenarioFleet, Simulated, make_fleet
 
@@ -91,6 +95,30 @@ def test_a_healthy_day_is_silent_and_a_stopped_log_is_not_judged(fleet: Scenario
     assert states(fleet) == []
 
 
+@covers("look --every --output")
+def test_checked_again_and_again_a_step_is_reported_when_it_comes(
+    fleet: ScenarioFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grow(fleet, BREAK)
+    minutes = iter((BREAK + 5, END))
+
+    def wait(_: float) -> None:
+        """In place of waiting the log grows; behind its end, Ctrl-C."""
+        minute = next(minutes, None)
+        if minute is None:
+            raise KeyboardInterrupt
+        grow(fleet, minute)
+
+    monkeypatch.setattr("pipeline.cli.intraday.time.sleep", wait)
+    done = fleet.run("look", "--every", "5min", "--output", fleet.output)
+    assert done.code == 130
+    states_said = [
+        line.split("checked: ")[1] for line in done.out.splitlines() if "checked" in line
+    ]
+    assert states_said == ["2 clear", "1 clear, 1 risen", "1 clear, 1 risen"]
+    assert done.out.count("M1: risen: drain flow +") == 1
+
+
 @pytest.mark.parametrize(("goes_on", "verdict"), [(True, "confirmed"), (False, "withdrawn")])
 @covers("look")
 def test_the_nightly_run_confirms_or_withdraws_a_rise(
@@ -135,3 +163,48 @@ def test_too_few_nights_and_changed_settings_are_said(tmp_path: Path) -> None:
     assert "7 of 8 nights of a baseline" in young.run("look").out
     young.append("fleet.toml", "[cleaning]\nstandstill_rpm = 0.7")
     assert "settings, events or resets have changed" in young.run("look").out
+
+
+@covers("look --motors")
+def test_motors_whose_rollers_scale_is_estimated_are_judged_in_every_format(
+    plant: ScenarioFleet,
+) -> None:
+    fits = plant.table("fits").filter(pl.col("is_primary")).sort("night")
+    free = dict(fits.group_by("motor_id").agg(pl.col("roller_is_free").last()).rows())
+    assert any(free.values())
+    for motor in plant.motors:
+        plant.write_night(motor, plant.plan.nights + 1, until=BREAK + 5, rise=0.3, rise_at=BREAK)
+    done = plant.run("look", "--motors", "calm broken worn")
+    assert "3 motors checked: 3 risen" in done.out, (free, done.out)
+
+
+def check(folder: Path, _: Path) -> None:
+    """A check in a process that ends within it."""
+    run_command("look", folder / "configs" / "fleet.toml")
+
+
+EVERY = [pytest.param(fault, 1, marks=pytest.mark.full) for fault in FAULTS]
+
+
+@pytest.mark.parametrize(("fault", "every"), [("killed", 31), ("full", 31), *EVERY])
+def test_a_check_that_is_broken_off_anywhere_is_made_up_for(
+    fleet: ScenarioFleet, tmp_path: Path, fault: Fault, every: int
+) -> None:
+    """Reported by the next check on a sound disk, and delivered as the same message."""
+    grow(fleet)
+
+    def copied(name: str) -> ScenarioFleet:
+        other = fleet.copy(tmp_path / name)
+        other.append("fleet.toml", f"[alarms]\n{keep(other.folder / 'told')}")
+        return other
+
+    whole = copied("whole")
+    with victim_in(tmp_path) as victim:
+        n_writes = victim.crash_at(0, check, whole.folder, whole.output, fault).seen
+        (message,) = told(whole.folder)
+        for point in range(1, n_writes + 1, every):
+            other = copied(str(point))
+            victim.crash_at(point, check, other.folder, other.output, fault)
+            other.run("look")
+            assert other.table("intraday").equals(whole.table("intraday"))
+            assert {one["id"] for one in told(other.folder)} == {message["id"]}

@@ -1,4 +1,4 @@
-"""A run, an acknowledgement, a repair or a look that ends at any call that writes.
+"""A run, an acknowledgement or a repair that ends at any call that writes.
 
 Killed, refused once, or on a disk that is full from there on: every file is as it was or as it
 comes to be; the next run makes the tables that no crash disturbed; alarms are told at least once,

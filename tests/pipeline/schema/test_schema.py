@@ -137,7 +137,7 @@ def test_units_stand_in_the_names(table: Table) -> None:
 def test_a_name_means_one_thing_in_all_tables() -> None:
     kinds: dict[str, Column] = {}
     shared = {"value", "status", "reason", "unit", "column", "columns", "seconds", "start"}
-    # Of the look within the day, a moment and per cent; of the watch a day and a share.
+    # Of the intraday check, a moment and per cent; of the watch a day and a share.
     shared |= {"since", "change_lower", "change_upper"}
     for table in TABLES:
         for column in table.columns:
