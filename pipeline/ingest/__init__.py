@@ -4,20 +4,17 @@ Imports config, units and errors, nothing else of the pipeline.
 """
 
 from pipeline.ingest.assembly import Samples, log_of_samples
-from pipeline.ingest.contract import LogFile, Place, RawChannel, RawLog, Reader, validate
-from pipeline.ingest.readers import can_grow, read_log, read_piece, time_span
+from pipeline.ingest.contract import LogFile, RawChannel, RawLog, Reader, validate
+from pipeline.ingest.readers import read_log, time_span
 
 __all__ = [
     "LogFile",
-    "Place",
     "RawChannel",
     "RawLog",
     "Reader",
     "Samples",
-    "can_grow",
     "log_of_samples",
     "read_log",
-    "read_piece",
     "time_span",
     "validate",
 ]

@@ -133,14 +133,6 @@ class RawLog:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """A place in a growing text: its byte, and the names of the header that holds there."""
-
-    position: int = 0
-    columns: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class LogFile:
     """A log to read, and what is wanted of it.
 
@@ -175,17 +167,11 @@ class Reader:
         the log is read for them.
     options
         Keys that ``[logs.options]`` may have, with their defaults; `LogFile.logs` has them all.
-    can_grow
-        True for a log to which rows are appended, and which is then read by `piece`.
-    piece
-        What follows a place, at most so many bytes, and the place behind; None without a whole row.
     """
 
     read: Callable[[LogFile], RawLog]
     span: Callable[[LogFile], tuple[int, int]] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
-    can_grow: Callable[[LogFile], bool] | None = None
-    piece: Callable[[LogFile, Place, int], tuple[RawLog | None, Place]] | None = None
 
 
 def ends(parts: Iterable[NDArray[np.int64]]) -> tuple[int, int] | None:

@@ -7,7 +7,6 @@ row without a line end, are left out and counted: half a figure looks like a fig
 
 from __future__ import annotations
 
-import codecs
 import csv
 import re
 from collections.abc import Mapping, Sequence
@@ -26,7 +25,7 @@ from pipeline.config.logs import Logs
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, readings_of
-from pipeline.ingest.contract import LogFile, Place, RawLog, Reader
+from pipeline.ingest.contract import LogFile, RawLog, Reader
 from pipeline.ingest.csv_text import is_packed, is_utf8, read_lines, repaired
 from pipeline.ingest.table import Columns, RawTable, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written
@@ -48,33 +47,11 @@ def _read(file: LogFile) -> RawLog:
     return reader.log()
 
 
-def _can_grow(file: LogFile) -> bool:
-    """True for plain text, to which rows are appended."""
-    return is_utf8(file.logs.encoding) and not is_packed(file.path)
-
-
-def _piece(file: LogFile, place: Place, most_bytes: int) -> tuple[RawLog | None, Place]:
-    """Rows of a growing CSV from a place on, as far as its last line end, and the place behind."""
-    with file.path.open("rb") as text_file:
-        text_file.seek(place.position)
-        data = text_file.read(most_bytes)
-    end = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
-    if not end:
-        return None, place
-    reader = _Rows(file, wanted_columns(file))
-    if place.columns:
-        reader.go_on(place.columns)
-    text = data[:end] if place.position else data[:end].removeprefix(codecs.BOM_UTF8)
-    reader.read(repaired(text))
-    if reader.units_left:
-        return None, place
-    return reader.log(), Place(place.position + end, reader.names)
-
-
 def _span(file: LogFile) -> tuple[int, int]:
     """First and last time stamp of a CSV, from its first and last rows where these can be read."""
     times = Columns(wanted_columns(file).time)
-    if _can_grow(file) and file.path.stat().st_size > 4 * _SPAN_PIECE:
+    is_plain = is_utf8(file.logs.encoding) and not is_packed(file.path)
+    if is_plain and file.path.stat().st_size > 4 * _SPAN_PIECE:
         try:
             return _span_of_ends(file, times)
         except LogError:
@@ -99,7 +76,7 @@ def _span_of_ends(file: LogFile, times: Columns) -> tuple[int, int]:
     return min(first[0], last[0]), max(first[1], last[1])
 
 
-READER = Reader(_read, _span, can_grow=_can_grow, piece=_piece)
+READER = Reader(_read, _span)
 
 
 def _header(path: Path, logs: Logs, data: bytes) -> tuple[tuple[str, ...], int]:

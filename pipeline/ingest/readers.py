@@ -20,7 +20,6 @@ from pipeline.errors import LogError
 from pipeline.ingest.assembly import span
 from pipeline.ingest.contract import (
     LogFile,
-    Place,
     RawChannel,
     RawLog,
     Reader,
@@ -44,33 +43,6 @@ def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None =
     with _opened(path, logs, channels, latest_us) as (reader, file):
         log = validate(reader.read(file), file.channels, file.latest_us)
     return _with_constants(log, channels)
-
-
-def can_grow(path: Path, logs: Logs) -> bool:
-    """True for a log that is read from a place on, as rows are appended; errors as `read_log`."""
-    with _opened(path, logs, {}) as (reader, file):
-        return reader.can_grow is not None and reader.can_grow(file)
-
-
-def read_piece(
-    path: Path,
-    logs: Logs,
-    channels: Channels,
-    latest_us: int | None,
-    place: Place,
-    most_bytes: int,
-) -> tuple[RawLog | None, Place]:
-    """Rows that follow a place of a log that can grow, and the place behind them.
-
-    There are at most `most_bytes` of them, and None where no whole row follows. A new `Place` is
-    the file's begin; the rest, and the errors, are as for `read_log`.
-    """
-    with _opened(path, logs, channels, latest_us) as (reader, file):
-        if reader.piece is None:
-            return None, place
-        log, end = reader.piece(file, place, most_bytes)
-        log = None if log is None else validate(log, file.channels, file.latest_us)
-    return None if log is None else _with_constants(log, channels), end
 
 
 def time_span(

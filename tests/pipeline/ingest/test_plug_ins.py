@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from pipeline.config import readers
 from pipeline.config.hashes import reading_hash
 from pipeline.errors import LogError
-from pipeline.ingest import Place, can_grow, read_log, read_piece, time_span
+from pipeline.ingest import read_log, time_span
 from pipeline.ingest.conformance import CHANNELS
 from tests.pipeline.ingest.sources import logs_of
 from tests.pipeline.simulated import load_motor, motor_toml
@@ -156,19 +156,10 @@ def test_what_a_reader_does_wrong_is_an_error_of_the_log(
         assert caught.value.code == "log_reader"
 
 
-def test_a_reader_without_pieces_has_logs_that_do_not_grow(
-    install: Install, tmp_path: Path
-) -> None:
-    install("whole", code=HEAD + "READER = Reader(read)")
-    log = tmp_path / "log"
-    log.write_text("x")
-    assert not can_grow(log, logs_of("whol"))
-
-
 def test_what_a_reader_says_of_a_log_is_checked_as_well(
     install: Install, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code = "print('said')\nREADER = Reader(read, {span}, piece=lambda *_: 3)"
+    code = "print('said')\nREADER = Reader(read, {span})"
     log = tmp_path / "log"
     log.write_text("x")
     for number, (span, says) in enumerate(
@@ -178,6 +169,4 @@ def test_what_a_reader_says_of_a_log_is_checked_as_well(
         install(name, code=HEAD + code.format(span=span))
         with pytest.raises(LogError, match=says):
             time_span(log, logs_of(name), CHANNELS)
-        with pytest.raises(LogError, match="TypeError"):
-            read_piece(log, logs_of(name), CHANNELS, None, Place(), 1)
     assert capsys.readouterr() == ("", "said\nsaid\n")
