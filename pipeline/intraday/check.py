@@ -82,7 +82,7 @@ def check_fleet(
         found = list[MotorCheck]()
         for specs in circuits_of(wanted):
             checks = [
-                _checked(state, spec, decisions[spec.motor_id], last.get(spec.motor_id), clock)
+                check_motor(state, spec, decisions[spec.motor_id], last.get(spec.motor_id), clock)
                 for spec in specs
             ]
             checks = [_with_circuit(check, checks) for check in checks]
@@ -93,7 +93,7 @@ def check_fleet(
     return tuple(sorted(found, key=lambda one: one.motor_id))
 
 
-def _checked(
+def check_motor(
     state: State,
     spec: MotorSpec,
     decisions: Sequence[Decision],
@@ -110,7 +110,7 @@ def _checked(
             state.output, spec, decisions, read_kept(state, motor_id), night.date
         )
         so_far = blocks_so_far(spec, before.layout, night, channels)
-        return judged(spec, before, so_far, last)
+        return judge(spec, before, so_far, last)
     except (Insufficient, LeakageError, LogError) as why:
         reason = getattr(why, "reason", str(why))
         return MotorCheck(motor_id, NOT_JUDGED, reason)
@@ -121,7 +121,7 @@ def _checked(
         return MotorCheck(motor_id, NOT_JUDGED, str(error), fault=f"internal: {error}")
 
 
-def judged(
+def judge(
     spec: MotorSpec, before: NightsBefore, so_far: NightSoFar, last: Row | None
 ) -> MotorCheck:
     """Judge the night so far of a motor, whose last row of `looks` may hold a rise."""
@@ -214,6 +214,11 @@ def _settled(state: State, spec: MotorSpec, decisions: Sequence[Decision], last:
     time_us, nights = microseconds(last["time"]), spec.settings.nights
     first = night_of(time_us, nights)
     published = [one for one in nights_back(state.output, BLOCK_STATISTICS) if one >= first]
+    begins = [one.date for one in spec.file.baseline_events]
+    begins += [one.night for one in decisions if one.kind == "baseline_reset"]
+    if any(first < begin <= max(published, default=first) for begin in begins):
+        reason = "a new baseline has begun since: no night says whether it was one"
+        return row_of(spec.motor_id, time_us + 1, (RISEN, CLEAR), reason)
     for label in sorted(published)[:MOST_NIGHTS]:
         try:
             before = nights_before(

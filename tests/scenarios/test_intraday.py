@@ -143,6 +143,17 @@ def test_the_nightly_run_confirms_or_withdraws_a_rise(
     assert len(states(fleet)) == 2
 
 
+def test_an_overhaul_ends_a_rise_that_no_night_has_settled(fleet: ScenarioFleet) -> None:
+    grow(fleet, BREAK + 5)
+    assert fleet.run("look").code == 0
+    for motor in fleet.motors:
+        fleet.write_night(motor, TODAY + 1)
+    begin = fleet.label(TODAY + 1)
+    fleet.append("motors/M1.toml", f'[[events]]\ndate = {begin}\nkind = "overhaul"')
+    assert fleet.run("fit-fleet").code == 0
+    assert states(fleet) == [("M1", "clear", "risen"), ("M1", "risen", "clear")]
+
+
 @covers("look --motors")
 def test_columns_that_change_places_are_no_rise(fleet: ScenarioFleet) -> None:
     path = fleet.write_night("M1", TODAY)
