@@ -180,7 +180,7 @@ def faults_of(output: Path) -> tuple[TableFault, ...]:
 def verify_tables(output: Path) -> Iterator[TableFault]:
     """Faults of all files of an output: each is read; a run may be publishing meanwhile."""
     if not is_sound(output):
-        message = "the next run takes its backup, or makes it anew"
+        message = "the next run makes it anew from logs and tables"
         yield TableFault(STATE_FILE, "state_damaged", message)
         return
     with read_state_file(output) as state:

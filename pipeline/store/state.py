@@ -4,8 +4,8 @@ Logs and nights that were done, trends, published files, what waits for receiver
 decisions. One process at a time, the holder of the run's lock, writes all but the decisions and
 what the intraday check delivers. Workers never open it: SQLite's log does not work across machines.
 
-It can be lost. The run then takes the backup of the run before, and without that begins anew: the
-logs and tables give the same tables again, and the table `decisions` what people have said.
+It can be lost. The run then begins anew: the logs and tables give the same tables again, and the
+table `decisions` what people have said.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import make_folders, move, put, remove, store_errors
+from pipeline.store.atomic_files import make_folders, move, remove, store_errors
 
 log = logging.getLogger(__name__)
 
-STATE_FILE, BACKUP_FILE, DAMAGED_FILE = "state.db", "state.backup.db", "state.damaged.db"
+STATE_FILE, DAMAGED_FILE = "state.db", "state.damaged.db"
 # Of `PRAGMA user_version`: an output of an earlier one is put aside and made anew from the logs.
 VERSION = 2
 # What a run leaves in an output folder; the state comes last, as it says of which version all is.
-OUTPUT = ("tables", "report", "manifest.json", "views.sql", BACKUP_FILE)
+OUTPUT = ("tables", "report", "manifest.json", "views.sql")
 # So long a command waits for the transaction of another process [s].
 BUSY_S = 30.0
 
@@ -101,11 +101,6 @@ class State:
         """Change something for each of some rows of values, as `write`."""
         with self.transaction(), _errors("store_write"):
             self._connection.executemany(statement, rows)
-
-    def content(self) -> bytes:
-        """The file as it is now, with what is in SQLite's log; raises StoreError."""
-        with _errors("store_read"):
-            return self._connection.serialize()
 
     def meta(self, name: str) -> str:
         """A value by its name; empty where there is none."""
@@ -229,8 +224,7 @@ def put_old_aside(output: Path) -> None:
 
     Wherever that is broken off, the next run goes on. Raises StoreError if a file cannot be moved.
     """
-    versions = (_version_of(output / name) for name in (STATE_FILE, BACKUP_FILE))
-    if not any(0 < (version or 0) < VERSION for version in versions):
+    if not 0 < (_version_of(output / STATE_FILE) or 0) < VERSION:
         return
     aside = next(place for n in count(1) if not (place := output / f"old-{n}").exists())
     log.warning(
@@ -246,31 +240,22 @@ def put_old_aside(output: Path) -> None:
 
 
 def make_ready(output: Path) -> bool:
-    """At a run's start: check the state file, restore a lost one, and keep a backup of it.
+    """At a run's start: check the state file, and make one anew where it was lost.
 
-    Returns True where it was lost, or is new: what a run before left is then known from the backup
-    alone, or not at all.
+    Returns True where it was lost, or is new: tables that a run before left are then not listed.
 
-    Raises StoreError if the files cannot be written, or are of a newer version of the program.
+    Raises StoreError if it cannot be written, or is of another version of the program.
     """
-    place, backup = output / STATE_FILE, output / BACKUP_FILE
+    place = output / STATE_FILE
     version = _version_of(place)
-    is_lost = version is None or (version == 0 and backup.exists())
-    if is_lost:
-        if place.exists():
-            move(place, output / DAMAGED_FILE)
+    if version is None:
+        move(place, output / DAMAGED_FILE)
         for ending in ("-wal", "-shm"):
             remove(output / f"{STATE_FILE}{ending}")
-        if _version_of(backup):
-            put(place, backup.read_bytes())
-        log.warning(
-            "%s is damaged or gone; %s",
-            STATE_FILE,
-            "the backup of the run before is taken" if place.exists() else "it is made anew",
-        )
-    with open_state(output) as state:
-        put(backup, state.content())
-    return is_lost or version == 0
+    if version is None or (version == 0 and (output / "tables").is_dir()):
+        log.warning("%s is damaged or gone; it is made anew from logs and tables", STATE_FILE)
+    with open_state(output):
+        return not version
 
 
 def is_sound(output: Path) -> bool:

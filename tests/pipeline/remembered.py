@@ -7,13 +7,13 @@ from typing import Any
 
 from pipeline.logs.processed import ProcessedLogs, read_processed
 from pipeline.store.published import MANIFEST_FILE
-from pipeline.store.state import BACKUP_FILE, STATE_FILE, open_state
+from pipeline.store.state import STATE_FILE, open_state
 from pipeline.trends.nights.trend_record import Record, read_records
 
 # Files and folders of an output that outlive a run.
 LASTING = {
     *("tables", "lock", "heartbeat.json", "views.sql"),
-    *(STATE_FILE, BACKUP_FILE, MANIFEST_FILE),
+    *(STATE_FILE, MANIFEST_FILE),
 }
 
 

@@ -113,7 +113,6 @@ def acknowledging(fleet: TinyFleet, folder: Path) -> Case:
     def repaired(output: Path) -> None:
         assert [len(read_decisions(output))] == said
         (output / "state.db").write_bytes(b"lost")
-        (output / "state.backup.db").unlink()
         fleet.run(output)
         assert [len(read_decisions(output))] == said
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import StoreError
-from pipeline.store.state import BACKUP_FILE, STATE_FILE
+from pipeline.store.state import STATE_FILE
 from pipeline.trends.nights.decisions import read_decisions
 from tests.pipeline.faults.conftest import say
 from tests.pipeline.faults.fleet import MOTORS, TinyFleet, check_tables
@@ -18,19 +18,15 @@ from tests.pipeline.remembered import LASTING
 pytestmark = pytest.mark.usefixtures("_quick")
 
 
-@pytest.mark.parametrize("lost", ["", STATE_FILE])
 def test_it_is_put_aside_and_made_anew(
-    tiny_fleet: TinyFleet, output: Path, caplog: pytest.LogCaptureFixture, lost: str
+    tiny_fleet: TinyFleet, output: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     say(output)
-    for name in (STATE_FILE, BACKUP_FILE):
-        with closing(sqlite3.connect(output / name)) as state:
-            state.execute("PRAGMA user_version = 1")
+    with closing(sqlite3.connect(output / STATE_FILE)) as state:
+        state.execute("PRAGMA user_version = 1")
     with pytest.raises(StoreError, match="makes it anew from the logs") as refused:
         read_decisions(output)
     assert refused.value.code == "store_older"
-    if lost:
-        (output / lost).unlink()
     result = tiny_fleet.run(output)
     assert "it is put aside as old-1" in caplog.text
     assert (result.n_nights, result.damage, result.failed) == (2 * len(MOTORS), (), ())

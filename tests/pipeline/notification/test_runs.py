@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.notification import outbox
 from tests.pipeline.calling import Call
-from tests.pipeline.notification.fleet import told_fleet
+from tests.pipeline.notification.fleet import keep, told, told_fleet
 from tests.pipeline.notification.servers import Hook, hook
 from tests.pipeline.run.demo_runs import run
 
@@ -86,3 +86,16 @@ def test_an_alarm_is_a_failure_for_whoever_asks_for_it(
     assert ": alarm: " in out
     # Nothing is raised anew.
     assert call("fit-fleet", config, *option)[0] == 0
+
+
+def test_where_the_state_is_lost_nothing_is_told_again(
+    call: Call, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = told_fleet(tmp_path, keep(tmp_path / "told"))
+    assert call("fit-fleet", config)[0] == 0
+    (delivery,) = told(tmp_path)
+    assert delivery["changes"]
+    (tmp_path / "out" / "state.db").unlink()
+    assert call("fit-fleet", config)[0] == 0
+    assert "state.db is damaged or gone" in caplog.text
+    assert told(tmp_path) == [delivery]

@@ -1,4 +1,4 @@
-"""The state file: whole transactions, a backup, and what is done where it is lost."""
+"""The state file: whole transactions, and what is done where it is lost."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import pytest
 
 from pipeline.errors import StoreError
 from pipeline.store.state import (
-    BACKUP_FILE,
-    DAMAGED_FILE,
     STATE_FILE,
     is_sound,
     make_ready,
@@ -84,38 +82,22 @@ def cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-5000])
 
 
-HARMS = [Path.unlink, junk, cut, lambda path: path.write_bytes(b"")]
-
-
-@pytest.mark.parametrize("harm", HARMS)
-def test_a_lost_one_comes_back_from_the_backup(
+@pytest.mark.parametrize("harm", [junk, cut, Path.unlink])
+def test_a_lost_one_is_made_anew(
     tmp_path: Path, harm: Callable[[Path], object], caplog: pytest.LogCaptureFixture
 ) -> None:
-    for value in ("first", "second", "third"):
-        assert make_ready(tmp_path) is (value == "first")  # it is new
-        keep(tmp_path, value)
-    harm(tmp_path / STATE_FILE)
-    assert make_ready(tmp_path)
-    assert "the backup of the run before is taken" in caplog.text
-    assert kept(tmp_path) == "second"  # as it was at the begin of the last run
-    assert not make_ready(tmp_path)
-    names = {path.name for path in tmp_path.iterdir()} - {DAMAGED_FILE}
-    assert names == {STATE_FILE, BACKUP_FILE}
-
-
-@pytest.mark.parametrize("harm", [junk, cut])
-def test_without_a_sound_backup_it_begins_anew(
-    tmp_path: Path, harm: Callable[[Path], object], caplog: pytest.LogCaptureFixture
-) -> None:
+    assert make_ready(tmp_path)  # it is new
+    assert caplog.text == ""
     keep(tmp_path, "before")
-    make_ready(tmp_path)
-    for name in (STATE_FILE, BACKUP_FILE):
-        harm(tmp_path / name)
-    assert not is_sound(tmp_path)
+    assert not make_ready(tmp_path)
+    (tmp_path / "tables").mkdir()
+    harm(tmp_path / STATE_FILE)
+    assert is_sound(tmp_path) is (harm is Path.unlink)
     assert make_ready(tmp_path)
-    assert "it is made anew" in caplog.text
+    assert "it is made anew from logs and tables" in caplog.text
     assert kept(tmp_path) == ""
     assert is_sound(tmp_path)
+    assert not make_ready(tmp_path)
 
 
 def test_what_a_killed_process_left_in_its_log_is_taken_over(tmp_path: Path) -> None:
