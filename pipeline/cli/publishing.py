@@ -119,11 +119,9 @@ def prune(
     config: ConfigFile,
     output: Output = None,
     tables: Annotated[
-        str, typer.Option(help="Tables, with commas between; those of [retention] if empty.")
-    ] = "",
-    keep: Annotated[
-        int | None, typer.Option(min=1, help="Newest nights to keep of them; else the config's.")
-    ] = None,
+        str, typer.Option(help="Tables, with commas between; without, predictions alone.")
+    ] = "predictions",
+    keep: Annotated[int, typer.Option(min=1, help="Newest nights to keep of them.")] = 400,
     yes: Annotated[
         bool, typer.Option("--yes", help="Remove them; without it nothing is removed.")
     ] = False,
@@ -137,14 +135,16 @@ def prune(
     """
     from pipeline.run.publishing import newest_of_fleet
     from pipeline.store.locks import locked
-    from pipeline.store.retention import nights_kept, old_files
+    from pipeline.store.retention import old_files, require_prunable
     from pipeline.store.retention import prune as remove
     from pipeline.store.state import make_ready, open_state
     from pipeline.store.tables import existing_tables
 
     fleet = load(config, output, None, logs=False)
     existing_tables(fleet.output)
-    kept = nights_kept(fleet.retention, tables.replace(",", " ").split(), keep)
+    named = tables.replace(",", " ").split()
+    require_prunable(named)
+    kept = dict.fromkeys(named, keep)
     newest_night = newest_of_fleet(fleet, now())
     old = old_files(fleet.output, kept, None if newest_night is None else newest_night.night)
     if yes and old:

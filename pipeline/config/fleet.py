@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import OilSample, Walther, measured_curve
-from pipeline.config.settings import Execution, Retention, Settings
+from pipeline.config.settings import Execution, Settings
 from pipeline.errors import UsageError
 
 if TYPE_CHECKING:
@@ -91,7 +91,6 @@ class Fleet:
     log_root: Path
     output: Path
     settings: Settings
-    retention: Retention
     copy_to: str = ""  # URL that a run copies the tables to; empty: none
     metrics_file: Path | None = None
     log_url: str = ""  # empty where the logs lie in a folder

@@ -91,7 +91,6 @@ def load_fleet(path: Path) -> Fleet:
         name=fleet.name,
         motors=tuple(specs),
         execution=fleet.execution,
-        retention=fleet.retention,
         log_root=log_root,
         output=output,
         settings=fleet,

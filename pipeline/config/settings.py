@@ -210,19 +210,12 @@ class Model(Section):
 
 
 class Estimation(Section):
-    """Bounded least squares; the search of the thesis, by `fit` alone, names as in MATLAB's
-    lsqnonlin."""
+    """Bounded least squares; the search of the thesis from several starts, by `fit` alone."""
 
     shapes = Stage.NOTHING
 
     starting_points: int = Field(10, ge=0, le=1000)
     """Starting points of the audit by `fit`."""
-    step_tolerance: Positive = 1e-10
-    """A start stops below this step."""
-    function_tolerance: Positive = 1e-10
-    """A start stops below this change of the criterion."""
-    maximum_iterations: int = Field(200, ge=1)
-    """Iterations a start may take."""
     loss: Annotated[Literal["squared", "huber"], Stage.BLOCKS] = "squared"
     """`huber`: samples with large errors count less."""
     sensitivity_samples: Annotated[int, Stage.FIGURES] = Field(1500, ge=100)
@@ -335,19 +328,6 @@ class Execution(Section):
             yield ("scheduler",), "is missing: the address of the Dask scheduler", None
 
 
-class Retention(Section):
-    """Newest nights whose rows `prune` keeps, by table; without a number all are kept."""
-
-    shapes = Stage.NOTHING
-
-    predictions: int | None = Field(None, ge=1)
-    """Nights kept of `predictions`."""
-    residual_tests: int | None = Field(None, ge=1)
-    """Nights kept of `residual_tests`."""
-    sensitivities: int | None = Field(None, ge=1)
-    """Nights kept of `sensitivities`."""
-
-
 class Metrics(Section):
     """Metrics of each run as a file for Prometheus."""
 
@@ -388,7 +368,6 @@ class FleetFile(Settings):
     """The fleet's name, as reports show it."""
     folders: Folders = left_out()
     execution: Execution = left_out()
-    retention: Retention = left_out()
     metrics: Metrics = left_out()
     defaults: dict[str, Any] = Field({})
     """Parts of a motor's file, for motors that do not state them; `{name_in_log}` is the motor's

@@ -69,9 +69,6 @@ def _searched(spec: MotorSpec, motor: Motor, row: dict[str, Any]) -> Search:
         motor,
         np.random.default_rng(seed),
         starting_points=asked.starting_points,
-        step_tolerance=asked.step_tolerance,
-        function_tolerance=asked.function_tolerance,
-        maximum_iterations=asked.maximum_iterations,
     )
 
 

@@ -1,8 +1,7 @@
 """Retention: removal of table files of old nights.
 
-The config may prune only tables from which nothing is made; `block_statistics` has to be named, as
-refits and trends are made from it. A removal is announced before the file goes: after a crash in
-between, the next pruning removes it.
+Refits and trends are made from `block_statistics`, nothing from the others. A removal is announced
+before the file goes: after a crash in between, the next pruning removes it.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.config import Retention
 from pipeline.errors import UsageError
 from pipeline.schema import TABLES
 from pipeline.store.atomic_files import remove
@@ -44,32 +42,13 @@ class OldFiles:
     loss: str
 
 
-def nights_kept(retention: Retention, tables: Sequence[str], keep: int | None) -> dict[str, int]:
-    """Number of nights to keep of each table that is asked for, or of those of the config.
-
-    `keep`: nights to keep of the tables that are asked for; None: as configured.
-
-    Raises UsageError (``prune_table``) for a table that cannot be pruned, or that has no number.
-    """
-    configured = {name: n for name, n in retention.model_dump().items() if n is not None}
-    if not tables:
-        if keep is not None:
-            raise UsageError("prune_table", "--keep needs --tables: name what is to be pruned")
-        return configured
-    strangers = sorted(set(tables) - LOSSES.keys())
-    if strangers:
+def require_prunable(tables: Sequence[str]) -> None:
+    """Raise UsageError (``prune_table``) for a table that cannot be pruned."""
+    if strangers := sorted(set(tables) - LOSSES.keys()):
         raise UsageError(
             "prune_table",
             f"{', '.join(strangers)} cannot be pruned; tables that can: {', '.join(LOSSES)}",
         )
-    unknown = [name for name in tables if keep is None and name not in configured]
-    if unknown:
-        raise UsageError(
-            "prune_table",
-            f"expected the number of nights of {', '.join(unknown)} to keep, with --keep or under "
-            "[retention]",
-        )
-    return {name: configured[name] if keep is None else keep for name in tables}
 
 
 def old_files(

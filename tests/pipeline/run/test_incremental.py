@@ -171,7 +171,6 @@ def test_a_setting_redoes_what_depends_on_it_and_says_so(workshop: Workshop, set
     [
         ("[execution]\n", "[execution]\nworkers = 1\n"),
         ("[execution]\n", "[execution]\nminimum_free_mib = 0\n"),
-        ("[execution]\n", "[retention]\npredictions = 9\n[execution]\n"),
         ("[execution]\n", '[alarms]\nwebhook_url = "https://example.org/x"\n[execution]\n'),
         ("[execution]\n", '[alarms]\nwebhook_headers = { X = "1" }\n[execution]\n'),
         ("[execution]\n", '[alarms]\nwebhook_secret = "${X}"\n[execution]\n'),

@@ -10,18 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import Retention, load_fleet
+from pipeline.config import load_fleet
 from pipeline.errors import UsageError
 from pipeline.run.plans import plan_fleet
 from pipeline.run.tasks import RunRequest
 from pipeline.schema import NIGHT_TABLES, TREND_TABLES
 from pipeline.store.locks import locked
 from pipeline.store.published import verify_tables
-from pipeline.store.retention import LOSSES, nights_kept, old_files, prune
+from pipeline.store.retention import LOSSES, old_files, prune, require_prunable
 from pipeline.store.state import STATE_FILE, open_state
 from tests.pipeline.calling import Call, contents
 from tests.pipeline.remembered import record_of
-from tests.pipeline.workshop import DAY, QUICK, Workshop
+from tests.pipeline.workshop import DAY, Workshop
 
 # The nights lie on both sides of a month's end.
 FIRST = dt.date(2026, 2, 26)
@@ -126,40 +126,26 @@ def test_figures_trends_and_decisions_cannot_be_pruned(tmp_path: Path) -> None:
     assert {"fits", "parameters", "operation", "quality", "input_files", "trends"} <= made_from
     for name in sorted(made_from):
         with pytest.raises(UsageError, match=f"{name} cannot be pruned"):
-            nights_kept(Retention(), [name], 5)
-    # What refits and trends need is never said in the config, only asked for by name.
-    assert set(Retention.model_fields) == LOSSES.keys() - {"block_statistics"}
-
-
-def test_the_config_says_how_many_nights_or_the_caller_does() -> None:
-    retention = Retention(predictions=90)
-    assert nights_kept(retention, [], None) == {"predictions": 90}
-    assert nights_kept(retention, ["predictions"], None) == {"predictions": 90}
-    assert nights_kept(retention, ["predictions", "residual_tests"], 5) == {
-        "predictions": 5,
-        "residual_tests": 5,
-    }
-    with pytest.raises(UsageError, match="the number of nights of residual_tests"):
-        nights_kept(retention, ["residual_tests"], None)
-    with pytest.raises(UsageError, match="--keep needs --tables"):
-        nights_kept(retention, [], 5)
+            require_prunable(["predictions", name])
+    require_prunable(list(LOSSES))
 
 
 def test_the_command_lists_and_with_yes_removes(workshop: Workshop, call: Call) -> None:
-    workshop.configure(fleet=QUICK + "[retention]\npredictions = 2\n")
     before = contents(workshop.output)
-    code, out, err = call("prune", workshop.fleet)
+    assert call("prune", workshop.fleet) == (0, "0.0 MiB can be removed\n", "")
+    asked = ("prune", workshop.fleet, "--keep", "2")
+    code, out, err = call(*asked)
     assert (code, err) == (0, "")
     assert out.startswith("predictions: 4 files, 2026-02-26 to 2026-03-01, 0.")
     assert LOSSES["predictions"] in out
     assert "say --yes" in out
     assert contents(workshop.output) == before
     with locked(workshop.output):
-        code, _, err = call("prune", workshop.fleet, "--yes")
+        code, _, err = call(*asked, "--yes")
     assert (code, err.startswith("motor-leakage: locked: ")) == (3, True)
     assert nights_of(workshop, "predictions") == list(NIGHTS)
-    code, out, _ = call("prune", workshop.fleet, "--yes", "--json")
+    code, out, _ = call(*asked, "--yes", "--json")
     line = json.loads(out)
     assert (line["event"], line["n_files"], line["removed"]) == ("prune", 4, True)
     assert nights_of(workshop, "predictions") == list(NIGHTS[-2:])
-    assert call("prune", workshop.fleet, "--yes")[1] == "0.0 MiB removed\n"
+    assert call(*asked, "--yes")[1] == "0.0 MiB removed\n"
