@@ -29,7 +29,7 @@ Row = Mapping[str, Any]
 BLUE, VERMILION, ORANGE = COLOURS[0], COLOURS[1], COLOURS[4]
 GREY: Final = "#8a949e"
 GAP = "gap_change_"
-# Evidence that far beyond its limit says nothing more, and would hide how it came there.
+# The axis of the evidence ends that far beyond its limit: more would hide how it came there.
 SHOWN_EVIDENCE = 2.5
 # Half the height of an axis at least, as a share of the middle value: noise looks like noise.
 LEAST_REACH = 0.15
@@ -48,7 +48,6 @@ class Line:
     # dash, symbol: names of Plotly; empty: no marks.
     dash: str = "solid"
     symbol: str = ""
-    words: tuple[str, ...] = ()  # of each point, beside its value
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,12 +160,12 @@ def _evidence_panel(motor: MotorHistory) -> Panel | None:
         return None
     whole = np.where(np.isfinite(evidence), evidence, np.nan)
     top = SHOWN_EVIDENCE * float(np.nanmax(limit))
-    words = tuple("" if np.isnan(one) else f"{one:.1f}" for one in whole.tolist())
     lines = (
-        Line("evidence", np.minimum(whole, top), symbol="circle", words=words),
+        Line("evidence", whole, symbol="circle"),
         Line("limit: a change is detected above it", limit, VERMILION, dash="longdash"),
     )
-    return Panel("Evidence of a change", "ln R", lines, (-2.0, 1.05 * top), 110)
+    unit = "ln R" if np.nanmax(whole, initial=0.0) <= top else f"ln R, up to {top:.0f}"
+    return Panel("Evidence of a change", unit, lines, (-2.0, top), 110)
 
 
 def _events(events: Iterable[Event]) -> Iterable[Mark]:

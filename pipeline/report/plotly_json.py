@@ -95,7 +95,6 @@ def safe(name: str) -> str:
 def _trace(line: Line, panel: Panel, axis: str, chart: Chart) -> Payload:
     marks = bool(line.symbol) and int(np.isfinite(line.value).sum()) <= MARKED
     day = "%Y-%m-%d" if chart.time.dtype == np.dtype("datetime64[D]") else "%Y-%m-%d %H:%M:%S"
-    value = "%{text}" if line.words else f"%{{y:.4g}} {panel.unit}"
     trace: Payload = {
         "type": "scatter",
         "mode": "lines+markers" if marks else "lines",
@@ -104,10 +103,8 @@ def _trace(line: Line, panel: Panel, axis: str, chart: Chart) -> Payload:
         "yaxis": axis,
         "line": {"color": line.colour, "width": 1.4, "dash": "solid" if marks else line.dash},
         "marker": {"color": line.colour, "size": 5, "symbol": line.symbol or "circle"},
-        "hovertemplate": f"%{{x|{day}}}: {value}<extra>{safe(line.name)}</extra>",
+        "hovertemplate": f"%{{x|{day}}}: %{{y:.4g}} {panel.unit}<extra>{safe(line.name)}</extra>",
     }
-    if line.words:
-        trace["text"] = [safe(one) for one in line.words]
     if line.lower is not None and line.upper is not None:
         ends = {"array": line.upper - line.value, "arrayminus": line.value - line.lower}
         trace["error_y"] = {name: numbers(one) for name, one in ends.items()}

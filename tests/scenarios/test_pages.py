@@ -13,7 +13,8 @@ import pytest
 from tests.scenarios.covering import covers
 from tests.scenarios.fleets import ScenarioFleet
 
-HEALTHY, WORN, BLIND = "CB400-01", "CB560-02", "CB1120-02"  # the last holds one pressure
+# A step of a gap; the last holds one pressure.
+HEALTHY, WORN, BROKEN, BLIND = "CB400-01", "CB560-02", "CB560-01", "CB1120-02"
 
 
 def payload(path: Path) -> Any:
@@ -56,6 +57,15 @@ def test_the_chart_over_the_nights_is_that_of_the_tables(demo: ScenarioFleet) ->
     detected = str(min(row["detected_on"] for row in nights if row["detected_on"]))
     assert detected in {shape["x0"] for shape in shapes if shape["type"] == "line"}
     assert drawn["baseline"][-1] == pytest.approx(drawn["leakage"][8], rel=0.02)
+
+
+def test_evidence_is_drawn_whole_and_the_end_of_its_axis_is_named(demo: ScenarioFleet) -> None:
+    chart = payload(demo.output / "report" / "motors" / f"{BROKEN}.html")["course"]
+    evidence = [value for value in column(demo.nights(BROKEN), "evidence") if value is not None]
+    assert [value for value in lines(chart)["evidence"] if value is not None] == evidence
+    top = chart["layout"]["yaxis2"]["range"][1]
+    assert max(evidence) > top
+    assert f"ln R, up to {top:.0f}" in str(chart["layout"]["annotations"])
 
 
 def test_what_stands_beside_the_chart(demo: ScenarioFleet) -> None:

@@ -37,20 +37,6 @@ def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
     assert call("report", fleet)[1].startswith("1 motor, 0 nights updated, 1 file written")
 
 
-def test_damaged_tables_and_none_are_told(call: Call, own_fleet: OwnFleet, tmp_path: Path) -> None:
-    fleet = own_fleet(MOTOR, fitted=True)
-    next((fleet.parent.parent / "out" / "tables" / "parameters").rglob("*.parquet")).write_bytes(
-        b"PAR1"
-    )
-    code, _, err = call("report", fleet)
-    assert code == 4
-    assert re.search(r"store_read: 2026-01\.parquet of parameters is damaged", err)
-    code, _, err = call("report", fleet, "--output", tmp_path / "nowhere")
-    assert code == 4
-    assert "run fit-fleet first" in err
-    assert not (tmp_path / "nowhere").exists()
-
-
 def test_templates_scripts_and_styles_are_in_the_wheel(tmp_path: Path) -> None:
     # In a copy: what a build leaves beside its sources is not for this folder.
     source = tmp_path / "source"
