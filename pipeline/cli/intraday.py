@@ -71,7 +71,8 @@ def look(
 
 def _check(fleet: Fleet, wanted: Sequence[str], *, as_json: bool) -> Sequence[MotorCheck]:
     """Check once, print changes of state and faults, and write the metrics."""
-    from pipeline.intraday.check import NOT_JUDGED, check_fleet
+    from pipeline.intraday.check import check_fleet
+    from pipeline.intraday.rows import NOT_JUDGED
 
     found = check_fleet(fleet, wanted)
     for check in found:

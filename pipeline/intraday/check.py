@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime as dt
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from leakage import LeakageError
@@ -20,7 +20,7 @@ from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash, hash_of, own_version
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.nights import night_of
-from pipeline.errors import LockedError, LogError, MotorLeakageError, StoreError
+from pipeline.errors import LogError, MotorLeakageError, StoreError
 from pipeline.intraday.night_so_far import (
     NightsBefore,
     NightSoFar,
@@ -28,7 +28,15 @@ from pipeline.intraday.night_so_far import (
     nights_before,
     read_so_far,
 )
-from pipeline.intraday.rows import CONFIRMED, WITHDRAWN, Row, last_rows, publish_rows, row_of
+from pipeline.intraday.rows import (
+    CONFIRMED,
+    NOT_JUDGED,
+    WITHDRAWN,
+    Row,
+    last_rows,
+    publish_rows,
+    row_of,
+)
 from pipeline.logs.processed import as_published, read_processed, read_settings
 from pipeline.night.fit_night import Insufficient
 from pipeline.notification.delivery import Receiver
@@ -47,7 +55,6 @@ from pipeline.workers.process import one_thread
 
 log = logging.getLogger(__name__)
 
-NOT_JUDGED = "not_judged"
 WHAT_TO_DO = "look at the motor and its drain filter now, and compare the drain flow by hand"
 # Nights behind that of a rise that may still say whether it was one.
 MOST_NIGHTS = 7
@@ -175,27 +182,20 @@ def _with_circuit(check: MotorCheck, circuit: Sequence[MotorCheck]) -> MotorChec
     return replace(check, reason=reason, rows=(row | {"reason": reason},))
 
 
-def settle_rises(fleet: Fleet, state: State) -> None:
+def settle_rises(fleet: Fleet, state: State, rises: Mapping[str, Row]) -> None:
     """Let the nights that a run has published confirm or withdraw reported rises, and deliver it.
 
-    That it cannot be done, as while a check is under way, costs nobody the run: the next one does
-    it.
+    Raises LockedError while a check is under way; StoreError.
     """
-    try:
-        last = last_rows(fleet.output, [spec.motor_id for spec in fleet.motors])
-        specs = [one for one in fleet.motors if last.get(one.motor_id, {}).get("to_state") == RISEN]
-        if not specs:
-            return
-        decisions = decisions_of(specs, read_decisions(fleet.output))
-        receivers = receivers_of(fleet.settings.alarms)
-        with locked(fleet.output / "look"):
-            open_outbox(state, [one.name for one in receivers], fleet.name, TOLD_LOOKS)
-            for spec in specs:
-                row = _settled(state, spec, decisions[spec.motor_id], last[spec.motor_id])
-                publish_rows(state, [] if row is None else [row], _run_id(spec))
-            _deliver(fleet, state, receivers)
-    except (LockedError, StoreError) as error:
-        log.warning("intraday check: %s; the next run settles what it reported", error)
+    specs = [one for one in fleet.motors if one.motor_id in rises]
+    decisions = decisions_of(specs, read_decisions(fleet.output))
+    receivers = receivers_of(fleet.settings.alarms)
+    with locked(fleet.output / "look"):
+        open_outbox(state, [one.name for one in receivers], fleet.name, TOLD_LOOKS)
+        for spec in specs:
+            row = _settled(state, spec, decisions[spec.motor_id], rises[spec.motor_id])
+            publish_rows(state, [] if row is None else [row], _run_id(spec))
+        _deliver(fleet, state, receivers)
 
 
 def _deliver(fleet: Fleet, state: State, receivers: Sequence[Receiver]) -> None:

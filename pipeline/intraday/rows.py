@@ -6,9 +6,8 @@ import datetime as dt
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from leakage.watch import Estimate
 from pipeline.clock import utc
 from pipeline.schema import LOOKS
 from pipeline.store.publishing import Publisher
@@ -16,7 +15,12 @@ from pipeline.store.state import State
 from pipeline.store.tables import read_rows
 from pipeline.trends.rows.motor_states import CLEAR, RISEN, IntradayStatus
 
+if TYPE_CHECKING:
+    from leakage.watch import Estimate
+
 CONFIRMED, WITHDRAWN = "confirmed", "withdrawn"
+# Said of a motor by a check, and no row.
+NOT_JUDGED = "not_judged"
 
 Row = dict[str, Any]
 
@@ -43,6 +47,12 @@ def last_rows(output: Path, motor_ids: Sequence[str]) -> dict[str, Row]:
     """The last row of each motor that has one; raises StoreError if the table is damaged."""
     rows = read_rows(output, LOOKS, motor_ids).sort("time").iter_rows(named=True)
     return {row["motor_id"]: row for row in rows}
+
+
+def open_rises(output: Path, motor_ids: Sequence[str]) -> dict[str, Row]:
+    """The rows of rises that no night has settled, by motor; raises as `last_rows`."""
+    last = last_rows(output, motor_ids)
+    return {motor_id: row for motor_id, row in last.items() if row["to_state"] == RISEN}
 
 
 def publish_rows(state: State, rows: Iterable[Row], run_id: str) -> None:

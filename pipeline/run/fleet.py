@@ -18,13 +18,12 @@ from pathlib import Path
 
 from pipeline.config import Fleet
 from pipeline.errors import StoreError
-from pipeline.intraday.check import settle_rises
 from pipeline.logs.finding import legible
 from pipeline.notification.outbox import open_outbox
 from pipeline.notification.receivers import receivers_of
 from pipeline.run.mending import EVERY_DAY, Damage, restore_decisions
 from pipeline.run.motors import motor_outcomes
-from pipeline.run.notification import deliver_alarms, measure, queue_summary
+from pipeline.run.notification import deliver_alarms, measure, queue_summary, settle_intraday
 from pipeline.run.publishing import (
     STAGES,
     config_hash_of,
@@ -99,7 +98,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
                 open_outbox(state, [one.name for one in receivers], fleet.name)
                 with open_workers(fleet.execution, folders) as workers:
                     result = _run(request, staging, progress, heartbeat, workers, damage)
-                settle_rises(fleet, state)
+                settle_intraday(fleet, state)
                 queue_summary(fleet, state)
                 write_manifest(state)
         # A motor without an outcome of its own has its own words.

@@ -5,15 +5,19 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pipeline.config import Fleet
 from pipeline.config.nights import night
 from pipeline.errors import StoreError
-from pipeline.intraday.check import NOT_JUDGED, MotorCheck
+from pipeline.intraday.rows import NOT_JUDGED
 from pipeline.notification.outbox import Backlog
 from pipeline.run.tasks import MotorOutcome
 from pipeline.store.atomic_files import put, remove_leftovers
 from pipeline.trends.rows.motor_states import CLEAR, ORDER, RISEN, MotorState
+
+if TYPE_CHECKING:
+    from pipeline.intraday.check import MotorCheck
 
 HEAD = "# Made by motor-leakage"
 # Name of a metric, its column of `watch`, and what it is.

@@ -7,7 +7,8 @@ import logging
 from collections.abc import Sequence
 
 from pipeline.config import Fleet
-from pipeline.errors import StoreError
+from pipeline.errors import LockedError, StoreError
+from pipeline.intraday.rows import open_rises
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.mail import EMAIL
 from pipeline.notification.outbox import add_summary, backlogs, deliver
@@ -29,6 +30,19 @@ def queue_summary(fleet: Fleet, state: State) -> None:
             add_summary(state, EMAIL, fleet.name, due, lambda: _states(fleet))
     except StoreError as error:
         log.warning("summary: %s; the next run tells it", error)
+
+
+def settle_intraday(fleet: Fleet, state: State) -> None:
+    """Let published nights settle what the intraday check reported; if not now, the next run's."""
+    try:
+        rises = open_rises(fleet.output, [spec.motor_id for spec in fleet.motors])
+        if rises:
+            # Most runs need none of it.
+            from pipeline.intraday.check import settle_rises
+
+            settle_rises(fleet, state, rises)
+    except (LockedError, StoreError) as error:
+        log.warning("intraday check: %s; the next run settles what it reported", error)
 
 
 def _states(fleet: Fleet) -> list[dict[str, str]]:
