@@ -1,7 +1,7 @@
 """A small S3 server on loopback whose requests can be made to fail.
 
 What the clients ask for: buckets by their path, objects with tags, conditional gets, byte ranges,
-listings in one page, removals one by one or many at once.
+listings in one page, removals of many at once.
 """
 
 from __future__ import annotations
@@ -103,20 +103,17 @@ class Handler(BaseHTTPRequestHandler):
             with self.served.lock:
                 self._serve(key, parse_qs(place.query, keep_blank_values=True), body)
 
-    do_GET = do_HEAD = do_PUT = do_POST = do_DELETE = do  # noqa: N815
+    do_GET = do_HEAD = do_PUT = do_POST = do  # noqa: N815
 
     def _serve(self, key: str, query: dict[str, list[str]], body: bytes) -> None:
         objects = self.served.objects
         if self.command == "PUT":
             objects[key] = Stored(body, next(self.served.clock))
             self._answer(200, ETag=objects[key].tag)
-        elif self.command == "DELETE":
-            objects.pop(key, None)
-            self._answer(204)
         elif self.command == "POST":
             self._remove([one.text or "" for one in ET.fromstring(body).iter(S3 + "Key")])  # noqa: S314
         elif not key:
-            self._list(*(query.get(name, [""])[0] for name in ("prefix", "delimiter")))
+            self._list(query.get("prefix", [""])[0])
         elif (found := objects.get(key)) is None:
             self._answer(404, b"<Error><Code>NoSuchKey</Code></Error>")
         else:
@@ -145,23 +142,17 @@ class Handler(BaseHTTPRequestHandler):
     def _range(self) -> tuple[str, str, str]:
         return self.headers.get("Range", "").removeprefix("bytes=").partition("-")
 
-    def _list(self, prefix: str, delimiter: str) -> None:
+    def _list(self, prefix: str) -> None:
         root = ET.Element("ListBucketResult")
         ET.SubElement(root, "IsTruncated").text = "false"
-        folders = set()
         for key, one in sorted(self.served.objects.items()):
             if not key.startswith(prefix):
-                continue
-            if delimiter and delimiter in key[len(prefix) :]:
-                folders.add(prefix + key[len(prefix) :].partition(delimiter)[0] + delimiter)
                 continue
             found = ET.SubElement(root, "Contents")
             said = {"Key": key, "Size": str(len(one.content)), "ETag": one.tag}
             said["LastModified"] = f"{dt.datetime.fromtimestamp(one.put_on, dt.UTC):%FT%TZ}"
             for name, text in said.items():
                 ET.SubElement(found, name).text = text
-        for folder in sorted(folders):
-            ET.SubElement(ET.SubElement(root, "CommonPrefixes"), "Prefix").text = folder
         self._answer(200, ET.tostring(root))
 
     def _answer(self, status: int, body: bytes = b"", **headers: str) -> None:

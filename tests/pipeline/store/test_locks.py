@@ -1,4 +1,4 @@
-"""A first signal waits, a second one does not."""
+"""A second signal does not wait, as the first does (`test_cli.py`)."""
 
 from __future__ import annotations
 
@@ -25,19 +25,6 @@ def told() -> Iterator[list[int]]:
     yield numbers
     for number, handler in before.items():
         signal.signal(number, handler)
-
-
-@pytest.mark.parametrize("number", INTERRUPTS)
-def test_a_first_signal_waits(told: list[int], number: signal.Signals) -> None:
-    before = [signal.getsignal(one) for one in INTERRUPTS]
-    with interrupts_held() as came:
-        os.kill(os.getpid(), number)
-        assert (came, told) == ([number], [])
-    assert (came, told) == ([number], [number])
-    assert [signal.getsignal(one) for one in INTERRUPTS] == before
-    with interrupts_held() as came:
-        pass
-    assert came == []
 
 
 def test_a_second_signal_does_not(told: list[int]) -> None:
