@@ -55,8 +55,7 @@ def copy_output(url: str, output: Path) -> int:
     missing = sorted(published.keys() - trusted)
     with ThreadPoolExecutor(REQUESTS) as pool:
         list(pool.map(copy, missing))
-    if missing or copied != published:
-        store.put(MANIFEST_FILE, manifest)
+    store.put(MANIFEST_FILE, manifest)
     store.remove((copied.keys() - published.keys()) & modified.keys())
     return len(missing)
 

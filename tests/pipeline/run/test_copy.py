@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,21 @@ def test_what_the_store_refuses_the_next_run_copies(
     server.objects[f"fleet/{MANIFEST}"] = Stored(b"no JSON", 0)
     assert call("fit-fleet", shop.fleet)[0] == 0
     assert server.below(URL) == published(shop.output)
+
+
+def test_a_file_that_rots_on_the_disk_is_not_copied(
+    server: Server, shop: Workshop, call: Call
+) -> None:
+    assert call("fit-fleet", shop.fleet)[0] == 0
+    fits = shop.output / "tables" / "fits" / "month=2026-01" / "2026-01.parquet"
+    content, stat = bytearray(fits.read_bytes()), fits.stat()
+    content[100] ^= 1
+    fits.write_bytes(content)
+    os.utime(fits, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    del server.objects["fleet/tables/fits/month=2026-01/2026-01.parquet"]
+    code, _, err = call("fit-fleet", shop.fleet)
+    assert code == 1
+    assert "2026-01.parquet is not what was published" in err
 
 
 def test_readers_of_the_copy_need_no_list_of_files(
