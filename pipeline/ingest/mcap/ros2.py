@@ -117,7 +117,7 @@ class _Topic:
         reader, root = reader_of(payload), self.definitions[self.root]
         try:
             message = _read_complex_type(root, self.definitions, reader, self.classes)
-        except (struct.error, EOFError):
+        except struct.error:
             return None
         except OverflowError as error:
             raise _too_large(self.path, self.name) from error
@@ -233,25 +233,23 @@ def _stamp_parts(sample: Any, stamp: FieldPath | None) -> tuple[FieldPath, ...]:
 
 
 class _Payload(bytes):
-    """A payload that counts what is read of it: EOFError at its end."""
+    """A payload that counts what is read of it: numbers, and arrays of bytes."""
 
     n_read = 0
 
     def __getitem__(self, part: Any) -> Any:
-        self.pass_to(part.stop)
+        self.count_one()
         return super().__getitem__(part)
 
-    def pass_to(self, end: int) -> None:
-        """Count a number or an array of bytes, read up to a place."""
+    def count_one(self) -> None:
+        """Count one more; raises OverflowError if these are too many."""
         self.n_read += 1
         if self.n_read > MOST_READ:
             raise OverflowError
-        if end > len(self):
-            raise EOFError
 
 
 class _Reader(CdrReader):
-    """The package's reader, which takes cut messages for whole ones, with an end."""
+    """The package's reader, which does not read without an end."""
 
     data: _Payload
 
@@ -259,9 +257,8 @@ class _Reader(CdrReader):
         super().__init__(_Payload(payload))
 
     def _unpack(self, fn: Any, size: int) -> Any:
-        value = super()._unpack(fn, size)
-        self.data.pass_to(self.offset)
-        return value
+        self.data.count_one()
+        return super()._unpack(fn, size)
 
     def string_raw(self, length: int) -> str:
         """A text, in whatever encoding."""

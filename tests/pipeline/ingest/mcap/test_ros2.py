@@ -125,7 +125,8 @@ def test_messages_of_any_layout_are_read_as_by_the_official_reader(
     messages = [message(rng, i, shape) for i, shape in enumerate(shapes)]
     path = tmp_path / "log.mcap"
     path.write_bytes(ros2_of(HYDRAULICS, encoded(messages)))
-    for field, found in all_values(path, FIELDS).items():
+    for field in FIELDS:  # one at a time: bytes are read message by message
+        found = all_values(path, [field])[field]
         assert found == officially(path, field)
         assert any(value is not None for value in found)
 
@@ -163,6 +164,11 @@ def test_both_byte_orders_in_one_file(tmp_path: Path) -> None:
     assert officially(tmp_path / "log.mcap", "last") == [1, 2, 3]
 
 
+def test_truth_values_are_0_and_1(tmp_path: Path) -> None:
+    payloads = [bytes([0, 1, 0, 0, byte]) for byte in (0, 1, 2)]
+    assert values(tmp_path, ros2_of("bool value", payloads), "value") == [0.0, 1.0, 1.0]
+
+
 @pytest.mark.parametrize("second", [2, 3, 6, 7, 9, 11])
 def test_other_representations_are_refused(tmp_path: Path, second: int) -> None:
     good, other = (struct.pack("<BBBBd", 0, mark, 0, 0, 7.0) for mark in (1, second))
@@ -193,6 +199,11 @@ def test_a_message_that_is_cut_is_missing_and_counted(tmp_path: Path) -> None:
     cut = ros2_of("float64 value\nint32 last", [last, last[:-1], last[:-4]])
     assert values(tmp_path, cut, "value") == [7.0, None, None]
     assert code(tmp_path, ros2_of(definition, [b"", endless]), "value") == "log_type"
+    whole = struct.pack("<4sdIB3xI5s", b"\0\1\0\0", 7.0, 1, 1, 5, b"text\0")
+    bytes_cut = struct.pack("<4sdIB", b"\0\1\0\0", 7.0, 9, 1)
+    end_cut = struct.pack("<4sdII", b"\0\1\0\0", 7.0, 0, 1)
+    cut = ros2_of("float64 value\nuint8[] raw\nstring s", [whole, bytes_cut, end_cut, whole[:-3]])
+    assert values(tmp_path, cut, "value") == [7.0, None, None, None]
 
 
 @given(payload=st.binary(max_size=120), cut=st.integers(0, 400))
