@@ -48,7 +48,7 @@ def suspect_units(
         for name, channel in spec.file.channels.items()
         if channel.counts is None
         and channel.constant is None
-        and (value := _typical(channels[name])) is not None
+        and (value := _typical(name, channels[name])) is not None
     }
     judged = {
         name: USUAL[QUANTITIES[name]]
@@ -87,9 +87,14 @@ def units_told(path: Path, file: MotorFile) -> Iterator[str]:
         )
 
 
-def _typical(raw: RawChannel) -> float | None:
-    """Upper quartile of all numbers' magnitudes, those out of range too: they tell the unit."""
-    numbers = np.abs(raw.value[np.isfinite(raw.value)])
+def _typical(name: str, raw: RawChannel) -> float | None:
+    """Upper quartile of all numbers, those out of range too: they tell the unit.
+
+    The sign of a pressure, a speed or a flow is its direction, and left out.
+    """
+    numbers = raw.value[np.isfinite(raw.value)]
+    if name != "oil_temperature":
+        numbers = np.abs(numbers)
     return float(np.percentile(numbers, 75)) if len(numbers) else None
 
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import polars as pl
@@ -9,6 +14,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 from tests.scenarios import published
+from tests.scenarios.command import ROOT
 from tests.scenarios.covering import covers
 from tests.scenarios.fleets import FIRST, ScenarioFleet, Simulated, make_fleet
 
@@ -181,3 +187,48 @@ def test_a_night_too_short_and_one_at_rest(tmp_path: Path) -> None:
     assert all(row["reason"] for row in fleet.nights("M1")[1:])
     words = fleet.run("explain", "M1", fleet.label(3)).out
     assert "stood still" in words
+
+
+def test_nothing_can_be_published_where_a_file_is(small: ScenarioFleet) -> None:
+    (small.folder / "file").write_text("")
+    done = small.run("fit-fleet", "--output", small.folder / "file")
+    assert (done.code, done.out) == (4, "")
+    assert str(small.folder / "file") in done.err
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -9)])
+def test_a_second_run_is_turned_away_and_what_is_stopped_goes_on(
+    plant: ScenarioFleet, shared_plant: ScenarioFleet, number: signal.Signals, code: int
+) -> None:
+    plant.output.rename(plant.folder / "before")
+    words = ("fit-fleet", "--motors", "broken worn", "--until", str(plant.label(10)))
+    command = [sys.executable, "-m", "pipeline.cli", words[0], str(plant.config), *words[1:]]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        while stage_of(plant) != "motors":
+            assert process.poll() is None
+            time.sleep(0.01)
+        second = plant.run(*words)
+        process.send_signal(number)
+        assert process.wait() == code
+    assert second.code == 3
+    assert f"process {process.pid}" in second.err
+    assert plant.run(*words).code == 0
+    key = ["motor_id", "night", "parameter"]
+    made, expected = (
+        fleet.table("parameters")
+        .filter(pl.col("motor_id").is_in(["broken", "worn"]), pl.col("night") <= plant.label(10))
+        .drop(OF_RUNS)
+        .sort(key)
+        for fleet in (plant, shared_plant)
+    )
+    assert made.height == expected.height > 0
+    assert_frame_equal(made.select(key), expected.select(key))
+    assert plant.run("check", "--tables").code == 0
+
+
+def stage_of(fleet: ScenarioFleet) -> str:
+    """What the heartbeat of a run says it is at."""
+    try:
+        return str(json.loads((fleet.output / "heartbeat.json").read_text())["stage"])
+    except FileNotFoundError:
+        return ""

@@ -85,6 +85,33 @@ def test_check_looks_at_each_log(plant: ScenarioFleet) -> None:
     assert damaged["calm"]["faults"] == []
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ('unit = "bar"', 'unit = "MPa"', "usual if the log's unit were bar or psi"),
+        ('unit = "degC"', 'unit = "K"', "typically -221 °C, which is unusual"),
+        ('source = "leakage_flow"', 'source = "speed_rpm"', "speed_rpm"),
+    ],
+)
+def test_check_finds_what_a_config_has_wrong_of_the_logs(
+    plant: ScenarioFleet, before: str, after: str, words: str
+) -> None:
+    plant.change("motors/broken.toml", before, after)
+    done = plant.run("check")
+    assert done.code == 1
+    assert words in done.out + done.err
+
+
+def test_check_names_logs_of_no_motor_and_columns_that_look_swapped(plant: ScenarioFleet) -> None:
+    (plant.folder / "logs" / "stray.csv").write_text("time,a\n")
+    text = (plant.config.parent / "motors" / "broken.toml").read_text("utf-8")
+    swapped = text.replace('"speed"', '"?"').replace('"oil_temperature"', '"speed"')
+    plant.change("motors/broken.toml", text, swapped.replace('"?"', '"oil_temperature"'))
+    done = plant.run("check")
+    assert "stray.csv" in done.out + done.err
+    assert "oil_temperature jumps as no oil does: are columns swapped?" in done.out
+
+
 def a_table(plant: ScenarioFleet) -> Path:
     """The newest file of the measured and modelled flow."""
     return max((plant.output / "tables" / "predictions").rglob("*.parquet"))
