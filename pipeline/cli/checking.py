@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -25,6 +26,7 @@ from pipeline.messages import counted, error_line
 
 # A rule that refused less than this is not worth its name in a table.
 WORTH_TELLING = 0.0005
+_MOST_REASONS = 8
 CHANNEL_COLUMNS = ("channel", "rate", "median", "missing", "refused", "refused by")
 
 if TYPE_CHECKING:
@@ -42,6 +44,10 @@ def check(
         bool,
         typer.Option("--repair", help="Put aside what is not its SHA-256, for the next run."),
     ] = False,
+    full: Annotated[
+        bool,
+        typer.Option("--full", help="Read every log: which nights a run would fit, and why not."),
+    ] = False,
     output: Output = None,
 ) -> None:
     """Check the config of a fleet and the ends of each log; nothing is fitted.
@@ -50,8 +56,11 @@ def check(
 
     Example: motor-leakage check --repair configs/fleet.toml
 
-    Exit code 0: no fault; 1: a log cannot be read, there is no log, the folder of the metrics is
-    missing, or a file of the output is damaged; 2: a fault in the config.
+    The newest night is judged by the rules of a run, with --full every night.
+
+    Exit code 0: no fault; 1: a motor has no log, or no night that would be fitted, a log or its
+    readings are at fault, the folder of the metrics is missing, or a file of the output is damaged;
+    2: a fault in the config.
     """
     from pipeline.logs.finding import strays_told, unclaimed
     from pipeline.setup.check import check_motor
@@ -59,7 +68,7 @@ def check(
     if tables or repair:
         raise typer.Exit(_check_tables(config, output, as_json=as_json, is_mended=repair))
     fleet = load(config, None, None)
-    checks = tuple(map(check_motor, fleet.motors))
+    checks = tuple(check_motor(spec, is_full=full) for spec in fleet.motors)
     for one in checks:
         if as_json:
             tell(asdict(one), "", as_json=True)
@@ -126,6 +135,12 @@ def _print_check(one: MotorCheck) -> None:
     )
     if one.channels:
         print_table(CHANNEL_COLUMNS, map(_channel_cells, one.channels))
+    refused = Counter(f"{night.status}: {night.reason}" for night in one.forecast if night.reason)
+    if one.forecast:
+        n_fitted = sum(night.status == "ok" for night in one.forecast)
+        typer.echo(f"{n_fitted} of {counted(len(one.forecast), 'night')} read would be fitted")
+    for reason, n_nights in refused.most_common(_MOST_REASONS):
+        typer.echo(f"{counted(n_nights, 'night')}: {reason}")
     for note in one.notes:
         typer.echo(note)
     for fault in one.faults:

@@ -92,6 +92,7 @@ def init(
         added_files,
         defaults_of,
         fleet_files,
+        machine_of,
         observed_of,
         with_sampling,
         write_fleet,
@@ -115,6 +116,8 @@ def init(
     proposal = with_sampling(proposal, observed)
     _print(proposal, observed)
     faults = (*proposal.faults, *(one.fault for one in observed.values() if one.fault))
+    for key in proposal.unneeded:
+        typer.echo(f"not needed: the answer {key}: the logs say it, or another answer does")
     for one in questions:
         typer.echo(f"--answer '{one.key}=…': {_text(one)}")
     for fault in faults:
@@ -123,11 +126,12 @@ def init(
         raise typer.Exit(EXIT_MOTORS_FAILED)
     machine = (answers["motor_type"], answers["oil"])
     if fleet is None:
-        files = fleet_files(proposal, to, *machine, tuple(observed.values()))
+        files = fleet_files(proposal, to, *machine, tuple(observed.values()), answers)
     else:
         files = added_files(proposal, fleet, defaults, *machine)
     if write:
-        write_fleet(files, to, shipped_configs(), answers["motor_type"])
+        types = {machine_of(one, *machine, answers)[0] for one in proposal.motors}
+        write_fleet(files, to, shipped_configs(), *sorted(types))
     _say_files(files, to, is_written=write)
     raise typer.Exit(EXIT_MOTORS_FAILED if faults else EXIT_OK)
 
@@ -168,11 +172,14 @@ def _of_the_machine(configs: Path, answers: dict[str, str]) -> Iterator[Question
 
     for key, folder in (("motor_type", "motor_types"), ("oil", "oils")):
         known = tuple(path.stem for path in sorted((configs / folder).glob("*.toml")))
-        if key in answers and answers[key] not in known:
-            message = f"{key}: got {answers[key]!r}; expected one of {', '.join(known)}"
-            raise UsageError("answer", message)
+        given = {name: one for name, one in answers.items() if name.rpartition(".")[2] == key}
+        for name, answer in given.items():
+            if answer not in known:
+                message = f"{name}: got {answer!r}; expected one of {', '.join(known)}"
+                raise UsageError("answer", message)
         if key not in answers:
-            yield Question(key, f"{key.replace('_', ' ')} of the motors: which is it?", known)
+            text = f"{key.replace('_', ' ')} of the motors (of one: MOTOR.{key}): which is it?"
+            yield Question(key, text, known)
 
 
 def _print(proposal: Proposal, observed: Mapping[str, Observed]) -> None:

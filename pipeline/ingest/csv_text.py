@@ -87,8 +87,13 @@ def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[bytes]
 
 
 def repaired(data: bytes) -> bytes:
-    """Text with a mark in the place of what is not UTF-8; a cell with a mark is no number."""
-    return data if data.isascii() else data.decode(errors="replace").encode()
+    """Text with a mark in the place of what is not UTF-8, and the minus sign as in ASCII.
+
+    A cell with a mark is no number.
+    """
+    if data.isascii():
+        return data
+    return data.decode(errors="replace").replace("\N{MINUS SIGN}", "-").encode()
 
 
 def unpacked(path: Path, piece: int) -> Iterator[bytes]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import re
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -14,9 +13,10 @@ from typing import Any
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import reading_hash
-from pipeline.config.nights import DAY, Night, night_of, nights_between
+from pipeline.config.nights import Night, night_of, nights_between
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
+from pipeline.logs.dates import has_no_span, with_told_nights, without_misdated
 from pipeline.logs.files import covered, failed, labels_of, reaches_us
 from pipeline.logs.finding import require_answer
 from pipeline.logs.locations import FolderLogs, logs_of
@@ -27,61 +27,6 @@ from pipeline.workers.process import Loss, reading, still_alive
 LOGS_IN_MEMORY = 2
 # Outcomes of a file in a run: left is left to another run, as one of its nights was not done.
 FATES = ("read", "unchanged", "growing", "failed", "left")
-# A night known from a file's name alone lies this near to those of the motor's other logs.
-FARTHEST_NIGHT = 31 * DAY
-_DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
-
-
-def date_in(name: str) -> dt.date | None:
-    """The last date in a file's name; None without one."""
-    found = _DATE_IN_NAME.findall(name)
-    try:
-        return dt.date(*map(int, found[-1])) if found else None
-    except ValueError:
-        return None
-
-
-def _has_no_span(record: FileRecord) -> bool:
-    """True for a file that cannot be read: its nights, if any, are told from elsewhere."""
-    return record.status != "ok" and record.first_us is None
-
-
-def with_told_nights(
-    records: Mapping[str, FileRecord], before: Mapping[str, FileRecord], latest: dt.date
-) -> dict[str, FileRecord]:
-    """Give each unreadable file the nights that it held before, or that of the date in its name.
-
-    A date means the night that it does in the names of the readable files. A night after the
-    latest, or far from those of the motor's other logs, is none.
-    """
-    if not any(_has_no_span(one) and not one.nights for one in records.values()):
-        return dict(records)
-    readable = [one for one in records.values() if one.status == "ok" and one.nights]
-    dated = ((date_in(one.path), min(labels_of(one))) for one in readable)
-    lags = Counter(night - date for date, night in dated if date is not None)
-    lag = lags.most_common(1)[0][0] if lags else 0 * DAY
-    earlier = [one for one in before.values() if one.status == "ok"]
-    known = {label for one in (*readable, *earlier) for label in labels_of(one)}
-
-    def told(record: FileRecord) -> FileRecord:
-        held, named = before.get(record.path), date_in(record.path)
-        if held is not None and held.nights:
-            nights, how = labels_of(held), "by what it held before"
-        elif named is not None:
-            nights, how = {named + lag}, "by its name"
-        else:
-            return record
-        first, last = min(known or nights) - FARTHEST_NIGHT, max(known or nights) + FARTHEST_NIGHT
-        kept = sorted(map(str, (one for one in nights if first <= one <= min(last, latest))))
-        if not kept:
-            return record
-        message = f"{record.message} (night told {how})"
-        return replace(record, nights=tuple(kept), message=message)
-
-    return {
-        name: told(one) if _has_no_span(one) and not one.nights else one
-        for name, one in records.items()
-    }
 
 
 class MotorLogs:
@@ -128,7 +73,7 @@ class MotorLogs:
         self.absent: list[str] = []
         found = self._look() if looked_at is None else looked_at
         latest = night_of(latest_us, spec.settings.nights)
-        self.files = with_told_nights(found, before, latest)
+        self.files = with_told_nights(without_misdated(found), before, latest)
         self.read: set[str] = set()
         self._open: OrderedDict[str, RawLog] = OrderedDict()
         # How long the last sample of an on-change channel may hold into the next night.
@@ -179,7 +124,7 @@ class MotorLogs:
         # An unreadable file has no hash: it may be readable by now.
         if now.sha256 is None or known.sha256 != now.sha256:
             return f"changed file {name}"
-        is_newly_told = _has_no_span(now) and not labels_of(now) <= labels_of(known)
+        is_newly_told = has_no_span(now) and not labels_of(now) <= labels_of(known)
         return f"the night of {name} is told now" if is_newly_told else None
 
     def touched(self, name: str) -> set[dt.date]:

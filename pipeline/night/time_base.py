@@ -190,7 +190,8 @@ def between_sessions(channels: Collection[CleanChannel], grid_us: Times) -> Mask
 
     Near is what is no gap of the channel that has the shortest.
     """
-    longest_us = min(channel.longest_gap_us for channel in channels if channel.period_us)
+    gaps_us = (channel.longest_gap_us for channel in channels if channel.longest_gap_us)
+    longest_us = min(gaps_us, default=np.inf)
     off = np.ones(len(grid_us), dtype=np.bool_)
     for channel in channels:
         time = channel.time_us

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +14,14 @@ from pipeline.config import MotorSpec
 from pipeline.config.channels import ChannelName
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
+from pipeline.logs.dates import dated_otherwise, misdated_message, without_misdated
 from pipeline.logs.files import change_of, failed, labels_of, look_at, spanned
 from pipeline.logs.locations import FolderLogs, logs_of
 from pipeline.logs.processed import FileRecord
+from pipeline.messages import counted
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
+from pipeline.schema.fits import OK
 from pipeline.setup.column_check import (
     Dated,
     changed_readings,
@@ -25,12 +29,23 @@ from pipeline.setup.column_check import (
     suspect_units,
     units_told,
 )
+from pipeline.setup.extremes import repeated_extremes
+from pipeline.setup.forecast import NightForecast, forecasts
 from pipeline.setup.operation import night_of_log, operation, swapped
 from pipeline.setup.propose import LARGEST_LOG_BYTES
 from pipeline.setup.sampling import sampling_note
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
+# A rule that refuses more of a channel's samples than this has no log of single faults before it.
+MOST_REFUSED = 0.5
+HOW_TO_MEND = {
+    "duplicate_time": "do its stamps lack seconds, or fractions of them? Correct logs.time_format",
+    "backward_time": "is its time written in another form, or zone? Correct logs.time_format",
+    "out_of_range": "is its unit, or valid_range, another one?",
+    "bad_quality": "are other codes good? Correct quality_good",
+    "not_finite": "correct the column, or logs.missing_tokens",
+}
 # A line end in UTF-16 or UTF-32 is up to four bytes long.
 LINE_END_BYTES = 4
 PACKED = (".gz", ".zst")
@@ -64,13 +79,16 @@ class MotorCheck:
     faults: tuple[str, ...]  # files that cannot be read, or are named but absent
     placeholders: tuple[str, ...]  # paths of the type, and oils, whose values are placeholders
     channels: tuple[ChannelCheck, ...]
+    forecast: tuple[NightForecast, ...]  # nights as a run would have them, by whole logs all
     notes: tuple[str, ...]  # no faults, and yet worth a look
 
 
-def check_motor(spec: MotorSpec) -> MotorCheck:
+def check_motor(spec: MotorSpec, *, is_full: bool = False) -> MotorCheck:
     """Look at the ends of each of a motor's logs, and into the newest; nothing is written.
 
     Of logs in an object store, which have to be copied for it, the first and the last few by name.
+    Where the newest night would not be fitted, the first and the middle one are looked into, too;
+    with `is_full` all are.
 
     Raises StoreError if an object store cannot be read.
     """
@@ -79,7 +97,8 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
     if spec.log_url and len(names) > OPENED:
         # The first, and the last, which are the newest where names hold a date.
         names = (names[0], *names[1 - OPENED :])
-    records = {name: _looked_at(name, logs, spec) for name in names}
+    looked_at = {name: _looked_at(name, logs, spec) for name in names}
+    records = without_misdated(looked_at)
     nights = {label for record in records.values() for label in labels_of(record)}
     dated = sorted(
         (max(labels_of(one)), name)
@@ -94,12 +113,20 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
         for status in ("failed", "growing")
     )
     absent = [f"log_missing: {name}: named in the config and absent" for name in logs.absent]
+    if not logs.names:
+        absent.append(f"no_logs: no log: {'; '.join(logs.unmatched()) or 'logs.files names none'}")
+    absent += [
+        f"log_misdated: {name}: {misdated_message(records[name], days)}"
+        for name, days in dated_otherwise(records).items()
+    ]
+    forecast = tuple(_forecast(spec, records, sorted(nights), is_full=is_full))
     notes = [*worth, *written]
     if len(names) != len(logs.names):
         notes.append(
             f"{len(names)} of {len(logs.names)} objects were opened, the first and the last by "
             f"name below {spec.log_url}: nights and channels are theirs"
         )
+    faults = (*broken, *absent, *column_changes(spec, dated, logs.path), *unfit)
     return MotorCheck(
         motor_id=spec.motor_id,
         motor_type=spec.file.motor_type,
@@ -108,9 +135,10 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
         n_nights=len(nights),
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
-        faults=(*broken, *absent, *column_changes(spec, dated, logs.path), *unfit),
+        faults=faults or tuple(_no_night(forecast, n_nights=len(nights))),
         placeholders=tuple(one.name for one in stated if one.source == "placeholder"),
         channels=channels,
+        forecast=forecast,
         notes=(*notes, *_cut(spec, records, logs), *logs.unmatched()),
     )
 
@@ -125,6 +153,39 @@ def _looked_at(name: str, logs: FolderLogs, spec: MotorSpec) -> FileRecord:
         return record
     found, why = spanned(record, path, spec), change_of(record, path)
     return found if why is None else failed(found, why)
+
+
+def _forecast(
+    spec: MotorSpec,
+    records: Mapping[str, FileRecord],
+    nights: Sequence[dt.date],
+    *,
+    is_full: bool,
+) -> Iterator[NightForecast]:
+    """Forecast the newest night; where it is not fitted, the first and middle one; or all."""
+    if is_full:
+        yield from forecasts(spec)
+        return
+    sizes = {
+        label: sum(one.size for one in records.values() if label in labels_of(one))
+        for label in nights
+    }
+    small = [label for label in nights if sizes[label] <= LARGEST_LOG_BYTES]
+    # The newest, then the first and the middle one.
+    for label in dict.fromkeys(small[at] for at in (-1, 0, len(small) // 2) if small):
+        (found,) = forecasts(spec, [label], records)
+        yield found
+        if found.status == OK:
+            return
+
+
+def _no_night(forecast: Sequence[NightForecast], n_nights: int) -> Iterator[str]:
+    """The fault of a motor of which no night would be fitted."""
+    if forecast and all(night.status != OK for night in forecast):
+        reasons = dict.fromkeys(f"{night.status}: {night.reason}" for night in forecast)
+        looked = "none" if len(forecast) == n_nights else f"none of {len(forecast)} looked into"
+        why = "; ".join(list(reasons)[:2])
+        yield f"no_night: of {counted(n_nights, 'night')} {looked} would be fitted ({why})"
 
 
 def _cut(spec: MotorSpec, records: Mapping[str, FileRecord], logs: FolderLogs) -> Iterator[str]:
@@ -171,8 +232,23 @@ def _look_into(
         for name, channel in spec.file.channels.items()
         if channel.constant is None
     )
-    faults = [*told, *suspect_units(spec, label, log.channels)]
+    faults = [
+        *told,
+        *suspect_units(spec, label, log.channels),
+        *repeated_extremes(spec, log.channels),
+    ]
+    # What is refused mostly follows from the rest.
+    faults = faults or [*_refused(found)]
     return found, faults, [*notes, *filter(None, looks)]
+
+
+def _refused(channels: Sequence[ChannelCheck]) -> Iterator[str]:
+    """Faults of channels of which a rule refuses most samples."""
+    for reason, how in HOW_TO_MEND.items():
+        shares = {one.channel: one.refused_by.get(reason, 0.0) for one in channels}
+        if most := [name for name, share in shares.items() if share > MOST_REFUSED]:
+            share = 100 * max(shares.values())
+            yield f"samples_refused: {share:.0f} % of {', '.join(most)} as {reason}: {how}"
 
 
 def _channel_check(spec: MotorSpec, name: ChannelName, raw: RawChannel) -> ChannelCheck:

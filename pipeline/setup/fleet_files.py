@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
+from types import MappingProxyType
 from typing import Any
 from zoneinfo import ZoneInfo
 
@@ -32,6 +33,7 @@ from pipeline.setup.tables import Column
 from pipeline.units import canonical_unit
 
 Document = dict[str, Any]
+NO_ANSWERS: Mapping[str, str] = MappingProxyType({})
 _MOST_MOTORS, _MOST_FILES = 12, 30
 _STANDSTILL_RPM = 0.5
 _PAUSE_H = 3
@@ -59,9 +61,13 @@ def fleet_files(
     motor_type: str,
     oil: str,
     observed: Sequence[Observed] = (),
+    answers: Mapping[str, str] = NO_ANSWERS,
 ) -> dict[str, str]:
-    """Texts of the fleet file and of each motor's, by path below the folder."""
-    own = [_document(one, motor_type, oil) for one in proposal.motors]
+    """Texts of the fleet file and of each motor's, by path below the folder.
+
+    Of `answers`, ``MOTOR.motor_type`` and ``MOTOR.oil`` are for one motor.
+    """
+    own = [_document(one, *machine_of(one, motor_type, oil, answers)) for one in proposal.motors]
     first, *others = (
         _marked(one, _name(motor)) for motor, one in zip(proposal.motors, own, strict=True)
     )
@@ -81,6 +87,15 @@ def fleet_files(
         f"motors/{motor.motor_id}.toml": _motor_text(motor, its, shared)
         for motor, its in zip(proposal.motors, own, strict=True)
     }
+
+
+def machine_of(
+    motor: ProposedMotor, motor_type: str, oil: str, answers: Mapping[str, str]
+) -> tuple[str, str]:
+    """Return the type and oil of a motor: its own answer, or else the fleet's."""
+    own = (("motor_type", motor_type), ("oil", oil))
+    type_of, oil_of = (answers.get(f"{motor.motor_id}.{key}", value) for key, value in own)
+    return type_of, oil_of
 
 
 def _name(motor: ProposedMotor) -> str:
@@ -133,13 +148,13 @@ def added_files(
     return files
 
 
-def write_fleet(files: Mapping[str, str], folder: Path, types: Path, motor_type: str) -> None:
-    """Write a fleet's files, the motor type and the oils that ship beside them.
+def write_fleet(files: Mapping[str, str], folder: Path, types: Path, *motor_types: str) -> None:
+    """Write a fleet's files, the motor types and the oils that ship beside them.
 
     Of a fleet that is there, only the files of its new motors are. Raises UsageError
     (``file_exists``) if one of them is there; nothing is written then.
     """
-    copies = [f"motor_types/{motor_type}.toml"]
+    copies = [f"motor_types/{name}.toml" for name in dict.fromkeys(motor_types)]
     copies += [f"oils/{path.name}" for path in sorted((types / "oils").glob("*.toml"))]
     copies = copies if "fleet.toml" in files else []
     there = [name for name in (*files, *copies) if (folder / name).exists()]

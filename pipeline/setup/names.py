@@ -222,16 +222,24 @@ def groups_of(names: Sequence[str], units: Mapping[str, str]) -> tuple[list[Grou
 
 def _candidates(names: Sequence[str]) -> Iterator[Group]:
     yield Group("", {name: name for name in names})
+    # Marks between words may differ from tag to tag of a motor.
     parts: dict[tuple[str, bool], dict[str, str]] = {}
+    spelled: dict[tuple[str, bool], Counter[str]] = {}
     for name in names:
         hidden = _BRACKETED.sub(lambda one: "x" * len(one[0]), name)
         for begin, end in (one.span() for one in _MARK.finditer(hidden)):
-            parts.setdefault((name[:begin], True), {})[name] = name[end:]
             # What stands behind is the motor's as far as no unit follows.
             tail = _BRACKETED.sub("", name[end:]).strip()
             unit = name[end:].removeprefix(tail)
-            parts.setdefault((tail, False), {})[name] = name[:begin] + unit
-    for (name, is_head), signals in parts.items():
+            for text, is_head, rest in (
+                (name[:begin], True, name[end:]),
+                (tail, False, name[:begin] + unit),
+            ):
+                key = _MARK.sub(".", text), is_head
+                parts.setdefault(key, {})[name] = rest
+                spelled.setdefault(key, Counter())[text] += 1
+    for (path, is_head), signals in parts.items():
+        name = spelled[path, is_head].most_common(1)[0][0]
         ends_path = not is_head and all(
             is_in([one], "column", "part") or one.isdigit() for one in words_of(name)
         )

@@ -17,16 +17,17 @@ from typing import Any
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import time_span
+from pipeline.logs.dates import NEAR_DAYS, days_off
 from pipeline.logs.finding import SUFFIXES, logs_below
 from pipeline.setup.layouts import Kind, Seen, kinds_of
-from pipeline.setup.names import groups_of
+from pipeline.setup.names import groups_of, unit_named
 from pipeline.setup.questions import Asked, Chooser
-from pipeline.setup.signals import columns_without_use, motors_of_rows, signals_of
+from pipeline.setup.signals import cells_of, columns_without_use, motors_of_rows, signals_of
 from pipeline.setup.sniff import sniff
-from pipeline.setup.tables import Column, Question, Table
+from pipeline.setup.tables import Column, Question, Table, is_number
 
 LARGEST_LOG_BYTES = 200 << 20  # of one that is read to look into it
-_SHOWN = 12
+_SHOWN, _NAMES_COMPARED = 12, 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +50,7 @@ class Proposal:
     questions: tuple[Question, ...]
     unused: tuple[str, ...]  # names of columns and tags that are no channel's
     faults: tuple[str, ...]  # logs that cannot be read
+    unneeded: tuple[str, ...] = ()  # answers to what is not asked now
 
 
 def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) -> Proposal:
@@ -88,16 +90,63 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
             unread += 1
             continue
         asked.log = kind.name
-        found = _motors(table, kind, asked)
+        found = _motors(_dated_by_names(table, kind), kind, asked)
         motors += found
         if not found:
-            columns = ", ".join(one.name for one in table.columns[:_SHOWN])
-            faults.append(f"no_motor: {kind.patterns[0]}: its columns are no motor's: {columns}")
+            faults.append(f"no_motor: {kind.patterns[0]}: {_why_no_motor(table)}")
     if unread == len(faults) > 0 and not motors:
         raise LogError("log_not_readable", source, f"no log of it can be read: {faults[0]}")
     asked.require_known(one.motor_id for one in motors)
     questions, unused = tuple(asked.open.values()), tuple(asked.unused)
-    return Proposal(root, tuple(_apart(motors)), questions, unused, tuple(faults))
+    unneeded = tuple(asked.unneeded)
+    return Proposal(root, tuple(_apart(motors)), questions, unused, tuple(faults), unneeded)
+
+
+def _why_no_motor(table: Table) -> str:
+    """Why nothing of a log is a motor's."""
+    for one in table.columns:
+        cell = next(iter(one.filled), "")
+        parts = cell.split(maxsplit=1)
+        if one.kind == "text" and len(parts) == 2 and is_number(parts[0]) and unit_named(parts[1]):
+            return (
+                f"its cells carry units ({one.name}: {cell!r}), which no number has: have it "
+                "exported without them, the unit in the header"
+            )
+    columns = ", ".join(one.name for one in table.columns[:_SHOWN])
+    return f"its columns are no motor's: {columns}"
+
+
+def _dated_by_names(table: Table, kind: Kind) -> Table:
+    """The table with the form of its stamps in which these agree with the dates in names."""
+    form = str(table.logs.get("time_format", ""))
+    question = next((one for one in table.questions if one.key == "time_format"), None)
+    day, month = form.find("%d"), form.find("%m")
+    if min(day, month) < 0 or (question and not question.choices):
+        return table
+    swapped = form.replace("%d", "\0").replace("%m", "%d").replace("\0", "%m")
+    looked_at = kind.files[:: max(1, len(kind.files) // _NAMES_COMPARED)]
+    agree = {
+        one: sum(
+            _agrees(path, replace(table, logs={**table.logs, "time_format": one}))
+            for path in looked_at
+        )
+        for one in (form, swapped)
+    }
+    left = tuple(one for one in table.questions if one.key != "time_format")
+    if agree[form] == agree[swapped]:
+        is_odd = 0 < agree[form] < len(looked_at) and question is None
+        text = "its logs are dated by either, as their names say: which is it?"
+        odd = Question("time_format", text, (form, swapped))
+        return replace(table, questions=(*left, odd)) if is_odd else table
+    best = max(agree, key=lambda one: agree[one])
+    return replace(table, logs={**table.logs, "time_format": best}, questions=left)
+
+
+def _agrees(path: Path, table: Table) -> bool:
+    """True if the stamps of a log are near a date in its name."""
+    span = _span(path, table)
+    off = None if span is None else days_off("/".join(path.parts[-4:]), *span)
+    return off is not None and off <= NEAR_DAYS
 
 
 def _span(path: Path, table: Table | None) -> tuple[int, int] | None:
@@ -143,11 +192,14 @@ def _grouped(
 ) -> Iterator[ProposedMotor]:
     """The motors whose columns, tags or fields there are; `log` names what none of them does."""
     by_name = {one.name: one for one in table.columns}
+    further = cells_of(table)
     groups, left = groups_of(list(by_name), {name: one.unit for name, one in by_name.items()})
     asked.unused |= dict.fromkeys(left if groups else ())
     for group in groups:
         motor = group.name or log
-        chooser = Chooser(group, by_name, table.marks, motor, _plain(motor), asked)
+        shared = left if group.name else ()
+        motor_id = _plain(motor)
+        chooser = Chooser(group, by_name, table.marks, motor, motor_id, asked, further, shared)
         channels = dict(chooser.places())
         used = {one.name for one in channels.values()}
         asked.unused |= dict.fromkeys(name for name in group.signals if name not in used)

@@ -6,8 +6,9 @@ What several columns fit, or none, is asked; an answer is taken as it stands.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from statistics import median
 from typing import Any
 
@@ -19,8 +20,11 @@ from pipeline.setup.names import QUANTITY_OF, Group, likely_units, meaning_of, m
 from pipeline.setup.tables import Column, Marks, Quality, Question, Table, as_number
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
 
-# What may be answered before it is asked.
+# What may be answered before it is asked, and what is not asked any more with another answer.
 _ALWAYS = {"time_zone", "time_format", "decimal", "motor_type", "oil"}
+_KINDS = ("unit of ", "good codes of ", "motors of ", "time_format of ", "decimal of ")
+# Readings of one unit are alike within this factor.
+_ALIKE = 5.0
 
 
 class Asked:
@@ -38,9 +42,12 @@ class Asked:
         self.answers = answers
         self.log = ""  # in which it is asked
         self.open: dict[str, Question] = {}
+        self.unneeded: list[str] = []  # answers to what is not asked now
         self.unused: dict[str, None] = {}  # names of columns and tags that are no channel's
         self._asked: dict[str, tuple[str, ...]] = {}
+        self._used: set[str] = set()  # answers that held though nobody asked
         self.alike: dict[tuple[str, ...], tuple[str, Sequence[str]]] = {}  # the first of a kind
+        self.sizes: dict[str, float] = {}  # typical reading of the first column of a name
 
     def ask(
         self, key: str, text: str, choices: Iterable[str] = (), known: Iterable[str] = ()
@@ -75,21 +82,40 @@ class Asked:
                 logs[one.key] = answer
                 if one.key == "decimal" and answer != table.marks.decimal:
                     logs["thousands"] = table.marks.decimal
+        if "time_format" in self.answers and "%" in logs.get("time_format", ""):
+            # Other logs of the motor may be written as the answer says.
+            logs["time_format"] = self.answers["time_format"]
+            self._used.add("time_format")
         return logs
 
     def require_known(self, motor_ids: Iterable[str]) -> None:
-        """Refuse answers to what nobody asked; a motor's channel may always be named."""
-        named = {f"{motor}.{channel}" for motor in motor_ids for channel in CHANNELS}
-        strange = sorted(self.answers.keys() - self._asked.keys() - named - _ALWAYS)
-        if strange:
+        """Refuse answers to what nobody asks; those that are not needed now are for later."""
+        ids = list(motor_ids)
+        named = {f"{motor}.{key}" for motor in ids for key in (*CHANNELS, "motor_type", "oil")}
+        left = sorted(
+            self.answers.keys() - self._asked.keys() - self._used - named - {"motor_type", "oil"}
+        )
+        self.unneeded = [key for key in left if key in _ALWAYS or key.startswith(_KINDS)]
+        if strange := [key for key in left if key not in self.unneeded]:
             there = ", ".join(self.open) or "none is open"
-            raise UsageError("answer", f"{strange[0]}: there is no such question; open: {there}")
+            near = get_close_matches(strange[0], [*self._asked, *named, *_ALWAYS], 1)
+            meant = f"; did you mean {near[0]!r}?" if near else ""
+            message = f"{strange[0]}: there is no such question; open: {there}{meant}"
+            raise UsageError("answer", message)
 
 
 def without_motor(place: str, motor: str) -> str:
     """The name of a column or tag without the motor's."""
     whole = rf"(?<![^\W_]){re.escape(motor)}(?![^\W_])"
     return re.sub(r"([._/: -])[._/: -]+", r"\1", re.sub(whole, "", place)).strip("._/: -")
+
+
+def shared_channel(name: str, columns: Mapping[str, Column]) -> str | None:
+    """Return the channel that a column of no motor alone is, or None."""
+    unit = columns[name].unit
+    words = {"tank", "reservoir", "common", "sammel", "behälter", "supply", "return"}
+    plain_name = " ".join(word for word in re.split(r"[._/ ]+", name) if word.lower() not in words)
+    return meaning_of(name, unit).channel or meaning_of(plain_name, unit).channel
 
 
 # The channels of a motor
@@ -108,6 +134,8 @@ class Chooser:
     name: str
     motor_id: str
     asked: Asked
+    further: Callable[[str], Sequence[str]]  # cells of a column from all over the log
+    shared: Sequence[str] = ()  # columns that are no motor's alone
 
     def places(self) -> Iterator[tuple[str, Column]]:
         """Column by channel, without those that are asked for.
@@ -137,7 +165,15 @@ class Chooser:
         if bare:
             found |= self._ports(sorted(bare, key=self._size, reverse=True), found)
         for channel in missing_channels(found):
-            found[channel] = self._which(channel, "none was found", list(self.columns))
+            # A thermometer in the tank, or a gauge in a common line, is of every motor.
+            shared = [name for name in self.shared if shared_channel(name, self.columns) == channel]
+            is_answered = f"{self.motor_id}.{channel}" in self.asked.answers
+            if len(shared) == 1 and not is_answered:
+                found[channel] = shared[0]
+                continue
+            own = [name for name in self.columns if name in self.group.signals]
+            choices = list(dict.fromkeys((*shared, *own, *self.shared)))
+            found[channel] = self._which(channel, "none was found", choices)
         return found
 
     def _rivals(self) -> tuple[dict[str, list[str]], list[str]]:
@@ -213,17 +249,24 @@ class Chooser:
         return [number for number in found if number is not None]
 
     def _unit(self, channel: str, column: Column) -> str | None:
-        """The unit of a column; one answer is for columns called alike, where it is plausible."""
+        """The unit of a column; one answer is for columns called alike whose readings are alike."""
         said = meaning_of(column.name, column.unit).unit
         if said is not None and QUANTITY_OF.get(said) == QUANTITIES[channel]:
             return said
+        # The head of a log may be a standstill.
+        known = (as_number(cell, self.marks) for cell in self.further(column.name))
+        numbers = [abs(one) for one in known if one] or [*map(abs, self._numbers(column))]
         shown = "; ".join(column.filled[:3])
-        text = f"unit of {plain(channel)} ({column.name}: {shown}): which is it?"
+        text = f"{self.motor_id}: unit of {plain(channel)} ({column.name}: {shown}): which is it?"
         units = tuple(UNITS[QUANTITIES[channel]])
-        likely = likely_units(channel, self._numbers(column)) or units
+        likely = likely_units(channel, numbers) or units
         key = f"unit of {without_motor(column.name, self.name) or channel}"
-        if key in self.asked.answers and self.asked.answers[key] not in likely:
-            key = f"{key} in {self.asked.log}"
+        size = median(numbers or [0.0])
+        first = self.asked.sizes.setdefault(key, size)
+        own = f"{key} in {self.motor_id}"
+        is_alike = first == size or 1.0 / _ALIKE < size / (first or 1.0) < _ALIKE
+        if own in self.asked.answers or not is_alike:
+            key = own
         return self.asked.ask(key, text, likely, units)
 
     def _quality_keys(self, quality: Quality) -> dict[str, Any]:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
+from itertools import islice
 
 from pipeline.config.logs import MISSING_TOKENS
 from pipeline.setup.names import FEWEST_CHANNELS, is_in, meaning_of, words_of
 from pipeline.setup.qualities import quality_words, whole_row_quality, with_qualities
 from pipeline.setup.tables import SAMPLES, Cells, Column, Table
 
+_ROWS_APART = 20
 _SHARED_BY_CHANCE = 0.5  # stamps of a second in which a state changes
 
 
@@ -42,11 +45,11 @@ def _of_tags(table: Table) -> Table | None:
     seen: dict[str, tuple[list[str], str]] = {}
     for name, cell, *unit in table.rows([column.name, values[0].name, *units]):
         cells, _ = seen.setdefault(name.strip(), ([], next(iter(unit), "")))
-        if len(cells) < SAMPLES and cell not in MISSING_TOKENS:
+        if cell not in MISSING_TOKENS:
             cells.append(cell)
     quality = whole_row_quality(table.columns)
     tags = [
-        Column(name, tuple(cells), "number", unit, {"source": name}, quality)
+        Column(name, _spread(cells), "number", unit, {"source": name}, quality)
         for name, (cells, unit) in seen.items()
         if name not in MISSING_TOKENS
     ]
@@ -55,6 +58,23 @@ def _of_tags(table: Table) -> Table | None:
         return None
     own = {"layout": "long", "channel_column": column.name, "value_column": values[0].name}
     return replace(table, logs={**table.logs, **own}, columns=tuple(tags))
+
+
+def _spread(cells: Sequence[str]) -> Cells:
+    """Return some cells from all over a log: its head may be a standstill."""
+    return tuple(cells[:: max(1, len(cells) // SAMPLES)][:SAMPLES])
+
+
+def cells_of(table: Table) -> Callable[[str], Sequence[str]]:
+    """Return cells of a column from all over the head of a log that is read for them, once."""
+
+    @cache
+    def rows() -> dict[str, list[str]]:
+        names = [one.name for one in table.columns]
+        thinned = islice(table.rows(names), 0, None, _ROWS_APART)
+        return dict(zip(names, map(list, zip(*thinned, strict=True)), strict=False))
+
+    return lambda name: rows().get(name, []) if table.logs.get("layout") != "long" else []
 
 
 def columns_without_use(table: Table, signals: Table, motor_columns: Sequence[str]) -> list[str]:

@@ -297,7 +297,10 @@ def _column(field: pa.Field, values: pa.Array) -> Column | None:
         return Column(field.name, (), "typed", kind.tz or "", keys)
     if not (arrow_types.is_number(kind) or arrow_types.is_text(kind) or pa.types.is_null(kind)):
         return None
-    unit = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
+    stated = {key.lower(): value for key, value in (field.metadata or {}).items()}
+    unit = next((stated[key] for key in (b"unit", b"units", b"uom") if key in stated), b"").decode(
+        errors="replace"
+    )
     cells = tuple(map(_text, values.to_pylist()))
     return Column(field.name, cells, kind_of(cells), unit, keys)
 
@@ -344,6 +347,7 @@ def _fields(topic: Topic, *, is_lone: bool) -> Iterator[Column]:
         unit = _STANDARD_UNITS.get((kind, text)) or next(iter(beside), "")
         cells = tuple(f"{number:.6g}" for number in _finite(topic.fields[path]))
         keys = {"source": topic.name} | ({"field": text} if text != "value" else {})
+        unit = unit or topic.units.get(path) or topic.units.get(()) or ""
         unit = unit or (text if unit_named(text) else "")
         yield Column(name, cells, "number", unit, keys, _quality_beside(topic, path))
 

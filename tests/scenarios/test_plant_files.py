@@ -8,18 +8,21 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from mcap.writer import Writer
 
 from pipeline.config import load_fleet
 from pipeline.demo import shipped_configs
 from tests.pipeline.ingest.mcap_files import JSON, mcap_bytes
 from tests.pipeline.simulated import Operation, operate
 from tests.scenarios.command import Result, run_command
+from tests.scenarios.covering import covers
 from tests.scenarios.published import table
 
 FIRST = dt.date(2026, 1, 2)
@@ -324,3 +327,257 @@ def test_values_that_are_sent_on_change_are_proposed_as_such(layout: str, tmp_pa
     assert night["kept_percent"] > 90.0
     true = operation(1, 40.0)[1]["oil_temperature"].mean()
     assert night["mean_temperature_c"] == pytest.approx(true, abs=0.3)
+
+
+# What `check` says
+
+
+def checked(folder: Path, *options: str) -> dict[str, Any]:
+    """What `check` says of the one motor."""
+    (motor,) = run_command("check", "fleet/fleet.toml", "--json", *options, folder=folder).lines
+    return motor
+
+
+def codes(motor: dict[str, Any]) -> set[str]:
+    """Codes of the faults of a motor."""
+    return {fault.partition(":")[0] for fault in motor["faults"]}
+
+
+@covers("check --json --full")
+def test_the_forecast_is_what_the_run_does(tmp_path: Path) -> None:
+    """Of four nights one is short, one stands still, and one reads one temperature for ever."""
+    texts = {night: plain(night).splitlines(keepends=True) for night in (1, 2, 3, 4)}
+    texts[2] = texts[2][:200]
+    texts[3] = [texts[3][0], *(_with(line, 2, "0.0") for line in texts[3][1:])]
+    texts[4] = [texts[4][0], *(_with(line, 1, "48.0") for line in texts[4][1:])]
+    for night, lines in texts.items():
+        write(tmp_path, f"w_2026-01-0{night}.csv", "".join(lines))
+    assert init(tmp_path).code == 0
+    forecast = checked(tmp_path, "--full")["forecast"]
+    fit(tmp_path)
+    nights = nights_of(tmp_path).rows(named=True)
+    assert [(one["night"], one["status"], one["reason"]) for one in forecast] == [
+        (str(night["night"]), night["status"], night["reason"] or "") for night in nights
+    ]
+    assert {night["status"] for night in nights} == {"ok", "insufficient_data", "stood_still"}
+
+
+def _with(line: str, at: int, cell: str) -> str:
+    cells = line.split(",")
+    cells[at + 1] = cell
+    return ",".join(cells)
+
+
+@pytest.mark.parametrize(
+    ("form", "minutes", "code", "words"),
+    [
+        ("%Y-%m-%d %H:%MZ", 12.0, "samples_refused", "as duplicate_time: do its stamps lack"),
+        ("%Y-%m-%d %H:%M:%SZ", 4.0, "no_night", "of 1 night none would be fitted"),
+    ],
+)
+def test_a_log_that_gives_no_fit_is_a_fault(
+    form: str, minutes: float, code: str, words: str, tmp_path: Path
+) -> None:
+    lines = plain(1, form).splitlines(keepends=True)
+    write(tmp_path, "w_2026-01-01.csv", "".join(lines[: 1 + round(60 * minutes)]))
+    assert init(tmp_path).code == 0
+    found = run_command("check", "fleet/fleet.toml", folder=tmp_path)
+    assert found.code == 1
+    assert f"w: {code}: " in found.err
+    assert words in found.err
+
+
+def test_a_motor_without_a_log_is_a_fault(tmp_path: Path) -> None:
+    for name in ("A", "B"):
+        write(tmp_path, f"{name}/{name}_2026-01-01.csv", plain(1))
+    assert init(tmp_path).code == 0
+    (tmp_path / "logs" / "B" / "B_2026-01-01.csv").unlink()
+    found = run_command("check", "fleet/fleet.toml", folder=tmp_path)
+    assert found.code == 1
+    assert "B: no_logs" in found.err
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "limit"), [(3, 65.535, "valid_range = [0,"), (1, 85.0, "valid_range = [-40,")]
+)
+def test_what_a_device_writes_for_no_reading_is_named(
+    at: int, value: float, limit: str, tmp_path: Path
+) -> None:
+    head, *lines = plain(1).splitlines()
+    marked = [_with(line, at, str(value)) if n % 150 < 5 else line for n, line in enumerate(lines)]
+    write(tmp_path, "w_2026-01-01.csv", "\n".join([head, *marked, ""]))
+    assert init(tmp_path).code == 0
+    motor = checked(tmp_path)
+    assert codes(motor) == {"extreme_repeated"}
+    assert limit in motor["faults"][0]
+
+
+def test_a_log_whose_name_contradicts_its_stamps_is_refused(tmp_path: Path) -> None:
+    """In one of four logs the month comes first: its night would be another one."""
+    for night in (1, 2, 3, 4):
+        form = "%m/%d/%Y %H:%M:%S" if night == 3 else "%d/%m/%Y %H:%M:%S"
+        write(tmp_path, f"W/W_2026-01-0{night}.csv", plain(night, form))
+        write(tmp_path, f"V/V_2026-01-0{night}.csv", plain(night, "%d/%m/%Y %H:%M:%S"))
+    assert init(tmp_path, "time_format=%d/%m/%Y %H:%M:%S").code == 0
+    found = run_command("check", "fleet/fleet.toml", folder=tmp_path)
+    assert found.code == 1
+    assert "W: log_misdated" in found.err
+    assert "V: " not in found.err
+    assert fit(tmp_path).code == 1
+    nights = nights_of(tmp_path)
+    assert set(nights["night"].dt.year().to_list()) == {2026}
+    assert nights.filter(motor_id="V")["status"].to_list() == ["ok"] * 4
+    w = dict(nights.filter(motor_id="W").select("night", "status").iter_rows())
+    assert list(w.values()).count("ok") == 3
+    assert max(w) < dt.date(2026, 1, 10)
+
+
+# What `init` asks
+
+
+def columns_csv(names: Mapping[str, str], night: int = 1, still: int = 0) -> str:
+    """A night as a wide CSV under names by channel; the motor stands still at first."""
+    at = [list(NAMES).index(channel) for channel in names.values()]
+    lines = []
+    for number, (time, row) in enumerate(zip(stamps(night), rows(night), strict=True)):
+        cells = [0.02 if place == 2 and number < still else row[place] for place in at]
+        lines.append(f"{time},{','.join(map(str, cells))}\n")
+    return f"time,{','.join(names)}\n{''.join(lines)}"
+
+
+def channels_of(folder: Path) -> dict[str, dict[str, tuple[str, str]]]:
+    """Source and unit of each channel, by motor."""
+    motors = load_fleet(folder / "fleet" / "fleet.toml").motors
+    return {
+        spec.motor_id: {
+            str(name): (one.source, one.unit) for name, one in spec.file.channels.items()
+        }
+        for spec in motors
+    }
+
+
+def test_a_unit_is_judged_while_the_motor_runs_and_its_question_stays(tmp_path: Path) -> None:
+    names = dict(zip(("dp_bar", "T_degC", "speed", "drain_lpm"), NAMES, strict=True))
+    write(tmp_path, "w_2026-01-01.csv", columns_csv(names, still=200))
+    for answers in ((), ("motor_type=CB560",)):
+        asked = init(tmp_path, *answers)
+        assert asked.code == 1
+        assert "--answer 'unit of speed=…'" in asked.out
+        assert "(rpm, " in asked.out
+    assert init(tmp_path, "unit of speed=rpm").code == 0
+    assert channels_of(tmp_path)["w"]["speed"] == ("speed", "rpm")
+
+
+def test_one_answer_is_for_logs_that_are_alike(tmp_path: Path) -> None:
+    """Of two motors one logs its drain flow in another unit under the same name."""
+    names = dict(zip(("dp_bar", "T_degC", "n_rpm", "drain"), NAMES, strict=True))
+    write(tmp_path, "A/a_2026-01-01.csv", columns_csv(names))
+    head, *lines = columns_csv(names).splitlines()
+    lines = [_with(line, 3, str(float(line.split(",")[-1]) * 0.06)) for line in lines]
+    write(tmp_path, "B/b_2026-01-01.csv", "\n".join([head, *lines, ""]))
+    asked = init(tmp_path, "unit of drain=l/min")
+    assert asked.code == 1
+    assert "--answer 'unit of drain in B=…'" in asked.out
+    assert init(tmp_path, "unit of drain=l/min", "unit of drain in B=m3/h").code == 0
+    units = {motor: own["leakage_flow"][1] for motor, own in channels_of(tmp_path).items()}
+    assert units == {"A": "l/min", "B": "m3/h"}
+
+
+def test_a_thermometer_of_the_tank_is_every_motor_s(tmp_path: Path) -> None:
+    own = {"dp_bar": "pressure_difference", "n_rpm": "speed", "drain_lpm": "leakage_flow"}
+    names = {f"W{n}.{name}": channel for n in (1, 2) for name, channel in own.items()}
+    names |= {"Tank.OilTemp_degC": "oil_temperature"}
+    write(tmp_path, "w_2026-01-01.csv", columns_csv(names))
+    assert init(tmp_path).code == 0
+    found = channels_of(tmp_path)
+    assert {one["oil_temperature"] for one in found.values()} == {("Tank.OilTemp_degC", "degC")}
+    assert {one["speed"] for one in found.values()} == {("W1.n_rpm", "rpm"), ("W2.n_rpm", "rpm")}
+
+
+def test_tags_of_a_motor_may_be_joined_by_different_marks(tmp_path: Path) -> None:
+    names = {
+        f"SHR1{mark}M{n}{mark}{name}": channel
+        for n in (1, 2)
+        for mark, name, channel in (
+            (".", "DP_bar", "pressure_difference"),
+            (".", "OilTemp_degC", "oil_temperature"),
+            (".", "Speed_rpm", "speed"),
+            ("_", "CaseFlow_lpm", "leakage_flow"),
+        )
+    }
+    write(tmp_path, "w_2026-01-01.csv", columns_csv(names))
+    assert init(tmp_path).code == 0
+    flows = {motor: one["leakage_flow"][0] for motor, one in channels_of(tmp_path).items()}
+    assert flows == {
+        "SHR1.M1": "SHR1_M1_CaseFlow_lpm",
+        "SHR1.M2": "SHR1_M2_CaseFlow_lpm",
+    }
+
+
+def test_a_motor_may_be_of_a_type_of_its_own(tmp_path: Path) -> None:
+    for name in ("A", "B"):
+        write(tmp_path, f"{name}/{name}_2026-01-01.csv", plain(1))
+    assert init(tmp_path, "B.motor_type=CB1120").code == 0
+    motors = load_fleet(tmp_path / "fleet" / "fleet.toml").motors
+    types = {spec.motor_id: spec.file.motor_type for spec in motors}
+    assert types == {"A": "CB400", "B": "CB1120"}
+
+
+def test_answers_that_nobody_asks_for_are_named_or_refused(tmp_path: Path) -> None:
+    write(tmp_path, "w_2026-01-01.csv", plain(1))
+    refused = init(tmp_path, "w.leakage_flo=drain_flow_lpm")
+    assert refused.code == 2
+    assert "did you mean 'w.leakage_flow'?" in refused.err
+    done = init(tmp_path)
+    assert done.code == 0
+    assert "not needed: the answer time_zone" in done.out
+
+
+def test_names_tell_day_from_month(tmp_path: Path) -> None:
+    for night in (1, 2, 3):
+        write(tmp_path, f"w_2026-01-0{night}.csv", plain(night, "%d/%m/%Y %H:%M:%S"))
+    assert init(tmp_path).code == 0
+    (spec,) = load_fleet(tmp_path / "fleet" / "fleet.toml").motors
+    assert spec.file.logs.time_format == "%d/%m/%Y %H:%M:%S"
+
+
+@pytest.mark.parametrize("place", ["metadata", "schema"])
+def test_units_that_messages_state_are_not_asked(place: str, tmp_path: Path) -> None:
+    units = dict(
+        zip(
+            ("dp", "temperature", "speed", "drain_flow"),
+            ("bar", "degC", "rpm", "l/min"),
+            strict=True,
+        )
+    )
+    with (tmp_path / "w.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for at, (name, unit) in enumerate(units.items()):
+            value = {"type": "number"} | ({"unit": unit} if place == "schema" else {})
+            schema = {"type": "object", "properties": {"value": value}}
+            number = writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
+            metadata = {"unit": unit} if place == "metadata" else {}
+            channel = writer.register_channel(f"/w/{name}", "json", number, metadata)
+            for time, row in zip(operation(1)[0].time_us.tolist(), rows(1), strict=True):
+                data = json.dumps({"value": row[at]}).encode()
+                writer.add_message(channel, 1000 * time, data, 1000 * time)
+        writer.finish()  # type: ignore[no-untyped-call]
+    write(tmp_path, "w.mcap", (tmp_path / "w.mcap").read_bytes())
+    assert init(tmp_path).code == 0
+    assert [unit for _, unit in channels_of(tmp_path)["w"].values()] == list(units.values())
+
+
+def test_a_minus_sign_is_one(tmp_path: Path) -> None:
+    """A motor that runs backwards, written with the sign of Unicode."""
+    head, *lines = plain(1).splitlines()
+    turned = [line if n % 2 else _reversed(line) for n, line in enumerate(lines)]
+    write(tmp_path, "w_2026-01-01.csv", "\n".join([head, *turned, ""]))
+    assert init(tmp_path).code == 0
+    (motor,) = run_command("check", "fleet/fleet.toml", "--json", folder=tmp_path).lines
+    assert {one["share_missing"] for one in motor["channels"]} == {0.0}
+
+
+def _reversed(line: str) -> str:
+    time, pressure, temperature, speed, flow = line.split(",")
+    return f"{time},\N{MINUS SIGN}{pressure},{temperature},\N{MINUS SIGN}{speed},{flow}"

@@ -45,6 +45,7 @@ class ChannelRecord(NamedTuple):
     topic: str
     encoding: str
     schema_id: int
+    metadata: tuple[tuple[str, str], ...] = ()
 
 
 class Schema(NamedTuple):
@@ -73,8 +74,8 @@ class Declared:
             if opcode == CHANNEL:
                 number, schema_id = _CHANNEL_HEAD.unpack_from(content)
                 topic, at = _text(content, _CHANNEL_HEAD.size)
-                encoding, _ = _text(content, at)
-                declared = ChannelRecord(topic, encoding, schema_id)
+                encoding, at = _text(content, at)
+                declared = ChannelRecord(topic, encoding, schema_id, _pairs(content, at))
                 known = self.channels.setdefault(number, declared)
             else:
                 (number,) = _SCHEMA_HEAD.unpack_from(content)
@@ -89,6 +90,17 @@ class Declared:
         if known != declared:
             what = "channel" if opcode == CHANNEL else "schema"
             raise LogError("log_damaged", path, f"{what} {number} is declared twice over")
+
+
+def _pairs(content: bytes, at: int) -> tuple[tuple[str, str], ...]:
+    """Return the texts of a map, or none where a writer left it out."""
+    packed = _bytes(content, at)[0] if at < len(content) else b""
+    found, place = list[tuple[str, str]](), 0
+    while place < len(packed):
+        key, place = _text(packed, place)
+        value, place = _text(packed, place)
+        found.append((key, value))
+    return tuple(found)
 
 
 class Statistics(NamedTuple):

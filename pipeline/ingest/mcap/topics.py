@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,11 +14,12 @@ import numpy as np
 from pipeline.config.field_paths import FieldPath
 from pipeline.errors import LogError
 from pipeline.ingest.mcap.decoding import Wanted, leaves, number_of, value_at
-from pipeline.ingest.mcap.layout import NO_SCHEMA, Schema, read_summary
+from pipeline.ingest.mcap.layout import NO_SCHEMA, ChannelRecord, Schema, read_summary
 from pipeline.ingest.mcap.log import decoder_of
 from pipeline.ingest.mcap.messages import Messages, read_messages
 
 MESSAGES_READ = 50
+UNIT_KEYS = ("unit", "units", "uom", "x-unit")
 _MOST_BYTES = 64 * 2**20
 _MOST_FIELDS = 60
 
@@ -32,6 +35,8 @@ class Topic:
     fields: Mapping[FieldPath, tuple[float, ...]] = field(default_factory=dict)  # nan for none
     texts: Mapping[FieldPath, str] = field(default_factory=dict)  # of the first message
     payloads: list[bytes] = field(default_factory=list)
+    # Units that the channel's metadata or the schema state, by field; () is of every field.
+    units: Mapping[FieldPath, str] = field(default_factory=dict)
 
 
 def read_topics(path: Path) -> list[Topic]:
@@ -49,7 +54,10 @@ def read_topics(path: Path) -> list[Topic]:
             if channel.topic not in topics:
                 schema = schemas[channel.topic] = known.get(channel.schema_id, NO_SCHEMA)
                 count = summary.stated_count(channel.topic)
-                topics[channel.topic] = Topic(channel.topic, channel.encoding, schema.name, count)
+                units = {**dict(_schema_units(schema)), **dict(_metadata_units(channel))}
+                topics[channel.topic] = Topic(
+                    channel.topic, channel.encoding, schema.name, count, units=units
+                )
         for topic in topics.values():
             _take(topic, messages)
         whole = all(len(one.payloads) >= MESSAGES_READ for one in topics.values())
@@ -78,3 +86,33 @@ def _decode(path: Path, topic: Topic, schema: Schema) -> None:
     }
     first = next((tree for tree in trees if tree is not None), None)
     topic.texts = {at: one for at, one in leaves(first) if isinstance(one, str)}
+
+
+def _metadata_units(channel: ChannelRecord) -> Iterator[tuple[FieldPath, str]]:
+    for key, value in channel.metadata:
+        if key.lower() in UNIT_KEYS:
+            yield (), value
+
+
+def _schema_units(schema: Schema) -> Iterator[tuple[FieldPath, str]]:
+    """Units of fields: of a JSON schema by their own key, of ROS 2 in a remark."""
+    text = schema.data.decode(errors="replace")
+    if schema.encoding == "jsonschema":
+        with suppress(ValueError, RecursionError):
+            yield from _json_units(json.loads(text), ())
+    elif schema.encoding == "ros2msg":
+        for name, remark in re.findall(
+            r"^\S+[ \t]+(\w+)[ \t]*#[ \t]*(\S+)[ \t]*$", text, re.MULTILINE
+        ):
+            yield (name,), remark
+
+
+def _json_units(node: object, path: FieldPath) -> Iterator[tuple[FieldPath, str]]:
+    if not isinstance(node, dict):
+        return
+    for key, value in node.items():
+        if path and key.lower() in UNIT_KEYS and isinstance(value, str):
+            yield path, value
+    properties = node.get("properties")
+    for name, inner in properties.items() if isinstance(properties, dict) else ():
+        yield from _json_units(inner, (*path, name))

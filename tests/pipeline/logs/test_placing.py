@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from pipeline.logs.motor_logs import date_in, with_told_nights
+from pipeline.logs.dates import date_in, with_told_nights
 from pipeline.logs.processed import FileRecord
 
 LATEST = dt.date(2026, 6, 1)

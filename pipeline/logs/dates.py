@@ -1,0 +1,158 @@
+"""Dates in the names of logs: nights of those that cannot be read, stamps that contradict them."""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from pipeline.clock import utc
+from pipeline.config.nights import DAY
+from pipeline.errors import LogError
+from pipeline.logs.files import failed, labels_of
+from pipeline.logs.processed import FileRecord
+
+# A night known from a file's name alone lies this near to those of the motor's other logs.
+FARTHEST_NIGHT = 31 * DAY
+# A log may be named by the day before or behind its stamps, in another zone.
+NEAR_DAYS = 2
+_DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
+_PARTITION = re.compile(r"[a-z]+=")
+_FORMS = (
+    r"(?<!\d)(?P<y>20\d\d)(?P<s>[-_./ ]?)(?P<a>\d\d)(?P=s)(?P<b>\d\d)(?!\d\d?[-_./ ])",
+    r"(?<!\d)(?P<y>20\d\d)(?P<s>[-_./ ])(?P<a>\d\d?)(?P=s)(?P<b>\d\d?)(?!\d)",
+    r"(?<!\d)(?P<b>\d\d?)(?P<s>[-_. ])(?P<a>\d\d?)(?P=s)(?P<y>20\d\d)(?!\d)",
+    r"(?<!\d)(?P<b>\d\d)(?P<a>\d\d)(?P<y>20\d\d)(?!\d)",
+)
+_DATES = tuple(map(re.compile, _FORMS))
+
+
+def date_in(name: str) -> dt.date | None:
+    """Return the last date in a file's name, or None without one."""
+    found = _DATE_IN_NAME.findall(name)
+    try:
+        return dt.date(*map(int, found[-1])) if found else None
+    except ValueError:
+        return None
+
+
+def dates_in(name: str) -> set[dt.date]:
+    """Return the dates that a path may name, where day or month may come first both.
+
+    Examples
+    --------
+    >>> sorted(map(str, dates_in("W1/year=2026/month=1/day=2/W1.csv")))
+    ['2026-01-02']
+    >>> sorted(map(str, dates_in("W1_02.01.2026.csv")))
+    ['2026-01-02', '2026-02-01']
+    """
+    plain, found = _PARTITION.sub("", name), set[dt.date]()
+    for at, form in enumerate(_DATES):
+        for match in form.finditer(plain):
+            year, first, second = (int(match[part]) for part in "yab")
+            orders = [(first, second)] if at < 2 else [(first, second), (second, first)]
+            for month, day in orders:
+                if 1 <= month <= 12 and 1 <= day <= 31:
+                    found |= set(_date(year, month, day))
+    return found
+
+
+def _date(year: int, month: int, day: int) -> Iterator[dt.date]:
+    try:
+        yield dt.date(year, month, day)
+    except ValueError:
+        return
+
+
+def days_off(name: str, first_us: int, last_us: int) -> int | None:
+    """Return by how many days stamps lie beside the dates in a name; None: it has none."""
+    first, last = utc(first_us).date(), utc(last_us).date()
+    off = [max((first - one).days, (one - last).days, 0) for one in dates_in(name)]
+    return min(off, default=None)
+
+
+def dated_otherwise(records: Mapping[str, FileRecord]) -> dict[str, int]:
+    """Return the days by which names contradict stamps, by log, but for those of all alike."""
+    off = {
+        name: days
+        for name, record in records.items()
+        if record.status == "ok" and record.first_us is not None and record.last_us is not None
+        if (days := days_off(name, record.first_us, record.last_us)) is not None
+    }
+    # Logs that are all named by a day as far from their stamps are named so.
+    ((usual, n_usual),) = Counter(off.values()).most_common(1) or [(0, 0)]
+    usual = usual if n_usual > 1 else 0
+    return {name: days for name, days in off.items() if abs(days - usual) > NEAR_DAYS}
+
+
+def without_misdated(records: Mapping[str, FileRecord]) -> dict[str, FileRecord]:
+    """Refuse logs whose stamps contradict the dates in their names, if most others' agree."""
+    odd = dated_otherwise(records)
+    n_dated = sum(1 for name, one in records.items() if one.status == "ok" and dates_in(name))
+    if 2 * len(odd) >= n_dated:
+        return dict(records)
+    return {
+        name: _misdated(record, odd[name]) if name in odd else record
+        for name, record in records.items()
+    }
+
+
+def _misdated(record: FileRecord, days: int) -> FileRecord:
+    message = misdated_message(record, days)
+    bare = replace(record, first_us=None, last_us=None, nights=())
+    return failed(bare, LogError("log_misdated", Path(record.path), message))
+
+
+def misdated_message(record: FileRecord, days: int) -> str:
+    """Return in words how a name contradicts its stamps."""
+    first = utc(record.first_us or 0)
+    return (
+        f"its first stamp is of {first.day} {first:%B %Y}, {days} days beside the date in its "
+        "name: are day and month the other way round? Correct logs.time_format, or the log"
+    )
+
+
+def has_no_span(record: FileRecord) -> bool:
+    """True for a file that cannot be read: its nights, if any, are told from elsewhere."""
+    return record.status != "ok" and record.first_us is None
+
+
+def with_told_nights(
+    records: Mapping[str, FileRecord], before: Mapping[str, FileRecord], latest: dt.date
+) -> dict[str, FileRecord]:
+    """Give each unreadable file the nights that it held before, or that of the date in its name.
+
+    A date means the night that it does in the names of the readable files. A night after the
+    latest, or far from those of the motor's other logs, is none.
+    """
+    if not any(has_no_span(one) and not one.nights for one in records.values()):
+        return dict(records)
+    readable = [one for one in records.values() if one.status == "ok" and one.nights]
+    dated = ((date_in(one.path), min(labels_of(one))) for one in readable)
+    lags = Counter(night - date for date, night in dated if date is not None)
+    lag = lags.most_common(1)[0][0] if lags else 0 * DAY
+    earlier = [one for one in before.values() if one.status == "ok"]
+    known = {label for one in (*readable, *earlier) for label in labels_of(one)}
+
+    def told(record: FileRecord) -> FileRecord:
+        held, named = before.get(record.path), date_in(record.path)
+        if held is not None and held.nights:
+            nights, how = labels_of(held), "by what it held before"
+        elif named is not None:
+            nights, how = {named + lag}, "by its name"
+        else:
+            return record
+        first, last = min(known or nights) - FARTHEST_NIGHT, max(known or nights) + FARTHEST_NIGHT
+        kept = sorted(map(str, (one for one in nights if first <= one <= min(last, latest))))
+        if not kept:
+            return record
+        message = f"{record.message} (night told {how})"
+        return replace(record, nights=tuple(kept), message=message)
+
+    return {
+        name: told(one) if has_no_span(one) and not one.nights else one
+        for name, one in records.items()
+    }

@@ -1,0 +1,57 @@
+"""Extreme values that stand again and again: what a device writes in place of a reading."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from pipeline.arrays import Array
+from pipeline.config import Channel, MotorSpec
+from pipeline.ingest import RawChannel
+from pipeline.units import FALLBACK_VALID_RANGE
+
+# An extreme value is none of a measurement where it comes in so many stretches of the log, and
+# lies so many times the spread of the others beyond them.
+FEWEST_STRETCHES, BEYOND_SPREADS, SPREAD = 3, 1.5, (0.02, 0.98)
+
+
+def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str]:
+    """Yield channels whose highest or lowest value is no reading, with the key that refuses it."""
+    for name, channel in spec.file.channels.items():
+        if channel.constant is not None or channel.counts is not None:
+            continue
+        value = _credible(name, channel, channels[name].value)
+        for extreme, nearest in _sentinels(value):
+            low, high = channel.valid_range or FALLBACK_VALID_RANGE[name]
+            limit = float(f"{(extreme + nearest) / 2:.3g}")
+            low, high = (low, limit) if extreme > nearest else (limit, high)
+            yield (
+                f"extreme_repeated: {name}: {extreme:g} stands {np.sum(value == extreme)} times, "
+                f"and no other value is beyond {nearest:.4g}: if it is no reading, "
+                f"valid_range = [{low:g}, {high:g}] refuses it"
+            )
+
+
+def _credible(name: str, channel: Channel, value: Array) -> Array:
+    low, high = channel.valid_range or FALLBACK_VALID_RANGE[name]
+    found = value[np.isfinite(value) & (value >= low) & (value <= high)]
+    if channel.sensor_maximum is not None:
+        found = found[found < channel.sensor_maximum - channel.resolution]
+    # Whatever stands still or is without load reads 0.
+    return found if name == "oil_temperature" else found[found != 0.0]
+
+
+def _sentinels(value: Array) -> Iterator[tuple[float, float]]:
+    """Yield extreme values, each with the nearest of the others."""
+    for end in (np.max, np.min) if len(value) else ():
+        mark = float(end(value))
+        others = value[value != mark]
+        places = np.flatnonzero(value == mark)
+        n_stretches = 1 + int(np.count_nonzero(np.diff(places) > 1))
+        if n_stretches < FEWEST_STRETCHES or 2 * len(others) < len(value):
+            continue
+        beside = float(end(others))
+        low, high = np.quantile(others, SPREAD)
+        if abs(mark - beside) > BEYOND_SPREADS * (high - low) > 0.0:
+            yield mark, beside
