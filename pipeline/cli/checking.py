@@ -40,10 +40,6 @@ def check(
     tables: Annotated[
         bool, typer.Option("--tables", help="Compare every table file with its SHA-256 instead.")
     ] = False,
-    repair: Annotated[
-        bool,
-        typer.Option("--repair", help="Put aside what is not its SHA-256, for the next run."),
-    ] = False,
     full: Annotated[
         bool,
         typer.Option("--full", help="Read every log: which nights a run would fit, and why not."),
@@ -54,7 +50,7 @@ def check(
 
     Example: motor-leakage check configs/fleet.toml
 
-    Example: motor-leakage check --repair configs/fleet.toml
+    Example: motor-leakage check --tables configs/fleet.toml
 
     The newest night is judged by the rules of a run, with --full every night.
 
@@ -65,8 +61,8 @@ def check(
     from pipeline.logs.finding import strays_told, unclaimed
     from pipeline.setup.check import check_motor
 
-    if tables or repair:
-        raise typer.Exit(_check_tables(config, output, as_json=as_json, is_mended=repair))
+    if tables:
+        raise typer.Exit(_check_tables(config, output, as_json=as_json))
     fleet = load(config, None, None)
     checks = tuple(check_motor(spec, is_full=full) for spec in fleet.motors)
     for one in checks:
@@ -98,33 +94,21 @@ def _fleet_faults(fleet: Fleet, checks: Iterable[MotorCheck]) -> Iterator[UsageE
         yield UsageError("metrics_file", f"{where}; make it, or correct metrics.textfile")
 
 
-def _check_tables(config: Path, output: Path | None, *, as_json: bool, is_mended: bool) -> int:
+def _check_tables(config: Path, output: Path | None, *, as_json: bool) -> int:
     """Compare the files of an output with what was published; returns the exit code."""
-    from pipeline.run.mending import repair
-    from pipeline.store.locks import locked
     from pipeline.store.published import verify_tables
-    from pipeline.store.state import make_ready, open_state
     from pipeline.store.tables import existing_tables
 
-    fleet = load(config, output, None, logs=False)
-    folder = fleet.output
-    if is_mended:
-        with locked(folder):
-            make_ready(folder)
-            with open_state(folder) as state:
-                found, left = repair(state)
-    else:
-        found = left = tuple(verify_tables(folder))
-    tell_faults(found, as_json=as_json)
-    if is_mended:
-        tell_faults(left, "table_fault_left", "left: ", as_json=as_json)
+    folder = load(config, output, None, logs=False).output
+    faults = tuple(verify_tables(folder))
+    tell_faults(faults, as_json=as_json)
     # Tables that are missing are reported already.
-    tables = folder / "tables" if found else existing_tables(folder)
+    tables = folder / "tables" if faults else existing_tables(folder)
     n_files = sum(1 for _ in tables.glob("**/*.parquet"))
-    total = {"event": "tables", "n_files": n_files, "n_faults": len(found), "n_left": len(left)}
-    words = f"{counted(n_files, 'table file')}, {counted(len(found), 'fault')}"
-    tell(total, words + f", {len(left)} left" * is_mended, as_json=as_json)
-    return EXIT_MOTORS_FAILED if left else EXIT_OK
+    event = {"event": "tables", "n_files": n_files, "n_faults": len(faults)}
+    words = f"{counted(n_files, 'table file')}, {counted(len(faults), 'fault')}"
+    tell(event, words, as_json=as_json)
+    return EXIT_MOTORS_FAILED if faults else EXIT_OK
 
 
 def _print_check(one: MotorCheck) -> None:

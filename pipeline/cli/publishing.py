@@ -137,7 +137,7 @@ def prune(
     from pipeline.store.locks import locked
     from pipeline.store.retention import old_files, require_prunable
     from pipeline.store.retention import prune as remove
-    from pipeline.store.state import make_ready, open_state
+    from pipeline.store.state import open_state
     from pipeline.store.tables import existing_tables
 
     fleet = load(config, output, None, logs=False)
@@ -148,10 +148,8 @@ def prune(
     newest_night = newest_of_fleet(fleet, now())
     old = old_files(fleet.output, kept, None if newest_night is None else newest_night.night)
     if yes and old:
-        with locked(fleet.output):
-            make_ready(fleet.output)
-            with open_state(fleet.output) as state:
-                remove(state, old)
+        with locked(fleet.output), open_state(fleet.output) as state:
+            remove(state, old)
     word = "removed" if yes else "can be removed"
     for one in old:
         event = {

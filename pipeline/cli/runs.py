@@ -69,6 +69,10 @@ def fit_fleet(
     retry: Annotated[
         bool, typer.Option("--retry", help="Try nights and logs again that failed.")
     ] = False,
+    repair: Annotated[
+        bool,
+        typer.Option("--repair", help="Compare all table files before; make anew what is bad."),
+    ] = False,
 ) -> None:
     """Fit every new night of the fleet's motors and write the tables.
 
@@ -93,6 +97,7 @@ def fit_fleet(
             until=until,
             force=force,
             retry=retry,
+            repair=repair,
         )
         if dry_run:
             print_plan(request, as_json=as_json)
@@ -241,13 +246,11 @@ def print_plan(request: RunRequest, *, as_json: bool) -> None:
         say(f"to be done: {counted(total, 'night')}")
 
 
-def tell_faults(
-    faults: Iterable[TableFault], event: str = "table_fault", mark: str = "", *, as_json: bool
-) -> None:
+def tell_faults(faults: Iterable[TableFault], *, as_json: bool) -> None:
     """Print damaged files of the output."""
-    for one in faults:
-        words = f"motor-leakage: {mark}{one}"
-        tell({"event": event, **asdict(one)}, words, as_json=as_json, err=True)
+    for fault in faults:
+        event = {"event": "table_fault", **asdict(fault)}
+        tell(event, f"motor-leakage: {fault}", as_json=as_json, err=True)
 
 
 @contextmanager

@@ -320,8 +320,6 @@ class Execution(Section):
     """Most memory of a worker (Linux)."""
     minimum_free_mib: NonNegative = 100.0
     """Free disk space that a run requires."""
-    prove_within_days: int = Field(30, ge=1, le=365)
-    """Days within which each table file is proven by its SHA-256."""
 
     def misfits(self) -> Iterator[Misfit]:
         if self.backend == "dask" and not self.scheduler:

@@ -21,7 +21,7 @@ from pipeline.errors import StoreError
 from pipeline.logs.finding import legible
 from pipeline.notification.outbox import open_outbox
 from pipeline.notification.receivers import receivers_of
-from pipeline.run.mending import EVERY_DAY, Damage, restore_decisions
+from pipeline.run.mending import damage_left, find_damage, forget_lost
 from pipeline.run.motors import motor_outcomes
 from pipeline.run.notification import deliver_alarms, measure, queue_summary, settle_intraday
 from pipeline.run.publishing import (
@@ -41,9 +41,9 @@ from pipeline.store.copying import copy_output
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.locks import interrupts_held, locked
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.published import write_manifest
 from pipeline.store.publishing import Publisher
-from pipeline.store.state import make_ready, open_state, put_old_aside
+from pipeline.store.state import State, make_ready, open_state
+from pipeline.trends.nights.decisions import publish_decisions, restore_decisions
 from pipeline.trends.tasks import TrendOutcome
 from pipeline.workers.engine import Workers, open_workers
 from pipeline.workers.process import Loss
@@ -86,21 +86,17 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     ):
         remove_leftovers([output], below=False)
         remove_leftovers([output / "tables"])
-        put_old_aside(output)
+        make_ready(output)
         with staging_folder(output) as staging:
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
-            is_new = make_ready(output)
             with open_state(output) as state:
-                damage = Damage(state)
-                if is_new:
-                    restore_decisions(state)
-                    damage.take_stock()
+                restore_decisions(state)
                 open_outbox(state, [one.name for one in receivers], fleet.name)
                 with open_workers(fleet.execution, folders) as workers:
-                    result = _run(request, staging, progress, heartbeat, workers, damage)
+                    result = _run(request, staging, progress, heartbeat, workers, state)
                 settle_intraday(fleet, state)
                 queue_summary(fleet, state)
-                write_manifest(state)
+                publish_decisions(state, result.run_id)
         # A motor without an outcome of its own has its own words.
         if result.without_logs:
             place = fleet.log_place
@@ -144,11 +140,12 @@ def _run(
     progress: Progress,
     heartbeat: Heartbeat,
     workers: Workers,
-    damage: Damage,
+    state: State,
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
-    fleet, state = request.fleet, damage.state
-    damage.look_around(fleet.execution.prove_within_days)
+    fleet = request.fleet
+    damage = find_damage(state, every_file=request.repair)
+    fitted = forget_lost(state, damage)
     tasks = [request.task(spec, staging) for spec in request.specs]
     outcomes: list[MotorOutcome] = []
     is_stopped = False
@@ -164,7 +161,7 @@ def _run(
     config_hash = config_hash_of(request.specs)
     run_id = run_id_of(outcomes, config_hash)
     heartbeat.say(stage="publishing", run_id=run_id)
-    publisher = Publisher(state, staging, run_id, missed=damage.found.keys())
+    publisher = Publisher(state, staging, run_id)
     with interrupts_held() as came:
         n_nights = publish_motors(publisher, outcomes)
     is_stopped = is_stopped or bool(came)
@@ -183,8 +180,8 @@ def _run(
         failures = {motor_id: loss for one in trends for motor_id, loss in one.failures.items()}
         outcomes = [_with_trends(one, failures.get(one.motor_id)) for one in outcomes]
         if any(one.error_code == "store_read" for one in outcomes):
-            # What a task could not read is found and named; the next run makes it anew.
-            damage.look_around(EVERY_DAY)
+            # The file that a task could not read is named; the next run makes it anew.
+            damage += find_damage(state, every_file=True)
         ends.append(time.perf_counter())
         stages = zip(STAGES, [begin, *ends], ends, strict=False)
         result = RunResult(
@@ -195,8 +192,10 @@ def _run(
             seconds=ends[-1] - begin,
             alarms=tuple(alarms),
             seconds_by_stage={name: end - start for name, start, end in stages},
-            damage=tuple(damage.found.values()),
-            damage_left=tuple(damage.left({one.motor_id: one.nights for one in outcomes})),
+            damage=damage,
+            damage_left=tuple(
+                damage_left(damage, fitted, {one.motor_id: one.nights for one in outcomes})
+            ),
         )
         heartbeat.say(stage="recording")
         publish_run(publisher, request, result, started, config_hash)

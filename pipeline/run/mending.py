@@ -1,8 +1,7 @@
-"""Mending of damaged output, by a run or by `check --repair`.
+"""Damage to an output: a run names it, and lets what was lost be made anew.
 
-Nothing is mended in its place. A damaged file is put aside, and its nights are forgotten, so that a
-run makes them anew from logs or stored blocks. A missing file stays listed until it is there again:
-if a run is broken off, the next one sees it. Each step can be repeated.
+A damaged file is renamed. The nights of a file that is gone are forgotten, so that they are made
+anew from logs or stored blocks. Wherever a run is broken off, the next one does the same again.
 """
 
 from __future__ import annotations
@@ -10,199 +9,95 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import PurePosixPath
 
-from pipeline.errors import StoreError
 from pipeline.logs.processed import forget_nights
-from pipeline.messages import counted
-from pipeline.schema import DECISIONS, TABLES
-from pipeline.store.atomic_files import move, remove
 from pipeline.store.published import (
     OF_MOTORS,
     OF_TRENDS,
-    TABLE_OF,
     TableFault,
-    accepted,
-    files_there,
-    look_at,
-    look_at_files,
+    longest_unproven,
     note,
-    proves_itself,
-    share_due,
-    verify_tables,
+    set_aside,
+    verify_files,
 )
 from pipeline.store.state import State
-from pipeline.store.tables import (
-    MONTH_PREFIX,
-    PUT_ASIDE,
-    days_of,
-    files_of,
-    name_of,
-    read_table,
-    whole_file,
-)
-from pipeline.trends.nights.decisions import Decision, put_back
+from pipeline.store.tables import days_of
 from pipeline.trends.nights.trend_record import note_touched
 
 log = logging.getLogger(__name__)
 
 # Rows of these are made anew from the night's stored blocks if its log is gone.
 FROM_BLOCKS = {"parameters"}
-# All files are due in each run.
-EVERY_DAY = 1
 LOST = ("table_altered", "table_missing")
-NO_LOGS = (
-    "the logs of that night are gone, or were not asked for; the next run makes it anew where they "
-    "are there, and `check --repair` gives it up"
-)
+
+# Nights by motor.
+Nights = Mapping[str, Collection[dt.date]]
 
 
-@dataclass(slots=True)
-class Damage:
-    """Damage to published files that a run finds, and mends as far as possible.
+def find_damage(state: State, *, every_file: bool = False) -> tuple[TableFault, ...]:
+    """Name files that are gone or damaged, and rename these; prove others, or every one.
 
-    Parameters
-    ----------
-    state
-        State of an output folder, of which the caller holds the lock.
-
-    Attributes
-    ----------
-    found
-        Faults by path.
+    Raises StoreError if the state cannot be read or written, or a file is not to be renamed.
     """
+    sound, faults = {}, []
+    for file in verify_files(state, None if every_file else longest_unproven(state)):
+        if file.fault is None:
+            sound[file.name] = file.sha256
+            continue
+        faults.append(file.fault)
+        log.warning("%s", file.fault)
+        if file.fault.code == "table_altered":
+            set_aside(state, file.name)
+    note(state, sound)
+    return tuple(faults)
 
-    state: State
-    found: dict[str, TableFault] = field(default_factory=dict)
-    # By motor, the nights with a fit of which rows were lost.
-    _fitted: defaultdict[str, set[dt.date]] = field(default_factory=lambda: defaultdict(set))
 
-    def look_around(self, prove_within_days: int) -> None:
-        """Prove the files that were written to since, and a share of the others.
+def forget_lost(state: State, faults: Sequence[TableFault]) -> Nights:
+    """Let the nights of lost files be made anew; returns those of them that had a fit.
 
-        Raises StoreError if something cannot be read or written; what was done before then holds.
-        """
-        sound, faults = {}, []
-        for one in look_at_files(self.state, share_due(self.state, prove_within_days)):
-            if one.fault is None:
-                sound[one.name] = one.sha256
-            else:
-                faults.append(one.fault)
-        note(self.state, sound)
-        self.mend(faults)
-
-    def take_stock(self) -> None:
-        """List what is there and proves itself, where the state file was lost or is new.
-
-        Raises StoreError if the state cannot be written, or a file is of a newer version.
-        """
-        output, proven, faults = self.state.output, {}, []
-        for table, path in ((one, path) for one in TABLES for path in files_of(output, one)):
-            looked = look_at(self.state, name_of(output, path))
-            if looked.fault is None and accepted(self.state, looked.name):
-                continue
-            if proves_itself(path, table, looked.content):
-                proven[looked.name] = looked.sha256
-            else:
-                message = "it is not listed, and is damaged or not what a run publishes"
-                faults.append(TableFault(looked.name, "table_altered", message))
-        note(self.state, proven)
-        self.mend(faults)
-
-    def mend(self, faults: Iterable[TableFault]) -> None:
-        """Name faults that are new, and let damaged and missing files be made anew.
-
-        Raises StoreError if something cannot be written.
-        """
-        new = [one for one in faults if one.path not in self.found]
-        for one in new:
-            log.warning("%s", one)
-        self.found |= {one.path: one for one in new}
-        lost = [one for one in new if one.code in LOST and MONTH_PREFIX in one.path]
-        self.forget([one.path for one in lost])
-        for one in lost:
-            path = self.state.output / "tables" / one.path
-            if one.code == "table_altered":
-                move(path, path.with_suffix(PUT_ASIDE))
-            if one.path.split("/")[0] not in OF_MOTORS | OF_TRENDS:
-                note(self.state, {one.path: None})  # nothing makes it anew
-
-    def forget(self, names: Iterable[str]) -> None:
-        """Let the nights of some files be made anew."""
-        nights: defaultdict[dt.date, set[str]] = defaultdict(set)
-        touched: list[dt.date] = []
-        for name in names:
-            table, label = name.split("/")[0], PurePosixPath(name).stem
-            if table in OF_MOTORS:
-                for night in days_of(label):
-                    nights[night].add(table)
-            if table in OF_MOTORS | OF_TRENDS:
-                touched.append(days_of(label)[0])
-        if nights:
-            refit = {night for night, tables in nights.items() if tables <= FROM_BLOCKS}
-            for motor_id, some in forget_nights(self.state, nights, refit=refit).items():
-                self._fitted[motor_id] |= some
+    Raises StoreError if the state cannot be written.
+    """
+    lost = [fault.path for fault in faults if fault.code in LOST]
+    tables: defaultdict[dt.date, set[str]] = defaultdict(set)
+    for name in lost:
+        for night in _nights_of(name):
+            tables[night].add(name.split("/")[0])
+    touched = [
+        days_of(PurePosixPath(name).stem)[0]
+        for name in lost
+        if name.split("/")[0] in OF_MOTORS | OF_TRENDS
+    ]
+    with state.transaction():
+        refit = {night for night, names in tables.items() if names <= FROM_BLOCKS}
+        fitted = forget_nights(state, tables, refit=refit)
         if touched:
-            motors = self.state.rows("SELECT motor_id FROM trends")
-            note_touched(self.state, ((motor_id, min(touched)) for (motor_id,) in motors))
-
-    def left(self, made: Mapping[str, Collection[dt.date]]) -> Iterator[TableFault]:
-        """Faults that were found and are not mended, given the nights made by motor."""
-        mended: dict[dt.date, str] = {}
-        for path, fault in self.found.items():
-            table = path.split("/")[0]
-            is_made_anew = table in OF_MOTORS | OF_TRENDS or MONTH_PREFIX not in path
-            if table not in TABLE_OF or not is_made_anew:
-                continue
-            now = look_at(self.state, path).fault
-            if now is not None and now.code == "table_unreadable":
-                yield now
-            elif now is not None or not (self.state.output / "tables" / path).exists():
-                yield replace(now or fault, message=f"not made anew: {NO_LOGS}")
-            elif table in OF_MOTORS:
-                for night in days_of(PurePosixPath(path).stem):
-                    mended.setdefault(night, path)
-        for night, path in mended.items():
-            lost = [
-                motor_id
-                for motor_id, some in sorted(self._fitted.items())
-                if night in some and night not in made.get(motor_id, ())
-            ]
-            if lost:
-                message = f"rows of {', '.join(lost)} are not made anew: {NO_LOGS}"
-                yield TableFault(path, "rows_lost", message)
+            motors = state.rows("SELECT motor_id FROM trends")
+            note_touched(state, ((motor_id, min(touched)) for (motor_id,) in motors))
+        note(state, dict.fromkeys(lost))
+    return fitted
 
 
-def restore_decisions(state: State) -> None:
-    """Put back decisions that a restored state file lacks, from the table of the last run.
+def damage_left(faults: Sequence[TableFault], fitted: Nights, made: Nights) -> Iterator[TableFault]:
+    """What of the damage a run has not made up for, given the nights that it has made."""
+    for fault in faults:
+        if fault.code not in LOST:
+            yield fault
+            continue
+        motors = sorted(
+            motor_id
+            for motor_id, nights in fitted.items()
+            if set(nights).intersection(_nights_of(fault.path)).difference(made.get(motor_id, ()))
+        )
+        if motors:
+            message = (
+                f"rows of {', '.join(motors)} are not made anew: their logs are gone, or were not "
+                "asked for; a run makes them where the logs are there"
+            )
+            yield TableFault(fault.path, "rows_lost", message)
 
-    Raises StoreError if the state cannot be read or written.
-    """
-    path = whole_file(state.output, DECISIONS)
-    try:
-        rows = read_table(path, DECISIONS).drop("run_id").to_dicts() if path.exists() else []
-    except StoreError as error:
-        log.warning("%s; what people said is not put back from it", error)
-        return
-    if count := put_back(state, (Decision(**row) for row in rows)):
-        log.warning("put back from the table `decisions`: %s", counted(count, "decision"))
 
-
-def repair(state: State) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
-    """Put aside what is not as published, and let the next run make it anew.
-
-    The caller holds the lock. What was put aside before goes, and what no run can make anew is
-    missed no more. Returns the faults that were found, and those that are left.
-
-    Raises StoreError if something cannot be read or written.
-    """
-    for name in files_there(state.output):
-        if name.endswith(PUT_ASIDE):
-            remove(state.output / "tables" / name)
-    damage = Damage(state)
-    damage.look_around(EVERY_DAY)
-    lost = [one.path for one in damage.found.values() if one.code in LOST]
-    note(state, {name: None for name in lost if not (state.output / "tables" / name).exists()})
-    return tuple(damage.found.values()), tuple(verify_tables(state.output))
+def _nights_of(name: str) -> list[dt.date]:
+    """Nights of a file with rows of motors; none of another one."""
+    return days_of(PurePosixPath(name).stem) if name.split("/")[0] in OF_MOTORS else []

@@ -7,7 +7,6 @@ import hashlib
 import logging
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from importlib.metadata import version
 from math import ceil
 from pathlib import Path
@@ -28,7 +27,6 @@ from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
 from pipeline.schema import (
     ALARMS,
     DATA_DICTIONARY,
-    DECISIONS,
     LATEST,
     MOTOR_OUTCOMES,
     NIGHT_TABLES,
@@ -156,18 +154,15 @@ def publish_trends(
 
 
 def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:
-    """Publish the columns, what people decided, and the state of each motor.
+    """Publish the columns, and the state of each motor.
 
     Where a table is damaged, `latest` stays as it was.
     """
     state, output = publisher.state, publisher.state.output
     publisher.whole(DATA_DICTIONARY, data_dictionary())
-    decisions = read_decisions(output)
-    said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
-    publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
     motor_ids = sorted(spec.motor_id for spec in fleet.motors)
     published = _published_latest(output)
-    made_of = f"{len(decisions)} decisions"
+    made_of = f"{len(read_decisions(output))} decisions"
     if published["motor_id"].to_list() == motor_ids and state.meta("latest") == made_of:
         return
     try:

@@ -34,6 +34,7 @@ class RunRequest:
     until: dt.date | None = None
     force: bool = False  # whether to make nights anew from their logs that nothing has changed of
     retry: bool = False  # whether to try nights and logs again that failed
+    repair: bool = False  # whether to prove every table file before
     # The time of the run, by which logs lie in the future.
     clock: dt.datetime = field(default_factory=now)
 

@@ -1,22 +1,16 @@
-"""Files written whole or not at all, flushed and read back."""
+"""Files written whole or not at all, and flushed."""
 
 from __future__ import annotations
 
-import errno
-import hashlib
-import io
 import os
 import secrets
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 from pipeline.errors import StoreError
-
-if TYPE_CHECKING:
-    from typing_extensions import Buffer
 
 TEMPORARY_PREFIX = ".writing-"
 # Tables hold no secrets, and analysts are other users.
@@ -27,26 +21,12 @@ BUFFER = 1 << 20
 Write = Callable[[BinaryIO], object] | bytes
 
 
-class _Hashed(io.FileIO):
-    """A new file, and the hash of what is written to it."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, "x+")
-        self.hash = hashlib.sha256()
-
-    def write(self, data: Buffer, /) -> int:
-        taken = super().write(data)
-        self.hash.update(memoryview(data).cast("B")[:taken])
-        return taken
-
-
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A temporary file in the folder of its place, flushed and read back."""
+    """A temporary file in the folder of its place, flushed."""
 
     path: Path  # its place
     temporary: Path  # the file
-    sha256: str  # of its content
 
     def land(self, *, flush: bool = True) -> None:
         """Rename it to its place; not to `flush` its folder is for one who does so later.
@@ -69,52 +49,36 @@ class Prepared:
 
 
 def prepare(path: Path, write: Write, *, durable: bool = True) -> Prepared:
-    """Write a temporary file in the folder of its place, flush it, and read it back.
+    """Write a temporary file in the folder of its place, and flush it.
 
-    Raises StoreError if it cannot be written, or is not read back as it was written; nothing is
-    left of it.
+    Raises StoreError if it cannot be written; nothing is left of it.
     """
     temporary = path.parent / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}"
     with store_errors(path):
         make_folders(path.parent)
         try:
-            sha256 = _written(temporary, write, durable=durable)
+            with temporary.open("xb", BUFFER) as stream:
+                os.fchmod(stream.fileno(), MODE)
+                stream.write(write) if isinstance(write, bytes) else write(stream)
+                stream.flush()
+                if durable:
+                    os.fsync(stream.fileno())
         except BaseException:
             with suppress(OSError):
                 temporary.unlink()
             raise
-    return Prepared(path, temporary, sha256)
+    return Prepared(path, temporary)
 
 
-def _written(path: Path, write: Write, *, durable: bool) -> str:
-    """Write a new file and read it back; returns its SHA-256."""
-    file = _Hashed(path)
-    with io.BufferedWriter(file, BUFFER) as stream:
-        os.fchmod(file.fileno(), MODE)
-        stream.write(write) if isinstance(write, bytes) else write(stream)
-        stream.flush()
-        if durable:
-            os.fsync(file.fileno())
-            # Read back from the disk, if possible, not from the cache.
-            if hasattr(os, "posix_fadvise"):
-                os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-        file.seek(0)
-        if hashlib.file_digest(file, "sha256").digest() != file.hash.digest():
-            raise OSError(errno.EIO, "what was read back is not what was written")
-    return file.hash.hexdigest()
-
-
-def put(path: Path, write: Write, *, durable: bool = True) -> str:
-    """Write a file whole or not at all, and the folders above it; returns its SHA-256.
+def put(path: Path, write: Write, *, durable: bool = True) -> None:
+    """Write a file whole or not at all, and the folders above it.
 
     One that is not `durable` need not survive a power cut.
 
     Raises StoreError if it cannot be written; the old file then stays. If only the last flush, of
     its folder, fails, the new file may be there already.
     """
-    prepared = prepare(path, write, durable=durable)
-    prepared.land(flush=durable)
-    return prepared.sha256
+    prepare(path, write, durable=durable).land(flush=durable)
 
 
 def make_folders(folder: Path) -> None:

@@ -15,8 +15,10 @@ from pathlib import Path
 from pipeline.errors import StoreError
 from pipeline.store.atomic_files import store_errors
 from pipeline.store.object_store import ObjectStore
-from pipeline.store.published import MANIFEST_FILE
+from pipeline.store.state import read_state_file
 
+# At the URL alone: the SHA-256 of each file of the copy.
+MANIFEST = "manifest.json"
 # Requests under way at a time.
 REQUESTS = 16
 
@@ -29,18 +31,17 @@ def copy_output(url: str, output: Path) -> int:
     Raises StoreError if the store refuses a request, or a file is not what was published.
     """
     store = ObjectStore.at(url)
-    with store_errors(output / MANIFEST_FILE, "read"):
-        manifest = (output / MANIFEST_FILE).read_bytes()
+    with read_state_file(output) as state:
+        rows = state.rows("SELECT name, sha256 FROM files WHERE sha256 != '' ORDER BY name")
+    manifest = json.dumps({"sha256": dict(rows)}, indent=0).encode()
     published = _digests(manifest)
-    copied = _digests(store.get(MANIFEST_FILE) or b"{}")
+    copied = _digests(store.get(MANIFEST) or b"{}")
     modified = {stored.key: stored.modified for stored in store.list()}
     # A newer object than the manifest is of a copy that was broken off.
     trusted = {
         key
         for key, digest in copied.items()
-        if key in modified
-        and modified[key] <= modified[MANIFEST_FILE]
-        and published.get(key) == digest
+        if key in modified and modified[key] <= modified[MANIFEST] and published.get(key) == digest
     }
 
     def copy(key: str) -> None:
@@ -48,14 +49,14 @@ def copy_output(url: str, output: Path) -> int:
         with store_errors(path, "read"):
             content = path.read_bytes()
         if hashlib.sha256(content).hexdigest() != published[key]:
-            message = f"{path} is not what was published; the next run repairs and copies it"
+            message = f"{path} is not what was published; `fit-fleet --repair` makes it anew"
             raise StoreError("store_read", message)
         store.put(key, content)
 
     missing = sorted(published.keys() - trusted)
     with ThreadPoolExecutor(REQUESTS) as pool:
         list(pool.map(copy, missing))
-    store.put(MANIFEST_FILE, manifest)
+    store.put(MANIFEST, manifest)
     store.remove((copied.keys() - published.keys()) & modified.keys())
     return len(missing)
 

@@ -1,8 +1,9 @@
-"""Published table files: the SHA-256 of each proves it, its footer included.
+"""Published table files: the SHA-256 of each, in the state file, proves it, its footer included.
 
-The state file lists them. Before a file is put into its place the digest that comes is noted
-beside its own, afterwards alone: wherever a run was broken off, a file is as it was or as it comes,
-and both are right. Page checksums do not cover a footer, and a query engine compares neither.
+Before a file is put into its place the digest that comes is noted beside its own, afterwards alone:
+wherever a run was broken off, a file is as it was or as it comes, and both are right. Page
+checksums do not cover a footer, and a query engine compares neither. They alone prove a file that
+is not listed, as the state file was lost.
 
 All raise StoreError if the state file cannot be read or written.
 """
@@ -11,33 +12,29 @@ from __future__ import annotations
 
 import datetime as dt
 import hashlib
-import json
 import os
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES, Table
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, put
+from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
+from pipeline.store.atomic_files import move
 from pipeline.store.state import STATE_FILE, State, is_sound, read_state_file
-from pipeline.store.tables import (
-    MONTH_PREFIX,
-    PUT_ASIDE,
-    days_of,
-    from_parquet,
-    name_of,
-)
+from pipeline.store.tables import ENDING, MONTH_PREFIX, days_of, files_of, from_parquet, name_of
 
-# List of all files and their SHA-256 for others to compare, written at a run's end.
-MANIFEST_FILE = "manifest.json"
 TABLE_OF = {table.name: table for table in TABLES}
 OF_MOTORS = {table.name for table in NIGHT_TABLES}
 OF_TRENDS = {table.name for table in TREND_TABLES}
-AGAIN = "a run makes it anew"
 # Stands for no file where a digest is expected.
 NO_FILE = ""
+# A run reads this part of all files, besides those that were written to since: with a run a night
+# each file is read once a month.
+PART_OF_A_RUN = 1 / 30
+# Ending of a damaged file: no reader takes it for a table.
+ASIDE = ".damaged"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,41 +76,18 @@ def note(state: State, files: Mapping[str, str | None]) -> None:
         )
 
 
-def accepted(state: State, name: str) -> tuple[str, ...]:
-    """Digests that a file may have, `NO_FILE` among them for none; empty where it is not listed."""
-    rows = state.rows("SELECT sha256, coming FROM files WHERE name = ?", name)
-    return tuple(one for row in rows for one in row if one is not None)
-
-
-def distrust(state: State, name: str) -> None:
-    """Let the next run look at a file, whatever it is now."""
-    state.write(
-        "INSERT INTO files (name, sha256, modified_ns) VALUES (?, 'unknown', -1)"
-        " ON CONFLICT (name) DO UPDATE SET modified_ns = -1",
-        name,
-    )
-
-
 def _stamp(output: Path, name: str) -> tuple[int, int]:
     """Size and time of a file, which differ once it was written to; zeros where it is gone."""
     try:
-        found = os.stat(f"{output}/tables/{name}")  # noqa: PTH116 - thousands in every run
+        status = os.stat(f"{output}/tables/{name}")  # noqa: PTH116 - thousands in every run
     except OSError:
         return 0, 0
-    return found.st_size, found.st_mtime_ns
-
-
-def share_due(state: State, days: int, now: dt.datetime | None = None) -> set[str]:
-    """Files that a run proves, the longest unproven first, so that all are within some days."""
-    overdue = ((now or dt.datetime.now(dt.UTC)) - dt.timedelta(days)).isoformat()
-    rows = state.rows("SELECT name, proven FROM files ORDER BY proven, name")
-    share = ceil(len(rows) / days)
-    return {name for place, (name, proven) in enumerate(rows) if place < share or proven <= overdue}
+    return status.st_size, status.st_mtime_ns
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
-    """A file that was looked at; without content and digest where there is none to be read."""
+class VerifiedFile:
+    """A file that was read; without content and digest where there is none to be read."""
 
     name: str
     content: bytes = b""
@@ -121,60 +95,89 @@ class Looked:
     fault: TableFault | None = None
 
 
-def digests_here(state: State) -> dict[str, str]:
-    """SHA-256 of listed files as they were noted; those that were written to since are left out."""
-    rows = state.rows("SELECT name, sha256, size, modified_ns FROM files WHERE coming IS NULL")
-    return {name: one for name, one, *stamp in rows if tuple(stamp) == _stamp(state.output, name)}
-
-
-def look_at_files(state: State, due: Collection[str] | None = ()) -> Iterator[Looked]:
-    """Read the published files that are gone, were written to since, or are due; None: all are."""
-    as_noted = digests_here(state)
-    for (name,) in state.rows("SELECT name FROM files ORDER BY name"):
-        if due is None or name in due or name not in as_noted:
-            yield look_at(state, name)
-
-
-def look_at(state: State, name: str) -> Looked:
+def verify_file(state: State, name: str) -> VerifiedFile:
     """Read a file and compare it.
 
-    A fault is looked at twice: a run may have published the file in between, or a read have failed.
+    One with a fault is read twice: a run may have published it in between, or a read have failed.
+    Raises StoreError (``store_newer``) for an unlisted file of a newer version of the program.
     """
-    looked = _look_at(state, name)
-    return looked if looked.fault is None else _look_at(state, name)
+    file = _verify(state, name)
+    return file if file.fault is None else _verify(state, name)
 
 
-def _look_at(state: State, name: str) -> Looked:
-    known = accepted(state, name)
+def _verify(state: State, name: str) -> VerifiedFile:
+    listed = state.rows("SELECT sha256, coming FROM files WHERE name = ?", name)
+    accepted = {digest for row in listed for digest in row if digest is not None}
     try:
         content = (state.output / "tables" / name).read_bytes()
     except (FileNotFoundError, NotADirectoryError):
-        looked, code, message = Looked(name), "table_missing", "the file is gone"
+        file, code, message = VerifiedFile(name), "table_missing", "the file is gone"
     except OSError as error:
         message = f"it cannot be read: {error.strerror}; correct its permissions, or the disk"
-        return Looked(name, fault=TableFault(name, "table_unreadable", message))
+        return VerifiedFile(name, fault=TableFault(name, "table_unreadable", message))
     else:
-        looked = Looked(name, content, hashlib.sha256(content).hexdigest())
+        file = VerifiedFile(name, content, hashlib.sha256(content).hexdigest())
         code, message = "table_altered", "it is not what was published"
-    if known and (looked.sha256 or NO_FILE) not in known:
-        return replace(looked, fault=TableFault(name, code, f"{message}; {_again(name)}"))
-    return looked
+        if not accepted and _is_whole(state.output / "tables" / name, name.split("/")[0], content):
+            return file
+    if (file.sha256 or NO_FILE) in (accepted or {NO_FILE}):
+        return file
+    return replace(file, fault=TableFault(name, code, f"{message}; {_remedy(name)}"))
 
 
-def _again(name: str) -> str:
-    """The words for a file that is damaged or gone: who makes it anew."""
+def _is_whole(path: Path, table: str, content: bytes) -> bool:
+    """True where the page checksums of a file prove it, and its nights are those of its name."""
+    try:
+        rows = from_parquet(path, TABLE_OF[table], content)
+    except StoreError as error:
+        if error.code == "store_newer":
+            raise
+        return False
+    has_nights = MONTH_PREFIX in path.parent.name and "night" in rows.columns
+    return not has_nights or set(rows["night"].drop_nulls()) <= set(days_of(path.stem))
+
+
+def _remedy(name: str) -> str:
     table = name.split("/")[0]
     if table in OF_MOTORS:
-        return f"{AGAIN} where the logs of that night are there"
+        return "`fit-fleet --repair` makes it anew where the logs of its nights are there"
     if table in OF_TRENDS or MONTH_PREFIX not in name:
-        return AGAIN
-    return "it told of a run, and nothing makes it anew"
+        return "`fit-fleet --repair` makes it anew"
+    return "nothing makes it anew"
+
+
+def verify_files(state: State, due: Collection[str] | None = ()) -> Iterator[VerifiedFile]:
+    """Read the files that are gone, were written to since, are not listed, or due; None: all."""
+    rows = state.rows("SELECT name, size, modified_ns FROM files WHERE coming IS NULL")
+    as_noted = {name for name, *stamp in rows if tuple(stamp) == _stamp(state.output, name)}
+    listed = {name for (name,) in state.rows("SELECT name FROM files")}
+    for name in sorted(listed.union(_published_names(state.output))):
+        if due is None or name in due or name not in as_noted:
+            yield verify_file(state, name)
+
+
+def _published_names(output: Path) -> Iterator[str]:
+    """Names of the files that are in places of tables."""
+    return (name_of(output, path) for table in TABLES for path in files_of(output, table))
+
+
+def longest_unproven(state: State) -> set[str]:
+    """Names of the files that a run reads, though nobody has written to them."""
+    names = state.rows("SELECT name FROM files ORDER BY proven, name")
+    return {name for (name,) in names[: ceil(len(names) * PART_OF_A_RUN)]}
+
+
+def set_aside(state: State, name: str) -> None:
+    """Rename a damaged file; the next run finds it gone, and lets it be made anew."""
+    path = state.output / "tables" / name
+    with suppress(FileNotFoundError):
+        move(path, path.with_suffix(ASIDE))
 
 
 def faults_of(output: Path) -> tuple[TableFault, ...]:
-    """Faults of the published files that are gone, or written to since."""
+    """Faults of the published files that are gone, or were written to since."""
     with read_state_file(output) as state:
-        return tuple(one.fault for one in look_at_files(state) if one.fault is not None)
+        return tuple(file.fault for file in verify_files(state) if file.fault is not None)
 
 
 def verify_tables(output: Path) -> Iterator[TableFault]:
@@ -184,41 +187,8 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
         yield TableFault(STATE_FILE, "state_damaged", message)
         return
     with read_state_file(output) as state:
-        there = files_there(output)  # before the list: a run announces a file first
-        yield from (one.fault for one in look_at_files(state, None) if one.fault is not None)
-        for name in there:
-            if not (accepted(state, name) or name.endswith(PUT_ASIDE)):
-                message = "it was not published by a run; delete it"
-                yield TableFault(name, "table_unlisted", message)
-
-
-def files_there(output: Path) -> list[str]:
-    """Names of all files below the folder of the tables."""
-    tables = output / "tables"
-    return [
-        name_of(output, Path(folder, file))
-        for folder, _, files in os.walk(tables)
-        for file in sorted(files)
-        if not file.startswith(TEMPORARY_PREFIX)
-    ]
-
-
-def proves_itself(path: Path, table: Table, content: bytes) -> bool:
-    """True where the own checksums of a file's content prove it, and its nights are those named.
-
-    Raises StoreError if it is of a newer version of the program.
-    """
-    try:
-        rows = from_parquet(path, table, content)
-    except StoreError as error:
-        if error.code == "store_newer":
-            raise
-        return False
-    has_nights = MONTH_PREFIX in path.parent.name and "night" in rows.columns
-    return not has_nights or set(rows["night"].drop_nulls()) <= set(days_of(path.stem))
-
-
-def write_manifest(state: State) -> None:
-    """Write the list of published files for others."""
-    files = dict(state.rows("SELECT name, sha256 FROM files ORDER BY name"))
-    put(state.output / MANIFEST_FILE, json.dumps({"sha256": files}, indent=0).encode())
+        yield from (file.fault for file in verify_files(state, None) if file.fault is not None)
+        there = (name_of(output, path) for path in (output / "tables").rglob(f"*{ENDING}"))
+        for name in sorted(set(there).difference(_published_names(output))):
+            message = "it was not published by a run; delete it"
+            yield TableFault(name, "table_unlisted", message)

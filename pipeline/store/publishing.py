@@ -30,7 +30,7 @@ import pyarrow as pa
 from pipeline.errors import StoreError
 from pipeline.schema import Table, frame, staged_table
 from pipeline.store.atomic_files import Prepared, flush_path, prepare, store_errors
-from pipeline.store.published import NO_FILE, announce, distrust, look_at, note
+from pipeline.store.published import NO_FILE, announce, note, set_aside, verify_file
 from pipeline.store.state import State
 from pipeline.store.tables import (
     as_parquet,
@@ -145,9 +145,6 @@ class Publisher:
     state: State
     staging: Path  # the run's folder of staged rows
     run_id: str  # goes into every row
-    # Names of files that are known to be gone. Another one that is gone or damaged is nothing to
-    # add rows to: the next run mends it.
-    missed: Collection[str] = ()
 
     def nights(
         self,
@@ -178,7 +175,7 @@ class Publisher:
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is one file, whatever is there; raises as `nights`."""
         path = whole_file(self.state.output, table)
-        before = look_at(self.state, name_of(self.state.output, path)).sha256 or UNREAD
+        before = verify_file(self.state, name_of(self.state.output, path)).sha256 or UNREAD
         self._publish([partial(_new_file, path, rows, before)])
 
     def add(self, month: str, rows: Mapping[Table, Sequence[Mapping[str, Any]]]) -> None:
@@ -218,20 +215,15 @@ class Publisher:
         return _new_file(path, change(rows), before)
 
     def _present(self, path: Path, table: Table) -> tuple[str, pl.DataFrame]:
-        """SHA-256 and rows of a file that is there; an unlisted one is proven by its pages."""
-        looked = look_at(self.state, name_of(self.state.output, path))
-        fault = None if looked.name in self.missed and not path.exists() else looked.fault
-        try:
-            if fault is not None:
-                raise damaged(path, table, fault.message)
-            if looked.sha256 is None:
-                return NO_FILE, frame(table, [])
-            return looked.sha256, from_parquet(path, table, looked.content)
-        except StoreError as error:
-            # What could not be read for now may be sound.
-            if error.code == "store_read" and (fault is None or fault.code != "table_unreadable"):
-                distrust(self.state, looked.name)
-            raise
+        """SHA-256 and rows of a file that is there; no rows are added to a damaged one."""
+        file = verify_file(self.state, name_of(self.state.output, path))
+        if file.fault is not None:
+            if file.fault.code == "table_altered":
+                set_aside(self.state, file.name)
+            raise damaged(path, table, file.fault.message)
+        if file.sha256 is None:
+            return NO_FILE, frame(table, [])
+        return file.sha256, from_parquet(path, table, file.content)
 
     def _publish(
         self,
@@ -247,7 +239,7 @@ class Publisher:
                     undone.callback(file.prepared.drop)
                 named[name_of(self.state.output, file.path)] = file
             new = {name: one.prepared for name, one in named.items() if one.prepared is not None}
-            announce(self.state, {name: one.sha256 for name, one in new.items()})
+            announce(self.state, {name: named[name].sha256 for name in new})
             for one in new.values():
                 one.land(flush=False)
             for folder in sorted({one.path.parent for one in new.values()}):

@@ -19,15 +19,16 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import make_folders, move, remove, store_errors
+from pipeline.store.atomic_files import make_folders, move, store_errors
 
 log = logging.getLogger(__name__)
 
-STATE_FILE, DAMAGED_FILE = "state.db", "state.damaged.db"
+STATE_FILE = "state.db"
+STATE_FILES = (STATE_FILE, f"{STATE_FILE}-wal", f"{STATE_FILE}-shm")
 # Of `PRAGMA user_version`: an output of an earlier one is put aside and made anew from the logs.
 VERSION = 2
 # What a run leaves in an output folder; the state comes last, as it says of which version all is.
-OUTPUT = ("tables", "report", "manifest.json", "views.sql")
+OUTPUT = ("tables", "report", "views.sql", *STATE_FILES[::-1])
 # So long a command waits for the transaction of another process [s].
 BUSY_S = 30.0
 
@@ -219,43 +220,29 @@ def _version(state: State) -> int:
     return int(version)
 
 
-def put_old_aside(output: Path) -> None:
-    """Put an output of an earlier version aside: the run then begins anew from the logs.
+def make_ready(output: Path) -> None:
+    """At a run's start: put aside a damaged state file, or an output of an earlier version.
 
-    Wherever that is broken off, the next run goes on. Raises StoreError if a file cannot be moved.
+    What is gone is then made anew. Wherever that is broken off, the next run goes on. Raises
+    StoreError if a file cannot be moved, or is of a newer version of the program.
     """
-    if not 0 < (_version_of(output / STATE_FILE) or 0) < VERSION:
-        return
+    version = _version_of(output / STATE_FILE)
+    if version is None:
+        _put_aside(output, STATE_FILES, f"{STATE_FILE} is damaged, and made anew from the tables")
+    elif 0 < version < VERSION:
+        _put_aside(output, OUTPUT, "the output is of an earlier version")
+    elif version == 0 and (output / "tables").is_dir():
+        log.warning("%s is gone; it is made anew from logs and tables", STATE_FILE)
+
+
+def _put_aside(output: Path, names: Sequence[str], why: str) -> None:
     aside = next(place for n in count(1) if not (place := output / f"old-{n}").exists())
-    log.warning(
-        "the output is of an earlier version: it is put aside as %s, and all nights are made anew "
-        "from their logs",
-        aside.name,
-    )
+    log.warning("%s: put aside in %s; all nights are made anew from their logs", why, aside.name)
     with store_errors(aside):
         make_folders(aside)
-    for name in (*OUTPUT, f"{STATE_FILE}-shm", f"{STATE_FILE}-wal", STATE_FILE):
+    for name in names:
         if (output / name).exists():
             move(output / name, aside / name)
-
-
-def make_ready(output: Path) -> bool:
-    """At a run's start: check the state file, and make one anew where it was lost.
-
-    Returns True where it was lost, or is new: tables that a run before left are then not listed.
-
-    Raises StoreError if it cannot be written, or is of another version of the program.
-    """
-    place = output / STATE_FILE
-    version = _version_of(place)
-    if version is None:
-        move(place, output / DAMAGED_FILE)
-        for ending in ("-wal", "-shm"):
-            remove(output / f"{STATE_FILE}{ending}")
-    if version is None or (version == 0 and (output / "tables").is_dir()):
-        log.warning("%s is damaged or gone; it is made anew from logs and tables", STATE_FILE)
-    with open_state(output):
-        return not version
 
 
 def is_sound(output: Path) -> bool:

@@ -27,8 +27,6 @@ from pipeline.schema import NIGHTLY_TABLES, SCHEMA_VERSION, Table
 from pipeline.store.atomic_files import put
 
 MONTH_PREFIX = "month="
-# Ending of a damaged file that a run has put aside.
-PUT_ASIDE = ".damaged"
 ENDING = ".parquet"
 VERSION_KEY = "motor_leakage_schema_version"
 # Rows of a row group: a reader of some motors or nights leaves the others out.
@@ -179,9 +177,9 @@ def read_rows(
     return pl.concat([empty, *(read_table(path, table, columns, wanted) for path in paths)])
 
 
-def write_table(path: Path, rows: pl.DataFrame) -> str:
-    """Write a table file whole or not at all, and return its SHA-256; raises StoreError."""
-    return put(path, as_parquet(rows))
+def write_table(path: Path, rows: pl.DataFrame) -> None:
+    """Write a table file whole or not at all; raises StoreError."""
+    put(path, as_parquet(rows))
 
 
 def as_parquet(rows: pl.DataFrame) -> bytes:

@@ -6,14 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.logs.processed import ProcessedLogs, read_processed
-from pipeline.store.published import MANIFEST_FILE
 from pipeline.store.state import STATE_FILE, open_state
 from pipeline.trends.nights.trend_record import Record, read_records
 
 # Files and folders of an output that outlive a run.
 LASTING = {
-    *("tables", "lock", "heartbeat.json", "views.sql"),
-    *(STATE_FILE, MANIFEST_FILE),
+    *("tables", "lock", "heartbeat.json", "views.sql", STATE_FILE),
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import os
 from pathlib import Path
 
 import polars as pl
@@ -117,25 +118,48 @@ def a_table(plant: ScenarioFleet) -> Path:
     return max((plant.output / "tables" / "predictions").rglob("*.parquet"))
 
 
-@covers("check --tables --repair")
+@covers("check --tables", "fit-fleet --repair")
 @pytest.mark.parametrize("fate", ["altered", "missing"])
 def test_a_damaged_table_is_detected_and_made_again(plant: ScenarioFleet, fate: str) -> None:
     path, before = a_table(plant), plant.table("predictions").drop("run_id")
-    content = path.read_bytes()
+    content, times = path.read_bytes(), path.stat()
     if fate == "altered":
         path.write_bytes(content[:-9] + bytes(9))
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # as where a disk fails
     else:
         path.unlink()
     found = plant.run("check", "--tables", "--json")
     assert found.code == 1
     assert found.events("tables")[0]["n_faults"] == 1
     assert f"table_{fate}" in str(found.lines)
-    repaired = plant.run("check", "--repair", "--json")
-    assert repaired.events("tables")[0]["n_faults"] == 1
-    plant.run("fit-fleet")
+    (run,) = plant.run("fit-fleet", "--repair", "--json").events("run")
+    assert [fault["code"] for fault in run["damage"]] == [f"table_{fate}"]
+    assert run["damage_left"] == []
     after = plant.run("check", "--tables", "--json")
     assert (after.code, after.events("tables")[0]["n_faults"]) == (0, 0)
     assert_frame_equal(plant.table("predictions").drop("run_id"), before, check_row_order=False)
+
+
+@pytest.mark.parametrize("loss", ["state.db gone", "state.db damaged", "table damaged"])
+def test_what_people_entered_outlives_the_state_file_or_the_table(
+    plant: ScenarioFleet, loss: str
+) -> None:
+    """Right after it was entered, with no run in between, and where something is entered again."""
+    plant.run("ack", "broken", "--note", "seen")
+    table = plant.output / "tables" / "decisions" / "decisions.parquet"
+    if loss == "table damaged":
+        table.write_bytes(b"damaged")
+    else:
+        for path in plant.output.glob("state*"):
+            path.unlink()
+    if loss == "state.db damaged":
+        (plant.output / "state.db").write_bytes(b"damaged")
+        plant.run("fit-fleet", "--motors", "broken")
+    plant.run("ack", "broken", "--note", "seen again")
+    assert plant.table("decisions")["note"].sort().to_list() == ["seen", "seen again"]
+    plant.run("fit-fleet", "--motors", "broken")
+    assert plant.table("decisions")["note"].sort().to_list() == ["seen", "seen again"]
+    assert plant.newest("broken")["acknowledged"] == "seen again"
 
 
 def test_a_lost_state_file_costs_no_figure_and_no_word_of_people(plant: ScenarioFleet) -> None:

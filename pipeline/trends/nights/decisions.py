@@ -1,18 +1,28 @@
 """Decisions of people on a motor: acknowledged alarms, findings, and baselines that were reset.
 
-They stand in the state file, and each run publishes them as the table `decisions`: unlike all else
-in the output they cannot be made anew.
+They stand in the state file and in the table `decisions`, and come back from either: unlike all
+else in the output they cannot be made anew.
 """
 
 from __future__ import annotations
 
 import datetime as dt
+import logging
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass
+from contextlib import suppress
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Literal
 
+from pipeline.errors import LockedError, StoreError
+from pipeline.messages import counted
+from pipeline.schema import DECISIONS, frame
+from pipeline.store.locks import locked
+from pipeline.store.publishing import Publisher
 from pipeline.store.state import State, open_state, read_state_file
+from pipeline.store.tables import read_table, whole_file
+
+log = logging.getLogger(__name__)
 
 Kind = Literal["acknowledged", "finding", "baseline_reset"]
 Finding = Literal["confirmed", "not_confirmed"]
@@ -42,9 +52,11 @@ class Decision:
 
 
 def record_decision(output: Path, decision: Decision) -> None:
-    """Write a decision, which is then on the disk; a run may be under way."""
+    """Write a decision, which is then on the disk; a run that is under way publishes it."""
     with open_state(output) as state:
         _write(state, [decision])
+        with suppress(LockedError), locked(output):
+            publish_decisions(state, "")
 
 
 def read_decisions(output: Path) -> tuple[Decision, ...]:
@@ -53,12 +65,33 @@ def read_decisions(output: Path) -> tuple[Decision, ...]:
         return _read(state)
 
 
-def put_back(state: State, known: Iterable[Decision]) -> int:
-    """Write known decisions that a restored state file lacks; returns their number."""
+def restore_decisions(state: State) -> None:
+    """Put back what the table has and a lost or older state file lacks.
+
+    Raises StoreError if the state cannot be read or written.
+    """
+    path = whole_file(state.output, DECISIONS)
+    try:
+        rows = read_table(path, DECISIONS).drop("run_id").to_dicts() if path.exists() else []
+    except StoreError as error:
+        log.warning("%s; what people said is not put back from it", error)
+        return
     present = set(_read(state))
-    lost = [one for one in known if one not in present]
-    _write(state, lost)
-    return len(lost)
+    lost = [decision for row in rows if (decision := Decision(**row)) not in present]
+    if lost:
+        _write(state, lost)
+        log.warning("put back from the table `decisions`: %s", counted(len(lost), "decision"))
+
+
+def publish_decisions(state: State, run_id: str) -> None:
+    """Publish the table `decisions`, of what it has and what the state file has.
+
+    Raises StoreError if it cannot be written.
+    """
+    restore_decisions(state)
+    rows = [asdict(decision) | {"run_id": run_id} for decision in _read(state)]
+    table = frame(DECISIONS, rows).sort(DECISIONS.key)
+    Publisher(state, state.output, run_id).whole(DECISIONS, table)
 
 
 def _write(state: State, decisions: Iterable[Decision]) -> None:

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.run.mending import EVERY_DAY
-from pipeline.store.state import State
 from pipeline.trends.nights.decisions import Decision, record_decision
 from tests.conftest import made_once
 from tests.pipeline.faults.crash import Victim, victim_in
@@ -68,8 +66,4 @@ def without_logs(tiny_fleet: TinyFleet, tmp_path: Path) -> Callable[..., TinyFle
 @pytest.fixture
 def _nothing_due(monkeypatch: pytest.MonkeyPatch) -> None:
     """Proofs of a run do not depend on the day on which the test is run."""
-
-    def share_due(_: State, days: int) -> set[str] | None:
-        return None if days == EVERY_DAY else set()
-
-    monkeypatch.setattr("pipeline.run.mending.share_due", share_due)
+    monkeypatch.setattr("pipeline.run.mending.longest_unproven", lambda _: set())

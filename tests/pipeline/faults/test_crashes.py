@@ -1,4 +1,4 @@
-"""A run, an acknowledgement or a repair that ends at any call that writes.
+"""A run or an acknowledgement that ends at any call that writes.
 
 Killed, refused once, or on a disk that is full from there on: every file is as it was or as it
 comes to be; the next run makes the tables that no crash disturbed; alarms are told at least once,
@@ -20,10 +20,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.run.mending import repair
 from pipeline.schema import FITS, PREDICTIONS, TRENDS
 from pipeline.store.published import verify_tables
-from pipeline.store.state import make_ready, open_state
 from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import read_decisions
 from tests.pipeline.faults.conftest import say
@@ -51,13 +49,6 @@ def run(folder: Path, output: Path) -> list[str]:
 
 def acknowledge(_: Path, output: Path) -> None:
     say(output)
-
-
-def mend(_: Path, output: Path) -> None:
-    """What `check --repair` does."""
-    make_ready(output)
-    with open_state(output) as state:
-        repair(state)
 
 
 @dataclass(frozen=True)
@@ -108,7 +99,7 @@ def acknowledging(fleet: TinyFleet, folder: Path) -> Case:
     def crashed(output: Path, end: End) -> None:
         said[:] = [len(read_decisions(output))]
         assert said == [3] if end.how == "ok" else said[0] <= 3
-        check_old_or_new(output, before, before)
+        assert list(verify_tables(output)) == []
 
     def repaired(output: Path) -> None:
         assert [len(read_decisions(output))] == said
@@ -144,17 +135,6 @@ def mending(fleet: TinyFleet, folder: Path) -> Case:
     return Case(run, fleet, harmed(fleet, folder), lambda *_: None, check)
 
 
-def repairing(fleet: TinyFleet, folder: Path) -> Case:
-    """The command that repairs, done again."""
-    case = mending(fleet, folder)
-
-    def again(output: Path, _: End) -> None:
-        mend(folder, output)
-        assert list(verify_tables(output)) == []
-
-    return Case(mend, fleet, case.before, again, case.repaired)
-
-
 def notification(_: TinyFleet, folder: Path) -> Case:
     """Somebody is told of an alarm: at least once, and what comes twice says so by its id."""
     told_fleet(folder, keep(folder / "told"))
@@ -172,7 +152,7 @@ def notification(_: TinyFleet, folder: Path) -> Case:
     return Case(run, fleet, before, lambda *_: None, check)
 
 
-CASES = (nightly, first, acknowledging, mending, repairing, notification)
+CASES = (nightly, first, acknowledging, mending, notification)
 WORKS = [(made, "killed") for made in CASES]
 WORKS += [(made, fault) for made in (nightly, first, notification) for fault in ("refused", "full")]
 

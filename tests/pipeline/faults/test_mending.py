@@ -6,10 +6,8 @@ one.
 
 from __future__ import annotations
 
-import datetime as dt
 import os
-import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,7 +16,6 @@ import polars as pl
 import pytest
 
 from pipeline.errors import StoreError
-from pipeline.run.mending import repair
 from pipeline.schema import (
     BLOCK_STATISTICS,
     FITS,
@@ -28,7 +25,7 @@ from pipeline.schema import (
     TRENDS,
     Table,
 )
-from pipeline.store.published import share_due, verify_tables
+from pipeline.store.published import longest_unproven, note, verify_tables
 from pipeline.store.state import open_state
 from pipeline.store.tables import name_of, night_file, read_rows
 from pipeline.trends.nights.from_tables import FIT_COLUMNS
@@ -37,7 +34,6 @@ from tests.pipeline.faults.damage import flip, remove_aside, rot, rot_of_footer,
 from tests.pipeline.faults.fleet import MOTORS, TinyFleet, check_repaired
 from tests.pipeline.remembered import change, processed_of
 from tests.pipeline.simulated import NIGHT
-from tests.pipeline.workshop import DAY
 
 pytestmark = pytest.mark.usefixtures("_quick")
 
@@ -60,7 +56,7 @@ def test_a_file_that_is_gone_or_damaged_is_named_and_made_anew_by_the_run_that_p
     path = night_file(output, table, NIGHT)
     damage(path)
     left_over = [path.read_bytes()] if path.exists() else []
-    result = tiny_fleet.run(output, prove_within_days=1)
+    result = tiny_fleet.run(output, repair=True)
     assert told(result.damage) == [(name_of(output, path), code)]
     assert (result.damage_left, result.failed) == ((), ())
     assert f"{code}: {name_of(output, path)}: " in caplog.text
@@ -86,25 +82,17 @@ def test_what_a_program_has_written_to_is_proven_in_the_next_run(
     assert told(tiny_fleet.run(output).damage) == [(name_of(output, path), "table_altered")]
 
 
-@pytest.mark.parametrize("days", [range(30), (29,), (0, 1, 5, 6, 29), [0] * 30])
-def test_every_file_has_its_turn_within_the_days_whenever_a_run_takes_place(
-    tmp_path: Path, days: Sequence[int]
-) -> None:
-    """Every night; after a pause all that is overdue; several times a day."""
-    names = [f"fits/month=2026-01/2026-01-{day:02}.parquet" for day in range(1, 32)]
-    begin = dt.datetime(2026, 5, 1, 6, tzinfo=dt.UTC)
+def test_every_file_has_its_turn_within_thirty_runs(tmp_path: Path) -> None:
+    names = {f"fits/month=2026-01/2026-01-{day:02}.parquet" for day in range(1, 32)}
     proven = set()
     with open_state(tmp_path) as state:
-        rows = [(name, "00", f"{begin - DAY:%Y-%m-%dT%H}") for name in names]
-        state.write_all("INSERT INTO files (name, sha256, proven) VALUES (?, ?, ?)", rows)
-        for number, day in enumerate(days):
-            now = begin + dt.timedelta(days=day, minutes=number)
-            due = share_due(state, 30, now)
-            done = [(now.isoformat(), one) for one in due]
-            state.write_all("UPDATE files SET proven = ? WHERE name = ?", done)
-            assert len(due) == 2 or day == 29  # the 30th part of 31 files, and what is overdue
+        note(state, dict.fromkeys(names, "00"))
+        for _ in range(30):
+            due = longest_unproven(state)
+            assert len(due) == 2  # the 30th part of 31 files
+            note(state, dict.fromkeys(due, "00"))
             proven |= due
-    assert proven == set(names)
+    assert proven == names
 
 
 @pytest.mark.usefixtures("_nothing_due")
@@ -168,26 +156,19 @@ def test_a_file_that_may_not_be_read_is_named_and_left_alone(
     assert path.is_dir()
 
 
-def test_without_logs_it_is_named_until_they_come_back_or_people_give_it_up(
-    tiny_fleet: TinyFleet, output: Path, without_logs: Callable[..., TinyFleet], tmp_path: Path
+def test_what_is_not_made_anew_without_logs_is_made_once_they_are_back(
+    tiny_fleet: TinyFleet, output: Path, without_logs: Callable[..., TinyFleet]
 ) -> None:
     fleet, path = without_logs(), night_file(output, PREDICTIONS, NIGHT)
     kept = read_rows(output, FITS, MOTORS)
     path.unlink()
-    for _ in range(2):
-        result = fleet.run(output)
-        assert told(result.damage_left) == [(name_of(output, path), "table_missing")]
-    # Of other tables nothing is made anew for it.
-    assert read_rows(output, FITS, MOTORS).equals(kept, null_equal=True)
-    other = shutil.copytree(output, tmp_path / "other")
-    assert tiny_fleet.run(other).damage_left == ()
-    check_repaired(other, tiny_fleet.after)
-    with open_state(output) as state:
-        before, after = repair(state)
-    assert [fault.code for fault in before] == ["table_missing"]
-    assert after == ()
+    assert told(fleet.run(output).damage_left) == [(name_of(output, path), "rows_lost")]
     assert fleet.run(output).damage == ()
     assert list(verify_tables(output)) == []
+    # Of other tables nothing is made anew for it.
+    assert read_rows(output, FITS, MOTORS).equals(kept, null_equal=True)
+    assert tiny_fleet.run(output).damage_left == ()
+    check_repaired(output, tiny_fleet.after)
 
 
 def test_parameters_are_made_anew_from_stored_blocks(

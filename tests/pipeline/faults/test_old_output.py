@@ -28,11 +28,11 @@ def test_it_is_put_aside_and_made_anew(
         read_decisions(output)
     assert refused.value.code == "store_older"
     result = tiny_fleet.run(output)
-    assert "it is put aside as old-1" in caplog.text
+    assert "put aside in old-1" in caplog.text
     assert (result.n_nights, result.damage, result.failed) == (2 * len(MOTORS), (), ())
     check_tables(output, tiny_fleet.after)
     assert read_decisions(output) == ()
     assert {path.name for path in output.iterdir()} == LASTING | {"old-1"}
-    assert {"tables", "manifest.json"} < {path.name for path in (output / "old-1").iterdir()}
+    assert {"tables", "views.sql"} < {path.name for path in (output / "old-1").iterdir()}
     assert tiny_fleet.run(output).n_nights == 0
     assert not (output / "old-2").exists()

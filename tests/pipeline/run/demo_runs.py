@@ -28,12 +28,13 @@ def run(
     since: dt.date | None = None,
     until: dt.date | None = None,
     output: Path | None = None,
+    repair: bool = False,
     **execution: Any,
 ) -> RunResult:
     fleet = load_fleet(fleet_file)
     how = fleet.execution.model_copy(update={"backend": "sequential"} | execution)
     fleet = replace(fleet, execution=how, output=output or fleet.output)
-    return run_fleet(RunRequest(fleet, motors, since, until))
+    return run_fleet(RunRequest(fleet, motors, since, until, repair=repair))
 
 
 def status_of(result: RunResult) -> dict[str, str]:

@@ -35,9 +35,11 @@ def shop(tmp_path: Path) -> Workshop:
 
 
 def published(output: Path) -> dict[str, bytes]:
-    """Table files and manifest of an output folder, by path."""
-    tables = {f"tables/{name}": content for name, content in contents(output / "tables").items()}
-    return tables | {MANIFEST: (output / MANIFEST).read_bytes()}
+    """Table files of an output folder, by path, and the manifest of their copy."""
+    files = dict(sorted(contents(output / "tables").items()))
+    digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    manifest = json.dumps({"sha256": digests}, indent=0).encode()
+    return {f"tables/{name}": content for name, content in files.items()} | {MANIFEST: manifest}
 
 
 def put_keys(server: Server) -> list[str]:

@@ -13,7 +13,7 @@ from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import BLOCK_STATISTICS, INPUT_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
-from pipeline.store.published import verify_tables
+from pipeline.store.published import note, verify_tables
 from pipeline.store.publishing import read_staged, stage, staged_file, staged_in
 from pipeline.store.state import open_state
 from pipeline.store.tables import (
@@ -186,23 +186,21 @@ class TestRefused:
     """What is there is no sound file: the run ends, and the next one mends it."""
 
     @pytest.mark.parametrize("is_listed", [True, False])
-    def test_damage_is_looked_at_by_the_next_run(self, tmp_path: Path, is_listed: bool) -> None:
+    def test_damage_is_set_aside_for_the_next_run(self, tmp_path: Path, is_listed: bool) -> None:
         path = night_file(tmp_path, QUALITY, NIGHT)
         if is_listed:
             publish_night(tmp_path, {m: [row(m)] for m in "AB"})
         path.parent.mkdir(parents=True, exist_ok=True)
-        for damage in (b"", b"something else", None) if is_listed else (b"", b"something else"):
-            path.unlink(missing_ok=True) if damage is None else path.write_bytes(damage)
-            before = contents(tmp_path / "tables")
+        path.write_bytes(b"something else")
+        # The second time it is gone, and the nights of a listed file are still to be forgotten.
+        for _ in range(2 if is_listed else 1):
             with refused("store_read", "2026-01.parquet of quality is"):
                 publish_night(tmp_path, {"A": [row("A", "x")]})
-            assert contents(tmp_path / "tables") == before
-            with open_state(tmp_path) as state:
-                assert state.rows("SELECT modified_ns FROM files") == [(-1,)]
-        # It is known to be gone, and its nights are made anew.
-        path.unlink(missing_ok=True)
-        name = path.relative_to(tmp_path / "tables").as_posix()
-        publish(tmp_path, {"A": {QUALITY: {NIGHT: [row("A")]}}}, missed=[name])
+            assert [one.read_bytes() for one in path.parent.iterdir()] == [b"something else"]
+            assert not path.exists()
+        with open_state(tmp_path) as state:
+            note(state, {path.relative_to(tmp_path / "tables").as_posix(): None})
+        publish_night(tmp_path, {"A": [row("A")]})
         assert [one[0] for one in published(tmp_path)] == ["A"]
 
     def test_what_cannot_be_read_for_now_is_no_damage(self, tmp_path: Path) -> None:
