@@ -342,7 +342,7 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
         say(f"{code}: {counted(count, 'motor')}")
     if n := result.n_standing:
         stand = "failure stands" if n == 1 else "failures stand"
-        say(f"{n} {stand}: mend or remove the logs, then fit-fleet --retry")
+        say(f"{n} {stand}: mend the logs or the config, then fit-fleet --retry")
     tell_faults(result.damage_left, as_json=False)
     if result.damage:
         n_files, left = counted(len(result.damage), "file"), len(result.damage_left)

@@ -42,7 +42,7 @@ def load_fleet(path: Path) -> Fleet:
     has one.
     """
     faults: list[Fault] = []
-    document = read_toml(path, path.name, faults)
+    document = read_toml(path, path.name if path.is_file() else str(path), faults)
     if document is None:
         raise ConfigError(faults)
     fleet = validated(FleetFile, document, path.name, faults)

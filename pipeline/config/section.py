@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from difflib import get_close_matches
 from enum import Flag, auto
 from functools import cache
 from typing import Annotated, Any, ClassVar, Self, get_args
@@ -32,6 +33,7 @@ from pipeline.messages import counted
 # Stands in the place of a fault for a key itself.
 KEY_MARK = "[key]"
 LONGEST_QUOTE = 80
+_NEARLY = 0.75  # of two spellings
 # Keys whose values may hold a secret: nothing of them is quoted.
 UNQUOTED = frozenset({"webhook_url", "webhook_headers", "webhook_secret", "password", "connection"})
 
@@ -75,8 +77,18 @@ def fault_of(detail: ErrorDetails, file: str, document: object) -> Fault:
     if kind in ("missing", "union_tag_not_found"):
         message = "is missing"
     elif kind == "extra_forbidden":
-        message = "is no key of this table; check its spelling, or delete it"
+        message = f"is no key of this table; {_meant(str(place[-1]))}, or delete it"
     return Fault(file, key, message.replace("Value error, ", "", 1))
+
+
+def _meant(key: str) -> str:
+    """Return in words the key of any table that is spelled nearly so."""
+    models = [Section]
+    for model in models:
+        models += model.__subclasses__()
+    known = {name for model in models for name in model.model_fields}
+    near = get_close_matches(key, known, 1, _NEARLY)
+    return f"check its spelling (did you mean {near[0]}?)" if near else "check its spelling"
 
 
 def _key(place: Place, document: object) -> str:

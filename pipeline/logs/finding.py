@@ -13,6 +13,7 @@ from pathlib import Path
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import one_line
+from pipeline.logs.delta import LOG, of_newest_version
 from pipeline.messages import counted
 from pipeline.workers.process import reading, still_alive
 
@@ -49,7 +50,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
             else:
                 absent.append(pattern)
     names: dict[str, Path] = {}
-    for path in sorted(found):
+    for path in sorted(of_newest_version(found, root)):
         name = legible(path.as_posix().removeprefix(f"{root.as_posix()}/"))
         while name in names:  # Another file's name is what this one's is shown as.
             name += "'"
@@ -123,9 +124,11 @@ def suffix_of(path: Path) -> str:
 def logs_below(folder: Path) -> Iterator[Path]:
     """Files of a folder that are logs by their names."""
     for place, _, names in os.walk(folder.resolve()):
+        if Path(place).name == LOG:
+            continue
         for path in (Path(place, name) for name in names):
             if suffix_of(path).lower().startswith(SUFFIXES) and path.is_file():
-                yield path
+                yield from of_newest_version([path], folder.resolve())
 
 
 def unclaimed(fleet: Fleet) -> tuple[str, ...]:

@@ -125,31 +125,6 @@ def fit_night(
     return NightOutcome(night.date, OK, None, None, rows, model, seconds)
 
 
-def forecast_night(
-    spec: MotorSpec, night: Night, channels: MutableMapping[str, RawChannel]
-) -> tuple[str, str, Rows]:
-    """Return the status that a night would have, why, and its means: all rules but the fit's own.
-
-    As `fit_night` up to the fit, and nothing of it.
-    """
-    rows: Rows = {}
-    try:
-        samples, quality = clean_channels(spec.file, spec.settings, night, channels)
-        rows["operation"] = [operation_row(spec, night, samples, None)]
-        require_enough(samples, quality, spec)
-        samples, outside = choose_parts(spec.file, spec.settings, night, samples)
-        require_parts(samples, outside)
-        motor = spec.stated.motor(night.date, spec.file.flushing.mode)
-        statistics = night_statistics(spec.stated, motor, night, samples)
-        _sensor_ratio(motor, samples)
-        _require_training(statistics, spec)
-    except EstimationError as error:
-        return INSUFFICIENT_DATA, str(error), rows
-    except (Insufficient, LeakageError) as error:
-        return getattr(error, "status", FAILED), getattr(error, "reason", str(error)), rows
-    return OK, "", rows
-
-
 def unfitted(
     spec: MotorSpec,
     night: dt.date,

@@ -19,7 +19,7 @@ from pipeline.night.column_change import (
     readings_of,
     usual_readings,
 )
-from pipeline.night.fit_night import forecast_night
+from pipeline.night.fit_night import fit_night
 from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK
 
 
@@ -68,9 +68,9 @@ def _forecast(
     channels = slice_night(read, here, reaches_us(spec))
     if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
         return NO_NEW_DATA, "no log covers this night", {}
-    status, reason, rows = forecast_night(spec, here, channels)
+    outcome = fit_night(spec, here, channels)
     logs.let_go_until(label)
-    return status, reason, rows.get("operation", [{}])[0]
+    return outcome.status, outcome.reason or "", outcome.rows.get("operation", [{}])[0]
 
 
 def _era(spec: MotorSpec, label: dt.date) -> dt.date:

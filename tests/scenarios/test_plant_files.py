@@ -282,6 +282,33 @@ def test_logs_of_the_same_time_are_of_several_motors(tmp_path: Path) -> None:
     assert [spec.motor_id for spec in motors] == ["Datalog1", "Datalog2", "Datalog3"]
 
 
+@pytest.mark.parametrize("has_checkpoint", [False, True])
+def test_files_that_a_delta_table_has_removed_are_not_read(
+    has_checkpoint: bool, tmp_path: Path
+) -> None:
+    """An update wrote a file anew, with a flow of another unit before."""
+    old, new = (f"part-0000{number}-8d1f-c000.snappy.parquet" for number in (0, 1))
+    made, values = operation(1)
+    time = pa.array(made.time_us, pa.timestamp("us", "UTC"))
+    for name, factor in ((old, 60.0), (new, 1.0)):
+        columns = {NAMES[channel]: pa.array(value) for channel, value in values.items()}
+        columns["drain_flow_lpm"] = pa.array(values["leakage_flow"] * factor)
+        write(tmp_path, name, b"")
+        pq.write_table(pa.table({"time": time} | columns), tmp_path / "logs" / name)
+    versions = [[{"add": {"path": old}}], [{"remove": {"path": old}}, {"add": {"path": new}}]]
+    for number, actions in enumerate(versions):
+        lines = "\n".join(map(json.dumps, actions))
+        write(tmp_path, f"_delta_log/{number:020}.json", lines)
+    if has_checkpoint:
+        first = tmp_path / "logs" / "_delta_log" / f"{0:020}.checkpoint.parquet"
+        pq.write_table(pa.table({"add": [{"path": old}]}), first)
+    assert init(tmp_path).code == 0
+    assert fit(tmp_path).code == 0
+    (night,) = nights_of(tmp_path).rows(named=True)
+    true = values["leakage_flow"].mean()
+    assert night["mean_drain_flow_l_per_min"] == pytest.approx(true, rel=0.02)
+
+
 # Sessions and silences
 
 
