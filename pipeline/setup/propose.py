@@ -14,6 +14,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from pipeline.config import Channel
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import time_span
@@ -63,7 +64,7 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
         raise LogError("log_missing", source, "there is no such file or folder")
     files = sorted(logs_below(source)) if source.is_dir() else [source.resolve()]
     if not files:
-        raise LogError("log_empty", source, f"there is no log ({', '.join(SUFFIXES)}) in it")
+        raise LogError("log_empty", source, _why_no_log(source))
     root = root or (source.resolve() if source.is_dir() else source.resolve().parent)
     motors, faults = list[ProposedMotor](), list[str]()
     asked, unread = Asked(answers), 0
@@ -92,6 +93,7 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
         asked.log = kind.name
         found = _motors(_dated_by_names(table, kind), kind, asked)
         motors += found
+        faults += [f"log_type: {kind.patterns[0]}: {fault}" for fault in table.faults]
         if not found:
             faults.append(f"no_motor: {kind.patterns[0]}: {_why_no_motor(table)}")
     if unread == len(faults) > 0 and not motors:
@@ -100,6 +102,17 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
     questions, unused = tuple(asked.open.values()), tuple(asked.unused)
     unneeded = tuple(asked.unneeded)
     return Proposal(root, tuple(_apart(motors)), questions, unused, tuple(faults), unneeded)
+
+
+def _why_no_log(folder: Path) -> str:
+    """What is in a folder without a log."""
+    names = sorted(path.name for path in folder.rglob("*") if path.is_file())
+    there = f"; there is {', '.join(names[:3])}" if names else ""
+    packed = any(
+        Path(name).suffix in (".zstd", ".zst", ".gz", ".zip", ".bz2", ".xz") for name in names
+    )
+    how = ": unpack it (packed are read .csv.gz and .csv.zst alone)" if packed else ""
+    return f"there is no log ({', '.join(SUFFIXES)}) in it{there}{how}"
 
 
 def _why_no_motor(table: Table) -> str:
@@ -118,6 +131,11 @@ def _why_no_motor(table: Table) -> str:
 
 def _dated_by_names(table: Table, kind: Kind) -> Table:
     """The table with the form of its stamps in which these agree with the dates in names."""
+    if table.logs.get("time") == "log_time":
+        # A recorder that imported a log has its own time beside that of the samples.
+        by_sample = replace(table, logs={**table.logs, "time": "publish_time"})
+        is_odd = not _agrees(kind.files[-1], table) and _agrees(kind.files[-1], by_sample)
+        return by_sample if is_odd else table
     form = str(table.logs.get("time_format", ""))
     question = next((one for one in table.questions if one.key == "time_format"), None)
     day, month = form.find("%d"), form.find("%m")
@@ -151,10 +169,14 @@ def _agrees(path: Path, table: Table) -> bool:
 
 def _span(path: Path, table: Table | None) -> tuple[int, int] | None:
     """Ends of a log as far as its dialect is known."""
-    if table is None:
+    if table is None or not table.columns:
         return None
     with suppress(LogError, ValueError):
-        return time_span(path, Logs.model_validate({**table.logs, "files": (path.name,)}), {})
+        logs = Logs.model_validate({**table.logs, "files": (path.name,)})
+        # Of a message's own time, one topic will do.
+        one = {"unit": "rpm", **table.columns[0].keys} if logs.format == "mcap" else {}
+        channels: Any = {"speed": Channel.model_validate(one)} if one else {}
+        return time_span(path, logs, channels)
     return None
 
 

@@ -107,8 +107,7 @@ def _csv(path: Path) -> Table:
     (_, _, width), lined, first = tables[separator]
     found = _header(lined[:first], width)
     if found is None:
-        message = "the first lines are no names of columns with rows of samples below"
-        raise LogError("log_not_csv", path, message)
+        raise LogError("log_not_csv", path, _why_no_table(lines, separator, width))
     header, units = found
     names = lined[header]
     unit_rows = sum(any(row) for row in lined[header + 1 : first])
@@ -150,6 +149,20 @@ def _csv(path: Path) -> Table:
     known = Logs.model_fields
     logs = {key: value for key, value in dialect.items() if value != known[key].default}
     return timed(Table({"format": "csv"} | logs, tuple(questions), tuple(columns), (), marks, rows))
+
+
+def _why_no_table(lines: Sequence[str], separator: str, width: int) -> str:
+    """What keeps lines from being names with rows of samples below."""
+    first = next((line for line in lines if line.strip()), "")
+    if first.count('"') % 2:
+        how = "a name goes over several lines: have the header written on one"
+        return f"{how}, such as {' '.join(first.replace(chr(34), '').split())[:60]!r}"
+    if len(_cells(first, separator)) == width - 1:
+        return (
+            f"rows end with a {separator!r} that the header lacks ({first.strip()[:60]!r}): have "
+            "it written behind both, or behind neither"
+        )
+    return "the first lines are no names of columns with rows of samples below"
 
 
 def _encoding(head: bytes) -> str:
@@ -253,6 +266,15 @@ def _units_among(rows: Iterable[Cells]) -> Cells:
 
 def _parquet(path: Path) -> Table:
     columns = _parquet_columns(path)
+    with opened(path) as file:
+        kinds = {one.name: one.type for one in file.schema_arrow}
+    apart = {
+        n: kind for n, kind in kinds.items() if pa.types.is_date(kind) or pa.types.is_time(kind)
+    }
+    if apart and not any(one.kind in ("stamp", "typed") for one in columns):
+        shown = ", ".join(f"{name} ({kind})" for name, kind in apart.items())
+        message = f"its time is apart, in {shown}: have one column of timestamps written"
+        raise LogError("log_time", path, message)
     if not columns:
         raise LogError("log_empty", path, "the file has no columns that can be read")
 
@@ -321,7 +343,13 @@ def _mcap(path: Path) -> Table:
     if stamp := _stamp([topic for topic in topics if topic.name in of_readings]):
         logs["stamp"] = path_text(stamp[0])
         set_formats(logs, questions, stamp[1])
-    return Table(logs, tuple(questions), tuple(columns), ())
+    faults = tuple(
+        f"{topic.name}: {path_text(at)} is text ({text!r}): have it written as a number"
+        for topic in topics
+        for at, text in topic.texts.items()
+        if is_number(text)
+    )
+    return Table(logs, tuple(questions), tuple(columns), (), faults=faults)
 
 
 def _fields(topic: Topic, *, is_lone: bool) -> Iterator[Column]:

@@ -106,6 +106,7 @@ class Table:
     times: Cells
     marks: Marks = field(default_factory=Marks)
     rows: Callable[[Sequence[str]], Rows] = lambda _: iter(())  # cells of some columns, further on
+    faults: Cells = ()  # what of it cannot be read, and why
 
 
 # Cells

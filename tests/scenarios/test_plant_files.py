@@ -608,3 +608,83 @@ def test_a_minus_sign_is_one(tmp_path: Path) -> None:
 def _reversed(line: str) -> str:
     time, pressure, temperature, speed, flow = line.split(",")
     return f"{time},\N{MINUS SIGN}{pressure},{temperature},\N{MINUS SIGN}{speed},{flow}"
+
+
+def _in_two_lines() -> str:
+    head, _, body = plain(1).partition("\n")
+    return head.replace("speed_rpm", '"speed\n[rpm]"') + "\n" + body
+
+
+def _apart() -> bytes:
+    made, values = operation(1)
+    times = pl.Series(made.time_us).cast(pl.Datetime("us"))
+    columns = {NAMES[name]: pa.array(value) for name, value in values.items()}
+    table_of = pa.table(
+        {"date": times.dt.date().to_arrow(), "time": times.dt.time().to_arrow()} | columns
+    )
+    sink = pa.BufferOutputStream()
+    pq.write_table(table_of, sink)
+    return sink.getvalue().to_pybytes()
+
+
+def _texts() -> bytes:
+    messages = [
+        (f"/w/{name}", 1000 * time, json.dumps({"value": str(cell) if at == 1 else cell}).encode())
+        for time, row in zip(operation(1)[0].time_us.tolist(), rows(1), strict=True)
+        for at, (name, cell) in enumerate(zip(NAMES.values(), row, strict=True))
+    ]
+    return mcap_bytes(messages, JSON)
+
+
+# What cannot be read is refused with its cause and an example.
+REFUSED: Mapping[str, tuple[str, Callable[[], str | bytes], str]] = {
+    "units in cells": ("w.csv", lambda: _with_units(plain(1)), "its cells carry units (dp_bar: "),
+    "a name of two lines": ("w.csv", _in_two_lines, "a name goes over several lines"),
+    "a separator behind rows": (
+        "w.csv",
+        lambda: plain(1).replace("\n", ",\n").replace(",\n", "\n", 1),
+        "rows end with a ','",
+    ),
+    "a packed MCAP": ("w.mcap.zstd", lambda: b"?", "there is w.mcap.zstd: unpack it"),
+    "date and time apart": ("w.parquet", _apart, "its time is apart, in date (date32[day])"),
+    "numbers as text": ("w.mcap", _texts, "/w/oil_temp_degC: value is text"),
+}
+
+
+def _with_units(text: str) -> str:
+    head, *lines = text.splitlines()
+    cells = (line.replace(",", " kPa,").replace(" kPa,", ",", 1) + " l/min" for line in lines)
+    return "\n".join([head, *cells, ""])
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_read_is_refused_with_its_cause(case: str, tmp_path: Path) -> None:
+    name, content, words = REFUSED[case]
+    write(tmp_path, name, content())
+    refused = init(tmp_path)
+    assert refused.code == 1
+    assert words in refused.err
+    assert not (tmp_path / "fleet").exists()
+
+
+def test_samples_of_an_import_have_the_time_of_their_publishing(tmp_path: Path) -> None:
+    """A recorder read a log in again: its own time runs faster, and on another day."""
+    with (tmp_path / "w.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("Reading", "jsonschema", b'{"type": "object"}')
+        ids = [writer.register_channel(f"/w/{name}", "json", schema) for name in NAMES.values()]
+        for at, (time, row) in enumerate(
+            zip(operation(1)[0].time_us.tolist(), rows(1), strict=True)
+        ):
+            for number, cell in zip(ids, row, strict=True):
+                late = 1000 * (operation(1)[0].time_us[0] + 60 * 86400 * 10**6 + 20_000 * at)
+                data = json.dumps({"value": cell}).encode()
+                writer.add_message(number, int(late), data, 1000 * time)
+        writer.finish()  # type: ignore[no-untyped-call]
+    write(tmp_path, "w_2026-01-01.mcap", (tmp_path / "w.mcap").read_bytes())
+    assert init(tmp_path).code == 0
+    assert fit(tmp_path).code == 0
+    (night,) = nights_of(tmp_path).rows(named=True)
+    assert night["status"] == "ok"
+    assert abs(night["night"] - FIRST) <= dt.timedelta(days=1)

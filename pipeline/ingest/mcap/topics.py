@@ -33,7 +33,7 @@ class Topic:
     schema: str
     count: int | None = None  # messages; None where the file does not say it
     fields: Mapping[FieldPath, tuple[float, ...]] = field(default_factory=dict)  # nan for none
-    texts: Mapping[FieldPath, str] = field(default_factory=dict)  # of the first message
+    texts: Mapping[FieldPath, str] = field(default_factory=dict)  # of the first message with one
     payloads: list[bytes] = field(default_factory=list)
     # Units that the channel's metadata or the schema state, by field; () is of every field.
     units: Mapping[FieldPath, str] = field(default_factory=dict)
@@ -84,8 +84,8 @@ def _decode(path: Path, topic: Topic, schema: Schema) -> None:
         at: tuple(np.array([number_of(value_at(tree, at)) for tree in trees], np.float64).tolist())
         for at in list(dict.fromkeys(numbers))[:_MOST_FIELDS]
     }
-    first = next((tree for tree in trees if tree is not None), None)
-    topic.texts = {at: one for at, one in leaves(first) if isinstance(one, str)}
+    whole = [tree for tree in reversed(trees) if tree is not None]
+    topic.texts = {at: one for tree in whole for at, one in leaves(tree) if isinstance(one, str)}
 
 
 def _metadata_units(channel: ChannelRecord) -> Iterator[tuple[FieldPath, str]]:
