@@ -79,24 +79,6 @@ def test_all_faults_of_all_files_at_once(configs: Path) -> None:
     assert found.keys() <= {(MOTOR, "channels.pressure_difference.unit")}
 
 
-def test_a_fleet_file_with_faults_hides_no_motor_s(configs: Path) -> None:
-    change(configs, "fleet.toml", 'name = "Demo fleet"', "name = 7")
-    change(configs, MOTOR, 'oil = "vg68"', 'oil = "vg100"')
-    assert {(fault.file, fault.key) for fault in faults(configs)} == {
-        ("fleet.toml", "name"),
-        (MOTOR, "oil"),
-    }
-
-
-def test_a_fault_of_a_type_is_reported_once_not_for_each_motor(configs: Path) -> None:
-    change(configs, TYPE, "count = 24", "count = 0")
-    assert only_fault(configs).file == TYPE
-
-
-def test_no_fleet_file(tmp_path: Path) -> None:
-    assert str(only_fault(tmp_path)) == "fleet.toml: cannot be read: No such file or directory"
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -160,12 +142,6 @@ def test_folders_that_are_not_there(configs: Path) -> None:
     found = faults(configs)
     assert {fault.file for fault in found} == {"motors", "motor_types", "oils"}
     assert all("expected a folder at" in fault.message for fault in found)
-
-
-def test_a_folder_without_motors(configs: Path) -> None:
-    for path in (configs / "motors").iterdir():
-        path.unlink()
-    assert only_fault(configs).message == "expected at least one motor's file"
 
 
 NO_FOLDERS = {

@@ -38,14 +38,10 @@ FAULTS: dict[str, list[tuple[str, str, str, str]]] = {
             for value, words in (
                 ("true", "got true; expected a valid number"),
                 ("nan", "got NaN; expected a finite number"),
-                ("inf", "expected a finite number"),
-                ("-0.1", "greater than or equal to 0"),
             )
         ),
         ("[-450.0, 450.0]", "[450.0, -450.0]", f"{CHANNEL}.valid_range", "got [450.0, -4"),
-        ("[-450.0, 450.0]", "[450.0]", f"{CHANNEL}.valid_range.1", "is missing"),
         ('"dp_bar"', '"x"\nscale = 0.0', f"{CHANNEL}.scale", "got 0.0; expected a factor"),
-        ('source = "dp_bar"', "source = 5", f"{CHANNEL}.source", "got 5; expected a valid string"),
         ('source = "dp_bar"\n', "", f"{CHANNEL}.source", "is missing"),
         (
             "resolution = 0.1",
@@ -70,21 +66,16 @@ FAULTS: dict[str, list[tuple[str, str, str, str]]] = {
                 ("encoding", '"hex"', "text encoding"),
                 ("separator", '"."', "another mark than the decimal mark"),
                 ("separator", '"·"', "ASCII"),
-                ("separator", '";;"', "at most 1 character"),
                 ("thousands", '"x"', "expected one of '.', ',', "),
                 ("thousands", '","', "another mark than the decimal mark and the sep"),
                 ("stamp", '"a..b"', "is no path"),
                 ("decimal", '";"', "'.' or ','"),
-                ("skip_rows", "-1", "greater than or equal to 0"),
-                ("columns", "5", "spelling"),
             )
         ),
         # The motor
         ('motor_id = "CB400-01"', 'motor_id = "CB400-07"', "motor_id", "as the file"),
         ('format = "csv"', 'format = "xlsx"', "logs.format", ": csv, mcap, parquet"),
-        ('["CB400-01/*.csv"]', '"CB400-01/*.csv"', "logs.files", "valid array"),
         ('["CB400-01/*.csv"]', "[]", "logs.files", "at least one"),
-        ("[logs]", "[[logs]]", "logs", "expected an object"),
     ],
     TYPE: [
         ('motor_type = "CB400"', 'motor_type = "CB401"', "motor_type", "as the file"),
@@ -92,10 +83,6 @@ FAULTS: dict[str, list[tuple[str, str, str, str]]] = {
         (LAW, 'law = "gap"', f"{RING} law", "'annular_gap', 'speed_curve'"),
         (f"{LAW}\n", "", f"{RING} law", "is missing"),
         ("minimum = 1.0", "minimum = 9.0", f"{RING} gap_um", "minimum <= value <= maximum"),
-        ("minimum = 1.0", "minimum = 0.0", f"{RING} gap_um.minimum", "greater than 0"),
-        ("maximum = 1.0", "maximum = 1.1", f"{PISTON} eccentricity.maximum", "less than or equal"),
-        ("deformation_pressure_bar", "deformation_points", f"{RING} deformation_points", "array"),
-        ("speed_range_rpm", "points", f"{ROLLER} points.0", "got 0.0; expected a valid array"),
         ("speed_range_rpm = [0.0, 125.0]", "", ROLLER, "speed_range_rpm, or points"),
         *(
             ('name = "balance_piston"', f'name = "{name}"', f'path "{name}" name', words)
@@ -117,10 +104,7 @@ FAULTS: dict[str, list[tuple[str, str, str, str]]] = {
         (DEFORMATION, f"{DEFORMATION}\n{POINTS}", RING, "not both"),
     ],
     OIL: [
-        ('source = "placeholder"\n', "", "source", "is missing"),
         ("[46.0, 6.8]", "[6.8, 46.0]", "", "do not fall with temperature"),
-        ("[46.0, 6.8]", "[46.0, 0.0]", f"{VISCOSITIES}.1", "got 0.0; expected greater than 0"),
-        ("[46.0, 6.8]", "[46.0]", f"{VISCOSITIES}.1", "is missing"),
     ],
 }
 
@@ -228,23 +212,15 @@ ADDED = [
     ('[flushing]\nmode = "fixed"\nalso = ["fixed"]', "flushing", "each mode once"),
     ('[flushing]\nmode = "maybe"', "flushing.mode", "'none', 'fixed' or 'estimated'"),
     ("[flushing]\nflow_l_per_min = 30.0", "flushing", "minimum_l_per_min <= flow_l_per_min"),
-    ("[flushing]\nflow_l_per_min = -1.0", "flushing.flow_l_per_min", "greater than or equal to 0"),
     ('[[events]]\ndate = 2026-02-30\nkind = "overhaul"', "", "is not TOML"),
-    ('[[events]]\ndate = "soon"\nkind = "overhaul"', "events.0.date", 'got "soon"'),
-    ('[[events]]\ndate = 20260301\nkind = "overhaul"', "events.0.date", "got 20260301"),
     ('[[events]]\ndate = 2026-03-01T06:00:00\nkind = "overhaul"', "events.0.date", "got"),
-    ('[[events]]\nkind = "overhaul"', "events.0.date", "is missing"),
     (f'{MARCH}kind = "oil_change"', "events.0.oil", "expected the oil's name"),
-    (f'{MARCH}kind = "repair"', "events.0.kind", 'got "repair"'),
     (f'{MARCH}kind = "oil_change"\noil = "vg47"', "events.0.oil", 'got "vg47"'),
     (f'{MARCH}kind = "note"\noil = "vg46"', "events.0.oil", "a note changes nothing"),
     ("[override.smoothing]\nwindow = 5.0", "override.smoothing.window", "spelling"),
-    ("[override.smoothing]\nwindow_s = -5.0", "override.smoothing.window_s", "or equal to 0"),
     ("[override.smoothing]\nwindow_s = 500.0", "override.smoothing.window_s", "less than"),
-    ("[override]\nsmoothing = 5.0", "override.smoothing", "got 5.0; expected"),
     ("[override.execution]\nworkers = 99", "override.execution", "is no key"),
     ('[override]\noutput = "/tmp"', "override.output", "is no key"),
-    ("[[override]]\nx = 5", "override", "expected"),
     # Analyses of the oil, and viscosities in the log
     *(
         (SAMPLE.replace("46.0", at_40), f"oil_samples.0.{VISCOSITY}", words)
@@ -253,7 +229,6 @@ ADDED = [
     (f"{SAMPLE}viscosity_100_c_mm2_per_s = 46.0", f"oil_samples.0.{AT_100}", "less than"),
     (SAMPLE.replace("2020", "9998"), "oil_samples.0.date", "a day that has come"),
     ("[[oil_samples]]\ndate = 2020-01-05", "oil_samples.0", "or water_mg_per_kg"),
-    (f"{SAMPLE}water_mg_per_kg = -1.0", "oil_samples.0.water_mg_per_kg", "or equal to 0"),
     (SAMPLE + SAMPLE, "oil_samples.1.date", "expected a date after 2020-01-05"),
     (NU, "channels.kinematic_viscosity.unit", "is missing"),
     (f'{NU}unit = "cP"', "channels.kinematic_viscosity.unit", "expected one of mm2/s"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,31 +23,6 @@ def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
 def server() -> Iterator[Hook]:
     with hook() as found:
         yield found
-
-
-def test_a_hook_that_fails_is_tried_again_by_a_run_with_nothing_new(
-    tmp_path: Path, server: Hook, call: Call, caplog: pytest.LogCaptureFixture
-) -> None:
-    config = told_fleet(tmp_path, f'webhook_url = "{server.url("/hook")}"')
-    place = f"alarms.webhook_url (http://127.0.0.1:{server.port})"
-    fault = "HTTP 500 Internal Server Error"
-    server.answers["/hook"] = (500, "")
-    assert run(config).failed == ()
-    assert f"{place}: {fault}; the next run tries again" in caplog.text
-    code, _, out = call("status", config)
-    assert code == 0
-    assert f"not delivered to {place}: 1 change of state, since 20" in out
-    assert f"; last try: {fault}; the next run tries again" in out
-    (receiver,) = json.loads(call("status", config, "--json")[1].splitlines()[-1])["receivers"]
-    assert receiver.pop("told_since") < receiver.pop("since")
-    assert receiver == {"receiver": place, "undelivered": 1, "fault": fault}
-    server.answers.clear()
-    assert run(config).alarms == ()
-    first, second = server.posts
-    assert (first.body, first.headers["webhook-id"]) == (second.body, second.headers["webhook-id"])
-    assert "not delivered" not in call("status", config)[2]
-    run(config)
-    assert len(server.posts) == 2
 
 
 def test_nothing_of_path_query_or_token_is_left_anywhere(

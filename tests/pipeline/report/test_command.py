@@ -2,39 +2,14 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
-from tests.conftest import OwnFleet
-from tests.pipeline.calling import Call
-
 ROOT = Path(__file__).resolve().parents[3]
 MOTOR = "CB400-01"
-
-
-def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
-    call: Call, own_fleet: OwnFleet
-) -> None:
-    fleet = own_fleet(MOTOR, fitted=True)
-    motor_file = fleet.parent / "motors" / f"{MOTOR}.toml"
-    event = '\n[[events]]\ndate = 2026-01-03\nkind = "overhaul"\nnote = "new <b>seals</b>"\n'
-    motor_file.write_text(motor_file.read_text("utf-8") + event, "utf-8")
-    code, out, err = call("report", fleet)
-    index = fleet.parent.parent / "out" / "report" / "index.html"
-    assert (code, err) == (0, "")
-    assert re.fullmatch(
-        r"1 motor, 3 nights updated, \d+ files written, 0 removed; open .*", out.strip()
-    )
-    assert out.strip().endswith(str(index))
-    assert "<h1>Demo fleet</h1>" in index.read_text("utf-8")
-    page = (index.parent / "motors" / f"{MOTOR}.html").read_text("utf-8")
-    assert "overhaul: new &lt;b&gt;seals&lt;/b&gt;" in page
-    # The fleet's page alone tells when it was made.
-    assert call("report", fleet)[1].startswith("1 motor, 0 nights updated, 1 file written")
 
 
 def test_templates_scripts_and_styles_are_in_the_wheel(tmp_path: Path) -> None:
