@@ -57,7 +57,7 @@ def _hundred(folder: Path, name: str, passes: int) -> list[Row]:
             costs[case].append(_cost(commands, {} if "worker" in case else ONE_THREAD))
     medians = {case: [*map(statistics.median, zip(*of, strict=True))] for case, of in costs.items()}
     reading, one, two = (elapsed for elapsed, _ in medians.values())
-    tables = (output / "tables" / "motor_outcomes").rglob("*.parquet")
+    tables = (output / "tables" / "run_motors").rglob("*.parquet")
     outcomes = pl.concat(map(pl.read_parquet, tables))
     ratios = {"over reading": f"{two / reading:.1f}", "faster": f"{one / two:.2f}"}
     of_two = {**ratios, "largest worker": f"{outcomes['peak_memory_mib'].to_numpy().max():.0f} MiB"}

@@ -13,7 +13,7 @@ import inspect
 import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin
 
@@ -26,7 +26,9 @@ from pipeline.config.oil_samples import OilCircuitFile
 from pipeline.config.section import Section
 from pipeline.config.settings import FleetFile
 from pipeline.schema import (
+    LATEST,
     NIGHTLY_TABLES,
+    NIGHTS,
     QUALITY,
     QUALITY_REASONS,
     SCHEMA_VERSION,
@@ -212,16 +214,23 @@ def table_reference() -> str:
         "`predictions/month=2026-03/2026-03-01.parquet` "
         "([operations](operations.md#what-a-run-leaves-behind)). "
         "Rows are sorted by night and key, and no two share a key. Times are UTC. Null means that "
-        "there is no such figure, never 0. Columns are added at the end and never removed, renamed "
-        "or given another meaning: have a reader match them by name ([queries.md](queries.md)).",
+        "there is no such figure, never 0. From the first release on columns are added and never "
+        "removed, renamed or given another meaning: have a reader match them by name "
+        "([queries.md](queries.md)).",
         "A column without a type is a number. Its unit stands behind the type, unless its name "
-        "ends on it; a number without one is relative. These columns are of several tables:",
+        "ends on it. Relative figures are in percent; `_lower` and `_upper` are the ends of an "
+        "interval in the unit of their figure. These columns are of several tables:",
         "\n".join(map(_shared_line, common)),
     ]
     for table in TABLES:
         key = ", ".join(f"`{name}`" for name in table.key)
+        lines += [f"## {table.name}", f"One row is {table.row}. Key: {key}."]
+        if table is LATEST:
+            lines.append("The columns of `nights`, and:")
         own = [one for one in table.columns if one not in common]
-        lines += [f"## {table.name}", f"One row is {table.row}. Key: {key}.", _column_lines(own)]
+        own = [one for one in own if table is not LATEST or one not in NIGHTS.columns]
+        for group, columns in groupby(own, lambda one: one.group):
+            lines += [f"*{group}*"] * bool(group) + [_column_lines(list(columns))]
         if table is QUALITY:
             reasons = (f"- `{name}`: {one.meaning}." for name, one in QUALITY_REASONS.items())
             lines += ["What each reason refuses:", "\n".join(reasons)]

@@ -119,7 +119,7 @@ def test_nights_of_a_database_are_fitted_as_logs_are(tmp_path: Path) -> None:
     run("-m", "pipeline.cli", "fit-fleet", queried.fleet)
     (logged.logs / f"{NIGHT + DAY}.parquet").unlink()
     logged.run()
-    check_same_figures(queried, logged, "input_files")
+    check_same_figures(queried, logged, "log_files")
     # The same rows again are no news.
     write("--since", str(NIGHT - DAY), "--until", str(NIGHT))
     assert queried.run().nights == ()

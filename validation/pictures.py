@@ -54,8 +54,8 @@ def _course(axes: Axes, rows: pl.DataFrame, predicted: pl.Series) -> None:
 
 def _windows(axes: Axes, cuts: Tables, motor_id: str) -> None:
     fits = cuts.fits().filter(pl.col("motor_id") == motor_id).collect()
-    leakage = fits["reference_leakage_l_per_min"].to_numpy()
-    total = fits["reference_leakage_total_half_width"].to_numpy()
+    leakage = fits["fitted_leakage_l_per_min"].to_numpy()
+    total = fits["fitted_leakage_total_l_per_min"].to_numpy()
     minutes = np.arange(0.0, 5.0 * len(leakage), 5.0)
     axes.plot(minutes, leakage, color=PENS[0])
     axes.fill_between(minutes, leakage - total, leakage + total, alpha=0.2)

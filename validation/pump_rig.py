@@ -36,7 +36,7 @@ Fit = dict[str, Any]
 BLOCK = dt.timedelta(minutes=10)
 SHORT = dt.timedelta(minutes=20)
 STEP = dt.timedelta(minutes=5)
-VALUE = "reference_leakage_l_per_min"
+VALUE = "fitted_leakage_l_per_min"
 VARIANTS = {
     "held-out-all": (
         "every sample",
@@ -109,7 +109,9 @@ def law_of(fleet: Path, tables: Tables, record: Record) -> tuple[Motor, dict[str
 
 
 def fits_of(tables: Tables, motor_id: str) -> list[dict[str, Any]]:
-    return tables.fits().filter(pl.col("motor_id") == motor_id).collect().to_dicts()
+    temperature = tables.nights().select("motor_id", "night", "mean_temperature_c")
+    rows = tables.fits().join(temperature, on=["motor_id", "night"], maintain_order="left")
+    return rows.filter(pl.col("motor_id") == motor_id).collect().to_dicts()
 
 
 def labelled(tables: Tables, record: Record) -> list[dict[str, Any]]:
@@ -155,7 +157,7 @@ def _percent(value: float | None) -> str:
 
 def _label(tables: Tables, record: Record) -> Row:
     (fit,) = labelled(tables, record)
-    verdict = fit["reference_verdict"]
+    verdict = fit["fitted_leakage_verdict"]
     return {"record": record.name, "state": record.state, **_leakage(fit), "verdict": verdict}
 
 
@@ -165,7 +167,7 @@ def _quarters(tables: Tables, record: Record) -> list[Row]:
         {
             "record": record.name,
             "quarter": str(number),
-            "°C": f"{fit['own_temperature_c']:.1f}",
+            "°C": f"{fit['mean_temperature_c']:.1f}",
             "K, 1e-14 m³": f"{fit['coefficients'][0] * 1e14:.2f}",
             "offset, l/min": f"{fit['coefficients'][1]:.2f}",
             **_leakage(fit),
@@ -179,8 +181,8 @@ def _leakage(fit: Fit) -> Row:
     """Reference leakage, and its ± from the samples and in total."""
     return {
         "leakage, l/min": f"{fit[VALUE]:.3f}",
-        "± of samples": f"{fit['reference_leakage_statistical_half_width']:.3f}",
-        "total ±": f"{fit['reference_leakage_total_half_width']:.3f}",
+        "± of samples": f"{fit['fitted_leakage_statistical_l_per_min']:.3f}",
+        "total ±": f"{fit['fitted_leakage_total_l_per_min']:.3f}",
     }
 
 
@@ -208,7 +210,7 @@ def _coverage(tables: Tables, record: Record) -> list[Row]:
 
 def _held(pairs: Sequence[tuple[Fit, Fit]], part: str) -> str:
     """Share of pairs whose first interval holds the second's leakage."""
-    name = f"reference_leakage_{part}_half_width"
+    name = f"fitted_leakage_{part}_l_per_min"
     held = sum(abs(now[VALUE] - then[VALUE]) <= then[name] for then, now in pairs)
     return f"{held} ({100 * held / len(pairs):.0f} %)"
 
@@ -220,6 +222,6 @@ def _root_mean_square_change(pairs: Sequence[tuple[Fit, Fit]]) -> float:
 
 def _slope_percent_per_k(pairs: Sequence[tuple[Fit, Fit]]) -> float:
     """Reference leakage of the first windows over their temperature."""
-    temperatures = [then["own_temperature_c"] for then, _ in pairs]
+    temperatures = [then["mean_temperature_c"] for then, _ in pairs]
     logarithms = np.log([then[VALUE] for then, _ in pairs])
     return 100.0 * float(np.polyfit(temperatures, logarithms, 1)[0])

@@ -16,13 +16,13 @@ OF_MOTOR = '{motor="$motor"}'
 CURVES = (
     (
         "Leakage of $motor at its own conditions",
-        ("own_leakage_l_per_min", "own_leakage_lower_l_per_min", "own_leakage_upper_l_per_min"),
+        ("own_leakage_l_per_min", "own_leakage_lower", "own_leakage_upper"),
         "flowlpm",
     ),
     (
         "Change of $motor against its baseline",
-        ("tonight_change_ratio", "tonight_change_lower_ratio", "tonight_change_upper_ratio"),
-        "percentunit",
+        ("leakage_change_percent", "leakage_change_lower", "leakage_change_upper"),
+        "percent",
     ),
 )
 # Title, query, legend, unit.
@@ -30,7 +30,7 @@ PANELS = (
     ("Motors by state", f"sum by (state) ({OF}motor_state)", "{{state}}", "short"),
     ("Motors in alarm", f'{OF}motor_state{{state="alarm"}} == 1', "{{motor}}", "short"),
     ("Evidence over its limit", f"{OF}evidence / {OF}evidence_limit", "{{motor}}", "percentunit"),
-    ("Lack of fit of the model", f"{OF}lack_of_fit_ratio", "{{motor}}", "percentunit"),
+    ("Model error", f"{OF}model_error_percent", "{{motor}}", "percent"),
     ("Age of the newest data", f"time() - {OF}data_timestamp_seconds", "{{motor}}", "s"),
     ("Last good run", f"time() - {OF}last_good_run_timestamp_seconds", "{{fleet}}", "s"),
     ("Standing failures", f"{OF}standing_failures > 0", "{{motor}}", "short"),

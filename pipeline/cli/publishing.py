@@ -131,7 +131,7 @@ def prune(
 
     Figures, trends and alarms stay, and no night is redone.
 
-    Example: motor-leakage prune configs/fleet.toml --tables predictions,sensitivities --keep 400
+    Example: motor-leakage prune configs/fleet.toml --tables predictions,error_budget --keep 400
     """
     from pipeline.run.publishing import newest_of_fleet
     from pipeline.store.locks import locked

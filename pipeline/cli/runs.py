@@ -325,7 +325,7 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
             "damage_left": [asdict(fault) for fault in result.damage_left],
             "copy_fault": result.copy_fault,
             "alarms": [
-                {name: row[name] for name in ("motor_id", "indicator", "to_state", "reason")}
+                {name: row[name] for name in ("motor_id", "cause", "to_state", "sentence")}
                 for row in result.alarms
             ],
         }
@@ -350,12 +350,12 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
     if result.copy_fault:
         place = request.fleet.copy_to
         say(f"not copied to {place}: {result.copy_fault}; the next run copies it", err=True)
+    from pipeline.notification.outbox import is_notified
+
     for row in result.alarms:
         # A new baseline needs no attention; `alarms` has it.
-        if row["way"] != "baseline":
-            rules = f" (change of rules: {row['rules']})" if row["rules"] else ""
-            what = f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}"
-            say(f"{what}{rules}")
+        if is_notified(row):
+            say(f"{row['motor_id']}: {row['to_state']}: {row['sentence']}")
 
 
 def _by_stage(result: RunResult) -> dict[str, float]:

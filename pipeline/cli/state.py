@@ -94,19 +94,15 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
 
 
 def _print_json(found: FleetStatus, *, too_old: bool) -> None:
-    from pipeline.trends.rows.motor_states import latest_rows
-
-    for motor, row in zip(found.motors, latest_rows(found.motors, ""), strict=True):
+    for motor in found.motors:
         intraday = None if motor.intraday is None else asdict(motor.intraday)
-        del row["run_id"]
-        typer.echo(json.dumps({"event": "motor", **row, "intraday": intraday}, default=str))
+        typer.echo(json.dumps({"event": "motor", **motor.row, "intraday": intraday}, default=str))
     fleet = {
         "event": "fleet",
         "last_good_run": found.last_good_run,
         "too_old": too_old,
         "run": None if found.beat is None else asdict(found.beat),
         "receivers": [asdict(one) for one in found.receivers],
-        "changed_by_rules": found.n_by_rules,
         "damage": [asdict(fault) for fault in found.damage],
     }
     typer.echo(json.dumps(fleet, default=str))
@@ -116,18 +112,14 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
     """Lines below the motors: last run, deliveries, damage, intraday check."""
     ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
     yield f"last good run: {ended}{', which is too old' if too_old else ''}"
-    newest = max((one.data_night for one in found.motors if one.data_night), default=None)
+    newest = max(filter(None, (one.row["last_sample"] for one in found.motors)), default=None)
     if newest is not None:
-        days = (now().date() - newest).days
-        yield f"newest samples: night of {newest}{f', {days} days ago' if days > 1 else ''}"
+        days = (now() - newest).days
+        ago = f", {days} days ago" if days > 1 else ""
+        yield f"newest samples: {newest:%Y-%m-%d %H:%M} UTC{ago}"
     if (line := _run_line(found)) is not None:
         yield line
     yield from (one.words for one in found.receivers if one.undelivered)
-    if found.n_by_rules:
-        yield (
-            "changes of the program's rules: other states of past nights: "
-            f"{found.n_by_rules}; `alarms.rules` has them"
-        )
     if found.damage:
         first, files = found.damage[0], counted(len(found.damage), "published file")
         yield f"damaged or missing: {files}, such as {first.path}: {first.code}"
@@ -163,21 +155,19 @@ def _cells(motor: MotorState) -> tuple[str, ...]:
     """Cells of `COLUMNS`."""
     from pipeline.trends.sentences import in_percent
 
-    watch, newest, leakage, since = motor.watch, "unknown", "unknown", ""
-    if watch is not None:
-        change = (watch.tonight_change, watch.tonight_change_lower, watch.tonight_change_upper)
-        if None not in change:
-            newest = in_percent(1, *(100 * one for one in change if one is not None))
-        if watch.own_leakage_l_per_min is not None:
-            leakage = f"{watch.own_leakage_l_per_min:.3g}"
-        since = str(watch.since or "")
+    row, newest, leakage = motor.row, "unknown", "unknown"
+    change = [row[f"leakage_change_{end}"] for end in ("percent", "lower", "upper")]
+    if None not in change:
+        newest = in_percent(1, *change)
+    if row["own_leakage_l_per_min"] is not None:
+        leakage = f"{row['own_leakage_l_per_min']:.3g}"
     return (
         motor.motor_id,
         motor.state.replace("_", " "),
         newest,
         leakage,
-        since,
-        str(motor.last_good_night or "never"),
+        str(row["onset"] or ""),
+        str(row["last_fit_night"] or "never"),
         f"{motor.why}. {motor.advice}" if motor.needs_attention else motor.why,
     )
 

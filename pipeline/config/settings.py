@@ -174,7 +174,7 @@ class Windows(Section):
 
 
 class SensorHealth(Section):
-    """Halts that show the zero of the pressure and flow sensors; published in `operation`."""
+    """Halts that show the zero of the pressure and flow sensors; published in `nights`."""
 
     shapes = Stage.NIGHT
 

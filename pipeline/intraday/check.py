@@ -1,4 +1,4 @@
-"""The intraday check of a fleet: each motor's night so far, the rows of `looks`, and who is told.
+"""The intraday check of a fleet: each motor's night so far, rows of `intraday`, and who is told.
 
 A check holds a lock against another one, and never that of the nightly run. A published night
 confirms or withdraws what was reported: the nightly run asks for it here.
@@ -40,9 +40,9 @@ from pipeline.intraday.rows import (
 from pipeline.logs.processed import as_published, read_processed, read_settings
 from pipeline.night.fit_night import Insufficient
 from pipeline.notification.delivery import Receiver
-from pipeline.notification.outbox import TOLD_LOOKS, deliver, open_outbox, take_up
+from pipeline.notification.outbox import TOLD_INTRADAY, deliver, open_outbox, take_up
 from pipeline.notification.receivers import receivers_of
-from pipeline.schema import BLOCK_STATISTICS
+from pipeline.schema import BLOCKS
 from pipeline.store.locks import locked
 from pipeline.store.state import State, open_state
 from pipeline.store.tables import nights_back
@@ -67,7 +67,7 @@ class MotorCheck:
     motor_id: str
     state: str
     reason: str
-    rows: tuple[Row, ...] = ()  # new rows of `looks`
+    rows: tuple[Row, ...] = ()  # new rows of `intraday`
     end_us: int = 0  # end of what was judged [µs since 1970]; 0 where nothing was
     latest: float = 0.0  # rise of the latest minutes
     fault: str = ""  # why it could not be checked; empty where it was
@@ -83,7 +83,7 @@ def check_fleet(
     receivers = receivers_of(fleet.settings.alarms)
     wanted = [one for one in fleet.motors if not motors or one.motor_id in motors]
     with locked(fleet.output / "look"), open_state(fleet.output) as state, one_thread():
-        open_outbox(state, [one.name for one in receivers], fleet.name, TOLD_LOOKS)
+        open_outbox(state, [one.name for one in receivers], fleet.name, TOLD_INTRADAY)
         decisions = decisions_of(wanted, read_decisions(fleet.output))
         last = last_rows(fleet.output, [spec.motor_id for spec in wanted])
         found = list[MotorCheck]()
@@ -131,7 +131,7 @@ def check_motor(
 def judge(
     spec: MotorSpec, before: NightsBefore, so_far: NightSoFar, last: Row | None
 ) -> MotorCheck:
-    """Judge the night so far of a motor, whose last row of `looks` may hold a rise."""
+    """Judge the night so far of a motor, whose last row of `intraday` may hold a rise."""
     rises = rises_so_far(before.watch, so_far.blocks, before.merged)
     latest = rises[0].change
     check = MotorCheck(
@@ -191,7 +191,7 @@ def settle_rises(fleet: Fleet, state: State, rises: Mapping[str, Row]) -> None:
     decisions = decisions_of(specs, read_decisions(fleet.output))
     receivers = receivers_of(fleet.settings.alarms)
     with locked(fleet.output / "look"):
-        open_outbox(state, [one.name for one in receivers], fleet.name, TOLD_LOOKS)
+        open_outbox(state, [one.name for one in receivers], fleet.name, TOLD_INTRADAY)
         for spec in specs:
             row = _settled(state, spec, decisions[spec.motor_id], rises[spec.motor_id])
             publish_rows(state, [] if row is None else [row], _run_id(spec))
@@ -201,8 +201,8 @@ def settle_rises(fleet: Fleet, state: State, rises: Mapping[str, Row]) -> None:
 def _deliver(fleet: Fleet, state: State, receivers: Sequence[Receiver]) -> None:
     """Deliver new rows; what fails waits for the next check."""
     try:
-        take_up(state, fleet.name, TOLD_LOOKS)
-        for fault in deliver(state, receivers, fleet.name, told=TOLD_LOOKS):
+        take_up(state, fleet.name, TOLD_INTRADAY)
+        for fault in deliver(state, receivers, fleet.name, told=TOLD_INTRADAY):
             log.warning("%s", fault)
     except StoreError as error:
         log.warning("intraday check: %s; the next check delivers it", error)
@@ -213,7 +213,7 @@ def _settled(state: State, spec: MotorSpec, decisions: Sequence[Decision], last:
     spec = as_published(spec, read_settings(state).get(spec.motor_id))
     time_us, nights = microseconds(last["time"]), spec.settings.nights
     first = night_of(time_us, nights)
-    published = [one for one in nights_back(state.output, BLOCK_STATISTICS) if one >= first]
+    published = [one for one in nights_back(state.output, BLOCKS) if one >= first]
     begins = [one.date for one in spec.file.baseline_events]
     begins += [one.night for one in decisions if one.kind == "baseline_reset"]
     if any(first < begin <= max(published, default=first) for begin in begins):

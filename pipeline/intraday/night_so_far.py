@@ -31,11 +31,11 @@ from pipeline.night.fit_night import (
     require_enough,
     require_parts,
 )
-from pipeline.night.sample_rows import statistics_rows
+from pipeline.night.sample_rows import block_rows
 from pipeline.night.statistics import night_statistics
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.night.viscosity import sensor_ratio
-from pipeline.schema import BLOCK_STATISTICS, staged_table
+from pipeline.schema import BLOCKS, staged_table
 from pipeline.store.tables import read_rows
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.from_tables import read_blocks
@@ -141,15 +141,13 @@ def blocks_so_far(
     if isinstance(ratio, str):
         raise Insufficient("", ratio)
     statistics = night_statistics(spec.stated, motor, night, samples)
-    rows = statistics_rows(spec.motor_id, night.date, motor, statistics, ratio)
+    rows = block_rows(spec, night.date, motor, statistics, ratio)
     begins = np.array([block.start_us for block in statistics.blocks])
     warm = _warm(begins, night.start_us)
     if np.count_nonzero(warm) < FEWEST_BLOCKS:
         raise Insufficient("", "the motor has not run for long enough yet")
     stored = pl.from_arrow(
-        staged_table(
-            BLOCK_STATISTICS, [row for row, is_warm in zip(rows, warm, strict=True) if is_warm]
-        )
+        staged_table(BLOCKS, [row for row, is_warm in zip(rows, warm, strict=True) if is_warm])
     )
     assert isinstance(stored, pl.DataFrame)
     blocks = layout.blocks(spec, stored)
@@ -182,7 +180,7 @@ class NightsBefore:
         self, output: Path, spec: MotorSpec, label: dt.date, begin_us: int
     ) -> NightBlocks | None:
         """Published blocks of a night from a time on; its last one where it ends before."""
-        rows = read_rows(output, BLOCK_STATISTICS, [spec.motor_id], BLOCK_COLUMNS, nights=[label])
+        rows = read_rows(output, BLOCKS, [spec.motor_id], BLOCK_COLUMNS, nights=[label])
         stored = self.layout.blocks(spec, rows) if rows.height else None
         if stored is None:
             return None

@@ -1,4 +1,4 @@
-"""Rows of `looks`: changes of state of the intraday check, and what they say of a motor."""
+"""Rows of `intraday`: changes of state of the intraday check, and what they say of a motor."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.clock import utc
-from pipeline.schema import LOOKS
+from pipeline.schema import INTRADAY
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import State
 from pipeline.store.tables import read_rows
@@ -45,7 +45,7 @@ def row_of(
 
 def last_rows(output: Path, motor_ids: Sequence[str]) -> dict[str, Row]:
     """The last row of each motor that has one; raises StoreError if the table is damaged."""
-    rows = read_rows(output, LOOKS, motor_ids).sort("time").iter_rows(named=True)
+    rows = read_rows(output, INTRADAY, motor_ids).sort("time").iter_rows(named=True)
     return {row["motor_id"]: row for row in rows}
 
 
@@ -61,13 +61,13 @@ def publish_rows(state: State, rows: Iterable[Row], run_id: str) -> None:
     for row in rows:
         by_month[f"{row['time']:%Y-%m}"].append(row | {"run_id": run_id})
     for month, some in by_month.items():
-        Publisher(state, state.output, run_id).add(month, {LOOKS: some})
+        Publisher(state, state.output, run_id).add(month, {INTRADAY: some})
 
 
 def intraday_statuses(output: Path, motor_ids: Sequence[str]) -> dict[str, IntradayStatus]:
     """What the table says of some motors, by motor; raises StoreError if it is damaged."""
     found: dict[str, IntradayStatus] = {}
-    for row in read_rows(output, LOOKS, motor_ids).sort("time").iter_rows(named=True):
+    for row in read_rows(output, INTRADAY, motor_ids).sort("time").iter_rows(named=True):
         before, to_state = found.get(row["motor_id"]), row["to_state"]
         counts = {
             name: (0 if before is None else getattr(before, name)) + (to_state == name)

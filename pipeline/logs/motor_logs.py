@@ -259,7 +259,7 @@ class MotorLogs:
         ]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Rows of `input_files`: each file once, with its first night, or none if it is of none."""
+        """Rows of `log_files`: each file once, with its first night, or none if it is of none."""
         return [
             {
                 "motor_id": self._spec.motor_id,
@@ -267,7 +267,6 @@ class MotorLogs:
                 "night": min(labels_of(record), default=None),
                 "format": self._spec.file.logs.format,
                 "size_bytes": record.size,
-                "sha256": record.sha256,
                 "rows": record.rows,
                 "first_time": None if record.first_us is None else utc(record.first_us),
                 "last_time": None if record.last_us is None else utc(record.last_us),

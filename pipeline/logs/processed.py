@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import ROLLER
+from pipeline.schema.fits import OK
 from pipeline.store.state import State
 from pipeline.workers.process import still_alive
 
@@ -66,9 +67,6 @@ class NightRecord:
     """Outcome of a night."""
 
     status: str  # one of the five outcomes
-    # The model that the next night is judged with; empty without a fit.
-    model: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    judged_with: str = ""  # hash of the model before that the night was judged with
     # statistics_hash, figures_hash: hashes of the settings of its statistics, and of the figures
     # made from them; empty without any.
     statistics_hash: str = ""
@@ -85,11 +83,6 @@ class ProcessedLogs:
     files: Mapping[str, FileRecord] = field(default_factory=dict)
     nights: Mapping[dt.date, NightRecord] = field(default_factory=dict)  # by label
     settings: Mapping[str, Any] | None = None  # as `settings_of`; None before the first run
-
-    def model_before(self, night: dt.date) -> Mapping[str, tuple[float, ...]]:
-        """The motor's last model before a night; empty where there is none."""
-        earlier = [label for label, record in self.nights.items() if label < night and record.model]
-        return self.nights[max(earlier)].model if earlier else {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,9 +124,8 @@ def read_processed(state: State, motor_id: str) -> ProcessedLogs:
         files[row["path"]] = FileRecord(**row | {"nights": tuple(row["nights"].split())})
     for row in _rows(state, "nights", _NIGHT_COLUMNS, motor_id):
         label, tells = dt.date.fromisoformat(row.pop("night")), row.pop("tells_roller")
-        model = {mode: tuple(theta) for mode, theta in json.loads(row.pop("model")).items()}
         tells = None if tells is None else tells == 1
-        nights[label] = NightRecord(**row, model=model, tells_roller=tells)
+        nights[label] = NightRecord(**row, tells_roller=tells)
     return ProcessedLogs(files, nights, json.loads(settings[0][0]))
 
 
@@ -172,9 +164,7 @@ def write_change(state: State, motor_id: str, change: ProcessedChange) -> None:
 
 def _stored(value: Any) -> Any:
     """A value of a record as its column has it."""
-    if isinstance(value, tuple):
-        return " ".join(value)
-    return json.dumps(dict(value)) if isinstance(value, Mapping) else value
+    return " ".join(value) if isinstance(value, tuple) else value
 
 
 def as_published(spec: MotorSpec, settings: Mapping[str, Any] | None) -> MotorSpec:
@@ -195,9 +185,8 @@ def forget_nights(
 ) -> dict[str, set[dt.date]]:
     """Let the next run make nights anew whose tables were lost.
 
-    Nights with a fit are kept: if their log is gone, the night after is still judged with their
-    model. Those of `refit` may be fitted from their statistics. Returns, by motor, those of the
-    nights with a fit.
+    Nights with a fit are kept: their log may be gone. Those of `refit` may be fitted from their
+    statistics. Returns, by motor, those of the nights with a fit.
 
     Raises StoreError if the state cannot be written.
     """
@@ -211,7 +200,7 @@ def forget_nights(
                 state.write(
                     "DELETE FROM logs WHERE motor_id = ? AND nights LIKE ?", motor_id, f"%{label}%"
                 )
-                state.write(f"DELETE FROM nights {where} AND model = '{{}}'", *values)
+                state.write(f"DELETE FROM nights {where} AND status != ?", *values, OK)
                 if state.rows(f"SELECT 1 FROM nights {where}", *values):
                     fitted.setdefault(motor_id, set()).add(night)
                 if night in refit:

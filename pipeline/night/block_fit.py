@@ -64,30 +64,21 @@ class ErrorParts:
             return None
         return math.hypot(self.statistical, self.beside_samples)
 
-    def columns(self) -> dict[str, float | None]:
-        """Columns that all figures have."""
-        return {
-            "statistical_half_width": self.statistical,
-            "sensor_half_width": self.sensor,
-            "model_half_width": self.model,
-            "total_half_width": self.total,
-        }
 
-
-def of_stated(sensitivities: Sequence[Row]) -> dict[str, float]:
+def of_stated(budget: Sequence[Row]) -> dict[str, float]:
     """± of each indicator from stated tolerances."""
-    return _by_squares([row for row in sensitivities if row.get("assumed_sensor") is None])
+    return _by_squares([row for row in budget if not row["is_assumed"]])
 
 
-def of_sensors(sensitivities: Sequence[Row]) -> dict[str, float]:
+def of_sensors(budget: Sequence[Row]) -> dict[str, float]:
     """± of each indicator from tolerances of sensors, stated or assumed."""
-    return _by_squares([row for row in sensitivities if _is_sensor(row)])
+    return _by_squares([row for row in budget if _is_sensor(row)])
 
 
-def of_extrapolation(sensitivities: Sequence[Row], there: str, here: str, ratio: float) -> float:
+def of_extrapolation(budget: Sequence[Row], there: str, here: str, ratio: float) -> float:
     """± of one leakage against another from tolerances of constants, scaled by their ratio."""
     effects: defaultdict[str, float] = defaultdict(float)
-    for row in sensitivities:
+    for row in budget:
         if row["indicator"] in (there, here) and not _is_sensor(row):
             effects[row["source"]] += row["effect"] * (1.0 if row["indicator"] == there else -ratio)
     return math.hypot(*effects.values())
@@ -104,7 +95,7 @@ def _by_squares(rows: Sequence[Row]) -> dict[str, float]:
     return {indicator: math.hypot(*found) for indicator, found in effects.items()}
 
 
-REFERENCE, OWN = "reference_leakage", "own_conditions_leakage"
+REFERENCE, OWN = "fitted_leakage", "own_conditions_leakage"
 # ± of a change of all loss factors with temperature, which one night cannot tell (model.md,
 # section 5) [1/K].
 UNKNOWN_PER_KELVIN = 0.01
@@ -133,12 +124,8 @@ class BlockFit:
     excitation: Excitation  # range of the samples
     block_s: float  # usual length of the blocks [s]
     duration_s: float  # time from the first sample to the last [s]
-    # Mean pressure difference [bar], temperature [°C] and speed [rpm].
-    own_means: tuple[float, float, float]
     reference_conditions: OperatingConditions  # where the reference leakage is evaluated
-    # reference, own: leakage at the reference conditions, and at the night's own mean conditions.
-    reference: LeakageJudgement
-    own: LeakageJudgement
+    reference: LeakageJudgement  # leakage there
     # ± from stated tolerances by indicator, in its unit; without those that have none.
     systematic: Mapping[str, float]
     errors: Mapping[str, ErrorParts]  # parts of the ± by indicator
@@ -157,8 +144,7 @@ def fit_stored_blocks(
     mode: str,
     blocks: StoredBlocks,
     at: tuple[OperatingConditions, OperatingConditions],
-    inflation: float,
-    sensitivities: Sequence[Mapping[str, Any]],
+    budget: Sequence[Mapping[str, Any]],
 ) -> BlockFit:
     """Fit a motor, in the form in which it is fitted, to blocks of samples.
 
@@ -166,7 +152,7 @@ def fit_stored_blocks(
     fewer training samples than free coefficients.
     """
     motor = spec.stated.motor(night, mode)
-    samples = blocks.sample_blocks()
+    samples, inflation = blocks.sample_blocks(), blocks.weight_inflation
     stated = fit_blocks(samples, motor)
     made = stated
     if spec.roller_is_free and motor.standard is not None:
@@ -175,13 +161,10 @@ def fit_stored_blocks(
     fitted, excitation = made.fit, samples.excitation
     identification = made.identified(excitation, inflation)
     where = dict(zip((REFERENCE, OWN), at, strict=True))
-    own_means = blocks.means()
     misfits = made.misfit, stated.misfit
-    errors = _errors(made, identification, excitation, misfits, where, sensitivities)
-    reference, own = (
-        judge_leakage(fitted, identification, excitation, where[name], errors[name].beside_samples)
-        for name in (REFERENCE, OWN)
-    )
+    errors = _errors(made, identification, excitation, misfits, where, budget)
+    beside = errors[REFERENCE].beside_samples
+    reference = judge_leakage(fitted, identification, excitation, where[REFERENCE], beside)
     total = {
         place: errors[path.coefficient_name].total
         for place, path in enumerate(fitted.motor.coefficient_paths)
@@ -196,11 +179,9 @@ def fit_stored_blocks(
         excitation=excitation,
         block_s=samples.block_s,
         duration_s=blocks.duration_s,
-        own_means=own_means,
         reference_conditions=where[REFERENCE],
         reference=reference,
-        own=own,
-        systematic=of_stated(sensitivities),
+        systematic=of_stated(budget),
         errors=errors,
         roller=_roller(motor, made, identification, excitation, inflation),
     )
@@ -250,12 +231,12 @@ def _errors(
     excitation: Excitation,
     misfits: tuple[Misfit | None, Misfit | None],
     at: Mapping[str, OperatingConditions],
-    sensitivities: Sequence[Mapping[str, Any]],
+    budget: Sequence[Mapping[str, Any]],
 ) -> dict[str, ErrorParts]:
     """Parts of the ± of each leakage, by the first misfit, and each coefficient, by the second."""
     fitted, distribution = made.fit, identification.distribution
     fixed = fitted.proven_minimum.fixed
-    sensors = of_sensors(sensitivities)
+    sensors = of_sensors(budget)
     rows = {name: regressors(fitted.motor, one)[0] for name, one in at.items()}
     leakages = {name: row[:-2] @ fitted.unbounded[:-1] + row[-1] for name, row in rows.items()}
     constants = 0.0
@@ -264,7 +245,7 @@ def _errors(
         apart_k = float(at[REFERENCE].oil_temperature_c[0] - at[OWN].oil_temperature_c[0])
         gaps = float(leakages[REFERENCE] - rows[REFERENCE][-1])
         constants = math.hypot(
-            of_extrapolation(sensitivities, REFERENCE, OWN, ratio),
+            of_extrapolation(budget, REFERENCE, OWN, ratio),
             # The night is fitted before its motor's own change with temperature is known.
             UNKNOWN_PER_KELVIN * apart_k * gaps,
         )
@@ -303,9 +284,10 @@ def _errors(
 
 
 def conditions(
-    spec: MotorSpec, blocks: StoredBlocks, charge_bar: float | None
+    spec: MotorSpec, blocks: StoredBlocks
 ) -> tuple[OperatingConditions, OperatingConditions]:
     """The reference conditions, and the mean ones of some blocks."""
+    charge_bar = blocks.charge_bar
     return (
         spec.settings.reference.conditions(charge_bar).operating,
         OperatingConditions.from_bar(*blocks.means(), charge_bar),

@@ -25,12 +25,12 @@ from pipeline.config.channels import PORT_PRESSURES
 from pipeline.messages import plain
 from pipeline.units import QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
 
-# Means that are compared, by channel, as the table `operation` has them; and their units.
+# Means that are compared, by channel, as the table `nights` has them; and their units.
 COLUMNS = {
     "pressure_difference": "mean_pressure_bar",
     "oil_temperature": "mean_temperature_c",
     "speed": "mean_speed_rpm",
-    "leakage_flow": "mean_flow_l_per_min",
+    "leakage_flow": "mean_drain_flow_l_per_min",
 }
 LOWEST, HIGHEST = " lowest", " highest"  # behind a channel: the mean of such a night
 FLOW = "leakage_flow"
@@ -51,7 +51,7 @@ USUAL_NIGHTS, FEWEST_USUAL = 7, 3
 
 
 def readings_of(row: Mapping[str, Any]) -> dict[str, float]:
-    """Means of the channels in a row of `operation`; empty where one is not known."""
+    """Means of the channels in a row of `nights`; empty where one is not known."""
     found = {name: row[column] for name, column in COLUMNS.items() if row.get(column) is not None}
     return found if found.keys() == COLUMNS.keys() else {}
 

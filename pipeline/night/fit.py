@@ -22,9 +22,9 @@ from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.channels import Channel
 from pipeline.night.block_fit import BlockFit, conditions, fit_stored_blocks
-from pipeline.night.parameter_rows import Row, sensitivity_rows
+from pipeline.night.parameter_rows import Row, error_budget_rows
 from pipeline.night.residuals import night_residuals
-from pipeline.night.statistics import NightStatistics, mean_charge_bar
+from pipeline.night.statistics import NightStatistics
 from pipeline.night.stored_blocks import StoredBlocks
 
 PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
@@ -44,19 +44,18 @@ ASSUMED = {
 def fit_modes(
     spec: MotorSpec, night: dt.date, statistics: NightStatistics, blocks: StoredBlocks
 ) -> tuple[tuple[BlockFit, ...], list[Row]]:
-    """A fit for each mode of flushing, the primary one first, and rows of `sensitivities`.
+    """A fit for each mode of flushing, the primary one first, and rows of `error_budget`.
 
     Raises EstimationError if there are fewer samples than free coefficients.
     """
-    at = conditions(spec, blocks, mean_charge_bar(spec, statistics.samples))
+    at = conditions(spec, blocks)
     fits, rows = [], []
     for mode in spec.file.flushing.modes:
         motor = spec.stated.motor(night, mode)
         budget = _budget(spec, statistics, motor, at, night)
-        sensitivities = sensitivity_rows(motor, budget, assumed_sensors(spec))
-        inflation = statistics.inflation
-        fits.append(fit_stored_blocks(spec, night, mode, blocks, at, inflation, sensitivities))
-        rows += [{"flushing_mode": mode} | row for row in sensitivities]
+        of_mode = error_budget_rows(motor, budget, assumed_sensors(spec))
+        fits.append(fit_stored_blocks(spec, night, mode, blocks, at, of_mode))
+        rows += [{"flushing_mode": mode} | row for row in of_mode]
     return tuple(fits), rows
 
 

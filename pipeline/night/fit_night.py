@@ -25,8 +25,8 @@ from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules, means_too_long
 from pipeline.night.cleaning import clean_channel
 from pipeline.night.fit import fit_modes, with_residuals
-from pipeline.night.rows import Rows, fit_rows, unfitted_row
-from pipeline.night.sample_rows import operation_row, prediction_rows, quality_rows, statistics_rows
+from pipeline.night.rows import Row, Rows, fit_rows, night_row, of_fit, unfitted_row
+from pipeline.night.sample_rows import block_rows, data_columns, prediction_rows, quality_rows
 from pipeline.night.statistics import NightStatistics, left_out, night_statistics, too_uniform
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples, bring_together
@@ -35,10 +35,8 @@ from pipeline.night.viscosity import SensorRatio, sensor_ratio
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
 from pipeline.units import RUNNING_HOURS
 
-# Tables that have rows of a night without a fit, too.
-WITHOUT_A_FIT = ("quality", "operation", "block_statistics")
-
-PreviousModel = Mapping[str, tuple[float, ...]]
+# Tables below a night that have rows without a fit, too.
+WITHOUT_A_FIT = ("quality", "blocks")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +49,6 @@ class NightOutcome:
     reason: str | None
     error_code: str | None
     rows: Rows  # rows by table name, without ``run_id``
-    # θ by flushing mode, for judging this model on the next night; empty without a fit.
-    model: PreviousModel = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)  # time by stage
     tables: tuple[str, ...] | None = None  # names of the tables that are new; None: all
 
@@ -82,12 +78,12 @@ def fit_night(
     """
     seconds: dict[str, float] = {}
     rows: Rows = {}
+    data: Row = {}
     try:
         with _timed(seconds, "clean_s"):
             samples, quality = clean_channels(spec.file, spec.settings, night, channels)
             rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
-            counter = channels.get(RUNNING_HOURS)
-            rows["operation"] = [operation_row(spec, night, samples, counter)]
+            data = data_columns(night, samples, channels.get(RUNNING_HOURS))
             require_enough(samples, quality, spec)
             samples, outside = choose_parts(spec.file, spec.settings, night, samples)
             rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
@@ -96,33 +92,29 @@ def fit_night(
             motor = spec.stated.motor(night.date, spec.file.flushing.mode)
             statistics = night_statistics(spec.stated, motor, night, samples)
             ratio = _sensor_ratio(motor, samples)
-            rows["block_statistics"] = statistics_rows(
-                spec.motor_id, night.date, motor, statistics, ratio
-            )
+            rows["blocks"] = block_rows(spec, night.date, motor, statistics, ratio)
         with _timed(seconds, "fit_s"):
             _require_training(statistics, spec)
-            blocks = StoredBlocks.of_newest_night(
-                spec, rows["block_statistics"], statistics.factors
-            )
+            blocks = StoredBlocks.of_newest_night(spec, rows["blocks"], statistics.factors)
             statistics = statistics.with_viscosity(blocks.viscosity_ratios, motor.columns)
-            modes, sensitivities = fit_modes(spec, night.date, statistics, blocks)
+            modes, budget = fit_modes(spec, night.date, statistics, blocks)
         with _timed(seconds, "residuals_s"):
             errors = [statistics.error_of(one.stated.training.coefficients) for one in modes]
             modes = with_residuals(spec, statistics, modes, errors)
         with _timed(seconds, "fit_s"):
-            rows |= fit_rows(spec, night.date, statistics, modes, sensitivities)
+            rows |= fit_rows(spec, night.date, statistics, modes, budget)
             rows["predictions"] = prediction_rows(
                 spec.motor_id, night.date, statistics, modes, errors[0]
             )
     except EstimationError as error:
-        return unfitted(spec, night.date, INSUFFICIENT_DATA, str(error), rows=rows, seconds=seconds)
+        status, reason, code = INSUFFICIENT_DATA, str(error), None
     except (Insufficient, LeakageError) as error:
         status, reason = getattr(error, "status", FAILED), getattr(error, "reason", str(error))
-        return unfitted(
-            spec, night.date, status, reason, code=error.code, rows=rows, seconds=seconds
-        )
-    model = {mode.name: tuple(mode.fit.coefficients.tolist()) for mode in modes}
-    return NightOutcome(night.date, OK, None, None, rows, model, seconds)
+        code = error.code
+    else:
+        own = night_row(spec, night.date, data | of_fit(rows["fits"]), OK)
+        return NightOutcome(night.date, OK, None, None, {"nights": [own], **rows}, seconds)
+    return unfitted(spec, night.date, status, reason, code, data, rows, seconds)
 
 
 def unfitted(
@@ -130,15 +122,16 @@ def unfitted(
     night: dt.date,
     status: str,
     reason: str,
-    *,
     code: str | None = None,
+    data: Row | None = None,
     rows: Rows | None = None,
     seconds: Mapping[str, float] | None = None,
 ) -> NightOutcome:
     """The outcome of a night without a fit: one row that says why, and what was counted so far."""
     kept = {name: part for name, part in (rows or {}).items() if name in WITHOUT_A_FIT}
-    kept["fits"] = [unfitted_row(spec, night, status, reason, code)]
-    return NightOutcome(night, status, reason, code, kept, {}, seconds or {})
+    kept["nights"] = [night_row(spec, night, data or {}, status, reason, code)]
+    kept["fits"] = [unfitted_row(spec, night)]
+    return NightOutcome(night, status, reason, code, kept, seconds or {})
 
 
 @contextmanager

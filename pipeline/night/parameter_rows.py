@@ -1,8 +1,8 @@
-"""Rows of `parameters` and `sensitivities`: what a fit says of each parameter, and how sure."""
+"""Rows of `parameters` and `error_budget`: what a fit says of each parameter, and how sure."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -54,14 +54,10 @@ def _coefficient_row(mode: BlockFit, path: LeakagePath, place: int | None) -> Ro
     row |= {"value": value, "verdict": judgement.verdict, "reason": judgement.reason or None}
     if place is None or judgement.verdict == "fixed":
         return row
-    if judgement.information is not None:
-        row["interval_degrees_of_freedom"] = judgement.information.degrees_of_freedom
-        row["largest_block_share"] = judgement.information.largest_block_share
     if judgement.interval is None:
         return row
     row |= _interval(value, judgement.interval.half_width)
     row["systematic"] = mode.systematic.get(path.coefficient_name)
-    row |= mode.errors[path.coefficient_name].columns()
     return row
 
 
@@ -85,7 +81,6 @@ def _derived_rows(spec: MotorSpec, path: LeakagePath, coefficient: Row) -> list[
             "feasible_max": figure.highest,
             "verdict": coefficient["verdict"],
             "reason": coefficient["reason"],
-            "geometry_is_placeholder": figure.is_placeholder,
         }
         if figure.combination and coefficient["verdict"] != "fixed":
             row["verdict"] = "only_in_combination"
@@ -140,10 +135,10 @@ def _share_row(mode: BlockFit, path: LeakagePath, share: float, gradient: Array)
     return row | {"verdict": "identified"} | _interval(share, interval.half_width)
 
 
-def sensitivity_rows(motor: Motor, budget: ErrorBudget, assumed: Mapping[str, str]) -> list[Row]:
-    """Rows of `sensitivities`: effect of each tolerance, stated or assumed, on each figure."""
+def error_budget_rows(motor: Motor, budget: ErrorBudget, assumed: Collection[str]) -> list[Row]:
+    """Rows of `error_budget`: effect of each tolerance, stated or assumed, on each figure."""
     return [
-        row | {"assumed_sensor": assumed.get(effect.source.name.split()[0])}
+        row | {"is_assumed": effect.source.name.split()[0] in assumed}
         for effect in budget.effects
         for row in _effect_rows(motor, effect)
     ]

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from leakage.estimation.choices import LEVEL, ROUNDING
+from leakage.estimation.choices import ROUNDING
 from leakage.estimation.compression import smooth
 from leakage.estimation.correlation import memory_s
-from leakage.estimation.residual_analysis import (
-    FAILED,
-    NOT_TESTED,
-    PASSED,
-    LagTest,
-    ResidualAnalysis,
-    analyse_residuals,
-)
+from leakage.estimation.residual_analysis import LagTest, ResidualAnalysis, analyse_residuals
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION, numbers_of
-from leakage.estimation.validation import effective_sample_count
 from pipeline.arrays import Array, chosen_rows
 from pipeline.config import Smoothing
 from pipeline.night.statistics import NightStatistics
@@ -95,91 +88,46 @@ def _smoothed(
     return list(averaged.T)
 
 
-def residual_test_rows(residuals: Sequence[PartResiduals], period_s: float) -> list[Row]:
-    """Rows of `residual_tests`: a correlation with its band at each lag."""
-    return [key | row for key, test in _tests(residuals) for row in _lag_rows(test, period_s)]
-
-
-def residual_verdict_rows(residuals: Sequence[PartResiduals], period_s: float) -> list[Row]:
-    """Rows of `residual_verdicts`: one a test."""
-    means = {
-        (one.part, one.smoothed): {
-            "n": one.analysis.n,
-            "mean_error_l_per_min": one.analysis.mean_l_per_min if one.analysis.n else None,
-        }
-        for one in residuals
-    }
-    return [
-        key | means[key["part"], key["smoothed"]] | _verdict_columns(test, period_s)
-        for key, test in _tests(residuals)
-    ]
+def residual_test_rows(residuals: Sequence[PartResiduals], period_s: float) -> Iterator[Row]:
+    """Rows of `residual_tests`: a test with its correlations and their bounds at each lag."""
+    for one in residuals:
+        for (name, of), test in _tests(one.analysis):
+            yield {
+                "part": one.part,
+                "is_smoothed": one.smoothed,
+                "test": name,
+                "input": of,
+                "n": one.analysis.n,
+                **_columns_of(test, period_s),
+            }
 
 
 def residual_columns(residuals: Sequence[PartResiduals]) -> Row:
-    """Columns of `fits`: verdicts on unsmoothed errors, effective numbers of what was fitted."""
-    columns: Row = {}
-    for one in residuals:
-        if not one.smoothed:
-            tests = list(one.analysis.independence.values())
-            columns[f"{one.part}_whiteness"] = one.analysis.whiteness.verdict
-            columns[f"{one.part}_independence"] = _together(tests)
+    """Columns of `fits`: effective numbers of what was fitted."""
     # The analysis of what was fitted comes last.
-    fitted = {one.part: one for one in residuals}
-    for part, prefix in ((TRAINING, ""), (VALIDATION, "validation_")):
-        one = fitted[part]
-        columns[f"{prefix}n_effective"] = effective_sample_count(
-            one.analysis.n, one.analysis.lag_one_autocorrelation
-        )
-        columns[f"{prefix}n_effective_summed"] = one.analysis.n_effective
-    training = fitted[TRAINING].analysis
-    return columns | {"lag_one_autocorrelation": training.lag_one_autocorrelation}
+    fitted = {one.part: one.analysis.n_effective for one in residuals}
+    return {f"n_{part}_effective": fitted[part] for part in (TRAINING, VALIDATION)}
 
 
-def _tests(residuals: Sequence[PartResiduals]) -> Iterator[tuple[Row, LagTest]]:
-    for one in residuals:
-        key: Row = {"part": one.part, "smoothed": one.smoothed}
-        yield key | {"test": WHITENESS, "input": NO_INPUT}, one.analysis.whiteness
-        for name, test in one.analysis.independence.items():
-            yield key | {"test": INDEPENDENCE, "input": name}, test
+def _tests(analysis: ResidualAnalysis) -> Iterator[tuple[tuple[str, str], LagTest]]:
+    yield (WHITENESS, NO_INPUT), analysis.whiteness
+    for name, test in analysis.independence.items():
+        yield (INDEPENDENCE, name), test
 
 
-def _lag_rows(test: LagTest, period_s: float) -> Iterator[Row]:
-    judged = np.isfinite(test.bounds).tolist()
-    for lag, value, bound, outside, is_judged in zip(
-        test.lags.tolist(),
-        test.values.tolist(),
-        test.bounds.tolist(),
-        test.outside.tolist(),
-        judged,
-        strict=True,
-    ):
-        yield {
-            "lag": lag,
-            "lag_s": lag * period_s,
-            "value": value if np.isfinite(value) else None,
-            "bound": bound if is_judged else None,
-            "outside": outside if is_judged else None,
-        }
-
-
-def _verdict_columns(test: LagTest, period_s: float) -> Row:
+def _columns_of(test: LagTest, period_s: float) -> Row:
     lag, value = test.largest or (None, None)
     return {
         "verdict": test.verdict,
         "reason": test.reason,
-        "statistic": test.statistic,
-        "degrees_of_freedom": test.degrees_of_freedom,
         "p_value": test.p_value,
-        "n_lags": test.n_judged,
-        "n_outside": int(test.outside.sum()),
-        "n_expected_outside": LEVEL * test.n_judged,
-        "largest_value": value,
-        "largest_lag": lag,
+        "largest_correlation": value,
         "largest_lag_s": None if lag is None else lag * period_s,
+        "lags_s": (test.lags * period_s).tolist(),
+        "correlations": _finite(test.values),
+        "bounds": _finite(test.bounds),
     }
 
 
-def _together(tests: Sequence[LagTest]) -> str:
-    """Failed if one of them is, passed if the others are that were tested."""
-    verdicts = {test.verdict for test in tests}
-    return next((one for one in (FAILED, PASSED) if one in verdicts), NOT_TESTED)
+def _finite(values: Array) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in values.tolist()]

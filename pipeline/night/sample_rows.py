@@ -9,16 +9,16 @@ from itertools import pairwise, repeat
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from leakage import Motor
-from leakage.physics.motor import speed_beyond_curve
 from pipeline.arrays import Array
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night
 from pipeline.ingest import RawChannel
 from pipeline.night.block_fit import BlockFit
-from pipeline.night.statistics import NightStatistics
+from pipeline.night.statistics import NightStatistics, charge_over_case_bar
 from pipeline.night.time_base import Quality, Samples
 from pipeline.night.viscosity import SensorRatio
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
@@ -27,35 +27,28 @@ from pipeline.thinning import keep_extremes
 Row = dict[str, Any]
 
 HOUR_US = 3_600_000_000
+# Standard errors from the middle of a 95 % interval to its ends.
+HALF = float(ndtri(0.975))
 
 
-def operation_row(
-    spec: MotorSpec, night: Night, samples: Samples, counter: RawChannel | None
-) -> Row:
-    """The row of a night with samples, fitted or not."""
-    hours = (night.end_us - night.start_us) / HOUR_US
-    share = samples.n_turning / samples.n_logged if samples.n_logged else None
+def data_columns(night: Night, samples: Samples, counter: RawChannel | None) -> Row:
+    """Columns of `nights` that a night's samples fill, fitted or not."""
+    row: Row = {"logged_hours": samples.n_logged * samples.period_us / HOUR_US}
     counted = hours_counted(counter)
-    row: Row = {
-        "motor_id": spec.motor_id,
-        "night": night.date,
-        "logged_hours": samples.n_logged * samples.period_us / HOUR_US,
-        "kept_hours": len(samples.index) * samples.period_us / HOUR_US,
-        "running_share": share,
-        "oil": spec.file.oil_on(night.date),
-        "n_halts": samples.halts.n,
-    }
     if counted is not None:
-        row |= {"running_hours": counted, "running_hours_source": "counter"}
-    elif share is not None:
-        row |= {"running_hours": share * hours, "running_hours_source": "share"}
+        row["running_hours"] = counted
+    elif samples.n_logged:
+        hours = (night.end_us - night.start_us) / HOUR_US
+        row["running_hours"] = samples.n_turning / samples.n_logged * hours
     for name, unit, zero in (
         ("pressure_zero", "bar", samples.halts.pressure_bar),
         ("flow_zero", "l_per_min", samples.halts.flow_l_per_min),
     ):
         if zero is not None:
             row[f"{name}_{unit}"] = zero.value
-            row[f"{name}_standard_error_{unit}"] = zero.standard_error
+            if zero.standard_error is not None:
+                row[f"{name}_lower"] = zero.value - HALF * zero.standard_error
+                row[f"{name}_upper"] = zero.value + HALF * zero.standard_error
     if len(samples.index):
         row |= conditions(samples)
     return row
@@ -74,18 +67,17 @@ def hours_counted(counter: RawChannel | None) -> float | None:
 
 
 def conditions(samples: Samples) -> Row:
-    """Means and histograms of kept samples; magnitudes of pressure and speed."""
-    pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
-    temperature = samples.oil_temperature_c
+    """Span and means of kept samples; magnitudes of pressure and speed."""
+    speed = samples.speed_rpm
     return {
-        "mean_pressure_bar": float(pressure.mean()),
-        "mean_temperature_c": float(temperature.mean()),
-        "mean_speed_rpm": float(speed.mean()),
-        "mean_flow_l_per_min": float(samples.leakage_l_per_min.mean()),
-        "share_reversed": np.count_nonzero(samples.speed_rpm < 0) / len(speed),
-        "pressure_histogram": coarse_histogram(pressure, PRESSURE_EDGES_BAR),
-        "temperature_histogram": coarse_histogram(temperature, TEMPERATURE_EDGES_C),
-        "speed_histogram": coarse_histogram(speed, SPEED_EDGES_RPM),
+        "first_sample": utc(samples.time_us[0]),
+        "last_sample": utc(samples.time_us[-1]),
+        "kept_percent": 100.0 * samples.kept_share,
+        "reversed_percent": 100.0 * np.count_nonzero(speed < 0) / len(speed),
+        "mean_pressure_bar": float(np.abs(samples.pressure_difference_bar).mean()),
+        "mean_temperature_c": float(samples.oil_temperature_c.mean()),
+        "mean_speed_rpm": float(np.abs(speed).mean()),
+        "mean_drain_flow_l_per_min": float(samples.leakage_l_per_min.mean()),
     }
 
 
@@ -116,14 +108,14 @@ def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> lis
     return [own | {name: getattr(one, name) for name in names} for one in found]
 
 
-def statistics_rows(
-    motor_id: str,
+def block_rows(
+    spec: MotorSpec,
     night: dt.date,
     motor: Motor,
     statistics: NightStatistics,
     viscosity: SensorRatio | None = None,
 ) -> list[Row]:
-    """Rows of `block_statistics`, with the viscosity by the log over the data sheet's."""
+    """Rows of `blocks`, with the viscosity by the log over the data sheet's."""
     samples, blocks = statistics.samples, statistics.blocks
     speed = statistics.conditions.speed_rpm
     rows = [slice(block.first_row, block.end_row) for block in blocks]
@@ -133,9 +125,9 @@ def statistics_rows(
         "block_end": [utc(block.end_us) for block in blocks],
         "part": [block.part for block in blocks],
         "n": [block.n for block in blocks],
-        "statistics": statistics.factors[:, *upper].tolist(),
-        "share_reversed": [
-            np.count_nonzero(samples.speed_rpm[one] < 0) / block.n
+        "factor": statistics.factors[:, *upper].tolist(),
+        "reversed_percent": [
+            100.0 * np.count_nonzero(samples.speed_rpm[one] < 0) / block.n
             for one, block in zip(rows, blocks, strict=True)
         ],
     }
@@ -146,15 +138,16 @@ def statistics_rows(
         ("speed", "rpm", (speed[one] for one in rows), SPEED_EDGES_RPM),
     ):
         columns |= _spread(name, unit, parts, edges)
-    columns["n_beyond_curve"] = [
-        int(np.count_nonzero(speed_beyond_curve(motor, speed[one]))) for one in rows
-    ]
+    if spec.settings.model.two_sided:
+        charge = charge_over_case_bar(spec.settings.model, samples)
+        columns["mean_charge_over_case_bar"] = [float(charge[one].mean()) for one in rows]
     if viscosity is not None:
         columns["viscosity_ratio"] = [viscosity.at(one) for one in columns["mean_temperature_c"]]
     shared = {
-        "motor_id": motor_id,
+        "motor_id": spec.motor_id,
         "night": night,
-        "columns": list(motor.columns),
+        "factor_columns": list(motor.columns),
+        "weight_inflation": statistics.inflation,
         "model_hash": statistics.model_hash,
     }
     return _rows(columns, shared)

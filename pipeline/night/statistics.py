@@ -98,13 +98,6 @@ def operating_conditions(spec: MotorSpec, samples: Samples) -> OperatingConditio
     )
 
 
-def mean_charge_bar(spec: MotorSpec, samples: Samples) -> float | None:
-    """Mean charge above case pressure; None in a model of one side."""
-    if not spec.settings.model.two_sided:
-        return None
-    return float(np.mean(charge_over_case_bar(spec.settings.model, samples)))
-
-
 def charge_over_case_bar(model: Model, samples: Samples) -> Array:
     """Charge above case pressure: from channels where logged, else as configured."""
     logged = samples.low_pressures_bar

@@ -1,4 +1,4 @@
-"""Blocks of samples of `block_statistics`, with the oil as measured."""
+"""Blocks of samples of `blocks`, with the oil as measured."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from leakage.estimation.sample_blocks import TRAINING, places_on_clock
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.night.viscosity import driven, mean_ratio, viscosity_ratios
-from pipeline.schema import BLOCK_STATISTICS, staged_table
+from pipeline.schema import BLOCKS, staged_table
 
 CHANNELS = ("pressure_bar", "temperature_c", "speed_rpm")
-# Columns of `block_statistics` that a fit needs.
+# Columns of `blocks` that a fit needs.
 BLOCK_COLUMNS = (
     "motor_id",
     "night",
@@ -28,10 +28,12 @@ BLOCK_COLUMNS = (
     "block_end",
     "part",
     "n",
-    "columns",
-    "statistics",
+    "factor_columns",
+    "factor",
     "model_hash",
     "viscosity_ratio",
+    "mean_charge_over_case_bar",
+    "weight_inflation",
     *(f"{end}_{name}" for name in CHANNELS for end in ("mean", "minimum", "maximum")),
 )
 
@@ -48,12 +50,12 @@ class StoredBlocks:
     @classmethod
     def of(cls, spec: MotorSpec, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
         """Blocks of a night's rows; None where one is of a model with other columns."""
-        if rows["columns"].to_list() != [list(columns)] * rows.height:
+        if rows["factor_columns"].to_list() != [list(columns)] * rows.height:
             return None
         size = len(columns)
         factors = np.zeros((rows.height, size, size))
         if rows.height:
-            upper = rows["statistics"].explode().to_numpy().reshape(rows.height, -1)
+            upper = rows["factor"].explode().to_numpy().reshape(rows.height, -1)
             factors[(slice(None), *np.triu_indices(size))] = upper
         return cls._scaled(spec, rows, factors, columns)
 
@@ -62,9 +64,9 @@ class StoredBlocks:
         cls, spec: MotorSpec, rows: Sequence[dict[str, Any]], factors: Array
     ) -> StoredBlocks:
         """Blocks that are about to be stored."""
-        stored = pl.from_arrow(staged_table(BLOCK_STATISTICS, rows))
+        stored = pl.from_arrow(staged_table(BLOCKS, rows))
         assert isinstance(stored, pl.DataFrame)
-        return cls._scaled(spec, stored, factors, rows[0]["columns"])
+        return cls._scaled(spec, stored, factors, rows[0]["factor_columns"])
 
     @classmethod
     def _scaled(
@@ -102,6 +104,16 @@ class StoredBlocks:
         return mean_ratio(self.viscosity_ratios, self.rows["n"].to_list())
 
     @property
+    def weight_inflation(self) -> float:
+        """Factor of robust weights on standard errors; 1 without them."""
+        return float(self.rows["weight_inflation"][0])
+
+    @property
+    def charge_bar(self) -> float | None:
+        """Mean charge above case pressure; None in a model of one side."""
+        return self._mean("mean_charge_over_case_bar")
+
+    @property
     def duration_s(self) -> float:
         """Time from the first sample to the last [s]."""
         first, last = self.rows["block_start"].min(), self.rows["block_end"].max()
@@ -121,9 +133,15 @@ class StoredBlocks:
 
     def means(self) -> tuple[float, float, float]:
         """Mean pressure difference [bar], temperature [°C] and speed [rpm] of the samples."""
-        weights = self.rows["n"].cast(pl.Float64).to_numpy()
-        pressure, temperature, speed = (
-            float(np.average(self.rows[f"mean_{name}"].to_numpy(), weights=weights))
-            for name in CHANNELS
-        )
+        pressure, temperature, speed = (self._mean(f"mean_{name}") for name in CHANNELS)
+        assert pressure is not None
+        assert temperature is not None
+        assert speed is not None
         return pressure, temperature, speed
+
+    def _mean(self, name: str) -> float | None:
+        """Mean of a column over the samples; None where it has none."""
+        values = self.rows[name]
+        if values.null_count():
+            return None
+        return float(np.average(values.to_numpy(), weights=self.rows["n"].cast(pl.Float64)))

@@ -42,6 +42,10 @@ class Tables:
         """The primary fit of each motor and night."""
         return self.table("fits").filter("is_primary").sort("motor_id", "night")
 
+    def nights(self) -> pl.LazyFrame:
+        """The nights of all motors."""
+        return self.table("nights").sort("motor_id", "night")
+
 
 def open_tables(output: Path | str) -> Tables:
     """Open the published tables of an output folder.

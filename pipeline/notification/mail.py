@@ -22,7 +22,7 @@ EMAIL = "email"
 PORTS = {"starttls": 587, "tls": 465, "none": 25}
 # Characters of a subject at most; the rest stands in the text.
 LONGEST_SUBJECT = 150
-LEAKAGE = "leakage"
+SENSORS = ("pressure_zero", "flow_zero")
 URGENCY = {
     "risen": -5,
     "confirmed": -5,
@@ -113,8 +113,7 @@ def _changes(changes: Sequence[Row]) -> tuple[str, list[Paragraph]]:
     """Subject and paragraphs on changes of state, the motor that needs attention most first."""
     courses: dict[str, list[Row]] = {}
     for row in sorted(changes, key=_when):
-        # A row of `looks` has no indicator.
-        sensor = row.get("indicator", LEAKAGE).removeprefix(LEAKAGE)
+        sensor = row["cause"] if row.get("cause") in SENSORS else ""
         courses.setdefault(plain(f"{row['motor_id']} {sensor}").strip(), []).append(row)
     last = {name: rows[-1]["to_state"] for name, rows in courses.items()}
     names = sorted(courses, key=lambda name: (URGENCY.get(last[name], 0), name))
@@ -123,7 +122,7 @@ def _changes(changes: Sequence[Row]) -> tuple[str, list[Paragraph]]:
 
 
 def _when(row: Row) -> str:
-    """Night of a row of `alarms`, or time of one of `looks`."""
+    """Night of a row of `alarms`, or time of one of `intraday`."""
     return str(row.get("night") or row["time"])
 
 
@@ -132,10 +131,10 @@ def _paragraph(name: str, course: Sequence[Row]) -> Paragraph:
     last = course[-1]
     states = [f"{plain(row['to_state'])} since {_when(row)}" for row in reversed(course)]
     before = ", ".join([*states[1:], plain(course[0]["from_state"])])
-    rules = f" (change of rules: {last['rules']})" if last.get("rules") else ""
-    sentences = as_sentence(last["reason"]).replace(". ", ".\n").splitlines()
+    words = last.get("sentence") or last["reason"]
+    sentences = as_sentence(words).replace(". ", ".\n").splitlines()
     figures = [f"Figures are of the night of {last['night']}."] if "night" in last else []
-    told = f"{name}: {states[0]}{rules}; before that {before}"
+    told = f"{name}: {states[0]}; before that {before}"
     return last["motor_id"], [told, *sentences, *figures]
 
 

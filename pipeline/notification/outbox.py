@@ -3,7 +3,7 @@
 Rows come from the published tables alone, and each is known by its key and its content: a run may
 be broken off anywhere, and a row that is made anew is delivered again only if it has changed. A
 failed delivery waits, unchanged, for the next run; of one that was taken only the keys of its rows
-stay. Rows of `looks` are a topic of their own: an intraday check never waits for a run.
+stay. Rows of `intraday` are a topic of their own: an intraday check never waits for a run.
 
 All raise StoreError if the state file cannot be read or written.
 """
@@ -15,7 +15,7 @@ import hashlib
 import json
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from pipeline.clock import now
 from pipeline.errors import StoreError
 from pipeline.messages import counted
 from pipeline.notification.delivery import SUMMARY, Delivery, Receiver, UndeliveredError
-from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
+from pipeline.schema import ALARM_CONTENT, ALARMS, INTRADAY, Table
 from pipeline.store.state import State, read_state_file
 from pipeline.store.tables import read_table
 
@@ -55,13 +55,13 @@ class Told:
     tells: Callable[[Row], bool]  # true for a row that is told
 
 
-def _tells_alarm(row: Row) -> bool:
+def is_notified(row: Row) -> bool:
     """False for a baseline that begins or is taken, unless that ends what was told before."""
-    return row["way"] != "baseline" or row["from_state"] not in ("insufficient", "ok")
+    return not {row["from_state"], row["to_state"]} <= {"insufficient", "ok"}
 
 
-TOLD_ALARMS = Told(ALARMS, ALARM_CONTENT, _tells_alarm)
-TOLD_LOOKS = Told(LOOKS, ("from_state", "to_state", "reason"), lambda _: True)
+TOLD_ALARMS = Told(ALARMS, ALARM_CONTENT, is_notified)
+TOLD_INTRADAY = Told(INTRADAY, ("from_state", "to_state", "reason"), lambda _: True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +114,13 @@ def open_outbox(state: State, names: Sequence[str], fleet: str, told: Told = TOL
             )
 
 
-def take_up(state: State, fleet: str, told: Told = TOLD_ALARMS) -> None:
-    """Put the new rows of the files that were published since into all queues."""
+def take_up(
+    state: State, fleet: str, told: Told = TOLD_ALARMS, silent: Collection[str] = ()
+) -> None:
+    """Put the new rows of the files that were published since into all queues.
+
+    Rows with `silent` ids are known from now on, and nobody is told them.
+    """
     with state.transaction():
         changes: list[Row] = []
         for name, sha256 in state.rows(NOT_TAKEN_UP, told.table.name, f"{told.table.name}/%"):
@@ -125,13 +130,13 @@ def take_up(state: State, fleet: str, told: Told = TOLD_ALARMS) -> None:
                 log.warning("alarms: %s; its rows wait until it is whole", error)
                 continue
             # JSON has no NaN.
-            changes += _new_among(state, rows.fill_nan(None).to_dicts(), told)
+            changes += _new_among(state, rows.fill_nan(None).to_dicts(), told, silent)
             done = "INSERT OR REPLACE INTO taken_up VALUES (?, ?, ?)"
             state.write(done, told.table.name, name, sha256)
         for receiver in _receivers(state, told):
             for first in range(0, len(changes), MOST_CHANGES):
                 some = changes[first : first + MOST_CHANGES]
-                key = _digest([fleet, receiver, *(one["id"] for one in some)])
+                key = _digest([fleet, receiver, *(one["change_id"] for one in some)])
                 _queue(state, receiver, told, Waiting(f"msg_{key}", some))
 
 
@@ -239,7 +244,9 @@ def _note(state: State, name: str, one: Waiting, fault: str, told: Told) -> None
         state.write(f"UPDATE queues SET fault = ? {OF_RECEIVER}", fault, *mine)
 
 
-def _new_among(state: State, rows: Iterable[Row], told: Told) -> Iterator[Row]:
+def _new_among(
+    state: State, rows: Iterable[Row], told: Told, silent: Collection[str]
+) -> Iterator[Row]:
     """Rows that say something that was not queued before; from now on they are known."""
     for row in filter(told.tells, rows):
         key = _digest([str(row[name]) for name in told.table.key])
@@ -253,9 +260,9 @@ def _new_among(state: State, rows: Iterable[Row], told: Told) -> Iterator[Row]:
         state.write(
             "INSERT OR REPLACE INTO queued VALUES (?, ?, ?, ?)", told.table.name, key, said, times
         )
-        if not row.get("is_silent"):
-            what = "rules" if row.get("rules") else "changed" if known else "new"
-            yield {"id": f"{key}-{said}-{times}", "change": what, **row}
+        if row.get("id") not in silent:
+            what = "changed" if known else "new"
+            yield {"change_id": f"{key}-{said}-{times}", "change": what, **row}
 
 
 def _digest(parts: object) -> str:

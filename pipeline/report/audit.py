@@ -1,4 +1,4 @@
-"""What the thesis adds to a night's fit, on request: its search, and information criteria.
+"""What the thesis adds to a night's fit, on request: its search.
 
 The published estimate is the proven minimum's. Starts from several points show that the thesis's
 search ends there, and how little its gap heights and eccentricities mean.
@@ -12,12 +12,17 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 from leakage import Motor
+from leakage.estimation.block_statistics import merge, with_free_known
 from leakage.estimation.multi_start import Search, coefficients_at, free_parameters, search
-from leakage.estimation.validation import criteria
+from pipeline.arrays import Array
 from pipeline.config import Fleet, MotorSpec
-from pipeline.schema import FITS
+from pipeline.night.block_fit import scale_of
+from pipeline.night.rows import coefficient_names
+from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
+from pipeline.schema import BLOCKS, FITS
 from pipeline.store.tables import read_rows
 
 
@@ -26,16 +31,25 @@ def audit(fleet: Fleet, motor_id: str, night: dt.date) -> list[str]:
     spec = fleet.motor(motor_id)
     if not spec.settings.estimation.starting_points:
         return []
-    rows = read_rows(fleet.output, FITS, [motor_id], nights=[night]).filter(status="ok")
-    return [line for row in rows.to_dicts() for line in ("", *_lines(spec, row))]
+    fits, blocks = (
+        read_rows(fleet.output, table, [motor_id], columns, [night])
+        for table, columns in ((FITS, ()), (BLOCKS, BLOCK_COLUMNS))
+    )
+    rows, blocks = fits.filter(pl.col("coefficients").is_not_null()), blocks.sort("block_start")
+    return [line for row in rows.to_dicts() for line in ("", *_lines(spec, row, blocks))]
 
 
-def _lines(spec: MotorSpec, row: dict[str, Any]) -> Iterator[str]:
+def _lines(spec: MotorSpec, row: dict[str, Any], blocks: pl.DataFrame) -> Iterator[str]:
     mode = row["flushing_mode"]
     motor = spec.stated.motor(row["night"], mode)
-    if list(motor.columns) != row["columns"]:
+    stored = StoredBlocks.of(spec, blocks, motor.columns)
+    if stored is None:
+        return
+    factors = stored.factors
+    if coefficient_names(motor) != row["coefficient_names"]:
+        factors = with_free_known(factors, *scale_of(motor))
         motor = motor.with_free_standard()
-    found = _searched(spec, motor, row)
+    found = _searched(spec, motor, row, merge(factors))
     yield f"Audit, flushing {mode}"
     if found.starts:
         gap = "" if found.gap is None else f", the best {found.gap:+.1e}"
@@ -44,22 +58,15 @@ def _lines(spec: MotorSpec, row: dict[str, Any]) -> Iterator[str]:
             f"proven minimum{gap}"
         )
         yield from (f"  {line}" for line in _spreads(motor, found))
-    if row["weight_inflation"] != 1.0:
-        return  # the criteria are those of a squared loss: a robust one has none of them
-    cost = (row["training_rmse_l_per_min"] or 0.0) ** 2
-    for name, of in (("n_training", "training samples"), ("n_effective", "effective")):
-        one = criteria(cost, row["n_parameters"], row[name] or 0.0)
-        if one.fpe is not None and one.aicc is not None:
-            yield (
-                f"  FPE {one.fpe:.4g} (l/min)², AIC {one.aic:.1f}, AICc {one.aicc:.1f}, "
-                f"BIC {one.bic:.1f}: {row[name]:.0f} {of}"
-            )
+    if row["fpe"] is not None and row["aicc"] is not None:
+        yield (
+            f"  FPE {row['fpe']:.4g} (l/min)², AIC {row['aic']:.1f}, AICc {row['aicc']:.1f}, "
+            f"BIC {row['bic']:.1f}: {row['n_training']} training samples"
+        )
 
 
-def _searched(spec: MotorSpec, motor: Motor, row: dict[str, Any]) -> Search:
+def _searched(spec: MotorSpec, motor: Motor, row: dict[str, Any], factor: Array) -> Search:
     """The thesis's search over all kept samples of a night."""
-    factor = np.zeros((len(motor.columns),) * 2)
-    factor[np.triu_indices(len(factor))] = row["night_factor"]
     asked = spec.settings.estimation
     # The same draws for the same run seed, motor, night and mode.
     text = f"{asked.seed}|{spec.motor_id}|{row['night']}|{row['flushing_mode']}"

@@ -28,7 +28,7 @@ from pipeline.report.pages import FOLDER, page_of
 from pipeline.report.plotly_json import figure, script_json
 from pipeline.report.status import current_states
 from pipeline.report.tables import MotorHistory, by_motor, finite_rows, motor_histories
-from pipeline.schema import ALARMS, FITS, PREDICTIONS, frame
+from pipeline.schema import ALARMS, NIGHTS, PREDICTIONS, frame
 from pipeline.store.atomic_files import (
     TEMPORARY_PREFIX,
     flush_path,
@@ -38,6 +38,7 @@ from pipeline.store.atomic_files import (
 )
 from pipeline.store.tables import files_of, read_rows, table_folder
 from pipeline.trends.nights.decisions import read_decisions
+from pipeline.trends.rows.alarm_rows import what_of
 from pipeline.trends.rows.motor_states import ORDER
 
 MANIFEST = "manifest.json"
@@ -132,10 +133,10 @@ def build_report(
     Raises StoreError if there are no tables, one is damaged or of a newer version of the program,
     or the folder cannot be written or holds something else.
     """
-    if not table_folder(fleet.output, FITS).is_dir():
+    if not table_folder(fleet.output, NIGHTS).is_dir():
         raise StoreError(
             "report_tables",
-            f"{fleet.output} holds no table of fits; run fit-fleet first; if it found no log, "
+            f"{fleet.output} holds no table of nights; run fit-fleet first; if it found no log, "
             "run check",
         )
     report = Folder(folder)
@@ -150,8 +151,7 @@ def build_report(
 def _motors_by_night(fleet: Fleet, newest: int | None) -> dict[dt.date, list[str]]:
     """Motors that have a row, by night in time order; of the newest nights, or of all."""
     ids = [spec.motor_id for spec in fleet.motors]
-    columns = ("motor_id", "night", "is_primary")
-    shown = read_rows(fleet.output, FITS, ids, columns).filter("is_primary")
+    shown = read_rows(fleet.output, NIGHTS, ids, ("motor_id", "night"))
     groups = shown.group_by("night").agg(pl.col("motor_id").sort()).sort("night")
     return dict((groups if newest is None else groups.tail(newest)).iter_rows())
 
@@ -204,7 +204,7 @@ def night_payload(night: dt.date, rows: Mapping[str, pl.DataFrame]) -> dict[str,
     """What a motor's page shows of a night: words as of `explain`, and a chart."""
     none = pl.DataFrame()
     listed = {table.name: rows.get(table.name, none).to_dicts() for table in EXPLAINED}
-    mode = next(row["flushing_mode"] for row in listed["fits"] if row["is_primary"])
+    mode = listed["nights"][0]["flushing_mode"]
     samples = rows.get("predictions", frame(PREDICTIONS, [])).filter(flushing_mode=mode)
     chart = figure(night_chart(samples))
     return {"night": str(night), "words": paragraphs(listed), "figure": chart}
@@ -215,8 +215,8 @@ def _make_pages(fleet: Fleet, made: dt.datetime | None, folder: Folder, program:
     ids = [spec.motor_id for spec in fleet.motors]
     motors = dict(zip(ids, motor_histories(fleet.output, ids), strict=True))
     states = {one.motor_id: one for one in current_states(fleet.output, ids)}
-    types = {spec.motor_id: spec.file.motor_type for spec in fleet.motors}
-    rows = fleet_rows(list(motors.values()), types, states)
+    specs = {spec.motor_id: spec for spec in fleet.motors}
+    rows = fleet_rows(list(motors.values()), specs, states)
     by_id = {row.state.motor_id: row for row in rows}
     alarms = by_motor(read_rows(fleet.output, ALARMS, ids))
     decisions = read_decisions(fleet.output)
@@ -264,12 +264,12 @@ def _motor_values(
     payload = {
         "file": motor.motor_id,
         "nights": [str(night) for night in motor.nights],
-        "statuses": [plain(status) for status in motor.fits["status"]],
+        "statuses": [plain(status) for status in motor.rows["status"]],
         "course": figure(course),
     }
     return {
         "row": row,
-        "last": motor.fits.row(-1, named=True) if motor.nights else None,
+        "last": motor.rows.row(-1, named=True) if motor.nights else None,
         "marks": course.marks,
         "parts": [(path.name, isinstance(path, AnnularGap)) for path in spec.motor_type.paths()],
         "payload": script_json(payload),
@@ -279,8 +279,8 @@ def _motor_values(
 
 def newest_changes(alarms: pl.DataFrame) -> list[dict[str, Any]]:
     """A motor's newest rows of `alarms`, the newest first."""
-    rows = alarms.sort("time", "indicator", descending=[True, False])
-    return rows.head(SHOWN_CHANGES).to_dicts()
+    rows = alarms.sort("night", "id", descending=[True, False]).head(SHOWN_CHANGES)
+    return [row | {"indicator": what_of(row)} for row in rows.to_dicts()]
 
 
 def _program_hash() -> str:

@@ -21,6 +21,7 @@ from pipeline.messages import plain
 from pipeline.palette import COLOURS, path_places
 from pipeline.report.tables import MotorHistory
 from pipeline.trends.nights.decisions import LEAKAGE
+from pipeline.trends.rows.alarm_rows import what_of
 from pipeline.trends.sentences import cause_words
 
 Times = NDArray[np.datetime64]
@@ -96,7 +97,7 @@ def watch_chart(
     return Chart(
         motor.stamps,
         _shown(panels),
-        tuple(motor.baselines.select("start", "end").drop_nulls().iter_rows()),
+        tuple(motor.baselines),
         tuple(sorted(marks, key=lambda one: one.night)),
     )
 
@@ -143,7 +144,7 @@ def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel:
 def _leakage_panel(motor: MotorHistory) -> Panel:
     """The leakage; without any, the drain flow as measured, under its own name."""
     if np.isnan(motor.leakage[0]).all():
-        flow = Line("drain flow", motor.mean_flow, GREY, symbol="circle")
+        flow = Line("drain flow", motor.figure("mean_drain_flow_l_per_min"), GREY, symbol="circle")
         return Panel("Drain flow, mean of the night", "l/min", (flow,))
     own = _styled("leakage", 0, *motor.leakage)
     level = Line("baseline", motor.level, GREY, dash="dash")
@@ -155,7 +156,7 @@ def _leakage_panel(motor: MotorHistory) -> Panel:
 
 
 def _evidence_panel(motor: MotorHistory) -> Panel | None:
-    limit, evidence = motor.watched("evidence_limit"), motor.watched("evidence")
+    limit, evidence = motor.figure("evidence_limit"), motor.figure("evidence")
     if np.isnan(limit).all():
         return None
     whole = np.where(np.isfinite(evidence), evidence, np.nan)
@@ -176,13 +177,13 @@ def _events(events: Iterable[Event]) -> Iterable[Mark]:
 
 def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
     """Nights in which a change was detected, by its last cause, and nights that began an alarm."""
-    told = motor.watch.filter(pl.col("told_on").is_not_null(), pl.col("goes_on").not_())
-    causes = told.unique("told_on", keep="last", maintain_order=True).select("told_on", "cause")
-    for night, cause in causes.iter_rows():
+    detected = motor.rows.filter(pl.col("detected_on").is_not_null(), ~pl.col("still_rising"))
+    last = detected.unique("detected_on", keep="last", maintain_order=True)
+    for night, cause in last.select("detected_on", "cause").iter_rows():
         what = "cause not known" if cause == "cannot_be_told" else cause_words(cause)
         yield Mark(night, f"change detected: {what}", ORANGE)
     for row in changes:
-        if row["indicator"] == LEAKAGE and row["to_state"] == "alarm" != row["from_state"]:
+        if what_of(row) == LEAKAGE and row["to_state"] == "alarm" != row["from_state"]:
             yield Mark(row["night"], "alarm", VERMILION)
 
 

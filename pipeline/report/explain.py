@@ -6,22 +6,24 @@ All figures come from the published tables.
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UsageError
 from pipeline.messages import counted, plain, statement
-from pipeline.report.words import UNITS, conditions, refusal
+from pipeline.report.words import UNITS, conditions, of_model, refusal
 from pipeline.schema import (
+    ERROR_BUDGET,
     FITS,
-    INPUT_FILES,
+    LOG_FILES,
+    NIGHTS,
     PARAMETERS,
     QUALITY,
-    RESIDUAL_VERDICTS,
-    SENSITIVITIES,
-    WATCH,
+    RESIDUAL_TESTS,
 )
+from pipeline.schema.fits import OK
 from pipeline.store.tables import read_rows
 from pipeline.trends.rows.motor_states import FITS_OF_A_NIGHT, fit_words
 
@@ -29,7 +31,7 @@ Row = dict[str, Any]
 
 Paragraph = tuple[str, list[str]]  # a title and its lines; the headline has none
 # Tables that the words on a night are made from.
-EXPLAINED = (*(FITS, WATCH, PARAMETERS, SENSITIVITIES, RESIDUAL_VERDICTS, QUALITY, INPUT_FILES),)
+EXPLAINED = (NIGHTS, FITS, PARAMETERS, ERROR_BUDGET, RESIDUAL_TESTS, QUALITY, LOG_FILES)
 # A rule that refused less than this is not worth a line.
 LEAST_REFUSED = 0.005
 LARGEST_EFFECTS = 5
@@ -46,7 +48,7 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
         .to_dicts()
         for table in EXPLAINED
     }
-    if not rows["fits"]:
+    if not rows["nights"]:
         raise UsageError(
             "unknown_night", f"no row of motor {motor_id} in the night of {night}; run fit-fleet"
         )
@@ -58,44 +60,45 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
 def paragraphs(rows: Mapping[str, list[Row]]) -> list[Paragraph]:
     """Paragraphs on a motor's night from its rows by table, the headline first.
 
-    There is at least a row of `fits`.
+    There is its row of `nights`.
     """
-    fits, watch = rows["fits"], rows["watch"]
-    fit = next(row for row in fits if row["is_primary"])
-    data = [*_files(rows["input_files"], fit["reason"]), *_refusals(rows["quality"])]
-    if fit["status"] != "ok":
+    (own,) = rows["nights"]
+    data = [*_files(rows["log_files"], own["reason"]), *_refusals(rows["quality"])]
+    if own["status"] != OK:
         # Without a baseline it would but repeat why there is no fit.
-        known = list(_watched(watch)) if watch and watch[0]["evidence_limit"] is not None else []
-        found = [("", [_headline(fit)]), ("State", known), ("Data", data)]
+        known = list(_state(own)) if own["evidence_limit"] is not None else []
+        found = [("", [_headline(own, None)]), ("State", known), ("Data", data)]
         return [one for one in found if one[1]]
+    fits = rows["fits"]
+    fit = next(row for row in fits if row["is_primary"])
     parameters, effects, tests = (
         [row for row in rows[table.name] if row["flushing_mode"] == fit["flushing_mode"]]
-        for table in (PARAMETERS, SENSITIVITIES, RESIDUAL_VERDICTS)
+        for table in (PARAMETERS, ERROR_BUDGET, RESIDUAL_TESTS)
     )
     kept = (
-        f"kept {100 * fit['kept_share']:.0f} % of the running motor's samples; "
+        f"kept {own['kept_percent']:.0f} % of the running motor's samples; "
         f"{fit['n_training']} train, {fit['n_validation']} validate"
     )
     found = [
-        ("", [_headline(fit)]),
-        ("Leakage", list(_leakages(fit, watch))),
-        ("State", list(_watched(watch))),
+        ("", [_headline(own, fit)]),
+        ("Leakage", list(_leakages(own, fit))),
+        ("State", list(_state(own))),
         ("Paths", list(_verdicts(parameters))),
         ("Systematic errors", list(_budget(fit, effects))),
-        ("Fit", list(_fit(fit, fits))),
+        ("Fit", list(_fit(own, fit, fits))),
         ("Errors of the fit", list(explain_residuals(fit, tests))),
         ("Data", [kept, *data]),
     ]
     return [one for one in found if one[1]]
 
 
-def _headline(fit: Row) -> str:
-    motor_id, night = fit["motor_id"], fit["night"]
-    if fit["status"] == "ok":
+def _headline(own: Row, fit: Row | None) -> str:
+    motor_id, night = own["motor_id"], own["night"]
+    if fit is not None:
         window = f"{fit['window_start']:%Y-%m-%d %H:%M} to {fit['window_end']:%Y-%m-%d %H:%M} UTC"
         return f"{motor_id}, night of {night}: fitted, {window}, flushing {fit['flushing_mode']}"
-    failure = f" ({fit['error_code']})" if fit["error_code"] else ""
-    return f"{motor_id}, night of {night}: {fit['status']}{failure}: {fit['reason']}"
+    failure = f" ({own['error_code']})" if own["error_code"] else ""
+    return f"{motor_id}, night of {night}: {own['status']}{failure}: {own['reason']}"
 
 
 def _files(rows: list[Row], told: str | None) -> Iterator[str]:
@@ -123,60 +126,58 @@ def _refusals(rows: list[Row]) -> Iterator[str]:
         yield f"refused samples of {plain(channel)}: {', '.join(parts)}"
 
 
-def _watched(rows: list[Row]) -> Iterator[str]:
-    """What the watch says of the night."""
-    for row in rows:
-        yield f"{plain(row['state'])}: {statement(row['sentence'], row['advice'])}"
-        if row["lack_of_fit"] is not None:
-            yield (
-                f"model: {row['model_verdict']}, lack of fit {100 * row['lack_of_fit']:.1f} % of "
-                "the flow"
-            )
-        if row["evidence_limit"] is not None:
-            evidence = "none" if row["evidence"] is None else f"ln R {row['evidence']:.1f}"
-            limit = f"a change is detected above {row['evidence_limit']:.1f}"
-            yield f"evidence of a change: {evidence}; {limit}"
+def _state(own: Row) -> Iterator[str]:
+    """State of the night, and what it rests on."""
+    if own["state"] is None:
+        return
+    yield f"{plain(own['state'])}: {statement(own['sentence'], own['advice'])}"
+    if own["evidence_limit"] is not None:
+        error = own["model_error_percent"]
+        yield f"model: {of_model(error)}, model error {error:.1f} % of the flow"
+        evidence = "none" if own["evidence"] is None else f"ln R {own['evidence']:.1f}"
+        limit = f"a change is detected above {own['evidence_limit']:.1f}"
+        yield f"evidence of a change: {evidence}; {limit}"
 
 
-def _fit(fit: Row, fits: list[Row]) -> Iterator[str]:
+def _fit(own: Row, fit: Row, fits: list[Row]) -> Iterator[str]:
     parts = [
-        fit_words(name, fit[column])
+        fit_words(name, own[column])
         for column, name in FITS_OF_A_NIGHT.items()
-        if fit[column] is not None
+        if own[column] is not None
     ]
     yield f"fit: {', '.join(parts) or 'the flow has no shape to fit'}"
     status = fit["interval_status"]
     if status != "ok":
         is_ok = status.startswith("ok: ")
         yield status.removeprefix("ok: ") if is_ok else f"no intervals: {status}"
+    known = {
+        row["flushing_mode"]: row["validation_fit_percent"]
+        for row in fits
+        if row["validation_fit_percent"] is not None
+    }
     if len(fits) > 1:
-        best = [row["flushing_mode"] for row in fits if row["is_best_on_validation"]]
-        told = ", ".join(
-            fit_words(row["flushing_mode"], row["validation_fit_percent"])
-            for row in fits
-            if row["validation_fit_percent"] is not None
-        )
-        yield f"modes of flushing on validation: {told}; best: {', '.join(best) or 'none'}"
+        modes = ", ".join(fit_words(mode, percent) for mode, percent in known.items())
+        best = [mode for mode, percent in known.items() if percent == max(known.values())]
+        yield f"modes of flushing on validation: {modes}; best: {', '.join(best) or 'none'}"
 
 
-def _leakages(fit: Row, watch: list[Row]) -> Iterator[str]:
-    """The two leakages of the watch with their conditions, or why there is none."""
-    row = watch[0] if watch else None
-    why = ": ".join(["none without a baseline", *([row["sentence"]] if row else [])])
-    own = f", {_conditions(row, 'own')}" if row and row["own_pressure_bar"] is not None else ""
+def _leakages(own: Row, fit: Row) -> Iterator[str]:
+    """The two leakages with their conditions, or why there is none."""
+    why = f"none without a baseline: {own['sentence'] or own['leakage_reason']}"
+    at = f", {_conditions(own, 'own')}" if own["own_pressure_bar"] is not None else ""
     places = {
-        "own": f"at the motor's own conditions (those of its baseline{own})",
+        "own": f"at the motor's own conditions (those of its baseline{at})",
         "reference": f"at the reference ({_conditions(fit, 'reference')})",
     }
     for name, place in places.items():
-        if row is None or row[f"{name}_leakage_l_per_min"] is None:
-            yield f"{place}: {why}"
+        if own[f"{name}_leakage_l_per_min"] is None:
+            yield f"{place}: {why if own['baseline_start'] is None else own['leakage_reason']}"
         else:
             ends = ("l_per_min", "lower", "upper")
-            value, lower, upper = (row[f"{name}_leakage_{end}"] for end in ends)
+            value, lower, upper = (own[f"{name}_leakage_{end}"] for end in ends)
             yield f"{place}: {value:.4g} l/min [{lower:.4g}, {upper:.4g}]"
-    if fit["reference_leakage_l_per_min"] is None:
-        yield f"at the reference by the night's own fit: none, {fit['reference_reason']}"
+    if fit["fitted_leakage_l_per_min"] is None:
+        yield f"at the reference by the night's own fit: none, {fit['fitted_leakage_reason']}"
     else:
         yield f"at the reference by the night's own fit: {_figure(fit)}"
 
@@ -189,15 +190,15 @@ def _conditions(row: Row, kind: str) -> str:
 
 
 def _figure(fit: Row) -> str:
-    """Reference leakage with its interval and its total ±, as far as there are any."""
-    name = "reference_leakage"
+    """Leakage by the night's own fit with its interval and its total ±, as far as there are any."""
+    name = "fitted_leakage"
     text = f"{fit[f'{name}_l_per_min']:.4g} l/min"
     if fit[f"{name}_lower"] is not None:
         text += f" [{fit[f'{name}_lower']:.4g}, {fit[f'{name}_upper']:.4g}]"
-    if fit[f"{name}_total_half_width"] is not None:
-        text += f", in all ± {fit[f'{name}_total_half_width']:.2g}"
-    if fit["reference_verdict"] not in ("identified", "fixed"):
-        text += f"; {fit['reference_verdict']}: {fit['reference_reason']}"
+    if fit[f"{name}_total_l_per_min"] is not None:
+        text += f", in all ± {fit[f'{name}_total_l_per_min']:.2g}"
+    if fit[f"{name}_verdict"] not in ("identified", "fixed"):
+        text += f"; {fit[f'{name}_verdict']}: {fit[f'{name}_reason']}"
     return text
 
 
@@ -213,14 +214,14 @@ def _verdicts(rows: list[Row]) -> Iterator[str]:
 
 
 def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
-    """Systematic errors of the reference leakage, and the largest of them."""
-    leakage = fit["reference_leakage_l_per_min"]
-    effects = [row for row in rows if row["indicator"] == "reference_leakage" and row["effect"]]
+    """Systematic errors of the leakage at the reference, and the largest of them."""
+    leakage = fit["fitted_leakage_l_per_min"]
+    effects = [row for row in rows if row["indicator"] == "fitted_leakage" and row["effect"]]
     if not effects or not leakage:
         return
-    if fit["reference_leakage_systematic"] is not None:
+    if stated := [row["effect"] for row in effects if not row["is_assumed"]]:
         yield (
-            f"leakage at the reference ± {fit['reference_leakage_systematic']:.2g} l/min from "
+            f"leakage at the reference ± {math.hypot(*stated):.2g} l/min from "
             "stated tolerances; what constants do alike on all nights is not in the ± above"
         )
     for row in sorted(effects, key=lambda row: -abs(row["effect"]))[:LARGEST_EFFECTS]:
@@ -229,17 +230,17 @@ def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
 
 
 def _tolerance(row: Row) -> str:
-    assumed = f" (assumed: {row['assumed_sensor']})" if row["assumed_sensor"] else ""
+    assumed = " (assumed by the kind of sensor)" if row["is_assumed"] else ""
     if row["tolerance_unit"] == "1":
         return f"{100 * row['tolerance']:g} %{assumed}"
     unit = UNITS.get(row["tolerance_unit"], row["tolerance_unit"])
     return f"{row['tolerance']:g} {unit}{assumed}"
 
 
-def explain_residuals(fit: Row, verdicts: list[Row]) -> Iterator[str]:
+def explain_residuals(fit: Row, tests: list[Row]) -> Iterator[str]:
     """Lines on the errors before smoothing, of training and of validation."""
     for part in ("training", "validation"):
-        rows = [row for row in verdicts if row["part"] == part and not row["smoothed"]]
+        rows = [row for row in tests if row["part"] == part and not row["is_smoothed"]]
         if rows:
             yield f"{part} errors: {_size(fit, part)}"
             yield f"{part} errors: {_tests(rows)}"
@@ -249,11 +250,11 @@ def _size(fit: Row, part: str) -> str:
     rmse, mean = fit[f"{part}_rmse_l_per_min"], fit[f"{part}_mean_error_l_per_min"]
     if rmse is None or mean is None:
         return "no samples"
-    summed = "n_effective_summed" if part == "training" else "validation_n_effective_summed"
+    n_effective = fit[f"n_{part}_effective"]
     text = f"{rmse:.3g} l/min (root mean square), {mean:+z.2g} on average"
-    if fit[summed] is None:
+    if n_effective is None:
         return text
-    return f"{text}; {fit[f'n_{part}']} samples tell as much as {fit[summed]:.0f} independent ones"
+    return f"{text}; {fit[f'n_{part}']} samples tell as much as {n_effective:.0f} independent ones"
 
 
 def _tests(rows: list[Row]) -> str:
@@ -263,6 +264,8 @@ def _tests(rows: list[Row]) -> str:
         return f"not tested, {white['reason']}"
     inputs = {plain(row["input"]): row["verdict"] for row in rows if row["test"] == "independence"}
     failed = ", ".join(name for name, verdict in inputs.items() if verdict == "failed")
-    outside = f"not white, {white['n_outside']} of {white['n_lags']} lags outside the 99 % band"
+    pairs = zip(white["correlations"], white["bounds"], strict=True)
+    outside = [abs(value) > bound for value, bound in pairs if None not in (value, bound)]
+    colour = f"not white, {sum(outside)} of {len(outside)} lags outside the 99 % band"
     told = f"depend on {failed}" if failed else "depend on no input"
-    return f"{'white' if white['verdict'] == 'passed' else outside}; {told}"
+    return f"{'white' if white['verdict'] == 'passed' else colour}; {told}"

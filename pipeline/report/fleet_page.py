@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import Array
+from pipeline.config import MotorSpec
 from pipeline.report.tables import MotorHistory
 from pipeline.report.words import figure
 from pipeline.thinning import keep_extremes
@@ -33,7 +34,7 @@ class FleetRow:
     motor_type: str
     newest_data: dt.datetime | None  # end of the newest data that were kept, UTC; None without any
     line: str  # its leakage at its own conditions as SVG; empty where there is none
-    reference: tuple[float, float, float] | None  # reference conditions: bar, °C, rpm
+    reference: tuple[float, float, float]  # reference conditions: bar, °C, rpm
     # n_recent_good, n_recent: fitted nights, and nights with a row, among the fleet's newest 30.
     n_recent_good: int
     n_recent: int
@@ -41,12 +42,12 @@ class FleetRow:
 
 def fleet_rows(
     motors: Sequence[MotorHistory],
-    types: Mapping[str, str],
+    specs: Mapping[str, MotorSpec],
     states: Mapping[str, MotorState],
 ) -> list[FleetRow]:
     """All motors, the most urgent first."""
     span = fleet_span(motors)
-    rows = [_row(one, types[one.motor_id], states[one.motor_id], span) for one in motors]
+    rows = [_row(one, specs[one.motor_id], states[one.motor_id], span) for one in motors]
     return sorted(rows, key=lambda row: urgency(row.state))
 
 
@@ -56,19 +57,18 @@ def fleet_span(motors: Sequence[MotorHistory]) -> Span | None:
     return (min(nights), max(nights)) if nights else None
 
 
-def _row(motor: MotorHistory, motor_type: str, state: MotorState, span: Span | None) -> FleetRow:
-    newest = motor.fits["window_end"].max()
+def _row(motor: MotorHistory, spec: MotorSpec, state: MotorState, span: Span | None) -> FleetRow:
+    newest = motor.rows["last_sample"].max()
     assert newest is None or isinstance(newest, dt.datetime)
     first = span[1] - dt.timedelta(days=RECENT_NIGHTS) if span else dt.date.max
-    recent = motor.fits.filter(motor.fits["night"] > first)["status"].to_list()
-    names = (f"reference_{one}" for one in ("pressure_bar", "temperature_c", "speed_rpm"))
-    at = motor.fits.select(names).drop_nulls()
+    recent = motor.rows.filter(motor.rows["night"] > first)["status"].to_list()
+    at = spec.settings.reference
     return FleetRow(
         state=state,
-        motor_type=motor_type,
+        motor_type=spec.file.motor_type,
         newest_data=newest,
         line=sparkline(motor, span) if span else "",
-        reference=at.row(-1) if at.height else None,
+        reference=(at.pressure_bar, at.temperature_c, at.speed_rpm),
         n_recent_good=recent.count("ok"),
         n_recent=len(recent),
     )

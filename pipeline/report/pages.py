@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from pipeline.messages import as_sentence, plain
-from pipeline.report.words import ABSENT, STATES, candidates, conditions, figure, percent
+from pipeline.report.words import ABSENT, STATES, candidates, conditions, figure, of_model, signed
 from pipeline.trends.sentences import name_of
 
 FOLDER = Path(__file__).parent
@@ -33,9 +33,10 @@ def _environment() -> Environment:
         "candidates": candidates,
         "figure": figure,
         "indicator": name_of,
-        "percent": percent,
+        "of_model": of_model,
         "plain": plain,
         "sentence": as_sentence,
+        "signed": signed,
     }
     environment.globals |= {
         "absent": ABSENT,

@@ -7,8 +7,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import polars as pl
-
 from pipeline.errors import UsageError
 from pipeline.intraday.rows import intraday_statuses
 from pipeline.notification.delivery import Receiver
@@ -17,7 +15,8 @@ from pipeline.schema import ALARMS
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.published import TableFault, faults_of
 from pipeline.store.tables import read_rows
-from pipeline.trends.rows.motor_states import CHANGED, MotorState, published_states, urgency
+from pipeline.trends.rows.alarm_rows import what_of
+from pipeline.trends.rows.motor_states import MotorState, published_states, urgency
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +28,6 @@ class FleetStatus:
     last_good_run: dt.datetime | None
     beat: Beat | None = None  # heartbeat of the current or the last run; None before the first
     receivers: tuple[Backlog, ...] = ()  # changes of state not yet delivered, by receiver
-    # States of past nights that a change of the program's rules raised, changed or withdrew.
-    n_by_rules: int = 0
     # Published files that are gone, or were written to since and are not what was published.
     damage: tuple[TableFault, ...] = ()
 
@@ -43,13 +40,11 @@ def fleet_status(
     Raises StoreError if a table is damaged.
     """
     motors = current_states(output, motor_ids)
-    alarms = read_rows(output, ALARMS, motor_ids, ("rules", "state_before_rules", "to_state"))
     return FleetStatus(
         tuple(sorted(motors, key=urgency)),
         last_good_run(output),
         read_heartbeat(output),
         backlogs(output, receivers),
-        changed_by_rules(alarms).height,
         faults_of(output),
     )
 
@@ -64,24 +59,19 @@ def current_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
     return [replace(one, intraday=intraday.get(one.motor_id)) for one in found]
 
 
-def changed_by_rules(alarms: pl.DataFrame) -> pl.DataFrame:
-    """Rows of `alarms` in which a change of rules raised, changed or withdrew something."""
-    before, after = pl.col("state_before_rules"), pl.col("to_state")
-    raised = before.is_in(CHANGED) | after.is_in(CHANGED)
-    return alarms.filter(pl.col("rules").is_not_null() & (before != after) & raised)
-
-
 def last_alarm(output: Path, motor_id: str, indicator: str, states: Collection[str]) -> dt.date:
     """The night of the last alarm of an indicator in one of some states.
 
     Raises UsageError (``no_alarm``) if there was none; the message lists the alarms so far.
     """
-    rows = read_rows(output, ALARMS, [motor_id], ("motor_id", "night", "indicator", "to_state"))
-    raised = rows.filter(pl.col("to_state").is_in(list(states)))
-    night = raised.filter(indicator=indicator)["night"].max()
-    if not isinstance(night, dt.date):
-        named = ", ".join(sorted(raised["indicator"].unique())) or "none"
+    rows = read_rows(output, ALARMS, [motor_id], ("night", "cause", "to_state")).to_dicts()
+    raised: list[tuple[str, dt.date]] = [
+        (what_of(row), row["night"]) for row in rows if row["to_state"] in states
+    ]
+    nights = [night for what, night in raised if what == indicator]
+    if not nights:
+        named = ", ".join(sorted({what for what, _ in raised})) or "none"
         raise UsageError(
             "no_alarm", f"{motor_id} has had no alarm of {indicator!r}; alarms so far: {named}"
         )
-    return night
+    return max(nights)

@@ -13,9 +13,8 @@ import polars as pl
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array
-from pipeline.schema import BASELINES, FITS, TRENDS, WATCH, Table, frame
+from pipeline.schema import NIGHTS, TRENDS, Table, frame
 from pipeline.store.tables import read_rows
-from pipeline.trends.nights.decisions import LEAKAGE
 
 
 def finite_rows(
@@ -46,16 +45,14 @@ class MotorHistory:
     """All nights of a motor."""
 
     motor_id: str
-    fits: pl.DataFrame  # its primary fits in time order, one row a night, n of them
-    watch: pl.DataFrame  # its rows of `watch` in time order
+    rows: pl.DataFrame  # its rows of `nights` in time order, n of them
     # Its rows of `trends` by indicator, in time order; empty where no run has made trends.
     trends: Mapping[str, pl.DataFrame]
-    baselines: pl.DataFrame  # its rows of `baselines` of the leakage, in time order
 
     @cached_property
     def nights(self) -> list[dt.date]:
         """Labels of its nights."""
-        return self.fits["night"].to_list()
+        return self.rows["night"].to_list()
 
     @cached_property
     def stamps(self) -> NDArray[np.datetime64]:
@@ -64,62 +61,64 @@ class MotorHistory:
 
     @cached_property
     def leakage(self) -> Course:
-        """Leakage at the motor's own conditions by the watch, l/min."""
-        value = self.watched("own_leakage_l_per_min")
-        return value, self.watched("own_leakage_lower"), self.watched("own_leakage_upper")
+        """Leakage at the motor's own conditions, l/min."""
+        value = self.figure("own_leakage_l_per_min")
+        return value, self.figure("own_leakage_lower"), self.figure("own_leakage_upper")
 
     @cached_property
     def level(self) -> Array:
         """The same of each night's baseline, l/min, shape (n,); NaN before there is one."""
         level = np.full(len(self.nights), np.nan)
-        for start, mean in self.baselines.select("start", "mean").drop_nulls().iter_rows():
+        if (known := self.trends.get("own_leakage")) is None:
+            return level
+        means = self.rows.join(known.select("night", "baseline_mean"), on="night").sort("night")
+        for start, mean in (
+            means.select("baseline_start", "baseline_mean")
+            .drop_nulls()
+            .unique("baseline_start", maintain_order=True)
+            .iter_rows()
+        ):
             level[self.stamps >= np.datetime64(start)] = mean
         return level
 
     @cached_property
-    def mean_flow(self) -> Array:
-        """Drain flow as measured, l/min, shape (n,); NaN where a night has none."""
-        return self.fits["mean_flow_l_per_min"].to_numpy()
+    def baselines(self) -> list[tuple[dt.date, dt.date]]:
+        """First and last night of each baseline."""
+        ends = self.rows.select("baseline_start", "baseline_end").drop_nulls()
+        return list(ends.unique(maintain_order=True).iter_rows())
 
-    def watched(self, name: str) -> Array:
-        """A column of `watch`, shape (n,); NaN in nights without a row."""
-        return self._placed(self.watch, name)
+    def figure(self, name: str) -> Array:
+        """A figure of `nights`, shape (n,); NaN in nights without one."""
+        return self.rows[name].cast(pl.Float64).to_numpy()
 
     def course(self, indicator: str) -> Course:
         """An indicator of the nights that count."""
-        rows = self.trends[indicator].filter(pl.col("gated_reason").is_null())
-        return self._placed(rows, "value"), self._placed(rows, "lower"), self._placed(rows, "upper")
-
-    def _placed(self, rows: pl.DataFrame, name: str) -> Array:
-        """Figures of some nights among all nights of the motor."""
-        nights = self.fits.select("night")
-        found = nights.join(
-            rows.select("night", name), on="night", how="left", maintain_order="left"
+        rows = self.trends[indicator].filter(pl.col("reason").is_null())
+        found = self.rows.select("night").join(rows, on="night", how="left", maintain_order="left")
+        value, lower, upper = (
+            found[name].cast(pl.Float64).to_numpy() for name in ("value", "lower", "upper")
         )
-        return found[name].cast(pl.Float64).to_numpy()
+        return value, lower, upper
 
 
 def motor_histories(output: Path, motor_ids: Sequence[str]) -> list[MotorHistory]:
     """The history of each motor."""
-    read = [
-        (table, by_motor(finite_rows(output, table, motor_ids).sort("night")))
-        for table in (FITS, WATCH, TRENDS, BASELINES)
-    ]
-    histories = []
-    for motor_id in motor_ids:
-        own = [found.get(motor_id, frame(table, [])) for table, found in read]
-        fits, watch, trends, baselines = own
-        parts = trends.partition_by("indicator", maintain_order=True)
-        histories.append(
-            MotorHistory(
-                motor_id,
-                fits.filter("is_primary"),
-                watch,
-                {part["indicator"][0]: part for part in parts},
-                baselines.filter(indicator=LEAKAGE),
-            )
+    nights, trends = (
+        by_motor(finite_rows(output, table, motor_ids).sort("night")) for table in (NIGHTS, TRENDS)
+    )
+    return [
+        MotorHistory(
+            name,
+            nights.get(name, frame(NIGHTS, [])),
+            {
+                part["indicator"][0]: part
+                for part in trends.get(name, frame(TRENDS, [])).partition_by(
+                    "indicator", maintain_order=True
+                )
+            },
         )
-    return histories
+        for name in motor_ids
+    ]
 
 
 def by_motor(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:

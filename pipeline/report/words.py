@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 from pipeline.messages import plain
 from pipeline.schema import QUALITY_REASONS
+from pipeline.schema.fits import model_verdict
 from pipeline.trends.sentences import cause_words
 
 ABSENT: Final = "–"
@@ -34,16 +35,26 @@ def refusal(code: str) -> str:
     return plain(code) if reason is None else reason.words
 
 
-def candidates(text: str | None) -> list[tuple[str, float]]:
-    """Causes with their probabilities, as a row of `watch` lists them.
+def candidates(causes: Sequence[Mapping[str, Any]] | None) -> list[tuple[str, float]]:
+    """Causes in words with their probabilities, as a row of `nights` lists them.
 
     Examples
     --------
-    >>> candidates("balance_sleeve 0.93; all_gaps 0.05")
-    [('balance sleeve', 0.93), ('all gaps', 0.05)]
+    >>> candidates([{"cause": "balance_sleeve", "probability": 0.93}])
+    [('balance sleeve', 0.93)]
     """
-    parts = (one.rsplit(" ", 1) for one in (text or "").split("; ") if one)
-    return [(cause_words(cause), float(probability)) for cause, probability in parts]
+    return [(cause_words(one["cause"]), one["probability"]) for one in causes or ()]
+
+
+def of_model(model_error_percent: float) -> str:
+    """Verdict on a model by what it misses of the flow.
+
+    Examples
+    --------
+    >>> of_model(0.8)
+    'supported'
+    """
+    return model_verdict(model_error_percent / 100.0)
 
 
 def figure(value: float | None, digits: int = 3) -> str:
@@ -75,14 +86,14 @@ def conditions(
     return f"{figure(pressure_bar)} bar, {figure(temperature_c)} °C, {figure(speed_rpm)} rpm"
 
 
-def percent(share: float | None, decimals: int = 1) -> str:
-    """A change with its sign, in percent.
+def signed(change_percent: float | None, decimals: int = 1) -> str:
+    """A change with its sign.
 
     Examples
     --------
-    >>> percent(-0.0321), percent(-0.0001), percent(None)
+    >>> signed(-3.21), signed(-0.01), signed(None)
     ('−3.2', '+0.0', '–')
     """
-    if share is None:
+    if change_percent is None:
         return ABSENT
-    return f"{100.0 * share:+z.{decimals}f}".replace("-", "−")
+    return f"{change_percent:+z.{decimals}f}".replace("-", "−")

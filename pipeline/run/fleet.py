@@ -198,7 +198,7 @@ def _run(
             ),
         )
         heartbeat.say(stage="recording")
-        publish_run(publisher, request, result, started, config_hash)
+        publish_run(publisher, request, result, started)
     return replace(result, interrupted=result.interrupted or bool(came))
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.config import Fleet
-from pipeline.config.nights import night
 from pipeline.errors import StoreError
 from pipeline.intraday.rows import NOT_JUDGED
 from pipeline.notification.outbox import Backlog
 from pipeline.run.tasks import MotorOutcome
+from pipeline.schema import LATEST
 from pipeline.store.atomic_files import put, remove_leftovers
 from pipeline.trends.rows.motor_states import CLEAR, ORDER, RISEN, MotorState
 
@@ -20,18 +20,13 @@ if TYPE_CHECKING:
     from pipeline.intraday.check import MotorCheck
 
 HEAD = "# Made by motor-leakage"
-# Name of a metric, its column of `watch`, and what it is.
-WATCHED = (
-    ("tonight_change_ratio", "tonight_change", "Change of the newest night against the baseline"),
-    ("tonight_change_lower_ratio", "tonight_change_lower", "Lower end of the interval of that"),
-    ("tonight_change_upper_ratio", "tonight_change_upper", "Upper end of the interval of that"),
-    ("own_leakage_l_per_min", "own_leakage_l_per_min", "Leakage at the motor's own conditions"),
-    ("own_leakage_lower_l_per_min", "own_leakage_lower", "Lower end of the interval of that"),
-    ("own_leakage_upper_l_per_min", "own_leakage_upper", "Upper end of the interval of that"),
-    ("evidence", "evidence", "Evidence of a change, ln R"),
-    ("evidence_limit", "evidence_limit", "Evidence beyond which a change is told"),
-    ("lack_of_fit_ratio", "lack_of_fit", "Lack of fit of the model over the baseline"),
+# Columns of `latest` that are metrics under the same name.
+FIGURES = (
+    *("leakage_change_percent", "leakage_change_lower", "leakage_change_upper"),
+    *("own_leakage_l_per_min", "own_leakage_lower", "own_leakage_upper"),
+    *("evidence", "evidence_limit", "model_error_percent"),
 )
+MEANING = {column.name: column.description for column in LATEST.columns}
 # Labels and value of a sample.
 Sample = tuple[Mapping[str, str], float]
 
@@ -59,7 +54,6 @@ def metrics_text(
     last_good_run: dt.datetime | None,
 ) -> str:
     """The metrics in Prometheus's text format, each with the label `fleet`."""
-    nights = fleet.settings.nights
     families: dict[tuple[str, str], list[Sample]] = {
         ("motor_state", "1 for the state of a motor, 0 for the others"): [
             ({"motor": one.motor_id, "state": state}, float(one.state == state))
@@ -67,17 +61,17 @@ def metrics_text(
             for state in ORDER
         ],
         **{
-            (name, words): [
-                ({"motor": one.motor_id}, value)
+            (name, MEANING[name]): [
+                ({"motor": one.motor_id}, one.row[name])
                 for one in states
-                if one.watch is not None and (value := getattr(one.watch, column)) is not None
+                if one.row[name] is not None
             ]
-            for name, column, words in WATCHED
+            for name in FIGURES
         },
-        ("data_timestamp_seconds", "End of the newest night with samples of a motor"): [
-            ({"motor": one.motor_id}, night(one.data_night, nights).end_us / 1e6)
+        ("data_timestamp_seconds", "Newest sample of a motor"): [
+            ({"motor": one.motor_id}, one.row["last_sample"].timestamp())
             for one in states
-            if one.data_night is not None
+            if one.row["last_sample"] is not None
         ],
         ("standing_failures", "Nights and logs of a motor that failed and are as they were"): [
             ({"motor": one.motor_id}, float(one.n_standing)) for one in outcomes

@@ -12,12 +12,12 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.config.hashes import ROLLER, SettingsHashes, hash_of, settings_of, why_anew
+from pipeline.config.hashes import ROLLER, SettingsHashes, settings_of, why_anew
 from pipeline.config.nights import nights_between
 from pipeline.logs.files import labels_of
 from pipeline.logs.motor_logs import MotorLogs
@@ -26,7 +26,7 @@ from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
 
 if TYPE_CHECKING:
-    from pipeline.night.fit_night import NightOutcome, PreviousModel
+    from pipeline.night.fit_night import NightOutcome
 
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.
@@ -43,15 +43,6 @@ def peak_memory_mib() -> float:
         lines = Path("/proc/self/status").read_text("ascii").splitlines()
         return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) / 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def hash_of_model(model: PreviousModel) -> str:
-    return _hash_of_items(tuple(sorted((mode, tuple(theta)) for mode, theta in model.items())))
-
-
-@lru_cache(maxsize=8192)
-def _hash_of_items(items: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
-    return hash_of(dict(items))
 
 
 def _without_failures(processed: ProcessedLogs) -> ProcessedLogs:
@@ -136,7 +127,8 @@ class MotorNights:
                 if label in present:
                     found[label] = Step(Work.READ, self._why_anew)
             elif record.figures_hash != self.hashes.figures(label):
-                found[label] = Step(Work.REFIT if record.model else Work.READ, self._why_anew)
+                work = Work.REFIT if record.status == OK else Work.READ
+                found[label] = Step(work, self._why_anew)
         return found
 
     @cached_property
@@ -146,14 +138,7 @@ class MotorNights:
 
     def open_nights(self) -> dict[dt.date, Step]:
         """Nights still to do within the asked-for range."""
-        outdated = self._outdated_by_model()
-        # What is not published yet cannot be judged from the tables.
-        plan = {
-            label: Step(Work.READ, step.reason)
-            for label, step in outdated.items()
-            if label in self.done
-        }
-        later = outdated | self.by_settings
+        later = dict(self.by_settings)
         present, waiting = self.logs.present(), self.logs.waiting()
         for name in self.logs.files:
             if (news := self.logs.news_of(name)) is not None:
@@ -161,23 +146,12 @@ class MotorNights:
                 reached = self.logs.touched(name) | (self.logs.reached(name) & present)
                 later |= dict.fromkeys(reached, Step(Work.READ, news))
         later |= dict.fromkeys(self.abandoned, Step(Work.READ, "its log is gone"))
-        plan |= {label: step for label, step in later.items() if label not in self.done}
+        done = self.done.keys() | self.kept | waiting
         return {
             label: step
-            for label, step in plan.items()
-            if label not in self.kept | waiting and self.task.wants(label)
+            for label, step in later.items()
+            if label not in done and self.task.wants(label)
         }
-
-    def _outdated_by_model(self) -> dict[dt.date, Step]:
-        """Nights with a fit that was judged with another model than the one before it now."""
-        found, before = {}, hash_of_model({})
-        for label, record in sorted(self.records.items()):
-            if not record.model:
-                continue
-            if record.judged_with != before:
-                found[label] = Step(Work.JUDGE, "another model before it")
-            before = hash_of_model(record.model)
-        return found
 
     def holes(self) -> list[dt.date]:
         """Nights between two logs that no log covers and no row tells of yet."""

@@ -21,7 +21,7 @@ from pipeline.config.nights import night
 from pipeline.errors import StoreError
 from pipeline.logs.files import labels_of, reaches_us, slice_night
 from pipeline.logs.finding import legible
-from pipeline.logs.processed import FileRecord, NightRecord, ProcessedLogs
+from pipeline.logs.processed import FileRecord, NightRecord
 from pipeline.messages import speak_as_told
 from pipeline.night.column_change import (
     COLUMNS,
@@ -30,13 +30,13 @@ from pipeline.night.column_change import (
     readings_of,
     usual_readings,
 )
-from pipeline.night.fit_night import NightOutcome, PreviousModel, fit_night, unfitted
-from pipeline.night.refit import as_published, is_refit, judged, refit, refit_in_form
-from pipeline.night.rows import Row
-from pipeline.run.motor_nights import MotorNights, hash_of_model
+from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
+from pipeline.night.refit import refit, refit_in_form
+from pipeline.night.rows import Row, coefficient_names
+from pipeline.run.motor_nights import MotorNights
 from pipeline.run.stored_nights import StoredNights
 from pipeline.run.tasks import MotorOutcome, MotorTask, Work, lost
-from pipeline.schema import INPUT_FILES, NIGHT_TABLES, OPERATION
+from pipeline.schema import LOG_FILES, NIGHT_TABLES, NIGHTS
 from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK
 from pipeline.store.publishing import stage, staged_file
 from pipeline.store.tables import read_rows
@@ -86,12 +86,11 @@ class _Making(MotorNights):
         # Reading may show that a log covers other nights than its ends had told, so look again.
         while plan := self.open_nights():
             label = min(plan)
-            before = self._model_before(label)
-            outcome = self._night(label, plan[label].work, before)
+            outcome = self._night(label, plan[label].work)
             if outcome is None:
                 self.kept.add(label)
                 continue
-            self._remember(outcome, before)
+            self._remember(outcome)
             for stage_name, taken in outcome.seconds.items():
                 self.seconds[stage_name] += taken
             # Also those that an earlier state of a file had been read for.
@@ -108,7 +107,7 @@ class _Making(MotorNights):
         sign_of_life("")
         with self.timed("store_s"):
             self._stage()
-        n_refitted = sum(map(is_refit, self.done.values()))
+        n_refitted = sum(one.tables is not None for one in self.done.values())
         return replace(self.outcome(), n_refitted=n_refitted)
 
     def _take_back(self, label: dt.date) -> None:
@@ -119,34 +118,30 @@ class _Making(MotorNights):
         else:
             del self.records[label]
 
-    def _remember(self, outcome: NightOutcome, before: PreviousModel) -> None:
+    def _remember(self, outcome: NightOutcome) -> None:
         label = outcome.night
         self.done[label] = outcome
         self.records[label] = NightRecord(
             outcome.status,
-            outcome.model,
-            hash_of_model(before),
             self.hashes.statistics(label),
             self.hashes.figures(label),
             _tells_roller(outcome),
         )
 
-    def _night(self, label: dt.date, work: Work, before: PreviousModel) -> NightOutcome | None:
+    def _night(self, label: dt.date, work: Work) -> NightOutcome | None:
         """Outcome of a night; None where it stays as published, for want of its log."""
         if given_up := self.lost_nights.get(label):
             return unfitted(self.spec, label, FAILED, legible(given_up.how), code=given_up.code)
         sign_of_life(label.isoformat())
         try:
             if work is not Work.READ:
-                anew = work is Work.REFIT
                 with self.timed("refit_s"):
-                    published = self.stored.night(label, with_blocks=anew)
-                    outcome = refit(self.form, published) if anew else as_published(published)
+                    outcome = refit(self.form, self.stored.night(label))
                 if outcome is not None:
-                    return judged(self.form, outcome, before)
+                    return outcome
                 if label not in self.logs.present():
                     return None
-            return judged(self.form, self._in_form(self._read_and_fit(label)), before)
+            return self._in_form(self._read_and_fit(label))
         except StoreError:
             raise
         except (Exception, PanicException) as error:  # one night must not cost the motor's others
@@ -156,8 +151,9 @@ class _Making(MotorNights):
 
     def _in_form(self, outcome: NightOutcome) -> NightOutcome:
         """A night's outcome in the form in which the motor's fits are published."""
-        is_free, fits = self.form.roller_is_free, outcome.rows["fits"]
-        if outcome.status != OK or all(row["roller_is_free"] is is_free for row in fits):
+        mode, fits = self.spec.file.flushing.mode, outcome.rows["fits"]
+        names = coefficient_names(self.form.motor(outcome.night, mode))
+        if outcome.status != OK or all(row["coefficient_names"] == names for row in fits):
             return outcome
         with self.timed("refit_s"):
             # Of a night just read, all rows are in the outcome.
@@ -165,17 +161,16 @@ class _Making(MotorNights):
             return refit_in_form(self.form, outcome, published) or outcome
 
     def _decide_form(self) -> None:
-        """All nights with a fit in the other form, in order: each is judged with the one before."""
+        """All nights with a fit in the other form."""
         if self.is_roller_free() == self.form.roller_is_free:
             return
         self.form = replace(self.spec, roller_is_free=not self.form.roller_is_free)
         self.hashes = SettingsHashes(self.form)
-        for label in sorted(label for label, one in self.records.items() if one.model):
-            before = self._model_before(label)
+        for label in sorted(label for label, one in self.records.items() if one.status == OK):
             outcome = self.done.get(label) or self.stored.outcome(label)
             if outcome.rows["fits"]:
                 self.first_told.setdefault(label, self.records[label].tells_roller)
-                self._remember(judged(self.form, self._in_form(outcome), before), before)
+                self._remember(self._in_form(outcome))
 
     def _read_and_fit(self, label: dt.date) -> NightOutcome:
         here = night(label, self.spec.settings.nights)
@@ -198,7 +193,7 @@ class _Making(MotorNights):
 
     def _unless_changed(self, outcome: NightOutcome) -> NightOutcome:
         """A night's outcome; it fails where its columns or units are others than before."""
-        now = next(map(readings_of, outcome.rows.get("operation", [])), {})
+        now = next(map(readings_of, outcome.rows["nights"]), {})
         why = None
         if now and (usual := self._usual(outcome.night)):
             why = column_change(self.spec, usual, now)
@@ -206,7 +201,7 @@ class _Making(MotorNights):
             return outcome
         why += "; mend the log or the motor's file, or enter a dated event if the motor runs so now"
         rows = {"quality": outcome.rows["quality"]}
-        return unfitted(self.spec, outcome.night, FAILED, why, code="columns_changed", rows=rows)
+        return unfitted(self.spec, outcome.night, FAILED, why, "columns_changed", rows=rows)
 
     def _usual(self, label: dt.date) -> dict[str, float]:
         """Medians of the last fitted nights of the baseline period; empty where they are few."""
@@ -218,16 +213,13 @@ class _Making(MotorNights):
             if since <= one < label and record.status == OK
         ][-USUAL_NIGHTS:]
         made = [one for one in nights if one in self.done and self.done[one].tables is None]
-        rows = [row for one in made for row in self.done[one].rows["operation"]]
+        rows = [row for one in made for row in self.done[one].rows["nights"]]
         if published := set(nights).difference(made):
             columns = ("night", *COLUMNS.values())
             motor_ids = [self.spec.motor_id]
-            found = read_rows(self.task.output, OPERATION, motor_ids, columns, published)
+            found = read_rows(self.task.output, NIGHTS, motor_ids, columns, published)
             rows += found.to_dicts()
         return usual_readings(rows)
-
-    def _model_before(self, label: dt.date) -> PreviousModel:
-        return ProcessedLogs(nights=self.records).model_before(label)
 
     def _stage(self) -> None:
         by_table: defaultdict[str, dict[dt.date, list[Row]]] = defaultdict(dict)
@@ -236,13 +228,13 @@ class _Making(MotorNights):
                 # A night made anew in part keeps what only its samples tell.
                 if outcome.tables is None or table.name in outcome.tables:
                     by_table[table.name][label] = outcome.rows.get(table.name, [])
-        by_table["input_files"] = self._file_rows(by_table["input_files"].keys())
+        by_table["log_files"] = self._file_rows(by_table["log_files"].keys())
         staged = {table: by_table[table.name] for table in NIGHT_TABLES if by_table[table.name]}
         if staged:
             stage(staged_file(self.task.staging / "nights", self.spec.motor_id), staged)
 
     def _file_rows(self, staged: Collection[dt.date]) -> dict[dt.date, list[Row]]:
-        """Rows of `input_files` of some nights, and of those which a file's row leaves or enters.
+        """Rows of `log_files` of some nights, and of those which a file's row leaves or enters.
 
         Of a night that is not done, the other rows stay as they are.
         """
@@ -261,9 +253,7 @@ class _Making(MotorNights):
                 if place is not None and place not in staged and (is_new or place != here):
                     moved[place].add(name)
         for label, names in sorted(moved.items()):
-            published = read_rows(
-                self.task.output, INPUT_FILES, [self.spec.motor_id], nights=[label]
-            )
+            published = read_rows(self.task.output, LOG_FILES, [self.spec.motor_id], nights=[label])
             kept = published.drop("run_id").filter(~pl.col("path").is_in(list(names)))
             rows[label] += kept.to_dicts()
         return {label: rows[label] for label in sorted({*staged, *moved})}

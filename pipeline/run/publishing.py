@@ -5,9 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import logging
-import platform
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,6 @@ from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, own_version
 from pipeline.config.nights import night_of
 from pipeline.errors import StoreError
-from pipeline.logs.motor_logs import FATES
 from pipeline.logs.processed import write_change
 from pipeline.notification.outbox import take_up
 from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
@@ -28,8 +25,8 @@ from pipeline.schema import (
     ALARMS,
     DATA_DICTIONARY,
     LATEST,
-    MOTOR_OUTCOMES,
     NIGHT_TABLES,
+    RUN_MOTORS,
     RUNS,
     SCHEMA_VERSION,
     TREND_TABLES,
@@ -41,7 +38,7 @@ from pipeline.store.tables import read_table, whole_file
 from pipeline.store.views import write_views
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.nights.trend_record import note_touched, write_record
-from pipeline.trends.rows.motor_states import latest_rows, latest_states
+from pipeline.trends.rows.motor_states import latest_rows
 from pipeline.trends.tasks import (
     NewestNight,
     TrendOutcome,
@@ -60,7 +57,7 @@ log = logging.getLogger(__name__)
 # First night with new rows by motor; None without one.
 Changed = Mapping[str, dt.date | None]
 
-# Seconds of a motor's task by stage, as `motor_outcomes` names them, and of a run, as `runs` does.
+# Seconds of a motor's task by stage, as `run_motors` names them, and of a run, as `runs` does.
 MOTOR_STAGES = (
     "read_s",
     "clean_s",
@@ -71,8 +68,6 @@ MOTOR_STAGES = (
     "store_s",
 )
 STAGES = ("motors_s", "publish_s", "trends_s")
-# Packages whose versions `runs` has.
-DEPENDENCIES = ("polars", "pyarrow", "numpy", "scipy")
 # A task of trends reads the tables of all its motors at once; it has fewer where workers wait.
 MOTORS_A_TREND_TASK = 32
 
@@ -146,7 +141,7 @@ def publish_trends(
             write_record(state, motor_id, record, kept)
         if records:
             state.set_meta("latest", "")
-        take_up(state, fleet.name)
+        take_up(state, fleet.name, silent={name for one in made for name in one.silent})
 
     publisher.nights("trends", TREND_TABLES, sorted(records), published)
     new = [row for one in made for row in one.alarms]
@@ -166,11 +161,11 @@ def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:
     if published["motor_id"].to_list() == motor_ids and state.meta("latest") == made_of:
         return
     try:
-        states = latest_states(output, motor_ids)
+        some = latest_rows(output, motor_ids)
     except StoreError as error:
         log.warning("%s; the table `latest` stays as it was", error)
         return
-    rows = frame(LATEST, latest_rows(states, publisher.run_id)).sort(LATEST.key)
+    rows = frame(LATEST, [row | {"run_id": publisher.run_id} for row in some]).sort(LATEST.key)
     if not rows.drop("run_id").equals(published.drop("run_id")):
         publisher.whole(LATEST, rows)
     state.set_meta("latest", made_of)
@@ -203,11 +198,9 @@ def publish_run(
     request: RunRequest,
     result: RunResult,
     started: dt.datetime,
-    config_hash: str,
 ) -> None:
-    """Publish the rows of `runs` and `motor_outcomes`, and the views of all tables."""
+    """Publish the rows of `runs` and `run_motors`, and the views of all tables."""
     fleet = request.fleet
-    seeds = {spec.settings.estimation.seed for spec in fleet.motors}
     run = {
         "run_id": result.run_id,
         "started_at": started,
@@ -219,21 +212,16 @@ def publish_run(
         else "ok",
         "fleet": fleet.name,
         "version": own_version(),
-        "python_version": platform.python_version(),
-        **{f"{name}_version": version(name) for name in DEPENDENCIES},
-        "schema_version": SCHEMA_VERSION,
-        "config_hash": config_hash,
-        "seed": min(seeds),
         "workers": fleet.execution.workers,
         "n_motors": len(result.outcomes),
         "n_motors_failed": len(result.failed),
         "n_nights": result.n_nights,
-        "seconds": result.seconds,
+        "total_s": result.seconds,
         **result.seconds_by_stage,
         "damage": [str(one) for one in result.damage],
     }
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
-    publisher.add(f"{started:%Y-%m}", {RUNS: [run], MOTOR_OUTCOMES: rows})
+    publisher.add(f"{started:%Y-%m}", {RUNS: [run], RUN_MOTORS: rows})
     write_views(fleet.output)
 
 
@@ -250,6 +238,4 @@ def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Ma
         "n_refitted": outcome.n_refitted,
         **{stage: outcome.seconds.get(stage, 0.0) for stage in MOTOR_STAGES},
         **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
-        **{f"n_files_{fate}": outcome.files.get(fate, 0) for fate in FATES},
-        "growing": list(outcome.growing),
     }

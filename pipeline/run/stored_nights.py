@@ -11,10 +11,11 @@ import polars as pl
 
 from pipeline.errors import StoreError
 from pipeline.night.fit_night import NightOutcome
-from pipeline.night.refit import PublishedNight
+from pipeline.night.refit import FROM_TABLES, PublishedNight
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
-from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, SENSITIVITIES, Table
+from pipeline.schema import BLOCKS, FITS, NIGHTS, PARAMETERS, Table
 from pipeline.schema.fits import OK
+from pipeline.store.published import TABLE_OF
 from pipeline.store.tables import days_of, read_rows
 
 log = logging.getLogger(__name__)
@@ -31,19 +32,13 @@ class StoredNights:
 
     def outcome(self, label: dt.date) -> NightOutcome:
         """A fitted night as published: what another form of its fits replaces."""
-        rows = {table.name: self._rows(table, label) for table in (FITS, PARAMETERS)}
+        rows = {table.name: self._rows(table, label) for table in (NIGHTS, FITS, PARAMETERS)}
         return NightOutcome(label, OK, None, None, rows, tables=tuple(rows))
 
-    def night(self, label: dt.date, *, with_blocks: bool = True) -> PublishedNight:
-        """Rows of a night; those of its blocks are the most of them."""
-        if not with_blocks:
-            return PublishedNight(label, self._rows(FITS, label), (), None)
-        return PublishedNight(
-            label,
-            self._rows(FITS, label),
-            self._rows(SENSITIVITIES, label),
-            self._of_night(BLOCK_STATISTICS, label),
-        )
+    def night(self, label: dt.date) -> PublishedNight:
+        """Rows of a night."""
+        rows = {name: self._rows(TABLE_OF[name], label) for name in FROM_TABLES}
+        return PublishedNight(label, rows, self._of_night(BLOCKS, label))
 
     def _rows(self, table: Table, label: dt.date) -> list[dict[str, Any]]:
         """Rows of the motor in a night; none where its month's files are absent or damaged."""
@@ -60,7 +55,7 @@ class StoredNights:
 
     def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
         every = tuple(name for name in table.schema if name != "run_id")
-        columns = BLOCK_COLUMNS if table is BLOCK_STATISTICS else every
+        columns = BLOCK_COLUMNS if table is BLOCKS else every
         try:
             rows = read_rows(self._output, table, [self._motor_id], columns, days_of(month))
         except StoreError as error:

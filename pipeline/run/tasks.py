@@ -63,11 +63,10 @@ class RunRequest:
 
 
 class Work(Enum):
-    """Source of a night that is made anew: its log, its statistics, or the model before only."""
+    """Source of a night that is made anew: its log, or its statistics."""
 
     READ = "read"
     REFIT = "refit"
-    JUDGE = "judge"
 
 
 @dataclass(frozen=True, slots=True)

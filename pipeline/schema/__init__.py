@@ -1,8 +1,8 @@
 """Names, types, units and meaning of every column of every table. The only place.
 
 ``columns.csv`` has a line a column, in the order of the tables; ``docs/tables.md`` and the table
-``data_dictionary`` are made from it. From the first release on columns are only added, at the end
-of their table, and each addition raises the version.
+``data_dictionary`` are made from it, and rows are checked by it. From the first release on columns
+are only added, and each addition raises the version.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import polars as pl
 import pyarrow as pa
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 1
 
 Type = pl.DataType | type[pl.DataType]
 TIMESTAMP = pl.Datetime("us", "UTC")
@@ -34,10 +34,11 @@ TYPES: Mapping[str, Type] = {
     "numbers": NUMBERS,
     "counts": COUNTS,
     "names": pl.List(pl.String),
+    "causes": pl.List(pl.Struct({"cause": pl.String, "probability": pl.Float64})),
 }
 """Types by the word in ``columns.csv``."""
 
-# Edges of the coarse histograms of `block_statistics`: the last bin holds all beyond.
+# Edges of the coarse histograms of `blocks`: the last bin holds all beyond.
 PRESSURE_EDGES_BAR = tuple(float(edge) for edge in range(0, 401, 20))
 TEMPERATURE_EDGES_C = tuple(float(edge) for edge in range(-20, 121, 5))
 SPEED_EDGES_RPM = tuple(float(edge) for edge in range(0, 151, 10))
@@ -59,6 +60,7 @@ class Column:
     type: Type
     unit: str
     description: str
+    group: str = ""  # what it belongs to, in a table of many columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,66 +98,72 @@ QUALITY_REASONS = {name: Reason(*words) for name, *words in _lines("quality_reas
 _COLUMNS = {name: list(lines) for name, lines in groupby(_lines("columns.csv"), lambda one: one[0])}
 
 
-def _table(name: str, row: str) -> Table:
-    """The table of a name, of which one row is `row`."""
+def _table(name: str, row: str, copied: tuple[Column, ...] = ()) -> Table:
+    """The table of a name, of which one row is `row`; columns of another one come first."""
     key, columns = [], []
-    for _, column, in_key, kind, unit, meaning in _COLUMNS[name]:
-        columns.append(Column(column, TYPES[kind], unit, meaning))
+    for _, column, in_key, kind, unit, meaning, group in _COLUMNS[name]:
+        columns.append(Column(column, TYPES[kind], unit, meaning, group))
         key += [column] * bool(in_key)
-    return Table(name, row, tuple(key), tuple(columns))
+    return Table(name, row, tuple(key) or ("motor_id",), (*copied, *columns))
 
 
+NIGHTS = _table("nights", "a motor, a night, also one without a fit")
+LATEST = _table(
+    "latest",
+    "a motor, as of the last run: its newest night, and where that has no figure the newest night "
+    "with samples",
+    tuple(one for one in NIGHTS.columns if one.name != "run_id"),
+)
 FITS = _table("fits", "a motor, a night, a flushing mode")
 PARAMETERS = _table("parameters", "a fit, a parameter")
-SENSITIVITIES = _table("sensitivities", "a fit, an indicator, a source of systematic error")
-RESIDUAL_TESTS = _table("residual_tests", "a fit, a part, a test (and input), a lag")
-RESIDUAL_VERDICTS = _table("residual_verdicts", "a fit, a part, a test (and input)")
+ERROR_BUDGET = _table("error_budget", "a fit, an indicator, a source of systematic error")
+RESIDUAL_TESTS = _table("residual_tests", "a fit, a part, a test (and input)")
 PREDICTIONS = _table("predictions", "a fit, a time, thinned for plots by its extremes")
 QUALITY = _table("quality", "a motor, a night, a channel, a reason")
-OPERATION = _table("operation", "a motor, a night with samples")
-BLOCK_STATISTICS = _table("block_statistics", "a motor, a block")
-INPUT_FILES = _table("input_files", "a file read")
+BLOCKS = _table("blocks", "a motor, a block of some minutes")
 TRENDS = _table("trends", "a motor, a night, an indicator")
-WATCH = _table("watch", "a motor, a night")
 ALARMS = _table("alarms", "a change of state")
-BASELINES = _table("baselines", "a motor, a baseline as it was frozen in a night")
-LOOKS = _table("looks", "a change of state of the intraday check")
+INTRADAY = _table("intraday", "a change of state of the intraday check")
 DECISIONS = _table("decisions", "what people said of a motor")
-LATEST = _table("latest", "a motor, as of the last run")
+LOG_FILES = _table("log_files", "a file read")
 RUNS = _table("runs", "a run")
-MOTOR_OUTCOMES = _table("motor_outcomes", "a motor in a run")
+RUN_MOTORS = _table("run_motors", "a motor in a run")
 DATA_DICTIONARY = _table("data_dictionary", "a column of a table")
 
+# Columns of `nights` that a motor's own night fills; the others follow from all of its nights.
+OF_NIGHT = tuple(one.name for one in NIGHTS.columns if one.group in ("what", "data", "fit"))
+OF_TRENDS = tuple(one.name for one in NIGHTS.columns if one.name not in (*OF_NIGHT, "run_id"))
 # Columns of what a row of `alarms` says; the others are its key, or follow from it.
-ALARM_CONTENT = ("from_state", "to_state", "way", "path", "reason")
+ALARM_CONTENT = ("from_state", "to_state", "cause", "sentence", "closed_as")
 
 # A redone night of a motor replaces that motor's rows in each of them.
 NIGHT_TABLES = (
+    NIGHTS,
     FITS,
     PARAMETERS,
-    SENSITIVITIES,
+    ERROR_BUDGET,
     RESIDUAL_TESTS,
-    RESIDUAL_VERDICTS,
     PREDICTIONS,
     QUALITY,
-    OPERATION,
-    BLOCK_STATISTICS,
-    INPUT_FILES,
+    BLOCKS,
+    LOG_FILES,
 )
-# The same, made from the tables above after all motors are done.
-TREND_TABLES = (WATCH, TRENDS, ALARMS, BASELINES)
+# The same, made from the tables above after all motors are done; `nights` is completed.
+TREND_TABLES = (NIGHTS, TRENDS, ALARMS)
 # One file a night, as many rows are rewritten; of all others but those below one file a month.
-NIGHTLY_TABLES = (PREDICTIONS, BLOCK_STATISTICS, RESIDUAL_TESTS)
+NIGHTLY_TABLES = (PREDICTIONS, BLOCKS, RESIDUAL_TESTS)
 # One file each.
 WHOLE_TABLES = (LATEST, DECISIONS, DATA_DICTIONARY)
 TABLES = (
+    NIGHTS,
     LATEST,
-    *NIGHT_TABLES,
-    *TREND_TABLES,
-    LOOKS,
+    *NIGHT_TABLES[1:-1],
+    *TREND_TABLES[1:],
+    INTRADAY,
     DECISIONS,
+    LOG_FILES,
     RUNS,
-    MOTOR_OUTCOMES,
+    RUN_MOTORS,
     DATA_DICTIONARY,
 )
 
@@ -210,8 +218,6 @@ def data_dictionary() -> pl.DataFrame:
                 "type": str(column.type if isinstance(column.type, pl.DataType) else column.type()),
                 "unit": column.unit,
                 "description": column.description,
-                "in_key": column.name in table.key,
-                "schema_version": SCHEMA_VERSION,
             }
             for table in TABLES
             for column in table.columns

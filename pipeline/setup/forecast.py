@@ -70,7 +70,7 @@ def _forecast(
         return NO_NEW_DATA, "no log covers this night", {}
     outcome = fit_night(spec, here, channels)
     logs.let_go_until(label)
-    return outcome.status, outcome.reason or "", outcome.rows.get("operation", [{}])[0]
+    return outcome.status, outcome.reason or "", outcome.rows["nights"][0]
 
 
 def _era(spec: MotorSpec, label: dt.date) -> dt.date:

@@ -1,6 +1,6 @@
 """Retention: removal of table files of old nights.
 
-Refits and trends are made from `block_statistics`, nothing from the others. A removal is announced
+Refits and trends are made from `blocks`, nothing from the others. A removal is announced
 before the file goes: after a crash in between, the next pruning removes it.
 """
 
@@ -22,9 +22,9 @@ from pipeline.store.tables import days_of, files_of, name_of
 # Tables that may be pruned, and what is lost with each.
 LOSSES: Mapping[str, str] = {
     "predictions": "the report's course of measured and predicted flow",
-    "residual_tests": "residual correlations lag by lag; residual_verdicts stays",
-    "sensitivities": "the share of each tolerance in ±; the sum stays in fits and parameters",
-    "block_statistics": "a changed setting of the fit then needs the logs of these nights, and "
+    "residual_tests": "tests of the fit's errors, and their correlations lag by lag",
+    "error_budget": "the share of each tolerance in ±; the sum stays in fits and parameters",
+    "blocks": "a changed setting of the fit then needs the logs of these nights, and "
     "a watch that is made anew begins with the first night that is left",
 }
 

@@ -44,8 +44,7 @@ CREATE TABLE logs (
 ) WITHOUT ROWID;
 CREATE TABLE nights (
     motor_id TEXT NOT NULL REFERENCES motors, night TEXT NOT NULL, status TEXT NOT NULL,
-    model TEXT NOT NULL, judged_with TEXT NOT NULL, statistics_hash TEXT NOT NULL,
-    figures_hash TEXT NOT NULL, tells_roller INTEGER,
+    statistics_hash TEXT NOT NULL, figures_hash TEXT NOT NULL, tells_roller INTEGER,
     PRIMARY KEY (motor_id, night)
 ) WITHOUT ROWID;
 CREATE TABLE files (
@@ -55,7 +54,7 @@ CREATE TABLE files (
 ) WITHOUT ROWID;
 CREATE TABLE trends (
     motor_id TEXT PRIMARY KEY, trend_hash TEXT NOT NULL, last_night TEXT NOT NULL,
-    redo_from TEXT, rules TEXT, kept BLOB
+    redo_from TEXT, kept BLOB
 );
 CREATE TABLE queues (
     topic TEXT NOT NULL, receiver TEXT NOT NULL, told_since TEXT NOT NULL,

@@ -12,7 +12,7 @@ from leakage.watch import Comparison, NightBlocks, compare
 from pipeline.config import MotorSpec
 from pipeline.errors import UsageError
 from pipeline.logs.processed import as_published, read_settings
-from pipeline.schema import BLOCK_STATISTICS
+from pipeline.schema import BLOCKS
 from pipeline.store.state import read_state_file
 from pipeline.store.tables import nights_back
 from pipeline.trends.nights.from_tables import read_blocks
@@ -88,7 +88,7 @@ def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> Nig
     borders = [one.date for one in spec.file.baseline_events if one.date != at]
     first = max((one for one in borders if one < at), default=dt.date.min)
     end = min((one for one in borders if one > at), default=dt.date.max)
-    nights = [one for one in nights_back(output, BLOCK_STATISTICS) if first <= one < end]
+    nights = [one for one in nights_back(output, BLOCKS) if first <= one < end]
     earlier = [one for one in nights if one < at][:most]
     later = [one for one in nights if one >= at][-most:]
     layout = Layout.of(spec, at)

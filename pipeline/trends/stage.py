@@ -19,7 +19,7 @@ from pipeline.store.publishing import stage, staged_file
 from pipeline.trends.nights.from_tables import MotorNights, Wanted, read_nights
 from pipeline.trends.nights.kept import decoded, key_of
 from pipeline.trends.nights.trend_record import Record
-from pipeline.trends.rows.alarm_rows import new_alarms, rules_now
+from pipeline.trends.rows.alarm_rows import new_rows, without_past
 from pipeline.trends.rows.made_trends import MadeTrends
 from pipeline.trends.states.course import Course
 from pipeline.trends.tasks import Circuit, Row, TrendOutcome, TrendTask, kept_file
@@ -100,8 +100,9 @@ def _run_circuit(
     for name, trends in made.items():
         found = _guarded(done, name, partial(_stage_motor, task, circuit, trends))
         if found is not None:
-            done.nights[name], done.records[name], new = found
-            done.alarms.extend(new)
+            done.nights[name], done.records[name], new, told = found
+            done.alarms.extend(told)
+            done.silent.extend(row["id"] for row in new if row not in told)
 
 
 def _tell(
@@ -125,15 +126,18 @@ def _tell(
 
 def _stage_motor(
     task: TrendTask, circuit: Circuit, trends: MadeTrends
-) -> tuple[int, Record, list[Row]] | None:
-    """Stage a motor's rows and what is kept; number of nights, its record, and new alarms."""
+) -> tuple[int, Record, list[Row], list[Row]] | None:
+    """Stage a motor's rows and what is kept.
+
+    Number of nights, its record, new alarms, and those of them that people are notified of.
+    """
     history = trends.course.nights.history
     spec, labels = history.spec, trends.nights
     if not labels:
         return None
     motor_id, before = spec.motor_id, circuit.records[spec.motor_id]
-    record = Record(circuit.hashes[motor_id], labels[-1], None, rules_now(spec))
-    rows = trends.by_table(before, record)
+    record = Record(circuit.hashes[motor_id], labels[-1])
+    rows = trends.by_table()
     staged: dict[Table, dict[dt.date, list[Row]]] = {}
     for table, some in rows.items():
         nights = staged[table] = {label: [] for label in labels}
@@ -144,4 +148,7 @@ def _stage_motor(
     with store_errors(path):
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(trends.course.kept(key_of(spec, history.decisions)).encoded())
-    return len(labels), record, new_alarms(rows[ALARMS], trends.course.nights.alarms)
+    published = trends.course.nights.alarms
+    new = new_rows(rows[ALARMS], published)
+    last_night = dt.date.min if before is None else before.last_night
+    return len(labels), record, new, without_past(rows[ALARMS], new, published, last_night)

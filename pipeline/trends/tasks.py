@@ -13,7 +13,7 @@ import polars as pl
 
 from pipeline.config import MotorSpec
 from pipeline.logs.processed import as_published, read_settings
-from pipeline.schema import FITS, OPERATION
+from pipeline.schema import NIGHTS
 from pipeline.schema.fits import WITH_SAMPLES
 from pipeline.store.state import State
 from pipeline.store.tables import nights_back, read_rows
@@ -128,12 +128,12 @@ def newest_night_of(output: Path, motor_ids: Sequence[str], latest: dt.date) -> 
     A night that only an unreadable log tells, or that lies in the future, after `latest`, is not
     in the newest night: it would make every other motor silent since."""
     further: dict[str, dt.date] = {}
-    for night in nights_back(output, FITS):
-        fits = read_rows(output, FITS, motor_ids, ("motor_id", "status"), nights=[night])
-        for motor_id in fits.filter(pl.col("status").is_in(WITH_SAMPLES))["motor_id"]:
+    columns = ("motor_id", "status", "last_sample")
+    for night in nights_back(output, NIGHTS):
+        rows = read_rows(output, NIGHTS, motor_ids, columns, nights=[night])
+        for motor_id in rows.filter(pl.col("status").is_in(WITH_SAMPLES))["motor_id"]:
             further.setdefault(motor_id, night)
-        kept = read_rows(output, OPERATION, motor_ids, ("kept_hours",), nights=[night])
-        if night <= latest and (kept["kept_hours"] > 0).any():
+        if night <= latest and rows["last_sample"].is_not_null().any():
             return NewestNight(night, further)
     return None
 
@@ -167,13 +167,14 @@ class TrendOutcome:
 
     What is to be kept of a motor is staged beside its rows.
 
-    `alarms` are the staged rows of `alarms` that were not published before.
+    `alarms` are the new rows of `alarms` that people are notified of, `silent` the ids of others.
     """
 
     nights: dict[str, int] = field(default_factory=dict)
     failures: dict[str, Loss] = field(default_factory=dict)
     records: dict[str, Record] = field(default_factory=dict)
     alarms: list[Row] = field(default_factory=list)
+    silent: list[str] = field(default_factory=list)
 
 
 def trend_tasks(

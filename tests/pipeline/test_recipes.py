@@ -167,7 +167,7 @@ def test_a_law_of_its_own_is_fitted_with_its_figures(tmp_path: Path) -> None:
     assert found["scale_bore"]["value"] == pytest.approx(1.44, rel=1e-6)
     assert found["scale_bore"]["verdict"] == found["d_bore"]["verdict"] == "identified"
     assert found["d_bore"]["value"] == pytest.approx(480.0, rel=1e-6)
-    effects = {(row["indicator"], row["source"]): row["effect"] for row in rows["sensitivities"]}
+    effects = {(row["indicator"], row["source"]): row["effect"] for row in rows["error_budget"]}
     # 5 % more flow for the same scale is a scale smaller by 5/105.
     assert effects["scale_bore", "bore flow"] == pytest.approx(-1.44 * 5 / 105, rel=1e-3)
 

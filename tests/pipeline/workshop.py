@@ -114,7 +114,7 @@ class Workshop:
         return rows(self.output, table)
 
     def statuses(self) -> dict[dt.date, str]:
-        return dict(self.rows("fits").select("night", "status").iter_rows())
+        return dict(self.rows("nights").select("night", "status").iter_rows())
 
 
 def check_same_figures(one: Workshop, two: Workshop, *exempt: str) -> None:

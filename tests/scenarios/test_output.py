@@ -39,7 +39,7 @@ def test_csv_for_a_spreadsheet_with_a_decimal_comma(plant: ScenarioFleet) -> Non
         "--bom",
     )  # fmt: skip
     content = (plant.folder / "csv" / "latest.csv").read_bytes()
-    assert content.startswith("\ufeffmotor_id;state;".encode())
+    assert content.startswith("\ufeffmotor_id;night;".encode())
     written = pl.read_csv(content, separator=";", decimal_comma=True)
     value = "own_leakage_l_per_min"
     published = plant.table("latest").select("motor_id", value).sort("motor_id")

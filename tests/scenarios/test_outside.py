@@ -86,14 +86,14 @@ def test_receivers_get_the_rows_of_alarms_once(plant: ScenarioFleet) -> None:
         plant.run("fit-fleet", HOOK_SECRET=secret)
         plant.run("fit-fleet", HOOK_SECRET=secret)
     published = [row for row in plant.table("alarms").to_dicts() if row["to_state"] == "alarm"]
-    raised = {(row["motor_id"], str(row["night"]), row["reason"]) for row in published}
+    raised = {(row["motor_id"], str(row["night"]), row["sentence"]) for row in published}
     assert {motor for motor, _, _ in raised} == {"broken", "worn"}
     lines = (plant.folder / "told").read_text().splitlines()
     taken = web.posts[-1]
     for content in (taken.body, *lines):
         document = json.loads(content)
         assert (document["type"], document["fleet"]) == ("alarms", "Scenario")
-        rows = {(row["motor_id"], row["night"], row["reason"]) for row in document["changes"]
+        rows = {(row["motor_id"], row["night"], row["sentence"]) for row in document["changes"]
             if row["to_state"] == "alarm"}  # fmt: skip
         assert rows == raised
     assert len(lines) == 1

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -13,15 +14,26 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from leakage.estimation.block_statistics import merge
+from leakage.estimation.validation import agreement
 from leakage.watch import NightBlocks
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
-from pipeline.night.stored_blocks import BLOCK_COLUMNS
-from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
+from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
+from pipeline.schema import (
+    ALARMS,
+    BLOCKS,
+    FITS,
+    LOG_FILES,
+    NIGHTS,
+    OF_NIGHT,
+    PARAMETERS,
+    Table,
+)
 from pipeline.schema.fits import NO_NEW_DATA, OK
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import (
-    OF_FIT,
     OPERATED,
     History,
     Records,
@@ -40,15 +52,16 @@ NIGHTS_AT_ONCE = 32
 NO_LOG = f"{NO_NEW_DATA.replace('_', ' ')}: no log covers this night"
 OTHER_KIND = "its statistics are of another model"
 FIT_COLUMNS = (
-    *("motor_id", "night", "is_primary", "status", "reason", "flushing_mode", "model_hash"),
-    *("reference_verdict", "reference_leakage_l_per_min", "reference_leakage_upper"),
-    *OF_FIT.values(),
+    *("motor_id", "night", "is_primary", "flushing_mode", "coefficients"),
+    *("fitted_leakage_verdict", "fitted_leakage_l_per_min", "fitted_leakage_upper"),
 )
 PARAMETER_COLUMNS = (
     *("motor_id", "night", "flushing_mode", "parameter"),
     *("value", "lower", "upper", "verdict", "reason"),
 )
-OPERATION_COLUMNS = ("motor_id", "night", *OPERATED)
+FILE_COLUMNS = ("motor_id", "night", "message")
+# The model of the night before is at most so old.
+MODEL_AGE = dt.timedelta(days=31)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +99,18 @@ class MotorNights:
     history: History
     beginning: dt.date | None
     resumes: bool
-    # By night: rows of `fits`, and of `parameters` by name, of the nights that were read.
+    # By night: rows of `nights` and of `fits`, of `parameters` by name, and what is said of log
+    # files, of the nights that were read.
+    rows: Mapping[dt.date, Row]
     fits: Mapping[dt.date, Row]
     parameters: Mapping[dt.date, Mapping[str, Row]]
-    blocks: dict[int, NightBlocks]  # by number of the day, from `blocks_from` on
-    excluded: Mapping[dt.date, str]  # why the blocks of some nights do not count
+    messages: Mapping[dt.date, Sequence[str]]
     alarms: Sequence[Row]  # what is published of the motor
+    # By number of the day, from `blocks_from` on: the blocks, and the factor of all samples.
+    blocks: dict[int, NightBlocks] = field(default_factory=dict)
+    factors: dict[int, Array] = field(default_factory=dict)
+    # Why the blocks of some nights do not count.
+    excluded: dict[dt.date, str] = field(default_factory=dict)
 
     @property
     def blocks_from(self) -> dt.date:
@@ -102,11 +121,27 @@ class MotorNights:
         """Why a night has no blocks that count, in words."""
         if night in self.excluded:
             return self.excluded[night]
-        fit = self.fits.get(night)
-        if fit is None:
+        row = self.rows.get(night)
+        if row is None:
             return NO_LOG
-        status = "no blocks" if fit["status"] == OK else fit["status"].replace("_", " ")
-        return ": ".join(one for one in (status, fit["reason"]) if one)
+        status = "no blocks" if row["status"] == OK else row["status"].replace("_", " ")
+        return ": ".join(one for one in (status, row["reason"]) if one)
+
+    def previous_model_fit_percent(self, night: dt.date) -> float | None:
+        """Fit of the model of the night before on a night's samples; None without either."""
+        earlier = [
+            one
+            for one, fit in self.fits.items()
+            if night - MODEL_AGE <= one < night and fit["coefficients"]
+        ]
+        factor = self.factors.get(night.toordinal())
+        if factor is None or not earlier:
+            return None
+        theta = np.array(self.fits[max(earlier)]["coefficients"])
+        if len(theta) != len(factor) - 2:
+            return None
+        channel = self.wanted.spec.file.channels["leakage_flow"]
+        return agreement(factor, theta, channel.resolution).fit_percent
 
 
 def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str, MotorNights]:
@@ -129,10 +164,10 @@ def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str,
                 one,
                 history,
                 *beginning,
+                read.nights[motor_id],
                 read.fits[motor_id],
                 read.parameters[motor_id],
-                {},
-                {},
+                read.messages[motor_id],
                 read.alarms[motor_id],
             )
     _add_blocks(output, found)
@@ -143,32 +178,39 @@ def read_blocks(
     output: Path, spec: MotorSpec, layout: Layout, nights: Collection[dt.date]
 ) -> list[NightBlocks]:
     """Blocks of some of a motor's nights, in order of time, without those that do not count."""
-    rows = read_rows(output, BLOCK_STATISTICS, [spec.motor_id], BLOCK_COLUMNS, nights=nights)
+    rows = read_rows(output, BLOCKS, [spec.motor_id], BLOCK_COLUMNS, nights=nights)
     parts = rows.sort("night").partition_by("night", maintain_order=True)
-    found = (_night_blocks(spec, layout, part) for part in parts)
-    return [one for one in found if not isinstance(one, str)]
+    found = (_night_blocks(layout, layout.blocks(spec, part)) for part in parts)
+    return [one for one in found if one is not None]
 
 
 class _Rows:
     """Rows by motor, and then by night; of parameters also by name."""
 
     def __init__(self, output: Path, wanted: Sequence[Wanted]) -> None:
+        self.nights: defaultdict[str, dict[dt.date, Row]] = defaultdict(dict)
         self.fits: defaultdict[str, dict[dt.date, Row]] = defaultdict(dict)
-        self.operation: defaultdict[str, dict[dt.date, Row]] = defaultdict(dict)
         self.parameters: defaultdict[str, dict[dt.date, dict[str, Row]]] = defaultdict(dict)
+        self.messages: defaultdict[str, dict[dt.date, list[str]]] = defaultdict(dict)
         self.alarms: defaultdict[str, list[Row]] = defaultdict(list)
         read_from = {one.spec.motor_id: one.rows_from for one in wanted}
+        models_from = {name: max(dt.date.min + MODEL_AGE, one) for name, one in read_from.items()}
+        models_from = {name: one - MODEL_AGE for name, one in models_from.items()}
         made_from = {one.spec.motor_id: one.first for one in wanted if one.first is not None}
-        for row in _rows_since(output, FITS, FIT_COLUMNS, read_from):
+        for row in _rows_since(output, NIGHTS, OF_NIGHT, read_from):
+            self.nights[row["motor_id"]][row["night"]] = row
+        for row in _rows_since(output, FITS, FIT_COLUMNS, models_from):
             if row["is_primary"]:
                 self.fits[row["motor_id"]][row["night"]] = row
-        for row in _rows_since(output, OPERATION, OPERATION_COLUMNS, read_from):
-            self.operation[row["motor_id"]][row["night"]] = row
         for row in _rows_since(output, PARAMETERS, PARAMETER_COLUMNS, made_from):
             fit = self.fits[row["motor_id"]].get(row["night"], {})
             if row["flushing_mode"] == fit.get("flushing_mode"):
                 named = self.parameters[row["motor_id"]].setdefault(row["night"], {})
                 named[row["parameter"]] = row
+        for row in _rows_since(output, LOG_FILES, FILE_COLUMNS, made_from):
+            if row["message"]:
+                some = self.messages[row["motor_id"]].setdefault(row["night"], [])
+                some.append(row["message"])
         for row in read_rows(output, ALARMS, list(made_from)).drop("run_id").to_dicts():
             self.alarms[row["motor_id"]].append(row)
 
@@ -193,17 +235,18 @@ def _by_night(first: Mapping[str, dt.date]) -> dict[dt.date, list[str]]:
 def _history(wanted: Wanted, read: _Rows) -> History | None:
     """A motor's nights; None where there is none. Their blocks are not counted yet."""
     motor_id = wanted.spec.motor_id
-    fits, operation = read.fits[motor_id], read.operation[motor_id]
+    rows, fits = read.nights[motor_id], read.fits[motor_id]
     known: Records = blank_records([])
     if wanted.kept is not None:
         before = wanted.kept.records
         known = before[before["known"] & (before["night"] < np.datetime64(wanted.rows_from))]
-    new = blank_records(sorted(fits))
-    for record, night in zip(new, sorted(fits), strict=True):
-        fit, operated = fits[night], operation.get(night, {})
-        record["known"], record["model"] = True, fit["model_hash"] or ""
-        figures = [(name, fit.get(column)) for name, column in OF_FIT.items()]
-        for name, value in [*figures, *((name, operated.get(name)) for name in OPERATED)]:
+    # A night of which a run only said that there is no log has no row of `fits`.
+    labels = sorted(rows.keys() & fits.keys())
+    new = blank_records(labels)
+    for record, night in zip(new, labels, strict=True):
+        record["known"] = True
+        for name in OPERATED:
+            value = rows[night][name]
             record[name] = np.nan if value is None else value
     records = every_night(np.concatenate([known, new]), wanted.until)
     if not len(records):
@@ -236,7 +279,7 @@ def _add_blocks(output: Path, motors: Mapping[str, MotorNights]) -> None:
         labels = sorted(nights)
         for at in range(0, len(labels), NIGHTS_AT_ONCE):
             chosen = labels[at : at + NIGHTS_AT_ONCE]
-            rows = read_rows(output, BLOCK_STATISTICS, some, BLOCK_COLUMNS, nights=chosen)
+            rows = read_rows(output, BLOCKS, some, BLOCK_COLUMNS, nights=chosen)
             for (name, night), part in rows.partition_by("motor_id", "night", as_dict=True).items():
                 _take(motors[name], night, part)
 
@@ -247,21 +290,27 @@ def _take(motor: MotorNights, night: dt.date, rows: pl.DataFrame) -> None:
     place = history.place_from(night)
     if place == len(history) or history.nights[place] != night:
         return
-    found = _night_blocks(history.spec, history.layout, rows)
-    if isinstance(found, str):
-        motor.excluded = {**motor.excluded, night: found}
-        return
-    motor.blocks[found.day] = found
     history.records["model"][place] = rows["model_hash"][0]
+    stored = history.layout.blocks(history.spec, rows)
+    found = _night_blocks(history.layout, stored)
+    if stored is None or found is None:
+        motor.excluded[night] = OTHER_KIND
+        return
+    history.records["charge"][place] = _or_nan(stored.charge_bar)
+    history.records["viscosity"][place] = _or_nan(stored.viscosity_ratio)
     history.records["blocks"][place] = len(found.flow)
+    motor.blocks[found.day] = found
+    motor.factors[found.day] = merge(stored.factors)
 
 
-def _night_blocks(spec: MotorSpec, layout: Layout, rows: pl.DataFrame) -> NightBlocks | str:
-    """Blocks of a night's rows, or why they do not count."""
-    stored = layout.blocks(spec, rows)
-    if stored is None or rows["model_hash"].n_unique() != 1:
-        return OTHER_KIND
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _night_blocks(layout: Layout, stored: StoredBlocks | None) -> NightBlocks | None:
+    """Blocks of a night as the watch takes them; None where they do not count."""
+    if stored is None or stored.rows["model_hash"].n_unique() != 1:
+        return None
     found = layout.night_blocks(stored)
-    return (
-        found if np.isfinite(found.drives).all() and np.isfinite(found.flow).all() else OTHER_KIND
-    )
+    is_finite = np.isfinite(found.drives).all() and np.isfinite(found.flow).all()
+    return found if is_finite else None

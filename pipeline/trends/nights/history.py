@@ -29,20 +29,17 @@ Records = NDArray[Any]
 LONGEST_SILENCE = 92
 # Nights before, whose mean share of running hours a night without a log takes.
 NIGHTS_BEFORE = 30
+# Columns of `nights`.
 OPERATED = (
-    "running_hours",
-    "mean_temperature_c",
-    "share_reversed",
-    "pressure_zero_bar",
-    "pressure_zero_standard_error_bar",
-    "flow_zero_l_per_min",
-    "flow_zero_standard_error_l_per_min",
+    *("logged_hours", "running_hours"),
+    *("pressure_zero_bar", "pressure_zero_upper"),
+    *("flow_zero_l_per_min", "flow_zero_upper"),
 )
-# Figures of a night's own fit, by columns of `fits`.
-OF_FIT = {"charge": "mean_charge_over_case_bar", "viscosity": "viscosity_ratio"}
+# Charge above case pressure [bar], and measured viscosity over the data sheet's, of its blocks.
+OF_BLOCKS = ("charge", "viscosity")
 # What the watch said of a night: leakage at the reference and at the motor's own conditions
-# [l/min], and flow over that of the baseline.
-WATCHED = ("reference_leakage", "own_reference_leakage", "flow_ratio")
+# [l/min].
+WATCHED = ("reference_leakage", "own_leakage")
 RECORD = np.dtype(
     [
         ("night", "M8[D]"),
@@ -51,7 +48,7 @@ RECORD = np.dtype(
         ("model", "S16"),
         # Blocks that the watch counts.
         ("blocks", "i4"),
-        *((name, "f8") for name in (*OF_FIT, *OPERATED, *WATCHED)),
+        *((name, "f8") for name in (*OF_BLOCKS, *OPERATED, *WATCHED)),
     ]
 )
 
@@ -59,7 +56,7 @@ RECORD = np.dtype(
 def blank_records(nights: Sequence[dt.date]) -> Records:
     """Records of nights of which nothing is known."""
     records = np.zeros(len(nights), dtype=RECORD)
-    for name in (*OF_FIT, *OPERATED, *WATCHED):
+    for name in (*OF_BLOCKS, *OPERATED, *WATCHED):
         records[name] = np.nan
     records["night"] = np.array(nights, dtype="M8[D]")
     return records
@@ -96,9 +93,10 @@ class History:
         """Place of the first night from a date on; behind the last where there is none yet."""
         return int(np.searchsorted(self.records["night"], np.datetime64(date)))
 
-    def running_hours(self, end: int) -> tuple[Array, bool]:
-        """Running hours since the first night at the end of each up to a place, and whether
-        some are estimated: nights without a log take the mean of the 30 before."""
+    def running_hours(self, end: int) -> Array:
+        """Running hours since the first night at the end of each up to a place.
+
+        Nights without a log take the mean of the 30 before."""
         hours: Array = self.records["running_hours"][:end]
         logged = np.isfinite(hours)
         sums = np.concatenate([[0.0], np.cumsum(hours[logged])])
@@ -106,7 +104,8 @@ class History:
         before = np.cumsum(logged) - logged
         first = np.maximum(before - NIGHTS_BEFORE, 0)
         usual = (sums[before] - sums[first]) / np.maximum(before - first, 1)
-        return np.cumsum(np.where(logged, hours, usual)), not logged.all()
+        whole: Array = np.cumsum(np.where(logged, hours, usual))
+        return whole
 
 
 def every_night(records: Records, until: dt.date) -> Records:

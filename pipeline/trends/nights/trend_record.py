@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
@@ -13,7 +12,7 @@ from pipeline.store.state import State
 from pipeline.trends.nights.decisions import Decision
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
-TRENDS_VERSION = 10
+TRENDS_VERSION = 11
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +23,6 @@ class Record:
     last_night: dt.date  # the last night
     # First night whose trends are out of date, as its rows were made anew; None without one.
     redo_from: dt.date | None = None
-    rules: Mapping[str, int | str] = field(default_factory=dict)  # those that made them, by name
 
 
 def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
@@ -42,15 +40,14 @@ def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
 
 def read_records(state: State) -> dict[str, Record]:
     """Records of the trends of all motors, by motor."""
-    rows = state.rows("SELECT motor_id, trend_hash, last_night, redo_from, rules FROM trends")
+    rows = state.rows("SELECT motor_id, trend_hash, last_night, redo_from FROM trends")
     return {
         motor_id: Record(
             trend_hash,
             dt.date.fromisoformat(last_night),
             None if redo_from is None else dt.date.fromisoformat(redo_from),
-            json.loads(rules),
         )
-        for motor_id, trend_hash, last_night, redo_from, rules in rows
+        for motor_id, trend_hash, last_night, redo_from in rows
     }
 
 
@@ -63,12 +60,11 @@ def read_kept(state: State, motor_id: str) -> bytes | None:
 def write_record(state: State, motor_id: str, record: Record, kept: bytes | None = None) -> None:
     """Write the record of a motor's trends, and what is kept of it; raises StoreError."""
     state.write(
-        "INSERT OR REPLACE INTO trends VALUES (?, ?, ?, ?, ?, ?)",
+        "INSERT OR REPLACE INTO trends VALUES (?, ?, ?, ?, ?)",
         motor_id,
         record.trend_hash,
         str(record.last_night),
         None if record.redo_from is None else str(record.redo_from),
-        json.dumps(record.rules),
         kept,
     )
 

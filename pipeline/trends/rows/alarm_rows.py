@@ -1,199 +1,129 @@
-"""Rows of `alarms`: every change of state, with its reason; what was raised is never deleted."""
+"""Rows of `alarms`: every change of state, in words; what was raised is never deleted."""
 
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pipeline.config import MotorSpec
-from pipeline.config.hashes import FIGURES_VERSION, READING_VERSION, STATISTICS_VERSION
 from pipeline.schema import ALARM_CONTENT
-from pipeline.trends.nights.trend_record import TRENDS_VERSION, Record
-from pipeline.trends.rows.motor_states import CHANGED
+from pipeline.trends.nights.decisions import LEAKAGE, SENSORS
+from pipeline.trends.rows.motor_states import CHANGED, TOLD
 
 Row = dict[str, Any]
 
-RECOMPUTED, INSUFFICIENT = "recomputed", "insufficient"
+RECOMPUTED, RECOVERED, INSUFFICIENT = "recomputed", "recovered", "insufficient"
 RAISED = ("warning", "alarm")
-MARKS = ("rules", "state_before_rules", "is_silent")
-# Why an indicator is ok again, by the state before.
+# Why a motor or a sensor is ok again, by the state before.
 WHY_OK = {
     INSUFFICIENT: "a baseline was taken",
     "stale": "there are blocks again",
     "common_cause": "the oil circuit is back where it was",
 }
+CHANGES = ("leakage_change_percent", "leakage_change_lower", "leakage_change_upper")
 
 
-@dataclass(frozen=True, slots=True)
-class NightState:
-    """State of an indicator in a night, with the way into it and the reason in words.
-
-    `is_news`: a change was told in this night, whatever the state before. `advice` says what to do;
-    a row that is made of the night ends on it, as mail and web hook tell rows alone.
-    """
-
-    night: dt.date
-    time: dt.datetime  # the end of the night
-    state: str
-    way: str
-    reason: str
-    path: str | None = None
-    deviation_percent: float | None = None
-    is_news: bool = False
-    advice: str = ""
+def what_of(row: Mapping[str, Any]) -> str:
+    """What a row of `alarms` is of: the leakage, or the zero of a sensor."""
+    return str(row["cause"]) if row["cause"] in SENSORS else LEAKAGE
 
 
-def alarm_rows(
-    motor_id: str, states: Mapping[str, Sequence[NightState]], published: Sequence[Row]
-) -> list[Row]:
+def alarm_rows(states: Mapping[str, Sequence[Row]], published: Sequence[Row]) -> list[Row]:
     """Changes of state in some nights, together with what had been raised in them before.
 
-    `states` has by indicator its states in nights in a row, up to the motor's last; `published` all
-    rows of the motor so far: those of the nights before say which state was told last.
+    `states` has by what they are of the states in nights in a row, up to the motor's last, in the
+    columns of `nights`; `published` are all rows of the motor so far: those of the nights before
+    say which state was reported last.
     """
-    by_indicator: dict[str, dict[dt.date, Row]] = {}
+    known: dict[str, dict[dt.date, Row]] = {name: {} for name in states}
     for row in published:
-        by_indicator.setdefault(row["indicator"], {})[row["night"]] = row
-    nights = next(iter(states.values()))
-    gone = [
-        NightState(one.night, one.time, INSUFFICIENT, RECOMPUTED, "no longer watched by itself")
-        for one in nights
-    ]
-    # Indicators that are no longer watched are closed.
-    every = {name: states.get(name, gone) for name in [*states, *sorted(by_indicator)]}
-    return [
-        row
-        for name, course in every.items()
-        for row in _of_indicator(motor_id, name, course, by_indicator.get(name, {}))
-    ]
+        known[what_of(row)][row["night"]] = row
+    return [row for name, nights in states.items() for row in _changes(name, nights, known[name])]
 
 
-def _of_indicator(
-    motor_id: str, name: str, course: Sequence[NightState], published: Mapping[dt.date, Row]
-) -> list[Row]:
-    before = [night for night in published if night < course[0].night]
-    told = str(published[max(before)]["to_state"]) if before else INSUFFICIENT
-    last_raised = max(
-        (night for night in before if published[night]["to_state"] in RAISED), default=None
-    )
-    rows, earlier = [], told
-    for one in course:
-        old = published.get(one.night)
+def _changes(name: str, nights: Sequence[Row], published: Mapping[dt.date, Row]) -> Iterator[Row]:
+    before = [label for label in published if label < nights[0]["night"]]
+    reported = str(published[max(before)]["to_state"]) if before else INSUFFICIENT
+    raised_on = max((one for one in before if published[one]["to_state"] in RAISED), default=None)
+    earlier = reported
+    for night in nights:
+        label, state = night["night"], night["state"]
+        old = published.get(label)
         raised = old if old is not None and old["to_state"] in RAISED else None
-        row, advice = None, ""
-        has_changed = one.state not in (earlier, told)
-        if has_changed or (one.is_news and one.state in CHANGED):
-            row, advice = _change(motor_id, name, one, told), one.advice
-            if raised is not None and raised["to_state"] != one.state:
-                said = str(raised["reason"]).removesuffix(".")
-                row["reason"] += f"; before its data changed: {said}"
+        row = None
+        if state not in (earlier, reported) or (_is_detected(night) and state in CHANGED):
+            row = _row(name, night, reported, _words(night, reported, raised))
+            if state == "ok" and reported != INSUFFICIENT:
+                row["closed_as"] = RECOVERED
         elif raised is not None:
             row = raised
-        elif told != one.state:
-            what = "told before" if last_raised is None else f"raised on {last_raised}"
-            what = f"what was {what} is not in the figures as they are now"
-            row = _row(motor_id, name, one, told)
-            row |= {"reason": f"recomputed: {what}", "way": RECOMPUTED, "path": None}
+        elif reported != state:
+            what = "told before" if raised_on is None else f"raised on {raised_on}"
+            words = f"recomputed: what was {what} is not in the figures as they are now"
+            row = _row(name, night, reported, words) | {"closed_as": RECOMPUTED}
+            row["cause"] = name if name in SENSORS else None
         if row is not None:
-            rows.append(row | {"reason": f"{row['reason']}. {advice}"} if advice else row)
-            told = row["to_state"]
-            last_raised = one.night if told in RAISED else last_raised
-        earlier = one.state
-    return rows
+            yield row
+            reported = row["to_state"]
+            raised_on = label if reported in RAISED else raised_on
+        earlier = state
 
 
-def _change(motor_id: str, name: str, one: NightState, before: str) -> Row:
-    """The row of a change of state."""
-    row = _row(motor_id, name, one, before)
-    if one.state == "ok":
-        why = WHY_OK.get(before, "back where it was")
-        way = "baseline" if before == INSUFFICIENT else "recovered"
-        return row | {"reason": f"{why}: {one.reason}", "way": way}
-    return row | {"reason": one.reason, "way": one.way}
+def _is_detected(night: Row) -> bool:
+    """True in the night in which a change was detected, whatever the state before."""
+    return night.get("detected_on") == night["night"] and not night["still_rising"]
 
 
-def _row(motor_id: str, name: str, one: NightState, before: str) -> Row:
+def _words(night: Row, before: str, raised: Row | None) -> str:
+    """What is reported of a change of state; it ends on what to do."""
+    words = str(night["sentence"])
+    if night["state"] == "ok":
+        words = f"{WHY_OK.get(before, 'back where it was')}: {words}"
+    if raised is not None and raised["to_state"] != night["state"]:
+        words += f"; before its data changed: {str(raised['sentence']).removesuffix('.')}"
+    is_order = night["state"] in TOLD and night["advice"]
+    return f"{words}. {night['advice']}" if is_order else words
+
+
+def _row(name: str, night: Row, before: str, words: str) -> Row:
+    motor_id, label = night["motor_id"], night["night"]
     return {
+        "id": f"{motor_id} {label} {name}",
         "motor_id": motor_id,
-        "night": one.night,
-        "time": one.time,
-        "indicator": name,
+        "night": label,
         "from_state": before,
-        "to_state": one.state,
-        "deviation_percent": one.deviation_percent,
-        "path": one.path,
+        "to_state": night["state"],
+        "cause": night["cause"],
+        **{change: night.get(change) for change in CHANGES},
+        "sentence": words,
+        "closed_as": None,
     }
 
 
-def rules_now(spec: MotorSpec) -> dict[str, int | str]:
-    """Versions of the rules that make a motor's trends from logs, and the form of its model."""
-    return {
-        "reading": READING_VERSION,
-        "statistics": STATISTICS_VERSION,
-        "figures": FIGURES_VERSION,
-        "trends": TRENDS_VERSION,
-        "scale of the rollers": "free" if spec.roller_is_free else "fixed",
-    }
+def new_rows(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
+    """Rows that say something which was not published before."""
+    before = {row["id"]: [row[one] for one in ALARM_CONTENT] for row in published}
+    return [row for row in rows if before.get(row["id"]) != [row[one] for one in ALARM_CONTENT]]
 
 
-def change_of_rules(record: Record | None, now: Mapping[str, int | str]) -> str:
-    """Change since a record was written, such as ``trends 5 to 6``; empty: none."""
-    if record is None:
-        return ""
-    return ", ".join(
-        f"{name} {record.rules.get(name, '?')} to {version}"
-        for name, version in now.items()
-        if record.rules.get(name) != version
-    )
-
-
-def marked(
-    rows: Sequence[Row],
-    published: Sequence[Row],
-    record: Record | None,
-    now: Mapping[str, int | str],
+def without_past(
+    rows: Sequence[Row], new: Sequence[Row], published: Sequence[Row], last_night: dt.date
 ) -> list[Row]:
-    """Rows of `alarms` with the marks of a change of rules since the record, if there is one.
+    """The new rows that people are notified of.
 
-    Rules change with the program, and with a motor whose first nights decide anew on its rollers. A
-    receiver is notified of a past night only where the state that stands is not the one told last.
-
-    A row that says what its published one said keeps the marks of that.
+    Of past nights, up to the last one that was reported, these are the rows of the state that is
+    in force now, where it is another than the one reported last.
     """
-    change = change_of_rules(record, now)
-    last_night = dt.date.min if record is None else record.last_night
-    before = {(row["night"], row["indicator"]): row for row in published}
-    last = {row["indicator"]: row["night"] for row in rows if row["night"] <= last_night}
+    newest = {what_of(row): row for row in rows if row["night"] <= last_night}
     found = []
-    for row in rows:
-        night, name = row["night"], row["indicator"]
-        old = before.get((night, name))
-        marks: Row = dict.fromkeys(MARKS)
-        if old is not None and all(row[one] == old.get(one) for one in ALARM_CONTENT):
-            marks = {one: old.get(one) for one in MARKS}
-        elif change and night <= last_night:
-            then, told = (_told(published, name, one) for one in (night, last_night))
-            is_news = told != row["to_state"] and (told in CHANGED or row["to_state"] in CHANGED)
-            is_silent = not (is_news and night == last[name])
-            marks = {"rules": change, "state_before_rules": then, "is_silent": is_silent}
-        found.append(row | marks)
+    for row in new:
+        what, state = what_of(row), row["to_state"]
+        reported = max(
+            ((one["night"], one["to_state"]) for one in published if what_of(one) == what),
+            default=(last_night, INSUFFICIENT),
+        )[1]
+        is_in_force = row is newest.get(what) and state != reported
+        is_news = is_in_force and (state in CHANGED or reported in CHANGED)
+        if row["night"] > last_night or is_news:
+            found.append(row)
     return found
-
-
-def _told(published: Sequence[Row], name: str, night: dt.date) -> str:
-    """State of an indicator in a night, as it was told."""
-    rows = [(row["night"], row["to_state"]) for row in published if row["indicator"] == name]
-    return max((row for row in rows if row[0] <= night), default=(night, INSUFFICIENT))[1]
-
-
-def new_alarms(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
-    """Rows that say something which was not said before, as far as receivers are told of them."""
-
-    def said(row: Row) -> tuple[object, ...]:
-        return row["night"], row["indicator"], row["to_state"], row["way"] == RECOMPUTED
-
-    made = {row["night"] for row in rows}
-    before = {said(row) for row in published if row["night"] in made}
-    return [row for row in rows if not row["is_silent"] and said(row) not in before]

@@ -4,36 +4,32 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 from leakage.estimation.identifiability import TOLD
 from leakage.watch import Estimate, Watch
-from pipeline.clock import utc
-from pipeline.config.nights import night as night_labelled
-from pipeline.schema import ALARMS, BASELINES, TRENDS, WATCH, Table
+from pipeline.night.rows import Row, night_row
+from pipeline.schema import ALARMS, NIGHTS, OF_TRENDS, TRENDS, Table
+from pipeline.schema.fits import NO_NEW_DATA
 from pipeline.trends.nights.decisions import LEAKAGE
-from pipeline.trends.nights.trend_record import Record
-from pipeline.trends.rows.alarm_rows import NightState, alarm_rows, marked
+from pipeline.trends.nights.from_tables import NO_LOG
+from pipeline.trends.rows.alarm_rows import alarm_rows, what_of
 from pipeline.trends.rows.motor_states import CHANGED
-from pipeline.trends.rows.trend_rows import trend_rows
-from pipeline.trends.rows.watch_rows import WatchRow, watch_row
+from pipeline.trends.rows.night_rows import log_note, state_columns
+from pipeline.trends.rows.trend_rows import leakage_rows, oil_as_measured, trend_rows
 from pipeline.trends.sentences import CHECK_ZERO
 from pipeline.trends.states.course import Course, WatchedNight
-from pipeline.trends.states.judged import JudgedNight, judged
+from pipeline.trends.states.judged import judged
 from pipeline.trends.states.zeros import HALF, Zero, sensor_zeros
 
-Row = dict[str, Any]
-
 DAY = dt.timedelta(days=1)
-NO_FIT: Row = {"status": "", "reference_verdict": None}
 
 
 @dataclass(slots=True)
 class MadeTrends:
-    """A motor's trends: rows by table and states by indicator, of the nights from a first one on.
+    """A motor's trends: rows by table, of the nights from a first one on.
 
-    `changed` is the last night so far in which a change stood told.
+    `changed` is the last night so far in which a change was in force.
     """
 
     course: Course
@@ -41,120 +37,115 @@ class MadeTrends:
     zeros: Mapping[str, Zero]
     changed: dt.date
     rows: dict[Table, list[Row]]
-    states: dict[str, list[NightState]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, course: Course, first: dt.date) -> MadeTrends:
         """A motor of which no night is made yet."""
-        return cls(
-            course,
-            first,
-            sensor_zeros(course.nights.history),
-            _last_changed(course.nights.alarms, first),
-            {WATCH: [], TRENDS: [], BASELINES: []},
-        )
+        zeros = sensor_zeros(course.nights.history)
+        changed = _last_changed(course.nights.alarms, first)
+        return cls(course, first, zeros, changed, {NIGHTS: [], TRENDS: []})
 
     @property
     def nights(self) -> list[dt.date]:
         """Nights with rows."""
-        return [row["night"] for row in self.rows[WATCH]]
+        return [row["night"] for row in self.rows[NIGHTS]]
 
     def judge(self, others: Sequence[Watch]) -> None:
         """Make the rows of the night that was told last; `others` are the tank's other motors."""
         self.course.know_tank(others)
         watched = self.course.watched()
-        if watched.night < self.first:
+        label = watched.night
+        if label < self.first:
             return
-        nights = self.course.nights
-        fit = nights.fits.get(watched.night, NO_FIT)
-        why = "" if watched.n_blocks else nights.why_no_blocks(watched.night)
-        night = judged(self.course.spec, watched, _of_fit(fit), why)
+        nights, spec = self.course.nights, self.course.spec
+        why = "" if watched.n_blocks else nights.why_no_blocks(label)
+        night = judged(spec, watched, _of_fit(nights.fits.get(label, {})), why)
+        leakages, limits = leakage_rows(self.course, night)
+        key = {"motor_id": spec.motor_id, "night": label}
+        rows = [*leakages, *trend_rows(self.course, night, self.zeros)]
+        self.rows[TRENDS] += [key | row for row in rows]
         drifts = [one for zero in self.zeros.values() if (one := zero.words(watched.place))]
-        row = watch_row(night, self._quiet_since(watched), drifts)
+        oil = oil_as_measured(nights.history, watched.place)
+        quiet_since = self._quiet_since(watched)
         if night.state in CHANGED:
-            self.changed = watched.night
-        self.rows[WATCH].append(row.row)
-        self.rows[TRENDS] += trend_rows(self.course, night, self.zeros, row.sentence)
-        self.rows[BASELINES] += _baseline_rows(watched, self.course.spec.motor_id)
-        self._note_states(night, row)
+            self.changed = label
+        self.rows[NIGHTS].append(
+            {
+                **(nights.rows.get(label) or night_row(spec, label, {}, NO_NEW_DATA, NO_LOG)),
+                **dict.fromkeys(OF_TRENDS),
+                **state_columns(night, quiet_since, drifts),
+                **limits,
+                "previous_model_fit_percent": nights.previous_model_fit_percent(label),
+                "log_note": log_note(
+                    nights.history, watched.place, nights.messages.get(label, ()), oil
+                ),
+            }
+        )
 
     def _quiet_since(self, watched: WatchedNight) -> dt.date | None:
-        """Since when no change has been told."""
+        """Since when no change has been in force."""
         if watched.baseline is None:
             return None
-        if self.changed < watched.baseline.start:
-            return watched.baseline.start
-        return self.changed + DAY
+        return max(watched.baseline.start, self.changed + DAY)
 
-    def _note_states(self, night: JudgedNight, row: WatchRow) -> None:
-        label, place = night.watched.night, night.watched.place
-        time = utc(night_labelled(label, night.spec.settings.nights).end_us)
-        newest_night = row.tonight_change
-        percent = None if newest_night is None else 100.0 * newest_night
-        is_news = row.told_on == label and not row.goes_on
-        advice = row.advice if night.state in (*CHANGED, "stale") else ""
-        found = {
-            LEAKAGE: NightState(
-                *(label, time, night.state, night.way, row.sentence),
-                *(row.path, percent, is_news, advice),
-            )
-        }
+    def alarms(self) -> list[Row]:
+        """Rows of `alarms` of these nights; the nights' states get the night that they began in."""
+        history, published = self.course.nights.history, self.course.nights.alarms
+        states: dict[str, Sequence[Row]] = {LEAKAGE: self.rows[NIGHTS]}
         for name, zero in self.zeros.items():
-            words = zero.words(place) or "its zero is known"
-            drifts = zero.state[place] == "warning"
-            way, advice = ("drift", CHECK_ZERO) if drifts else ("baseline", "")
-            found[name] = NightState(label, time, zero.state[place], way, words, advice=advice)
-        for name, state in found.items():
-            self.states.setdefault(name, []).append(state)
+            places = map(history.place_from, self.nights)
+            states[name] = [self._sensor_state(zero, place) for place in places]
+        rows = alarm_rows(states, published)
+        before = [row for row in published if row["night"] < self.first]
+        _add_state_since(self.rows[NIGHTS], [*before, *rows])
+        return rows
 
-    def by_table(self, before: Record | None, record: Record) -> dict[Table, list[Row]]:
+    def _sensor_state(self, zero: Zero, place: int) -> Row:
+        """State of a sensor in a night, in the columns of `nights`."""
+        state = zero.state[place]
+        return {
+            "motor_id": self.course.spec.motor_id,
+            "night": self.course.nights.history.nights[place],
+            "state": state,
+            "cause": zero.name,
+            "sentence": zero.words(place) or "its zero is known",
+            "advice": CHECK_ZERO if state == "warning" else "",
+        }
+
+    def by_table(self) -> dict[Table, list[Row]]:
         """The rows of all tables, with the changes of state."""
-        course = self.course
-        published = course.nights.alarms
-        rows = alarm_rows(course.spec.motor_id, self.states, published)
-        alarms = marked(rows, published, before, record.rules)
-        return {**self.rows, ALARMS: alarms}
+        return {ALARMS: self.alarms(), **self.rows}
+
+
+def _add_state_since(nights: Sequence[Row], changes: Sequence[Row]) -> None:
+    """Add the night since which a state has been in force, by the changes of state so far."""
+    left = sorted((row["night"], row["to_state"]) for row in changes if what_of(row) == LEAKAGE)
+    left.reverse()
+    state, since = "", None
+    for row in nights:
+        while left and left[-1][0] <= row["night"]:
+            label, to_state = left.pop()
+            if to_state != state:
+                state, since = to_state, label
+        if row["state"] == state != "ok":
+            row["state_since"] = since
 
 
 def _last_changed(alarms: Sequence[Row], first: dt.date) -> dt.date:
-    """The last night before one in which a change of the leakage stood told."""
-    told = sorted((row["night"], row["to_state"]) for row in alarms if row["indicator"] == LEAKAGE)
-    last, stands = dt.date.min, False
-    for night, state in told:
+    """The last night before one in which a change of the leakage was in force."""
+    states = sorted((row["night"], row["to_state"]) for row in alarms if what_of(row) == LEAKAGE)
+    last, is_changed = dt.date.min, False
+    for night, state in states:
         if night < first:
-            last = night - DAY if stands else last
-            stands = state in CHANGED
-    return first - DAY if stands else last
+            last = night - DAY if is_changed else last
+            is_changed = state in CHANGED
+    return first - DAY if is_changed else last
 
 
 def _of_fit(fit: Row) -> Estimate | None:
-    """Leakage at the reference conditions by a night's own fit; None where it tells none."""
-    if fit["reference_verdict"] not in TOLD or fit["reference_leakage_upper"] is None:
+    """Leakage at the reference conditions by a night's own fit; None where it has none."""
+    upper = fit.get("fitted_leakage_upper")
+    if upper is None or fit["fitted_leakage_verdict"] not in TOLD:
         return None
-    value, upper = fit["reference_leakage_l_per_min"], fit["reference_leakage_upper"]
+    value = fit["fitted_leakage_l_per_min"]
     return Estimate(value, (upper - value) / HALF)
-
-
-def _baseline_rows(watched: WatchedNight, motor_id: str) -> list[Row]:
-    """The row of a baseline, in the night in which it was frozen."""
-    baseline, watch, verdict = watched.baseline, watched.watch, watched.verdict
-    if baseline is None or watch is None or verdict is None or baseline.end != watched.night:
-        return []
-    own = watched.own
-    row = {
-        "motor_id": motor_id,
-        "night": watched.night,
-        "indicator": LEAKAGE,
-        "start": baseline.start,
-        "end": baseline.end,
-        "n": baseline.n,
-        "mean": own.value if isinstance(own, Estimate) else None,
-        "unit": "l/min",
-        "phi": watch.state.wander.serial,
-        "reason": watched.period.reason,
-        "own_pressure_bar": baseline.own.pressure_bar,
-        "own_temperature_c": baseline.own.temperature_c,
-        "own_speed_rpm": baseline.own.speed_rpm,
-        "lack_of_fit": verdict.lack_of_fit,
-    }
-    return [row]

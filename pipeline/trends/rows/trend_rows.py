@@ -21,106 +21,79 @@ from pipeline.trends.nights.layout import LOSS_FACTOR
 from pipeline.trends.sentences import day
 from pipeline.trends.states.course import Course, WatchedNight
 from pipeline.trends.states.judged import JudgedNight
-from pipeline.trends.states.zeros import HALF, Zero, health
+from pipeline.trends.states.zeros import HALF, Zero
 
 Row = dict[str, Any]
 
 DAYS_A_YEAR = 365.25
-# Names in `trends` of what the watch says of a night.
-REFERENCE, DEVIATION = "reference_leakage", "baseline_deviation"
-INDICATORS = (REFERENCE, "own_reference_leakage", DEVIATION)
+REFERENCE = "reference_leakage"
 NO_HALT, NO_FIGURE = "no settled halt without pressure", "no figure"
 
 
-def trend_rows(
-    course: Course, night: JudgedNight, zeros: Mapping[str, Zero], words: str
-) -> Iterator[Row]:
-    """Rows of a night; `words` is what is reported of it."""
-    shared = _shared(course, night, zeros)
-    state: Row = {"state": night.state, "state_reason": words}
-    change = night.change
-    if change is not None and night.state != "ok":
-        state["change_start"] = dt.date.fromordinal(change.since)
-    for name in INDICATORS:
-        yield shared | _watched_row(course, night, name) | state
-    yield from (shared | row for row in _of_fit(course, night.watched))
-    yield from (shared | row for row in _of_blocks(course, night.watched.place))
+def trend_rows(course: Course, night: JudgedNight, zeros: Mapping[str, Zero]) -> Iterator[Row]:
+    """Rows of a night's own fit, its blocks, and the zeros of its sensors."""
+    place = night.watched.place
+    yield from _of_fit(course, night.watched)
+    yield from _of_blocks(course, place)
     for zero in zeros.values():
-        if np.isfinite(zero.value[: night.watched.place + 1]).any():
-            yield shared | _zero_row(zero, night.watched.place)
+        if np.isfinite(zero.value[: place + 1]).any():
+            yield _zero_row(zero, place)
 
 
-def _shared(course: Course, night: JudgedNight, zeros: Mapping[str, Zero]) -> Row:
-    """Columns that all rows of a night share."""
-    history, place = course.nights.history, night.watched.place
-    record = history.records[place]
-    hours, is_estimated = history.running_hours(place + 1)
-    baseline = night.watched.baseline
-    fit = course.nights.fits.get(night.watched.night, {})
-    return {
-        "motor_id": history.spec.motor_id,
-        "night": night.watched.night,
-        "n_nights": 1,
-        "running_hours": float(hours[-1]),
-        "running_hours_estimated": is_estimated,
-        "oil": history.spec.file.oil_on(night.watched.night),
-        "mean_temperature_c": _finite(record["mean_temperature_c"]),
-        "share_reversed": _finite(record["share_reversed"]),
-        "flushing_mode": fit.get("flushing_mode"),
-        "baseline_start": None if baseline is None else baseline.start,
-        "sensor_health": health(list(zeros.values()), place),
-    }
+def leakage_rows(course: Course, night: JudgedNight) -> tuple[list[Row], Row]:
+    """Rows of the two leakages with their slopes, and columns of `nights` on their limit.
+
+    The days are those of the leakage that comes to its limit first.
+    """
+    stated = night.spec.motor_type.limits.alarm_l_per_min
+    rise = 1.0 + night.spec.settings.alarms.alarm_percent / 100.0
+    limits: Row = {"alarm_limit_l_per_min": stated, "days_to_limit_status": "insufficient"}
+    rows, found = [], []
+    for name in WATCHED:
+        frozen = _frozen(night.watched, name)
+        limit = None if frozen is None else frozen * rise
+        if name == REFERENCE:
+            limit = limits["alarm_limit_l_per_min"] = stated or limit
+        row = _leakage_row(night, name)
+        if "value" in row and frozen is not None and night.watched.verdict is not None:
+            row["baseline_mean"] = frozen
+            assert limit is not None
+            line, days = _line(course, night, name, limit)
+            row |= line
+            found.append(days)
+        rows.append(row)
+    return rows, limits | min(found, key=_earliest, default={})
 
 
-def _watched_row(course: Course, night: JudgedNight, name: str) -> Row:
-    """A figure of the watch, with its slope and the time to its limit."""
-    watched, verdict = night.watched, night.watched.verdict
-    found: Estimate | str | None = watched.own
+def _earliest(days: Row) -> tuple[bool, float]:
+    lower = days.get("days_to_limit_lower")
+    return lower is None, lower or 0.0
+
+
+def _leakage_row(night: JudgedNight, name: str) -> Row:
+    watched = night.watched
+    found: Estimate | str = watched.own
     if name == REFERENCE:
         found = night.reference or watched.reference
-    elif name == DEVIATION:
-        found = verdict.newest_night if verdict is not None else watched.own
-    limits = night.spec.motor_type.limits
-    row: Row = {
-        "indicator": name,
-        "unit": "1" if name == DEVIATION else "l/min",
-        "days_to_limit_status": "insufficient",
-        "n_slope": 0,
-        "provisional": False,
-        "alarm_limit": limits.alarm_l_per_min if name == REFERENCE else None,
-    }
+    row: Row = {"indicator": name, "unit": "l/min", "n_nights": 0, "is_provisional": False}
     if isinstance(found, str) or not watched.n_blocks:
-        return row | {"gated_reason": found if isinstance(found, str) else night.why_no_blocks}
-    assert found is not None
-    row |= {"value": found.value, "lower": found.lower, "upper": found.upper}
-    if verdict is None:
-        return row
-    level = night.spec.settings.alarms.alarm_percent / 100.0
-    shift = 1.0 if name == DEVIATION else 0.0
-    frozen = _frozen(watched, name)
-    row["deviation_percent"] = 100.0 * verdict.newest_night.value
-    if frozen is None:
-        return row
-    row["baseline_mean"] = frozen - shift
-    limit = row["alarm_limit"] or frozen * (1.0 + level)
-    row["alarm_limit"] = row["alarm_limit"] or limit - shift
-    column = WATCHED[INDICATORS.index(name)]
-    return row | _line(course, night, column, limit, shift)
+        return row | {"reason": found if isinstance(found, str) else night.why_no_blocks}
+    return row | {"value": found.value, "lower": found.lower, "upper": found.upper}
 
 
 def _frozen(watched: WatchedNight, name: str) -> float | None:
-    """An indicator over the baseline; the flow against the baseline is 1 there."""
-    if name == DEVIATION or watched.baseline is None:
-        return 1.0
+    """A leakage over the baseline; None where there is none."""
     baseline = watched.baseline
+    if baseline is None:
+        return None
     return baseline.reference_leakage if name == REFERENCE else baseline.own_leakage
 
 
-def _line(course: Course, night: JudgedNight, name: str, limit: float, shift: float) -> Row:
-    """Slopes and time to limit as of a night.
+def _line(course: Course, night: JudgedNight, name: str, limit: float) -> tuple[Row, Row]:
+    """Slopes of a leakage as of a night, and the days to its limit.
 
-    Where a change stands told, of the nights since it began: a line across a step, or across
-    nights before a wear began, is none. Where nothing is told, since the baseline began.
+    Where a change is in force, of the nights since it began: a line across a step, or across
+    nights before a wear began, is none. Without one, since the baseline began.
     """
     history, watched = course.nights.history, night.watched
     first, end = watched.period.first, watched.place + 1
@@ -128,26 +101,16 @@ def _line(course: Course, night: JudgedNight, name: str, limit: float, shift: fl
         first = max(first, history.place_from(dt.date.fromordinal(night.change.since)))
     trend, here = night.spec.settings.trend, slice(first, end)
     numbers, series = history.numbers[here], course.figures[here, WATCHED.index(name)]
-    hours = history.running_hours(end)[0][first:]
+    hours = history.running_hours(end)[first:]
     line = fit_slope(numbers, series, numbers / DAYS_A_YEAR, coverage=trend.confidence)
-    by_hours = fit_slope(numbers, series, hours / 1000.0, coverage=trend.confidence, median=False)
-    row = {
-        "n_slope": line.n,
-        "slope_start": history.nights[first] if line.slope is not None else None,
-        "provisional": line.status == "provisional",
-        "p_value": line.p_value,
-        "theil_sen_per_year": line.theil_sen,
-        "theil_sen_outside": line.theil_sen_outside if line.slope is not None else None,
-        **{
-            f"slope_{per}{end}": figure
-            for per, one in (("per_year", line), ("per_1000_h", by_hours))
-            for end, figure in (("", one.slope), ("_lower", one.lower), ("_upper", one.upper))
-        },
-    }
+    by_hours = fit_slope(numbers, series, hours / 1000.0, coverage=trend.confidence)
+    row: Row = {"n_nights": line.n, "is_provisional": line.status == "provisional"}
+    for per, one in (("per_year", line), ("per_1000_h", by_hours)):
+        row[f"slope_{per}"] = one.slope
+        row |= {f"slope_{per}_lower": one.lower, f"slope_{per}_upper": one.upper}
     if line.slope is None:
-        return row
-    days = _days(numbers, hours, series, limit, trend.horizon_years)
-    return row | {"limit": limit - shift} | days
+        return row, {}
+    return row, _days(numbers, hours, series, limit, trend.horizon_years)
 
 
 def _days(
@@ -189,7 +152,7 @@ def _of_fit(course: Course, watched: WatchedNight) -> Iterator[Row]:
         figure, verdict = figures[name], figures[name]["verdict"] or ""
         why = "" if verdict in TOLD else figure["reason"] or verdict.replace("_", " ") or NO_FIGURE
         row: Row = {} if why else {end: figure[end] for end in ("value", "lower", "upper")}
-        row |= {"gated_reason": why or None, "outside_fitted_range": False}
+        row |= {"reason": why or None}
         yield row | {"indicator": name, "unit": _unit(name)}
         if name == "C_f":
             continue
@@ -222,9 +185,7 @@ def _of_blocks(course: Course, place: int) -> Iterator[Row]:
         flow = float(np.mean(blocks.flow)) + history.layout.fixed_flushing
         yield {"indicator": "drain_flow", "unit": "l/min", "value": flow}
     if (ratio := viscosity_ratio(history, place)) is not None:
-        words = oil_as_measured(history, place)
-        value = 100.0 * (ratio - 1.0)
-        yield {"indicator": "oil_viscosity", "unit": "%", "value": value, "state_reason": words}
+        yield {"indicator": "oil_viscosity", "unit": "%", "value": 100.0 * (ratio - 1.0)}
 
 
 def _zero_row(zero: Zero, place: int) -> Row:
@@ -235,11 +196,8 @@ def _zero_row(zero: Zero, place: int) -> Row:
         "value": _finite(value),
         "lower": _finite(value - half),
         "upper": _finite(value + half),
-        "gated_reason": None if np.isfinite(value) else NO_HALT,
-        "outside_fitted_range": False,
+        "reason": None if np.isfinite(value) else NO_HALT,
         "baseline_mean": _finite(zero.first[place]),
-        "state": zero.state[place],
-        "state_reason": zero.words(place) or None,
     }
 
 

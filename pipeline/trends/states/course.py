@@ -90,7 +90,7 @@ class WatchedNight:
 class Course:
     """A motor's nights, as far as its watch has been told them.
 
-    `figures` are those of `WATCHED` by place, shape (n, 3).
+    `figures` are those of `WATCHED` by place, shape (n, 2).
     """
 
     output: Path
@@ -229,11 +229,10 @@ class Course:
             reference=self._leakage(self.reference, place),
         )
         if night.n_blocks:
-            leakages = (
+            self.figures[place] = [
                 np.nan if isinstance(one, str) else one.value
                 for one in (found.reference, found.own)
-            )
-            self.figures[place] = *leakages, 1.0 + verdict.newest_night.value
+            ]
         return found
 
     @property

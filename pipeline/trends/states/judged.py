@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from leakage.watch import Change, Estimate
 from leakage.watch.causes import AND, BACK, CANNOT_BE_TOLD, TANK, TEMPERATURE_EFFECT
 from pipeline.config import MotorSpec
+from pipeline.schema.fits import DOUBTFUL, ModelVerdict, model_verdict
 from pipeline.trends.nights.layout import FLUSHING, KNOWN
 from pipeline.trends.states.course import WatchedNight
 
 # Probability from which a level counts as exceeded.
 SURE = 0.975
-# Lack of fit up to which a model is supported, and up to which it is doubtful (model.md, 7b).
-SUPPORTED, DOUBTFUL = 0.02, 0.05
 # Smallest change that would have been detected, beyond which nights show nothing that anybody asks.
 SHOWS_NOTHING = 0.5
 # What the candidates are together that are parts.
 A_PART = "a_part"
-ModelVerdict = Literal["supported", "doubtful", "disproved"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +64,6 @@ class JudgedNight:
     def needed(self) -> int:
         """Nights of a baseline."""
         return self.spec.settings.trend.baseline_nights
-
-
-def model_verdict(lack_of_fit: float) -> ModelVerdict:
-    """Verdict on a model by its lack of fit."""
-    if lack_of_fit <= SUPPORTED:
-        return "supported"
-    return "doubtful" if lack_of_fit <= DOUBTFUL else "disproved"
 
 
 def judged(

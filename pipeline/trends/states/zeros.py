@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +19,8 @@ PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
 # less than K scatters (model.md, section 5).
 LEAST_MOVE = {PRESSURE_ZERO: 0.5, FLOW_ZERO: 0.01}
 COLUMNS = {
-    PRESSURE_ZERO: ("pressure_zero_bar", "pressure_zero_standard_error_bar"),
-    FLOW_ZERO: ("flow_zero_l_per_min", "flow_zero_standard_error_l_per_min"),
+    PRESSURE_ZERO: ("pressure_zero_bar", "pressure_zero_upper"),
+    FLOW_ZERO: ("flow_zero_l_per_min", "flow_zero_upper"),
 }
 UNITS = {PRESSURE_ZERO: "bar", FLOW_ZERO: "l/min"}
 NAMES = {PRESSURE_ZERO: "pressure", FLOW_ZERO: "flow"}
@@ -66,19 +65,14 @@ def sensor_zeros(history: History) -> dict[str, Zero]:
     return {name: _zero(history, name) for name in SENSORS}
 
 
-def health(zeros: Sequence[Zero], place: int) -> str:
-    """Health of the sensors in a night, from their zeros: ok, drifted or unknown."""
-    states = {zero.state[place] for zero in zeros}
-    return "drifted" if "warning" in states else "ok" if "ok" in states else "unknown"
-
-
 def _zero(history: History, name: str) -> Zero:
-    value, error = (history.records[column].copy() for column in COLUMNS[name])
+    value, upper = (history.records[column].copy() for column in COLUMNS[name])
+    error = (upper - value) / HALF
     if name == FLOW_ZERO and history.spec.file.flushing.mode == "estimated":
         # What is flushed moves with it: nobody can tell which of the two has changed.
         value[:] = np.nan
     n = len(history)
-    first, move, lower, upper = (np.full(n, np.nan) for _ in range(4))
+    first, move, low, high = (np.full(n, np.nan) for _ in range(4))
     state = np.full(n, "insufficient", dtype=object)
     periods = periods_of(history, name)
     for period in periods if np.isfinite(value).any() else ():
@@ -89,12 +83,12 @@ def _zero(history: History, name: str) -> Zero:
             tolerance(history.spec, name),
         )
         first[here], move[here] = found.zero - found.change, found.change
-        lower[here], upper[here] = found.change_lower, found.change_upper
+        low[here], high[here] = found.change_lower, found.change_upper
         told = _held(found.drifts, np.isfinite(value[here]))
         known = np.isfinite(found.change)
         state[here] = np.where(known, np.where(told, "warning", "ok"), "insufficient")
     return Zero(
-        name, UNITS[name], value, error, first, move, lower, upper, tuple(state.tolist()), periods
+        name, UNITS[name], value, error, first, move, low, high, tuple(state.tolist()), periods
     )
 
 

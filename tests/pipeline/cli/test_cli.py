@@ -151,7 +151,7 @@ def test_130_and_143_while_publishing(
     assert not (fleet.parent.parent / "out" / "tables" / "trends").exists()
     assert call("fit-fleet", fleet)[0] == 0
     assert (fleet.parent.parent / "out" / "tables" / "trends").exists()
-    fits = pl.read_parquet(fleet.parent.parent / "out" / "tables" / "fits" / "**" / "*.parquet")
+    fits = pl.read_parquet(fleet.parent.parent / "out" / "tables" / "nights" / "**" / "*.parquet")
     assert fits["status"].to_list() == ["ok"] * 3
 
 
@@ -196,7 +196,7 @@ def test_a_reader_that_goes_away_does_not_end_the_run(own_fleet: OwnFleet) -> No
     assert process.stderr.read() == ""
     assert process.wait(timeout=60) == 0
     process.stderr.close()
-    fits = pl.read_parquet(fleet.parent.parent / "out" / "tables" / "fits" / "**" / "*.parquet")
+    fits = pl.read_parquet(fleet.parent.parent / "out" / "tables" / "nights" / "**" / "*.parquet")
     assert fits["status"].to_list() == ["ok"] * 3
 
 

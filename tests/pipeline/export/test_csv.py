@@ -21,7 +21,7 @@ from pipeline.export.csv import CsvRequest, as_text, export_csv, tables_named
 from pipeline.schema import (
     DATA_DICTIONARY,
     FITS,
-    INPUT_FILES,
+    LOG_FILES,
     PARAMETERS,
     TABLES,
     TIMESTAMP,
@@ -43,7 +43,7 @@ def export(output: Path, folder: Path, *tables: Table, **others: object) -> dict
 
 def published(output: Path, table: Table) -> pl.DataFrame:
     files = sorted(table_folder(output, table).rglob("*.parquet"))
-    assert files or table not in (FITS, INPUT_FILES)
+    assert files or table not in (FITS, LOG_FILES)
     return pl.concat([frame(table, []), *(read_table(path, table) for path in files)])
 
 
@@ -81,12 +81,12 @@ def test_how_values_are_written() -> None:
     assert as_text(rows).write_csv() == 'a,b,c\n,-1,-1.5e-14\n"",2,2.0\n'
     night = dt.datetime(2026, 1, 2, 3, 4, 5, 67, dt.UTC)
     row = {"motor_id": "A", "night": NIGHT, "window_start": night, "is_primary": True}
-    (text,) = as_text(frame(FITS, [row | {"singular_values": [1.5, 2e-14, math.nan]}])).to_dicts()
+    (text,) = as_text(frame(FITS, [row | {"coefficients": [1.5, 2e-14, math.nan]}])).to_dicts()
     assert text["window_start"] == "2026-01-02T03:04:05.000067Z"
     assert text["window_end"] is None
-    assert text["singular_values"] == "[1.5, 2e-14, null]"
+    assert text["coefficients"] == "[1.5, 2e-14, null]"
     line = as_text(frame(FITS, [row])).write_csv().splitlines()[1]
-    assert line.startswith("A,,2026-01-03,2026-01-02T03:04:05.000067Z,,,true,")
+    assert line.startswith("A,2026-01-03,,true,2026-01-02T03:04:05.000067Z,,")
     assert as_text(pl.DataFrame({"a": HARMLESS}))["a"].to_list() == HARMLESS
 
 
@@ -120,12 +120,12 @@ def test_hostile_names_of_logs_reach_no_spreadsheet(tmp_path: Path) -> None:
         for place, one in enumerate(HOSTILE)
     ]
     rows.append({"motor_id": "A", "path": "=1+1.csv", "night": NIGHT})
-    write_table(night_file(tmp_path, INPUT_FILES, NIGHT), frame(INPUT_FILES, rows))
-    export(tmp_path, tmp_path / "csv", INPUT_FILES)
-    text = (tmp_path / "csv" / "input_files.csv").read_bytes().decode()
+    write_table(night_file(tmp_path, LOG_FILES, NIGHT), frame(LOG_FILES, rows))
+    export(tmp_path, tmp_path / "csv", LOG_FILES)
+    text = (tmp_path / "csv" / "log_files.csv").read_bytes().decode()
     assert not any(is_formula(cell) for cell in cells(text, ","))
     assert "'=1+1.csv" in cells(text, ",")
-    back = pl.read_csv(tmp_path / "csv" / "input_files.csv", infer_schema=False)
+    back = pl.read_csv(tmp_path / "csv" / "log_files.csv", infer_schema=False)
     assert back.height == len(rows)
     # One apostrophe stands before; without it the text is the log's.
     assert back["message"].str.strip_prefix("'")[0] == HOSTILE[0]
@@ -204,7 +204,7 @@ def test_command_says_what_it_wrote(
         (["--csv", "csv", "--since", "x"], 2, "'--since': got 'x'"),
         (["--csv", "csv", "--since", "2026-01-03", "--until", "2026-01-02"], 2, "is after"),
         (["--csv", "csv", "--output", "none"], 2, "no_tables: there are no tables in"),
-        (["--csv", "file"], 4, "store_write: latest.csv cannot be written"),
+        (["--csv", "file"], 4, "store_write: nights.csv cannot be written"),
     ],
 )
 def test_command_with_bad_input(

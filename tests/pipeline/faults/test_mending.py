@@ -17,9 +17,9 @@ import pytest
 
 from pipeline.errors import StoreError
 from pipeline.schema import (
-    BLOCK_STATISTICS,
+    BLOCKS,
     FITS,
-    INPUT_FILES,
+    LOG_FILES,
     PARAMETERS,
     PREDICTIONS,
     TRENDS,
@@ -40,8 +40,8 @@ pytestmark = pytest.mark.usefixtures("_quick")
 
 @pytest.mark.parametrize(
     ("table", "damage", "code"),
-    [(one, Path.unlink, "table_missing") for one in (PREDICTIONS, INPUT_FILES, TRENDS)]
-    + [(one, rot, "table_altered") for one in (BLOCK_STATISTICS, FITS)]
+    [(one, Path.unlink, "table_missing") for one in (PREDICTIONS, LOG_FILES, TRENDS)]
+    + [(one, rot, "table_altered") for one in (BLOCKS, FITS)]
     + [(FITS, lambda path: os.truncate(path, 100), "table_altered")]
     + [(TRENDS, rot_of_footer, "table_altered")],
 )
@@ -187,7 +187,7 @@ def test_parameters_are_made_anew_from_stored_blocks(
 def test_rows_of_a_motor_whose_logs_are_gone_are_named(
     output: Path, without_logs: Callable[..., TinyFleet]
 ) -> None:
-    fleet, path = without_logs("M1"), night_file(output, BLOCK_STATISTICS, NIGHT)
+    fleet, path = without_logs("M1"), night_file(output, BLOCKS, NIGHT)
     path.unlink()
     result = fleet.run(output)
     assert told(result.damage_left) == [(name_of(output, path), "rows_lost")]

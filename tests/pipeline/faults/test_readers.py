@@ -17,12 +17,12 @@ import duckdb
 import polars as pl
 import pytest
 
-from pipeline.schema import FITS, INPUT_FILES, PARAMETERS, QUALITY, TRENDS, Table
+from pipeline.schema import FITS, LOG_FILES, PARAMETERS, QUALITY, TRENDS, Table
 from pipeline.store.published import verify_tables
 from tests.pipeline.faults.fleet import LATER, TinyFleet, remembered_fits
 from tests.pipeline.simulated import NIGHT
 
-READ = (FITS, PARAMETERS, QUALITY, TRENDS, INPUT_FILES)
+READ = (FITS, PARAMETERS, QUALITY, TRENDS, LOG_FILES)
 Rows = pl.DataFrame
 REFUSED = (pl.exceptions.PolarsError, pl.exceptions.PanicException, duckdb.Error)
 Answer = dict[tuple[str, object], str]
@@ -166,4 +166,4 @@ def test_two_states_are_published_in_turn_under_the_eyes_of_readers(
             assert said <= {one[key] for one in told}, key
     changed = ("fits", NIGHT)
     assert told[0][changed] != told[1][changed]
-    assert told[0]["input_files", LATER] == told[1]["input_files", LATER]
+    assert told[0]["log_files", LATER] == told[1]["log_files", LATER]

@@ -106,7 +106,7 @@ def test_what_grows_waits_and_the_next_run_reads_it(
     (said,) = outcome.growing
     assert said.startswith(f"{path.name}: it went from {len(whole) // 2} to {len(whole)} bytes")
     assert shop.statuses() == {NIGHT: "ok"}
-    assert shop.rows("input_files").height == 1
+    assert shop.rows("log_files").height == 1
     assert shop.run().nights == (NIGHT + DAY,)
     write(undisturbed, NIGHT + DAY)
     undisturbed.run()
@@ -228,7 +228,7 @@ def test_the_command_says_so_and_ends_with_0(
     motor, run = map(json.loads, said("fit-fleet", "--json")[1].splitlines())
     assert motor["files"] == run["files"]
     assert f"{NIGHT}.csv" in motor["growing"][0]
-    outcomes = shop.rows("motor_outcomes")
+    outcomes = shop.rows("run_motors")
     assert outcomes["n_files_growing"].to_list() == [1, 1]
     assert outcomes["growing"].to_list()[0][0].startswith(f"{NIGHT}.csv: ")
     code, out, err = said("fit", "M1", str(NIGHT))

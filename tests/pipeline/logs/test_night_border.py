@@ -188,7 +188,7 @@ class TestFiles:
             write(in_parts, str(9 - number), slice(begin, end), log)
         in_one.run()
         assert dict(in_parts.run().counts) == {"ok": 2}
-        check_same_figures(in_one, in_parts, "input_files")
+        check_same_figures(in_one, in_parts, "log_files")
 
     def test_in_whatever_order_they_come(self, make: Make, log: Log) -> None:
         at_once, early_first, late_first = make(), make(), make()
@@ -201,13 +201,13 @@ class TestFiles:
         assert early_first.run().nights == (NIGHT,)
         write(early_first, "b", parts["b"], log)
         assert early_first.run().nights == (NIGHT + DAY,)
-        check_same_figures(at_once, early_first, "input_files")
+        check_same_figures(at_once, early_first, "log_files")
         write(late_first, "b", parts["b"], log)
         assert late_first.run().nights == (NIGHT + DAY,)
         assert gaps(late_first)[0] >= 90
         write(late_first, "a", parts["a"], log)
         assert late_first.run().nights == (NIGHT, NIGHT + DAY)
-        check_same_figures(at_once, late_first, "input_files")
+        check_same_figures(at_once, late_first, "log_files")
         for workshop in (at_once, early_first, late_first):
             assert workshop.run().nights == ()
 
@@ -223,4 +223,4 @@ class TestFiles:
             workshop.run()
         write(corrected, "a", slice(0, BORDER), log)
         assert corrected.run().nights == (NIGHT, NIGHT + DAY)
-        check_same_figures(at_once, corrected, "input_files")
+        check_same_figures(at_once, corrected, "log_files")

@@ -21,14 +21,9 @@ from pipeline.logs.processed import (
 )
 from pipeline.store.state import open_state
 
-MODELS = st.dictionaries(
-    st.sampled_from(["none", "fixed", "estimated"]),
-    st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=5).map(tuple),
-)
 NIGHTS = st.builds(
     NightRecord,
     st.sampled_from(["ok", "failed", "stood_still"]),
-    MODELS,
     statistics_hash=st.sampled_from(["", "0123456789abcdef"]),
 )
 TEXTS = st.text(st.characters(codec="utf-8"), max_size=20)
@@ -56,14 +51,12 @@ NEW_YEAR = dt.date(2026, 1, 2)
 SOME = ProcessedLogs(
     {"A/1.csv": FileRecord("A/1.csv", 100, 17, "ab" * 32, "", 5, 1, 2, ("2026-01-02",))},
     {
-        NEW_YEAR: NightRecord("ok", {"none": (7.5e-14, 1.56e-14, 4.37e-14, 0.0)}),
+        NEW_YEAR: NightRecord("ok"),
         dt.date(2026, 1, 3): NightRecord("stood_still"),
     },
     {},
 )
-TWO_MONTHS = ProcessedLogs(
-    SOME.files, {**SOME.nights, dt.date(2026, 2, 1): NightRecord("ok", {"none": (1.0, 2.0)})}, {}
-)
+TWO_MONTHS = ProcessedLogs(SOME.files, {**SOME.nights, dt.date(2026, 2, 1): NightRecord("ok")}, {})
 
 
 def write_whole(output: Path, motor_id: str, processed: ProcessedLogs) -> None:
@@ -81,7 +74,6 @@ def read(output: Path, motor_id: str) -> ProcessedLogs:
 def test_round_trip(
     tmp_path_factory: pytest.TempPathFactory, first: ProcessedLogs, second: ProcessedLogs
 ) -> None:
-    """To the last bit: last night's model is part of the newest night's figures."""
     output = tmp_path_factory.mktemp("ledger")
     write_whole(output, "B", TWO_MONTHS)
     for processed in (first, second):
@@ -96,7 +88,7 @@ def test_a_forgotten_night_is_forgotten_with_its_files(tmp_path: Path) -> None:
     third = dt.date(2026, 1, 3)
     with open_state(tmp_path) as state:
         assert forget_nights(state, {NEW_YEAR, third}) == {"A": {NEW_YEAR}, "B": {NEW_YEAR}}
-    # The night after is still judged with the model of one whose log may be gone.
+    # The log of a night with a fit may be gone.
     kept = {night: one for night, one in TWO_MONTHS.nights.items() if night != third}
     assert read(tmp_path, "A") == read(tmp_path, "B") == ProcessedLogs({}, kept, {})
 
@@ -108,27 +100,3 @@ def test_a_forgotten_night_can_be_fitted_anew_from_its_statistics(tmp_path: Path
         forget_nights(state, {NEW_YEAR}, refit={NEW_YEAR})
     expected = replace(made, figures_hash="")
     assert read(tmp_path, "A") == ProcessedLogs({}, {NEW_YEAR: expected}, {})
-
-
-@pytest.mark.parametrize(
-    ("fitted", "without", "day", "found"),
-    [
-        ([5], [], 5, None),
-        ([3], [4, 5], 6, 3),
-        ([3, 9], [], 5, 3),
-        ([4, 2, 3], [], 8, 4),
-        ([], [], 1, None),
-        ([3], [], 3, None),
-    ],
-)
-def test_the_model_before_is_that_of_the_last_fitted_night(
-    fitted: list[int], without: list[int], day: int, found: int | None
-) -> None:
-    """Not the night's own, nor a later one's, whatever their order."""
-    models = {one: {"none": (float(one),)} for one in fitted}
-    nights = {one: NightRecord("ok", models.get(one, {})) for one in (*fitted, *without)}
-    processed = ProcessedLogs(
-        nights={dt.date(2026, 1, one): record for one, record in nights.items()}
-    )
-    expected = {} if found is None else models[found]
-    assert processed.model_before(dt.date(2026, 1, day)) == expected

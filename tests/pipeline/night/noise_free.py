@@ -10,7 +10,6 @@ import numpy as np
 from leakage import AnnularGap
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import NightOutcome, fit_night
-from pipeline.night.refit import judged
 from pipeline.night.rows import Rows
 from pipeline.schema.fits import OK
 from tests.pipeline.simulated import NIGHT, Array, Operation, night_of, raw
@@ -34,14 +33,8 @@ def simulate(spec: MotorSpec, operation: Operation, flushing: float = 0.0) -> di
     return operation.channels(operation.flow(motor, true_coefficients(spec, flushing)))
 
 
-def fit(
-    spec: MotorSpec,
-    operation: Operation,
-    values: Mapping[str, Any],
-    previous: Mapping[str, tuple[float, ...]] | None = None,
-) -> NightOutcome:
-    outcome = fit_night(spec, night_of(), raw(operation.time_us, values))
-    return judged(spec, outcome, previous or {})
+def fit(spec: MotorSpec, operation: Operation, values: Mapping[str, Any]) -> NightOutcome:
+    return fit_night(spec, night_of(), raw(operation.time_us, values))
 
 
 def fitted(
@@ -49,10 +42,9 @@ def fitted(
     operation: Operation,
     flow: Array,
     more: Mapping[str, Array] | None = None,
-    previous: Mapping[str, tuple[float, ...]] | None = None,
 ) -> NightOutcome:
     """A night with this drain flow, which has a fit."""
-    outcome = fit(spec, operation, operation.channels(flow) | dict(more or {}), previous)
+    outcome = fit(spec, operation, operation.channels(flow) | dict(more or {}))
     assert outcome.status == OK, outcome.reason
     return outcome
 
@@ -79,10 +71,11 @@ def parameters(outcome: NightOutcome) -> dict[str, dict[str, Any]]:
 
 
 def fit_of(rows: Rows, mode: str | None = None) -> dict[str, Any]:
+    """Row of a fit, the primary one by default, with that of the night."""
     (found,) = (
         row for row in rows["fits"] if (row["flushing_mode"] == mode if mode else row["is_primary"])
     )
-    return found
+    return rows["nights"][0] | found
 
 
 def refused_of(outcome: NightOutcome) -> dict[tuple[str, str], int]:

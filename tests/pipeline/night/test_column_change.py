@@ -116,7 +116,7 @@ def test_a_run_and_a_check_tell_a_gauge_in_mpa_from_one_night_on(tmp_path: Path)
         write_log(shop.logs / f"{label}.parquet", operation.time_us, values)
     shop.run()
     assert [shop.statuses()[label] for label in labels] == ["ok"] * 3 + ["failed"] * 2
-    assert "of one of its two gauges?" in shop.rows("fits")["reason"][-1]
+    assert "of one of its two gauges?" in shop.rows("nights")["reason"][-1]
     (spec,) = load_fleet(shop.fleet).motors
     (fault,) = [one for one in check_motor(spec).faults if one.startswith("columns_changed")]
     assert fault.startswith(f"columns_changed: from {shop.logs.name}/{labels[3]}.parquet on: ")

@@ -185,7 +185,7 @@ def test_a_night_is_fitted_on_the_periods_in_the_motor_s_file(tmp_path: Path) ->
         "[periods]\ntraining = [[2026-03-01T22:10:00Z, 2026-03-01T23:40:00+01:00]]\n"
         "validation = [[2026-03-01T22:42:00Z, 2026-03-01T22:50:00Z]]\n",
     )
-    (row,) = outcome.rows["fits"]
+    row = outcome.rows["nights"][0] | outcome.rows["fits"][0]
     assert (row["status"], row["n_training"], row["n_validation"]) == ("ok", 1800, 480)
     assert refused_of(outcome)["time_base", "outside_periods"] == 3600 - 1800 - 480
 

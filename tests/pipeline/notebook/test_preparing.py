@@ -70,7 +70,7 @@ def differences(found: FrameFit, rows: dict[str, list[Row]]) -> dict[str, object
     columns = found.columns()
     for at, name in enumerate(columns["parameter"]):
         (row,) = [one for one in rows["parameters"] if one["parameter"] == name]
-        for one in ("value", "lower", "upper", "total_half_width", "verdict"):
+        for one in ("value", "lower", "upper", "verdict"):
             if columns[one][at] != row.get(one):
                 differing[f"{one} {name}"] = columns[one][at]
     return differing

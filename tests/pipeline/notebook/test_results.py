@@ -30,7 +30,7 @@ def test_tables_hold_all_nights_and_fits_the_primary_ones(tmp_path: Path) -> Non
     assert (found["night"].to_list(), found["is_primary"].all()) == (NIGHTS, True)
     # What has no files is empty, with its columns.
     assert tables.table("alarms").collect().schema == pl.Schema(ALARMS.schema)
-    with pytest.raises(UsageError, match="no table fit; there are latest"):
+    with pytest.raises(UsageError, match="no table fit; there are nights"):
         tables.table("fit")
     with pytest.raises(UsageError, match="run fit-fleet first"):
         open_tables(tmp_path / "nowhere")

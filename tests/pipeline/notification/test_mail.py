@@ -27,15 +27,15 @@ PASSWORD = "correct horse"  # noqa: S105
 
 
 def change(motor: str, when: str, *said: str, **more: Any) -> dict[str, Any]:
-    row = dict(zip(("from_state", "to_state", "reason"), said, strict=True))
-    return {"motor_id": motor, "night": when, "indicator": "leakage", **row, **more}
+    row = dict(zip(("from_state", "to_state", "sentence"), said, strict=True))
+    return {"motor_id": motor, "night": when, "cause": None, **row, **more}
 
 
 RING = change("CB400-02", "2026-02-09", "ok", "warning", "piston ring gap +12 % since 1 February")
 RISEN = "leakage of the piston ring has risen: +3.5 % [2.9, 4.1] tonight; 93 % probable"
 WORSE = change("CB400-02", "2026-02-19", "warning", "alarm", f"{RISEN}. Plan a look at it.")
-ZERO = change("CB400-02", "2026-02-20", "warning", "ok", "back at 0 µm", indicator="flow_zero")
-OTHER = change("CB400-01", "2026-02-19", "ok", "stale", "8 nights without a figure", rules="5 to 6")
+ZERO = change("CB400-02", "2026-02-20", "warning", "ok", "back at 0 µm", cause="flow_zero")
+OTHER = change("CB400-01", "2026-02-19", "ok", "stale", "8 nights without a figure")
 
 
 def delivery(*changes: dict[str, Any], kind: str = "alarms") -> Delivery:
@@ -128,7 +128,7 @@ def test_a_message_says_what_since_when_what_to_do_and_where_to_read_on() -> Non
         "  Figures are of the night of 2026-02-19.",
         "  http://plant/leakage/motors/CB400-02.html",
         "",
-        "CB400-01: stale since 2026-02-19 (change of rules: 5 to 6); before that ok",
+        "CB400-01: stale since 2026-02-19; before that ok",
         "  8 nights without a figure.",
         "  Figures are of the night of 2026-02-19.",
         "  http://plant/leakage/motors/CB400-01.html",
@@ -141,10 +141,11 @@ def test_a_message_says_what_since_when_what_to_do_and_where_to_read_on() -> Non
 
 
 def test_a_rise_within_the_day_is_told_with_its_time() -> None:
-    """A row of `looks` has neither a night nor an indicator."""
+    """A row of `intraday` has neither a night nor a cause."""
     rise = change("CB400-02", "", "clear", "risen", "drain flow +82 %")
     rise["time"] = "2026-03-02 14:34:00+00:00"
-    del rise["night"], rise["indicator"]
+    rise["reason"] = rise.pop("sentence")
+    del rise["night"], rise["cause"]
     mail = mailed(rise)
     assert mail["Subject"] == "Mill 3: CB400-02 risen"
     first, second = mail.get_content().splitlines()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -68,11 +68,10 @@ def waits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def row(motor: str, night: dt.date = FIRST, state: str = "alarm", **more: Any) -> dict[str, Any]:
-    row = {"run_id": "r", "motor_id": motor, "night": night, "indicator": "leakage"}
-    row |= {"time": dt.datetime.combine(night, dt.time(6), dt.UTC), "way": "level"}
-    row |= {"from_state": "ok", "to_state": state, "reason": "piston ring gap +27 % [25, 29]"}
-    absent = dict.fromkeys(("path", "rules", "state_before_rules", "is_silent"))
-    return row | {"deviation_percent": 27.0} | absent | more
+    row = {"run_id": "r", "motor_id": motor, "night": night, "id": f"{motor} {night} leakage"}
+    row |= {"from_state": "ok", "to_state": state, "sentence": "piston ring gap +27 % [25, 29]"}
+    absent = dict.fromkeys(("cause", "closed_as", "leakage_change_lower", "leakage_change_upper"))
+    return row | {"leakage_change_percent": 27.0} | absent | more
 
 
 def publish(output: Path, *rows: dict[str, Any]) -> None:
@@ -83,13 +82,17 @@ def publish(output: Path, *rows: dict[str, Any]) -> None:
 
 
 def run(
-    output: Path, rows: Iterable[dict[str, Any]], *receivers: Fake, fleet: str = FLEET
+    output: Path,
+    rows: Iterable[dict[str, Any]],
+    *receivers: Fake,
+    fleet: str = FLEET,
+    silent: Collection[str] = (),
 ) -> tuple[str, ...]:
     """The steps of a run that publishes some rows."""
     with open_state(output) as state:
         open_outbox(state, [one.name for one in receivers], fleet)
         publish(output, *rows)
-        take_up(state, fleet)
+        take_up(state, fleet, silent=silent)
         return deliver(state, receivers, fleet)
 
 
@@ -103,15 +106,15 @@ def deaf(**more: Any) -> Fake:
 
 def test_every_receiver_gets_the_rows_of_a_run_once(tmp_path: Path) -> None:
     first, second = Fake(), Fake("webhook", "alarms.webhook_url")
-    rows = [row("M1", deviation_percent=float("nan")), row("M2")]
+    rows = [row("M1", leakage_change_percent=float("nan")), row("M2")]
     assert run(tmp_path, rows, first, second) == ()
     assert run(tmp_path, [], first, second) == ()
     (document,) = first.taken
     assert (document["fleet"], document["type"]) == (FLEET, "alarms")
-    expected = row("M1") | {"night": "2026-02-17", "time": "2026-02-17 06:00:00+00:00"}
-    expected |= {"deviation_percent": None}  # JSON has no NaN
+    expected = row("M1") | {"night": "2026-02-17"}
+    expected |= {"leakage_change_percent": None}  # JSON has no NaN
     found = document["changes"][0]
-    assert expected | {"change": "new", "id": found["id"]} == found
+    assert expected | {"change": "new", "change_id": found["change_id"]} == found
     assert first.motors() == ["M1", "M2"]
     assert second.taken[0]["changes"] == document["changes"]
     # Each delivery is one receiver's, and only keys stay of what was taken.
@@ -132,22 +135,21 @@ def test_every_receiver_gets_the_rows_of_a_run_once(tmp_path: Path) -> None:
 )
 def test_a_baseline_is_not_told(tmp_path: Path, before: str, after: str, told: int) -> None:
     receiver = Fake()
-    baseline = row("M1", state=after, from_state=before, way="baseline")
+    baseline = row("M1", state=after, from_state=before)
     run(tmp_path, [baseline, row("M2")], receiver)
     assert receiver.motors() == ["M1"] * told + ["M2"]
 
 
-def test_of_a_change_of_rules_only_what_stands_is_told(tmp_path: Path) -> None:
+def test_of_silent_rows_nobody_is_told_now_or_later(tmp_path: Path) -> None:
     receiver = Fake()
     run(tmp_path, [row("M1"), row("M2", state="warning")], receiver)
-    by_rules = {"rules": "trends 5 to 6", "state_before_rules": "ok"}
-    silent = [row(f"P{n}", **by_rules, is_silent=True) for n in range(3)]
-    words = row("M1", reason="other words", **by_rules, is_silent=True)
-    stands = row("M2", **by_rules, is_silent=False)
-    for _ in range(2):
-        run(tmp_path, [*silent, words, stands, row("M1", FIRST + dt.timedelta(1))], receiver)
+    past = [row(f"P{n}") for n in range(3)]
+    words = row("M1", sentence="other words")
+    rows = [*past, words, row("M2"), row("M1", FIRST + dt.timedelta(1))]
+    run(tmp_path, rows, receiver, silent=[one["id"] for one in (*past, words)])
+    run(tmp_path, rows, receiver)
     found = [(one["motor_id"], one["change"]) for one in receiver.changes()[2:]]
-    assert found == [("M2", "rules"), ("M1", "new")]
+    assert found == [("M2", "changed"), ("M1", "new")]
 
 
 def test_a_receiver_is_told_of_what_comes_while_the_config_names_it(
@@ -173,7 +175,7 @@ def test_a_row_that_is_made_anew_is_not_told_again(tmp_path: Path) -> None:
     receiver = Fake()
     run(tmp_path, [row("M1")], receiver)
     # Another run's row; figures of another kind of machine; the table lost and made anew.
-    run(tmp_path, [row("M1", run_id="s", deviation_percent=27.0 + 1e-12)], receiver)
+    run(tmp_path, [row("M1", run_id="s", leakage_change_percent=27.0 + 1e-12)], receiver)
     night_file(tmp_path, ALARMS, FIRST).unlink()
     run(tmp_path, [], receiver)
     run(tmp_path, [row("M1")], receiver)
@@ -188,8 +190,8 @@ def test_a_row_that_says_something_else_is_told_as_changed(tmp_path: Path, colum
     before, changed, new = receiver.changes()
     assert [one["change"] for one in (before, changed, new)] == ["new", "changed", "new"]
     # The first part of the id is the row, the others what it says.
-    assert changed["id"].split("-")[0] == before["id"].split("-")[0]
-    assert changed["id"].split("-")[1] != before["id"].split("-")[1]
+    assert changed["change_id"].split("-")[0] == before["change_id"].split("-")[0]
+    assert changed["change_id"].split("-")[1] != before["change_id"].split("-")[1]
     assert changed[column] == "warning"
 
 

@@ -8,11 +8,21 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.report.build import build_report
-from pipeline.schema import ALARMS, BASELINES, TRENDS, WATCH, frame
+from pipeline.schema import ALARMS, TRENDS, frame
+from pipeline.schema import NIGHTS as NIGHT_TABLE
+from pipeline.store.tables import night_file, read_table
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.rows.motor_states import MotorState
 from tests.pipeline.report.conftest import demo_fleet
-from tests.pipeline.report.states import SENTENCES, publish_latest, state_of, watched
+from tests.pipeline.report.states import (
+    FIGURES,
+    SENTENCES,
+    alarm_row,
+    night_row,
+    publish_latest,
+    state_of,
+)
+from tests.pipeline.report.states import WORN as WORN_FIGURES
 from tests.pipeline.written import write_nights
 
 NIGHTS = ["2026-01-02", "2026-01-03", "2026-01-04"]
@@ -24,31 +34,39 @@ REASON = SENTENCES["alarm"]
 
 def states() -> list[MotorState]:
     """As a run leaves them that has watched thirty nights; the demo's three are too few."""
-    young = [MotorState(one, "insufficient", "3 of 8 nights", "Wait.") for one in YOUNG]
+    waiting = {"sentence": "3 of 8 nights", "advice": "Wait."}
+    young = [state_of(one, "insufficient", **waiting) for one in YOUNG]
     return [state_of(WORN, "alarm", acknowledged=NOTE), state_of(HEALTHY), *young]
 
 
 def judged_report(fitted_output: Path, output: Path) -> Path:
     """The report of a fleet with a worn, a healthy and young motors."""
     shutil.copytree(fitted_output / "tables", output / "tables")
-    shutil.rmtree(output / "tables" / "watch", ignore_errors=True)
     nights = [dt.date.fromisoformat(night) for night in NIGHTS]
     gaps = ((WORN, "balance_sleeve", 6.5), (HEALTHY, "piston_ring", 0.4))
+    path = night_file(output, NIGHT_TABLE, nights[0])
+    published = read_table(path, NIGHT_TABLE).drop("run_id").to_dicts()
+    figures = FIGURES.keys() | WORN_FIGURES.keys() | {"state", "sentence", "advice"}
+    judged = {WORN: "alarm", HEALTHY: "ok"}
+    for row in published:
+        if state := judged.get(row["motor_id"]):
+            made = night_row(row["motor_id"], 0, state)
+            row |= {name: made[name] for name in figures - {"status"} if name in made}
     for place, night in enumerate(nights):
-        watch = [watched(WORN, place, "alarm"), watched(HEALTHY, place)]
-        write_nights(output, WATCH, frame(WATCH, [one.row for one in watch]))
+        own = [row for row in published if row["night"] == night]
+        write_nights(output, NIGHT_TABLE, frame(NIGHT_TABLE, own))
         rows = [
             {"motor_id": motor, "indicator": f"gap_change_{path}", "night": night, "unit": "%"}
             | {"value": value, "lower": value - 1.0, "upper": value + 1.0}
             for motor, path, value in gaps
         ]
+        rows += [
+            {"motor_id": motor, "indicator": "own_leakage", "night": night, "unit": "l/min"}
+            | {"value": 2.0 + 0.1 * place, "baseline_mean": 2.0}
+            for motor, *_ in gaps
+        ]
         write_nights(output, TRENDS, frame(TRENDS, rows))
-    baseline = {"night": nights[1], "start": nights[0], "end": nights[1], "mean": 2.0}
-    rows = [baseline | {"motor_id": one, "indicator": "leakage"} for one in (HEALTHY, WORN)]
-    write_nights(output, BASELINES, frame(BASELINES, rows))
-    alarm = {"motor_id": WORN, "indicator": "leakage", "night": nights[2], "reason": REASON}
-    alarm |= {"time": dt.datetime(2026, 1, 4, 6, tzinfo=dt.UTC)}
-    alarm |= {"from_state": "ok", "to_state": "alarm"}
+    alarm = alarm_row(WORN, nights[2], "ok", "alarm", sentence=REASON)
     write_nights(output, ALARMS, frame(ALARMS, [alarm]))
     publish_latest(output, states())
     said = dt.datetime(2026, 1, 5, 9, tzinfo=dt.UTC)

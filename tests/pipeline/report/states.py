@@ -1,23 +1,22 @@
-"""States of motors with rows of `watch` made by hand, and an output of a worn motor."""
+"""States of motors with rows of `nights` made by hand, and an output of a worn motor."""
 
 from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pipeline.schema import ALARMS, FITS, LATEST, WATCH, Table, frame
+from pipeline.schema import ALARMS, LATEST, NIGHTS, Table, frame
 from pipeline.store.tables import whole_file, write_table
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.rows.motor_states import MotorState, latest_rows
-from pipeline.trends.rows.watch_rows import WatchRow
+from pipeline.trends.rows.motor_states import MotorState
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.written import write_nights
 
+Row = dict[str, Any]
 LAST = 5
 
 
@@ -32,20 +31,21 @@ SENTENCES = {
 }
 ADVICE = {"ok": "Nothing to do.", "alarm": "Look at the balance sleeve at the next stop."}
 FIGURES = {
+    "status": "ok",
+    "flushing_mode": "none",
     "evidence": 2.5,
     "evidence_limit": 9.1,
-    "lack_of_fit": 0.004,
-    "model_verdict": "supported",
-    "tonight_change": 0.01,
-    "tonight_change_lower": -0.01,
-    "tonight_change_upper": 0.03,
+    "model_error_percent": 0.4,
+    "leakage_change_percent": 1.0,
+    "leakage_change_lower": -1.0,
+    "leakage_change_upper": 3.0,
     "own_leakage_l_per_min": 2.02,
     "own_leakage_lower": 1.98,
     "own_leakage_upper": 2.06,
     "own_pressure_bar": 150.0,
     "own_temperature_c": 48.0,
     "own_speed_rpm": 26.0,
-    "smallest_change": 0.03,
+    "detection_limit_percent": 3.0,
     "baseline_start": night_of(0),
     "baseline_end": night_of(1),
 }
@@ -53,39 +53,47 @@ WORN = {
     "evidence": 31.0,
     "cause": "balance_sleeve",
     "cause_probability": 0.95,
-    "candidates": "balance_sleeve 0.95; all_gaps 0.04",
-    "tonight_change": 0.21,
-    "tonight_change_lower": 0.17,
-    "tonight_change_upper": 0.25,
+    "candidates": [
+        {"cause": "balance_sleeve", "probability": 0.95},
+        {"cause": "all_gaps", "probability": 0.04},
+    ],
+    "leakage_change_percent": 21.0,
+    "leakage_change_lower": 17.0,
+    "leakage_change_upper": 25.0,
     "own_leakage_l_per_min": 2.42,
     "own_leakage_lower": 2.34,
     "own_leakage_upper": 2.5,
-    "since": night_of(2),
-    "told_on": night_of(3),
-    "goes_on": False,
+    "onset": night_of(2),
+    "detected_on": night_of(3),
+    "still_rising": False,
 }
 
 
-def watched(motor: str, night: int = LAST, state: str = "ok", **more: Any) -> WatchRow:
-    """A row of `watch`: of a motor that has not changed, or of one with a worn sleeve."""
-    words = (SENTENCES.get(state, f"it is {state}"), ADVICE.get(state, "Do something."))
-    figures = FIGURES | (WORN if state == "alarm" else {}) | more
-    return WatchRow(motor, night_of(night), state, *words, **figures)
+def night_row(motor: str, night: int = LAST, state: str = "ok", **more: Any) -> Row:
+    """A row of `nights`: of a motor that has not changed, or of one with a worn sleeve."""
+    words = {
+        "sentence": SENTENCES.get(state, f"it is {state}"),
+        "advice": ADVICE.get(state, "Do something."),
+    }
+    key = {"motor_id": motor, "night": night_of(night), "state": state, "motor_type": "CB560"}
+    end = dt.datetime.combine(night_of(night), dt.time(5), dt.UTC)
+    figures = FIGURES | (WORN if state == "alarm" else {}) | {"last_sample": end}
+    return key | words | figures | more
 
 
 def state_of(motor: str, state: str = "ok", **more: Any) -> MotorState:
-    """The state of a motor whose newest row of `watch` is that."""
-    row = watched(motor, state=state)
-    found = MotorState(motor, state, row.sentence, row.advice, row)
-    return replace(found, last_good_night=night_of(LAST), state_since=night_of(3), **more)
+    """The state of a motor whose newest row of `nights` is that."""
+    last = {"last_fit_night": night_of(LAST), "data_age_nights": 0, "state_since": night_of(3)}
+    return MotorState(dict.fromkeys(LATEST.schema) | night_row(motor, LAST, state) | last | more)
 
 
 def publish_latest(output: Path, states: Iterable[MotorState]) -> None:
     """Write the table `latest`."""
-    write_table(whole_file(output, LATEST), frame(LATEST, latest_rows(states, "r")))
+    rows = [{**one.row, "run_id": "r"} for one in states]
+    write_table(whole_file(output, LATEST), frame(LATEST, rows))
 
 
-def publish(output: Path, table: Table, rows: Iterable[dict[str, Any]]) -> None:
+def publish(output: Path, table: Table, rows: Iterable[Row]) -> None:
     """Write rows to the files of their nights."""
     write_nights(output, table, frame(table, [{"run_id": "r"} | row for row in rows]))
 
@@ -95,7 +103,14 @@ def said(night: int, kind: str = "acknowledged", **more: Any) -> Decision:
     return Decision("M1", "leakage", when, kind, night_of(night), **more)  # type: ignore[arg-type]
 
 
+def alarm_row(motor: str, night: dt.date, before: str, after: str, **more: Any) -> Row:
+    """A row of `alarms` of the leakage."""
+    key = {"id": f"{motor} {night} leakage", "motor_id": motor, "night": night}
+    return key | {"from_state": before, "to_state": after, "sentence": "it grew"} | more
+
+
 COURSE = ["ok", "ok", "warning", "warning", "alarm", "alarm"]
+SINCE = [None, None, 2, 2, 4, 4]
 
 
 @pytest.fixture
@@ -104,20 +119,12 @@ def output(tmp_path: Path) -> Path:
     header = 'name = "Tests"\n[folders]\nlogs = "../logs"\noutput = "../out"\n'
     write_configs(tmp_path, {"M1": motor_toml("M1", "CB560")}, {}, fleet=header)
     output = tmp_path / "out"
-    fit = {"motor_id": "M1", "motor_type": "CB560", "status": "ok"}
-    publish(output, FITS, [fit | {"night": night_of(night)} for night in range(LAST + 1)])
-    publish(output, WATCH, [watched("M1", n, one).row for n, one in enumerate(COURSE)])
-    alarm = {"motor_id": "M1", "indicator": "leakage", "way": "change", "reason": "it grew"}
+    rows = [
+        night_row("M1", place, state, state_since=None if since is None else night_of(since))
+        for place, (state, since) in enumerate(zip(COURSE, SINCE, strict=True))
+    ]
+    publish(output, NIGHTS, rows)
     moves = ((2, "ok", "warning"), (4, "warning", "alarm"))
-    publish(
-        output,
-        ALARMS,
-        [
-            alarm
-            | {"night": night_of(night), "from_state": before, "to_state": after}
-            | {"time": dt.datetime(2026, 1, 2 + night, 6, tzinfo=dt.UTC)}
-            for night, before, after in moves
-        ],
-    )
+    publish(output, ALARMS, [alarm_row("M1", night_of(place), *move) for place, *move in moves])
     publish_latest(output, [state_of("M1", "alarm")])
     return output

@@ -221,13 +221,13 @@ def hostile_output(output: Path) -> None:
     texts = {
         "fits": ("motor_type", "oil", "reason", "reference_reason", "interval_status"),
         "parameters": ("reason",),
-        "sensitivities": ("source",),
+        "error_budget": ("source",),
         "quality": ("reason",),
-        "input_files": ("path", "message"),
+        "log_files": ("path", "message"),
         "trends": ("gated_reason", "unit"),
         "watch": ("cause", "candidates", "sentence", "advice"),
     }
-    keyed = {"sensitivities": "source", "quality": "reason", "trends": "indicator"}
+    keyed = {"error_budget": "source", "quality": "reason", "trends": "indicator"}
     for table in (*NIGHT_TABLES, *TREND_TABLES):
         unique = keyed.get(table.name)
         names = {*texts.get(table.name, ()), *([unique] if unique else [])}

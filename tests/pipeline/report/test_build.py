@@ -16,7 +16,8 @@ import pytest
 from pipeline.errors import StoreError
 from pipeline.report.build import ReportResult, build_report
 from pipeline.report.words import STATES
-from pipeline.schema import FITS, PREDICTIONS
+from pipeline.schema import NIGHTS as NIGHT_TABLE
+from pipeline.schema import PREDICTIONS
 from pipeline.store.tables import VERSION_KEY, night_file
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.report.conftest import change_table, demo_fleet, rows_with, rows_without
@@ -92,8 +93,8 @@ def test_nothing_new_nothing_written(output: Path) -> None:
 
 def test_a_changed_night_makes_its_motor_s_files_anew_and_no_others(built: Path) -> None:
     before = times(built / "report")
-    values = {"validation_fit_percent": 1.5, "mean_flow_l_per_min": 1.5}
-    change_table(built, "fits", rows_with(MOTOR, **values), str(NIGHTS[2]))
+    values = {"validation_fit_percent": 1.5, "mean_drain_flow_l_per_min": 1.5}
+    change_table(built, "nights", rows_with(MOTOR, **values), str(NIGHTS[2]))
     result = build(built)
     assert result.n_nights == 1
     changed = {name for name, time in times(built / "report").items() if time != before[name]}
@@ -132,7 +133,7 @@ def test_nights_and_motors_that_are_gone_leave_and_files_of_others_stay(built: P
     document = json.loads(manifest.read_bytes())
     document["files"].append("../mine.txt")
     manifest.write_text(json.dumps(document))
-    change_table(built, "fits", lambda rows: rows.clear(), str(NIGHTS[0]))
+    change_table(built, "nights", lambda rows: rows.clear(), str(NIGHTS[0]))
     result = build_report(
         demo_fleet(built, *(one for one in MOTORS if one != MOTOR)), built / "report"
     )
@@ -162,11 +163,11 @@ def test_only_the_newest_nights_have_a_file(built: Path) -> None:
 
 def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> None:
     failed = {"status": "failed", "error_code": "log_truncated"}
-    failed |= {"reason": "a.csv: its end is missing", "reference_leakage_l_per_min": None}
-    change_table(output, "fits", rows_with(MOTOR, **failed))
+    failed |= {"reason": "a.csv: its end is missing"}
+    change_table(output, "nights", rows_with(MOTOR, **failed))
     # Without what the run has left, states are made from the other tables.
     shutil.rmtree(output / "tables" / "latest")
-    change_table(output, "fits", rows_without("CB560-02"))
+    change_table(output, "nights", rows_without("CB560-02"))
     build(output)
     text = (output / "report" / "motors" / f"{MOTOR}.html").read_text("utf-8")
     assert "Night of 2026-01-04 failed: a.csv: its end is missing." in text
@@ -185,7 +186,7 @@ def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> 
 def test_a_damaged_table_is_named_and_the_report_stays_as_it_was(built: Path) -> None:
     before = contents(built / "report")
     path = night_file(built, PREDICTIONS, NIGHTS[1])
-    change_table(built, "fits", rows_with(MOTOR, validation_fit_percent=1.5), str(NIGHTS[1]))
+    change_table(built, "nights", rows_with(MOTOR, validation_fit_percent=1.5), str(NIGHTS[1]))
     good = path.read_bytes()
     path.write_bytes(good[: len(good) // 2])
     with refused("store_read", "2026-01-03.parquet of predictions is damaged"):
@@ -196,7 +197,7 @@ def test_a_damaged_table_is_named_and_the_report_stays_as_it_was(built: Path) ->
 
 
 def test_a_table_of_a_newer_version_is_refused_by_name(output: Path) -> None:
-    path = night_file(output, FITS, NIGHTS[1])
+    path = night_file(output, NIGHT_TABLE, NIGHTS[1])
     table = pq.read_table(path, partitioning=None)
     pq.write_table(table.replace_schema_metadata({VERSION_KEY: "999"}), path)
     with pytest.raises(StoreError, match=r"2026-01\.parquet is of schema version 999"):

@@ -54,7 +54,9 @@ def test_one_pressure_all_night_is_told_with_what_would_help(fitted_output: Path
 
 
 def test_a_poor_fit_is_called_one(output: Path) -> None:
-    change_table(output, "fits", rows_with("CB560-01", validation_fit_percent=-1295.0), f"{FIRST}")
+    change_table(
+        output, "nights", rows_with("CB560-01", validation_fit_percent=-1295.0), f"{FIRST}"
+    )
     (told,) = [line for line in explain(output, "CB560-01", FIRST) if line.startswith("  fit: ")]
     assert "validation -1295.0 % (poor: worse than a constant flow)" in told
     assert told.count("poor") == 1

@@ -85,7 +85,7 @@ def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
     assert processed_of(output_of(fleet), CSV) == ProcessedLogs()
     check_same_tables(output_of(fleet), fitted_output, PARQUET, MCAP)
     assert rows(output_of(fleet), "fits", CSV).is_empty()
-    (last,) = rows(output_of(fleet), "motor_outcomes", CSV).to_dicts()
+    (last,) = rows(output_of(fleet), "run_motors", CSV).to_dicts()
     assert (last["status"], last["error_code"]) == ("failed", "worker_died")
     assert "SIGSEGV(-11), in string_at" in last["message"]
     # The next run has it all to do.

@@ -151,9 +151,9 @@ def test_readers_of_the_copy_need_no_list_of_files(
     shop.log(FIRST + DAY)
     assert call("fit-fleet", shop.fleet)[0] == 0
     names: dict[str, Any] = {}
-    exec(block_of_scale("python", "fits = ", URL), names)  # noqa: S102 - our own page
-    fits: pl.DataFrame = names["fits"]
-    assert sorted(fits["night"].to_list()) == [FIRST, FIRST + DAY]
+    exec(block_of_scale("python", "nights = ", URL), names)  # noqa: S102 - our own page
+    nights: pl.DataFrame = names["nights"]
+    assert sorted(nights["night"].to_list()) == [FIRST, FIRST + DAY]
     for path, content in server.below(URL).items():
         place = tmp_path / "bucket" / path
         place.parent.mkdir(parents=True, exist_ok=True)

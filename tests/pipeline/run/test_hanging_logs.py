@@ -32,7 +32,7 @@ SILENCE = Loss("log_no_answer", "it did not answer within 3 s")
 
 def statuses(folder: Path, motor: str) -> list[str]:
     """Outcomes of a motor's published nights, in order of time."""
-    found = pl.read_parquet(folder / "out" / "tables" / "fits" / "**" / "*.parquet")
+    found = pl.read_parquet(folder / "out" / "tables" / "nights" / "**" / "*.parquet")
     return found.filter(motor_id=motor).sort("night")["status"].to_list()
 
 
@@ -61,7 +61,7 @@ def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
     m1, m2 = result.outcomes
     assert (m1.status, m1.error_code, m2.status) == ("failed", "log_no_answer", "ok")
     assert statuses(tmp_path, "M1") == ["ok", "ok", "failed"]
-    (row,) = table(tmp_path, "input_files").filter(status="failed").to_dicts()
+    (row,) = table(tmp_path, "log_files").filter(status="failed").to_dicts()
     assert (row["night"], row["error_code"]) == (BLOCKS, "log_no_answer")
     assert row["message"] == (
         f"{BLOCKS}.parquet: did not answer within 3 s (night told by its name)"

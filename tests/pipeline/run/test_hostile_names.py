@@ -66,12 +66,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def input_files(folder: Path) -> pl.DataFrame:
-    return pl.read_parquet(folder / "out" / "tables" / "input_files" / "**" / "*.parquet")
+def log_files(folder: Path) -> pl.DataFrame:
+    return pl.read_parquet(folder / "out" / "tables" / "log_files" / "**" / "*.parquet")
 
 
 def test_each_file_has_a_row_and_a_name_that_can_be_shown(made: Path) -> None:
-    rows = input_files(made)
+    rows = log_files(made)
     assert rows.height == len(set(FILE_NAMES))
     assert rows["path"].n_unique() == rows.height
     for column in ("path", "message"):
@@ -104,7 +104,7 @@ def test_links_that_go_round_end(tmp_path: Path) -> None:
 
 def test_names_in_spreadsheets_are_no_formulas(made: Path, tmp_path: Path) -> None:
     list(export_csv(made / "out", tmp_path, CsvRequest()))
-    with (tmp_path / "input_files.csv").open(encoding="utf-8", newline="") as file:
+    with (tmp_path / "log_files.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(set(FILE_NAMES))
     for cell in (cell for row in rows for cell in row.values()):

@@ -98,31 +98,38 @@ def written(before: States, after: States) -> set[str]:
 # New, late and corrected files
 
 
+def previous(workshop: Workshop) -> dict[dt.date, float | None]:
+    """Fit of the model before by night."""
+    return dict(workshop.rows("nights").select("night", "previous_model_fit_percent").iter_rows())
+
+
 def test_a_new_night_reads_its_own_log_and_no_other(workshop: Workshop) -> None:
     blank(workshop)
     new = NIGHTS[-1] + DAY
     workshop.log(new, seed=9)
-    before = files(workshop, "fits", "block_statistics", "quality", "trends")
+    before = files(workshop, "fits", "blocks", "quality", "trends")
     outcome = workshop.run()
     assert (outcome.status, outcome.nights) == ("ok", (new,))
     assert outcome.files["read"] == 1
-    after = files(workshop, "fits", "block_statistics", "quality", "trends")
+    after = files(workshop, "fits", "blocks", "quality", "trends")
     assert written(before, after) == {str(new)}
 
 
-def test_a_corrected_night_is_read_and_the_night_after_is_judged(workshop: Workshop) -> None:
-    """Design.md section 4: also the previous-model figures of the next night, and the trends."""
+def test_a_corrected_night_is_read_and_no_other_is_fitted(workshop: Workshop) -> None:
+    """Design.md section 4: later nights are judged anew by its model, from stored blocks."""
     touched, after, last = NIGHTS[1], NIGHTS[2], NIGHTS[3]
     path = workshop.log(touched, seed=9)
     blank(workshop, touched)
     assert planned(workshop) == {touched: (Work.READ, f"changed file M1/{path.name}")}
-    tables = ("block_statistics", "predictions", "quality")
+    tables = ("blocks", "predictions", "quality")
     before, fits = files(workshop, *tables), files(workshop, "fits")
-    trends = files(workshop, "trends")
+    trends, percents = files(workshop, "trends"), previous(workshop)
     outcome = workshop.run()
-    assert outcome.nights == (touched, after)
+    assert outcome.nights == (touched,)
     assert written(before, files(workshop, *tables)) == {str(touched)}
-    assert written(fits, files(workshop, "fits")) == {str(touched), str(after)}
+    assert written(fits, files(workshop, "fits")) == {str(touched)}
+    changed = {night for night, one in previous(workshop).items() if one != percents[night]}
+    assert changed == {touched, after}
     assert written(trends, files(workshop, "trends")) == {str(touched), str(after), str(last)}
     assert set(workshop.statuses().values()) == {"ok"}
 
@@ -152,11 +159,11 @@ def test_a_setting_redoes_what_depends_on_it_and_says_so(workshop: Workshop, set
     expected = {} if work is None else dict.fromkeys(NIGHTS, (work, why))
     assert planned(workshop) == expected
     assert trends_planned(workshop) == {"M1": why}
-    statistics = files(workshop, "block_statistics", "quality", "operation", "predictions")
+    statistics = files(workshop, "blocks", "quality", "predictions")
     figures, trends = files(workshop, "fits", "parameters"), files(workshop, "trends")
     outcome = workshop.run()
     everything = set(map(str, NIGHTS))
-    again = files(workshop, "block_statistics", "quality", "operation", "predictions")
+    again = files(workshop, "blocks", "quality", "predictions")
     assert written(statistics, again) == (everything if work is Work.READ else set())
     assert written(figures, files(workshop, "fits", "parameters")) == (
         everything if work else set()
@@ -182,7 +189,7 @@ def test_what_shapes_no_figure_redoes_nothing(workshop: Workshop, change: tuple[
     assert change[0] in QUICK
     workshop.configure(fleet=QUICK.replace(*change))
     assert (planned(workshop), trends_planned(workshop)) == ({}, {})
-    tables = ("fits", "trends", "block_statistics")
+    tables = ("fits", "trends", "blocks")
     before = files(workshop, *tables)
     assert workshop.run().nights == ()
     assert files(workshop, *tables) == before

@@ -22,8 +22,8 @@ from pipeline.run.metrics import (
     write_metrics,
 )
 from pipeline.run.tasks import MotorOutcome
+from pipeline.schema import LATEST
 from pipeline.trends.rows.motor_states import MotorState
-from pipeline.trends.rows.watch_rows import WatchRow
 
 WHEN = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
 LEAKAGE = ("l_per_min", "lower", "upper")
@@ -44,14 +44,15 @@ class SomeOutcome:
 
 def metrics() -> str:
     """Metrics of a fleet of one motor."""
-    figures = {"tonight_change": 0.21, "evidence": 31.0, "evidence_limit": 9.1}
-    figures |= {"tonight_change_lower": 0.19, "tonight_change_upper": 0.23}
+    figures = {"leakage_change_percent": 21.0, "evidence": 31.0, "evidence_limit": 9.1}
+    figures |= {"leakage_change_lower": 19.0, "leakage_change_upper": 23.0}
     figures |= {f"own_leakage_{name}": n for name, n in zip(LEAKAGE, (1.4, 1.3, 1.5), strict=True)}
-    watch = WatchRow("M1", WHEN.date(), "alarm", "+21 %", "Look at it.", **figures)
-    state = MotorState("M1", "alarm", "+21 %", "Look at it.", watch, data_night=WHEN.date())
+    none = dict.fromkeys(LATEST.schema)
+    risen = none | figures | {"motor_id": "M1", "state": "alarm", "last_sample": WHEN}
+    young = none | {"motor_id": "M2", "state": "insufficient"}
     return metrics_text(
         cast(Fleet, SomeFleet()),
-        [state, MotorState("M2", "insufficient", "3 of 8 nights", "Wait.")],
+        [MotorState(risen), MotorState(young)],
         [cast(MotorOutcome, SomeOutcome())],
         {"motors_s": 1.5, "trends_s": 0.25},
         [Backlog("hook", WHEN, 3, WHEN, None)],
@@ -70,21 +71,19 @@ def test_figures() -> None:
     assert found[f'motor_leakage_motor_state{{{fleet},motor="M1",state="alarm"}}'] == 1.0
     assert sum(value for name, value in found.items() if "motor_state{" in name) == 2.0
     for name, value in (
-        ("tonight_change_ratio", 0.21),
+        ("leakage_change_percent", 21.0),
         ("evidence", 31.0),
         ("evidence_limit", 9.1),
-        ("tonight_change_lower_ratio", 0.19),
-        ("tonight_change_upper_ratio", 0.23),
+        ("leakage_change_lower", 19.0),
+        ("leakage_change_upper", 23.0),
         ("own_leakage_l_per_min", 1.4),
-        ("own_leakage_lower_l_per_min", 1.3),
-        ("own_leakage_upper_l_per_min", 1.5),
+        ("own_leakage_lower", 1.3),
+        ("own_leakage_upper", 1.5),
     ):
         assert found[f'motor_leakage_{name}{{{fleet},motor="M1"}}'] == value
     # What is not known has no sample.
-    assert not [
-        name for name in found if "lack_of_fit" in name or "tonight_change_ratio{M2" in name
-    ]
-    # The night of 2 March ends at 06:00 UTC.
+    assert not [name for name in found if "model_error" in name]
+    assert not [name for name in found if "change_percent" in name and "M2" in name]
     newest = f'motor_leakage_data_timestamp_seconds{{{fleet},motor="M1"}}'
     assert found[newest] == WHEN.timestamp()
     assert found[f"motor_leakage_last_good_run_timestamp_seconds{{{fleet}}}"] == WHEN.timestamp()

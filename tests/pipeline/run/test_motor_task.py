@@ -50,8 +50,8 @@ def test_a_night_in_several_files_is_the_same_night(
             other.logs / f"{99 - number}.parquet", operation.time_us[rows], part(values, rows)
         )
     assert other.run().status == "ok"
-    check_same_figures(workshop, other, "input_files")
-    assert other.rows("input_files").height == len(borders) + 1
+    check_same_figures(workshop, other, "log_files")
+    assert other.rows("log_files").height == len(borders) + 1
 
 
 def test_rows_that_two_files_share_count_once(workshop: Workshop, other: Workshop) -> None:
@@ -61,7 +61,7 @@ def test_rows_that_two_files_share_count_once(workshop: Workshop, other: Worksho
     for name, rows in (("a", slice(0, 800)), ("b", slice(700, None))):
         write_log(other.logs / f"{name}.parquet", operation.time_us[rows], part(values, rows))
     assert other.run().status == "ok"
-    check_same_figures(workshop, other, "input_files", "quality")
+    check_same_figures(workshop, other, "log_files", "quality")
 
 
 def test_a_file_over_the_end_of_a_night_is_two_nights_and_one_file(workshop: Workshop) -> None:
@@ -71,7 +71,7 @@ def test_a_file_over_the_end_of_a_night_is_two_nights_and_one_file(workshop: Wor
     outcome = workshop.run()
     assert outcome.nights == (NIGHT, NIGHT + DAY)
     assert workshop.statuses() == dict.fromkeys((NIGHT, NIGHT + DAY), "ok")
-    files = workshop.rows("input_files")
+    files = workshop.rows("log_files")
     assert files.select("path", "night").rows() == [("M1/a.parquet", NIGHT)]
     blocks = workshop.rows("quality").filter(channel="time_base", reason="any")
     assert blocks["n_samples"].to_list() == [720, 720]
@@ -110,7 +110,7 @@ def test_a_plan_reads_no_log(workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_night_is_judged_with_the_last_model_however_far(workshop: Workshop) -> None:
-    """Night 2 stood still, so night 3 looks back on night 1: a corrected night 1 redoes both."""
+    """Night 2 stood still, so night 3 looks back on night 1, also where that is corrected."""
     workshop.log(NIGHT)
     operation, values = workshop.night(NIGHT + DAY)
     values["speed"] = 0.1 + 1e-3 * np.sin(operation.pressure_bar)
@@ -118,13 +118,13 @@ def test_a_night_is_judged_with_the_last_model_however_far(workshop: Workshop) -
     workshop.log(NIGHT + 2 * DAY)
     workshop.run()
     assert list(workshop.statuses().values()) == ["ok", "stood_still", "ok"]
-    before = workshop.rows("fits")["previous_model_fit_percent"][2]
+    before = workshop.rows("nights")["previous_model_fit_percent"][2]
     # Another night 1, whose gap leaks three times as much.
     operation, values = workshop.night(NIGHT)
     values["leakage_flow"] = 3.0 * values["leakage_flow"]
     write_log(workshop.logs / f"{NIGHT}.parquet", operation.time_us, values)
-    assert workshop.run().nights == (NIGHT, NIGHT + 2 * DAY)
-    after = workshop.rows("fits")["previous_model_fit_percent"][2]
+    assert workshop.run().nights == (NIGHT,)
+    after = workshop.rows("nights")["previous_model_fit_percent"][2]
     assert after < before - 50.0
 
 
@@ -138,7 +138,7 @@ def test_a_night_that_loses_its_fit_is_no_model_any_more(
     operation, values = workshop.night(NIGHT + DAY)
     rows = slice(0, 300)
     write_log(workshop.logs / f"{NIGHT + DAY}.parquet", operation.time_us[rows], part(values, rows))
-    assert workshop.run().nights == (NIGHT + DAY, NIGHT + 2 * DAY)
+    assert workshop.run().nights == (NIGHT + DAY,)
     for path in sorted(workshop.logs.iterdir()):
         (other.logs / path.name).write_bytes(path.read_bytes())
     other.run()

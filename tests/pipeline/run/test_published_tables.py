@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import platform
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,7 +19,7 @@ EXCITED = [motor for motor in MOTORS if motor != "CB1120-02"]
 
 
 def test_input_files_tell_what_was_read(fitted_output: Path, demo_folder: Path) -> None:
-    for row in rows(fitted_output, "input_files").iter_rows(named=True):
+    for row in rows(fitted_output, "log_files").iter_rows(named=True):
         path = demo_folder / "demo" / "logs" / row["path"]
         assert row["size_bytes"] == path.stat().st_size
         assert str(row["night"]) in row["path"]
@@ -30,14 +29,10 @@ def test_input_files_tell_what_was_read(fitted_output: Path, demo_folder: Path) 
 
 def test_a_run_records_what_made_it_and_how_long_it_took(fitted_output: Path) -> None:
     (run,) = rows(fitted_output, "runs").to_dicts()
-    for name in ("polars", "pyarrow", "numpy", "scipy"):
-        assert run[f"{name}_version"] == version(name)
-    assert run["python_version"] == platform.python_version()
     assert run["version"] == version("motor-leakage")
-    assert (run["seed"], len(run["config_hash"]) > 0) == (1, True)
     assert min(run["motors_s"], run["publish_s"], run["trends_s"]) > 0
-    assert run["motors_s"] + run["publish_s"] + run["trends_s"] == pytest.approx(run["seconds"])
-    outcomes = rows(fitted_output, "motor_outcomes")
+    assert run["motors_s"] + run["publish_s"] + run["trends_s"] == pytest.approx(run["total_s"])
+    outcomes = rows(fitted_output, "run_motors")
     stages = ("read_s", "clean_s", "statistics_s", "fit_s", "residuals_s", "store_s")
     assert (outcomes.select(stages).to_numpy() > 0).all()
     # Motors are done one after another here, so theirs is no more than the run's.
@@ -45,7 +40,7 @@ def test_a_run_records_what_made_it_and_how_long_it_took(fitted_output: Path) ->
 
 
 # Nothing is raised, frozen or said in three nights.
-WITHOUT_ROWS = {"alarms", "baselines", "decisions", "looks"}
+WITHOUT_ROWS = {"alarms", "decisions", "intraday"}
 
 
 @pytest.mark.parametrize("table", sorted({table.name for table in TABLES} - WITHOUT_ROWS))
@@ -75,15 +70,11 @@ def test_estimates_are_near_the_truth(fitted_output: Path, demo_folder: Path, mo
         for path, k in true["K_m3"].items():
             assert found[f"K_{path}"] == pytest.approx(k, rel=0.15), (night, path)
         assert found["C_f"] == pytest.approx(true["C_f_l_per_min"], abs=0.05)
-        leakage = fits[night]["reference_leakage_l_per_min"]
+        leakage = fits[night]["fitted_leakage_l_per_min"]
         assert leakage == pytest.approx(true["reference_leakage_l_per_min"], rel=0.015)
 
 
-def test_a_motor_at_one_pressure_has_its_own_leakage_only(
-    fitted_output: Path, demo_folder: Path
-) -> None:
+def test_a_motor_at_one_pressure_has_no_leakage_at_the_reference(fitted_output: Path) -> None:
     fits = rows(fitted_output, "fits", "CB1120-02")
-    assert fits["own_conditions_leakage_l_per_min"].to_list() == pytest.approx(
-        fits["mean_flow_l_per_min"].to_list(), rel=0.05
-    )
-    assert fits["outside_fitted_range"].all()
+    assert set(fits["fitted_leakage_verdict"]) == {"outside_fitted_range"}
+    assert fits["fitted_leakage_l_per_min"].is_null().all()

@@ -14,11 +14,12 @@ import pytest
 from pipeline.schema import (
     COUNTS,
     FITS,
+    LATEST,
     NIGHT_TABLES,
+    NIGHTS,
     NUMBERS,
     PRESSURE_EDGES_BAR,
     QUALITY,
-    SCHEMA_VERSION,
     SPEED_EDGES_RPM,
     TABLES,
     TEMPERATURE_EDGES_C,
@@ -32,68 +33,48 @@ from pipeline.schema import (
 
 EACH_TABLE = pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])
 FIT_KEY = ("motor_id", "night", "flushing_mode")
-# Design 4: key and core columns; others may follow.
-DESIGN: dict[str, tuple[tuple[str, ...], str]] = {
-    "fits": (
-        FIT_KEY,
-        "motor_id motor_type night window_start window_end flushing_mode is_primary status reason "
-        "n_training n_validation training_fit_percent validation_fit_percent "
-        "previous_model_fit_percent training_rmse_l_per_min validation_rmse_l_per_min smoothing_s "
-        "fpe aic aicc bic n_effective cost rank "
-        "condition_number reference_leakage_l_per_min reference_leakage_lower "
-        "reference_leakage_upper reference_leakage_systematic reference_verdict "
-        "own_conditions_leakage_l_per_min own_conditions_leakage_lower "
-        "own_conditions_leakage_upper outside_fitted_range",
-    ),
-    "parameters": (
-        (*FIT_KEY, "parameter"),
-        "value unit lower upper systematic feasible_min feasible_max verdict reason",
-    ),
-    "residual_tests": (
-        (*FIT_KEY, "part", "smoothed", "test", "input", "lag"),
-        "value bound outside",
-    ),
-    "residual_verdicts": (
-        (*FIT_KEY, "part", "smoothed", "test", "input"),
-        "verdict reason statistic degrees_of_freedom p_value n_lags n_outside",
-    ),
-    "predictions": (
-        (*FIT_KEY, "time"),
-        "part pressure_difference_bar oil_temperature_c speed_rpm measured_l_per_min "
-        "predicted_l_per_min",
-    ),
-    "quality": (("motor_id", "night", "channel", "reason"), "n_samples n_refused"),
-    "block_statistics": (
-        ("motor_id", "night", "block_start"),
-        "block_end part n statistics columns mean_temperature_c minimum_pressure_bar "
-        "maximum_pressure_bar pressure_histogram minimum_temperature_c maximum_temperature_c "
-        "temperature_histogram minimum_speed_rpm maximum_speed_rpm speed_histogram share_reversed "
-        "n_beyond_curve model_hash",
-    ),
-    "input_files": (
-        ("motor_id", "path"),
-        "size_bytes sha256 rows first_time last_time status error_code message",
-    ),
-    "runs": (("run_id", "started_at"), "status seconds"),
-    "motor_outcomes": (
-        ("run_id", "started_at", "motor_id"),
-        "status error_code message read_s clean_s statistics_s fit_s store_s",
-    ),
-    "data_dictionary": (("table", "column"), "type unit description"),
+KEYS = {
+    "nights": ("motor_id", "night"),
+    "latest": ("motor_id",),
+    "fits": FIT_KEY,
+    "parameters": (*FIT_KEY, "parameter"),
+    "error_budget": (*FIT_KEY, "indicator", "source"),
+    "residual_tests": (*FIT_KEY, "part", "is_smoothed", "test", "input"),
+    "predictions": (*FIT_KEY, "time"),
+    "quality": ("motor_id", "night", "channel", "reason"),
+    "blocks": ("motor_id", "night", "block_start"),
+    "trends": ("motor_id", "night", "indicator"),
+    "alarms": ("id", "motor_id", "night"),
+    "intraday": ("motor_id", "time", "to_state"),
+    "decisions": ("motor_id", "time", "kind", "indicator"),
+    "log_files": ("motor_id", "path"),
+    "runs": ("run_id", "started_at"),
+    "run_motors": ("run_id", "started_at", "motor_id"),
+    "data_dictionary": ("table", "column"),
 }
 # How a unit shows in a column's name.
 SUFFIXES = {
     "bar": "_bar", "°C": "_c", "rpm": "_rpm", "l/min": "_l_per_min", "s": "_s", "%": "_percent",
-    "B": "_bytes", "MiB": "_mib",
+    "h": "_hours", "B": "_bytes", "MiB": "_mib",
 }  # fmt: skip
+# Names that mean what their table is of.
+OF_THEIR_TABLE = {"value", "status", "reason", "unit", "column", "lower", "upper"}
 
 
-@pytest.mark.parametrize("name", DESIGN)
-def test_tables_of_the_design(name: str) -> None:
-    table = next(table for table in TABLES if table.name == name)
-    key, core = DESIGN[name]
-    assert table.key == key
-    assert set(core.split()) <= table.schema.keys()
+def test_tables_and_columns_are_few() -> None:
+    """Tables and keys of the design, section 4, and its limits."""
+    assert {table.name: table.key for table in TABLES} == KEYS
+    counts = {table.name: len(set(table.schema) - {"run_id"}) for table in TABLES}
+    counts["latest"] -= counts["nights"]
+    assert counts["nights"] <= 85
+    assert counts["fits"] <= 48
+    assert sum(counts.values()) <= 300
+
+
+def test_latest_has_the_names_of_nights() -> None:
+    assert [one for one in NIGHTS.columns if one.name != "run_id"] == [
+        one for one in LATEST.columns if one.name in NIGHTS.schema and one.name != "run_id"
+    ]
 
 
 @EACH_TABLE
@@ -104,7 +85,6 @@ def test_columns_have_a_name_and_a_meaning_and_the_key_is_of_them(table: Table) 
     assert table.row
     assert all(column.description for column in table.columns)
     assert set(table.key) <= set(names)
-    assert len(set(table.key)) == len(table.key) > 0
     assert "run_id" in names or table.name == "data_dictionary"
     if table in NIGHT_TABLES:  # whose rows of a night are replaced
         assert ("motor_id" in names, table.schema["night"]) == (True, pl.Date)
@@ -113,37 +93,62 @@ def test_columns_have_a_name_and_a_meaning_and_the_key_is_of_them(table: Table) 
         assert is_time == (column.unit == "UTC") == (column.type == TIMESTAMP), column.name
 
 
-def in_name(column: Column, table: Table) -> bool:
-    """True if the unit is in the name, or in that of the figure that the column goes with."""
-    suffix = SUFFIXES[column.unit]
-    stem = re.sub(
-        r"_(lower|upper|systematic|(statistical|sensor|model|total)_half_width)$", "", column.name
-    )
-    if stem != column.name:
-        return f"{stem}{suffix}" in table.schema
-    return column.name.endswith(suffix) or column.name == "seconds"
-
-
 @EACH_TABLE
 def test_units_stand_in_the_names(table: Table) -> None:
     for column in table.columns:
         if column.unit in SUFFIXES:
-            assert in_name(column, table), column.name
+            assert _figure_of(column, table).endswith(SUFFIXES[column.unit]), column.name
         for unit, suffix in SUFFIXES.items():
             if column.name.endswith(suffix):
                 assert column.unit == unit, column.name
 
 
+def _figure_of(column: Column, table: Table) -> str:
+    """Name of the figure that an end of an interval goes with, or of the column itself."""
+    stem = re.sub(r"_(lower|upper)$", "", column.name)
+    if stem == column.name:
+        return stem
+    return next(name for name in (*(f"{stem}{one}" for one in SUFFIXES.values()), stem)
+                if name in table.schema)  # fmt: skip
+
+
+@EACH_TABLE
+def test_intervals_come_in_pairs_around_a_figure_of_the_same_unit(table: Table) -> None:
+    columns = {column.name: column for column in table.columns}
+    for name in columns:
+        if name.endswith("_lower"):
+            ends = [columns[name], columns[f"{name.removesuffix('lower')}upper"]]
+            figure = columns[_figure_of(columns[name], table)]
+            assert [one.unit for one in ends] == [figure.unit] * 2, name
+    assert len([one for one in columns if one.endswith("_lower")]) == len(
+        [one for one in columns if one.endswith("_upper")]
+    )
+
+
 def test_a_name_means_one_thing_in_all_tables() -> None:
     kinds: dict[str, Column] = {}
-    shared = {"value", "status", "reason", "unit", "column", "columns", "seconds", "start"}
-    # Of the intraday check, a moment and per cent; of the watch a day and a share.
-    shared |= {"since", "change_lower", "change_upper"}
     for table in TABLES:
         for column in table.columns:
             first = kinds.setdefault(column.name, column)
-            if column.name not in shared:
+            if column.name not in OF_THEIR_TABLE:
                 assert (column.type, column.unit) == (first.type, first.unit), column.name
+
+
+def test_no_column_says_what_another_says() -> None:
+    """One quantity, one name: meanings differ but for what tables share, and for intervals."""
+    meanings: dict[str, str] = {}
+    for table in TABLES:
+        for column in table.columns:
+            is_end = re.search(r"(^|_)(lower|upper)$", column.name)
+            name = meanings.setdefault(f"{column.unit} {column.description}", column.name)
+            assert is_end or name == column.name, (table.name, column.name, name)
+
+
+@EACH_TABLE
+def test_relative_figures_are_in_percent(table: Table) -> None:
+    for column in table.columns:
+        is_share = re.search(r"share|fraction|ratio", column.name)
+        assert not is_share or column.name == "viscosity_ratio", column.name
 
 
 def test_histogram_edges() -> None:
@@ -194,7 +199,7 @@ class TestFrame:
 
 def test_values_of_numpy_times_and_lists_come_as_they_are() -> None:
     moment = dt.datetime(2026, 1, 2, 3, 4, 5, 678_901, tzinfo=dt.UTC)
-    row = {"cost": 1, "n_training": np.int64(5), "window_start": moment, "singular_values": [2.5]}
+    row = {"cost": 1, "n_training": np.int64(5), "window_start": moment, "coefficients": [2.5]}
     found = frame(FITS, iter([row, {"cost": float("nan")}, {"cost": None}]))
     assert found["cost"].to_list()[::2] == [1.0, None]
     assert found["cost"].is_nan().to_list() == [False, True, None]
@@ -206,16 +211,13 @@ def test_data_dictionary_has_every_column_once_and_its_type_as_polars_names_it()
     types = dict(found.select("column", "type").rows())
     assert types["night"] == "Date"
     assert types["window_start"] == "Datetime(time_unit='us', time_zone='UTC')"
-    assert types["statistics"] == str(NUMBERS) == "List(Float64)"
+    assert types["factor"] == str(NUMBERS) == "List(Float64)"
     assert types["speed_histogram"] == str(COUNTS)
     assert len({table.name for table in TABLES}) == len(TABLES)
     expected = {(table.name, column.name) for table in TABLES for column in table.columns}
     assert set(found.select("table", "column").iter_rows()) == expected
     assert found.height == len(expected)
-    assert found["schema_version"].unique().to_list() == [SCHEMA_VERSION]
     assert not found.select(pl.any_horizontal(pl.all().is_null()).any()).item()
-    keys = found.filter("in_key").group_by("table").len()
-    assert dict(keys.iter_rows()) == {table.name: len(table.key) for table in TABLES}
 
 
 def test_units_in_the_rows_are_those_that_the_columns_name(fitted_output: Path) -> None:
@@ -225,7 +227,7 @@ def test_units_in_the_rows_are_those_that_the_columns_name(fitted_output: Path) 
         for table in TABLES
         for column in table.columns
         if column.name in ("unit", "tolerance_unit")
-        and table.name in ("parameters", "sensitivities")
+        and table.name in ("parameters", "error_budget")
     }
     assert len(named) == 3
     for (table, column), words in named.items():

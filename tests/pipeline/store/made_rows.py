@@ -9,7 +9,7 @@ from typing import Any
 
 import polars as pl
 
-from pipeline.schema import QUALITY, Table, frame
+from pipeline.schema import QUALITY, TYPES, Table, frame
 from pipeline.store.publishing import Publisher, StagedNights, stage, staged_file
 from pipeline.store.state import open_state
 
@@ -71,6 +71,7 @@ def example(table: Table) -> Row:
         "List(Float32)": [1.5, -0.0],
         "List(Int64)": [1, 2**40],
         "List(String)": ["K_o", ""],
+        str(TYPES["causes"]): [{"cause": "K_o", "probability": 0.5}],
     }
     moment = dt.datetime(2026, 1, 2, 3, 4, 5, 678_901, tzinfo=dt.UTC)
     return {

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
-from pipeline.schema import BLOCK_STATISTICS, INPUT_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
+from pipeline.schema import BLOCKS, LOG_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
 from pipeline.store.published import note, verify_tables
 from pipeline.store.publishing import read_staged, stage, staged_file, staged_in
 from pipeline.store.state import open_state
@@ -56,17 +56,17 @@ class TestStaged:
 
     def test_by_table_file_and_motor_with_nights_that_have_no_rows(self, tmp_path: Path) -> None:
         nights, blocks = {LATER: [], NIGHT: [row("A")]}, {LATER: [], NIGHT: []}
-        stage(staged_file(tmp_path / "nights", "A"), {QUALITY: nights, BLOCK_STATISTICS: blocks})
+        stage(staged_file(tmp_path / "nights", "A"), {QUALITY: nights, BLOCKS: blocks})
         stage(staged_file(tmp_path / "nights", "B"), {QUALITY: {NIGHT: [row("B"), row("B", "x")]}})
-        tables = [QUALITY, BLOCK_STATISTICS]
+        tables = [QUALITY, BLOCKS]
         # Of a motor that is lost nothing is published, whatever its worker has staged.
         staged_file(tmp_path / "nights", "D").write_bytes(b"half")
         found = staged_in(tmp_path / "nights", tables, ["C", "B", "A"])
         assert {(table.name, label): list(some) for (table, label), some in found.items()} == {
             ("quality", "2026-01"): ["A", "B"],
             ("quality", "2026-02"): ["A"],
-            ("block_statistics", "2026-01-02"): ["A"],
-            ("block_statistics", "2026-02-01"): ["A"],
+            ("blocks", "2026-01-02"): ["A"],
+            ("blocks", "2026-02-01"): ["A"],
         }
         rows, done = read_staged(QUALITY, found[QUALITY, "2026-01"], "run")
         assert rows.select("motor_id", "reason", "run_id").rows() == [
@@ -138,7 +138,7 @@ class TestRows:
             reasons = data.draw(st.permutations("ab"))
             return {
                 QUALITY: {n: [row(motor, one, night=n) for one in reasons] for n in nights},
-                BLOCK_STATISTICS: {n: [{"motor_id": motor, "night": n}] for n in nights},
+                BLOCKS: {n: [{"motor_id": motor, "night": n}] for n in nights},
             }
 
         with pytest.MonkeyPatch.context() as patched:
@@ -170,14 +170,14 @@ class TestRows:
 
         def watched(path: Path, place: Path) -> None:
             replace(path, place)
-            seen.append(read_rows(tmp_path, INPUT_FILES, ["A"]))
+            seen.append(read_rows(tmp_path, LOG_FILES, ["A"]))
 
         monkeypatch.setattr(Path, "replace", watched)
         for moved_to in (NIGHTS[0], LATER, NIGHTS[1], None, NIGHTS[0]):
             logs = {n: [{"motor_id": "A", "path": str(n), "night": n}] for n in (*NIGHTS, LATER)}
             moving = {"motor_id": "A", "path": "moving", "night": moved_to}
             logs[moved_to or NIGHTS[0]].append(moving)
-            publish(tmp_path, {"A": {INPUT_FILES: logs}})
+            publish(tmp_path, {"A": {LOG_FILES: logs}})
             assert sorted(seen[-1]["path"]) == sorted([*map(str, (*NIGHTS, LATER)), "moving"])
         assert all(one["path"].is_unique().all() for one in seen)
 
@@ -214,10 +214,10 @@ class TestRefused:
     def test_a_failure_leaves_what_was_there(self, tmp_path: Path) -> None:
         def rows(night: dt.date) -> dict[Table, dict[dt.date, list[Row]]]:
             blocks = [{"motor_id": "A", "night": night}]
-            return {QUALITY: {night: [row("A", night=night)]}, BLOCK_STATISTICS: {night: blocks}}
+            return {QUALITY: {night: [row("A", night=night)]}, BLOCKS: {night: blocks}}
 
         publish(tmp_path, {"A": rows(NIGHT)})
-        in_the_way = table_folder(tmp_path, BLOCK_STATISTICS) / "month=2026-02"
+        in_the_way = table_folder(tmp_path, BLOCKS) / "month=2026-02"
         in_the_way.touch()
         before = contents(tmp_path / "tables")
         with pytest.raises(StoreError, match="there is a file in the way"):

@@ -26,7 +26,7 @@ from tests.pipeline.workshop import DAY, Workshop
 # The nights lie on both sides of a month's end.
 FIRST = dt.date(2026, 2, 26)
 NIGHTS = tuple(FIRST + number * DAY for number in range(6))
-HEAVY = ("predictions", "sensitivities")
+HEAVY = ("predictions", "error_budget")
 KEPT = dict.fromkeys(HEAVY, 2)
 
 
@@ -64,12 +64,12 @@ def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Worksho
     gone = {f"tables/predictions/month={night:%Y-%m}/{night}.parquet" for night in NIGHTS[:-2]}
     assert old.size_bytes == sum(len(before[name]) for name in gone)
     # A month is as old as its last night.
-    gone.add("tables/sensitivities/month=2026-02/2026-02.parquet")
+    gone.add("tables/error_budget/month=2026-02/2026-02.parquet")
     assert before.keys() - after.keys() == gone
     changed = {name for name in after if after[name] != before[name]}
     assert changed == {STATE_FILE}
     assert nights_of(workshop, "predictions") == list(NIGHTS[-2:])
-    assert nights_of(workshop, "sensitivities") == list(NIGHTS[3:])
+    assert nights_of(workshop, "error_budget") == list(NIGHTS[3:])
     for table in HEAVY:
         assert not (workshop.output / "tables" / table / "month=2026-02").exists()
     assert list(verify_tables(workshop.output)) == []
@@ -80,7 +80,7 @@ def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Worksho
     assert record_of(workshop.output, "M1") == record
     # A late log makes its night whole again.
     workshop.log(NIGHTS[0], seed=3)
-    assert workshop.run().nights == NIGHTS[:2]
+    assert workshop.run().nights == NIGHTS[:1]
     assert nights_of(workshop, "predictions") == [NIGHTS[0], *NIGHTS[-2:]]
     assert list(verify_tables(workshop.output)) == []
 
@@ -96,7 +96,7 @@ def test_a_refit_works_without_what_is_pruned(workshop: Workshop) -> None:
 
 
 def test_without_statistics_a_refit_reads_the_logs_where_they_are(workshop: Workshop) -> None:
-    pruned(workshop, {"block_statistics": 3})
+    pruned(workshop, {"blocks": 3})
     (workshop.logs / f"{NIGHTS[0]}.parquet").unlink()
     workshop.configure(more="[override.reference]\nspeed_rpm = 31.0\n")
     assert workshop.run().n_refitted == 3
@@ -117,13 +117,13 @@ def test_a_crash_between_list_and_file_is_mended_by_pruning_again(
     assert list(verify_tables(workshop.output)) == []
     pruned(workshop)
     assert list(verify_tables(workshop.output)) == []
-    assert nights_of(workshop, "sensitivities") == list(NIGHTS[3:])
+    assert nights_of(workshop, "error_budget") == list(NIGHTS[3:])
 
 
 def test_figures_trends_and_decisions_cannot_be_pruned(tmp_path: Path) -> None:
     assert old_files(tmp_path, KEPT, None) == ()
     made_from = {table.name for table in (*NIGHT_TABLES, *TREND_TABLES)} - LOSSES.keys()
-    assert {"fits", "parameters", "operation", "quality", "input_files", "trends"} <= made_from
+    assert {"fits", "parameters", "nights", "quality", "log_files", "trends"} <= made_from
     for name in sorted(made_from):
         with pytest.raises(UsageError, match=f"{name} cannot be pruned"):
             require_prunable(["predictions", name])

@@ -15,7 +15,7 @@ from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
 from pipeline.schema import (
-    BLOCK_STATISTICS,
+    BLOCKS,
     NIGHTLY_TABLES,
     PREDICTIONS,
     QUALITY,
@@ -55,10 +55,10 @@ def file(tmp_path: Path) -> Path:
 class TestLayout:
     def test_a_file_a_month_or_a_night_where_rows_are_many(self, tmp_path: Path) -> None:
         month = Path("month=2026-01")
-        for table, name in ((QUALITY, "2026-01"), (BLOCK_STATISTICS, "2026-01-02")):
+        for table, name in ((QUALITY, "2026-01"), (BLOCKS, "2026-01-02")):
             path = table_folder(tmp_path, table) / month / f"{name}.parquet"
             assert night_file(tmp_path, table, NIGHT) == path
-        assert NIGHTLY_TABLES == (PREDICTIONS, BLOCK_STATISTICS, RESIDUAL_TESTS)
+        assert NIGHTLY_TABLES == (PREDICTIONS, BLOCKS, RESIDUAL_TESTS)
 
     def test_written_so_that_every_reader_can(self, file: Path) -> None:
         """Texts alone have a dictionary; modes are for all users."""
@@ -74,17 +74,17 @@ class TestLayout:
 
     def test_many_rows_are_written_in_pieces(self, tmp_path: Path) -> None:
         """Of which one without a wanted motor is not read."""
-        path = night_file(tmp_path, BLOCK_STATISTICS, NIGHT)
+        path = night_file(tmp_path, BLOCKS, NIGHT)
         motors = sorted(f"M{number % 40_000:05}" for number in range(80_000))
         many = [{"motor_id": one, "night": NIGHT, "n": n} for n, one in enumerate(motors)]
-        write_table(path, frame(BLOCK_STATISTICS, many))
+        write_table(path, frame(BLOCKS, many))
         footer = pq.read_metadata(path)
         sizes = [footer.row_group(place).num_rows for place in range(footer.num_row_groups)]
         assert set(sizes[:-1]) == {ROWS_A_GROUP}
         assert len(sizes) == 5
         for number in (0, 8191, 8192, 39_999):
             wanted = [f"M{number:05}"]
-            found = read_rows(tmp_path, BLOCK_STATISTICS, wanted, ("n",), nights=[NIGHT])
+            found = read_rows(tmp_path, BLOCKS, wanted, ("n",), nights=[NIGHT])
             assert found["n"].to_list() == [2 * number, 2 * number + 1]
 
     def test_a_file_that_is_no_night_s_holds_no_rows(self, file: Path, tmp_path: Path) -> None:

@@ -24,9 +24,9 @@ from leakage.estimation.block_statistics import factor
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.config.motors import Event
 from pipeline.demo import shipped_configs
-from pipeline.night.rows import upper_triangle
+from pipeline.night.rows import night_row
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
-from pipeline.schema import BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table, frame
+from pipeline.schema import BLOCKS, FITS, NIGHTS, PARAMETERS, Table, frame
 from pipeline.store.tables import read_rows
 from pipeline.trends.nights.decisions import Decision
 from tests.pipeline.simulated import FLEET, motor_toml, with_file, write_configs
@@ -44,7 +44,7 @@ PATHS = ("piston_ring", "balance_piston", "balance_sleeve")
 HOURS = 12.0
 # Errors of a night's flow and of a block's, relative.
 NIGHT_ERROR, BLOCK_ERROR = 0.003, 0.004
-BLOCKS, SAMPLES, BLOCK_S = 12, 8, 240
+N_BLOCKS, SAMPLES, BLOCK_S = 12, 8, 240
 QUICK = '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
 
 
@@ -103,8 +103,7 @@ def reset(place: int, indicator: str = "", note: str = "", motor_id: str = "M1")
 class Nights:
     """A motor's nights of known truth; by place, what is otherwise than in a healthy motor.
 
-    `wear` has by path (and C_f; by `OIL` of all flows) a factor in each night, `operation` values
-    by column, nan for null; both of shape (n,).
+    `wear` has by path (and C_f; by `OIL` of all flows) a factor in each night, of shape (n,).
     """
 
     spec: MotorSpec
@@ -112,9 +111,8 @@ class Nights:
     wear: Mapping[str, Array] = field(default_factory=dict)
     seed: int = 1
     noise: float = 1.0
-    changes: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)  # of `fits`
+    statuses: Mapping[int, str] = field(default_factory=dict)
     absent: frozenset[int] = frozenset()  # without any row
-    operation: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def mode(self) -> str:
@@ -129,7 +127,7 @@ class Nights:
         return np.array(values) * np.array(factors).T
 
     def frames(self) -> Frames:
-        """Rows of `fits`, `parameters`, `operation` and `block_statistics`."""
+        """Rows of `nights`, `fits`, `parameters` and `blocks`."""
         rows: dict[str, list[Row]] = {table.name: [] for table in TABLES}
         for place, theta in enumerate(self.truth()):
             if place not in self.absent:
@@ -140,27 +138,26 @@ class Nights:
         label = night_of(place)
         key = {"motor_id": self.spec.motor_id, "night": label}
         leakage = float(_reference(self.spec) @ np.append(theta[:-1], (0.0, 1.0)))
-        fit: Row = key | {
-            "motor_type": self.spec.file.motor_type,
-            "flushing_mode": self.mode,
-            "is_primary": True,
-            "status": "ok",
-            "training_fit_percent": 99.0,
-            "validation_fit_percent": 98.0,
-            "reference_leakage_l_per_min": leakage,
-            "reference_leakage_lower": 0.99 * leakage,
-            "reference_leakage_upper": 1.01 * leakage,
-            "reference_verdict": "identified",
-            "model_hash": self._hash(place),
-            "oil": self.spec.file.oil_on(label),
-        }
-        fit |= self.changes.get(place, {})
-        rows["fits"].append(fit)
-        if fit["status"] in ("ok", "insufficient_data"):
-            rows["operation"].append(key | self._operated(place))
-        if fit["status"] != "ok":
+        status = self.statuses.get(place, "ok")
+        fit: Row = key | {"flushing_mode": self.mode, "is_primary": True}
+        if status != "ok":
+            rows["nights"].append(night_row(self.spec, label, {}, status))
+            rows["fits"].append(fit)
             return
-        rows["block_statistics"] += [key | one for one in self._blocks(place, theta)]
+        fits = {"training_fit_percent": 99.0, "validation_fit_percent": 98.0}
+        rows["nights"].append(night_row(self.spec, label, fits | OPERATED, status))
+        rows["fits"].append(
+            fit
+            | fits
+            | {
+                "fitted_leakage_l_per_min": leakage,
+                "fitted_leakage_lower": 0.99 * leakage,
+                "fitted_leakage_upper": 1.01 * leakage,
+                "fitted_leakage_verdict": "identified",
+                "coefficients": theta.tolist(),
+            }
+        )
+        rows["blocks"] += [key | one for one in self._blocks(place, theta)]
         for name, value in zip(PATHS, theta, strict=False):
             interval = {"lower": 0.97 * value, "upper": 1.03 * value}
             rows["parameters"].append(
@@ -194,27 +191,23 @@ class Nights:
                     "block_end": start + dt.timedelta(seconds=BLOCK_S),
                     "part": "training",
                     "n": SAMPLES,
-                    "columns": list(self.spec.motor(label, self.mode).columns),
-                    "statistics": upper_triangle(whole),
+                    "factor_columns": list(self.spec.motor(label, self.mode).columns),
+                    "factor": whole[np.triu_indices(len(whole))].tolist(),
+                    "weight_inflation": 1.0,
                     "model_hash": self._hash(place),
                     **means,
                 }
             )
         return rows
 
-    def _operated(self, place: int) -> Row:
-        row: Row = {
-            "kept_hours": 2.0,
-            "running_hours": HOURS,
-            "running_hours_source": "share",
-            "mean_temperature_c": 50.0,
-            "share_reversed": 0.25,
-        }
-        own = {name: float(values[place]) for name, values in self.operation.items()}
-        return row | {name: None if np.isnan(value) else value for name, value in own.items()}
 
-
-TABLES = (FITS, PARAMETERS, OPERATION, BLOCK_STATISTICS)
+TABLES = (NIGHTS, FITS, PARAMETERS, BLOCKS)
+OPERATED: Row = {
+    "last_sample": dt.datetime(2026, 1, 1, 20, tzinfo=dt.UTC),
+    "logged_hours": HOURS,
+    "running_hours": HOURS,
+    "mean_temperature_c": 50.0,
+}
 
 
 _DESIGNS: dict[object, list[tuple[Array, Row]]] = {}
@@ -228,12 +221,12 @@ def _designs(spec: MotorSpec, oil: str) -> list[tuple[Array, Row]]:
             FIRST + n * DAY for n in range(800) if spec.file.oil_on(FIRST + n * DAY) == oil
         )
         made = spec.motor(label, spec.file.flushing.mode)
-        _DESIGNS[key] = [_design(made, number) for number in range(BLOCKS)]
+        _DESIGNS[key] = [_design(made, number) for number in range(N_BLOCKS)]
     return _DESIGNS[key]
 
 
 def _design(made: Any, number: int) -> tuple[Array, Row]:
-    share = number / (BLOCKS - 1)
+    share = number / (N_BLOCKS - 1)
     middle = 30.0 + 240.0 * ((3.0 * share) % 1.0)
     bar = middle + np.linspace(-10.0, 10.0, SAMPLES)
     celsius, rpm = 42.0 + 16.0 * share, 10.0 + 80.0 * ((7.0 * share) % 1.0)

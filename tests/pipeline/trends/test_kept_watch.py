@@ -12,7 +12,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.trends.nights.from_tables
-from pipeline.schema import ALARMS, BASELINES, TRENDS, WATCH, Table
+from pipeline.schema import ALARMS, NIGHTS, TRENDS, Table
 from pipeline.store.state import open_state
 from pipeline.store.tables import read_rows
 from pipeline.trends.nights.trend_record import note_touched, read_kept
@@ -34,7 +34,7 @@ from tests.pipeline.trends.nights import (
 )
 
 N, AT = 34, 22
-TABLES = (WATCH, TRENDS, ALARMS, BASELINES)
+TABLES = (NIGHTS, TRENDS, ALARMS)
 TANK = dict.fromkeys(("M1", "M2", "M3"), 'oil_circuit = "mill"\n')
 # M1's sleeve breaks; in a tank of three the oil is another one from the same night on.
 WORN = Nights(motor(), N, {"balance_sleeve": step(N, AT, 0.5)})
@@ -94,7 +94,7 @@ def test_night_by_night_gives_what_one_run_gives(tmp_path: Path) -> None:
     run(config)
     for name in TANK:
         check_same(rows(output, name), rows(tmp_path / "whole" / "out", name))
-    last = rows(output, "M2")[WATCH].filter(night=night_of(N - 1))
+    last = rows(output, "M2")[NIGHTS].filter(night=night_of(N - 1))
     assert last.select("state", "cause").rows() == [("common_cause", "tank")]
 
 
@@ -140,8 +140,8 @@ def test_a_new_night_reads_no_blocks_but_its_own_and_those_of_the_night_before(
 
     monkeypatch.setattr(pipeline.trends.nights.from_tables, "read_rows", spied)
     new_night(config, output, WORN.frames(), place=AT)
-    assert {night for name, night in read if name == "fits"} == {night_of(AT)}
-    blocks = {night for name, night in read if name == "block_statistics"}
+    assert {night for name, night in read if name == "nights"} == {night_of(AT)}
+    blocks = {night for name, night in read if name == "blocks"}
     assert blocks == {night_of(AT - 1), night_of(AT)}
 
 
@@ -156,5 +156,5 @@ def test_a_late_log_gives_what_it_would_have_given_in_time(
         note_touched(state, [("M1", night_of(place))])
     new_night(config, output, WORN.frames(), place=place)
     found = rows(output)
-    for table in (WATCH, TRENDS, BASELINES):
+    for table in (NIGHTS, TRENDS):
         assert_frame_equal(found[table], whole[table], check_exact=True)

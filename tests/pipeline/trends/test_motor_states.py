@@ -3,87 +3,69 @@
 from __future__ import annotations
 
 import datetime as dt
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from pipeline.schema import ALARMS, LATEST, WATCH, frame
+from pipeline.schema import LATEST, NIGHTS
 from pipeline.store.tables import whole_file
 from pipeline.trends.nights.decisions import Decision, record_decision
-from pipeline.trends.rows.motor_states import (
-    MotorState,
-    latest_rows,
-    latest_states,
-    published_states,
-)
-from pipeline.trends.rows.watch_rows import WatchRow
-from tests.pipeline.report.states import LAST, output, watched
-from tests.pipeline.report.states import publish as publish_rows
+from pipeline.trends.rows.motor_states import MotorState, latest_rows, published_states
+from tests.pipeline.report.states import LAST, night_row, output, publish, publish_latest
 from tests.pipeline.trends.nights import night_of
-from tests.pipeline.written import publisher_of
 
 __all__ = ["output"]
 
 
-def publish(output: Path, states: list[MotorState]) -> None:
-    rows = frame(LATEST, latest_rows(states, "r"))
-    with publisher_of(output) as publisher:
-        publisher.whole(LATEST, rows)
-
-
-def test_every_column_of_the_watch_is_one_of_latest() -> None:
-    """Whatever a page says stands in a column (issue 36)."""
-    names = {one.name for one in fields(WatchRow)} - {"night"}
-    assert names <= set(LATEST.schema)
-    assert set(WATCH.schema) == {one.name for one in fields(WatchRow)} | {"run_id"}
-
-
 def test_a_state_comes_back_as_it_was_published(output: Path) -> None:
-    (made,) = latest_states(output, ["M1"])
-    assert (made.state, made.path, made.state_since) == ("alarm", "balance_sleeve", night_of(4))
-    assert (made.data_night, made.data_age_nights) == (night_of(LAST), 0)
-    publish(output, [made])
+    (made,) = latest_rows(output, ["M1"])
+    assert (made["state"], made["cause"], made["state_since"]) == (
+        "alarm",
+        "balance_sleeve",
+        night_of(4),
+    )
+    assert (made["night"], made["data_age_nights"]) == (night_of(LAST), 0)
+    publish_latest(output, [MotorState(made)])
     (found,) = published_states(output, ["M1"])
-    assert found == replace(made, data_age_nights=0)
+    assert dict(found.row) == made
 
 
-def test_columns_of_before_say_the_same(output: Path) -> None:
-    (state,) = latest_states(output, ["M1"])
-    gap = {"gap_growth": 0.12, "gap_growth_lower": 0.1, "gap_growth_upper": 0.14}
-    (row,) = latest_rows([replace(state, watch=replace(state.watch, **gap))], "r")
-    assert row["deviation_percent"] == pytest.approx(21.0)
-    assert (row["indicator"], row["path"]) == ("leakage", "balance_sleeve")
-    assert (row["leakage_l_per_min"], row["leakage_indicator"]) == (2.42, "own_reference_leakage")
-    assert (row["change_start"], row["known_since"]) == (night_of(2), night_of(3))
-    assert (row["gap_path"], row["gap_change_percent"]) == ("balance_sleeve", pytest.approx(12.0))
-    assert row["gap_change_upper"] == pytest.approx(14.0)
-
-
-@pytest.mark.parametrize(("state", "since"), [("ok", None), ("stale", 4)])
-def test_a_state_begins_where_it_was_told(output: Path, state: str, since: int | None) -> None:
-    alarm = {"motor_id": "M1", "indicator": "leakage", "to_state": state, "from_state": "alarm"}
-    publish_rows(output, ALARMS, [alarm | {"night": night_of(4), "reason": "so"}])
-    publish_rows(output, WATCH, [watched("M1", LAST, state).row])
-    (found,) = latest_states(output, ["M1"])
-    assert found.state_since == (None if since is None else night_of(since))
+def test_figures_are_those_of_the_newest_night_with_samples(output: Path) -> None:
+    stale = {
+        "motor_id": "M1",
+        "night": night_of(LAST + 9),
+        "status": "no_new_data",
+        "reason": "no log covers this night",
+        "state": "stale",
+        "sentence": "nothing is known",
+        "advice": "Check whether the motor's logs arrive.",
+    }
+    publish(output, NIGHTS, [night_row("M1", LAST, "alarm"), stale])
+    (row,) = latest_rows(output, ["M1"])
+    assert (row["night"], row["state"], row["status"]) == (
+        night_of(LAST + 9),
+        "stale",
+        "no_new_data",
+    )
+    assert row["own_leakage_l_per_min"] == 2.42
+    assert row["last_fit_night"] == night_of(LAST)
 
 
 def test_what_was_said_since_the_run_counts(output: Path) -> None:
-    publish(output, latest_states(output, ["M1"]))
+    publish_latest(output, [MotorState(row) for row in latest_rows(output, ["M1"])])
     when = dt.datetime(2026, 1, 8, tzinfo=dt.UTC)
-    said = Decision("M1", "K_piston_ring", when, "acknowledged", night_of(3), None, "too early")
+    said = Decision("M1", "leakage", when, "acknowledged", night_of(3), None, "too early")
     record_decision(output, said)
-    assert published_states(output, ["M1"])[0].acknowledged == ""
+    assert published_states(output, ["M1"])[0].row["acknowledged"] is None
     record_decision(output, replace(said, night=night_of(4), note="rings ordered"))
-    assert published_states(output, ["M1"])[0].acknowledged == "rings ordered"
+    assert published_states(output, ["M1"])[0].row["acknowledged"] == "rings ordered"
 
 
 @pytest.mark.parametrize("damage", ["absent", "damaged"])
 def test_an_output_without_the_table_is_read_as_the_run_would(output: Path, damage: str) -> None:
-    expected = latest_states(output, ["M1"])
+    expected = [MotorState(row) for row in latest_rows(output, ["M1"])]
     if damage == "damaged":
-        publish(output, [replace(expected[0], state="ok")])
         whole_file(output, LATEST).write_bytes(b"junk")
     else:
         whole_file(output, LATEST).unlink()

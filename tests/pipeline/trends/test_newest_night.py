@@ -14,7 +14,7 @@ from polars.testing import assert_frame_equal
 
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
-from pipeline.schema import FITS, OPERATION, WATCH, Table, frame
+from pipeline.schema import NIGHTS, Table, frame
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.tasks import NewestNight, newest_night_of
 from tests.pipeline.simulated import motor_toml, write_configs
@@ -78,13 +78,13 @@ def junk(folder: Path, name: str, written: dt.datetime | None = None) -> Path:
     ],
 )
 def test_a_junk_file_blinds_nobody(fleet: Path, name: str, written: dt.datetime | None) -> None:
-    before = rows(fleet, WATCH)
+    before = rows(fleet, NIGHTS)
     assert set(before.filter(night=LAST)["state"]) == {"ok"}
     junk(fleet, name, written)
     result = run(fleet)
     assert [one.error_code for one in result.failed] == ["log_not_parquet"]
     assert result.alarms == ()
-    assert_frame_equal(rows(fleet, WATCH), before)
+    assert_frame_equal(rows(fleet, NIGHTS).filter(pl.col("state").is_not_null()), before)
 
 
 def test_a_motor_without_logs_is_stale_when_the_others_go_on(fleet: Path) -> None:
@@ -93,7 +93,7 @@ def test_a_motor_without_logs_is_stale_when_the_others_go_on(fleet: Path) -> Non
     more = Nights(m1, N + 9).frames()
     publish(fleet / "out", part_of(more, N, N + 9))
     run(fleet)
-    newest_night = rows(fleet, WATCH).filter(night=LAST + 9 * DAY)
+    newest_night = rows(fleet, NIGHTS).filter(night=LAST + 9 * DAY)
     assert dict(newest_night.select("motor_id", "state").iter_rows()) == {"M1": "ok", "M2": "stale"}
 
 
@@ -103,14 +103,16 @@ def test_a_motor_without_logs_is_stale_when_the_others_go_on(fleet: Path) -> Non
 def tables(output: Path, *nights: tuple[int, str, str, float | None]) -> None:
     """Rows of nights by place, motor, outcome and kept hours."""
     for place in {place for place, *_ in nights}:
-        fits, kept = [], []
-        for _, motor_id, status, hours in (one for one in nights if one[0] == place):
-            key = {"motor_id": motor_id, "night": night_of(place)}
-            fits.append(key | {"flushing_mode": "none", "is_primary": True, "status": status})
-            if hours is not None:
-                kept.append(key | {"kept_hours": hours})
-        write_nights(output, FITS, frame(FITS, fits))
-        write_nights(output, OPERATION, frame(OPERATION, kept))
+        rows = [
+            {
+                "motor_id": motor_id,
+                "night": night_of(place),
+                "status": status,
+                "last_sample": at(night_of(place)) if hours else None,
+            }
+            for _, motor_id, status, hours in (one for one in nights if one[0] == place)
+        ]
+        write_nights(output, NIGHTS, frame(NIGHTS, rows))
 
 
 def test_the_newest_night_is_the_newest_night_of_which_samples_are_kept(tmp_path: Path) -> None:
@@ -142,9 +144,9 @@ def test_no_night_of_the_future_is_the_newest_night(tmp_path: Path) -> None:
 
 def test_without_tables_there_is_none(tmp_path: Path) -> None:
     assert newest_night_of(tmp_path, MOTORS, CENTURY) is None
-    (tmp_path / "tables" / "fits" / "month=2026-01").mkdir(parents=True)
-    (tmp_path / "tables" / "fits" / "month=2026-01" / "strange.parquet").touch()
-    assert list(nights_back(tmp_path, FITS)) == []
+    (tmp_path / "tables" / "nights" / "month=2026-01").mkdir(parents=True)
+    (tmp_path / "tables" / "nights" / "month=2026-01" / "strange.parquet").touch()
+    assert list(nights_back(tmp_path, NIGHTS)) == []
 
 
 # Logs by the run's clock
@@ -161,7 +163,7 @@ def test_samples_of_the_future_are_refused_by_the_clock_of_the_run(workshop: Wor
     outcome = run_at(workshop, NIGHT)
     assert (outcome.status, outcome.error_code) == ("failed", "log_time")
     assert workshop.statuses() == {NIGHT: "ok"}
-    row = workshop.rows("input_files").filter(path=f"M1/{ahead.name}").row(0, named=True)
+    row = workshop.rows("log_files").filter(path=f"M1/{ahead.name}").row(0, named=True)
     assert (row["night"], row["error_code"]) == (None, "log_time")
     assert run_at(workshop, NIGHT + 3 * DAY, retry=True).status == "ok"
     assert workshop.statuses() == {NIGHT: "ok", NIGHT + 3 * DAY: "ok"} | {
@@ -179,5 +181,5 @@ def test_a_log_of_no_night_is_told_once_and_stands_in_one_row(workshop: Workshop
     # An older log comes: the row goes where the motor begins now.
     workshop.log(NIGHT)
     assert workshop.run().status == "ok"
-    found = workshop.rows("input_files").filter(status="failed")
+    found = workshop.rows("log_files").filter(status="failed")
     assert found.select("path", "night").rows() == [("M1/x_2099-01-01.parquet", None)]

@@ -11,20 +11,18 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-from pipeline.schema import ALARMS, BASELINES, TREND_TABLES, TRENDS, WATCH
+from pipeline.schema import ALARMS, NIGHTS, TREND_TABLES, TRENDS
 from pipeline.store.published import verify_tables
 from pipeline.store.publishing import stage
 from pipeline.store.state import open_state
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.nights.trend_record import (
-    TRENDS_VERSION,
     Record,
     note_touched,
     read_records,
     trend_hash,
     write_record,
 )
-from pipeline.trends.rows.alarm_rows import rules_now
 from pipeline.trends.stage import run_trends
 from pipeline.trends.states.course import Course
 from pipeline.trends.tasks import (
@@ -38,7 +36,6 @@ from pipeline.trends.tasks import (
 from pipeline.workers.process import Loss
 from tests.pipeline.remembered import record_of
 from tests.pipeline.trends.nights import (
-    HOURS,
     Nights,
     copy_of,
     event,
@@ -76,7 +73,7 @@ def fleet(published: Path, tmp_path: Path) -> tuple[Path, Path]:
 
 def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path]) -> None:
     _, output = fleet
-    watch = published_trends(output, WATCH)
+    watch = published_trends(output, NIGHTS)
     assert watch["night"].to_list() == [night_of(place) for place in range(N)]
     states = watch["state"].to_list()
     # The eighth night makes the baseline; the step of 28 % is told within three nights.
@@ -85,9 +82,11 @@ def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path]) -> None:
     assert set(states[AT + 2 :]) <= {"warning", "alarm"}
     last = watch.row(-1, named=True)
     assert last["cause"] == "balance_sleeve"
-    assert last["since"] == night_of(AT)
-    assert last["gap_growth"] == pytest.approx(1.9 ** (1 / 3) - 1, abs=0.01)
-    assert last["gap_growth_lower"] < last["gap_growth"] < last["gap_growth_upper"]
+    assert last["onset"] == night_of(AT)
+    gap = last["gap_change_percent"]
+    assert gap == pytest.approx(100 * (1.9 ** (1 / 3) - 1), abs=1.0)
+    assert last["gap_change_lower"] < gap < last["gap_change_upper"]
+    assert last["own_temperature_c"] == pytest.approx(50.0)
     assert (last["baseline_start"], last["baseline_end"]) == (night_of(0), night_of(7))
     # The made-up nights were not published by a run; what the stage wrote is proven.
     assert [one for one in verify_tables(output) if one.code != "table_unlisted"] == []
@@ -95,54 +94,44 @@ def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path]) -> None:
     assert found.last_night == night_of(N - 1)
 
 
-def test_a_baseline_is_one_row_an_era(fleet: tuple[Path, Path]) -> None:
-    _, output = fleet
-    (row,) = published_trends(output, BASELINES).to_dicts()
-    assert (row["night"], row["indicator"], row["n"]) == (night_of(7), "leakage", 8)
-    assert (row["start"], row["end"], row["reason"]) == (night_of(0), night_of(7), "first nights")
-    assert 0.0 <= row["phi"] < 1.0
-    assert row["lack_of_fit"] < 0.02
-    # Medians of the blocks' means.
-    assert row["own_temperature_c"] == pytest.approx(50.0)
-
-
 def test_alarms_tell_the_changes_of_the_one_state(fleet: tuple[Path, Path]) -> None:
     _, output = fleet
     alarms = published_trends(output, ALARMS)
-    assert set(alarms["indicator"]) == {"leakage"}
     first, raised = alarms.to_dicts()[:2]
-    assert (first["to_state"], first["way"]) == ("ok", "baseline")
-    assert raised["way"] in ("change", "level")
-    assert raised["path"] == "balance_sleeve"
-    assert raised["deviation_percent"] == pytest.approx(28.0, abs=4.0)
+    assert (first["from_state"], first["to_state"]) == ("insufficient", "ok")
+    assert raised["id"] == f"M1 {raised['night']} leakage"
+    assert raised["cause"] == "balance_sleeve"
+    assert raised["leakage_change_percent"] == pytest.approx(28.0, abs=4.0)
+    assert alarms["closed_as"].is_null().all()
     # Mail and web hook tell rows alone.
-    (advice,) = published_trends(output, WATCH).filter(night=raised["night"])["advice"]
+    (advice,) = published_trends(output, NIGHTS).filter(night=raised["night"])["advice"]
     assert "balance sleeve" in advice
-    assert raised["reason"].endswith(f". {advice}")
-    assert "Nothing to do" not in first["reason"]
+    assert raised["sentence"].endswith(f". {advice}")
+    assert "Nothing to do" not in first["sentence"]
 
 
 def test_wear_that_goes_on_is_told_once_a_state(tmp_path: Path) -> None:
-    """A ramp is told again and again as it grows: in `watch` alone, unless its state changes."""
+    """A ramp is detected again and again as it grows: no alarm, unless its state changes."""
     worn = Nights(motor(), 60, {"balance_sleeve": ramp(60, 15, 1.2)})
     config, output = fleet_of(tmp_path, worn)
     assert run(config).failed == ()
-    watch = published_trends(output, WATCH)
-    again = watch.filter(pl.col("goes_on") & (pl.col("told_on") == pl.col("night")))
+    watch = published_trends(output, NIGHTS)
+    again = watch.filter(pl.col("still_rising") & (pl.col("detected_on") == pl.col("night")))
     assert again.height
     alarms = published_trends(output, ALARMS)
     assert (alarms["from_state"] != alarms["to_state"]).all()
     assert alarms["to_state"].to_list() == ["ok", "warning", "alarm"]
-    assert set(again["night"]).isdisjoint(alarms.filter(way="change")["night"][1:])
+    warnings = alarms.filter(to_state="warning")["night"][1:]
+    assert set(again["night"]).isdisjoint(warnings)
 
 
 def test_a_slope_is_held_against_the_frozen_baseline(fleet: tuple[Path, Path]) -> None:
     """Whatever a night brings, the leakage of the baseline stays what it was frozen at."""
     _, output = fleet
-    watch = published_trends(output, WATCH)
+    watch = published_trends(output, NIGHTS)
     trends = published_trends(output, TRENDS)
     for name, column in (
-        ("own_reference_leakage", "own_leakage_l_per_min"),
+        ("own_leakage", "own_leakage_l_per_min"),
         ("reference_leakage", "reference_leakage_l_per_min"),
     ):
         (frozen,) = trends.filter(indicator=name)["baseline_mean"].drop_nulls().unique()
@@ -154,22 +143,17 @@ def test_figures_are_shown_beside_it(fleet: tuple[Path, Path]) -> None:
     _, output = fleet
     trends = published_trends(output, TRENDS).filter(night=night_of(N - 1))
     rows = {row["indicator"]: row for row in trends.to_dicts()}
-    watched = published_trends(output, WATCH).row(-1, named=True)
+    watched = published_trends(output, NIGHTS).row(-1, named=True)
     for name, column in (
         ("reference_leakage", "reference_leakage_l_per_min"),
-        ("own_reference_leakage", "own_leakage_l_per_min"),
-        ("baseline_deviation", "tonight_change"),
+        ("own_leakage", "own_leakage_l_per_min"),
     ):
         assert rows[name]["value"] == watched[column]
-        assert rows[name]["state"] == watched["state"]
-        assert rows[name]["slope_start"] is None
-        assert rows[name]["change_start"] == night_of(AT)
+        assert rows[name]["n_nights"] == N - AT
     # The sleeve leaks 1.9 times as much; the others what they did.
     assert rows["gap_change_balance_sleeve"]["value"] == pytest.approx(23.9, abs=1.5)
     assert rows["gap_change_piston_ring"]["value"] == pytest.approx(0.0, abs=3.0)
-    assert rows["K_piston_ring"]["state"] is None
     assert rows["drain_flow"]["value"] > 0.0
-    assert rows["reference_leakage"]["running_hours"] == pytest.approx(N * HOURS)
 
 
 @pytest.mark.parametrize("kind", ["reset", "overhaul"])
@@ -185,13 +169,14 @@ def test_a_reset_and_an_event_begin_anew_and_close_what_stood(
         file.write_text(file.read_text() + lines)
     told = published_trends(output, ALARMS).filter(pl.col("to_state").is_in(["warning", "alarm"]))
     run(config)
-    watch = published_trends(output, WATCH)
+    watch = published_trends(output, NIGHTS)
     states = watch["state"].to_list()
     assert states[:AT] == ["insufficient"] * 8 + ["ok"] * (AT - 8)
     assert states[AT:] == ["insufficient"] * 8 + ["ok"] * (N - AT - 8)
     assert f"2 of 8 nights of a baseline since {kind}" in watch["sentence"][AT + 1]
     assert "new sleeves" in watch["sentence"][AT + 1]
-    assert published_trends(output, BASELINES)["night"].to_list() == [night_of(7), night_of(AT + 7)]
+    begins = watch["baseline_start"].drop_nulls().unique(maintain_order=True).to_list()
+    assert begins == [night_of(0), night_of(AT)]
     # What was raised stays, and is closed.
     alarms = published_trends(output, ALARMS)
     assert set(told["night"]) <= set(alarms["night"])
@@ -202,11 +187,11 @@ def test_nights_without_blocks_hold_then_are_stale_and_never_green(tmp_path: Pat
     silent = range(AT + 3, AT + 13)
     nights = Nights(
         motor(), AT + 15, {"balance_sleeve": step(AT + 15, AT, 0.9)},
-        changes={place: {"status": "stood_still", "reason": None} for place in silent},
+        statuses=dict.fromkeys(silent, "stood_still"),
     )  # fmt: skip
     config, output = fleet_of(tmp_path, nights)
     run(config)
-    watch = published_trends(output, WATCH)
+    watch = published_trends(output, NIGHTS)
     states = watch["state"].to_list()
     assert set(states[AT + 2 : AT + 10]) <= {"warning", "alarm"}
     assert states[AT + 10 : AT + 13] == ["stale"] * 3
@@ -214,7 +199,8 @@ def test_nights_without_blocks_hold_then_are_stale_and_never_green(tmp_path: Pat
     stale = watch.row(AT + 11, named=True)
     assert stale["sentence"].startswith(f"nothing is known since {night_of(AT + 2).day} January")
     assert ": stood still; leakage of the balance sleeve" in stale["sentence"]
-    assert (stale["tonight_change"], stale["n_blocks"]) == (None, 0)
+    assert (stale["leakage_change_percent"], stale["leakage_reason"]) == (None, "stood still")
+    assert stale["state_since"] == night_of(AT + 10)
 
 
 def test_a_limit_of_the_motor_type_holds_before_there_is_a_baseline(tmp_path: Path) -> None:
@@ -223,40 +209,45 @@ def test_a_limit_of_the_motor_type_holds_before_there_is_a_baseline(tmp_path: Pa
     types = config.parent / "motor_types" / "CB560.toml"
     types.write_text(types.read_text() + "\n[limits]\nalarm_l_per_min = 1.3\n")
     run(config)
-    watch = published_trends(output, WATCH)
+    watch = published_trends(output, NIGHTS)
     assert set(watch["state"]) == {"alarm"}
     assert "beyond the motor type's limit of 1.3 l/min" in watch["sentence"][0]
-    assert published_trends(output, ALARMS)["way"].to_list() == ["limit"]
+    assert published_trends(output, ALARMS)["to_state"].to_list() == ["alarm"]
+    assert set(watch["alarm_limit_l_per_min"]) == {1.3}
 
 
-def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
+def test_what_is_made_anew_notifies_of_what_is_in_force_and_of_nothing_past(
     fleet: tuple[Path, Path], tmp_path: Path
 ) -> None:
+    """As if the program had raised, by other rules, what its nights do not show now."""
     config, output = fleet
-    said = {"motor_id": "M1", "indicator": "K_balance_sleeve", "way": "level", "reason": "+9 %"}
-    by_old_rules = {
-        night_of(place): [
-            said | {"night": night_of(place), "from_state": before, "to_state": after}
-        ]
-        for place, before, after in ((10, "ok", "warning"), (15, "warning", "alarm"))
-    }
-    stage(tmp_path / "trends" / "M1.arrow", {ALARMS: by_old_rules})
+    alarms = published_trends(output, ALARMS)
+    raised = alarms.filter(pl.col("to_state").is_in(["warning", "alarm"]))
+    early = raised.row(0, named=True) | {"id": f"M1 {night_of(10)} leakage", "night": night_of(10)}
+    stage(tmp_path / "trends" / "M1.arrow", {ALARMS: {night_of(10): [early]}})
     with publisher_of(output, "old", tmp_path) as publisher:
         publisher.nights("trends", (ALARMS,), ["M1"])
-    record = record_of(output, "M1")
-    rules = rules_now(motor())
-    assert record.rules == rules
     with open_state(output) as state:
-        older = replace(record, trend_hash="", rules={**rules, "trends": 0})
-        write_record(state, "M1", older)
-    told = run(config).alarms
-    closed = [one for one in told if one["indicator"] == "K_balance_sleeve"]
-    assert [(one["from_state"], one["to_state"]) for one in closed] == [("alarm", "insufficient")]
-    assert closed[0]["rules"] == f"trends 0 to {TRENDS_VERSION}"
-    alarms = published_trends(output, ALARMS).filter(indicator="K_balance_sleeve")
-    raised = alarms.filter(pl.col("to_state").is_in(["warning", "alarm"]))
-    assert raised["night"].to_list() == list(by_old_rules)
+        write_record(state, "M1", replace(record_of(output, "M1"), trend_hash=""))
     assert run(config).alarms == ()
+    after = published_trends(output, ALARMS)
+    assert after.filter(night=night_of(10))["to_state"].to_list() == [early["to_state"]]
+    closed = after.filter(night=night_of(11))
+    assert closed["closed_as"].to_list() == ["recomputed"]
+    assert closed["to_state"].to_list() == ["ok"]
+
+
+def test_the_model_of_the_night_before_is_judged_from_stored_blocks(
+    fleet: tuple[Path, Path],
+) -> None:
+    _, output = fleet
+    nights = published_trends(output, NIGHTS)
+    percent = nights["previous_model_fit_percent"].to_list()
+    assert percent[0] is None
+    assert min(percent[1:AT]) > 90.0
+    # The sleeve of the night before leaks half as much.
+    assert percent[AT] < min(percent[1:AT])
+    assert percent[AT + 1] > percent[AT]
 
 
 # A tank
@@ -270,10 +261,10 @@ def test_what_is_said_of_a_motor_moves_nothing_that_the_others_were_told(tmp_pat
     config, output = fleet_of(tmp_path, *(replace(one, wear=oil) for one in TANK))
     run(config)
     before = {table: published_trends(output, table, "B") for table in TREND_TABLES}
-    assert set(before[WATCH]["state"][AT + 2 :]) == {"common_cause"}
+    assert set(before[NIGHTS]["state"][AT + 2 :]) == {"common_cause"}
     record_decision(output, reset(AT, motor_id="A"))
     run(config)
-    assert published_trends(output, WATCH, "A")["state"][AT + 1] == "insufficient"
+    assert published_trends(output, NIGHTS, "A")["state"][AT + 1] == "insufficient"
     for table, told in before.items():
         assert_frame_equal(published_trends(output, table, "B"), told)
 
@@ -283,9 +274,9 @@ def test_wear_of_one_motor_is_its_own(tmp_path: Path) -> None:
     sleeve = {"balance_sleeve": step(N, AT, 0.9)}
     config, output = fleet_of(tmp_path, replace(worn, wear=sleeve), other)
     run(config)
-    last = published_trends(output, WATCH, "A").row(-1, named=True)
+    last = published_trends(output, NIGHTS, "A").row(-1, named=True)
     assert (last["cause"], last["state"] in ("warning", "alarm")) == ("balance_sleeve", True)
-    assert set(published_trends(output, WATCH, "B")["state"][8:]) == {"ok"}
+    assert set(published_trends(output, NIGHTS, "B")["state"][8:]) == {"ok"}
 
 
 # Which nights

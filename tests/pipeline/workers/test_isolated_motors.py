@@ -85,7 +85,7 @@ def test_a_night_that_takes_its_worker_along_costs_no_other_night(
     assert found["error_code"].to_list() == [None, code, None]
     assert found["reason"][1]
     assert_frame_equal(found[:1], before[:1])
-    (row,) = rows(output_of(fleet), "motor_outcomes", BAD).to_dicts()
+    (row,) = rows(output_of(fleet), "run_motors", BAD).to_dicts()
     assert row["message"].startswith("night 2026-01-03: ")
     # Nothing is tried again by itself; asked for, it is done.
     again = replace(load_fleet(fleet), execution=Execution(backend="sequential"))
@@ -116,7 +116,7 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
     limits = Execution(workers=2, timeout_s=60.0, memory_limit_mib=1500)
     result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
     assert [one.motor_id for one in result.failed] == [BAD]
-    (row,) = rows(output_of(fleet), "motor_outcomes", BAD).to_dicts()
+    (row,) = rows(output_of(fleet), "run_motors", BAD).to_dicts()
     assert (row["status"], row["error_code"]) == ("failed", "worker_died")
     assert re.match(
         rf"trends: its worker process ended with SIGSEGV\(-11\), at {BAD}", row["message"]

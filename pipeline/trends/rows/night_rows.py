@@ -1,0 +1,111 @@
+"""What all of a motor's nights say of one: columns of its row of `nights`."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.trends.sentences import advice, sentence
+
+if TYPE_CHECKING:
+    from leakage.watch import Change, Estimate
+    from pipeline.trends.nights.history import History
+    from pipeline.trends.states.judged import JudgedNight
+
+Row = dict[str, Any]
+
+# A night is short that has less than this share of the short ones of the last nights before.
+SHORT, NIGHTS_COMPARED, FEWEST_COMPARED = 0.8, 14, 5
+
+
+def state_columns(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[str]) -> Row:
+    """Leakages, their change, the state with its words, and the baseline of a night."""
+    watched, change, verdict = night.watched, night.change, night.watched.verdict
+    row: Row = {
+        "state": night.state,
+        "sentence": sentence(night, quiet_since, drifts),
+        "advice": advice(night, drifts),
+        "alarm_level_percent": night.spec.settings.alarms.alarm_percent,
+        **_leakages(night),
+    }
+    if change is not None:
+        row |= _of_change(night, change)
+    if (baseline := watched.baseline) is not None:
+        row |= {
+            "baseline_start": baseline.start,
+            "baseline_end": baseline.end,
+            "own_pressure_bar": baseline.own.pressure_bar,
+            "own_temperature_c": baseline.own.temperature_c,
+            "own_speed_rpm": baseline.own.speed_rpm,
+        }
+    if verdict is not None:
+        row |= {
+            "evidence": verdict.evidence if math.isfinite(verdict.evidence) else None,
+            "evidence_limit": verdict.limit,
+            "model_error_percent": 100.0 * verdict.lack_of_fit,
+            "detection_limit_percent": verdict.smallest and 100.0 * verdict.smallest,
+            **_percent("mean_change", verdict.present),
+        }
+        if watched.n_blocks:
+            row |= _percent("leakage_change", verdict.newest_night)
+    return row
+
+
+def _of_change(night: JudgedNight, change: Change) -> Row:
+    candidates = sorted(change.candidates.items(), key=lambda one: -one[1])
+    row = {
+        "cause": change.cause,
+        "cause_probability": change.probability,
+        "candidates": [{"cause": name, "probability": p} for name, p in candidates],
+        "onset": dt.date.fromordinal(change.since),
+        "onset_earliest": dt.date.fromordinal(change.since_lower),
+        "onset_latest": dt.date.fromordinal(change.since_upper),
+        "detected_on": dt.date.fromordinal(change.told_on),
+        "still_rising": change.goes_on,
+        "likely_iso_vg": change.grade,
+    }
+    gap = night.gap_growth
+    return row if gap is None else row | _percent("gap_change", gap)
+
+
+def _leakages(night: JudgedNight) -> Row:
+    """Leakages at the motor's own and at the reference conditions, or why one is missing."""
+    if not night.watched.n_blocks:
+        return {"leakage_reason": night.why_no_blocks}
+    row: Row = {}
+    for name, found in (
+        ("reference_leakage", night.reference or night.watched.reference),
+        ("own_leakage", night.watched.own),
+    ):
+        if isinstance(found, str):
+            row["leakage_reason"] = found
+        else:
+            row |= {f"{name}_l_per_min": found.value}
+            row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper}
+    return row
+
+
+def _percent(name: str, found: Estimate) -> Row:
+    """A relative figure with its interval."""
+    return {
+        f"{name}_percent": 100.0 * found.value,
+        f"{name}_lower": 100.0 * found.lower,
+        f"{name}_upper": 100.0 * found.upper,
+    }
+
+
+def log_note(history: History, place: int, messages: Sequence[str], oil: str) -> str | None:
+    """What the log of a night lacks, and the oil as measured; None where nothing is to be said."""
+    hours = history.records["logged_hours"]
+    before = hours[max(place - NIGHTS_COMPARED, 0) : place]
+    before = np.sort(before[np.isfinite(before)])
+    parts = [*messages, *filter(None, [oil])]
+    # Nights before that are short, too, one in five, are no measure.
+    if len(before) >= FEWEST_COMPARED and hours[place] < SHORT * before[len(before) // 5]:
+        usual = float(np.median(before))
+        parts.insert(0, f"{hours[place]:.1f} h of log, {usual:.1f} h in the nights before")
+    return "; ".join(parts) or None
