@@ -17,6 +17,7 @@ from leakage.watch.attribution import (
     attribute,
     name_of,
     share_of_flow,
+    share_of_leakage,
 )
 from leakage.watch.baseline import N_TEMPERATURE, Baseline, baseline_of
 from leakage.watch.causes import (
@@ -103,7 +104,7 @@ def _told(state: State) -> State:
     """A change detected in the newest night, unless the flow has hardly changed."""
     evidence = state.evidence_now()
     found = attribute(evidence, state.baseline, _starts_until(state, state.day))
-    if abs(found.flow.value) < choices.LEAST_CHANGE:
+    if abs(found.leakage.value) < choices.LEAST_CHANGE:
         return state
     return replace(state, in_force=in_force_of(state, evidence, found, told_on=state.day))
 
@@ -138,9 +139,9 @@ def in_force_of(
     tank: Estimate | None = None,
 ) -> ChangeInForce:
     """The change that is detected from a day on, with its name."""
-    name = name_of(evidence, state.machine, state.baseline, found.start, found.flow.value, tank)
+    name = name_of(evidence, state.machine, state.baseline, found.start, found.drain, tank)
     prior = _before(state, told_on)
-    is_rise = found.flow.value > 0.0
+    is_rise = found.leakage.value > 0.0
     goes_on = prior is not None and _is_the_same(prior.change, name, is_rise=is_rise)
     cause, probability = name.cause, name.probability
     # What goes on began where it was detected first, and keeps its name.
@@ -149,9 +150,9 @@ def in_force_of(
         since, lower, upper = prior.change.dates
         if cause == CANNOT_BE_TOLD:
             cause, probability = prior.change.cause, prior.change.probability
-    growth = state.growth_of(cause, found.flow)
+    growth = state.growth_of(cause, found.leakage)
     if prior is not None and goes_on and prior.change.cause == cause:
-        growth = grown_as(prior.change, found.flow)
+        growth = grown_as(prior.change, found.leakage)
     change = Change(
         cause,
         probability,
@@ -162,20 +163,21 @@ def in_force_of(
         lower,
         upper,
         told_on,
-        found.flow,
+        found.leakage,
         growth,
         name.likeliest.grade,
         goes_on,
     )
     if prior is not None and goes_on:
         return replace(prior, change=change, found=found, prior=prior, tank=tank)
-    along, of_flow, before = state.baseline.all_flows, 1.0, UNCHANGED
+    along, of_leakage, before = state.baseline.leakage_flows, 1.0, UNCHANGED
     if prior is not None:
         start = state.place(found.start)
         before = on_first_baseline(state, slice(max(0, start - choices.PRESENT_NIGHTS), start))
     elif name.cause == name.likeliest.name and name.cause not in (BACK, TEMPERATURE_EFFECT):
-        along, of_flow = name.likeliest.direction, share_of_flow(name.likeliest, state.baseline)
-    return ChangeInForce(change, along, of_flow, before, found, prior, tank)
+        along = name.likeliest.direction
+        of_leakage = share_of_leakage(name.likeliest, state.baseline)
+    return ChangeInForce(change, along, of_leakage, before, found, prior, tank)
 
 
 def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
@@ -213,7 +215,7 @@ def _with_odd_nights(state: State) -> State:
     if state.in_force is not None and state.in_force.change.cause != ODD_NIGHTS:
         return replace(state, often=NOTHING)
     days, again = odd_nights(state), state.in_force is not None
-    level = state.level_along(state.baseline.all_flows)
+    level = state.level_along(state.baseline.leakage_flows)
     value = level.value[np.searchsorted(state.window.days, days)]
     size = Estimate(float(value.mean()), float(value.std() / math.sqrt(len(value))))
     first = int(days[0])
@@ -230,7 +232,7 @@ def _with_odd_nights(state: State) -> State:
         size,
         goes_on=again,
     )
-    in_force = ChangeInForce(change, state.baseline.all_flows, 1.0, UNCHANGED)
+    in_force = ChangeInForce(change, state.baseline.leakage_flows, 1.0, UNCHANGED)
     return replace(state, in_force=in_force, often=NOTHING)
 
 
@@ -294,7 +296,8 @@ def adopted(state: State) -> State:
         # What several causes have done is what the level of all flows says.
         level = change_in_force(told)
         assert level is not None
-        along, of_flow, size = state.baseline.all_flows, 1.0, level.size.value
+        along, of_flow = state.baseline.leakage_flows, state.baseline.leakage_share
+        size = level.size.value
     flow = abs(size * of_flow)
     start = state.place(found.start)
     before, score = (one[0] for one in state.sums.before(np.array([start]), state.window))
@@ -370,8 +373,8 @@ def new_period(state: State, earlier: Earlier) -> State:
     back[:p] = (old.theta - columns.theta) / columns.unit
     in_force = state.in_force
     if in_force is not None:
-        along = period.baseline.all_flows
-        in_force = replace(in_force, along=along, of_flow=1.0)
+        along = period.baseline.leakage_flows
+        in_force = replace(in_force, along=along, of_leakage=1.0)
     return replace(
         period,
         causes=all_causes(

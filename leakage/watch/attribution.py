@@ -19,6 +19,7 @@ from leakage.watch.causes import (
     BACK,
     CANNOT_BE_TOLD,
     COMMON,
+    NO_LEAKAGE,
     TANK,
     TEMPERATURE_EFFECT,
     Cause,
@@ -36,8 +37,8 @@ class Attribution:
     """A change as the nights so far show it; `since` and `start` are numbers of days.
 
     `weights` are the causes' probabilities where every cause has its exact shape, shape (d,);
-    `size` is that of the likeliest in its own units, `flow` the relative change of the flow, over
-    all causes.
+    `size` is that of the likeliest in its own units; `leakage` and `drain` are the relative changes
+    of the leakage and of the drain flow, over all causes.
     """
 
     since: tuple[int, int, int]
@@ -46,7 +47,8 @@ class Attribution:
     weights: Array
     likeliest: int
     size: Estimate
-    flow: Estimate
+    leakage: Estimate
+    drain: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,12 @@ def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribu
     rise = np.ones((len(SHAPES), len(starts), 1))
     rise[RAMP, :, 0] = evidence.risen(starts)
     value, sd = value * rise, sd * rise
-    of_flow = np.array([share_of_flow(one, baseline) for one in evidence.causes.every])
+    of_leakage, of_drain = np.array(
+        [
+            (share_of_leakage(cause, baseline), share_of_flow(cause, baseline))
+            for cause in evidence.causes.every
+        ]
+    ).T
     # What did not begin in one night has a shape of its own.
     missed = choices.SIZE_BY_LACK * baseline.lack_of_fit
     missed += choices.SIZE_BY_SHAPE * (since[0] < since[2])
@@ -94,15 +101,34 @@ def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribu
         of_causes,
         likeliest,
         size,
-        _pooled(weights, value * of_flow, sd * np.abs(of_flow), missed),
+        _pooled(
+            weights,
+            value * of_leakage,
+            sd * np.abs(of_leakage),
+            math.hypot(missed, baseline.leakage_share_error),
+        ),
+        float((weights * value * of_drain).sum()),
     )
 
 
 def share_of_flow(cause: Cause, baseline: Baseline) -> float:
-    """Relative change of the flow by a cause of size 1; of the effect of temperature in 10 K."""
+    """Return the relative change of the drain flow by a cause of size 1.
+
+    Of the effect of temperature, that in 10 K.
+    """
     if cause.name == TEMPERATURE_EFFECT:
         return float(cause.direction[baseline.n_paths])
     return float(cause.direction @ baseline.own_row)
+
+
+def share_of_leakage(cause: Cause, baseline: Baseline) -> float:
+    """Return the relative change of the leakage by a cause of size 1 (model.md, 7c.3).
+
+    A flushing and a zero are no leakage: theirs is that of the drain flow.
+    """
+    if cause.name in (TEMPERATURE_EFFECT, *NO_LEAKAGE):
+        return share_of_flow(cause, baseline)
+    return float(cause.direction @ baseline.leakage_row)
 
 
 def _pooled(weights: Array, value: Array, sd: Array, missed: float) -> Estimate:
@@ -123,7 +149,7 @@ def name_of(
 ) -> Name:
     """The cause of a change, where every coordinate of its shape may err by the lack of fit.
 
-    `start` is the number of its first day, `flow` the relative change of the flow; `tank` is the
+    `start` is the number of its first day, `flow` the relative change of the drain flow; `tank` is the
     change of the other motors' flows on the same tank since then, where they moved.
     """
     causes, log_prior = _with_tank(evidence.causes, baseline, tank)

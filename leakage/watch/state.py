@@ -115,15 +115,15 @@ UNCHANGED = Estimate(0.0, 0.0)
 class ChangeInForce:
     """The change in force: as it is detected, and the direction that its size is taken along.
 
-    `along` has shape (q,) and `of_flow` is what a unit of it is of the flow; `before` is the change
-    of the flow before it, against the first baseline. While it is not adopted, `found` is its
-    attribution by the nights so far, `prior` what was in force before, and `tank` what the tank's
-    other motors say.
+    `along` has shape (q,) and `of_leakage` is what a unit of it is of the leakage; `before` is the
+    change of the leakage before it, against the first baseline. While it is not adopted, `found` is
+    its attribution by the nights so far, `prior` what was in force before, and `tank` what the
+    tank's other motors say.
     """
 
     change: Change
     along: Array
-    of_flow: float
+    of_leakage: float
     before: Estimate
     found: Attribution | None = None
     prior: ChangeInForce | None = None
@@ -207,7 +207,7 @@ class State:
             return None
         place = self.machine.paths.index(cause)
         own = float(self.baseline.all_paths[place])
-        share = own * float(self.baseline.share[place])
+        share = own * float(self.baseline.share[place]) / self.baseline.leakage_share
         if share < choices.LEAST_SHARE_TO_SHOW:
             return None
         growth, sd = flow.value / share, float(self.baseline.path_sd[place]) / own
@@ -227,10 +227,10 @@ class State:
 
 
 def direction(state: State) -> tuple[Array, float]:
-    """What the level is taken along, and what a unit of it is of the flow."""
+    """What the level is taken along, and what a unit of it is of the leakage."""
     if state.in_force is None:
-        return state.baseline.all_flows, 1.0
-    return state.in_force.along, state.in_force.of_flow
+        return state.baseline.leakage_flows, 1.0
+    return state.in_force.along, state.in_force.of_leakage
 
 
 def _n_present(state: State) -> int:
@@ -243,11 +243,13 @@ def _n_present(state: State) -> int:
 
 
 def on_first_baseline(state: State, nights: slice) -> Estimate:
-    """Change of the flow over some nights, against the first baseline."""
-    along, of_flow = direction(state)
-    level = state.level_along(along, nights).mean().scaled(of_flow)
+    """Change of the leakage over some nights, against the first baseline (model.md, 7c.3)."""
+    along, of_leakage = direction(state)
+    level = state.level_along(along, nights).mean().scaled(of_leakage)
     grown = 1.0 + state.carried.value
-    sd = math.hypot(grown * level.sd, (1.0 + level.value) * state.carried.sd)
+    # The flushing that is not known scales a change of the leakage.
+    own_sd = math.hypot(level.sd, level.value * state.baseline.leakage_share_error)
+    sd = math.hypot(grown * own_sd, (1.0 + level.value) * state.carried.sd)
     return Estimate(grown * (1.0 + level.value) - 1.0, sd)
 
 

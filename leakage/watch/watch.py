@@ -139,7 +139,7 @@ class Watch:
         place = state.place(day)
         if not 0 < place < len(state.window):
             return None
-        level = state.level_along(state.baseline.all_flows)
+        level = state.level_along(state.baseline.leakage_flows)
         after, before = level.mean(slice(place, None)), level.mean(slice(None, place))
         return Estimate(after.value - before.value, math.hypot(after.sd, before.sd))
 
