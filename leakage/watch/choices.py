@@ -58,6 +58,8 @@ SENSOR_SIZE, SENSOR_SHIFT_K = 0.25, 5.0
 LEAST_SHARE_TO_FALL = 0.05
 # Share of nights that are odd by themselves, and once odd nights have become frequent.
 ODD, OFTEN = 0.003, 0.25
+# Evidence of a start at other operating conditions from which each night is left out in turn.
+LEFT_OUT_FROM = 2.0
 # Odd nights are counted within so many nights; at least so many; at most this share of the nights.
 ODD_WITHIN, LEAST_ODD, MOST_ODD = 60, 3, 0.5
 # Model error a standard deviation of other operating conditions beyond the first 1.5, at most 4 of

@@ -17,7 +17,7 @@ from leakage.arrays import Array
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import ODD_NIGHTS, Cause, causes_of
+from leakage.watch.causes import BACK, ODD_NIGHTS, TEMPERATURE_EFFECT, Cause, causes_of
 from leakage.watch.evidence import Causes, Evidence, Sums, Window
 from leakage.watch.nights import (
     FLUSHING,
@@ -89,16 +89,21 @@ class Level:
     operating_error: Array
 
     def mean(self, nights: slice = EVERY) -> Estimate:
-        """Mean of some nights: they share their serial correlation, and the errors of the model."""
+        """Mean of some nights: they share their serial correlation, and the errors of the model.
+
+        Nights weigh by 1 / (noise + shift + error of their operating conditions²): a night of
+        another duty says less (model.md, 7c.2).
+        """
         value, noise, shift = self.value[nights], self.noise[nights], self.shift[nights]
-        weights = 1.0 / (noise + shift) / np.sum(1.0 / (noise + shift))
+        of_paths = self.gain[nights, : len(self.operating_error)]
+        by_operation = of_paths * self.beyond[nights][:, None] * self.operating_error
+        weights = 1.0 / (noise + shift + np.sum(by_operation**2, axis=1))
+        weights = weights / weights.sum()
         length = float(self.wander.inflation(np.array([len(value)], dtype=float))[0])
         of_others = weights @ self.gain[nights]
-        of_paths = self.gain[nights, : len(self.operating_error)]
-        by_operation = weights @ (of_paths * self.beyond[nights][:, None])
         variance = float(weights**2 @ (noise + length * shift))
         variance += float(of_others @ self.around.covariance @ of_others)
-        variance += float(np.sum((by_operation * self.operating_error) ** 2))
+        variance += float(np.sum((weights @ by_operation) ** 2))
         return Estimate(float(weights @ value), math.sqrt(variance))
 
 
@@ -258,14 +263,40 @@ def present(state: State) -> Estimate:
     return on_first_baseline(state, slice(-_n_present(state), None))
 
 
+def mean_change(state: State) -> Estimate:
+    """Return the change that a state rests on: the present one, or the size of a first change.
+
+    While that settles, at usual operating conditions and with evidence beyond the limit, its size
+    is known better than the level of its few nights (model.md, 7c.2).
+    """
+    now, in_force = present(state), state.in_force
+    if in_force is None or in_force.found is None or in_force.prior is not None:
+        return now
+    size = in_force.change.size
+    is_alike = size.value * now.value > 0.0 and not in_force.change.is_several
+    if size.holds_zero or not is_alike or not now.holds_zero:
+        return now
+    start = np.array([state.place(in_force.found.start)])
+    is_usual = state.evidence_now().operating_beyond(start)[0] == 0.0
+    return size if is_usual and state.evidence >= state.settings.limit else now
+
+
+def is_contradicted(state: State) -> bool:
+    """True if the change in force is none by its own interval (model.md, 7c.2)."""
+    in_force = state.in_force
+    if in_force is None or in_force.change.cause in (BACK, ODD_NIGHTS, TEMPERATURE_EFFECT):
+        return False
+    return mean_change(state).holds_zero
+
+
 def change_in_force(state: State) -> Change | None:
-    """The change in force; adopted, or going on, its size is that of now against before it."""
+    """The change in force; of all but a first one that settles, the size is now against before."""
     in_force = state.in_force
     if in_force is None or in_force.change.cause == ODD_NIGHTS:
         return None if in_force is None else in_force.change
     change = in_force.change
     # The size of one cause is none of several.
-    if in_force.found is not None and not change.goes_on and not change.is_several:
+    if in_force.found is not None and in_force.prior is None and not change.is_several:
         return change
     now, before = present(state), in_force.before
     ratio = (1.0 + now.value) / (1.0 + before.value)

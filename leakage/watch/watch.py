@@ -24,14 +24,21 @@ from leakage.watch.adoption import (
     in_force_of,
     judged,
     new_period,
-    settled,
+    settling,
     shortened,
     with_new_wander,
 )
 from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS
 from leakage.watch.evidence import STEP
 from leakage.watch.nights import Estimate, Machine, NightBlocks, Verdict, WatchSettings
-from leakage.watch.state import State, change_in_force, direction, on_first_baseline, present
+from leakage.watch.state import (
+    State,
+    change_in_force,
+    direction,
+    is_contradicted,
+    mean_change,
+    on_first_baseline,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +75,9 @@ class Watch:
         """
         state = adopted(with_night(self.state, night))
         if state.is_settling:
-            return Watch(shortened(settled(state)))
+            state = settling(state)
+            if state.is_settling:
+                return Watch(shortened(state))
         state = judged(with_new_wander(state))
         if not state.is_settling and state.period_from is not None:
             state = new_period(state, earlier)
@@ -99,9 +108,9 @@ class Watch:
             state.evidence,
             state.settings.limit,
             state.baseline.lack_of_fit,
-            change_in_force(state),
+            None if is_contradicted(state) else change_in_force(state),
             on_first_baseline(state, slice(-1, None)),
-            present(state),
+            mean_change(state),
             self.smallest_change(),
             float(state.window.distance[-1]),
         )
