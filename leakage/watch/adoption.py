@@ -23,10 +23,12 @@ from leakage.watch.causes import (
     BACK,
     CANNOT_BE_TOLD,
     ODD_NIGHTS,
+    TANK,
     TEMPERATURE_EFFECT,
     Cause,
     back_as_before,
 )
+from leakage.watch.circuit import CircuitChange
 from leakage.watch.evidence import STEP, Causes, Evidence, Places, Sums, Window, starts_of
 from leakage.watch.nights import (
     NOW_AND_THEN,
@@ -174,8 +176,8 @@ def settled(state: State) -> State:
     before = state.in_force.found.since
     dates = min(lower, before[0]), min(since, before[1]), max(upper, before[2])
     found = replace(found, since=dates)
-    tank = state.in_force.tank
-    return replace(state, in_force=in_force_of(state, evidence, found, told_on, tank))
+    circuit = state.in_force.circuit
+    return replace(state, in_force=in_force_of(state, evidence, found, told_on, circuit))
 
 
 def _starts_until(state: State, told_on: int) -> Places:
@@ -188,20 +190,23 @@ def in_force_of(
     evidence: Evidence,
     found: Attribution,
     told_on: int,
-    tank: Estimate | None = None,
+    circuit: CircuitChange | None = None,
 ) -> ChangeInForce:
     """The change that is detected from a day on, with its name."""
-    name = name_of(evidence, state.machine, state.baseline, found.start, found.drain, tank)
+    name = name_of(evidence, state.machine, state.baseline, found.start, found.drain)
     prior = _before(state, told_on)
     is_rise = found.leakage.value > 0.0
+    if circuit is not None and circuit.is_common:
+        name = replace(name, cause=TANK, probability=circuit.probability, alike=())
     goes_on = prior is not None and _is_the_same(prior.change, name, is_rise=is_rise)
-    cause, probability = name.cause, name.probability
+    cause, probability, alike = name.cause, name.probability, name.alike
     # What goes on began where it was detected first, and keeps its name.
     lower, since, upper = found.since
     if prior is not None and goes_on:
         since, lower, upper = prior.change.dates
         if cause == CANNOT_BE_TOLD:
             cause, probability = prior.change.cause, prior.change.probability
+            alike = alike or prior.change.alike
     growth = state.growth_of(cause, found.leakage)
     if prior is not None and goes_on and prior.change.cause == cause:
         growth = grown_as(prior.change, found.leakage)
@@ -209,6 +214,7 @@ def in_force_of(
         cause,
         probability,
         name.candidates,
+        alike,
         is_rise,
         found.shape,
         since,
@@ -221,7 +227,7 @@ def in_force_of(
         goes_on,
     )
     if prior is not None and goes_on:
-        return replace(prior, change=change, found=found, prior=prior, tank=tank)
+        return replace(prior, change=change, found=found, prior=prior, circuit=circuit)
     along, of_leakage, before = state.baseline.leakage_flows, 1.0, UNCHANGED
     if prior is not None:
         start = state.place(found.start)
@@ -229,7 +235,7 @@ def in_force_of(
     elif name.cause == name.likeliest.name and name.cause not in (BACK, TEMPERATURE_EFFECT):
         along = name.likeliest.direction
         of_leakage = share_of_leakage(name.likeliest, state.baseline)
-    return ChangeInForce(change, along, of_leakage, before, found, prior, tank)
+    return ChangeInForce(change, along, of_leakage, before, found, prior, circuit)
 
 
 def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
@@ -277,6 +283,7 @@ def _with_odd_nights(state: State) -> State:
         ODD_NIGHTS,
         1.0,
         {ODD_NIGHTS: 1.0},
+        (),
         size.value > 0.0,
         NOW_AND_THEN,
         first,
@@ -382,7 +389,7 @@ def _taken_for_granted(told: State) -> State:
         due=0,
         often=NOTHING,
         period_from=period_from if flow > choices.OWN_PERIOD else None,
-        in_force=replace(now, found=None, prior=None, tank=None),
+        in_force=replace(now, found=None, prior=None),
     )
 
 

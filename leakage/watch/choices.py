@@ -99,6 +99,9 @@ SIZE_BY_LACK, SHAPE_BY_LACK = 0.3, 2.0
 LEAKAGE_BY_LACK = 0.3
 # A cause is named from this probability; from the other on it has most of a name, or of a size.
 NAMED, MOSTLY = 0.9, 0.5
+# ln of likelihood by which the nights have to prefer a cause to another one, to tell them apart:
+# below it no posterior is more than its prior (model.md, 7c.4).
+APART = 3.0
 # How much rarer several causes in one night are than each single one: a large change errs in its
 # shape.
 SEVERAL_PRIOR = 0.001
@@ -126,9 +129,15 @@ LEFT, LEFT_OF_PATHS, LEFT_OF_SURFACE = 0.02, 0.2, 0.1
 OWN_PERIOD, PERIOD_NIGHTS = 0.15, 8
 # Spread of what counts as "back as before".
 BACK_SPREAD = 0.15
-# How far the motors of a tank move apart, as a share of what the others' nights say; how much
-# likelier their common oil is than a cause of the motor's own.
-TANK_SPREAD, TANK_PRIOR = 0.1, 10.0
+
+# -- the oil circuit -------------------------------------------------------------------------------
+# How far motors of one oil move apart: of the flow, and of the circuit's change.
+CIRCUIT_ERROR, CIRCUIT_SPREAD = 0.01, 0.1
+# Other motors that show the like, at least; by so many standard deviations, within errors or up to
+# this ratio of sizes: parts follow the oil unlike.
+LEAST_ALIKE, ALIKE_SD, ALIKE_RATIO = 2, 2.0, 1.6
+# Days by which the first day of two motors' change may differ, beside its interval.
+CIRCUIT_DAYS = 2
 
 # -- within the day --------------------------------------------------------------------------------
 # Evidence and least rise from which the night so far is reported, at most 0.1 times a healthy

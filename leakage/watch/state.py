@@ -18,6 +18,7 @@ from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
 from leakage.watch.causes import BACK, ODD_NIGHTS, TEMPERATURE_EFFECT, Cause, causes_of
+from leakage.watch.circuit import CircuitChange
 from leakage.watch.evidence import Causes, Evidence, Sums, Window
 from leakage.watch.nights import (
     FLUSHING,
@@ -122,8 +123,8 @@ class ChangeInForce:
 
     `along` has shape (q,) and `of_leakage` is what a unit of it is of the leakage; `before` is the
     change of the leakage before it, against the first baseline. While it is not adopted, `found` is
-    its attribution by the nights so far, `prior` what was in force before, and `tank` what the
-    tank's other motors say.
+    its attribution by the nights so far and `prior` what was in force before. `circuit` is the
+    change beside those of the circuit's other motors, as it settled; None without two of them.
     """
 
     change: Change
@@ -132,7 +133,7 @@ class ChangeInForce:
     before: Estimate
     found: Attribution | None = None
     prior: ChangeInForce | None = None
-    tank: Estimate | None = None
+    circuit: CircuitChange | None = None
 
 
 @dataclass(frozen=True, slots=True)

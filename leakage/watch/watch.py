@@ -29,6 +29,7 @@ from leakage.watch.adoption import (
     with_new_wander,
 )
 from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS
+from leakage.watch.circuit import circuit_change
 from leakage.watch.evidence import STEP
 from leakage.watch.nights import Estimate, Machine, NightBlocks, Verdict, WatchSettings
 from leakage.watch.state import (
@@ -83,20 +84,24 @@ class Watch:
             state = new_period(state, earlier)
         return Watch(shortened(at_rest(state)))
 
-    def with_tank(self, tank: Estimate) -> Watch:
-        """The watch that knows the change of the tank's other motors since its own change.
+    def beside(self, others: Sequence[Watch]) -> Watch:
+        """The watch that knows what the circuit's other motors did since its own change.
 
         Only while a change settles: afterwards its name stays.
         """
         in_force = self.state.in_force
-        if in_force is None or in_force.found is None:
+        if not others or in_force is None or in_force.found is None:
             return self
+        since = in_force.change.since
+        size, changes = self.change_since(since), [other.change_since(since) for other in others]
+        known = [change for change in changes if change is not None]
+        circuit = None if size is None else circuit_change(size, known)
         named = in_force_of(
             self.state,
             self.state.evidence_now(),
             in_force.found,
             in_force.change.told_on,
-            tank,
+            circuit,
         )
         return Watch(replace(self.state, in_force=named))
 
@@ -136,20 +141,25 @@ class Watch:
         return math.sqrt(gain) * sd
 
     def change_since(self, day: int) -> Estimate | None:
-        """Change of all flows from a day on against before; None without nights on both sides.
+        """Change of the leakage from a day on; None without nights on both sides (model.md, 7c.5).
 
-        An adopted change is in no window any more: where it may have begun since, it is the change.
+        The level of at most ten nights from then on, less that of the ten before. An adopted change
+        is in no window any more: it is the change where it may have begun then.
         """
         state, in_force = self.state, self.state.in_force
         if in_force is not None and in_force.found is None and in_force.change.cause != ODD_NIGHTS:
-            told = change_in_force(state)
-            if told is not None and told.since_upper >= day:
-                return told.size
-        place = state.place(day)
+            change = change_in_force(state)
+            assert change is not None
+            _, lower, upper = change.dates
+            days = choices.CIRCUIT_DAYS
+            if lower - days <= day <= upper + days:
+                return change.size
+        place, most = state.place(day), choices.PRESENT_NIGHTS
         if not 0 < place < len(state.window):
             return None
         level = state.level_along(state.baseline.leakage_flows)
-        after, before = level.mean(slice(place, None)), level.mean(slice(None, place))
+        after = level.mean(slice(place, place + most))
+        before = level.mean(slice(max(0, place - most), place))
         return Estimate(after.value - before.value, math.hypot(after.sd, before.sd))
 
     def leakage_at(self, drives: Array, conditions: Array) -> Estimate:

@@ -23,10 +23,6 @@ from pipeline.trends.nights.kept import Kept, KeptWatch
 # rpm].
 REACH = np.array([10.0, 20.0, 10.0])
 OUT_OF_REACH = "the era's blocks do not reach these conditions"
-# Standard deviations by which another motor of the tank has moved, to be asked at all; what its
-# change may differ from this motor's own, relative to the flow.
-MOVED_SD, TANK_SPREAD = 2.0, 0.01
-
 
 NOTHING_SEEN = np.full((2, 3), np.nan)
 
@@ -195,14 +191,10 @@ class Course:
         found = read_blocks(self.output, self.spec, history.layout, earlier) if earlier else []
         return found + [known[one] for one in sorted(known) if max(day, begin) <= one <= until]
 
-    def know_tank(self, others: Sequence[Watch]) -> None:
-        """Tell the watch what the other motors of the tank did since its own change."""
-        if self.watch is None or not self.watch.state.is_settling:
-            return
-        change = self.watch.verdict().change
-        tank = None if change is None else tank_change(others, change.since)
-        if tank is not None:
-            self.watch = self.watch.with_tank(tank)
+    def know_circuit(self, others: Sequence[Watch]) -> None:
+        """Tell the watch what the other motors of the circuit did since its own change."""
+        if self.watch is not None:
+            self.watch = self.watch.beside(others)
 
     def watched(self) -> WatchedNight:
         """What is said of the newest night; its figures are noted."""
@@ -286,14 +278,3 @@ def watch_settings(spec: MotorSpec) -> WatchSettings:
     """Settings of a motor's watch."""
     trend, alarms = spec.settings.trend, spec.settings.alarms
     return WatchSettings(alarms.false_alarms_per_year, trend.baseline_nights)
-
-
-def tank_change(others: Sequence[Watch], day: int) -> Estimate | None:
-    """Change of all flows of the tank's other motors from a day on; None where none moved."""
-    changes = [one.change_since(day) for one in others]
-    moved = [one for one in changes if one is not None and abs(one.value) >= MOVED_SD * one.sd]
-    if not moved:
-        return None
-    weights = np.array([1.0 / (one.sd**2 + TANK_SPREAD**2) for one in moved])
-    values = np.array([one.value for one in moved])
-    return Estimate(float(weights @ values / weights.sum()), float(weights.sum() ** -0.5))

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from leakage.watch import Change, Estimate
-from leakage.watch.causes import AND, BACK, CANNOT_BE_TOLD, TANK, TEMPERATURE_EFFECT
+from leakage.watch.attribution import parts_of
+from leakage.watch.causes import BACK, CANNOT_BE_TOLD, ODD_NIGHTS, TANK, TEMPERATURE_EFFECT
+from leakage.watch.choices import NAMED
+from leakage.watch.nights import SEVERAL
 from pipeline.config import MotorSpec
 from pipeline.trends.nights.layout import FLUSHING, KNOWN
 from pipeline.trends.states.course import WatchedNight
@@ -18,8 +22,11 @@ SURE = 0.975
 SUPPORTED, DOUBTFUL = 0.02, 0.05
 # Smallest change that would have been detected, beyond which nights show nothing that anybody asks.
 SHOWS_NOTHING = 0.5
-# What the candidates are together that are parts.
-A_PART = "a_part"
+# What the parts are together where the model does not describe the motor; between the names of
+# causes of which it is one or more.
+A_PART, ONE_OF = "a_part", " or "
+# Names that do not come of the shape of a change.
+NOT_OF_SHAPE = (BACK, ODD_NIGHTS, TANK)
 ModelVerdict = Literal["supported", "doubtful", "disproved"]
 
 
@@ -82,28 +89,47 @@ def judged(
     """The state of a night."""
     verdict = night.verdict
     change = None if verdict is None else verdict.change
-    if change is not None and verdict is not None and verdict.lack_of_fit > DOUBTFUL:
-        change = _unnamed(change, night)
+    if change is not None:
+        change = _as_shown(change, night)
     found = JudgedNight(spec, night, "", "", change, why_no_blocks, fitted)
     state, way = _state(found)
     return replace(found, state=state, way=way)
 
 
-def _unnamed(change: Change, night: WatchedNight) -> Change:
-    """A change of a motor that the model does not describe: it names no part."""
+def _as_shown(change: Change, night: WatchedNight) -> Change:
+    """A change as people see it: causes that the nights cannot tell apart are one (model.md, 7c.4).
+
+    A motor that the model does not describe names no part.
+    """
     assert night.watch is not None
-    parts = {*night.watch.state.machine.paths, "all_gaps"} - {FLUSHING, KNOWN}
+    assert night.verdict is not None
+    machine, is_disproved = night.watch.state.machine, night.verdict.lack_of_fit > DOUBTFUL
+    parts = frozenset(machine.paths) - {FLUSHING, KNOWN}
 
-    def is_part(cause: str) -> bool:
-        return not parts.isdisjoint(cause.split(AND))
+    def shown(names: Iterable[str]) -> frozenset[str]:
+        return frozenset(A_PART if is_disproved and one in parts else one for one in names)
 
-    left = {name: p for name, p in change.candidates.items() if not is_part(name)}
-    if share := sum(p for name, p in change.candidates.items() if is_part(name)):
-        left[A_PART] = share
-    change = replace(change, candidates=left)
-    if is_part(change.cause):
-        change = replace(change, cause=CANNOT_BE_TOLD, path_growth=None)
-    return change
+    alike = shown(change.alike)
+    of_class = ONE_OF.join(sorted(alike))
+    candidates: dict[str, float] = {}
+    for name, probability in change.candidates.items():
+        of_name = shown(parts_of(name, machine.gaps))
+        label = of_class if of_name <= alike else A_PART if of_name == {A_PART} else name
+        candidates[label] = candidates.get(label, 0.0) + probability
+    candidates = dict(sorted(candidates.items(), key=lambda candidate: -candidate[1]))
+    cause, probability = change.cause, change.probability
+    is_prior = not alike.isdisjoint(shown(parts)) and len(alike) > 1
+    if cause not in NOT_OF_SHAPE and (is_prior or cause == CANNOT_BE_TOLD or is_disproved):
+        likeliest, share = next(iter(candidates.items()), (CANNOT_BE_TOLD, 0.0))
+        if share >= NAMED and likeliest != SEVERAL:
+            cause, probability = likeliest, share
+        elif is_prior or not shown((cause,)).isdisjoint({A_PART}):
+            cause, probability = CANNOT_BE_TOLD, share
+    has_growth = cause == change.cause and not is_disproved
+    growth = change.path_growth if has_growth else None
+    return replace(
+        change, cause=cause, probability=probability, candidates=candidates, path_growth=growth
+    )
 
 
 def _state(night: JudgedNight) -> tuple[str, str]:
