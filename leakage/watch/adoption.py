@@ -49,6 +49,7 @@ from leakage.watch.state import (
     all_causes,
     change_in_force,
     is_contradicted,
+    nights_beyond,
     on_first_baseline,
     present,
 )
@@ -64,7 +65,8 @@ def judged(state: State) -> State:
     frequent = weighed.often - math.log(2 * len(evidence.causes))
     if frequent >= max(state.settings.limit, weighed.evidence) and len(odd_places(weighed.window)):
         return _with_odd_nights(weighed)
-    return _told(weighed) if weighed.evidence >= state.settings.limit else weighed
+    is_told = weighed.evidence >= state.settings.limit or nights_beyond(weighed) > 1
+    return _told(weighed) if is_told else weighed
 
 
 def with_evidence(state: State, evidence: Evidence, first: int) -> State:
@@ -137,13 +139,13 @@ def settling(state: State) -> State:
     """
     if (reversal := _reversal(state)) is not None:
         return reversal
+    state = with_evidence(state, state.evidence_now(), state.place(state.first_ramp))
     assert state.in_force is not None
     now = settled(state)
     assert now.in_force is not None
     # What seems to fall where it rose is about to be reversed: it settles as it was.
     if now.in_force.change.is_rise == state.in_force.change.is_rise:
         state = now
-    state = with_evidence(state, state.evidence_now(), state.place(state.first_ramp))
     assert state.in_force is not None
     is_withdrawn = state.in_force.prior is None and state.evidence < state.settings.limit
     return replace(state, in_force=None) if is_withdrawn and is_contradicted(state) else state
@@ -193,7 +195,7 @@ def in_force_of(
     circuit: CircuitChange | None = None,
 ) -> ChangeInForce:
     """The change that is detected from a day on, with its name."""
-    name = name_of(evidence, state.machine, state.baseline, found.start, found.drain)
+    name = _named(state, evidence, found)
     prior = _before(state, told_on)
     is_rise = found.leakage.value > 0.0
     if circuit is not None and circuit.is_common:
@@ -236,6 +238,16 @@ def in_force_of(
         along = name.likeliest.direction
         of_leakage = share_of_leakage(name.likeliest, state.baseline)
     return ChangeInForce(change, along, of_leakage, before, found, prior, circuit)
+
+
+def _named(state: State, evidence: Evidence, found: Attribution) -> Name:
+    """The name of a change; its cause is open until the evidence has reached the limit (7c.8)."""
+    name = name_of(evidence, state.machine, state.baseline, found.start, found.drain)
+    before = state.in_force
+    is_open = before is None or before.found is None or not before.change.candidates
+    if is_open and state.evidence < state.settings.limit:
+        return replace(name, cause=CANNOT_BE_TOLD, probability=0.0, candidates={}, alike=())
+    return name
 
 
 def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:

@@ -196,3 +196,4 @@ class Verdict:
     smallest: float | None
     # Distance of the night's operating conditions from the baseline's, in its standard deviations.
     distance: float = field(default=0.0)
+    is_beyond: bool = False  # Whether this night alone is beyond `smallest`, nothing in force.

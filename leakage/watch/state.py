@@ -75,8 +75,8 @@ EVERY = slice(None)
 class Level:
     """λ of some nights, and what their errors are made from.
 
-    `value`, the variances `noise` of the errors within each night and `shift` of its own shift of
-    the paths, and `beyond`, how far its operating conditions are from usual ones, have shape (n,);
+    `value`, the variances `noise` of the errors within each night, with those of the model in it, and
+    `shift` of its own shift of the paths, and `beyond`, how far its operating conditions are from usual ones, have shape (n,);
     `gain` is what an error of each unknown does to it, of the paths first, shape (n, q).
     """
 
@@ -194,7 +194,7 @@ class State:
         of_paths = gain[:, : baseline.n_paths]
         return Level(
             window.score[nights] @ direction / weight - gain @ around.mean,
-            1.0 / weight,
+            1.0 / weight + (choices.LEVEL_BY_LACK * baseline.lack_of_fit) ** 2,
             np.einsum("ni,ij,nj->n", of_paths, wander.spread, of_paths),
             gain,
             np.clip(window.distance[nights] - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST),
@@ -262,6 +262,43 @@ def on_first_baseline(state: State, nights: slice) -> Estimate:
 def present(state: State) -> Estimate:
     """Change of the flow against the first baseline, of the last nights."""
     return on_first_baseline(state, slice(-_n_present(state), None))
+
+
+def detection_limit(state: State) -> float | None:
+    """Return the smallest change, begun ten nights ago, that would be detected now.
+
+    Of all flows. Where fewer nights may hold a change, of one begun in the first of them; None
+    where none may.
+    """
+    evidence = state.evidence_now()
+    start = max(evidence.first_step, len(state.window) - choices.PRESENT_NIGHTS)
+    if start == len(state.window):
+        return None
+    second = float(evidence.second_of(state.baseline.leakage_flows, start))
+    spread, n_since = choices.STEP_SIZE, np.array([len(state.window) - start], dtype=float)
+    freedom = float(state.wander.degrees_of_freedom(state.n_nights, n_since)[0])
+    sd = 1.0 / math.sqrt(second + spread**-2)
+    fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(evidence.causes))
+    gain = freedom * math.expm1(2.0 * (state.settings.limit - fixed) / (freedom + 1.0))
+    return math.sqrt(gain) * sd
+
+
+def nights_beyond(state: State) -> int:
+    """Return how many newest nights are wholly beyond the detection limit, on one side (7c.8).
+
+    Two at most; none while a change is in force.
+    """
+    limit = detection_limit(state)
+    if limit is None or state.in_force is not None:
+        return 0
+    last = len(state.window)
+    sides = []
+    for place in range(last - 1, max(last - 3, -1), -1):
+        night = on_first_baseline(state, slice(place, place + 1))
+        sides.append(1 if night.lower > limit else -1 if night.upper < -limit else 0)
+    if not sides[0]:
+        return 0
+    return 2 if sides[0] == sides[-1] and len(sides) == 2 else 1
 
 
 def mean_change(state: State) -> Estimate:

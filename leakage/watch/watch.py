@@ -28,16 +28,17 @@ from leakage.watch.adoption import (
     shortened,
     with_new_wander,
 )
-from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS
+from leakage.watch.causes import ODD_NIGHTS
 from leakage.watch.circuit import circuit_change
-from leakage.watch.evidence import STEP
 from leakage.watch.nights import Estimate, Machine, NightBlocks, Verdict, WatchSettings
 from leakage.watch.state import (
     State,
     change_in_force,
+    detection_limit,
     direction,
     is_contradicted,
     mean_change,
+    nights_beyond,
     on_first_baseline,
 )
 
@@ -116,29 +117,10 @@ class Watch:
             None if is_contradicted(state) else change_in_force(state),
             on_first_baseline(state, slice(-1, None)),
             mean_change(state),
-            self.smallest_change(),
+            detection_limit(state),
             float(state.window.distance[-1]),
+            nights_beyond(state) > 0,
         )
-
-    def smallest_change(self) -> float | None:
-        """Smallest change of all flows, begun ten nights ago, that would be detected now.
-
-        Where fewer nights may hold a change, of one begun in the first of them; None where none
-        may.
-        """
-        state, evidence = self.state, self.state.evidence_now()
-        start = max(evidence.first_step, len(state.window) - choices.PRESENT_NIGHTS)
-        if start == len(state.window):
-            return None
-        told = evidence.of_starts(np.array([start]))
-        names = [one.name for one in evidence.causes.every]
-        second = float(told.second[STEP, 0, names.index(ALL_FLOWS)])
-        spread, n_since = choices.STEP_SIZE, np.array([len(state.window) - start], dtype=float)
-        freedom = float(state.wander.degrees_of_freedom(state.n_nights, n_since)[0])
-        sd = 1.0 / math.sqrt(second + spread**-2)
-        fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(names))
-        gain = freedom * math.expm1(2.0 * (state.settings.limit - fixed) / (freedom + 1.0))
-        return math.sqrt(gain) * sd
 
     def change_since(self, day: int) -> Estimate | None:
         """Change of the leakage from a day on; None without nights on both sides (model.md, 7c.5).
