@@ -75,9 +75,10 @@ EVERY = slice(None)
 class Level:
     """λ of some nights, and what their errors are made from.
 
-    `value`, the variances `noise` of the errors within each night, with those of the model in it, and
-    `shift` of its own shift of the paths, and `beyond`, how far its operating conditions are from usual ones, have shape (n,);
-    `gain` is what an error of each unknown does to it, of the paths first, shape (n, q).
+    Of shape (n,): `value`; the variances `noise` of the errors within each night, with those of the
+    model in it, and `shift` of its own shift of the paths; `beyond`, how far its operating
+    conditions are from usual ones. `gain` is what an error of each unknown does to it, of the paths
+    first, shape (n, q).
     """
 
     value: Array

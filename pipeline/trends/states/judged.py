@@ -9,8 +9,16 @@ from typing import Literal
 
 from leakage.watch import Change, Estimate
 from leakage.watch.attribution import parts_of
-from leakage.watch.causes import BACK, CANNOT_BE_TOLD, ODD_NIGHTS, TANK, TEMPERATURE_EFFECT
+from leakage.watch.causes import (
+    BACK,
+    CANNOT_BE_TOLD,
+    NO_LEAKAGE,
+    ODD_NIGHTS,
+    TANK,
+    TEMPERATURE_EFFECT,
+)
 from leakage.watch.choices import NAMED
+from leakage.watch.circuit import CircuitChange
 from leakage.watch.nights import SEVERAL
 from pipeline.config import MotorSpec
 from pipeline.trends.nights.layout import FLUSHING, KNOWN
@@ -57,6 +65,13 @@ class JudgedNight:
         """Leakage at the reference conditions; None where there is none."""
         found = self.watched.reference
         return self.fitted if isinstance(found, str) else found
+
+    @property
+    def circuit(self) -> CircuitChange | None:
+        """The change in force beside those of the circuit's other motors; None without them."""
+        watch = self.watched.watch
+        in_force = None if watch is None or self.change is None else watch.state.in_force
+        return None if in_force is None else in_force.circuit
 
     @property
     def gap_growth(self) -> Estimate | None:
@@ -116,6 +131,9 @@ def _as_shown(change: Change, night: WatchedNight) -> Change:
         of_name = shown(parts_of(name, machine.gaps))
         label = of_class if of_name <= alike else A_PART if of_name == {A_PART} else name
         candidates[label] = candidates.get(label, 0.0) + probability
+    if change.cause == TANK:
+        rest = (1.0 - change.probability) / max(sum(candidates.values()), 1.0)
+        candidates = {TANK: change.probability} | {a: rest * b for a, b in candidates.items()}
     candidates = dict(sorted(candidates.items(), key=lambda candidate: -candidate[1]))
     cause, probability = change.cause, change.probability
     is_prior = not alike.isdisjoint(shown(parts)) and len(alike) > 1
@@ -152,6 +170,7 @@ def _state(night: JudgedNight) -> tuple[str, str]:
     if change.cause == TANK:
         return "common_cause", "common_cause"
     level = alarms.alarm_percent / 100.0
-    if change.is_rise and watched.verdict.present.probability_above(level) >= SURE:
+    is_leakage = change.cause not in NO_LEAKAGE
+    if is_leakage and watched.verdict.present.probability_above(level) >= SURE:
         return "alarm", "level"
     return "warning", "change"
