@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,6 +13,8 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from leakage.watch import Estimate, NightBlocks, Verdict, Watch, WatchSettings
+from leakage.watch.causes import NO_LEAKAGE
+from leakage.watch.choices import LEAKAGE_BY_LACK
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
@@ -217,7 +220,7 @@ class Course:
             baseline=self.baseline,
             watch=self.watch,
             verdict=verdict,
-            own=self._leakage(self.baseline.own, place),
+            own=self._own_leakage(self.baseline, verdict, place),
             reference=self._leakage(self.reference, place),
         )
         if night.n_blocks:
@@ -233,6 +236,24 @@ class Course:
         """The fleet's reference conditions, with the charge pressure of the baseline."""
         charge = None if self.baseline is None else self.baseline.own.charge_over_case_bar
         return self.spec.settings.reference.conditions(charge)
+
+    def _own_leakage(self, baseline: Baseline, verdict: Verdict, place: int) -> Estimate | str:
+        """Leakage now at the motor's own conditions: the baseline's and its change (7c.3).
+
+        By the oil of the night, which the change is no part of.
+        """
+        assert self.watch is not None
+        first = self.nights.history.place_from(baseline.end)
+        now, then = self.drives_at(baseline.own, place), self.drives_at(baseline.own, first)
+        if isinstance(now, str) or isinstance(then, str) or baseline.own_leakage is None:
+            return now if isinstance(now, str) else OUT_OF_REACH
+        theta, in_force = np.array(baseline.coefficients), self.watch.state.in_force
+        change = verdict.newest_night
+        if in_force is not None and in_force.change.cause in NO_LEAKAGE:
+            change = in_force.before
+        flow = baseline.own_leakage * float(theta @ now) / max(float(theta @ then), 1e-12)
+        grown, missed = 1.0 + change.value, LEAKAGE_BY_LACK * verdict.lack_of_fit
+        return Estimate(flow * grown, flow * math.hypot(change.sd, grown * missed))
 
     def _leakage(self, at: Conditions, place: int) -> Estimate | str:
         assert self.watch is not None

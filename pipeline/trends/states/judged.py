@@ -7,9 +7,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from leakage.watch import Change, Estimate
+from leakage.watch import Change, Estimate, Machine
 from leakage.watch.attribution import parts_of
 from leakage.watch.causes import (
+    ALL_FLOWS,
+    ALL_GAPS,
+    AND,
     BACK,
     CANNOT_BE_TOLD,
     NO_LEAKAGE,
@@ -17,7 +20,7 @@ from leakage.watch.causes import (
     TANK,
     TEMPERATURE_EFFECT,
 )
-from leakage.watch.choices import NAMED
+from leakage.watch.choices import MOSTLY, NAMED
 from leakage.watch.circuit import CircuitChange
 from leakage.watch.nights import SEVERAL
 from pipeline.config import MotorSpec
@@ -33,6 +36,8 @@ SHOWS_NOTHING = 0.5
 # What the parts are together where the model does not describe the motor; between the names of
 # causes of which it is one or more.
 A_PART, ONE_OF = "a_part", " or "
+# Causes beside parts that may be wear.
+MAY_BE_WEAR = (A_PART, ALL_GAPS, ALL_FLOWS, SEVERAL)
 # Names that do not come of the shape of a change.
 NOT_OF_SHAPE = (BACK, ODD_NIGHTS, TANK)
 ModelVerdict = Literal["supported", "doubtful", "disproved"]
@@ -86,9 +91,34 @@ class JudgedNight:
         return Estimate(height - 1.0, growth.sd / (3.0 * height**2))
 
     @property
+    def may_wear(self) -> bool:
+        """True unless what changed is no wear: then no time to a limit follows (issue 49.9)."""
+        change = self.change
+        if change is None or self.state == "common_cause":
+            return change is None
+        wears = {*self.wearing_parts, *MAY_BE_WEAR}
+        share = sum(
+            probability
+            for label, probability in change.candidates.items()
+            if not wears.isdisjoint(label.split(ONE_OF)) or AND in label
+        )
+        return change.is_rise and (share >= MOSTLY or not change.candidates)
+
+    @property
+    def wearing_parts(self) -> frozenset[str]:
+        """Names of the motor's parts."""
+        watch = self.watched.watch
+        return frozenset() if watch is None else parts_in(watch.state.machine)
+
+    @property
     def needed(self) -> int:
         """Nights of a baseline."""
         return self.spec.settings.trend.baseline_nights
+
+
+def parts_in(machine: Machine) -> frozenset[str]:
+    """Names of the paths that are parts."""
+    return frozenset(machine.paths) - {FLUSHING, KNOWN}
 
 
 def model_verdict(lack_of_fit: float) -> ModelVerdict:
@@ -119,7 +149,7 @@ def _as_shown(change: Change, night: WatchedNight) -> Change:
     assert night.watch is not None
     assert night.verdict is not None
     machine, is_disproved = night.watch.state.machine, night.verdict.lack_of_fit > DOUBTFUL
-    parts = frozenset(machine.paths) - {FLUSHING, KNOWN}
+    parts = parts_in(machine)
 
     def shown(names: Iterable[str]) -> frozenset[str]:
         return frozenset(A_PART if is_disproved and one in parts else one for one in names)
