@@ -133,6 +133,13 @@ OWN_PERIOD, PERIOD_NIGHTS = 0.15, 8
 # Spread of what counts as "back as before".
 BACK_SPREAD = 0.15
 
+# -- events behind which the motor is the same -----------------------------------------------------
+# What a flow's way with viscosity misses, as a share of its logarithm, and what two data sheets do;
+# spread of the step at another flow meter and at another sensor.
+OIL_LAW, OIL_SHEET, METER_SPREAD, SENSOR_SPREAD = 0.2, 0.02, 0.1, 0.05
+# Spread of what a motor does by itself at such an event: what is left of a step is the event's.
+OWN_STEP = 0.03
+
 # -- the oil circuit -------------------------------------------------------------------------------
 # How far motors of one oil move apart: of the flow, and of the circuit's change.
 CIRCUIT_ERROR, CIRCUIT_SPREAD = 0.01, 0.1

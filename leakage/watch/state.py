@@ -138,6 +138,18 @@ class ChangeInForce:
 
 
 @dataclass(frozen=True, slots=True)
+class Crossing:
+    """An event behind which the motor is the same, until a baseline period of its own (7c.6).
+
+    Its first day, the spread of the step that it may make, and the change just before.
+    """
+
+    day: int
+    spread: float
+    before: Estimate
+
+
+@dataclass(frozen=True, slots=True)
 class State:
     """What is kept of a motor."""
 
@@ -164,6 +176,7 @@ class State:
     # Change of the flow at the baseline period's beginning against the first baseline.
     carried: Estimate = UNCHANGED
     in_force: ChangeInForce | None = None  # The change in force; None: none is detected.
+    crossing: Crossing | None = None  # The event that the baseline period has behind it, if any.
 
     @property
     def day(self) -> int:
@@ -250,7 +263,30 @@ def _n_present(state: State) -> int:
 
 
 def on_first_baseline(state: State, nights: slice) -> Estimate:
-    """Change of the leakage over some nights, against the first baseline (model.md, 7c.3)."""
+    """Return the change of the leakage over some nights, against the first baseline (7c.3)."""
+    change, step = _as_measured(state, nights), event_step(state)
+    ratio = (1.0 + change.value) / (1.0 + step.value)
+    return Estimate(ratio - 1.0, math.hypot(change.sd, ratio * step.sd) / (1.0 + step.value))
+
+
+def event_step(state: State) -> Estimate:
+    """Return what the event behind which the nights lie has moved (model.md, 7c.6).
+
+    Of the step s between the levels before and after, the likely share: δ = s σ² / (σ² + τ²).
+    """
+    crossing = state.crossing
+    if crossing is None or not len(state.window):
+        return UNCHANGED
+    level = state.level_along(state.baseline.leakage_flows).mean()
+    grown = (1.0 + state.carried.value) * (1.0 + level.value)
+    step = grown / (1.0 + crossing.before.value) - 1.0
+    own = choices.OWN_STEP**2 + level.sd**2 + crossing.before.sd**2
+    share = crossing.spread**2 / (crossing.spread**2 + own)
+    return Estimate(share * step, crossing.spread * math.sqrt(1.0 - share))
+
+
+def _as_measured(state: State, nights: slice) -> Estimate:
+    """The same, with what an event has moved."""
     along, of_leakage = direction(state)
     level = state.level_along(along, nights).mean().scaled(of_leakage)
     grown = 1.0 + state.carried.value

@@ -30,6 +30,7 @@ from leakage.watch.adoption import (
 )
 from leakage.watch.causes import ODD_NIGHTS
 from leakage.watch.circuit import circuit_change
+from leakage.watch.events import across_event
 from leakage.watch.nights import Estimate, Machine, NightBlocks, Verdict, WatchSettings
 from leakage.watch.state import (
     State,
@@ -84,6 +85,13 @@ class Watch:
         if not state.is_settling and state.period_from is not None:
             state = new_period(state, earlier)
         return Watch(shortened(at_rest(state)))
+
+    def across_event(self, machine: Machine, day: int, spread: float) -> Watch:
+        """The watch of nights from a day on, behind an event with the same motor (7c.6).
+
+        `machine`: As it is behind it, with its oil. `spread`: Of the step that the event may make.
+        """
+        return Watch(across_event(self.state, machine, day, spread))
 
     def beside(self, others: Sequence[Watch]) -> Watch:
         """The watch that knows what the circuit's other motors did since its own change.

@@ -14,7 +14,8 @@ from pydantic import TypeAdapter
 
 from leakage.watch import Estimate, NightBlocks, Verdict, Watch, WatchSettings
 from leakage.watch.causes import NO_LEAKAGE
-from leakage.watch.choices import LEAKAGE_BY_LACK
+from leakage.watch.choices import LEAKAGE_BY_LACK, METER_SPREAD, SENSOR_SPREAD
+from leakage.watch.events import oil_spread
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
@@ -27,6 +28,8 @@ from pipeline.trends.nights.kept import Kept, KeptWatch
 REACH = np.array([10.0, 20.0, 10.0])
 OUT_OF_REACH = "the era's blocks do not reach these conditions"
 
+# Spread of the step of events that carry a baseline across, but for a change of oil.
+SPREADS = {"meter_changed": METER_SPREAD, "sensor_changed": SENSOR_SPREAD}
 NOTHING_SEEN = np.full((2, 3), np.nan)
 
 
@@ -119,7 +122,8 @@ class Course:
         course = cls(output, nights, periods, place, period_at(periods, max(place - 1, 0)), figures)
         kept = nights.wanted.kept
         if nights.resumes and kept is not None and kept.watch is not None:
-            machine = history.layout.machine(history.spec, kept.watch.period)
+            newest = dt.date.fromordinal(kept.watch.day)
+            machine = history.layout.machine(history.spec, newest)
             settings = watch_settings(history.spec)
             course.watch = Watch.of_arrays(machine, settings, kept.watch.arrays)
             course.baseline = KEPT_BASELINE.validate_python(kept.watch.own["baseline"])
@@ -150,10 +154,28 @@ class Course:
         if self.place in (self.period.first, self.period.end):
             self.period = period_at(self.periods, self.place)
             self.watch, self.baseline, self.waiting, self.seen = None, None, [], NOTHING_SEEN
-        blocks = self.nights.blocks.get(history.nights[self.place].toordinal())
+        night = history.nights[self.place]
+        blocks = self.nights.blocks.get(night.toordinal())
         if blocks is not None:
+            if self.watch is not None and (spread := self._spread(self.watch, night)):
+                machine = history.layout.machine(history.spec, night)
+                self.watch = self.watch.across_event(machine, blocks.day, spread)
             self._take(blocks)
         self.place += 1
+
+    def _spread(self, watch: Watch, night: dt.date) -> float:
+        """Spread of the step of events since the watch's newest night; 0 without one."""
+        before, file = dt.date.fromordinal(watch.day), self.spec.file
+        spreads = [
+            SPREADS[event.kind]
+            for event in file.events
+            if event.kind in SPREADS and before < event.date <= night
+        ]
+        if (filled := file.filled_on(night)) is not None and before < filled:
+            at_c = watch.state.baseline.columns.temperature_c
+            old, new = (self.spec.oil_on(label).oil() for label in (before, night))
+            spreads.append(oil_spread(old, new, at_c))
+        return math.hypot(*spreads)
 
     def _take(self, blocks: NightBlocks) -> None:
         history = self.nights.history
