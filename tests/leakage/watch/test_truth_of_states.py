@@ -118,7 +118,7 @@ def crossed(nights: Sequence[NightBlocks], event: int, spread: float) -> list[Wa
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("standing", [0.0, 0.12])
 def test_an_event_with_the_same_motor_keeps_its_change(standing: float, seed: int) -> None:
-    """7c.6: the new oil moves all flows by 6 %, which is the oil's; the change stays, or silence."""
+    """7c.6: the new oil moves all flows by 6 %, its own: the change stays, or silence."""
 
     def growth(night: int) -> float:
         return (1.0 + standing * (night >= BEGIN)) * (1.06 if night >= 50 else 1.0)
