@@ -361,7 +361,7 @@ def _one_of(label: str) -> str:
 
 def is_of_parts(label: str) -> bool:
     """True if a cause, or all that cannot be told apart, are parts of the motor."""
-    return all(name not in CAUSES for name in label.split(ONE_OF)) and label not in ADVICE
+    return all(name not in CAUSES and name not in WHAT for name in label.split(ONE_OF))
 
 
 def _parts(change: Change) -> str:

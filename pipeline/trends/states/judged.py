@@ -171,7 +171,7 @@ def _as_shown(change: Change, night: WatchedNight) -> Change:
         likeliest, share = next(iter(candidates.items()), (CANNOT_BE_TOLD, 0.0))
         if share >= NAMED and likeliest != SEVERAL:
             cause, probability = likeliest, share
-        elif is_prior or not shown((cause,)).isdisjoint({A_PART}):
+        elif is_prior or A_PART in shown(parts_of(cause, machine.gaps)):
             cause, probability = CANNOT_BE_TOLD, share
     has_growth = cause == change.cause and not is_disproved
     growth = change.path_growth if has_growth else None
