@@ -357,11 +357,17 @@ def mean_change(state: State) -> Estimate:
 
 
 def is_contradicted(state: State) -> bool:
-    """True if the change in force is none by its own interval (model.md, 7c.2)."""
+    """True if the change in force is none by its own interval (model.md, 7c.2).
+
+    A first change that settles is none, either, where its nights say the opposite.
+    """
     in_force = state.in_force
     if in_force is None or in_force.change.cause in (BACK, ODD_NIGHTS, TEMPERATURE_EFFECT):
         return False
-    return mean_change(state).holds_zero
+    mean = mean_change(state)
+    is_first = in_force.found is not None and in_force.prior is None
+    is_opposite = (mean.value > 0.0) != in_force.change.is_rise
+    return mean.holds_zero or (is_first and is_opposite)
 
 
 def change_in_force(state: State) -> Change | None:
