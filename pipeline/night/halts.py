@@ -59,19 +59,6 @@ def settled_halts(
     settle, needed = (
         round(seconds * SECOND_US) for seconds in (settings.settle_s, settings.minimum_s)
     )
-    low = next((name for name in LOW_SIDE if name in channels), None)
-
-    def are_ports_relieved(begin: int, end: int) -> bool:
-        """True if the low side is known to be near case pressure, and with it the other."""
-        if settings.without_pressure_at_halts or low is None:
-            return settings.without_pressure_at_halts
-        port, case = _readings(channels[low], begin, end, needed), np.array([case_bar])
-        if CASE in channels:
-            case = _readings(channels[CASE], begin, end, needed)
-        if not len(port) or not len(case):
-            return False
-        return bool(abs(np.median(port) - np.median(case)) <= settings.depressurised_below_bar)
-
     pressures: list[float] = []
     flows: list[float] = []
     begins, ends = stretches(standstill)
@@ -90,9 +77,27 @@ def settled_halts(
         bar = sum(sign * float(np.median(port)) for sign, port in ports)
         if abs(bar) <= settings.depressurised_below_bar:
             pressures.append(bar)
-            if are_ports_relieved(begin, end):
+            if _is_relieved(channels, (begin, end, needed), settings, case_bar):
                 flows.append(float(np.median(flow)))
     return Halts(len(pressures), _zero(pressures), _zero(flows))
+
+
+def _is_relieved(
+    channels: Mapping[str, CleanChannel],
+    halt: tuple[int, int, int],
+    settings: SensorHealth,
+    case_bar: float,
+) -> bool:
+    """True if the low side is known to be near case pressure, and the other port with it."""
+    low = next((name for name in LOW_SIDE if name in channels), None)
+    if settings.without_pressure_at_halts or low is None:
+        return settings.without_pressure_at_halts
+    port, case = _readings(channels[low], *halt), np.array([case_bar])
+    if CASE in channels:
+        case = _readings(channels[CASE], *halt)
+    if not len(port) or not len(case):
+        return False
+    return bool(abs(np.median(port) - np.median(case)) <= settings.depressurised_below_bar)
 
 
 def _readings(channel: CleanChannel, begin_us: int, end_us: int, needed_us: int) -> Values:

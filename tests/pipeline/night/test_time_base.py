@@ -375,7 +375,7 @@ def test_a_halt_that_is_too_short_tells_nothing() -> None:
 def test_ports_show_the_zero_of_the_flow_only_where_they_are_near_case_pressure(
     low_bar: float | None, case_bar: float, is_known: bool
 ) -> None:
-    """Issue 49.8: equal pressures on both ports leak to the case; a difference alone is no proof."""
+    """Equal pressures on both ports leak to the case; a difference alone is no proof."""
     still, bar, flow = night(*THREE)
     channels = {"pressure_difference": channel(bar), "leakage_flow": channel(flow)}
     if low_bar is not None:
