@@ -258,7 +258,8 @@ def _n_present(state: State) -> int:
     if state.in_force is None:
         return choices.PRESENT_NIGHTS
     change = state.in_force.change
-    most = choices.PRESENT_OF_RAMP if change.shape == RAMPS else choices.PRESENT_NIGHTS
+    is_ramp = change.shape == RAMPS or change.goes_on
+    most = choices.PRESENT_OF_RAMP if is_ramp else choices.PRESENT_NIGHTS
     return max(1, min(most, len(state.window) - state.place(change.since)))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from leakage.watch import Change, Estimate, Machine
-from leakage.watch.attribution import parts_of
+from leakage.watch.attribution import LEAST_PROBABILITY, parts_of
 from leakage.watch.causes import (
     ALL_FLOWS,
     ALL_GAPS,
@@ -164,6 +164,7 @@ def _as_shown(change: Change, night: WatchedNight) -> Change:
     if change.cause == TANK:
         rest = (1.0 - change.probability) / max(sum(candidates.values()), 1.0)
         candidates = {TANK: change.probability} | {a: rest * b for a, b in candidates.items()}
+    candidates = {name: p for name, p in candidates.items() if p > LEAST_PROBABILITY}
     candidates = dict(sorted(candidates.items(), key=lambda candidate: -candidate[1]))
     cause, probability = change.cause, change.probability
     is_prior = not alike.isdisjoint(shown(parts)) and len(alike) > 1
