@@ -15,7 +15,6 @@ from benchmarks.watch.rivals import charts
 from benchmarks.watch.simulator import History, drives_and_leakage
 from leakage.watch import Change, Estimate, NightBlocks, Verdict, Watch, WatchSettings
 from pipeline.arrays import Array
-from pipeline.trends.states.course import tank_change
 
 # Seeds of trials while building, and of the figures that are shown.
 TRIAL, FRESH = 36, 20261203
@@ -81,21 +80,15 @@ def _watched(histories: Sequence[History], baseline: int) -> tuple[Watch, list[V
             watch.after(one.nights[place], partial(_earlier, one.nights[: place + 1]))
             for watch, one in zip(watches, histories, strict=True)
         ]
-        watches = [_on_tank(watch, watches) for watch in watches]
+        watches = [
+            watch.beside([other for other in watches if other is not watch]) for watch in watches
+        ]
         verdicts.append(watches[0].verdict())
     return watches[0], verdicts
 
 
 def _earlier(nights: Sequence[NightBlocks], day: int) -> Sequence[NightBlocks]:
     return [one for one in nights if one.day >= day]
-
-
-def _on_tank(watch: Watch, tank: Sequence[Watch]) -> Watch:
-    """The watch that knows what the others say since its change, as in a run."""
-    change = watch.verdict().change
-    others = [one for one in tank if one is not watch]
-    said = tank_change(others, change.since) if change else None
-    return watch.with_tank(said) if said else watch
 
 
 def _told(told_on: int, said: Sequence[tuple[int, Change]], true: Array, cell: Cell) -> Outcome:

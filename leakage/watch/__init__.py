@@ -4,9 +4,9 @@ Arrays in, frozen results out; imports nothing but `leakage.physics` and `leakag
 bottom up: `nights` (what goes in and comes out), `choices` (constants, with their reasons),
 `within_night` (errors within a night), `baseline` (what the first nights fix), `wander` (errors
 from night to night), `causes`, `evidence` (of every start, shape and cause), `attribution` (since,
-how much, which cause), `state` (with the figures of the newest nights), `adoption` (a change
-detected, and what it leaves behind), `watch` (night by night), `keeping`, `comparison` (before and
-after a date).
+how much, which cause), `circuit` (beside the circuit's other motors), `state` (with the figures of
+the newest nights), `adoption` (a change detected, and what it leaves behind), `watch` (night by
+night), `keeping`, `comparison` (before and after a date).
 """
 
 from leakage.watch.comparison import Comparison, compare

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage.arrays import Array
 from leakage.watch import choices
@@ -17,16 +16,19 @@ from leakage.watch.attribution import (
     attribute,
     name_of,
     share_of_flow,
+    share_of_leakage,
 )
 from leakage.watch.baseline import N_TEMPERATURE, Baseline, baseline_of
 from leakage.watch.causes import (
     BACK,
     CANNOT_BE_TOLD,
     ODD_NIGHTS,
+    TANK,
     TEMPERATURE_EFFECT,
     Cause,
     back_as_before,
 )
+from leakage.watch.circuit import CircuitChange
 from leakage.watch.evidence import STEP, Causes, Evidence, Places, Sums, Window, starts_of
 from leakage.watch.nights import (
     NOW_AND_THEN,
@@ -46,12 +48,12 @@ from leakage.watch.state import (
     State,
     all_causes,
     change_in_force,
+    is_contradicted,
+    nights_beyond,
     on_first_baseline,
     present,
 )
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
-
-Days = NDArray[np.int64]
 
 
 def judged(state: State) -> State:
@@ -61,9 +63,10 @@ def judged(state: State) -> State:
     evidence = state.evidence_now()
     weighed = with_evidence(state, evidence, state.place(state.first_ramp))
     frequent = weighed.often - math.log(2 * len(evidence.causes))
-    if frequent >= max(state.settings.limit, weighed.evidence) and len(odd_nights(weighed)):
+    if frequent >= max(state.settings.limit, weighed.evidence) and len(odd_places(weighed.window)):
         return _with_odd_nights(weighed)
-    return _told(weighed) if weighed.evidence >= state.settings.limit else weighed
+    is_told = weighed.evidence >= state.settings.limit or nights_beyond(weighed) > 1
+    return _told(weighed) if is_told else weighed
 
 
 def with_evidence(state: State, evidence: Evidence, first: int) -> State:
@@ -82,30 +85,84 @@ def with_evidence(state: State, evidence: Evidence, first: int) -> State:
 
 
 def of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array) -> Array:
-    """What the oddest night since each start says alone, shape (k,): one odd night is no change.
+    """Return what one odd night since each start accounts for, shape (k,) (model.md, 7c.1).
 
-    At other operating conditions the nights share an error, so that one says nearly as much as all:
-    there it is what all nights say less what they say without it.
+    One odd night is no change. What the oddest says alone is what all nights say less what they say
+    without it, where odd nights do not come again and again. At other operating conditions nights
+    share an error, so that one says nearly as much as all: there it is the night whose absence
+    costs most.
     """
-    last = len(window) - 1
     oddest = np.array([start + int(window.odd[start:].argmax()) for start in starts])
-    odd: Array = window.odd[oddest]
-    other = np.flatnonzero(evidence.operates_otherwise(starts))
-    if last and len(other):
-        rest = evidence.of_starts(starts[other], without=oddest[other]).log_ratio
-        alone = told[other] - np.logaddexp.reduce(rest, axis=(0, 2))
-        by_all = np.logaddexp(math.log(1 - choices.ODD), math.log(choices.ODD) + alone)
-        odd[other] = np.minimum(odd[other], np.maximum(by_all, 0.0))
+    odd: Array = window.odd[oddest].copy()
+    otherwise = evidence.operates_otherwise(starts)
+    usual = np.flatnonzero(~otherwise & (starts < len(window) - 1))
+    if len(usual) and not len(odd_places(window)):
+        alone = told[usual] - _without(evidence, starts[usual], oddest[usual])
+        odd[usual] = np.minimum(odd[usual], _odd(alone))
+    ages = len(window) - starts
+    doubtful = otherwise & (told > choices.LEFT_OUT_FROM) & (ages <= choices.DENSE_STARTS)
+    for place in np.flatnonzero(doubtful).tolist():
+        nights = np.arange(starts[place], len(window))
+        rest = _without(evidence, np.full(len(nights), starts[place]), nights)
+        odd[place] = _odd(told[place] - rest.min())
     return odd
+
+
+def _without(evidence: Evidence, starts: Places, nights: Places) -> Array:
+    """ln of the likelihood ratios of starts that leave out a night each, all causes, shape (k,)."""
+    log_ratio = evidence.of_starts(starts, without=nights).log_ratio
+    rest: Array = np.logaddexp.reduce(log_ratio, axis=(0, 2))
+    return rest
+
+
+def _odd(alone: Array) -> Array:
+    """ln of how much likelier a night is as an odd one, from what it says alone; at least 0."""
+    odd = np.logaddexp(math.log(1.0 - choices.ODD), math.log(choices.ODD) + alone)
+    return np.maximum(odd, 0.0)
 
 
 def _told(state: State) -> State:
     """A change detected in the newest night, unless the flow has hardly changed."""
     evidence = state.evidence_now()
     found = attribute(evidence, state.baseline, _starts_until(state, state.day))
-    if abs(found.flow.value) < choices.LEAST_CHANGE:
+    if abs(found.leakage.value) < choices.LEAST_CHANGE:
         return state
-    return replace(state, in_force=in_force_of(state, evidence, found, told_on=state.day))
+    detected = replace(state, in_force=in_force_of(state, evidence, found, told_on=state.day))
+    return state if state.in_force is None and is_contradicted(detected) else detected
+
+
+def settling(state: State) -> State:
+    """Return a change that settles as the nights up to now show it (model.md, 7c.1).
+
+    What reverses it is a change of its own at once. It is withdrawn where the interval of what it
+    rests on holds 0, the evidence has fallen below the limit and nothing stood before.
+    """
+    if (reversal := _reversal(state)) is not None:
+        return reversal
+    state = with_evidence(state, state.evidence_now(), state.place(state.first_ramp))
+    assert state.in_force is not None
+    now = settled(state)
+    assert now.in_force is not None
+    # What seems to fall where it rose is about to be reversed: it settles as it was.
+    if now.in_force.change.is_rise == state.in_force.change.is_rise:
+        state = now
+    assert state.in_force is not None
+    is_withdrawn = state.in_force.prior is None and state.evidence < state.settings.limit
+    return replace(state, in_force=None) if is_withdrawn and is_contradicted(state) else state
+
+
+def _reversal(state: State) -> State | None:
+    """The change that settles, adopted as it was, with a reversal detected; None without one.
+
+    A first change that is undone needs none: it is withdrawn, or at rest once it has settled.
+    """
+    behind = judged(_taken_for_granted(state))
+    before, now = state.in_force, behind.in_force
+    assert before is not None
+    assert now is not None
+    if now.found is None or now.change.is_rise == before.change.is_rise:
+        return None
+    return None if before.prior is None and present(behind).holds_zero else behind
 
 
 def settled(state: State) -> State:
@@ -121,8 +178,8 @@ def settled(state: State) -> State:
     before = state.in_force.found.since
     dates = min(lower, before[0]), min(since, before[1]), max(upper, before[2])
     found = replace(found, since=dates)
-    tank = state.in_force.tank
-    return replace(state, in_force=in_force_of(state, evidence, found, told_on, tank))
+    circuit = state.in_force.circuit
+    return replace(state, in_force=in_force_of(state, evidence, found, told_on, circuit))
 
 
 def _starts_until(state: State, told_on: int) -> Places:
@@ -135,47 +192,62 @@ def in_force_of(
     evidence: Evidence,
     found: Attribution,
     told_on: int,
-    tank: Estimate | None = None,
+    circuit: CircuitChange | None = None,
 ) -> ChangeInForce:
     """The change that is detected from a day on, with its name."""
-    name = name_of(evidence, state.machine, state.baseline, found.start, found.flow.value, tank)
+    name = _named(state, evidence, found)
     prior = _before(state, told_on)
-    is_rise = found.flow.value > 0.0
+    is_rise = found.leakage.value > 0.0
+    if circuit is not None and circuit.is_common:
+        name = replace(name, cause=TANK, probability=circuit.probability, alike=())
     goes_on = prior is not None and _is_the_same(prior.change, name, is_rise=is_rise)
-    cause, probability = name.cause, name.probability
+    cause, probability, alike = name.cause, name.probability, name.alike
     # What goes on began where it was detected first, and keeps its name.
     lower, since, upper = found.since
     if prior is not None and goes_on:
         since, lower, upper = prior.change.dates
         if cause == CANNOT_BE_TOLD:
             cause, probability = prior.change.cause, prior.change.probability
-    growth = state.growth_of(cause, found.flow)
+            alike = alike or prior.change.alike
+    growth = state.growth_of(cause, found.leakage)
     if prior is not None and goes_on and prior.change.cause == cause:
-        growth = grown_as(prior.change, found.flow)
+        growth = grown_as(prior.change, found.leakage)
     change = Change(
         cause,
         probability,
         name.candidates,
+        alike,
         is_rise,
         found.shape,
         since,
         lower,
         upper,
         told_on,
-        found.flow,
+        found.leakage,
         growth,
         name.likeliest.grade,
         goes_on,
     )
     if prior is not None and goes_on:
-        return replace(prior, change=change, found=found, prior=prior, tank=tank)
-    along, of_flow, before = state.baseline.all_flows, 1.0, UNCHANGED
+        return replace(prior, change=change, found=found, prior=prior, circuit=circuit)
+    along, of_leakage, before = state.baseline.leakage_flows, 1.0, UNCHANGED
     if prior is not None:
         start = state.place(found.start)
         before = on_first_baseline(state, slice(max(0, start - choices.PRESENT_NIGHTS), start))
     elif name.cause == name.likeliest.name and name.cause not in (BACK, TEMPERATURE_EFFECT):
-        along, of_flow = name.likeliest.direction, share_of_flow(name.likeliest, state.baseline)
-    return ChangeInForce(change, along, of_flow, before, found, prior, tank)
+        along = name.likeliest.direction
+        of_leakage = share_of_leakage(name.likeliest, state.baseline)
+    return ChangeInForce(change, along, of_leakage, before, found, prior, circuit)
+
+
+def _named(state: State, evidence: Evidence, found: Attribution) -> Name:
+    """The name of a change; its cause is open until the evidence has reached the limit (7c.8)."""
+    name = name_of(evidence, state.machine, state.baseline, found.start, found.drain)
+    before = state.in_force
+    is_open = before is None or before.found is None or not before.change.candidates
+    if is_open and state.evidence < state.settings.limit:
+        return replace(name, cause=CANNOT_BE_TOLD, probability=0.0, candidates={}, alike=())
+    return name
 
 
 def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
@@ -198,29 +270,32 @@ def _before(state: State, told_on: int) -> ChangeInForce | None:
     return replace(in_force, prior=None)
 
 
-def odd_nights(state: State) -> Days:
-    """Days of odd nights, if there are enough of them and not too many."""
-    odd = np.flatnonzero(state.window.odd > 1.0)
-    odd = odd[odd > len(state.window) - 1 - choices.ODD_WITHIN]
+def odd_places(window: Window) -> Places:
+    """Return the places of odd nights, if there are enough of them and not too many.
+
+    Three within 60 nights, at most half of the nights since the first (model.md, 7c.1).
+    """
+    odd = np.flatnonzero(window.odd > 1.0)
+    odd = odd[odd > len(window) - 1 - choices.ODD_WITHIN]
     if len(odd) < choices.LEAST_ODD:
         return odd[:0]
-    most = choices.MOST_ODD * (len(state.window) - odd[0])
-    return state.window.days[odd] if len(odd) <= most else odd[:0]
+    return odd if len(odd) <= choices.MOST_ODD * (len(window) - odd[0]) else odd[:0]
 
 
 def _with_odd_nights(state: State) -> State:
     """With odd nights told that come again and again, unless another change is in force."""
     if state.in_force is not None and state.in_force.change.cause != ODD_NIGHTS:
         return replace(state, often=NOTHING)
-    days, again = odd_nights(state), state.in_force is not None
-    level = state.level_along(state.baseline.all_flows)
-    value = level.value[np.searchsorted(state.window.days, days)]
+    places, again = odd_places(state.window), state.in_force is not None
+    level = state.level_along(state.baseline.leakage_flows)
+    value = level.value[places]
     size = Estimate(float(value.mean()), float(value.std() / math.sqrt(len(value))))
-    first = int(days[0])
+    first = int(state.window.days[places[0]])
     change = Change(
         ODD_NIGHTS,
         1.0,
         {ODD_NIGHTS: 1.0},
+        (),
         size.value > 0.0,
         NOW_AND_THEN,
         first,
@@ -230,7 +305,7 @@ def _with_odd_nights(state: State) -> State:
         size,
         goes_on=again,
     )
-    in_force = ChangeInForce(change, state.baseline.all_flows, 1.0, UNCHANGED)
+    in_force = ChangeInForce(change, state.baseline.leakage_flows, 1.0, UNCHANGED)
     return replace(state, in_force=in_force, often=NOTHING)
 
 
@@ -281,8 +356,12 @@ def adopted(state: State) -> State:
         return state
     if len(state.window) - 1 - state.place(in_force.change.told_on) < choices.SETTLE:
         return state
-    told = settled(state)
-    now = told.in_force
+    return _taken_for_granted(settled(state))
+
+
+def _taken_for_granted(told: State) -> State:
+    """The watch behind a change, of which its attribution and what errs in it is known."""
+    state, now = told, told.in_force
     assert now is not None
     assert now.found is not None
     found = now.found
@@ -294,7 +373,8 @@ def adopted(state: State) -> State:
         # What several causes have done is what the level of all flows says.
         level = change_in_force(told)
         assert level is not None
-        along, of_flow, size = state.baseline.all_flows, 1.0, level.size.value
+        along, of_flow = state.baseline.leakage_flows, state.baseline.leakage_share
+        size = level.size.value
     flow = abs(size * of_flow)
     start = state.place(found.start)
     before, score = (one[0] for one in state.sums.before(np.array([start]), state.window))
@@ -321,7 +401,7 @@ def adopted(state: State) -> State:
         due=0,
         often=NOTHING,
         period_from=period_from if flow > choices.OWN_PERIOD else None,
-        in_force=replace(now, found=None, prior=None, tank=None),
+        in_force=replace(now, found=None, prior=None),
     )
 
 
@@ -370,8 +450,8 @@ def new_period(state: State, earlier: Earlier) -> State:
     back[:p] = (old.theta - columns.theta) / columns.unit
     in_force = state.in_force
     if in_force is not None:
-        along = period.baseline.all_flows
-        in_force = replace(in_force, along=along, of_flow=1.0)
+        along = period.baseline.leakage_flows
+        in_force = replace(in_force, along=along, of_leakage=1.0)
     return replace(
         period,
         causes=all_causes(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from leakage.watch.causes import (
     BACK,
     CANNOT_BE_TOLD,
     COMMON,
-    TANK,
+    NO_LEAKAGE,
     TEMPERATURE_EFFECT,
     Cause,
 )
@@ -36,8 +36,8 @@ class Attribution:
     """A change as the nights so far show it; `since` and `start` are numbers of days.
 
     `weights` are the causes' probabilities where every cause has its exact shape, shape (d,);
-    `size` is that of the likeliest in its own units, `flow` the relative change of the flow, over
-    all causes.
+    `size` is that of the likeliest in its own units; `leakage` and `drain` are the relative changes
+    of the leakage and of the drain flow, over all causes.
     """
 
     since: tuple[int, int, int]
@@ -46,17 +46,22 @@ class Attribution:
     weights: Array
     likeliest: int
     size: Estimate
-    flow: Estimate
+    leakage: Estimate
+    drain: float
 
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """The cause that is detected, its probability, and all candidates."""
+    """The cause that is detected, its probability, and all candidates.
+
+    `alike` are the causes that the nights cannot tell from the likeliest, it among them.
+    """
 
     cause: str
     probability: float
     candidates: Mapping[str, float]
     likeliest: Cause
+    alike: tuple[str, ...]
 
 
 def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribution:
@@ -81,7 +86,12 @@ def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribu
     rise = np.ones((len(SHAPES), len(starts), 1))
     rise[RAMP, :, 0] = evidence.risen(starts)
     value, sd = value * rise, sd * rise
-    of_flow = np.array([share_of_flow(one, baseline) for one in evidence.causes.every])
+    of_leakage, of_drain = np.array(
+        [
+            (share_of_leakage(cause, baseline), share_of_flow(cause, baseline))
+            for cause in evidence.causes.every
+        ]
+    ).T
     # What did not begin in one night has a shape of its own.
     missed = choices.SIZE_BY_LACK * baseline.lack_of_fit
     missed += choices.SIZE_BY_SHAPE * (since[0] < since[2])
@@ -94,15 +104,34 @@ def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribu
         of_causes,
         likeliest,
         size,
-        _pooled(weights, value * of_flow, sd * np.abs(of_flow), missed),
+        _pooled(
+            weights,
+            value * of_leakage,
+            sd * np.abs(of_leakage),
+            math.hypot(missed, baseline.leakage_share_error),
+        ),
+        float((weights * value * of_drain).sum()),
     )
 
 
 def share_of_flow(cause: Cause, baseline: Baseline) -> float:
-    """Relative change of the flow by a cause of size 1; of the effect of temperature in 10 K."""
+    """Return the relative change of the drain flow by a cause of size 1.
+
+    Of the effect of temperature, that in 10 K.
+    """
     if cause.name == TEMPERATURE_EFFECT:
         return float(cause.direction[baseline.n_paths])
     return float(cause.direction @ baseline.own_row)
+
+
+def share_of_leakage(cause: Cause, baseline: Baseline) -> float:
+    """Return the relative change of the leakage by a cause of size 1 (model.md, 7c.3).
+
+    A flushing and a zero are no leakage: theirs is that of the drain flow.
+    """
+    if cause.name in (TEMPERATURE_EFFECT, *NO_LEAKAGE):
+        return share_of_flow(cause, baseline)
+    return float(cause.direction @ baseline.leakage_row)
 
 
 def _pooled(weights: Array, value: Array, sd: Array, missed: float) -> Estimate:
@@ -114,47 +143,66 @@ def _pooled(weights: Array, value: Array, sd: Array, missed: float) -> Estimate:
 
 
 def name_of(
-    evidence: Evidence,
-    machine: Machine,
-    baseline: Baseline,
-    start: int,
-    flow: float,
-    tank: Estimate | None = None,
+    evidence: Evidence, machine: Machine, baseline: Baseline, start: int, flow: float
 ) -> Name:
-    """The cause of a change, where every coordinate of its shape may err by the lack of fit.
+    """Return the cause of a change, where every coordinate of its shape may err by the lack of fit.
 
-    `start` is the number of its first day, `flow` the relative change of the flow; `tank` is the
-    change of the other motors' flows on the same tank since then, where they moved.
+    `start` is the number of its first day, `flow` the relative change of the drain flow.
     """
-    causes, log_prior = _with_tank(evidence.causes, baseline, tank)
+    causes = evidence.causes
     at = np.searchsorted(evidence.window.days, [start])
     change, score = _between(evidence, baseline, at, flow)
     # Under a wrong model several can do what one does.
     with_several = baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY
     log_ratio = _log_ratios(evidence, causes, at, change, score, with_several=with_several)
-    log_ratio[: len(causes)] += log_prior
     weights = np.exp(log_ratio - log_ratio.max())
     weights /= weights.sum()
-    likeliest = causes.every[int(log_ratio[: len(causes)].argmax())]
+    likeliest = int(log_ratio[: len(causes)].argmax())
     by_name: dict[str, float] = {}
-    names = [*(one.name for one in causes.every), *([SEVERAL] if with_several else [])]
-    for one, weight in zip(names, weights.tolist(), strict=True):
-        by_name[one] = by_name.get(one, 0.0) + weight
+    names = [*(cause.name for cause in causes.every), *([SEVERAL] if with_several else [])]
+    for name, weight in zip(names, weights.tolist(), strict=True):
+        by_name[name] = by_name.get(name, 0.0) + weight
     groups = _together(by_name, machine, baseline)
-    cause, probability = _told(groups, by_name, likeliest.name)
+    cause, probability = _told(groups, by_name, causes.every[likeliest].name)
+    alike = _alike(causes, evidence.tempered, at, change, score, likeliest, machine)
     known = {name: value for name, value in by_name.items() if value > LEAST_PROBABILITY}
-    candidates = dict(sorted(known.items(), key=lambda one: -one[1]))
-    return Name(cause, probability, candidates, likeliest)
+    candidates = dict(sorted(known.items(), key=lambda candidate: -candidate[1]))
+    return Name(cause, probability, candidates, causes.every[likeliest], alike)
 
 
-def _with_tank(causes: Causes, baseline: Baseline, tank: Estimate | None) -> tuple[Causes, Array]:
-    """Causes with what the tank's other motors say, and ln of their prior weights."""
-    log_prior = np.zeros(len(causes))
-    if tank is None or tank.holds_zero:
-        return causes, log_prior
-    spread = math.hypot(tank.sd, choices.TANK_SPREAD * abs(tank.value))
-    own = Cause(TANK, baseline.all_flows, tank.value, spread)
-    return Causes.of([*causes.every, own]), np.append(log_prior, math.log(choices.TANK_PRIOR))
+def parts_of(name: str, gaps: Sequence[str]) -> frozenset[str]:
+    """Return the causes that a name stands for: both of a pair, each of all gaps, else itself."""
+    return frozenset(gaps if name == ALL_GAPS else name.split(AND))
+
+
+def _alike(
+    causes: Causes,
+    tempered: Callable[[Array, Places], Array],
+    at: Places,
+    change: Array,
+    score: Array,
+    likeliest: int,
+    machine: Machine,
+) -> tuple[str, ...]:
+    """Causes that the nights cannot tell from the likeliest; empty where it stands alone (7c.4).
+
+    Two causes i and j of the size s are told apart by ½ s² T₂ᵢ (1 − ρᵢⱼ²) of ln likelihood in the
+    mean, ρ their correlation in W, or by what the nights themselves say. Pairs and all gaps are
+    their parts; a pair that is told from each of its parts stands alone.
+    """
+    matrix = causes.directions.T @ change @ causes.directions
+    second = np.maximum(np.diag(matrix), 1e-12)
+    size = np.maximum(causes.directions.T @ score / second, 0.0)
+    rho = matrix[likeliest] / np.sqrt(second[likeliest] * second)
+    expected = 0.5 * size[likeliest] ** 2 * second[likeliest] * (1.0 - np.minimum(rho**2, 1.0))
+    gain = 0.5 * tempered((size**2 * second)[None], at)[0]
+    near = (rho > 0.0) & ((expected < choices.APART) | (gain.max() - gain < choices.APART))
+    near[likeliest] = True
+    names = {cause.name for cause, is_near in zip(causes.every, near, strict=True) if is_near}
+    names.discard(BACK)
+    if len(names) < 2 or causes.every[likeliest].name == BACK:
+        return ()
+    return tuple(sorted(frozenset().union(*(parts_of(name, machine.gaps) for name in names))))
 
 
 def _between(
@@ -229,9 +277,6 @@ def _together(
             ALL_FLOWS, frozenset((ALL_FLOWS,))
         )
         groups |= dict.fromkeys(alike, alike)
-    if TANK in by_name:
-        alike = groups.get(ALL_FLOWS, frozenset(COMMON)) | {TANK}
-        groups |= dict.fromkeys(alike, alike)
     if by_name.get(BACK, 0.0) > choices.MOSTLY:
         # What undoes a change is its cause in the other direction.
         others = {name: one for name, one in by_name.items() if name not in (BACK, SEVERAL)}
@@ -252,10 +297,9 @@ def _told(
     group, probability = max(groups.items(), key=lambda one: one[1])
     if probability < choices.NAMED or SEVERAL in group:
         return CANNOT_BE_TOLD, probability
-    for whole in (TANK, BACK):
-        if whole in group and by_name[whole] >= choices.MOSTLY * probability:
-            return whole, probability
-    group -= {TANK, BACK}
+    if BACK in group and by_name[BACK] >= choices.MOSTLY * probability:
+        return BACK, probability
+    group -= {BACK}
     if len(group) == 1:
         return next(iter(group)), probability
     if group <= frozenset(COMMON):

@@ -169,10 +169,47 @@ class Baseline:
     # distinguish paths by them, and the model misses little of how the flow goes with pressure.
     identifies_gaps: bool
     identifies_speed: bool
+    flushing: int | None = None  # Place of an estimated flushing among the paths, if there is one.
 
     @property
     def n_paths(self) -> int:
         return self.columns.n_paths
+
+    @property
+    def leakage_share(self) -> float:
+        """Share of the leakage in the drain flow at the motor's own conditions (model.md, 7c.3)."""
+        if self.flushing is None:
+            return 1.0
+        flushed = float(self.own_row[self.flushing] * self.all_paths[self.flushing])
+        return max(1.0 - flushed, LEAST_SHARE)
+
+    @property
+    def leakage_share_error(self) -> float:
+        """Relative standard error of that share: of the flushing's estimate, and of the model.
+
+        A drain flow that misses by the lack of fit over its range moves its constant part by as
+        much.
+        """
+        if self.flushing is None:
+            return 0.0
+        of_flow = float(self.own_row[self.flushing] * self.path_sd[self.flushing])
+        return math.hypot(of_flow, self.lack_of_fit) / self.leakage_share
+
+    @property
+    def leakage_row(self) -> Array:
+        """What a unit of each unknown is of the leakage at the motor's own conditions, (q,)."""
+        row = self.own_row.copy()
+        if self.flushing is not None:
+            row[self.flushing] = 0.0
+        return row / self.leakage_share
+
+    @property
+    def leakage_flows(self) -> Array:
+        """All flows but the flushing by the same factor, shape (q,)."""
+        direction = self.all_flows
+        if self.flushing is not None:
+            direction[self.flushing] = 0.0
+        return direction
 
     @property
     def share(self) -> Array:
@@ -263,6 +300,7 @@ def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
         _missed(columns, unknowns, nights, p),
         lack_of_shape <= choices.LACK_TO_NAME and varies(pressures),
         varies(speeds),
+        machine.paths.index(FLUSHING) if FLUSHING in machine.paths else None,
     )
 
 

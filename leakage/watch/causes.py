@@ -19,6 +19,8 @@ TEMPERATURE_SENSOR, TEMPERATURE_EFFECT = "temperature_sensor", "temperature_effe
 ZERO, AND = "zero", " and "
 BACK, ODD_NIGHTS, TANK = "back_as_before", "odd_nights", "tank"
 CANNOT_BE_TOLD = "cannot_be_told"
+# What changes the drain flow and no leakage.
+NO_LEAKAGE = (FLUSHING, ZERO)
 # What moves all flows together, and is no path.
 COMMON = (ALL_FLOWS, OIL_GRADE, TEMPERATURE_SENSOR, TEMPERATURE_EFFECT)
 # Within these many degrees the factor of another oil is followed.

@@ -58,6 +58,8 @@ SENSOR_SIZE, SENSOR_SHIFT_K = 0.25, 5.0
 LEAST_SHARE_TO_FALL = 0.05
 # Share of nights that are odd by themselves, and once odd nights have become frequent.
 ODD, OFTEN = 0.003, 0.25
+# Evidence of a start at other operating conditions from which each night is left out in turn.
+LEFT_OUT_FROM = 2.0
 # Odd nights are counted within so many nights; at least so many; at most this share of the nights.
 ODD_WITHIN, LEAST_ODD, MOST_ODD = 60, 3, 0.5
 # Model error a standard deviation of other operating conditions beyond the first 1.5, at most 4 of
@@ -91,12 +93,18 @@ DATES = 0.6
 # Error of a size by the model's lack of fit, as a share of it; error of a change's shape, in lacks
 # of fit. Without the latter, four foreign machines of five got a part named, wrongly.
 SIZE_BY_LACK, SHAPE_BY_LACK = 0.3, 2.0
+# Error of a night's level by the lack of fit, as a share of it: without it intervals near the
+# baseline's operating conditions held the truth in 85 % of nights (model.md, 7c.9).
+LEVEL_BY_LACK = 0.1
 # Error of a leakage at given conditions by the lack of fit, as a share of it. What the model misses
 # is learned of means of two minutes, in which the load varies, and is asked for at one steady load:
 # 5 % on an all-laminar machine whose lack of fit is 8 %.
 LEAKAGE_BY_LACK = 0.3
 # A cause is named from this probability; from the other on it has most of a name, or of a size.
 NAMED, MOSTLY = 0.9, 0.5
+# ln of likelihood by which the nights have to prefer a cause to another one, to tell them apart:
+# below it no posterior is more than its prior (model.md, 7c.4).
+APART = 3.0
 # How much rarer several causes in one night are than each single one: a large change errs in its
 # shape.
 SEVERAL_PRIOR = 0.001
@@ -124,9 +132,22 @@ LEFT, LEFT_OF_PATHS, LEFT_OF_SURFACE = 0.02, 0.2, 0.1
 OWN_PERIOD, PERIOD_NIGHTS = 0.15, 8
 # Spread of what counts as "back as before".
 BACK_SPREAD = 0.15
-# How far the motors of a tank move apart, as a share of what the others' nights say; how much
-# likelier their common oil is than a cause of the motor's own.
-TANK_SPREAD, TANK_PRIOR = 0.1, 10.0
+
+# -- events behind which the motor is the same -----------------------------------------------------
+# What a flow's way with viscosity misses, as a share of its logarithm, and what two data sheets do;
+# spread of the step at another flow meter and at another sensor.
+OIL_LAW, OIL_SHEET, METER_SPREAD, SENSOR_SPREAD = 0.2, 0.02, 0.1, 0.05
+# Spread of what a motor does by itself at such an event: what is left of a step is the event's.
+OWN_STEP = 0.03
+
+# -- the oil circuit -------------------------------------------------------------------------------
+# How far motors of one oil move apart: of the flow, and of the circuit's change.
+CIRCUIT_ERROR, CIRCUIT_SPREAD = 0.01, 0.1
+# Other motors that show the like, at least; by so many standard deviations, within errors or up to
+# this ratio of sizes: parts follow the oil unlike.
+LEAST_ALIKE, ALIKE_SD, ALIKE_RATIO = 2, 2.0, 1.6
+# Days by which the first day of two motors' change may differ, beside its interval.
+CIRCUIT_DAYS = 2
 
 # -- within the day --------------------------------------------------------------------------------
 # Evidence and least rise from which the night so far is reported, at most 0.1 times a healthy

@@ -263,6 +263,20 @@ class Evidence:
         first, second = causes.sign * first[..., causes.axis], second[..., causes.axis]
         return self._weighed(first, second, starts)
 
+    def second_of(self, direction: Array, start: int) -> float:
+        """T₂ of a step of a direction, shape (q,), at a start."""
+        starts = np.array([start])
+        (a0, *_), (u0, _) = self.since(starts)
+        _, second = _along(
+            direction[:, None],
+            self._operating_error(starts, a0, is_told=True),
+            self.sums.before(starts, self.window),
+            a0[None],
+            a0[None],
+            u0[None],
+        )
+        return float(second[0, 0, 0])
+
     def since(self, starts: Places, without: Places | None = None) -> tuple[Array, Array]:
         """Information, (3, k, q, q), and scores, (2, k, q), since starts, by powers of the day."""
         n_nights = (len(self.window) - starts).astype(float)

@@ -15,7 +15,7 @@ from leakage.watch.baseline import Baseline
 from leakage.watch.causes import BACK, Cause
 from leakage.watch.evidence import Sums, Window
 from leakage.watch.nights import Estimate, Machine, WatchSettings
-from leakage.watch.state import ChangeInForce, State, all_causes
+from leakage.watch.state import ChangeInForce, Crossing, State, all_causes
 from leakage.watch.wander import Wander
 
 Arrays = dict[str, Any]
@@ -44,6 +44,7 @@ class Kept:
     period_from: int | None
     carried: Estimate
     in_force: ChangeInForce | None
+    crossing: Crossing | None
 
 
 AS_IN_STATE = tuple(one.name for one in fields(Kept) if not one.name.startswith("undone"))

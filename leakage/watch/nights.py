@@ -131,6 +131,8 @@ class Change:
     cause: str
     probability: float
     candidates: Mapping[str, float]  # Causes above 1 %, by probability.
+    # Causes that the nights cannot tell apart, the likeliest among them: no shares within.
+    alike: tuple[str, ...]
     is_rise: bool  # Whether the flow has risen.
     shape: str  # ``step``, ``ramp`` or ``now and then``.
     # since, since_lower, since_upper: First day, and its 95 % interval.
@@ -194,3 +196,4 @@ class Verdict:
     smallest: float | None
     # Distance of the night's operating conditions from the baseline's, in its standard deviations.
     distance: float = field(default=0.0)
+    is_beyond: bool = False  # Whether this night alone is beyond `smallest`, nothing in force.

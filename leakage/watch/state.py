@@ -17,7 +17,8 @@ from leakage.arrays import Array
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import ODD_NIGHTS, Cause, causes_of
+from leakage.watch.causes import BACK, ODD_NIGHTS, TEMPERATURE_EFFECT, Cause, causes_of
+from leakage.watch.circuit import CircuitChange
 from leakage.watch.evidence import Causes, Evidence, Sums, Window
 from leakage.watch.nights import (
     FLUSHING,
@@ -74,9 +75,10 @@ EVERY = slice(None)
 class Level:
     """λ of some nights, and what their errors are made from.
 
-    `value`, the variances `noise` of the errors within each night and `shift` of its own shift of
-    the paths, and `beyond`, how far its operating conditions are from usual ones, have shape (n,);
-    `gain` is what an error of each unknown does to it, of the paths first, shape (n, q).
+    Of shape (n,): `value`; the variances `noise` of the errors within each night, with those of the
+    model in it, and `shift` of its own shift of the paths; `beyond`, how far its operating
+    conditions are from usual ones. `gain` is what an error of each unknown does to it, of the paths
+    first, shape (n, q).
     """
 
     value: Array
@@ -89,16 +91,21 @@ class Level:
     operating_error: Array
 
     def mean(self, nights: slice = EVERY) -> Estimate:
-        """Mean of some nights: they share their serial correlation, and the errors of the model."""
+        """Mean of some nights: they share their serial correlation, and the errors of the model.
+
+        Nights weigh by 1 / (noise + shift + error of their operating conditions²): a night of
+        another duty says less (model.md, 7c.2).
+        """
         value, noise, shift = self.value[nights], self.noise[nights], self.shift[nights]
-        weights = 1.0 / (noise + shift) / np.sum(1.0 / (noise + shift))
+        of_paths = self.gain[nights, : len(self.operating_error)]
+        by_operation = of_paths * self.beyond[nights][:, None] * self.operating_error
+        weights = 1.0 / (noise + shift + np.sum(by_operation**2, axis=1))
+        weights = weights / weights.sum()
         length = float(self.wander.inflation(np.array([len(value)], dtype=float))[0])
         of_others = weights @ self.gain[nights]
-        of_paths = self.gain[nights, : len(self.operating_error)]
-        by_operation = weights @ (of_paths * self.beyond[nights][:, None])
         variance = float(weights**2 @ (noise + length * shift))
         variance += float(of_others @ self.around.covariance @ of_others)
-        variance += float(np.sum((by_operation * self.operating_error) ** 2))
+        variance += float(np.sum((weights @ by_operation) ** 2))
         return Estimate(float(weights @ value), math.sqrt(variance))
 
 
@@ -115,19 +122,31 @@ UNCHANGED = Estimate(0.0, 0.0)
 class ChangeInForce:
     """The change in force: as it is detected, and the direction that its size is taken along.
 
-    `along` has shape (q,) and `of_flow` is what a unit of it is of the flow; `before` is the change
-    of the flow before it, against the first baseline. While it is not adopted, `found` is its
-    attribution by the nights so far, `prior` what was in force before, and `tank` what the tank's
-    other motors say.
+    `along` has shape (q,) and `of_leakage` is what a unit of it is of the leakage; `before` is the
+    change of the leakage before it, against the first baseline. While it is not adopted, `found` is
+    its attribution by the nights so far and `prior` what was in force before. `circuit` is the
+    change beside those of the circuit's other motors, as it settled; None without two of them.
     """
 
     change: Change
     along: Array
-    of_flow: float
+    of_leakage: float
     before: Estimate
     found: Attribution | None = None
     prior: ChangeInForce | None = None
-    tank: Estimate | None = None
+    circuit: CircuitChange | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """An event behind which the motor is the same, until a baseline period of its own (7c.6).
+
+    Its first day, the spread of the step that it may make, and the change just before.
+    """
+
+    day: int
+    spread: float
+    before: Estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +176,7 @@ class State:
     # Change of the flow at the baseline period's beginning against the first baseline.
     carried: Estimate = UNCHANGED
     in_force: ChangeInForce | None = None  # The change in force; None: none is detected.
+    crossing: Crossing | None = None  # The event that the baseline period has behind it, if any.
 
     @property
     def day(self) -> int:
@@ -188,7 +208,7 @@ class State:
         of_paths = gain[:, : baseline.n_paths]
         return Level(
             window.score[nights] @ direction / weight - gain @ around.mean,
-            1.0 / weight,
+            1.0 / weight + (choices.LEVEL_BY_LACK * baseline.lack_of_fit) ** 2,
             np.einsum("ni,ij,nj->n", of_paths, wander.spread, of_paths),
             gain,
             np.clip(window.distance[nights] - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST),
@@ -207,7 +227,7 @@ class State:
             return None
         place = self.machine.paths.index(cause)
         own = float(self.baseline.all_paths[place])
-        share = own * float(self.baseline.share[place])
+        share = own * float(self.baseline.share[place]) / self.baseline.leakage_share
         if share < choices.LEAST_SHARE_TO_SHOW:
             return None
         growth, sd = flow.value / share, float(self.baseline.path_sd[place]) / own
@@ -227,10 +247,10 @@ class State:
 
 
 def direction(state: State) -> tuple[Array, float]:
-    """What the level is taken along, and what a unit of it is of the flow."""
+    """What the level is taken along, and what a unit of it is of the leakage."""
     if state.in_force is None:
-        return state.baseline.all_flows, 1.0
-    return state.in_force.along, state.in_force.of_flow
+        return state.baseline.leakage_flows, 1.0
+    return state.in_force.along, state.in_force.of_leakage
 
 
 def _n_present(state: State) -> int:
@@ -238,16 +258,42 @@ def _n_present(state: State) -> int:
     if state.in_force is None:
         return choices.PRESENT_NIGHTS
     change = state.in_force.change
-    most = choices.PRESENT_OF_RAMP if change.shape == RAMPS else choices.PRESENT_NIGHTS
+    is_ramp = change.shape == RAMPS or change.goes_on
+    most = choices.PRESENT_OF_RAMP if is_ramp else choices.PRESENT_NIGHTS
     return max(1, min(most, len(state.window) - state.place(change.since)))
 
 
 def on_first_baseline(state: State, nights: slice) -> Estimate:
-    """Change of the flow over some nights, against the first baseline."""
-    along, of_flow = direction(state)
-    level = state.level_along(along, nights).mean().scaled(of_flow)
+    """Return the change of the leakage over some nights, against the first baseline (7c.3)."""
+    change, step = _as_measured(state, nights), event_step(state)
+    ratio = (1.0 + change.value) / (1.0 + step.value)
+    return Estimate(ratio - 1.0, math.hypot(change.sd, ratio * step.sd) / (1.0 + step.value))
+
+
+def event_step(state: State) -> Estimate:
+    """Return what the event behind which the nights lie has moved (model.md, 7c.6).
+
+    Of the step s between the levels before and after, the likely share: δ = s σ² / (σ² + τ²).
+    """
+    crossing = state.crossing
+    if crossing is None or not len(state.window):
+        return UNCHANGED
+    level = state.level_along(state.baseline.leakage_flows).mean()
+    grown = (1.0 + state.carried.value) * (1.0 + level.value)
+    step = grown / (1.0 + crossing.before.value) - 1.0
+    own = choices.OWN_STEP**2 + level.sd**2 + crossing.before.sd**2
+    share = crossing.spread**2 / (crossing.spread**2 + own)
+    return Estimate(share * step, crossing.spread * math.sqrt(1.0 - share))
+
+
+def _as_measured(state: State, nights: slice) -> Estimate:
+    """The same, with what an event has moved."""
+    along, of_leakage = direction(state)
+    level = state.level_along(along, nights).mean().scaled(of_leakage)
     grown = 1.0 + state.carried.value
-    sd = math.hypot(grown * level.sd, (1.0 + level.value) * state.carried.sd)
+    # The flushing that is not known scales a change of the leakage.
+    own_sd = math.hypot(level.sd, level.value * state.baseline.leakage_share_error)
+    sd = math.hypot(grown * own_sd, (1.0 + level.value) * state.carried.sd)
     return Estimate(grown * (1.0 + level.value) - 1.0, sd)
 
 
@@ -256,14 +302,83 @@ def present(state: State) -> Estimate:
     return on_first_baseline(state, slice(-_n_present(state), None))
 
 
+def detection_limit(state: State) -> float | None:
+    """Return the smallest change, begun ten nights ago, that would be detected now.
+
+    Of all flows. Where fewer nights may hold a change, of one begun in the first of them; None
+    where none may.
+    """
+    evidence = state.evidence_now()
+    start = max(evidence.first_step, len(state.window) - choices.PRESENT_NIGHTS)
+    if start == len(state.window):
+        return None
+    second = float(evidence.second_of(state.baseline.leakage_flows, start))
+    spread, n_since = choices.STEP_SIZE, np.array([len(state.window) - start], dtype=float)
+    freedom = float(state.wander.degrees_of_freedom(state.n_nights, n_since)[0])
+    sd = 1.0 / math.sqrt(second + spread**-2)
+    fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(evidence.causes))
+    gain = freedom * math.expm1(2.0 * (state.settings.limit - fixed) / (freedom + 1.0))
+    return math.sqrt(gain) * sd
+
+
+def nights_beyond(state: State) -> int:
+    """Return how many newest nights are wholly beyond the detection limit, on one side (7c.8).
+
+    Two at most; none while a change is in force.
+    """
+    limit = detection_limit(state)
+    if limit is None or state.in_force is not None:
+        return 0
+    last = len(state.window)
+    sides = []
+    for place in range(last - 1, max(last - 3, -1), -1):
+        night = on_first_baseline(state, slice(place, place + 1))
+        sides.append(1 if night.lower > limit else -1 if night.upper < -limit else 0)
+    if not sides[0]:
+        return 0
+    return 2 if sides[0] == sides[-1] and len(sides) == 2 else 1
+
+
+def mean_change(state: State) -> Estimate:
+    """Return the change that a state rests on: the present one, or the size of a first change.
+
+    While that settles, at usual operating conditions and with evidence beyond the limit, its size
+    is known better than the level of its few nights (model.md, 7c.2).
+    """
+    now, in_force = present(state), state.in_force
+    if in_force is None or in_force.found is None or in_force.prior is not None:
+        return now
+    size = in_force.change.size
+    is_alike = size.value * now.value > 0.0 and not in_force.change.is_several
+    if size.holds_zero or not is_alike or not now.holds_zero:
+        return now
+    start = np.array([state.place(in_force.found.start)])
+    is_usual = state.evidence_now().operating_beyond(start)[0] == 0.0
+    return size if is_usual and state.evidence >= state.settings.limit else now
+
+
+def is_contradicted(state: State) -> bool:
+    """True if the change in force is none by its own interval (model.md, 7c.2).
+
+    A first change that settles is none, either, where its nights say the opposite.
+    """
+    in_force = state.in_force
+    if in_force is None or in_force.change.cause in (BACK, ODD_NIGHTS, TEMPERATURE_EFFECT):
+        return False
+    mean = mean_change(state)
+    is_first = in_force.found is not None and in_force.prior is None
+    is_opposite = (mean.value > 0.0) != in_force.change.is_rise
+    return mean.holds_zero or (is_first and is_opposite)
+
+
 def change_in_force(state: State) -> Change | None:
-    """The change in force; adopted, or going on, its size is that of now against before it."""
+    """The change in force; of all but a first one that settles, the size is now against before."""
     in_force = state.in_force
     if in_force is None or in_force.change.cause == ODD_NIGHTS:
         return None if in_force is None else in_force.change
     change = in_force.change
     # The size of one cause is none of several.
-    if in_force.found is not None and not change.goes_on and not change.is_several:
+    if in_force.found is not None and in_force.prior is None and not change.is_several:
         return change
     now, before = present(state), in_force.before
     ratio = (1.0 + now.value) / (1.0 + before.value)

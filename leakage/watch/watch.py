@@ -24,14 +24,24 @@ from leakage.watch.adoption import (
     in_force_of,
     judged,
     new_period,
-    settled,
+    settling,
     shortened,
     with_new_wander,
 )
-from leakage.watch.causes import ALL_FLOWS, ODD_NIGHTS
-from leakage.watch.evidence import STEP
+from leakage.watch.causes import ODD_NIGHTS
+from leakage.watch.circuit import circuit_change
+from leakage.watch.events import across_event
 from leakage.watch.nights import Estimate, Machine, NightBlocks, Verdict, WatchSettings
-from leakage.watch.state import State, change_in_force, direction, on_first_baseline, present
+from leakage.watch.state import (
+    State,
+    change_in_force,
+    detection_limit,
+    direction,
+    is_contradicted,
+    mean_change,
+    nights_beyond,
+    on_first_baseline,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,26 +78,39 @@ class Watch:
         """
         state = adopted(with_night(self.state, night))
         if state.is_settling:
-            return Watch(shortened(settled(state)))
+            state = settling(state)
+            if state.is_settling:
+                return Watch(shortened(state))
         state = judged(with_new_wander(state))
         if not state.is_settling and state.period_from is not None:
             state = new_period(state, earlier)
         return Watch(shortened(at_rest(state)))
 
-    def with_tank(self, tank: Estimate) -> Watch:
-        """The watch that knows the change of the tank's other motors since its own change.
+    def across_event(self, machine: Machine, day: int, spread: float) -> Watch:
+        """The watch of nights from a day on, behind an event with the same motor (7c.6).
+
+        `machine`: As it is behind it, with its oil. `spread`: Of the step that the event may make.
+        """
+        return Watch(across_event(self.state, machine, day, spread))
+
+    def beside(self, others: Sequence[Watch]) -> Watch:
+        """The watch that knows what the circuit's other motors did since its own change.
 
         Only while a change settles: afterwards its name stays.
         """
         in_force = self.state.in_force
-        if in_force is None or in_force.found is None:
+        if not others or in_force is None or in_force.found is None:
             return self
+        since = in_force.change.since
+        size, changes = self.change_since(since), [other.change_since(since) for other in others]
+        known = [change for change in changes if change is not None]
+        circuit = None if size is None else circuit_change(size, known)
         named = in_force_of(
             self.state,
             self.state.evidence_now(),
             in_force.found,
             in_force.change.told_on,
-            tank,
+            circuit,
         )
         return Watch(replace(self.state, in_force=named))
 
@@ -99,48 +122,34 @@ class Watch:
             state.evidence,
             state.settings.limit,
             state.baseline.lack_of_fit,
-            change_in_force(state),
+            None if is_contradicted(state) else change_in_force(state),
             on_first_baseline(state, slice(-1, None)),
-            present(state),
-            self.smallest_change(),
+            mean_change(state),
+            detection_limit(state),
             float(state.window.distance[-1]),
+            nights_beyond(state) > 0,
         )
 
-    def smallest_change(self) -> float | None:
-        """Smallest change of all flows, begun ten nights ago, that would be detected now.
-
-        Where fewer nights may hold a change, of one begun in the first of them; None where none
-        may.
-        """
-        state, evidence = self.state, self.state.evidence_now()
-        start = max(evidence.first_step, len(state.window) - choices.PRESENT_NIGHTS)
-        if start == len(state.window):
-            return None
-        told = evidence.of_starts(np.array([start]))
-        names = [one.name for one in evidence.causes.every]
-        second = float(told.second[STEP, 0, names.index(ALL_FLOWS)])
-        spread, n_since = choices.STEP_SIZE, np.array([len(state.window) - start], dtype=float)
-        freedom = float(state.wander.degrees_of_freedom(state.n_nights, n_since)[0])
-        sd = 1.0 / math.sqrt(second + spread**-2)
-        fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(names))
-        gain = freedom * math.expm1(2.0 * (state.settings.limit - fixed) / (freedom + 1.0))
-        return math.sqrt(gain) * sd
-
     def change_since(self, day: int) -> Estimate | None:
-        """Change of all flows from a day on against before; None without nights on both sides.
+        """Change of the leakage from a day on; None without nights on both sides (model.md, 7c.5).
 
-        An adopted change is in no window any more: where it may have begun since, it is the change.
+        The level of at most ten nights from then on, less that of the ten before. An adopted change
+        is in no window any more: it is the change where it may have begun then.
         """
         state, in_force = self.state, self.state.in_force
         if in_force is not None and in_force.found is None and in_force.change.cause != ODD_NIGHTS:
-            told = change_in_force(state)
-            if told is not None and told.since_upper >= day:
-                return told.size
-        place = state.place(day)
+            change = change_in_force(state)
+            assert change is not None
+            _, lower, upper = change.dates
+            days = choices.CIRCUIT_DAYS
+            if lower - days <= day <= upper + days:
+                return change.size
+        place, most = state.place(day), choices.PRESENT_NIGHTS
         if not 0 < place < len(state.window):
             return None
-        level = state.level_along(state.baseline.all_flows)
-        after, before = level.mean(slice(place, None)), level.mean(slice(None, place))
+        level = state.level_along(state.baseline.leakage_flows)
+        after = level.mean(slice(place, place + most))
+        before = level.mean(slice(max(0, place - most), place))
         return Estimate(after.value - before.value, math.hypot(after.sd, before.sd))
 
     def leakage_at(self, drives: Array, conditions: Array) -> Estimate:

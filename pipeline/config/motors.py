@@ -40,14 +40,26 @@ if TYPE_CHECKING:
 
 
 class Event(Section):
-    """Something that starts a new baseline, or a note on the time axis."""
+    """Something that happened to a motor, dated.
+
+    An overhaul, an exchanged motor and a changed flushing start a new baseline; a change of oil, of
+    the flow meter or of another sensor carries the baseline and the change so far across.
+    """
 
     shapes = Stage.TRENDS
 
     date: dt.date
     """First night's label from which it holds."""
-    kind: Literal["overhaul", "oil_change", "flushing_change", "motor_exchanged", "note"]
-    """A `note` (a filter change, a cleaning) starts no baseline."""
+    kind: Literal[
+        "overhaul",
+        "oil_change",
+        "meter_changed",
+        "sensor_changed",
+        "motor_exchanged",
+        "flushing_change",
+        "note",
+    ]
+    """A `note` (a filter change, a cleaning) is shown only."""
     oil: OilName | None = None
     """The new oil, where it changed; needed for `oil_change`."""
     note: Annotated[str, Stage.NOTHING] = ""
@@ -156,7 +168,7 @@ class MotorFile(Section):
     periods: Periods = left_out()
     """Training and validation set by hand."""
     events: tuple[Event, ...] = Field((), max_length=1000)
-    """Dated events; all but notes start a new baseline."""
+    """Dated events."""
     oil_samples: tuple[OilSample, ...] = Field((), max_length=1000)
     """Analyses of the oil, by date; those of a shared oil are in its circuit's file."""
     override: Annotated[dict[str, Any], Stage.NOTHING] = Field({})

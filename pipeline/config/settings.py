@@ -183,7 +183,9 @@ class SensorHealth(Section):
     minimum_s: Positive = 20.0
     """Credible samples that a halt needs after that."""
     depressurised_below_bar: Positive = 5.0
-    """|pressure| of a halt that shows the zero."""
+    """|pressure difference| of a halt that shows its zero; |low side over case| for the flow's."""
+    without_pressure_at_halts: bool = False
+    """The circuit is without pressure at halts; else the low side has to be logged for the flow."""
 
 
 class Model(Section):

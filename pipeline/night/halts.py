@@ -1,12 +1,13 @@
 """Depressurised, settled halts: the only time at which a sensor's zero shows.
 
 A motor that stands still without pressure leaks nothing, so its pressure difference is 0 and its
-drain flow is the flushing alone. What the sensors then say is their zero.
+drain flow is the flushing alone. What the sensors then say is their zero. Equal pressures on both
+ports leak to the case: the flow's zero shows only where they are known to be near case pressure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,9 @@ from pipeline.arrays import SECOND_US, Mask, Times, Values
 from pipeline.config import SensorHealth
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.masks import stretches
+
+# Channels of the low side, and of the case.
+LOW_SIDE, CASE = ("low_port_pressure", "charge_pressure"), "case_pressure"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +35,7 @@ class Halts:
 
     n: int = 0  # depressurised, settled halts
     # pressure_bar, flow_l_per_min: zero of the pressure difference and of the drain flow, the
-    # flushing included; None where there was no such halt.
+    # flushing included; None where there was no such halt, or it is not known to be one.
     pressure_bar: Zero | None = None
     flow_l_per_min: Zero | None = None
 
@@ -41,8 +45,9 @@ def settled_halts(
     grid_us: Times,
     channels: Mapping[str, CleanChannel],
     settings: SensorHealth,
+    case_bar: float = 0.0,
 ) -> Halts:
-    """The zeros that a night's halts show.
+    """Return the zeros that a night's halts show; `case_bar` is the case pressure if not logged.
 
     Notes
     -----
@@ -54,7 +59,8 @@ def settled_halts(
     settle, needed = (
         round(seconds * SECOND_US) for seconds in (settings.settle_s, settings.minimum_s)
     )
-    zeros: list[tuple[float, float]] = []
+    pressures: list[float] = []
+    flows: list[float] = []
     begins, ends = stretches(standstill)
     for first, last in zip(grid_us[begins].tolist(), grid_us[ends - 1].tolist(), strict=True):
         begin, end = first + settle, last
@@ -70,11 +76,28 @@ def settled_halts(
             continue
         bar = sum(sign * float(np.median(port)) for sign, port in ports)
         if abs(bar) <= settings.depressurised_below_bar:
-            zeros.append((bar, float(np.median(flow))))
-    if not zeros:
-        return Halts()
-    pressures, flows = np.array(zeros).T
-    return Halts(len(zeros), _zero(pressures), _zero(flows))
+            pressures.append(bar)
+            if _is_relieved(channels, (begin, end, needed), settings, case_bar):
+                flows.append(float(np.median(flow)))
+    return Halts(len(pressures), _zero(pressures), _zero(flows))
+
+
+def _is_relieved(
+    channels: Mapping[str, CleanChannel],
+    halt: tuple[int, int, int],
+    settings: SensorHealth,
+    case_bar: float,
+) -> bool:
+    """True if the low side is known to be near case pressure, and the other port with it."""
+    low = next((name for name in LOW_SIDE if name in channels), None)
+    if settings.without_pressure_at_halts or low is None:
+        return settings.without_pressure_at_halts
+    port, case = _readings(channels[low], *halt), np.array([case_bar])
+    if CASE in channels:
+        case = _readings(channels[CASE], *halt)
+    if not len(port) or not len(case):
+        return False
+    return bool(abs(np.median(port) - np.median(case)) <= settings.depressurised_below_bar)
 
 
 def _readings(channel: CleanChannel, begin_us: int, end_us: int, needed_us: int) -> Values:
@@ -89,6 +112,9 @@ def _readings(channel: CleanChannel, begin_us: int, end_us: int, needed_us: int)
     return readings if enough else readings[:0]
 
 
-def _zero(halts: Values) -> Zero:
-    error = None if len(halts) < 3 else float(halts.std(ddof=1) / np.sqrt(len(halts)))
+def _zero(halts: Sequence[float]) -> Zero | None:
+    """Zero of some halts; None where there is none."""
+    if not halts:
+        return None
+    error = None if len(halts) < 3 else float(np.std(halts, ddof=1) / np.sqrt(len(halts)))
     return Zero(float(np.median(halts)), error)

@@ -176,7 +176,13 @@ def bring_together(
             delay_s=delay_s,
             n_logged=n_logged,
             n_turning=n_turning,
-            halts=settled_halts(masks["standstill"], grid, channels, settings.sensor_health),
+            halts=settled_halts(
+                masks["standstill"],
+                grid,
+                channels,
+                settings.sensor_health,
+                settings.model.case_pressure_bar,
+            ),
             viscosities={
                 name: on_grid(channel, grid, period)[0][kept] for name, channel in measured.items()
             },

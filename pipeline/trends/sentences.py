@@ -36,7 +36,8 @@ WHAT = {
     "back_as_before": "flow is back where it was",
     "odd_nights": "single nights are odd, again and again",
     "tank": "all flows have {risen} as those of the oil circuit's other motors",
-    "cannot_be_told": "the cause of a change cannot be told",
+    "a_part": "leakage of a part of the motor has {risen}",
+    "cannot_be_told": "leakage has {risen}, its cause is open",
 }
 CAUSES = {
     "all_gaps": "all gaps",
@@ -51,6 +52,7 @@ CAUSES = {
     "tank": "the oil circuit",
     "several": "more than one change at once",
     "a_part": "a part of the motor",
+    "flushing": "the flushing",
 }
 FALL = "Check oil, sensors and flushing, or enter the overhaul that was made: a fall is no wear."
 ADVICE = {
@@ -67,6 +69,8 @@ ADVICE = {
 CHECK_ZERO = "Check the sensor whose zero has moved."
 # Causes that are no part of the motor.
 OF_OIL_AND_SENSORS = {"all_flows", "oil_grade", "temperature_sensor", "temperature_effect", "zero"}
+# Causes of the case drain flow that are no leakage; between causes that cannot be told apart.
+NO_LEAKAGE, ONE_OF = ("flushing", "zero"), " or "
 # Candidates that are told, and from which probability on beside a named cause.
 MOST_CANDIDATES, LEAST_TOLD = 3, 0.05
 # Statuses of a time to a limit that have dates.
@@ -180,9 +184,14 @@ def advice(night: JudgedNight, drifts: Sequence[str]) -> str:
 
 
 def _advice_on(night: JudgedNight, change: Change) -> str:
+    if night.state == "alarm":
+        # An alarm carries an order, whatever its cause is called.
+        return _look_at(
+            f"the {_parts(change)}" if is_of_parts(change.cause) else "the motor", "alarm"
+        )
     if change.cause in ADVICE:
         return ADVICE[change.cause]
-    if change.cause == "cannot_be_told":
+    if change.cause == "cannot_be_told" or not is_of_parts(change.cause):
         return _what_would_tell(night, change)
     if not change.is_rise:
         return FALL
@@ -201,7 +210,7 @@ def _what_would_tell(night: JudgedNight, change: Change) -> str:
     """What would tell between the causes that are left."""
     if change.is_several:
         return "Take an oil sample first, and check the flow meter; then plan a look at the motor."
-    left = change.candidates.keys()
+    left = {name for label in change.candidates for name in label.split(ONE_OF)}
     steps = []
     if left & OF_OIL_AND_SENSORS:
         steps += ["an oil sample", "the meter's zero at a halt", "a second thermometer"]
@@ -240,6 +249,8 @@ def _quiet(night: JudgedNight, since: dt.date) -> str:
         percent = max(math.ceil(100.0 * verdict.smallest), 1)
         words = f"no change of more than {percent} % since {day(since)}"
     words = f"{words}; {_newest_night(night)}"
+    if verdict.is_beyond:
+        words = f"{words}, beyond that: a second night like it is a warning"
     change = night.change
     if change is None:
         return words
@@ -249,13 +260,35 @@ def _quiet(night: JudgedNight, since: dt.date) -> str:
 def _changed(night: JudgedNight, change: Change) -> str:
     """A change that stands told."""
     what = WHAT.get(change.cause, f"leakage of the {_parts(change)} has {{risen}}")
+    if ONE_OF in change.cause:
+        what = f"leakage has {{risen}} through one or more of: {_one_of(change.cause)}"
     grade = f" (ISO VG {change.grade})" if change.grade else ""
     risen = "risen" if change.is_rise else "fallen"
     told = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
     goes_on = "; it goes on" if change.goes_on else ""
     gap = "" if night.gap_growth is None else f"its gap {relative_change(night.gap_growth)}"
-    parts = f"{told}: {_newest_night(night)}, {_since(change)}{goes_on}", gap, _others(change)
-    return "; ".join(one for one in parts if one)
+    size = _newest_night(night)
+    verdict = night.watched.verdict
+    assert verdict is not None
+    if verdict.newest_night.holds_zero:
+        # What one night does not show by itself, those since the change do.
+        size = f"{_quantity(change)} {relative_change(verdict.present)} since then, {size}"
+    parts = (
+        *(f"{told}: {size}, {_since(change)}{goes_on}", gap),
+        *(_beside_circuit(night, change), _others(change)),
+    )
+    return "; ".join(part for part in parts if part)
+
+
+def _beside_circuit(night: JudgedNight, change: Change) -> str:
+    """The motor's own part, and what the circuit's other motors did over the same nights."""
+    circuit = night.circuit
+    if circuit is None or change.cause == "odd_nights":
+        return ""
+    return (
+        f"its own part {relative_change(circuit.own)}, the circuit's other motors "
+        f"{relative_change(circuit.of_circuit)} over the same nights"
+    )
 
 
 def _others(change: Change) -> str:
@@ -277,7 +310,13 @@ def _newest_night(night: JudgedNight) -> str:
     verdict = night.watched.verdict
     assert verdict is not None
     newest = night.watched.night - dt.timedelta(days=night.watched.silent)
-    return f"case drain flow {relative_change(verdict.newest_night)} on {day(newest)}"
+    change = relative_change(verdict.newest_night)
+    return f"{_quantity(night.change)} {change} on {day(newest)}"
+
+
+def _quantity(change: Change | None) -> str:
+    """What a change is of: a flushing and a meter's zero are no leakage (model.md, 7c.3)."""
+    return "case drain flow" if change is not None and change.cause in NO_LEAKAGE else "leakage"
 
 
 def relative_change(size: Estimate) -> str:
@@ -306,12 +345,27 @@ def _since(change: Change) -> str:
 
 
 def cause_words(name: str) -> str:
-    """A cause for people."""
-    return CAUSES.get(name, plain(name))
+    """A cause for people, or causes that cannot be told apart.
+
+    Examples
+    --------
+    >>> cause_words("oil_grade"), cause_words("balance_sleeve or oil_grade")
+    ('another oil', 'one or more of: balance sleeve, another oil')
+    """
+    return f"one or more of: {_one_of(name)}" if ONE_OF in name else CAUSES.get(name, plain(name))
+
+
+def _one_of(label: str) -> str:
+    return ", ".join(cause_words(name) for name in label.split(ONE_OF))
+
+
+def is_of_parts(label: str) -> bool:
+    """True if a cause, or all that cannot be told apart, are parts of the motor."""
+    return all(name not in CAUSES and name not in WHAT for name in label.split(ONE_OF))
 
 
 def _parts(change: Change) -> str:
-    return plain(change.cause).replace(" and ", " and the ")
+    return plain(change.cause).replace(" and ", " and the ").replace(ONE_OF, ", the ")
 
 
 def percent(probability: float) -> str:

@@ -178,15 +178,21 @@ class ScenarioFleet:
         return Truth(json.loads(path.read_text("utf-8")), specs)
 
     def true_change_percent(self, row: Mapping[str, Any]) -> float:
-        """True change of the drain flow on the night of a row, at its baseline's conditions."""
+        """True change of the leakage on the night of a row, at its baseline's conditions."""
         truth, motor, baseline = self.truth(), row["motor_id"], _baseline(row)
         samples = self.table("predictions").filter(
             (pl.col("motor_id") == motor) & pl.col("night").is_in(baseline)
         )
         inputs = ("pressure_difference_bar", "oil_temperature_c", "speed_rpm")
         conditions = OperatingConditions.from_bar(*(samples[name].to_numpy() for name in inputs))
-        before = np.mean([truth.flow(motor, night, conditions) for night in baseline])
-        return 100.0 * float(truth.flow(motor, row["night"], conditions) / before - 1.0)
+        nights = truth.document["motors"][motor]["nights"]
+
+        def leakage(night: dt.date) -> float:
+            flushed = nights[night.isoformat()]["C_f_l_per_min"]
+            return float(truth.flow(motor, night, conditions)) - float(flushed)
+
+        before = float(np.mean([leakage(night) for night in baseline]))
+        return 100.0 * (leakage(row["night"]) / before - 1.0)
 
     def label(self, number: int) -> dt.date:
         """Date of a night, counted from 1."""

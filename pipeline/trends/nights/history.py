@@ -129,9 +129,13 @@ def every_night(records: Records, until: dt.date) -> Records:
 EVENT_WORDS = {
     "overhaul": "overhaul",
     "oil_change": "oil change",
+    "meter_changed": "other flow meter",
+    "sensor_changed": "other sensor",
     "flushing_change": "change of flushing",
     "motor_exchanged": "motor exchanged",
 }
+# Events behind which the motor is the same: its baseline and its change go on (model.md, 7c.6).
+CARRIED = ("oil_change", "meter_changed", "sensor_changed")
 # What begins with a motor's first night.
 FIRST_NIGHTS = "first nights"
 
@@ -152,7 +156,8 @@ def periods_of(history: History, of_what: str = LEAKAGE) -> tuple[BaselinePeriod
     for event in sorted(history.spec.file.baseline_events, key=lambda one: one.date):
         note = f": {event.note}" if event.note else ""
         # What happened before the first night is nothing that its nights show.
-        if event.date >= history.nights[0]:
+        is_border = of_what in SENSORS or event.kind not in CARRIED
+        if is_border and event.date >= history.nights[0]:
             words = f"{EVENT_WORDS[event.kind]} on {event.date}{note}"
             found.append((history.place_from(event.date), words))
     for one in history.decisions:

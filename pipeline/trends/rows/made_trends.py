@@ -52,7 +52,7 @@ class MadeTrends:
 
     def judge(self, others: Sequence[Watch]) -> None:
         """Make the rows of the night that was told last; `others` are the tank's other motors."""
-        self.course.know_tank(others)
+        self.course.know_circuit(others)
         watched = self.course.watched()
         label = watched.night
         if label < self.first:

@@ -57,9 +57,9 @@ def state_columns(night: JudgedNight, quiet_since: dt.date | None, drifts: Seque
 
 def _of_change(night: JudgedNight, change: Change) -> Row:
     candidates = sorted(change.candidates.items(), key=lambda one: -one[1])
-    row = {
+    row: Row = {
         "cause": change.cause,
-        "cause_probability": change.probability,
+        "cause_probability": change.probability or None,
         "candidates": [{"cause": name, "probability": p} for name, p in candidates],
         "onset": dt.date.fromordinal(change.since),
         "onset_earliest": dt.date.fromordinal(change.since_lower),
@@ -68,8 +68,12 @@ def _of_change(night: JudgedNight, change: Change) -> Row:
         "still_rising": change.goes_on,
         "likely_iso_vg": change.grade,
     }
-    gap = night.gap_growth
-    return row if gap is None else row | _percent("gap_change", gap)
+    if night.gap_growth is not None:
+        row |= _percent("gap_change", night.gap_growth)
+    if night.circuit is not None:
+        row |= _percent("circuit_change", night.circuit.of_circuit)
+        row |= _percent("own_part", night.circuit.own)
+    return row
 
 
 def _leakages(night: JudgedNight) -> Row:

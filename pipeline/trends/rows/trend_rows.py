@@ -43,26 +43,25 @@ def trend_rows(course: Course, night: JudgedNight, zeros: Mapping[str, Zero]) ->
 def leakage_rows(course: Course, night: JudgedNight) -> tuple[list[Row], Row]:
     """Rows of the two leakages with their slopes, and columns of `nights` on their limit.
 
-    The days are those of the leakage that comes to its limit first.
+    The limit is that of the figure that alarms: the leakage at the usual operating point at the
+    alarm level, and that at the reference conditions where the motor type states one; the days are
+    those of the first that comes. What is no wear has none.
     """
     stated = night.spec.motor_type.limits.alarm_l_per_min
     rise = 1.0 + night.spec.settings.alarms.alarm_percent / 100.0
     limits: Row = {"alarm_limit_l_per_min": stated, "days_to_limit_status": "insufficient"}
-    rows, found = [], []
+    rows, dated = [], []
     for name in WATCHED:
         frozen = _frozen(night.watched, name)
-        limit = None if frozen is None else frozen * rise
-        if name == REFERENCE:
-            limit = limits["alarm_limit_l_per_min"] = stated or limit
         row = _leakage_row(night, name)
         if "value" in row and frozen is not None and night.watched.verdict is not None:
             row["baseline_mean"] = frozen
-            assert limit is not None
-            line, days = _line(course, night, name, limit)
+            limit = stated if name == REFERENCE else frozen * rise
+            line, days = _line(course, night, name, limit if night.may_wear else None)
             row |= line
-            found.append(days)
+            dated += [days] if days else []
         rows.append(row)
-    return rows, limits | min(found, key=_earliest, default={})
+    return rows, limits | min(dated, key=_earliest, default={})
 
 
 def _earliest(days: Row) -> tuple[bool, float]:
@@ -89,8 +88,8 @@ def _frozen(watched: WatchedNight, name: str) -> float | None:
     return baseline.reference_leakage if name == REFERENCE else baseline.own_leakage
 
 
-def _line(course: Course, night: JudgedNight, name: str, limit: float) -> tuple[Row, Row]:
-    """Slopes of a leakage as of a night, and the days to its limit.
+def _line(course: Course, night: JudgedNight, name: str, limit: float | None) -> tuple[Row, Row]:
+    """Slopes of a leakage as of a night, and the days to its limit, if it has one.
 
     Where a change is in force, of the nights since it began: a line across a step, or across
     nights before a wear began, is none. Without one, since the baseline began.
@@ -108,7 +107,7 @@ def _line(course: Course, night: JudgedNight, name: str, limit: float) -> tuple[
     for per, one in (("per_year", line), ("per_1000_h", by_hours)):
         row[f"slope_{per}"] = one.slope
         row |= {f"slope_{per}_lower": one.lower, f"slope_{per}_upper": one.upper}
-    if line.slope is None:
+    if line.slope is None or limit is None:
         return row, {}
     return row, _days(numbers, hours, series, limit, trend.horizon_years)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,6 +13,9 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from leakage.watch import Estimate, NightBlocks, Verdict, Watch, WatchSettings
+from leakage.watch.causes import NO_LEAKAGE
+from leakage.watch.choices import LEAKAGE_BY_LACK, METER_SPREAD, SENSOR_SPREAD
+from leakage.watch.events import oil_spread
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
@@ -23,11 +27,9 @@ from pipeline.trends.nights.kept import Kept, KeptWatch
 # rpm].
 REACH = np.array([10.0, 20.0, 10.0])
 OUT_OF_REACH = "the era's blocks do not reach these conditions"
-# Standard deviations by which another motor of the tank has moved, to be asked at all; what its
-# change may differ from this motor's own, relative to the flow.
-MOVED_SD, TANK_SPREAD = 2.0, 0.01
 
-
+# Spread of the step of events that carry a baseline across, but for a change of oil.
+SPREADS = {"meter_changed": METER_SPREAD, "sensor_changed": SENSOR_SPREAD}
 NOTHING_SEEN = np.full((2, 3), np.nan)
 
 
@@ -120,7 +122,8 @@ class Course:
         course = cls(output, nights, periods, place, period_at(periods, max(place - 1, 0)), figures)
         kept = nights.wanted.kept
         if nights.resumes and kept is not None and kept.watch is not None:
-            machine = history.layout.machine(history.spec, kept.watch.period)
+            newest = dt.date.fromordinal(kept.watch.day)
+            machine = history.layout.machine(history.spec, newest)
             settings = watch_settings(history.spec)
             course.watch = Watch.of_arrays(machine, settings, kept.watch.arrays)
             course.baseline = KEPT_BASELINE.validate_python(kept.watch.own["baseline"])
@@ -151,10 +154,28 @@ class Course:
         if self.place in (self.period.first, self.period.end):
             self.period = period_at(self.periods, self.place)
             self.watch, self.baseline, self.waiting, self.seen = None, None, [], NOTHING_SEEN
-        blocks = self.nights.blocks.get(history.nights[self.place].toordinal())
+        night = history.nights[self.place]
+        blocks = self.nights.blocks.get(night.toordinal())
         if blocks is not None:
+            if self.watch is not None and (spread := self._spread(self.watch, night)):
+                machine = history.layout.machine(history.spec, night)
+                self.watch = self.watch.across_event(machine, blocks.day, spread)
             self._take(blocks)
         self.place += 1
+
+    def _spread(self, watch: Watch, night: dt.date) -> float:
+        """Spread of the step of events since the watch's newest night; 0 without one."""
+        before, file = dt.date.fromordinal(watch.day), self.spec.file
+        spreads = [
+            SPREADS[event.kind]
+            for event in file.events
+            if event.kind in SPREADS and before < event.date <= night
+        ]
+        if (filled := file.filled_on(night)) is not None and before < filled:
+            at_c = watch.state.baseline.columns.temperature_c
+            old, new = (self.spec.oil_on(label).oil() for label in (before, night))
+            spreads.append(oil_spread(old, new, at_c))
+        return math.hypot(*spreads)
 
     def _take(self, blocks: NightBlocks) -> None:
         history = self.nights.history
@@ -195,14 +216,10 @@ class Course:
         found = read_blocks(self.output, self.spec, history.layout, earlier) if earlier else []
         return found + [known[one] for one in sorted(known) if max(day, begin) <= one <= until]
 
-    def know_tank(self, others: Sequence[Watch]) -> None:
-        """Tell the watch what the other motors of the tank did since its own change."""
-        if self.watch is None or not self.watch.state.is_settling:
-            return
-        change = self.watch.verdict().change
-        tank = None if change is None else tank_change(others, change.since)
-        if tank is not None:
-            self.watch = self.watch.with_tank(tank)
+    def know_circuit(self, others: Sequence[Watch]) -> None:
+        """Tell the watch what the other motors of the circuit did since its own change."""
+        if self.watch is not None:
+            self.watch = self.watch.beside(others)
 
     def watched(self) -> WatchedNight:
         """What is said of the newest night; its figures are noted."""
@@ -225,7 +242,7 @@ class Course:
             baseline=self.baseline,
             watch=self.watch,
             verdict=verdict,
-            own=self._leakage(self.baseline.own, place),
+            own=self._own_leakage(self.baseline, verdict, place),
             reference=self._leakage(self.reference, place),
         )
         if night.n_blocks:
@@ -240,6 +257,24 @@ class Course:
         """The fleet's reference conditions, with the charge pressure of the baseline."""
         charge = None if self.baseline is None else self.baseline.own.charge_over_case_bar
         return self.spec.settings.reference.conditions(charge)
+
+    def _own_leakage(self, baseline: Baseline, verdict: Verdict, place: int) -> Estimate | str:
+        """Leakage now at the motor's own conditions: the baseline's and its change (7c.3).
+
+        By the oil of the night, which the change is no part of.
+        """
+        assert self.watch is not None
+        first = self.nights.history.place_from(baseline.end)
+        now, then = self.drives_at(baseline.own, place), self.drives_at(baseline.own, first)
+        if isinstance(now, str) or isinstance(then, str) or baseline.own_leakage is None:
+            return now if isinstance(now, str) else OUT_OF_REACH
+        theta, in_force = np.array(baseline.coefficients), self.watch.state.in_force
+        change = verdict.newest_night
+        if in_force is not None and in_force.change.cause in NO_LEAKAGE:
+            change = in_force.before
+        flow = baseline.own_leakage * float(theta @ now) / max(float(theta @ then), 1e-12)
+        grown, missed = 1.0 + change.value, LEAKAGE_BY_LACK * verdict.lack_of_fit
+        return Estimate(flow * grown, flow * math.hypot(change.sd, grown * missed))
 
     def _leakage(self, at: Conditions, place: int) -> Estimate | str:
         assert self.watch is not None
@@ -285,14 +320,3 @@ def watch_settings(spec: MotorSpec) -> WatchSettings:
     """Settings of a motor's watch."""
     trend, alarms = spec.settings.trend, spec.settings.alarms
     return WatchSettings(alarms.false_alarms_per_year, trend.baseline_nights)
-
-
-def tank_change(others: Sequence[Watch], day: int) -> Estimate | None:
-    """Change of all flows of the tank's other motors from a day on; None where none moved."""
-    changes = [one.change_since(day) for one in others]
-    moved = [one for one in changes if one is not None and abs(one.value) >= MOVED_SD * one.sd]
-    if not moved:
-        return None
-    weights = np.array([1.0 / (one.sd**2 + TANK_SPREAD**2) for one in moved])
-    values = np.array([one.value for one in moved])
-    return Estimate(float(weights @ values / weights.sum()), float(weights.sum() ** -0.5))

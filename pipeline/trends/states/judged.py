@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from leakage.watch import Change, Estimate
-from leakage.watch.causes import AND, BACK, CANNOT_BE_TOLD, TANK, TEMPERATURE_EFFECT
+from leakage.watch import Change, Estimate, Machine
+from leakage.watch.attribution import LEAST_PROBABILITY, parts_of
+from leakage.watch.causes import (
+    ALL_FLOWS,
+    ALL_GAPS,
+    AND,
+    BACK,
+    CANNOT_BE_TOLD,
+    NO_LEAKAGE,
+    ODD_NIGHTS,
+    TANK,
+    TEMPERATURE_EFFECT,
+)
+from leakage.watch.choices import MOSTLY, NAMED
+from leakage.watch.circuit import CircuitChange
+from leakage.watch.nights import SEVERAL
 from pipeline.config import MotorSpec
 from pipeline.schema.fits import DOUBTFUL, ModelVerdict, model_verdict
 from pipeline.trends.nights.layout import FLUSHING, KNOWN
@@ -16,8 +31,13 @@ from pipeline.trends.states.course import WatchedNight
 SURE = 0.975
 # Smallest change that would have been detected, beyond which nights show nothing that anybody asks.
 SHOWS_NOTHING = 0.5
-# What the candidates are together that are parts.
-A_PART = "a_part"
+# What the parts are together where the model does not describe the motor; between the names of
+# causes of which it is one or more.
+A_PART, ONE_OF = "a_part", " or "
+# Causes beside parts that may be wear.
+MAY_BE_WEAR = (A_PART, ALL_GAPS, ALL_FLOWS, SEVERAL)
+# Names that do not come of the shape of a change.
+NOT_OF_SHAPE = (BACK, ODD_NIGHTS, TANK)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +69,13 @@ class JudgedNight:
         return self.fitted if isinstance(found, str) else found
 
     @property
+    def circuit(self) -> CircuitChange | None:
+        """The change in force beside those of the circuit's other motors; None without them."""
+        watch = self.watched.watch
+        in_force = None if watch is None or self.change is None else watch.state.in_force
+        return None if in_force is None else in_force.circuit
+
+    @property
     def gap_growth(self) -> Estimate | None:
         """Relative change of the gap that the cause names; None where it names none."""
         watch, change = self.watched.watch, self.change
@@ -61,9 +88,34 @@ class JudgedNight:
         return Estimate(height - 1.0, growth.sd / (3.0 * height**2))
 
     @property
+    def may_wear(self) -> bool:
+        """True unless what changed is no wear: then no time to a limit follows (issue 49.9)."""
+        change = self.change
+        if change is None or self.state == "common_cause":
+            return change is None
+        wears = {*self.wearing_parts, *MAY_BE_WEAR}
+        share = sum(
+            probability
+            for label, probability in change.candidates.items()
+            if not wears.isdisjoint(label.split(ONE_OF)) or AND in label
+        )
+        return change.is_rise and (share >= MOSTLY or not change.candidates)
+
+    @property
+    def wearing_parts(self) -> frozenset[str]:
+        """Names of the motor's parts."""
+        watch = self.watched.watch
+        return frozenset() if watch is None else parts_in(watch.state.machine)
+
+    @property
     def needed(self) -> int:
         """Nights of a baseline."""
         return self.spec.settings.trend.baseline_nights
+
+
+def parts_in(machine: Machine) -> frozenset[str]:
+    """Names of the paths that are parts."""
+    return frozenset(machine.paths) - {FLUSHING, KNOWN}
 
 
 def judged(
@@ -72,28 +124,51 @@ def judged(
     """The state of a night."""
     verdict = night.verdict
     change = None if verdict is None else verdict.change
-    if change is not None and verdict is not None and verdict.lack_of_fit > DOUBTFUL:
-        change = _unnamed(change, night)
+    if change is not None:
+        change = _as_shown(change, night)
     found = JudgedNight(spec, night, "", "", change, why_no_blocks, fitted)
     state, way = _state(found)
     return replace(found, state=state, way=way)
 
 
-def _unnamed(change: Change, night: WatchedNight) -> Change:
-    """A change of a motor that the model does not describe: it names no part."""
+def _as_shown(change: Change, night: WatchedNight) -> Change:
+    """A change as people see it: causes that the nights cannot tell apart are one (model.md, 7c.4).
+
+    A motor that the model does not describe names no part.
+    """
     assert night.watch is not None
-    parts = {*night.watch.state.machine.paths, "all_gaps"} - {FLUSHING, KNOWN}
+    assert night.verdict is not None
+    machine, is_disproved = night.watch.state.machine, night.verdict.lack_of_fit > DOUBTFUL
+    parts = parts_in(machine)
 
-    def is_part(cause: str) -> bool:
-        return not parts.isdisjoint(cause.split(AND))
+    def shown(names: Iterable[str]) -> frozenset[str]:
+        return frozenset(A_PART if is_disproved and one in parts else one for one in names)
 
-    left = {name: p for name, p in change.candidates.items() if not is_part(name)}
-    if share := sum(p for name, p in change.candidates.items() if is_part(name)):
-        left[A_PART] = share
-    change = replace(change, candidates=left)
-    if is_part(change.cause):
-        change = replace(change, cause=CANNOT_BE_TOLD, path_growth=None)
-    return change
+    alike = shown(change.alike)
+    of_class = ONE_OF.join(sorted(alike))
+    candidates: dict[str, float] = {}
+    for name, probability in change.candidates.items():
+        of_name = shown(parts_of(name, machine.gaps))
+        label = of_class if of_name <= alike else A_PART if of_name == {A_PART} else name
+        candidates[label] = candidates.get(label, 0.0) + probability
+    if change.cause == TANK:
+        rest = (1.0 - change.probability) / max(sum(candidates.values()), 1.0)
+        candidates = {TANK: change.probability} | {a: rest * b for a, b in candidates.items()}
+    candidates = {name: p for name, p in candidates.items() if p > LEAST_PROBABILITY}
+    candidates = dict(sorted(candidates.items(), key=lambda candidate: -candidate[1]))
+    cause, probability = change.cause, change.probability
+    is_prior = not alike.isdisjoint(shown(parts)) and len(alike) > 1
+    if cause not in NOT_OF_SHAPE and (is_prior or cause == CANNOT_BE_TOLD or is_disproved):
+        likeliest, share = next(iter(candidates.items()), (CANNOT_BE_TOLD, 0.0))
+        if share >= NAMED and likeliest != SEVERAL:
+            cause, probability = likeliest, share
+        elif is_prior or A_PART in shown(parts_of(cause, machine.gaps)):
+            cause, probability = CANNOT_BE_TOLD, share
+    has_growth = cause == change.cause and not is_disproved
+    growth = change.path_growth if has_growth else None
+    return replace(
+        change, cause=cause, probability=probability, candidates=candidates, path_growth=growth
+    )
 
 
 def _state(night: JudgedNight) -> tuple[str, str]:
@@ -116,6 +191,7 @@ def _state(night: JudgedNight) -> tuple[str, str]:
     if change.cause == TANK:
         return "common_cause", "common_cause"
     level = alarms.alarm_percent / 100.0
-    if change.is_rise and watched.verdict.present.probability_above(level) >= SURE:
+    is_leakage = change.cause not in NO_LEAKAGE
+    if is_leakage and watched.verdict.present.probability_above(level) >= SURE:
         return "alarm", "level"
     return "warning", "change"

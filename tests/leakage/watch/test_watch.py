@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from leakage.watch import (
     Change,
-    Estimate,
     Machine,
     NightBlocks,
     Watch,
@@ -273,28 +272,6 @@ def test_a_large_change_begins_an_baseline_period_that_carries_what_was_before(s
     # What is in force is sized along the flows of the new period.
     begun = next(one for one in watches if one.state.n_baseline < FIRST)
     assert begun.state.in_force.along == pytest.approx(begun.state.baseline.all_flows)
-
-
-@pytest.mark.parametrize("by", [0.08, -0.08])
-def test_the_tank_is_named_while_it_settles_and_stays(by: float) -> None:
-    nights = Plant(growth=grown("all_flows", by, 20)).nights(45, 1)
-    watch = Watch.begin(CB560, nights[:FIRST], WatchSettings())
-    seen = []
-    for night in range(FIRST, len(nights)):
-        watch = watch.after(nights[night], earlier_of(nights[: night + 1]))
-        watch = watch.with_tank(Estimate(by, 0.01))
-        seen += [change.cause for change in [watch.verdict().change] if change is not None]
-    assert len(seen) > 15
-    assert set(seen) == {"tank"}
-    # Settled, it is not asked again.
-    assert watch.with_tank(Estimate(-by, 0.01)) == watch
-
-
-def test_a_tank_whose_others_did_not_move_is_no_cause() -> None:
-    """They say 0.5 ± 1 %: a change of 8 % is the motor's own."""
-    watch = story(METER, 45, 1)[35 - FIRST]
-    asked = watch.with_tank(Estimate(0.005, 0.01)).verdict().change
-    assert "tank" not in asked.candidates
 
 
 @pytest.mark.parametrize("seed", SEEDS)

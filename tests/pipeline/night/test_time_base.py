@@ -325,7 +325,7 @@ def night(*halts: tuple[int, int]) -> tuple[NDArray[np.bool_], Array, Array]:
 
 def found(still: NDArray[np.bool_], bar: Array, flow: Array, **more: CleanChannel) -> Halts:
     channels = {"pressure_difference": channel(bar), "leakage_flow": channel(flow)} | more
-    return settled_halts(still, GRID, channels, SensorHealth())
+    return settled_halts(still, GRID, channels, SensorHealth(without_pressure_at_halts=True))
 
 
 THREE = ((500, 700), (2000, 2300), (4000, 4200))
@@ -368,14 +368,20 @@ def test_a_halt_that_is_too_short_tells_nothing() -> None:
     assert found(*night((500, 500 + just_too_short + 1))).n == 1
 
 
-def test_two_ports_at_charge_pressure_have_a_difference_of_zero() -> None:
-    still, _, flow = night(*THREE)
-    high, low = np.where(still, 15.4, 200.0), np.full(N, 15.0)
-    channels = {
-        "high_port_pressure": channel(high),
-        "low_port_pressure": channel(low),
-        "leakage_flow": channel(flow),
-    }
-    seen = settled_halts(still, GRID, channels, SensorHealth())
+@pytest.mark.parametrize(
+    ("low_bar", "case_bar", "is_known"),
+    [(15.0, 0.0, False), (15.0, 14.0, True), (0.3, 0.0, True), (None, 0.0, False)],
+)
+def test_ports_show_the_zero_of_the_flow_only_where_they_are_near_case_pressure(
+    low_bar: float | None, case_bar: float, is_known: bool
+) -> None:
+    """Equal pressures on both ports leak to the case; a difference alone is no proof."""
+    still, bar, flow = night(*THREE)
+    channels = {"pressure_difference": channel(bar), "leakage_flow": channel(flow)}
+    if low_bar is not None:
+        ports = {"high_port_pressure": low_bar + bar, "low_port_pressure": np.full(N, low_bar)}
+        channels = {name: channel(values) for name, values in ports.items()} | channels
+    seen = settled_halts(still, GRID, channels, SensorHealth(), case_bar)
     assert seen.n == 3
-    assert seen.pressure_bar.value == pytest.approx(0.4)
+    assert seen.pressure_bar.value == pytest.approx(ZERO_BAR, abs=0.05)
+    assert (seen.flow_l_per_min is not None) == is_known

@@ -29,6 +29,7 @@ def change(cause: str, **more: Any) -> Change:
         "cause": cause,
         "probability": 0.97,
         "candidates": {cause: 0.97, "all_gaps": 0.03},
+        "alike": (),
         "is_rise": True,
         "shape": "step",
         "since": night_of(20).toordinal(),
@@ -46,12 +47,12 @@ def watched(found: Change | None = None, **more: Any) -> WatchedNight:
     verdict = Verdict(night_of(AT).toordinal(), 1.0, LIMIT, 0.005, found, size, size, 0.023, 0.9)
     own = Baseline(night_of(0), night_of(7), 8, Conditions(150.0, 50.0, 40.0), (1e-14,) * 3)
     machine = SimpleNamespace(paths=(*PATHS, "known"), gaps=PATHS)
-    watch: Any = SimpleNamespace(state=SimpleNamespace(machine=machine))
+    watch: Any = SimpleNamespace(state=SimpleNamespace(machine=machine, in_force=None))
     night = WatchedNight(
         AT, night_of(AT), BaselinePeriod(0, 40, "first nights"), 20, 0, 0, own, watch, verdict,
         Estimate(1.2, 0.01), Estimate(1.5, 0.02),
     )  # fmt: skip
-    names = {"lack_of_fit", "present", "tonight", "smallest", "evidence"}
+    names = {"lack_of_fit", "present", "newest_night", "smallest", "evidence", "is_beyond"}
     in_verdict = {name: more.pop(name) for name in names & more.keys()}
     return replace(night, verdict=replace(verdict, **in_verdict), **more)
 
@@ -159,17 +160,17 @@ def test_a_gap_goes_with_the_cube_root_of_its_leakage() -> None:
     assert judge(watched(change("known", path_growth=Estimate(0.5, 0.03)))).gap_growth is None
 
 
-SIZE = "case drain flow +20 % [18, 22] on 1 February 2026"
+SIZE = "leakage +20 % [18, 22] on 1 February 2026"
 SINCE = "since 22 January 2026 (21 January 2026 to 23 January 2026)"
 MOVED = "the zero of the flow sensor has moved"
-UNTOLD = "the cause of a change cannot be told"
+UNTOLD = "leakage has risen, its cause is open"
 
 
 def told(night: JudgedNight, *drifts: str) -> tuple[str, str]:
     return sentence(night, night_of(0), drifts), advice(night, drifts)
 
 
-QUIET = "no change of more than 3 % since 2 January 2026; case drain flow +0.0 % [-2.0, 2.0]"
+QUIET = "no change of more than 3 % since 2 January 2026; leakage +0.0 % [-2.0, 2.0]"
 LOOK_AT_SLEEVE = "Plan a look at the balance sleeve."
 SEVERAL = {"zero": 0.05, SLEEVE: 0.55, "oil_grade": 0.4}
 MISSED = "% of the flow, so no part is named"
@@ -212,7 +213,8 @@ MISSED = "% of the flow, so no part is named"
         ),
         (
             change(SLEEVE), 0.09,
-            UNTOLD, f"it could be a part of the motor over 99 %; the model misses 9 {MISSED}",
+            "leakage of a part of the motor has risen",
+            f"over 99 % probable; the model misses 9 {MISSED}",
             "Plan a look at the motor.",
         ),
         (
@@ -223,6 +225,23 @@ MISSED = "% of the flow, so no part is named"
             "An oil sample, the meter's zero at a halt and a second thermometer would tell.",
         ),
         (
+            change("cannot_be_told", candidates={}, probability=0.0), 0.005,
+            UNTOLD, "", "Plan a look at the motor.",
+        ),
+        (
+            change(SLEEVE, alike=("balance_piston", SLEEVE),
+                   candidates={SLEEVE: 0.7, "balance_piston": 0.28, "oil_grade": 0.02}), 0.005,
+            "leakage has risen through one or more of: balance piston, balance sleeve",
+            "98 % probable", "Plan a look at the balance piston, the balance sleeve.",
+        ),
+        (
+            change("cannot_be_told", alike=("oil_grade", SLEEVE),
+                   candidates={SLEEVE: 0.5, "oil_grade": 0.48, "zero": 0.02}), 0.09,
+            "leakage has risen through one or more of: a part of the motor, another oil",
+            f"98 % probable; the model misses 9 {MISSED}",
+            "An oil sample, the meter's zero at a halt and a second thermometer would tell.",
+        ),
+        (
             change("cannot_be_told", candidates={"several": 0.9, SLEEVE: 0.1}), 0.005,
             UNTOLD, "it could be more than one change at once 90 %, balance sleeve 10 %",
             "Take an oil sample first, and check the flow meter; then plan a look at the motor.",
@@ -230,7 +249,7 @@ MISSED = "% of the flow, so no part is named"
     ],
 )  # fmt: skip
 def test_a_change_in_words(found: Change, lack: float, what: str, rest: str, order: str) -> None:
-    words = f"{what}: {SIZE}, {SINCE}; {rest}"
+    words = f"{what}: {SIZE}, {SINCE}; {rest}".removesuffix("; ")
     assert told(judge(watched(found, lack_of_fit=lack))) == (words, order)
 
 
@@ -252,7 +271,7 @@ def test_a_change_in_words(found: Change, lack: float, what: str, rest: str, ord
         (
             judge(watched(change(SLEEVE), silent=10, n_blocks=0), why="no log covers this night"),
             "nothing is known since 22 January 2026: no log covers this night; leakage of the "
-            "balance sleeve has risen: case drain flow +20 % [18, 22] on 22 January 2026, "
+            "balance sleeve has risen: leakage +20 % [18, 22] on 22 January 2026, "
             f"{SINCE}; 97 % probable",
             "Check whether the motor's logs arrive, and the reason of its last nights.",
         ),
@@ -307,3 +326,43 @@ def test_a_sensor_that_drifts_is_named_and_what_to_do_is_one_order() -> None:
     assert words.endswith(f"; {MOVED}")
     assert what == "Plan a look at the balance sleeve."
     assert told(judge(watched()), MOVED)[1] == "Check the sensor whose zero has moved."
+
+
+def test_an_alarm_carries_an_order_whatever_the_name_and_a_flushing_is_none() -> None:
+    for cause in ("cannot_be_told", "all_flows", "oil_grade", "all_gaps"):
+        alarm = judge(watched(change(cause, size=Estimate(0.5, 0.01))))
+        assert (alarm.state, told(alarm)[1]) == ("alarm", "Look at the motor at the next stop.")
+    for cause in ("flushing", "zero"):
+        night = judge(watched(change(cause, size=Estimate(0.5, 0.01))))
+        assert night.state == "warning"
+        assert "case drain flow +50 % [48, 52]" in told(night)[0]
+
+
+def test_what_one_night_does_not_show_those_since_the_change_do() -> None:
+    newest, mean = Estimate(0.02, 0.02), Estimate(0.03, 0.005)
+    words, _ = told(judge(watched(change(SLEEVE), newest_night=newest, present=mean)))
+    assert "leakage +3.0 % [2.0, 4.0] since then, leakage +2.0 % [-1.9, 5.9] on" in words
+
+
+def test_a_night_alone_beyond_the_detection_limit_is_said() -> None:
+    words, _ = told(judge(watched(newest_night=Estimate(0.08, 0.01), is_beyond=True)))
+    assert words.endswith("beyond that: a second night like it is a warning")
+
+
+@pytest.mark.parametrize(
+    ("cause", "more", "may_wear"),
+    [
+        (SLEEVE, {}, True),
+        ("all_flows", {}, True),
+        ("cannot_be_told", {"candidates": {}}, True),
+        ("temperature_sensor", {}, False),
+        ("flushing", {}, False),
+        ("tank", {}, False),
+        (SLEEVE, {"is_rise": False}, False),
+    ],
+)
+def test_what_is_no_wear_has_no_time_to_a_limit(
+    cause: str, more: dict[str, object], may_wear: bool
+) -> None:
+    assert judge(watched(change(cause, **more))).may_wear == may_wear
+    assert judge(watched()).may_wear

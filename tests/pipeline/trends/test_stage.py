@@ -253,7 +253,7 @@ def test_the_model_of_the_night_before_is_judged_from_stored_blocks(
 # A tank
 
 
-TANK = [Nights(named(motor(), name, "mill"), N, seed=seed) for name, seed in (("A", 1), ("B", 2))]
+TANK = [Nights(named(motor(), name, "mill"), N, seed=n) for n, name in enumerate("ABC", 1)]
 
 
 def test_what_is_said_of_a_motor_moves_nothing_that_the_others_were_told(tmp_path: Path) -> None:
@@ -270,9 +270,9 @@ def test_what_is_said_of_a_motor_moves_nothing_that_the_others_were_told(tmp_pat
 
 
 def test_wear_of_one_motor_is_its_own(tmp_path: Path) -> None:
-    worn, other = TANK
+    worn, *others = TANK
     sleeve = {"balance_sleeve": step(N, AT, 0.9)}
-    config, output = fleet_of(tmp_path, replace(worn, wear=sleeve), other)
+    config, output = fleet_of(tmp_path, replace(worn, wear=sleeve), *others)
     run(config)
     last = published_trends(output, NIGHTS, "A").row(-1, named=True)
     assert (last["cause"], last["state"] in ("warning", "alarm")) == ("balance_sleeve", True)
