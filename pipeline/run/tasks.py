@@ -98,6 +98,9 @@ class MotorTask:
     # Samples after this time are refused [µs since 1970]: a day after the run's clock.
     latest_us: int = field(default_factory=latest_us)
 
+    def __str__(self) -> str:
+        return self.spec.motor_id
+
     @property
     def lost_nights(self) -> dict[dt.date, Loss]:
         """Nights that this run's workers were lost in, each time."""

@@ -155,6 +155,9 @@ class TrendTask:
     kept: Mapping[str, bytes | None] = field(default_factory=dict)
     given_up: Mapping[str, Loss] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        return f"trends of {', '.join(spec.motor_id for spec in self.specs)}"
+
     @property
     def specs(self) -> list[MotorSpec]:
         """The motors."""

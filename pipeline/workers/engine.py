@@ -21,7 +21,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import chain
-from pathlib import Path, PurePath
+from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
@@ -53,8 +53,6 @@ NO_MEMORY = re.compile(
     r"^.*(memory allocation|bad_alloc|out of memory|cannot allocate|MemoryError).*$",
     re.IGNORECASE | re.MULTILINE,
 )
-# Of `faulthandler`: a line of the stack, innermost first.
-FRAME = re.compile(r'^  File "(.+)", line (\d+) in (.+)$', re.MULTILINE)
 # Of joblib: the end of a process.
 END = re.compile(r"(SIG\w+|EXIT)\(-?\d+\)")
 
@@ -110,7 +108,7 @@ class Workers:
         for task, loss in losses:
             again: Task | None = task
             while again is not None and loss.code != "scheduler_lost":
-                log.warning("a task is tried again, alone: %s", loss.how)
+                log.warning("%s: tried again, alone: %s", task, loss.how)
                 task = again
                 ((_, outcome),) = self.tried(function, [task])
                 if not isinstance(outcome, Loss):
@@ -206,22 +204,18 @@ class Pool:
         sys.stderr.write(words)
         for place in self.folder.iterdir():
             place.unlink()
-        no_memory, is_late = NO_MEMORY.search(words), time.monotonic() > mark.until_s
-        if is_late and mark.log:
-            how = f"{mark.log} did not answer within {mark.limit_s:g} s"
-            return {*marks}, Loss("log_no_answer", how, mark.part, mark.log)
-        if is_late:
-            how = f"not done within {mark.limit_s:g} s"
+        no_memory, end = NO_MEMORY.search(words), END.search(error)
+        log_name = ""
+        if time.monotonic() > mark.until_s:
+            code, log_name = "log_no_answer" if mark.log else "task_timeout", mark.log
+            how = f"{mark.log} did not answer" if mark.log else "not done"
+            how += f" within {mark.limit_s:g} s"
         else:
-            end = END.search(error)
+            code = "task_memory" if no_memory else "worker_died"
             how = f"its worker process ended with {end.group() if end else 'no word'}"
             how += f": {no_memory.group().strip()}" if no_memory else ""
         how += f", at {mark.part}" if mark.part else ""
-        if frame := FRAME.search(words):
-            file, line, function = frame.groups()
-            how += f", in {function} ({PurePath(file).name}, line {line})"
-        code = "task_timeout" if is_late else "task_memory" if no_memory else "worker_died"
-        return {*marks}, Loss(code, how, mark.part)
+        return {*marks}, Loss(code, how, mark.part, log_name)
 
     def _marks(self) -> Iterator[tuple[int, Mark]]:
         """Marks of workers by their process."""

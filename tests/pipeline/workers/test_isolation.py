@@ -35,10 +35,10 @@ EXPECTED = {
     "panic": ("internal", "PanicException: not foreseen"),
     "hang_in_python": (
         "task_timeout",
-        "not done within 2 s, at the third night, in hang_in_python (misbehaviour.py, line",
+        "not done within 2 s, at the third night",
     ),
-    "hang_in_c": ("task_timeout", "not done within 2 s, in hang_in_c (misbehaviour.py, line"),
-    "hang_in_a_pattern": ("task_timeout", "not done within 2 s, in fullmatch"),
+    "hang_in_c": ("task_timeout", "not done within 2 s"),
+    "hang_in_a_pattern": ("task_timeout", "not done within 2 s"),
     "stop": ("task_timeout", "not done within 2 s, at a night"),
     "eat_with_numpy": ("task_memory", "MemoryError: Unable to allocate 512. MiB"),
     "eat_with_python": ("task_memory", "MemoryError"),
@@ -46,8 +46,8 @@ EXPECTED = {
     "eat_with_arrow": ("task_memory", "ArrowMemoryError: malloc of size 536870912 failed"),
     "eat_at_once": ("task_memory", "memory allocation of 8796093022208 bytes failed"),
     "kill": ("worker_died", "its worker process ended with SIGKILL(-9)"),
-    "segfault": ("worker_died", "SIGSEGV(-11), in string_at"),
-    "abort": ("worker_died", "SIGABRT(-6), in abort"),
+    "segfault": ("worker_died", "SIGSEGV(-11)"),
+    "abort": ("worker_died", "SIGABRT(-6)"),
     "leave": ("worker_died", "EXIT(0)"),
 }
 # One of each kind; the others in the full run.
@@ -90,7 +90,7 @@ def test_a_log_that_a_task_waits_for_is_named(asked: bool, limit_s: float) -> No
 
     with open_workers(HASTY) as workers:
         list(workers.run(hang_at_a_log, [asked], lambda *_: None, without))
-    how = f"a.csv did not answer within {limit_s} s"
+    how = f"a.csv did not answer within {limit_s} s, at a night"
     assert found == [Loss("log_no_answer", how, "a night", "a.csv")]
 
 
