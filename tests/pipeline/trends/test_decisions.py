@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import StoreError
-from pipeline.store.state import STATE_FILE, open_state
-from pipeline.trends.nights.decisions import Decision, put_back, read_decisions, record_decision
+from pipeline.store.state import STATE_FILE
+from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
 
 SAID = Decision(
     "M1",
@@ -34,14 +34,6 @@ def test_the_oldest_is_first_whoever_wrote_it(tmp_path: Path) -> None:
 def test_where_nothing_was_said_nothing_is_made(tmp_path: Path) -> None:
     assert read_decisions(tmp_path) == ()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_only_what_is_lost_is_put_back(tmp_path: Path) -> None:
-    record_decision(tmp_path, SAID)
-    other = replace(SAID, motor_id="M2", worn="piston_ring", note="")
-    with open_state(tmp_path) as state:
-        assert put_back(state, [SAID, other]) == 1
-    assert read_decisions(tmp_path) == (SAID, other)
 
 
 def test_many_may_write_at_once(tmp_path: Path) -> None:
