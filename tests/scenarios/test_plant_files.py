@@ -624,7 +624,7 @@ def _apart() -> bytes:
     )
     sink = pa.BufferOutputStream()
     pq.write_table(table_of, sink)
-    return sink.getvalue().to_pybytes()
+    return bytes(sink.getvalue())
 
 
 def _texts() -> bytes:
@@ -688,3 +688,45 @@ def test_samples_of_an_import_have_the_time_of_their_publishing(tmp_path: Path) 
     (night,) = nights_of(tmp_path).rows(named=True)
     assert night["status"] == "ok"
     assert abs(night["night"] - FIRST) <= dt.timedelta(days=1)
+
+
+# Another unit from one night on
+
+
+@covers("ack --night --note", "ack --night --fit --note", "fit-fleet")
+def test_a_night_in_another_unit_is_accepted_or_released(tmp_path: Path) -> None:
+    """The fifth night's drain flow is in l/h where the others are in l/min."""
+    for night in (1, 2, 3, 4, 5):
+        head, *lines = plain(night).splitlines()
+        if night == 5:
+            lines = [_with(line, 3, str(float(line.split(",")[-1]) * 60.0)) for line in lines]
+        write(tmp_path, f"w_2026-01-0{night}.csv", "\n".join([head, *lines, ""]))
+    assert init(tmp_path).code == 0
+    assert fit(tmp_path).code == 1
+    assert nights_of(tmp_path)["status"].to_list() == [*["ok"] * 4, "failed"]
+    label = str(nights_of(tmp_path)["night"][-1])
+    words = ("ack", "fleet/fleet.toml", "w", "--note", "seen", "--night")
+    refused = run_command(*words, "2026-01-02", folder=tmp_path)
+    assert refused.code == 2
+    assert label in refused.err
+    assert run_command("fit-fleet", "fleet/fleet.toml", folder=tmp_path).code == 1
+    assert "excluded" in run_command(*words, label, folder=tmp_path).out
+    assert run_command("fit-fleet", "fleet/fleet.toml", folder=tmp_path).code == 0
+    assert nights_of(tmp_path)["status"].to_list() == [*["ok"] * 4, "failed"]
+    assert "fits it" in run_command(*words, label, "--fit", folder=tmp_path).out
+    done = run_command("fit-fleet", "fleet/fleet.toml", folder=tmp_path)
+    assert (done.code, "1 ok" in done.out) == (0, True)
+    assert nights_of(tmp_path)["status"].to_list() == ["ok"] * 5
+
+
+def test_a_speed_in_radians_is_no_wear(tmp_path: Path) -> None:
+    for night in range(1, 7):
+        head, *lines = plain(night).splitlines()
+        if night > 4:
+            lines = [_with(line, 2, str(float(line.split(",")[3]) / 9.5493)) for line in lines]
+        write(tmp_path, f"w_2026-01-0{night}.csv", "\n".join([head, *lines, ""]))
+    assert init(tmp_path).code == 0
+    assert fit(tmp_path).code == 1
+    nights = nights_of(tmp_path)
+    assert nights["status"].to_list() == [*["ok"] * 4, "failed", "failed"]
+    assert "the log is now in rad/s" in nights["reason"][-1]
