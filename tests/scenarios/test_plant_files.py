@@ -356,6 +356,45 @@ def test_values_that_are_sent_on_change_are_proposed_as_such(layout: str, tmp_pa
     assert night["mean_temperature_c"] == pytest.approx(true, abs=0.3)
 
 
+# InfluxDB
+
+ANNOTATIONS = (
+    "#group,false,false,true,true,false,false,true,true,true\n"
+    "#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,string,"
+    "string,string\n#default,_result,,,,,,,,\n"
+)
+ANNOTATED = ",result,table,_start,_stop,_time,_value,_field,_measurement,asset\n"
+SPAN = "2026-01-01T00:00:00Z,2026-01-03T00:00:00Z"
+# A field's rows stand together: names of the first rows are all alike. Marks before each field's
+# table, the names of the columns, and a row.
+INFLUX = {
+    "annotated": (ANNOTATIONS, ANNOTATED, ",,0,{span},{time},{value},{field},hyd,{motor}\n"),
+    "not annotated": ("", ANNOTATED, ",,0,{span},{time},{value},{field},hyd,{motor}\n"),
+    "plain": ("", "name,time,asset,field,value\n", "hyd,{time},{motor},{field},{value}\n"),
+    "in fields": ("", "result,_time,_value,_field\n", "r,{time},{value},{motor}_{field}\n"),
+}
+
+
+@pytest.mark.parametrize("form", INFLUX)
+def test_long_tables_of_influx(form: str, tmp_path: Path) -> None:
+    marks, head, row = INFLUX[form]
+    lines = [] if marks else [head]
+    for motor in ("W1", "W2"):
+        for at, field_name in enumerate(NAMES.values()):
+            lines += [marks + head] if marks else []
+            lines += [
+                row.format(span=SPAN, time=time, value=own[at], field=field_name, motor=motor)
+                for time, own in zip(stamps(1), rows(1), strict=True)
+            ]
+            lines += ["\n"] if marks else []
+    write(tmp_path, "export_2026-01-01.csv", "".join(lines))
+    assert init(tmp_path).code == 0
+    assert fit(tmp_path).code == 0
+    nights = nights_of(tmp_path)
+    assert nights["motor_id"].to_list() == ["W1", "W2"]
+    assert nights["status"].to_list() == ["ok", "ok"]
+
+
 # What `check` says
 
 
