@@ -72,8 +72,7 @@ def test_the_dashboard_asks_for_metrics_that_there_are() -> None:
     (curve,) = (one for one in dashboard["panels"] if one["title"].startswith("Leakage of $motor"))
     of = "motor_leakage_own_leakage_"
     assert [one["expr"] for one in curve["targets"]] == [
-        f'{of}{name}{{motor="$motor"}}'
-        for name in ("l_per_min", "lower_l_per_min", "upper_l_per_min")
+        f'{of}{name}{{motor="$motor"}}' for name in ("l_per_min", "lower", "upper")
     ]
     bands = {
         one["matcher"]["options"]: one["properties"] for one in curve["fieldConfig"]["overrides"]

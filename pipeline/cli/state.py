@@ -31,7 +31,7 @@ from pipeline.errors import UsageError
 from pipeline.messages import counted
 
 if TYPE_CHECKING:
-    from pipeline.config import MotorSpec
+    from pipeline.config import Fleet, MotorSpec
     from pipeline.report.status import FleetStatus
     from pipeline.trends.nights.decisions import Decision, Kind
     from pipeline.trends.rows.motor_states import MotorState
@@ -217,9 +217,16 @@ def ack(
     sound: Annotated[
         list[str] | None, typer.Option(help="Part found sound; may be repeated.")
     ] = None,
+    night: Annotated[
+        dt.date | None,
+        typer.Option(parser=past_day, help="Failed night to accept as excluded, YYYY-MM-DD."),
+    ] = None,
+    fit: Annotated[
+        bool, typer.Option("--fit", help="With --night: fit it, its columns are right.")
+    ] = False,
     output: Output = None,
 ) -> None:
-    """Acknowledge an alarm, or record the finding of an inspection.
+    """Acknowledge an alarm or a failed night, or record the finding of an inspection.
 
     Example: motor-leakage ack configs/fleet.toml CB400-02 --note "rings ordered"
 
@@ -236,6 +243,11 @@ def ack(
     if not note.strip():
         raise UsageError("note", "--note: expected some words")
     fleet = load(config, output, None, logs=False)
+    if night or fit:
+        record_decision(fleet.output, _failed_night(fleet, motor, night, note, is_fit=fit))
+        how = "the next run fits it" if fit else "excluded, runs end well without it"
+        typer.echo(f"{motor}: night {night}: {how}")
+        return
     parts = [_parts(fleet.motor(motor), one or ()) for one in (worn, sound)]
     if opened or any(parts):
         if not opened or not any(parts) or finding:
@@ -251,6 +263,26 @@ def ack(
         said = f"{indicator}, raised last on {night}: {kind}"
     record_decision(fleet.output, decision)
     typer.echo(f"{motor}: {said}")
+
+
+def _failed_night(
+    fleet: Fleet, motor: str, night: dt.date | None, note: str, *, is_fit: bool
+) -> Decision:
+    """Decision on a failed night; raises UsageError (``night``) if it is none."""
+    from pipeline.logs.processed import read_processed
+    from pipeline.schema.fits import FAILED
+    from pipeline.store.state import read_state_file
+    from pipeline.trends.nights.decisions import Decision
+
+    fleet.known_motors([motor])
+    with read_state_file(fleet.output) as state:
+        nights = read_processed(state, motor).nights
+    failed = sorted(label for label, record in nights.items() if record.status == FAILED)
+    if night not in failed:
+        there = ", ".join(map(str, failed)) or "none"
+        raise UsageError("night", f"--night: expected a failed night of {motor}: {there}")
+    kind: Kind = "released" if is_fit else "excluded"
+    return Decision(motor, "", now(), kind, night, None, note)
 
 
 def _parts(spec: MotorSpec, names: Sequence[str]) -> list[str]:

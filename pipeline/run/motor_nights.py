@@ -146,6 +146,11 @@ class MotorNights:
                 reached = self.logs.touched(name) | (self.logs.reached(name) & present)
                 later |= dict.fromkeys(reached, Step(Work.READ, news))
         later |= dict.fromkeys(self.abandoned, Step(Work.READ, "its log is gone"))
+        later |= {
+            label: Step(Work.READ, "released for fitting")
+            for label, record in self.nights_before.items()
+            if record.status == FAILED and label in self.task.released
+        }
         done = self.done.keys() | self.kept | waiting
         return {
             label: step
@@ -192,7 +197,11 @@ class MotorNights:
 
     def _n_standing(self) -> int:
         """Failures that stand after this run: nights, logs of no night, and absent logs."""
-        failed = [one for one in self.records.values() if one.status == FAILED]
+        failed = [
+            label
+            for label, record in self.records.items()
+            if record.status == FAILED and label not in self.task.excluded
+        ]
         logs = [
             one for one in self.logs.files.values() if one.status == "failed" and not one.nights
         ]

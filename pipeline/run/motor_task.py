@@ -197,9 +197,10 @@ class _Making(MotorNights):
         why = None
         if now and (usual := self._usual(outcome.night)):
             why = column_change(self.spec, usual, now)
-        if why is None:
+        if why is None or outcome.night in self.task.released:
             return outcome
-        why += "; mend the log or the motor's file, or enter a dated event if the motor runs so now"
+        why += "; mend the log or the motor's file, enter a dated event if the motor runs so now"
+        why += ", or ack the night"
         rows = {"quality": outcome.rows["quality"]}
         return unfitted(self.spec, outcome.night, FAILED, why, "columns_changed", rows=rows)
 

@@ -16,6 +16,7 @@ from pipeline.logs.finding import legible
 from pipeline.logs.processed import FileRecord, ProcessedChange, ProcessedLogs
 from pipeline.schema.fits import FAILED
 from pipeline.store.published import TableFault
+from pipeline.trends.nights.decisions import Kind, read_decisions
 from pipeline.workers.process import Loss
 
 # A motor of which more nights than this take their worker with them, or more logs than this do not
@@ -59,6 +60,15 @@ class RunRequest:
             force=self.force,
             retry=self.retry,
             latest_us=latest_us(self.clock),
+            excluded=self._decided(spec, "excluded"),
+            released=self._decided(spec, "released"),
+        )
+
+    def _decided(self, spec: MotorSpec, kind: Kind) -> frozenset[dt.date]:
+        """Nights of a motor that a person decided on."""
+        decisions = read_decisions(self.fleet.output)
+        return frozenset(
+            one.night for one in decisions if (one.motor_id, one.kind) == (spec.motor_id, kind)
         )
 
 
@@ -97,6 +107,9 @@ class MotorTask:
     looked_at: Mapping[str, FileRecord] | None = None
     # Samples after this time are refused [µs since 1970]: a day after the run's clock.
     latest_us: int = field(default_factory=latest_us)
+    # Nights that people accepted as failed, and those that they released for fitting.
+    excluded: frozenset[dt.date] = frozenset()
+    released: frozenset[dt.date] = frozenset()
 
     def __str__(self) -> str:
         return self.spec.motor_id

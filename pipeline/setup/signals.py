@@ -41,7 +41,13 @@ def _of_tags(table: Table) -> Table | None:
     names = [one for one in texts if one.name not in units]
     if len(values) != 1 or not names:
         return None
-    column = max(names, key=lambda one: len({meaning_of(cell).channel for cell in one.filled}))
+    # A tag's rows may stand together: its names are those of the whole head.
+    head = list(table.rows([one.name for one in names]))
+    channels = {
+        one.name: {meaning_of(cell).channel for cell in {row[at] for row in head}} - {None}
+        for at, one in enumerate(names)
+    }
+    column = max(names, key=lambda one: len(channels[one.name]))
     seen: dict[str, tuple[list[str], str]] = {}
     for name, cell, *unit in table.rows([column.name, values[0].name, *units]):
         cells, _ = seen.setdefault(name.strip(), ([], next(iter(unit), "")))

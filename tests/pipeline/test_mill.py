@@ -164,15 +164,15 @@ def test_a_mills_first_day_in_four_commands(
     latest = {row["motor_id"]: row for row in rows}
     worse = latest[WORSENS.name]
     assert worse["state"] in ("warning", "alarm")
-    assert worse["tonight_change_lower"] < WORSE_BY < worse["tonight_change_upper"]
-    assert worse["since_lower"].isoformat() <= "2026-03-14" <= worse["since_upper"].isoformat()
+    assert worse["leakage_change_lower"] < 100 * WORSE_BY < worse["leakage_change_upper"]
+    assert worse["onset_earliest"].isoformat() <= "2026-03-14" <= worse["onset_latest"].isoformat()
     for drive in (SWAPPED, CUT):
         assert latest[drive.name]["state"] == "ok"
         assert latest[drive.name]["sentence"].startswith("no change of more than ")
-        assert latest[drive.name]["smallest_change"] < 0.1
+        assert latest[drive.name]["detection_limit_percent"] < 10.0
         page = (output / f"report/motors/{drive.name}.html").read_text("utf-8")
         assert "No change of more than" in page
-    assert "columns changed?" in latest[SWAPPED.name]["failure"]
+    assert "columns changed?" in latest[SWAPPED.name]["reason"]
     # Cut after 70 % of the shift.
     for words in ("2.8 h of log, 4.0 h in the nights before", "1 last row without a line end"):
         assert words in latest[CUT.name]["log_note"]

@@ -356,6 +356,45 @@ def test_values_that_are_sent_on_change_are_proposed_as_such(layout: str, tmp_pa
     assert night["mean_temperature_c"] == pytest.approx(true, abs=0.3)
 
 
+# InfluxDB
+
+ANNOTATIONS = (
+    "#group,false,false,true,true,false,false,true,true,true\n"
+    "#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,string,"
+    "string,string\n#default,_result,,,,,,,,\n"
+)
+ANNOTATED = ",result,table,_start,_stop,_time,_value,_field,_measurement,asset\n"
+SPAN = "2026-01-01T00:00:00Z,2026-01-03T00:00:00Z"
+# A field's rows stand together: names of the first rows are all alike. Marks before each field's
+# table, the names of the columns, and a row.
+INFLUX = {
+    "annotated": (ANNOTATIONS, ANNOTATED, ",,0,{span},{time},{value},{field},hyd,{motor}\n"),
+    "not annotated": ("", ANNOTATED, ",,0,{span},{time},{value},{field},hyd,{motor}\n"),
+    "plain": ("", "name,time,asset,field,value\n", "hyd,{time},{motor},{field},{value}\n"),
+    "in fields": ("", "result,_time,_value,_field\n", "r,{time},{value},{motor}_{field}\n"),
+}
+
+
+@pytest.mark.parametrize("form", INFLUX)
+def test_long_tables_of_influx(form: str, tmp_path: Path) -> None:
+    marks, head, row = INFLUX[form]
+    lines = [] if marks else [head]
+    for motor in ("W1", "W2"):
+        for at, field_name in enumerate(NAMES.values()):
+            lines += [marks + head] if marks else []
+            lines += [
+                row.format(span=SPAN, time=time, value=own[at], field=field_name, motor=motor)
+                for time, own in zip(stamps(1), rows(1), strict=True)
+            ]
+            lines += ["\n"] if marks else []
+    write(tmp_path, "export_2026-01-01.csv", "".join(lines))
+    assert init(tmp_path).code == 0
+    assert fit(tmp_path).code == 0
+    nights = nights_of(tmp_path)
+    assert nights["motor_id"].to_list() == ["W1", "W2"]
+    assert nights["status"].to_list() == ["ok", "ok"]
+
+
 # What `check` says
 
 
@@ -624,7 +663,7 @@ def _apart() -> bytes:
     )
     sink = pa.BufferOutputStream()
     pq.write_table(table_of, sink)
-    return sink.getvalue().to_pybytes()
+    return bytes(sink.getvalue())
 
 
 def _texts() -> bytes:
@@ -688,3 +727,45 @@ def test_samples_of_an_import_have_the_time_of_their_publishing(tmp_path: Path) 
     (night,) = nights_of(tmp_path).rows(named=True)
     assert night["status"] == "ok"
     assert abs(night["night"] - FIRST) <= dt.timedelta(days=1)
+
+
+# Another unit from one night on
+
+
+@covers("ack --night --note", "ack --night --fit --note", "fit-fleet")
+def test_a_night_in_another_unit_is_accepted_or_released(tmp_path: Path) -> None:
+    """The fifth night's drain flow is in l/h where the others are in l/min."""
+    for night in (1, 2, 3, 4, 5):
+        head, *lines = plain(night).splitlines()
+        if night == 5:
+            lines = [_with(line, 3, str(float(line.split(",")[-1]) * 60.0)) for line in lines]
+        write(tmp_path, f"w_2026-01-0{night}.csv", "\n".join([head, *lines, ""]))
+    assert init(tmp_path).code == 0
+    assert fit(tmp_path).code == 1
+    assert nights_of(tmp_path)["status"].to_list() == [*["ok"] * 4, "failed"]
+    label = str(nights_of(tmp_path)["night"][-1])
+    words = ("ack", "fleet/fleet.toml", "w", "--note", "seen", "--night")
+    refused = run_command(*words, "2026-01-02", folder=tmp_path)
+    assert refused.code == 2
+    assert label in refused.err
+    assert run_command("fit-fleet", "fleet/fleet.toml", folder=tmp_path).code == 1
+    assert "excluded" in run_command(*words, label, folder=tmp_path).out
+    assert run_command("fit-fleet", "fleet/fleet.toml", folder=tmp_path).code == 0
+    assert nights_of(tmp_path)["status"].to_list() == [*["ok"] * 4, "failed"]
+    assert "fits it" in run_command(*words, label, "--fit", folder=tmp_path).out
+    done = run_command("fit-fleet", "fleet/fleet.toml", folder=tmp_path)
+    assert (done.code, "1 ok" in done.out) == (0, True)
+    assert nights_of(tmp_path)["status"].to_list() == ["ok"] * 5
+
+
+def test_a_speed_in_radians_is_no_wear(tmp_path: Path) -> None:
+    for night in range(1, 7):
+        head, *lines = plain(night).splitlines()
+        if night > 4:
+            lines = [_with(line, 2, str(float(line.split(",")[3]) / 9.5493)) for line in lines]
+        write(tmp_path, f"w_2026-01-0{night}.csv", "\n".join([head, *lines, ""]))
+    assert init(tmp_path).code == 0
+    assert fit(tmp_path).code == 1
+    nights = nights_of(tmp_path)
+    assert nights["status"].to_list() == [*["ok"] * 4, "failed", "failed"]
+    assert "the log is now in rad/s" in nights["reason"][-1]

@@ -24,7 +24,7 @@ from pipeline.store.tables import read_table, whole_file
 
 log = logging.getLogger(__name__)
 
-Kind = Literal["acknowledged", "finding", "baseline_reset"]
+Kind = Literal["acknowledged", "finding", "baseline_reset", "excluded", "released"]
 Finding = Literal["confirmed", "not_confirmed"]
 
 # What alarms, decisions and baselines are of.
@@ -40,7 +40,9 @@ class Decision:
     motor_id: str
     indicator: str
     time: dt.datetime  # of the decision, UTC
-    kind: Kind  # an alarm acknowledged, the finding of an inspection, or a baseline reset
+    # An alarm acknowledged, the finding of an inspection, a baseline reset; a failed night
+    # accepted as excluded, or released for fitting although its columns look changed.
+    kind: Kind
     # The night that it refers to: of a reset the first night of the new baseline, of a finding on
     # parts the day on which the motor was opened.
     night: dt.date

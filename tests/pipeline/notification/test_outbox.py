@@ -203,15 +203,15 @@ def test_a_row_that_says_again_what_it_said_before_is_no_repeat(tmp_path: Path) 
     # A delivery has no more rows than a receiver can hold.
     run(tmp_path, [row(f"M{n}") for n in range(2, MOST_CHANGES + 3)], receiver)
     assert [len(document["changes"]) for document in receiver.taken[3:]] == [MOST_CHANGES, 1]
-    for ids in (receiver.changes(), receiver.taken):
-        assert len({one["id"] for one in ids}) == len(ids)
+    for rows, key in ((receiver.changes(), "change_id"), (receiver.taken, "id")):
+        assert len({one[key] for one in rows}) == len(rows)
 
 
 def test_ids_hang_on_fleet_receiver_and_rows_alone(tmp_path: Path) -> None:
     def ids(folder: str, fleet: str, name: str, *motors: str) -> tuple[str, list[str]]:
         receiver = Fake(name)
         run(tmp_path / folder, map(row, motors), receiver, fleet=fleet)
-        return receiver.taken[0]["id"], [one["id"] for one in receiver.changes()]
+        return receiver.taken[0]["id"], [one["change_id"] for one in receiver.changes()]
 
     first = ids("a", FLEET, "command", "M1")
     assert ids("b", FLEET, "command", "M1") == first
