@@ -57,7 +57,7 @@ log = logging.getLogger(__name__)
 # First night with new rows by motor; None without one.
 Changed = Mapping[str, dt.date | None]
 
-# Seconds of a motor's task by stage, as `run_motors` names them, and of a run, as `runs` does.
+# Seconds of a motor's task by stage, and of a run, as `runs` names them.
 MOTOR_STAGES = (
     "read_s",
     "clean_s",
@@ -236,6 +236,7 @@ def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Ma
         "message": outcome.message,
         "peak_memory_mib": outcome.peak_memory_mib,
         "n_refitted": outcome.n_refitted,
-        **{stage: outcome.seconds.get(stage, 0.0) for stage in MOTOR_STAGES},
+        "read_s": outcome.seconds.get("read_s", 0.0),
+        "total_s": sum(outcome.seconds.values()),
         **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
     }
