@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -110,7 +111,10 @@ def init(
     while questions := [*proposal.questions, *_of_the_machine(configs, answers)]:
         if not sys.stdin.isatty():
             break
-        answers |= {one.key: str(typer.prompt(_text(one))) for one in questions}
+        for one in questions:
+            answers[one.key] = str(typer.prompt(_text(one)))
+            # What is typed is not lost with the terminal.
+            typer.echo(f"--answer {shlex.quote(f'{one.key}={answers[one.key]}')}", err=True)
         proposal = _proposed(source, answers, root)
     observed = observed_of(proposal)
     proposal = with_sampling(proposal, observed)

@@ -40,7 +40,7 @@ from pipeline.intraday.rows import (
 from pipeline.logs.processed import as_published, read_processed, read_settings
 from pipeline.night.fit_night import Insufficient
 from pipeline.notification.delivery import Receiver
-from pipeline.notification.outbox import TOLD_INTRADAY, deliver, open_outbox, take_up
+from pipeline.notification.outbox import OF_INTRADAY, deliver, open_outbox
 from pipeline.notification.receivers import receivers_of
 from pipeline.schema import BLOCKS
 from pipeline.store.locks import locked
@@ -83,7 +83,7 @@ def check_fleet(
     receivers = receivers_of(fleet.settings.alarms)
     wanted = [one for one in fleet.motors if not motors or one.motor_id in motors]
     with locked(fleet.output / "look"), open_state(fleet.output) as state, one_thread():
-        open_outbox(state, [one.name for one in receivers], fleet.name, TOLD_INTRADAY)
+        open_outbox(state, [one.name for one in receivers], OF_INTRADAY)
         decisions = decisions_of(wanted, read_decisions(fleet.output))
         last = last_rows(fleet.output, [spec.motor_id for spec in wanted])
         found = list[MotorCheck]()
@@ -191,7 +191,7 @@ def settle_rises(fleet: Fleet, state: State, rises: Mapping[str, Row]) -> None:
     decisions = decisions_of(specs, read_decisions(fleet.output))
     receivers = receivers_of(fleet.settings.alarms)
     with locked(fleet.output / "look"):
-        open_outbox(state, [one.name for one in receivers], fleet.name, TOLD_INTRADAY)
+        open_outbox(state, [one.name for one in receivers], OF_INTRADAY)
         for spec in specs:
             row = _settled(state, spec, decisions[spec.motor_id], rises[spec.motor_id])
             publish_rows(state, [] if row is None else [row], _run_id(spec))
@@ -201,8 +201,7 @@ def settle_rises(fleet: Fleet, state: State, rises: Mapping[str, Row]) -> None:
 def _deliver(fleet: Fleet, state: State, receivers: Sequence[Receiver]) -> None:
     """Deliver new rows; what fails waits for the next check."""
     try:
-        take_up(state, fleet.name, TOLD_INTRADAY)
-        for fault in deliver(state, receivers, fleet.name, told=TOLD_INTRADAY):
+        for fault in deliver(state, receivers, fleet.name, OF_INTRADAY):
             log.warning("%s", fault)
     except StoreError as error:
         log.warning("intraday check: %s; the next check delivers it", error)

@@ -23,7 +23,7 @@ from pipeline.notification.outbox import open_outbox
 from pipeline.notification.receivers import receivers_of
 from pipeline.run.mending import damage_left, find_damage, forget_lost
 from pipeline.run.motors import motor_outcomes
-from pipeline.run.notification import deliver_alarms, measure, queue_summary, settle_intraday
+from pipeline.run.notification import deliver_alarms, measure, settle_intraday
 from pipeline.run.publishing import (
     STAGES,
     config_hash_of,
@@ -91,11 +91,10 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
             with open_state(output) as state:
                 restore_decisions(state)
-                open_outbox(state, [one.name for one in receivers], fleet.name)
+                open_outbox(state, [one.name for one in receivers])
                 with open_workers(fleet.execution, folders) as workers:
                     result = _run(request, staging, progress, heartbeat, workers, state)
                 settle_intraday(fleet, state)
-                queue_summary(fleet, state)
                 publish_decisions(state, result.run_id)
         # A motor without an outcome of its own has its own words.
         if result.without_logs:
@@ -175,7 +174,7 @@ def _run(
         except KeyboardInterrupt:
             is_stopped = True
     with interrupts_held() as came:
-        alarms = publish_trends(publisher, fleet, trends)
+        alarms = publish_trends(publisher, trends)
         publish_whole_tables(publisher, fleet)
         failures = {motor_id: loss for one in trends for motor_id, loss in one.failures.items()}
         outcomes = [_with_trends(one, failures.get(one.motor_id)) for one in outcomes]

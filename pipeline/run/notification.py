@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pipeline.config import Fleet
 from pipeline.errors import LockedError, StoreError
 from pipeline.intraday.rows import open_rises
-from pipeline.notification.delivery import Receiver
+from pipeline.notification.delivery import Receiver, UndeliveredError
 from pipeline.notification.mail import EMAIL
-from pipeline.notification.outbox import add_summary, backlogs, deliver
+from pipeline.notification.outbox import backlogs, deliver, deliver_summary
 from pipeline.run.metrics import metrics_text, write_metrics
 from pipeline.run.tasks import RunResult
 from pipeline.store.heartbeat import last_good_run
@@ -19,17 +19,6 @@ from pipeline.store.state import State, open_state
 from pipeline.trends.rows.motor_states import published_states, urgency
 
 log = logging.getLogger(__name__)
-
-
-def queue_summary(fleet: Fleet, state: State) -> None:
-    """Queue the summary that is due; where that fails, the next run does it."""
-    today = dt.datetime.now(fleet.settings.nights.zone).date()
-    due = fleet.settings.alarms.email.summary_due(today)
-    try:
-        if due is not None:
-            add_summary(state, EMAIL, fleet.name, due, lambda: _states(fleet))
-    except StoreError as error:
-        log.warning("summary: %s; the next run tells it", error)
 
 
 def settle_intraday(fleet: Fleet, state: State) -> None:
@@ -60,8 +49,22 @@ def deliver_alarms(fleet: Fleet, receivers: Sequence[Receiver]) -> None:
         with open_state(fleet.output) as state:
             for fault in deliver(state, receivers, fleet.name):
                 log.warning("%s", fault)
+            for receiver in receivers:
+                if receiver.name == EMAIL:
+                    _deliver_summary(fleet, state, receiver)
     except StoreError as error:
         log.warning("alarms: %s; what was delivered may be delivered again", error)
+
+
+def _deliver_summary(fleet: Fleet, state: State, receiver: Receiver) -> None:
+    """Deliver the summary that is due; where it is not taken, the next run does it."""
+    today = dt.datetime.now(fleet.settings.nights.zone).date()
+    due = fleet.settings.alarms.email.summary_due(today)
+    try:
+        if due is not None:
+            deliver_summary(state, receiver, fleet.name, due, lambda: _states(fleet))
+    except UndeliveredError as error:
+        log.warning("%s: summary: %s; the next run tries again", receiver.label, error.why)
 
 
 def measure(fleet: Fleet, receivers: Sequence[Receiver], result: RunResult) -> None:

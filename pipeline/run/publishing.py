@@ -19,7 +19,7 @@ from pipeline.config.hashes import hash_of, own_version
 from pipeline.config.nights import night_of
 from pipeline.errors import StoreError
 from pipeline.logs.processed import write_change
-from pipeline.notification.outbox import take_up
+from pipeline.notification.outbox import pass_over
 from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
 from pipeline.schema import (
     ALARMS,
@@ -128,10 +128,8 @@ def newest_of_fleet(fleet: Fleet, clock: dt.datetime) -> NewestNight | None:
     return newest_night_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
 
 
-def publish_trends(
-    publisher: Publisher, fleet: Fleet, made: Sequence[TrendOutcome]
-) -> list[Mapping[str, Any]]:
-    """Publish what the tasks have staged, and queue it; returns the new rows of `alarms`."""
+def publish_trends(publisher: Publisher, made: Sequence[TrendOutcome]) -> list[Mapping[str, Any]]:
+    """Publish what the tasks have staged; returns the new rows of `alarms`."""
     state = publisher.state
     records = {motor_id: one for some in made for motor_id, one in sorted(some.records.items())}
 
@@ -141,7 +139,7 @@ def publish_trends(
             write_record(state, motor_id, record, kept)
         if records:
             state.set_meta("latest", "")
-        take_up(state, fleet.name, silent={name for one in made for name in one.silent})
+        pass_over(state, {name for one in made for name in one.silent})
 
     publisher.nights("trends", TREND_TABLES, sorted(records), published)
     new = [row for one in made for row in one.alarms]

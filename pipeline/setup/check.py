@@ -28,6 +28,7 @@ from pipeline.setup.column_check import (
     column_changes,
     suspect_units,
     units_told,
+    unused_qualities,
 )
 from pipeline.setup.extremes import repeated_extremes
 from pipeline.setup.forecast import NightForecast, forecasts
@@ -239,7 +240,8 @@ def _look_into(
     ]
     # What is refused mostly follows from the rest.
     faults = faults or [*_refused(found)]
-    return found, faults, [*notes, *filter(None, looks)]
+    unused = unused_qualities(path_of(newest), spec.file)
+    return found, faults, [*notes, *filter(None, looks), *unused]
 
 
 def _refused(channels: Sequence[ChannelCheck]) -> Iterator[str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime as dt
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -25,7 +26,8 @@ from pipeline.night.sample_rows import conditions
 from pipeline.night.time_base import Samples
 from pipeline.setup.names import LOW_SIDE, QUANTITY_OF, USUAL, likely_units, meaning_of
 from pipeline.setup.operation import night_of_log
-from pipeline.setup.sniff import header_of
+from pipeline.setup.signals import signals_of
+from pipeline.setup.sniff import header_of, sniff
 from pipeline.units import QUANTITIES, canonical_unit, from_canonical
 
 # A drain flow this many times off the configured model's is of another unit sooner than worn.
@@ -111,6 +113,20 @@ def _model_flow(spec: MotorSpec, night: dt.date, typical: Mapping[str, float]) -
         return float(total_flow_l_per_min(motor, conditions)[0])
     except LeakageError:
         return None
+
+
+def unused_qualities(path: Path, file: MotorFile) -> Iterator[str]:
+    """Yield the channels of which the log has a quality that the config does not name."""
+    with suppress(LogError):
+        signals = signals_of(sniff(path))
+        qualities = {one.keys["source"]: one.quality for one in signals.columns if one.quality}
+        for name, channel in file.channels.items():
+            quality = qualities.get(channel.source)
+            if quality is not None and not channel.quality_source:
+                yield (
+                    f"{name}: the log has its quality, {quality.source}, which is not used: then "
+                    "quality_source and quality_good"
+                )
 
 
 # Changes from one log on

@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 STATE_FILE = "state.db"
 STATE_FILES = (STATE_FILE, f"{STATE_FILE}-wal", f"{STATE_FILE}-shm")
 # Of `PRAGMA user_version`: an output of an earlier one is put aside and made anew from the logs.
-VERSION = 2
+VERSION = 3
 # What a run leaves in an output folder; the state comes last, as it says of which version all is.
 OUTPUT = ("tables", "report", "views.sql", *STATE_FILES[::-1])
 # So long a command waits for the transaction of another process [s].
@@ -57,21 +57,15 @@ CREATE TABLE trends (
     redo_from TEXT, kept BLOB
 );
 CREATE TABLE queues (
-    topic TEXT NOT NULL, receiver TEXT NOT NULL, told_since TEXT NOT NULL,
+    topic TEXT NOT NULL, receiver TEXT NOT NULL, notified_since TEXT NOT NULL,
     fault TEXT NOT NULL DEFAULT '', summarised TEXT NOT NULL DEFAULT '',
     PRIMARY KEY (topic, receiver)
 ) WITHOUT ROWID;
-CREATE TABLE outbox (
-    place INTEGER PRIMARY KEY, topic TEXT NOT NULL, receiver TEXT NOT NULL, id TEXT NOT NULL,
-    since TEXT NOT NULL, kind TEXT NOT NULL, changes TEXT NOT NULL,
+CREATE TABLE notices (
+    topic TEXT NOT NULL, receiver TEXT NOT NULL, key TEXT NOT NULL, said TEXT NOT NULL,
+    times INTEGER NOT NULL, since TEXT NOT NULL, tries INTEGER NOT NULL,
+    PRIMARY KEY (topic, receiver, key),
     FOREIGN KEY (topic, receiver) REFERENCES queues ON DELETE CASCADE
-);
-CREATE TABLE queued (
-    topic TEXT NOT NULL, key TEXT NOT NULL, said TEXT NOT NULL, times INTEGER NOT NULL,
-    PRIMARY KEY (topic, key)
-) WITHOUT ROWID;
-CREATE TABLE taken_up (
-    topic TEXT NOT NULL, name TEXT NOT NULL, sha256 TEXT NOT NULL, PRIMARY KEY (topic, name)
 ) WITHOUT ROWID;
 CREATE TABLE decisions (
     motor_id TEXT NOT NULL, indicator TEXT NOT NULL, time TEXT NOT NULL, kind TEXT NOT NULL,

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import polars as pl
@@ -212,6 +213,8 @@ def test_a_column_that_is_not_read_is_listed(tmp_path: Path) -> None:
     unused = init(tmp_path, "good codes of quality=none")
     assert unused.code == 0
     assert "not used: Quality" in unused.out
+    notes = checked(tmp_path)["notes"]
+    assert sum("the log has its quality, Quality, which is not used" in note for note in notes) == 4
 
 
 # Layouts
@@ -597,6 +600,23 @@ def test_answers_that_nobody_asks_for_are_named_or_refused(tmp_path: Path) -> No
     done = init(tmp_path)
     assert done.code == 0
     assert "not needed: the answer time_zone" in done.out
+
+
+def test_what_is_typed_is_shown_as_an_answer_for_the_next_time(tmp_path: Path) -> None:
+    names = dict(zip(("dp_bar", "T_degC", "n_rpm", "drain"), NAMES, strict=True))
+    write(tmp_path, "w_2026-01-01.csv", columns_csv(names))
+    typed = ["l/min", "CB400", "vg68"]
+    with (
+        patch("sys.stdin.isatty", return_value=True),
+        patch("typer.prompt", side_effect=typed),
+    ):
+        done = run_command("init", "logs", "--to", "fleet", folder=tmp_path)
+    assert done.code == 0
+    assert done.err.splitlines() == [
+        "--answer 'unit of drain=l/min'",
+        "--answer motor_type=CB400",
+        "--answer oil=vg68",
+    ]
 
 
 def test_names_tell_day_from_month(tmp_path: Path) -> None:

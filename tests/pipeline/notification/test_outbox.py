@@ -17,12 +17,11 @@ from pipeline.notification.outbox import (
     MOST_CHANGES,
     MOST_FAILURES,
     PAUSES_S,
-    add_summary,
     backlogs,
     deliver,
+    deliver_summary,
     open_outbox,
-    take_up,
-    waiting,
+    pass_over,
 )
 from pipeline.schema import ALARM_CONTENT, ALARMS, frame
 from pipeline.store.state import open_state
@@ -90,9 +89,9 @@ def run(
 ) -> tuple[str, ...]:
     """The steps of a run that publishes some rows."""
     with open_state(output) as state:
-        open_outbox(state, [one.name for one in receivers], fleet)
+        open_outbox(state, [one.name for one in receivers])
         publish(output, *rows)
-        take_up(state, fleet, silent=silent)
+        pass_over(state, silent)
         return deliver(state, receivers, fleet)
 
 
@@ -120,8 +119,7 @@ def test_every_receiver_gets_the_rows_of_a_run_once(tmp_path: Path) -> None:
     # Each delivery is one receiver's, and only keys stay of what was taken.
     assert second.taken[0]["id"] != document["id"]
     with open_state(tmp_path) as state:
-        assert state.rows("SELECT count(*) FROM outbox") == [(0,)]
-        assert state.rows("SELECT count(*) FROM queued") == [(2,)]
+        assert state.rows("SELECT count(*), max(since) FROM notices") == [(4, "")]
 
 
 @pytest.mark.parametrize(
@@ -152,9 +150,7 @@ def test_of_silent_rows_nobody_is_told_now_or_later(tmp_path: Path) -> None:
     assert found == [("M2", "changed"), ("M1", "new")]
 
 
-def test_a_receiver_is_told_of_what_comes_while_the_config_names_it(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_receiver_is_told_of_what_comes_while_the_config_names_it(tmp_path: Path) -> None:
     first, second = Fake(), Fake("webhook")
     run(tmp_path, [row("M1")])
     assert backlogs(tmp_path, []) == ()
@@ -162,10 +158,9 @@ def test_a_receiver_is_told_of_what_comes_while_the_config_names_it(
     run(tmp_path, [row("M1"), row("M2")], first, second)
     assert first.motors() == second.motors() == ["M2"]
     (backlog,) = backlogs(tmp_path, [second])
-    assert dt.datetime.now(dt.UTC) - backlog.told_since < dt.timedelta(minutes=10)
+    assert dt.datetime.now(dt.UTC) - backlog.notified_since < dt.timedelta(minutes=10)
     run(tmp_path, [row("M3")], deaf())
     run(tmp_path, [])
-    assert "there is no command any more; not delivered: 1 change" in caplog.text
     again = Fake()
     run(tmp_path, [row("M3"), row("M4")], again)
     assert again.motors() == ["M4"]
@@ -262,12 +257,9 @@ def test_a_delivery_that_is_never_taken_does_not_hold_up_the_others(tmp_path: Pa
 
 def test_what_was_taken_is_known_at_once(tmp_path: Path) -> None:
     """A run that ends between two deliveries repeats neither the first nor its rows."""
-    receiver = Fake()
-    with open_state(tmp_path) as state:
-        open_outbox(state, ["command"], FLEET)
-        for number in range(2):
-            publish(tmp_path, row("M1", FIRST + dt.timedelta(number)))
-            take_up(state, FLEET)
+    receiver = deaf()
+    run(tmp_path, [row("M1")], receiver)
+    receiver.tried.clear()
 
     def stop(_: Delivery) -> bool:
         if len(receiver.tried) == 2:
@@ -275,11 +267,11 @@ def test_what_was_taken_is_known_at_once(tmp_path: Path) -> None:
         return False
 
     receiver.refuses = stop
-    with pytest.raises(KeyboardInterrupt), open_state(tmp_path) as state:
-        deliver(state, [receiver], FLEET)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, [row("M1", FIRST + dt.timedelta(1))], receiver)
     receiver.refuses = lambda _: False
     run(tmp_path, [], receiver)
-    assert [one["night"] for one in receiver.changes()] == ["2026-02-17", "2026-02-18"]
+    assert [one["night"] for one in receiver.changes()] == ["2026-02-18", "2026-02-17"]
 
 
 def test_what_a_killed_run_published_is_told_and_a_damaged_table_waits(
@@ -298,12 +290,25 @@ def test_what_a_killed_run_published_is_told_and_a_damaged_table_waits(
     assert receiver.motors() == ["M2", "M1"]
 
 
-def test_a_summary_waits_once_for_each_date_it_is_due_on(tmp_path: Path) -> None:
+def test_a_summary_is_delivered_once_for_each_date_it_is_due_on(tmp_path: Path) -> None:
+    receiver, stranger = Fake("email"), Fake("stranger")
+
+    def summary(receiver: Fake, day: int) -> None:
+        due = dt.date(2026, 11, day)
+        deliver_summary(state, receiver, "Mill 3", due, lambda: [{"motor_id": "M"}])
+
     with open_state(tmp_path) as state:
-        open_outbox(state, ["email"], "Mill 3")
-        for due in (dt.date(2026, 11, 16), dt.date(2026, 11, 16), dt.date(2026, 11, 23)):
-            for name in ("email", "stranger"):
-                add_summary(state, name, "Mill 3", due, lambda: [{"motor_id": "M"}])
-        found = waiting(state, "email")
-    assert [(one.kind, one.changes) for one in found] == [("summary", [{"motor_id": "M"}])] * 2
-    assert len({one.id for one in found}) == 2
+        open_outbox(state, ["email"])
+        receiver.refuses = lambda _: True
+        with pytest.raises(UndeliveredError):
+            summary(receiver, 16)
+        receiver.refuses = lambda _: False
+        for day in (16, 16, 23):
+            summary(receiver, day)
+            summary(stranger, day)
+    assert [one["type"] for one in receiver.taken] == ["summary"] * 2
+    assert receiver.motors() == ["M", "M"]
+    # The id is the same where it was not taken at first.
+    assert [one.id for one in receiver.tried[:2]] == [receiver.taken[0]["id"]] * 2
+    assert receiver.taken[0]["id"] != receiver.taken[1]["id"]
+    assert stranger.tried == []

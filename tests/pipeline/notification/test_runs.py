@@ -59,5 +59,5 @@ def test_where_the_state_is_lost_nothing_is_told_again(
     assert delivery["changes"]
     (tmp_path / "out" / "state.db").unlink()
     call("fit-fleet", config)
-    assert "state.db is damaged or gone" in caplog.text
+    assert "state.db is gone" in caplog.text
     assert told(tmp_path) == [delivery]
