@@ -79,7 +79,7 @@ def test_loss_factors_lie_within_their_intervals(demo: ScenarioFleet, motor: str
     rows = demo.table("parameters").filter(
         (pl.col("motor_id") == motor) & pl.col("parameter").str.starts_with("K_")
     )
-    if STATES[motor][1] == "cannot_be_told":
+    if motor == "CB1120-02":
         assert set(rows["verdict"]) == {"not_excited"}
         return
     for path in GAPS:

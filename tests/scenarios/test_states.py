@@ -19,8 +19,8 @@ PLANT_STATES = {
 }
 # Of causes that are no wear: the true change of the flow [%], too, where it is no path's.
 OTHER_STATES = {
-    "thinner_1": ("alarm", "all_flows", 14, None),
-    "thinner_2": ("alarm", "all_flows", 14, None),
+    "thinner_1": ("alarm", "oil_grade", 14, None),
+    "thinner_2": ("alarm", "oil_grade", 14, None),
     "metered": ("warning", "all_flows", 14, 25.0),
     "aged": ("warning", "all_gaps", 14, None),
     "flushed": ("warning", SLEEVE, 14, None),
@@ -78,9 +78,12 @@ def test_flushing_is_no_leakage(others: ScenarioFleet) -> None:
     ] < flow["upper"]  # fmt: skip
 
 
-def test_a_change_of_the_oil_that_is_stated_begins_a_baseline(others: ScenarioFleet) -> None:
+def test_a_change_of_the_oil_that_is_stated_carries_the_baseline_across(
+    others: ScenarioFleet,
+) -> None:
     newest = others.newest("refilled")
-    assert (newest["state"], newest["baseline_start"]) == ("ok", others.label(12))
+    assert (newest["state"], newest["baseline_start"]) == ("ok", others.label(1))
+    assert newest["leakage_change_lower"] < 0.0 < newest["leakage_change_upper"]
     assert {row["oil"] for row in others.nights("refilled")[11:]} == {"vg46"}
 
 

@@ -126,7 +126,7 @@ def test_statistics_of_other_columns_do_not_count() -> None:
     _, _, rows = blocks(motor())
     flushed = motor(more=ESTIMATED)
     assert Layout.of(flushed, FIRST).blocks(flushed, rows) is not None
-    other = rows.with_columns(columns=rows["columns"].list.head(3))
+    other = rows.with_columns(factor_columns=rows["factor_columns"].list.head(3))
     assert Layout.of(motor(), FIRST).blocks(motor(), other) is None
 
 
