@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from pipeline.arrays import Array
+from pipeline.arrays import SECOND_US, Array, Mask, Times
 from pipeline.config import Channel, MotorSpec
 from pipeline.ingest import RawChannel
+from pipeline.night.masks import near
 from pipeline.units import FALLBACK_VALID_RANGE
 
 # An extreme value is none of a measurement where it comes in so many stretches of the log, and
@@ -21,7 +22,9 @@ def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> It
     for name, channel in spec.file.channels.items():
         if channel.constant is not None or channel.counts is not None:
             continue
-        value = _credible(name, channel, channels[name].value)
+        # A halt drives oil backwards through the meter, which then reads its maximum.
+        at_work = ~_near_halts(spec, channels["speed"], channels[name].time_us)
+        value = _credible(name, channel, channels[name].value[at_work])
         for extreme, nearest in _sentinels(value):
             low, high = channel.valid_range or FALLBACK_VALID_RANGE[name]
             limit = float(f"{(extreme + nearest) / 2:.3g}")
@@ -31,6 +34,13 @@ def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> It
                 f"and no other value is beyond {nearest:.4g}: if it is no reading, "
                 f"valid_range = [{low:g}, {high:g}] refuses it"
             )
+
+
+def _near_halts(spec: MotorSpec, speed: RawChannel, time_us: Times) -> Mask:
+    cleaning = spec.settings.cleaning
+    halts = np.sort(speed.time_us[np.abs(speed.value) < cleaning.standstill_rpm])
+    before, after = cleaning.guard_before_s * SECOND_US, cleaning.guard_after_s * SECOND_US
+    return near(halts, time_us, before, after)
 
 
 def _credible(name: str, channel: Channel, value: Array) -> Array:
