@@ -153,7 +153,8 @@ def unclaimed(fleet: Fleet) -> tuple[str, ...]:
 def strays_told(strays: Sequence[str]) -> str:
     """Logs that no motor claims, in words; empty for none."""
     named = ", ".join(strays[:MOST_STRAYS]) + ", …" * (len(strays) > MOST_STRAYS)
-    return f"no motor claims {counted(len(strays), 'log')}: {named}" if strays else ""
+    match = "matches" if len(strays) == 1 else "match"
+    return f"{counted(len(strays), 'file')} {match} no motor: {named}" if strays else ""
 
 
 def legible(text: str) -> str:

@@ -152,7 +152,7 @@ def _leakage_panel(motor: MotorHistory) -> Panel:
     # Of older nights an interval may be cut; the newest is shown as a whole.
     _, lower, upper = (one[-1] for one in motor.leakage)
     ends = float(np.fmin(low, lower)), float(np.fmax(high, upper))
-    return Panel("Leakage at its own conditions", "l/min", (own, level), ends, 210)
+    return Panel("Leakage at its usual operating point", "l/min", (own, level), ends, 210)
 
 
 def _evidence_panel(motor: MotorHistory) -> Panel | None:

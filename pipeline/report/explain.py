@@ -123,7 +123,7 @@ def _refusals(rows: list[Row]) -> Iterator[str]:
         words = f"{refusal(row['reason'])} {share:.1f} %"
         of_channel.setdefault(row["channel"], []).append(words)
     for channel, parts in of_channel.items():
-        yield f"refused samples of {plain(channel)}: {', '.join(parts)}"
+        yield f"excluded samples of {plain(channel)}: {', '.join(parts)}"
 
 
 def _state(own: Row) -> Iterator[str]:
@@ -254,7 +254,7 @@ def _size(fit: Row, part: str) -> str:
     text = f"{rmse:.3g} l/min (root mean square), {mean:+z.2g} on average"
     if n_effective is None:
         return text
-    return f"{text}; {fit[f'n_{part}']} samples tell as much as {n_effective:.0f} independent ones"
+    return f"{text}; {fit[f'n_{part}']} samples ({n_effective:.0f} effective)"
 
 
 def _tests(rows: list[Row]) -> str:
@@ -266,6 +266,7 @@ def _tests(rows: list[Row]) -> str:
     failed = ", ".join(name for name, verdict in inputs.items() if verdict == "failed")
     pairs = zip(white["correlations"], white["bounds"], strict=True)
     outside = [abs(value) > bound for value, bound in pairs if None not in (value, bound)]
-    colour = f"not white, {sum(outside)} of {len(outside)} lags outside the 99 % band"
-    told = f"depend on {failed}" if failed else "depend on no input"
-    return f"{'white' if white['verdict'] == 'passed' else colour}; {told}"
+    memory = "not autocorrelated"
+    if white["verdict"] != "passed":
+        memory = f"autocorrelated, {sum(outside)} of {len(outside)} lags outside the 99 % band"
+    return f"{memory}; {f'depend on {failed}' if failed else 'independent of the inputs'}"

@@ -23,7 +23,7 @@ STATES: Final[Mapping[str, str]] = {
     "alarm": "the leakage is above the alarm level, or above the motor type's own limit",
     "warning": "a change was detected and is in force",
     "common_cause": "the other motors of the oil circuit have changed alike",
-    "stale": "no night with samples for long; nothing is known of now",
+    "stale": "no night with samples for long: the present state is unknown",
     "insufficient": "too few nights for a baseline, or to show a change",
     "ok": "no change was detected; each motor says how small a change would have been",
 }

@@ -60,7 +60,7 @@ class NightsCompared:
         lines = [
             f"{self.motor_id}: {_nights(self.after)} against {_nights(self.before)}",
             f"case drain flow at the same conditions {relative_change(found.change)}; "
-            f"that something has changed is {percent(found.probability)} probable",
+            f"probability of a change {percent(found.probability)}",
         ]
         if found.probability > EVEN:
             likeliest = sorted(found.candidates.items(), key=lambda one: -one[1])

@@ -34,10 +34,10 @@ WHAT = {
     "known": "the flow that is taken as known has {risen}",
     "zero": "flow has {risen} as with a zero of the flow sensor that has moved",
     "back_as_before": "flow is back where it was",
-    "odd_nights": "single nights are odd, again and again",
+    "odd_nights": "single nights deviate, again and again",
     "tank": "all flows have {risen} as those of the oil circuit's other motors",
     "a_part": "leakage of a part of the motor has {risen}",
-    "cannot_be_told": "leakage has {risen}, its cause is open",
+    "cannot_be_told": "leakage has {risen}, cause not identified",
 }
 CAUSES = {
     "all_gaps": "all gaps",
@@ -56,7 +56,7 @@ CAUSES = {
 }
 FALL = "Check oil, sensors and flushing, or enter the overhaul that was made: a fall is no wear."
 ADVICE = {
-    "all_flows": "An oil sample and the flow meter's zero at a halt would tell.",
+    "all_flows": "Take an oil sample, and check the flow meter's zero at a halt.",
     "oil_grade": "Take an oil sample, or enter the oil_change that was made.",
     "temperature_sensor": "Compare the oil temperature with a second thermometer.",
     "flushing": "Check the flushing, or enter the flushing_change that was made.",
@@ -151,7 +151,7 @@ def sentence(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[s
     if night.state == "stale":
         last = night.watched.night - dt.timedelta(days=night.watched.silent)
         why = f": {night.why_no_blocks}" if night.why_no_blocks else ""
-        parts.append(f"nothing is known since {day(last)}{why}")
+        parts.append(f"no data since {day(last)}{why}")
     elif night.watched.verdict is None:
         parts.append(_insufficient(night))
     if night.change is not None and night.change.cause != "temperature_effect":
@@ -171,9 +171,9 @@ def _no_part_is_named(night: JudgedNight) -> bool:
 
 
 def advice(night: JudgedNight, drifts: Sequence[str]) -> str:
-    """What to do in a night: one order, or what would tell where the cause cannot be told."""
+    """What to do in a night: one order, or what would identify the cause."""
     if night.way == "limit" and night.change is None:
-        return _look_at("the motor", night.state)
+        return _inspect("the motor", night.state)
     if night.state == "stale":
         return "Check whether the motor's logs arrive, and the reason of its last nights."
     if night.change is not None and night.state not in ("insufficient", "ok"):
@@ -186,42 +186,49 @@ def advice(night: JudgedNight, drifts: Sequence[str]) -> str:
 def _advice_on(night: JudgedNight, change: Change) -> str:
     if night.state == "alarm":
         # An alarm carries an order, whatever its cause is called.
-        return _look_at(
+        return _inspect(
             f"the {_parts(change)}" if is_of_parts(change.cause) else "the motor", "alarm"
         )
     if change.cause in ADVICE:
         return ADVICE[change.cause]
-    if change.cause == "cannot_be_told" or not is_of_parts(change.cause):
-        return _what_would_tell(night, change)
     if not change.is_rise:
         return FALL
+    if change.cause == "cannot_be_told" or not is_of_parts(change.cause):
+        return _to_identify(night, change)
     if change.cause == "all_gaps":
         return "Take an oil sample: all gaps at once are rare."
-    return _look_at(f"the {_parts(change)}", night.state)
+    return _inspect(f"the {_parts(change)}", night.state)
 
 
-def _look_at(what: str, state: str) -> str:
+def _inspect(what: str, state: str) -> str:
     if state == "alarm":
-        return f"Look at {what} at the next stop."
-    return f"Plan a look at {what}."
+        return f"Inspect {what} at the next stop."
+    return f"Plan an inspection of {what}."
 
 
-def _what_would_tell(night: JudgedNight, change: Change) -> str:
-    """What would tell between the causes that are left."""
+def _to_identify(night: JudgedNight, change: Change) -> str:
+    """What would distinguish the causes that are left."""
     if change.is_several:
-        return "Take an oil sample first, and check the flow meter; then plan a look at the motor."
+        return (
+            "Take an oil sample first, and check the flow meter; "
+            "then plan an inspection of the motor."
+        )
     left = {name for label in change.candidates for name in label.split(ONE_OF)}
+    elsewhere = "nights at other pressures and speeds"
     steps = []
     if left & OF_OIL_AND_SENSORS:
         steps += ["an oil sample", "the meter's zero at a halt", "a second thermometer"]
     if not left <= OF_OIL_AND_SENSORS and night.model_verdict == "supported":
-        steps.append("nights at other pressures and speeds")
+        steps.append(elsewhere)
     if not steps:
-        # Where the model itself misses, other nights do not tell which part it is.
-        return _look_at("the motor", night.state)
+        # Where the model itself misses, other nights do not show which part it is.
+        return _inspect("the motor", night.state)
+    if steps == [elsewhere]:
+        order = _inspect("the motor", "alarm")
+        return f"{order} Running at other pressures and speeds would identify the part beforehand."
     *first, last = steps
     both = f"{', '.join(first)} and {last}" if first else last
-    return as_sentence(f"{both} would tell")
+    return as_sentence(f"{both} would identify the cause")
 
 
 def _limit_words(night: JudgedNight) -> str:
@@ -244,7 +251,7 @@ def _insufficient(night: JudgedNight) -> str:
 def _quiet(night: JudgedNight, since: dt.date) -> str:
     verdict = night.watched.verdict
     assert verdict is not None
-    words = f"too few nights since {day(since)} to tell a change"
+    words = f"too few nights since {day(since)} to show a change"
     if night.state != "insufficient" and verdict.smallest is not None:
         percent = max(math.ceil(100.0 * verdict.smallest), 1)
         words = f"no change of more than {percent} % since {day(since)}"
@@ -265,7 +272,7 @@ def _changed(night: JudgedNight, change: Change) -> str:
     grade = f" (ISO VG {change.grade})" if change.grade else ""
     risen = "risen" if change.is_rise else "fallen"
     told = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
-    goes_on = "; it goes on" if change.goes_on else ""
+    goes_on = f"; still {'rising' if change.is_rise else 'falling'}" if change.goes_on else ""
     gap = "" if night.gap_growth is None else f"its gap {relative_change(night.gap_growth)}"
     size = _newest_night(night)
     verdict = night.watched.verdict
@@ -296,14 +303,14 @@ def _others(change: Change) -> str:
     several = sorted(change.candidates.items(), key=lambda one: -one[1])
     if change.cause == "cannot_be_told":
         left = [f"{cause_words(name)} {percent(p)}" for name, p in several[:MOST_CANDIDATES]]
-        return f"it could be {', '.join(left)}" if left else ""
+        return f"possible: {', '.join(left)}" if left else ""
     left = [
         f"{cause_words(name)} {percent(p)}"
         for name, p in several
         if name != change.cause and p >= LEAST_TOLD
     ]
     else_ = f", else {', '.join(left[:MOST_CANDIDATES])}" if left else ""
-    return f"{percent(change.probability)} probable{else_}"
+    return f"probability {percent(change.probability)}{else_}"
 
 
 def _newest_night(night: JudgedNight) -> str:
@@ -370,4 +377,4 @@ def _parts(change: Change) -> str:
 
 def percent(probability: float) -> str:
     """A probability for people."""
-    return "over 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
+    return "above 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"

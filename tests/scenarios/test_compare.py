@@ -21,7 +21,7 @@ def test_a_step_is_certain_its_size_and_part_are_those_of_the_truth(
     assert found["probability"] > 0.99
     assert found["cause"] == "balance_sleeve"
     said = shared_plant.run("compare", "broken", "--at", at).out
-    assert "that something has changed is over 99 % probable" in said
+    assert "probability of a change above 99 %" in said
     assert "cause: balance sleeve" in said
 
 

@@ -16,7 +16,7 @@ RECOMPUTED, RECOVERED, INSUFFICIENT = "recomputed", "recovered", "insufficient"
 RAISED = ("warning", "alarm")
 # Why a motor or a sensor is ok again, by the state before.
 WHY_OK = {
-    INSUFFICIENT: "a baseline was taken",
+    INSUFFICIENT: "baseline set",
     "stale": "there are blocks again",
     "common_cause": "the oil circuit is back where it was",
 }
@@ -58,7 +58,7 @@ def _changes(name: str, nights: Sequence[Row], published: Mapping[dt.date, Row])
         elif raised is not None:
             row = raised
         elif reported != state:
-            what = "told before" if raised_on is None else f"raised on {raised_on}"
+            what = "reported before" if raised_on is None else f"raised on {raised_on}"
             words = f"recomputed: what was {what} is not in the figures as they are now"
             row = _row(name, night, reported, words) | {"closed_as": RECOMPUTED}
             row["cause"] = name if name in SENSORS else None

@@ -27,7 +27,7 @@ NEWEST_FITS = ("training_fit_percent", "validation_fit_percent")
 FITS_OF_A_NIGHT = {
     "training_fit_percent": "training",
     "validation_fit_percent": "validation",
-    "previous_model_fit_percent": "the model before, on that night",
+    "previous_model_fit_percent": "previous night's model",
 }
 # States that ask for something.
 TOLD = (*CHANGED, "stale")
@@ -108,7 +108,9 @@ class MotorState:
     @property
     def notes(self) -> tuple[str, ...]:
         """Further notes on the motor, in words."""
-        dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
+        dates = ""
+        if self.limit_dates:
+            dates = f"alarm level (+{self.row['alarm_level_percent']:g} %) {self.limit_dates}"
         log_note = self.row["log_note"]
         log = f"night of {self.row['night']}: {log_note}" if log_note else ""
         return tuple(filter(None, (dates, self.failure, log, self.poor_fit)))

@@ -33,7 +33,7 @@ def change(motor: str, when: str, *said: str, **more: Any) -> dict[str, Any]:
 
 RING = change("CB400-02", "2026-02-09", "ok", "warning", "piston ring gap +12 % since 1 February")
 RISEN = "leakage of the piston ring has risen: +3.5 % [2.9, 4.1] tonight; 93 % probable"
-WORSE = change("CB400-02", "2026-02-19", "warning", "alarm", f"{RISEN}. Plan a look at it.")
+WORSE = change("CB400-02", "2026-02-19", "warning", "alarm", f"{RISEN}. Plan an inspection of it.")
 ZERO = change("CB400-02", "2026-02-20", "warning", "ok", "back at 0 µm", cause="flow_zero")
 OTHER = change("CB400-01", "2026-02-19", "ok", "stale", "8 nights without a figure")
 
@@ -124,7 +124,7 @@ def test_a_message_says_what_since_when_what_to_do_and_where_to_read_on() -> Non
     assert mail.get_content().splitlines() == [
         "CB400-02: alarm since 2026-02-19; before that warning since 2026-02-09, ok",
         f"  L{RISEN[1:]}.",
-        "  Plan a look at it.",
+        "  Plan an inspection of it.",
         "  Figures are of the night of 2026-02-19.",
         "  http://plant/leakage/motors/CB400-02.html",
         "",

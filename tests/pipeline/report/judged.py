@@ -34,7 +34,7 @@ REASON = SENTENCES["alarm"]
 
 def states() -> list[MotorState]:
     """As a run leaves them that has watched thirty nights; the demo's three are too few."""
-    waiting = {"sentence": "3 of 8 nights", "advice": "Wait."}
+    waiting = {"sentence": "3 of 8 nights", "advice": "Wait.", "own_leakage_l_per_min": None}
     young = [state_of(one, "insufficient", **waiting) for one in YOUNG]
     return [state_of(WORN, "alarm", acknowledged=NOTE), state_of(HEALTHY), *young]
 

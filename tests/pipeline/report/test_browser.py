@@ -66,7 +66,7 @@ def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
     browser.find_element(By.CSS_SELECTOR, "[type=reset]").click()
     wait(browser, "return document.getElementById('shown').textContent === ''")
     header = browser.find_elements(By.CSS_SELECTOR, "#fleet thead th")[3]
-    assert header.text.startswith("Leakage at its own conditions")
+    assert header.text.startswith("Leakage at its usual operating point")
     button = header.find_element(By.TAG_NAME, "button")
     for keys, order in ((Keys.ENTER, [WORN, HEALTHY]), (Keys.SPACE, [HEALTHY, WORN])):
         button.send_keys(keys)

@@ -29,7 +29,7 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) 
         "K_piston_ring: identified, ",
         "training errors: 0.0",
         "l/min (root mean square)",
-        "training errors: not white, ",
+        "training errors: autocorrelated, ",
         " of 25 lags outside the 99 % band",
         "Systematic errors\n  leakage at the reference ± 0.0",
         "l/min from stated tolerances; what constants do alike on all nights is not in the ± above",

@@ -103,7 +103,7 @@ def test_what_is_raised_a_night_later_by_better_data_is_not_raised_twice() -> No
 
 def test_a_row_ends_on_what_to_do_once() -> None:
     before = rows_of(states("ok", "alarm", advice="Look at it."))
-    assert before[0]["sentence"] == "a baseline was taken: it is ok"
+    assert before[0]["sentence"] == "baseline set: it is ok"
     assert before[1]["sentence"] == "it is alarm. Look at it."
     after = rows_of(states("ok", "warning", advice="Plan a look."), before)
     assert after[1]["sentence"] == (

@@ -163,7 +163,7 @@ def test_a_gap_goes_with_the_cube_root_of_its_leakage() -> None:
 SIZE = "leakage +20 % [18, 22] on 1 February 2026"
 SINCE = "since 22 January 2026 (21 January 2026 to 23 January 2026)"
 MOVED = "the zero of the flow sensor has moved"
-UNTOLD = "leakage has risen, its cause is open"
+UNTOLD = "leakage has risen, cause not identified"
 
 
 def told(night: JudgedNight, *drifts: str) -> tuple[str, str]:
@@ -171,7 +171,7 @@ def told(night: JudgedNight, *drifts: str) -> tuple[str, str]:
 
 
 QUIET = "no change of more than 3 % since 2 January 2026; leakage +0.0 % [-2.0, 2.0]"
-LOOK_AT_SLEEVE = "Plan a look at the balance sleeve."
+LOOK_AT_SLEEVE = "Plan an inspection of the balance sleeve."
 SEVERAL = {"zero": 0.05, SLEEVE: 0.55, "oil_grade": 0.4}
 MISSED = "% of the flow, so no part is named"
 
@@ -181,70 +181,73 @@ MISSED = "% of the flow, so no part is named"
     [
         (
             change(SLEEVE, path_growth=Estimate(0.331, 0.02)), 0.005,
-            "leakage of the balance sleeve has risen", "its gap +10 % [9, 11]; 97 % probable",
+            "leakage of the balance sleeve has risen", "its gap +10 % [9, 11]; probability 97 %",
             LOOK_AT_SLEEVE,
         ),
         (
             change("balance_piston and balance_sleeve"), 0.005,
-            "leakage of the balance piston and the balance sleeve has risen", "97 % probable",
-            "Plan a look at the balance piston and the balance sleeve.",
+            "leakage of the balance piston and the balance sleeve has risen", "probability 97 %",
+            "Plan an inspection of the balance piston and the balance sleeve.",
         ),
         (
             change(SLEEVE, probability=0.999, candidates={"all_gaps": 0.06}), 0.005,
-            "leakage of the balance sleeve has risen", "over 99 % probable, else all gaps 6 %",
+            "leakage of the balance sleeve has risen", "probability above 99 %, else all gaps 6 %",
             LOOK_AT_SLEEVE,
         ),
         (
             change("piston_ring", goes_on=True), 0.005,
-            "leakage of the piston ring has risen", "it goes on; 97 % probable",
-            "Plan a look at the piston ring.",
+            "leakage of the piston ring has risen", "still rising; probability 97 %",
+            "Plan an inspection of the piston ring.",
         ),
         (
             change("oil_grade", grade=46), 0.005,
-            "flows have risen as with a thinner oil (ISO VG 46)", "97 % probable",
+            "flows have risen as with a thinner oil (ISO VG 46)", "probability 97 %",
             "Take an oil sample, or enter the oil_change that was made.",
         ),
         (
             change("cannot_be_told", candidates=SEVERAL), 0.005,
             UNTOLD,
-            "it could be balance sleeve 55 %, another oil 40 %, the zero of the flow sensor 5 %",
+            "possible: balance sleeve 55 %, another oil 40 %, the zero of the flow sensor 5 %",
             "An oil sample, the meter's zero at a halt, a second thermometer and nights at other "
-            "pressures and speeds would tell.",
+            "pressures and speeds would identify the cause.",
         ),
         (
             change(SLEEVE), 0.09,
             "leakage of a part of the motor has risen",
-            f"over 99 % probable; the model misses 9 {MISSED}",
-            "Plan a look at the motor.",
+            f"probability above 99 %; the model misses 9 {MISSED}",
+            "Plan an inspection of the motor.",
         ),
         (
             change("cannot_be_told", candidates={"all_flows": 0.6, SLEEVE: 0.4}), 0.03,
             UNTOLD,
-            "it could be all flows (all gaps worn, another oil, the flow meter) 60 %, balance "
+            "possible: all flows (all gaps worn, another oil, the flow meter) 60 %, balance "
             f"sleeve 40 %; the model misses 3 {MISSED}",
-            "An oil sample, the meter's zero at a halt and a second thermometer would tell.",
+            "An oil sample, the meter's zero at a halt and a second thermometer would identify the "
+            "cause.",
         ),
         (
             change("cannot_be_told", candidates={}, probability=0.0), 0.005,
-            UNTOLD, "", "Plan a look at the motor.",
+            UNTOLD, "", "Plan an inspection of the motor.",
         ),
         (
             change(SLEEVE, alike=("balance_piston", SLEEVE),
                    candidates={SLEEVE: 0.7, "balance_piston": 0.28, "oil_grade": 0.02}), 0.005,
             "leakage has risen through one or more of: balance piston, balance sleeve",
-            "98 % probable", "Plan a look at the balance piston, the balance sleeve.",
+            "probability 98 %", "Plan an inspection of the balance piston, the balance sleeve.",
         ),
         (
             change("cannot_be_told", alike=("oil_grade", SLEEVE),
                    candidates={SLEEVE: 0.5, "oil_grade": 0.48, "zero": 0.02}), 0.09,
             "leakage has risen through one or more of: a part of the motor, another oil",
-            f"98 % probable; the model misses 9 {MISSED}",
-            "An oil sample, the meter's zero at a halt and a second thermometer would tell.",
+            f"probability 98 %; the model misses 9 {MISSED}",
+            "An oil sample, the meter's zero at a halt and a second thermometer would identify the "
+            "cause.",
         ),
         (
             change("cannot_be_told", candidates={"several": 0.9, SLEEVE: 0.1}), 0.005,
-            UNTOLD, "it could be more than one change at once 90 %, balance sleeve 10 %",
-            "Take an oil sample first, and check the flow meter; then plan a look at the motor.",
+            UNTOLD, "possible: more than one change at once 90 %, balance sleeve 10 %",
+            "Take an oil sample first, and check the flow meter; then plan an inspection of the "
+            "motor.",
         ),
     ],
 )  # fmt: skip
@@ -270,9 +273,9 @@ def test_a_change_in_words(found: Change, lack: float, what: str, rest: str, ord
         ),
         (
             judge(watched(change(SLEEVE), silent=10, n_blocks=0), why="no log covers this night"),
-            "nothing is known since 22 January 2026: no log covers this night; leakage of the "
+            "no data since 22 January 2026: no log covers this night; leakage of the "
             "balance sleeve has risen: leakage +20 % [18, 22] on 22 January 2026, "
-            f"{SINCE}; 97 % probable",
+            f"{SINCE}; probability 97 %",
             "Check whether the motor's logs arrive, and the reason of its last nights.",
         ),
         (
@@ -282,7 +285,7 @@ def test_a_change_in_words(found: Change, lack: float, what: str, rest: str, ord
             ),
             "leakage at the reference conditions 1.5 l/min [1.46, 1.54], beyond the motor type's "
             f"limit of 1.4 l/min; {QUIET} on 1 February 2026",
-            "Look at the motor at the next stop.",
+            "Inspect the motor at the next stop.",
         ),
     ],
 )
@@ -296,13 +299,13 @@ def test_before_it_can_tell_a_change_it_is_not_ok() -> None:
     early = judge(watched(smallest=0.51))
     assert (early.state, early.way) == ("insufficient", "baseline")
     words, what = told(early)
-    assert words.startswith("too few nights since 2 January 2026 to tell a change")
+    assert words.startswith("too few nights since 2 January 2026 to show a change")
     assert what == "Wait for more nights."
 
 
-def test_an_alarm_asks_for_a_look_at_the_next_stop() -> None:
+def test_an_alarm_asks_for_an_inspection_at_the_next_stop() -> None:
     alarm = judge(watched(change(SLEEVE, size=Estimate(0.5, 0.01))))
-    assert told(alarm)[1] == "Look at the balance sleeve at the next stop."
+    assert told(alarm)[1] == "Inspect the balance sleeve at the next stop."
 
 
 @pytest.mark.parametrize("cause", [SLEEVE, "all_gaps", "all_flows", "cannot_be_told"])
@@ -310,7 +313,7 @@ def test_a_fall_is_told_as_a_fall(cause: str) -> None:
     words, what = told(judge(watched(change(cause, is_rise=False, size=Estimate(-0.2, 0.01)))))
     assert "-20 % [-22, -18]" in words
     assert "risen" not in words
-    assert "look at" not in what.lower()
+    assert "inspect" not in what.lower()
 
 
 @pytest.mark.parametrize("cause", [*WHAT, SLEEVE])
@@ -324,14 +327,14 @@ def test_every_cause_has_words_and_advice(cause: str) -> None:
 def test_a_sensor_that_drifts_is_named_and_what_to_do_is_one_order() -> None:
     words, what = told(judge(watched(change(SLEEVE))), MOVED)
     assert words.endswith(f"; {MOVED}")
-    assert what == "Plan a look at the balance sleeve."
+    assert what == "Plan an inspection of the balance sleeve."
     assert told(judge(watched()), MOVED)[1] == "Check the sensor whose zero has moved."
 
 
 def test_an_alarm_carries_an_order_whatever_the_name_and_a_flushing_is_none() -> None:
     for cause in ("cannot_be_told", "all_flows", "oil_grade", "all_gaps"):
         alarm = judge(watched(change(cause, size=Estimate(0.5, 0.01))))
-        assert (alarm.state, told(alarm)[1]) == ("alarm", "Look at the motor at the next stop.")
+        assert (alarm.state, told(alarm)[1]) == ("alarm", "Inspect the motor at the next stop.")
     for cause in ("flushing", "zero"):
         night = judge(watched(change(cause, size=Estimate(0.5, 0.01))))
         assert night.state == "warning"

@@ -197,7 +197,7 @@ def test_nights_without_blocks_hold_then_are_stale_and_never_green(tmp_path: Pat
     assert states[AT + 10 : AT + 13] == ["stale"] * 3
     assert states[AT + 13] in ("warning", "alarm")
     stale = watch.row(AT + 11, named=True)
-    assert stale["sentence"].startswith(f"nothing is known since {night_of(AT + 2).day} January")
+    assert stale["sentence"].startswith(f"no data since {night_of(AT + 2).day} January")
     assert ": stood still; leakage of the balance sleeve" in stale["sentence"]
     assert (stale["leakage_change_percent"], stale["leakage_reason"]) == (None, "stood still")
     assert stale["state_since"] == night_of(AT + 10)
