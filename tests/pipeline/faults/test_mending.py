@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
-from pipeline.errors import StoreError
 from pipeline.schema import (
     BLOCKS,
     FITS,
@@ -28,7 +26,6 @@ from pipeline.schema import (
 from pipeline.store.published import longest_unproven, note, verify_tables
 from pipeline.store.state import open_state
 from pipeline.store.tables import name_of, night_file, read_rows
-from pipeline.trends.nights.from_tables import FIT_COLUMNS
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.faults.damage import flip, remove_aside, rot, rot_of_footer, told
 from tests.pipeline.faults.fleet import MOTORS, TinyFleet, check_repaired
@@ -123,21 +120,6 @@ def test_a_flipped_bit_of_any_file_is_told(output: Path) -> None:
         flip(path, int(rng.integers(len(whole))))
         assert [one.path for one in verify_tables(output)] == [name_of(output, path)]
         path.write_bytes(whole)
-
-
-def test_no_flipped_bit_of_a_footer_is_read_as_other_rows(output: Path) -> None:
-    """Page checksums do not cover it: a damaged name was a column of nulls, and no error."""
-    path = night_file(output, FITS, NIGHT)
-    whole = path.read_bytes()
-    sound = read_rows(output, FITS, MOTORS, FIT_COLUMNS, nights=[NIGHT])
-    footer = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
-    for place in np.random.default_rng(6).choice(np.arange(footer, len(whole)), 200):
-        path.write_bytes(whole)
-        flip(path, place)
-        rows = sound  # also where it is a bit of the statistics, which only others read
-        with suppress(StoreError):
-            rows = read_rows(output, FITS, MOTORS, FIT_COLUMNS, nights=[NIGHT])
-        assert rows.equals(sound, null_equal=True)
 
 
 def test_a_file_that_may_not_be_read_is_named_and_left_alone(
