@@ -7,13 +7,14 @@ one.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
+from pipeline.run.mending import find_damage
 from pipeline.schema import (
     BLOCKS,
     FITS,
@@ -23,8 +24,14 @@ from pipeline.schema import (
     TRENDS,
     Table,
 )
-from pipeline.store.published import longest_unproven, note, verify_tables
-from pipeline.store.state import open_state
+from pipeline.store.published import (
+    VerifiedFile,
+    longest_unproven,
+    note,
+    verify_files,
+    verify_tables,
+)
+from pipeline.store.state import State, open_state
 from pipeline.store.tables import name_of, night_file, read_rows
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.faults.damage import flip, remove_aside, rot, rot_of_footer, told
@@ -90,6 +97,22 @@ def test_every_file_has_its_turn_within_thirty_runs(tmp_path: Path) -> None:
             note(state, dict.fromkeys(due, "00"))
             proven |= due
     assert proven == names
+
+
+def test_a_file_published_while_a_run_proves_others_stays_as_noted_then(
+    output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An intraday check publishes beside a run."""
+    name = name_of(output, night_file(output, FITS, NIGHT))
+
+    def verified(state: State, due: object) -> Iterator[VerifiedFile]:
+        yield from verify_files(state, None)
+        note(state, {name: "of the check"})
+
+    monkeypatch.setattr("pipeline.run.mending.verify_files", verified)
+    with open_state(output) as state:
+        assert find_damage(state) == ()
+        assert state.rows("SELECT sha256 FROM files WHERE name = ?", name) == [("of the check",)]
 
 
 @pytest.mark.usefixtures("_nothing_due")
@@ -207,7 +230,7 @@ def test_files_of_a_newer_program_are_kept_where_the_state_is_lost(
     for state in output.glob("state.*"):
         state.unlink()
     before = contents(output / "tables")
-    monkeypatch.setattr("pipeline.store.tables.SCHEMA_VERSION", 1)
+    monkeypatch.setattr("pipeline.store.tables.SCHEMA_VERSION", 0)
     with refused("store_newer"):
         tiny_fleet.run(output)
     assert contents(output / "tables") == before
