@@ -17,6 +17,7 @@ from pipeline.store.published import (
     OF_MOTORS,
     OF_TRENDS,
     TableFault,
+    accepted_digests,
     longest_unproven,
     note,
     set_aside,
@@ -41,16 +42,25 @@ def find_damage(state: State, *, every_file: bool = False) -> tuple[TableFault, 
 
     Raises StoreError if the state cannot be read or written, or a file is not to be renamed.
     """
-    sound, faults = {}, []
+    sound, faults = [], []
     for file in verify_files(state, None if every_file else longest_unproven(state)):
         if file.fault is None:
-            sound[file.name] = file.sha256
+            sound.append((file.name, file.sha256, file.accepted))
             continue
         faults.append(file.fault)
         log.warning("%s", file.fault)
         if file.fault.code == "table_altered":
             set_aside(state, file.name)
-    note(state, sound)
+    with state.transaction():
+        # An intraday check may have published one meanwhile.
+        note(
+            state,
+            {
+                name: digest
+                for name, digest, accepted in sound
+                if accepted_digests(state, name) == accepted
+            },
+        )
     return tuple(faults)
 
 

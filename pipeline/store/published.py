@@ -90,9 +90,16 @@ class VerifiedFile:
     """A file that was read; without content and digest where there is none to be read."""
 
     name: str
+    accepted: frozenset[str]  # digests that it may have, `NO_FILE` among them for none
     content: bytes = b""
     sha256: str | None = None
     fault: TableFault | None = None
+
+
+def accepted_digests(state: State, name: str) -> frozenset[str]:
+    """Digests that a file may have; none where it is not listed."""
+    listed = state.rows("SELECT sha256, coming FROM files WHERE name = ?", name)
+    return frozenset(digest for row in listed for digest in row if digest is not None)
 
 
 def verify_file(state: State, name: str) -> VerifiedFile:
@@ -106,17 +113,16 @@ def verify_file(state: State, name: str) -> VerifiedFile:
 
 
 def _verify(state: State, name: str) -> VerifiedFile:
-    listed = state.rows("SELECT sha256, coming FROM files WHERE name = ?", name)
-    accepted = {digest for row in listed for digest in row if digest is not None}
+    accepted = accepted_digests(state, name)
     try:
         content = (state.output / "tables" / name).read_bytes()
     except (FileNotFoundError, NotADirectoryError):
-        file, code, message = VerifiedFile(name), "table_missing", "the file is gone"
+        file, code, message = VerifiedFile(name, accepted), "table_missing", "the file is gone"
     except OSError as error:
         message = f"it cannot be read: {error.strerror}; correct its permissions, or the disk"
-        return VerifiedFile(name, fault=TableFault(name, "table_unreadable", message))
+        return VerifiedFile(name, accepted, fault=TableFault(name, "table_unreadable", message))
     else:
-        file = VerifiedFile(name, content, hashlib.sha256(content).hexdigest())
+        file = VerifiedFile(name, accepted, content, hashlib.sha256(content).hexdigest())
         code, message = "table_altered", "it is not what was published"
         if not accepted and _is_whole(state.output / "tables" / name, name.split("/")[0], content):
             return file

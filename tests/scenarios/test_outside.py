@@ -24,7 +24,12 @@ from tests.scenarios.covering import covers
 from tests.scenarios.fleets import ScenarioFleet
 
 SECRET = b"a secret of twenty-four."
-EXECUTION = "[execution]\n"
+# Columns of `latest` that are metrics of the same name.
+METRICS = (
+    *("leakage_change_percent", "leakage_change_lower", "leakage_change_upper"),
+    *("own_leakage_l_per_min", "own_leakage_lower", "own_leakage_upper"),
+    *("evidence", "evidence_limit", "model_error_percent"),
+)
 
 
 class Mails(list[EmailMessage]):
@@ -129,7 +134,9 @@ def test_metrics_and_heartbeat_say_what_the_tables_say(plant: ScenarioFleet) -> 
     for row in plant.table("latest").to_dicts():
         motor = row["motor_id"]
         assert by_motor[motor, f"motor_state{row['state']}"] == 1.0
-        assert by_motor[motor, "own_leakage_l_per_min"] == row["own_leakage_l_per_min"]
+        for name in METRICS:
+            assert by_motor.get((motor, name)) == row[name], name
+        assert by_motor[motor, "data_timestamp_seconds"] == row["last_sample"].timestamp()
         assert by_motor[motor, "standing_failures"] == (motor == "calm")
     beat = json.loads((plant.output / "heartbeat.json").read_text())
     assert (beat["state"], beat["n_motors"], beat["n_motors_done"]) == ("finished", 4, 4)

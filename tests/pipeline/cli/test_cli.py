@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import json
 import os
 import re
@@ -20,7 +19,7 @@ import pipeline.run.fleet
 import pipeline.store.publishing
 from pipeline.store.atomic_files import Prepared, prepare
 from tests.conftest import OwnFleet
-from tests.pipeline.calling import CSV, PARQUET, Call, break_log, change, without_workers
+from tests.pipeline.calling import CSV, PARQUET, Call, break_log, without_workers
 
 
 def test_0_with_nothing_new(call: Call, fleet: Path) -> None:
@@ -32,39 +31,6 @@ def test_0_with_nothing_new(call: Call, fleet: Path) -> None:
     assert lines[2].startswith("0 nights of 2 motors in ")
     assert "; logs: 0 read, 6 unchanged, 0 growing, 0 failed, 0 left; " in lines[2]
     assert lines[2].endswith(f"; tables in {fleet.parent.parent / 'out' / 'tables'}")
-
-
-def test_1_when_a_motor_failed_and_the_other_is_done(call: Call, own_fleet: OwnFleet) -> None:
-    fleet = without_workers(own_fleet(CSV, PARQUET))
-    broken = break_log(fleet, PARQUET)
-    code, out, err = call("fit-fleet", fleet)
-    assert code == 1
-    assert f"{CSV}: ok (3 ok)" in out
-    assert f"{PARQUET}: failed (1 failed, 2 ok)" in out
-    assert "6 nights of 2 motors" in out
-    assert "1 motor failed" in out
-    assert f"{PARQUET}: log_not_parquet: " in err
-    assert broken.name in err
-    assert "Traceback" not in err
-
-
-def test_2_for_a_broken_config_before_anything_is_read(
-    call: Call, fleet: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def forbidden(*_: Any) -> None:
-        raise AssertionError
-
-    monkeypatch.setattr("pipeline.logs.locations.find_logs", forbidden)
-    change(fleet, f"motors/{CSV}.toml", 'oil = "vg68"', 'oil = "vg99"')
-    change(fleet, "fleet.toml", "workers = 2", "workers = 0")
-    before = sorted(fleet.parent.parent.rglob("*"))
-    for command in ("fit-fleet", "check"):
-        code, out, err = call(command, fleet)
-        assert (code, out) == (2, "")
-        assert err.startswith("motor-leakage: config: 2 config faults\n")
-        assert 'motors/CB400-01.toml: oil: got "vg99"; expected one of vg32, vg46, vg68' in err
-        assert "fleet.toml: execution.workers: got 0" in err
-    assert sorted(fleet.parent.parent.rglob("*")) == before
 
 
 @pytest.mark.parametrize(
@@ -102,26 +68,6 @@ def test_2_where_the_output_would_be_the_root_of_the_logs_or_that_is_not_there(
         code, _, err = call(command, fleet)
         assert code == 2
         assert f"fleet.toml: folders.logs: expected a folder at {logs}" in err
-
-
-def test_3_while_another_run_holds_the_output(call: Call, fleet: Path) -> None:
-    with pipeline.run.fleet.locked(fleet.parent.parent / "out"):
-        code, out, err = call("fit-fleet", fleet)
-    assert (code, out) == (3, "")
-    assert re.search(
-        rf"another run writes to this output: process {os.getpid()} on \S+ since 20\d\d-", err
-    )
-    assert call("fit-fleet", fleet)[0] == 0
-
-
-def test_4_where_nothing_can_be_published(call: Call, own_fleet: OwnFleet, tmp_path: Path) -> None:
-    fleet = own_fleet(CSV)
-    (tmp_path / "file").write_text("")
-    code, out, err = call("fit-fleet", fleet, "--output", tmp_path / "file")
-    assert (code, out) == (4, "")
-    assert err.startswith("motor-leakage: ")
-    assert str(tmp_path / "file") in err
-    assert "Traceback" not in err
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -165,22 +111,6 @@ def test_130_of_any_command_says_why(
     code, out, err = call("status", fleet)
     assert (code, out) == (130, "")
     assert err.strip().startswith("motor-leakage: interrupted: stopped by SIGINT (Ctrl-C); ")
-
-
-def test_options_reach_the_run(call: Call, own_fleet: OwnFleet, tmp_path: Path) -> None:
-    fleet = own_fleet(CSV, PARQUET)
-    code, out, _ = call(
-        "fit-fleet", fleet, "--output", tmp_path / "elsewhere", "--jobs", "1", "--motors",
-        f"  {PARQUET} ", "--since", "2026-01-03", "--until", "2026-01-03",
-    )  # fmt: skip
-    assert code == 0
-    assert out.splitlines()[0] == f"{PARQUET}: ok (1 ok)"
-    assert not (fleet.parent.parent / "out").exists()
-    files = sorted((tmp_path / "elsewhere" / "tables" / "fits").rglob("*.parquet"))
-    assert [path.name for path in files] == ["2026-01.parquet"]
-    assert pl.read_parquet(files[0])["night"].to_list() == [dt.date(2026, 1, 3)]
-    (run,) = (tmp_path / "elsewhere" / "tables" / "runs").rglob("*.parquet")
-    assert pl.read_parquet(run)["workers"].to_list() == [1]
 
 
 def test_a_reader_that_goes_away_does_not_end_the_run(own_fleet: OwnFleet) -> None:

@@ -28,7 +28,6 @@ POINTS = "deformation_points = [[10.0, 8.0, 1.0], [20.0, 8.0, 1.5], [40.0, 8.0, 
 RING, PISTON, ROLLER = (
     f'path "{name}"' for name in ("piston_ring", "balance_piston", "cam_roller")
 )
-VISCOSITIES = "reference_viscosities_mm2_per_s"
 FAULTS: dict[str, list[tuple[str, str, str, str]]] = {
     MOTOR: [
         # A channel

@@ -10,7 +10,6 @@ import re
 import shutil
 from pathlib import Path
 
-import pandas as pd
 import polars as pl
 import pytest
 from hypothesis import given
@@ -19,7 +18,6 @@ from polars.testing import assert_frame_equal
 
 from pipeline.export.csv import CsvRequest, as_text, export_csv, tables_named
 from pipeline.schema import (
-    DATA_DICTIONARY,
     FITS,
     LOG_FILES,
     PARAMETERS,
@@ -131,21 +129,6 @@ def test_hostile_names_of_logs_reach_no_spreadsheet(tmp_path: Path) -> None:
     assert back["message"].str.strip_prefix("'")[0] == HOSTILE[0]
 
 
-def test_motors_and_nights(fitted_output: Path, tmp_path: Path) -> None:
-    chosen = {"motors": ("CB400-01", "CB560-02"), "since": NIGHT, "until": NIGHT}
-    export(fitted_output, tmp_path, **chosen)
-    for table in TABLES:
-        rows = pl.read_csv(tmp_path / f"{table.name}.csv", infer_schema=False)
-        assert rows.columns == list(table.schema)
-        if "motor_id" in table.schema and "night" in table.schema:
-            assert set(rows["motor_id"]) <= {"CB400-01", "CB560-02"}
-            assert set(rows["night"]) <= {"2026-01-03"}
-    fits = pl.read_csv(tmp_path / "fits.csv", infer_schema=False)
-    assert fits.select("motor_id", "night").unique().height == 2
-    whole = pl.read_csv(tmp_path / "data_dictionary.csv", infer_schema=False)
-    assert whole.height == published(fitted_output, DATA_DICTIONARY).height > 0
-
-
 def test_runs_are_chosen_by_the_day_they_began(fitted_output: Path, tmp_path: Path) -> None:
     runs, parameters, fits = tables_named(["runs", "parameters", "fits", "fits"])
     assert (parameters, fits, tables_named([])) == (PARAMETERS, FITS, TABLES)
@@ -172,25 +155,6 @@ def test_what_cannot_be_exported_leaves_the_file_before(
     for own in (output / "tables" / "fits", tmp_path / "link"):
         with refused("csv_folder"):
             export(output, own, FITS)
-
-
-def test_command_says_what_it_wrote(
-    call: Call, demo_folder: Path, fitted_output: Path, tmp_path: Path
-) -> None:
-    config = demo_folder / "configs" / "fleet.toml"
-    folder = tmp_path / "csv"
-    code, out, err = call(
-        "export", config, "--csv", folder, "--tables", "fits, parameters", "--motors", "CB400-01",
-        "--since", "2026-01-03", "--until", "2026-01-04", "--bom", "--output", fitted_output,
-    )  # fmt: skip
-    assert (code, err) == (0, "")
-    fits, parameters = out.splitlines()
-    assert fits == f"{folder / 'fits.csv'}: 2 rows"
-    assert parameters.startswith(f"{folder / 'parameters.csv'}: ")
-    assert list(contents(folder)) == ["fits.csv", "parameters.csv"]
-    assert (folder / "fits.csv").read_bytes().startswith(b"\xef\xbb\xbfmotor_id,")
-    for read in (pl.read_csv, pd.read_csv):
-        assert read(folder / "fits.csv").columns[0] == "motor_id"
 
 
 @pytest.mark.parametrize(

@@ -7,15 +7,14 @@ one.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
-from pipeline.errors import StoreError
+from pipeline.run.mending import find_damage
 from pipeline.schema import (
     BLOCKS,
     FITS,
@@ -25,10 +24,15 @@ from pipeline.schema import (
     TRENDS,
     Table,
 )
-from pipeline.store.published import longest_unproven, note, verify_tables
-from pipeline.store.state import open_state
+from pipeline.store.published import (
+    VerifiedFile,
+    longest_unproven,
+    note,
+    verify_files,
+    verify_tables,
+)
+from pipeline.store.state import State, open_state
 from pipeline.store.tables import name_of, night_file, read_rows
-from pipeline.trends.nights.from_tables import FIT_COLUMNS
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.faults.damage import flip, remove_aside, rot, rot_of_footer, told
 from tests.pipeline.faults.fleet import MOTORS, TinyFleet, check_repaired
@@ -95,6 +99,22 @@ def test_every_file_has_its_turn_within_thirty_runs(tmp_path: Path) -> None:
     assert proven == names
 
 
+def test_a_file_published_while_a_run_proves_others_stays_as_noted_then(
+    output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An intraday check publishes beside a run."""
+    name = name_of(output, night_file(output, FITS, NIGHT))
+
+    def verified(state: State, due: object) -> Iterator[VerifiedFile]:
+        yield from verify_files(state, None)
+        note(state, {name: "of the check"})
+
+    monkeypatch.setattr("pipeline.run.mending.verify_files", verified)
+    with open_state(output) as state:
+        assert find_damage(state) == ()
+        assert state.rows("SELECT sha256 FROM files WHERE name = ?", name) == [("of the check",)]
+
+
 @pytest.mark.usefixtures("_nothing_due")
 def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     tiny_fleet: TinyFleet, output: Path
@@ -123,21 +143,6 @@ def test_a_flipped_bit_of_any_file_is_told(output: Path) -> None:
         flip(path, int(rng.integers(len(whole))))
         assert [one.path for one in verify_tables(output)] == [name_of(output, path)]
         path.write_bytes(whole)
-
-
-def test_no_flipped_bit_of_a_footer_is_read_as_other_rows(output: Path) -> None:
-    """Page checksums do not cover it: a damaged name was a column of nulls, and no error."""
-    path = night_file(output, FITS, NIGHT)
-    whole = path.read_bytes()
-    sound = read_rows(output, FITS, MOTORS, FIT_COLUMNS, nights=[NIGHT])
-    footer = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
-    for place in np.random.default_rng(6).choice(np.arange(footer, len(whole)), 200):
-        path.write_bytes(whole)
-        flip(path, place)
-        rows = sound  # also where it is a bit of the statistics, which only others read
-        with suppress(StoreError):
-            rows = read_rows(output, FITS, MOTORS, FIT_COLUMNS, nights=[NIGHT])
-        assert rows.equals(sound, null_equal=True)
 
 
 def test_a_file_that_may_not_be_read_is_named_and_left_alone(
@@ -225,7 +230,7 @@ def test_files_of_a_newer_program_are_kept_where_the_state_is_lost(
     for state in output.glob("state.*"):
         state.unlink()
     before = contents(output / "tables")
-    monkeypatch.setattr("pipeline.store.tables.SCHEMA_VERSION", 1)
+    monkeypatch.setattr("pipeline.store.tables.SCHEMA_VERSION", 0)
     with refused("store_newer"):
         tiny_fleet.run(output)
     assert contents(output / "tables") == before

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from pipeline.config import Cleaning, ConfigError, MotorSpec, TimeBase
 from pipeline.config.logs import Logs
@@ -205,7 +204,6 @@ def test_a_night_of_a_counter_of_litres(tmp_path: Path, spec: MotorSpec) -> None
     np.testing.assert_allclose(*thetas, rtol=1e-4)
 
 
-Mask = NDArray[np.bool_]
 LONG = Logs(format="csv", files=("*.csv",), layout="long")
 
 

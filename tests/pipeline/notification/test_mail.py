@@ -140,19 +140,6 @@ def test_a_message_says_what_since_when_what_to_do_and_where_to_read_on() -> Non
     ]
 
 
-def test_a_rise_within_the_day_is_told_with_its_time() -> None:
-    """A row of `intraday` has neither a night nor a cause."""
-    rise = change("CB400-02", "", "clear", "risen", "drain flow +82 %")
-    rise["time"] = "2026-03-02 14:34:00+00:00"
-    rise["reason"] = rise.pop("sentence")
-    del rise["night"], rise["cause"]
-    mail = mailed(rise)
-    assert mail["Subject"] == "Mill 3: CB400-02 risen"
-    first, second = mail.get_content().splitlines()
-    assert first == f"CB400-02: risen since {rise['time']}; before that clear"
-    assert second == "  Drain flow +82 %."
-
-
 def test_a_summary_has_every_motor_and_its_sentence() -> None:
     motors = [
         {"motor_id": "CB400-02", "state": "alarm", "sentence": "ring +30 %", "advice": "Look."},

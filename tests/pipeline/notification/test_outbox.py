@@ -215,26 +215,6 @@ def test_ids_hang_on_fleet_receiver_and_rows_alone(tmp_path: Path) -> None:
     assert ids("e", FLEET, "command", "M1", "M2")[0] != first[0]
 
 
-def test_what_was_not_taken_is_tried_again_by_the_next_run(
-    tmp_path: Path, waits: list[float]
-) -> None:
-    receiver, other = deaf(), Fake("webhook")
-    (fault,) = run(tmp_path, [row("M1")], receiver, other)
-    assert fault == "alarms.command: out of ink; the next run tries again"
-    assert (len(receiver.tried), waits) == (3, list(PAUSES_S))
-    # One that fails does not keep the other.
-    assert undelivered(tmp_path, receiver, other) == [1, 0]
-    (backlog,) = backlogs(tmp_path, [receiver])
-    assert backlog.fault == "out of ink"
-    assert dt.datetime.now(dt.UTC) - backlog.since < dt.timedelta(minutes=10)
-    receiver.refuses = lambda _: False
-    assert run(tmp_path, [], receiver, other) == ()
-    # Bytes and id are the same each time.
-    assert len(set(receiver.tried)) == 1
-    (backlog,) = backlogs(tmp_path, [receiver])
-    assert (backlog.undelivered, backlog.since, backlog.fault) == (0, None, None)
-
-
 @pytest.mark.parametrize(("hangs", "tries"), [(False, len(PAUSES_S) + MOST_FAILURES), (True, 1)])
 def test_a_dead_receiver_costs_a_run_a_few_tries(tmp_path: Path, hangs: bool, tries: int) -> None:
     receiver = deaf(hangs=hangs)

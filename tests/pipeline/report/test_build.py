@@ -10,15 +10,13 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import StoreError
 from pipeline.report.build import ReportResult, build_report
 from pipeline.report.words import STATES
-from pipeline.schema import NIGHTS as NIGHT_TABLE
 from pipeline.schema import PREDICTIONS
-from pipeline.store.tables import VERSION_KEY, night_file
+from pipeline.store.tables import night_file
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.report.conftest import change_table, demo_fleet, rows_with, rows_without
 
@@ -154,13 +152,6 @@ def test_a_folder_that_holds_something_else_is_left_alone(output: Path, tmp_path
         build(output, folder=tmp_path / "home" / "index.html")
 
 
-def test_only_the_newest_nights_have_a_file(built: Path) -> None:
-    result = build(built, nights=1)
-    assert (result.n_nights, result.n_removed) == (0, 12)
-    payload = packed(built / "report" / "motors" / f"{MOTOR}.html")
-    assert payload["nights"] == [str(night) for night in NIGHTS]
-
-
 def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> None:
     failed = {"status": "failed", "error_code": "log_truncated"}
     failed |= {"reason": "a.csv: its end is missing"}
@@ -194,11 +185,3 @@ def test_a_damaged_table_is_named_and_the_report_stays_as_it_was(built: Path) ->
     assert contents(built / "report") == before
     path.write_bytes(good)
     assert build(built).n_nights == 1
-
-
-def test_a_table_of_a_newer_version_is_refused_by_name(output: Path) -> None:
-    path = night_file(output, NIGHT_TABLE, NIGHTS[1])
-    table = pq.read_table(path, partitioning=None)
-    pq.write_table(table.replace_schema_metadata({VERSION_KEY: "999"}), path)
-    with pytest.raises(StoreError, match=r"2026-01\.parquet is of schema version 999"):
-        build(output)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +15,12 @@ from pipeline.cli.arguments import duration
 from pipeline.errors import UsageError
 from pipeline.report.status import last_alarm
 from pipeline.report.words import STATES
-from pipeline.schema import ALARMS, LATEST, RUNS, frame
+from pipeline.schema import ALARMS, RUNS, frame
 from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.rows.motor_states import CHANGED, ORDER, TOLD, IntradayStatus, urgency
 from tests.pipeline.calling import Call
-from tests.pipeline.report.states import ADVICE, SENTENCES, night_of, output, state_of
+from tests.pipeline.report.states import night_of, output, state_of
 from tests.pipeline.written import publisher_of, write_nights
 
 __all__ = ["output"]
@@ -41,21 +40,6 @@ def config(output: Path) -> Path:
     return output.parent / "configs" / "fleet.toml"
 
 
-def test_the_command_prints_motors_and_the_last_good_run(
-    output: Path, config: Path, call: Call
-) -> None:
-    ran(output, 3.0)
-    code, out, err = call("status", config)
-    assert code == 0
-    columns, first = out.splitlines()
-    assert columns.split("\t")[:3] == ["motor", "state", "newest night"]
-    assert first.split("\t") == [
-        *("M1", "alarm", "+21.0 % [17.0, 25.0]", "2.42", str(night_of(2)), str(night_of(5))),
-        f"{SENTENCES['alarm']}. {ADVICE['alarm']}",
-    ]
-    assert err.startswith("last good run: 20")
-
-
 def test_max_age_counts_good_runs_alone(output: Path, config: Path, call: Call) -> None:
     def is_old(max_age: str) -> bool:
         code, _, err = call("status", config, "--max-age", max_age)
@@ -71,32 +55,6 @@ def test_max_age_counts_good_runs_alone(output: Path, config: Path, call: Call) 
     # A failure that stands is to be seen, each day.
     ran(output, 3.0, "motors_failed")
     assert (is_old("26h"), is_old("2d")) == (True, False)
-
-
-def test_json_has_a_line_a_motor_and_one_for_the_fleet(
-    output: Path, config: Path, call: Call
-) -> None:
-    ran(output, 30.0)
-    code, out, _ = call("status", config, "--json", "--max-age", "26h")
-    assert code == 1
-    motor, fleet = map(json.loads, out.splitlines())
-    assert (motor["event"], motor["motor_id"], motor["state"]) == ("motor", "M1", "alarm")
-    # A motor's line has the columns of `latest`.
-    assert motor.keys() ^ LATEST.schema.keys() <= {"event", "intraday", "run_id"}
-    assert (motor["cause"], motor["leakage_change_percent"]) == ("balance_sleeve", 21.0)
-    assert (fleet["event"], fleet["too_old"]) == ("fleet", True)
-
-
-def test_acknowledged_and_found(output: Path, config: Path, call: Call) -> None:
-    code, out, _ = call("ack", config, "M1", "--note", "rings ordered")
-    assert (code, out) == (0, "M1: leakage, raised last on 2026-01-06: acknowledged\n")
-    assert "(acknowledged: rings ordered)" in call("status", config)[1]
-    finding = ("ack", config, "M1", "--note", "worn", "--finding", "confirmed")
-    assert call(*finding)[0] == 0
-    assert "(acknowledged: worn)" in call("status", config)[1]
-    (first, second) = read_decisions(output)
-    assert (first.kind, second.kind, second.finding) == ("acknowledged", "finding", "confirmed")
-    assert second.night == night_of(4)
 
 
 @pytest.mark.parametrize(
@@ -127,18 +85,6 @@ def test_what_would_do_nothing_is_refused(
     assert (code, out) == (2, "")
     assert words in err
     assert read_decisions(output) == ()
-
-
-def test_parts_of_an_opened_motor_are_recorded(output: Path, config: Path, call: Call) -> None:
-    parts = "--worn 'Piston ring' --sound balance_sleeve --sound balance_piston"
-    code, out, _ = call(*shlex.split(f"{OPENED} 2026-01-07 {parts}".format(config)))
-    assert (code, out) == (
-        0,
-        "M1: opened on 2026-01-07; worn: piston_ring; sound: balance_sleeve, balance_piston\n",
-    )
-    (found,) = read_decisions(output)
-    assert (found.kind, found.indicator, found.night) == ("finding", "", dt.date(2026, 1, 7))
-    assert (found.worn, found.sound) == ("piston_ring", "balance_sleeve, balance_piston")
 
 
 def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:

@@ -14,20 +14,11 @@ from types import SimpleNamespace
 
 import pytest
 
-import pipeline.run.fleet
-import pipeline.run.motors
-import pipeline.store.publishing
 from pipeline.errors import LockedError, StoreError
-from pipeline.logs.processed import ProcessedLogs
 from pipeline.run.fleet import staging_folder
-from pipeline.run.motor_task import run_motor
-from pipeline.run.tasks import MotorOutcome, MotorTask
 from tests.conftest import OwnFleet
-from tests.pipeline.misbehaviour import MISBEHAVIOUR
-from tests.pipeline.remembered import processed_of
 from tests.pipeline.run.demo_runs import (
     CSV,
-    MCAP,
     NIGHTS,
     PARQUET,
     check_same_tables,
@@ -36,7 +27,6 @@ from tests.pipeline.run.demo_runs import (
     output_of,
     rows,
     run,
-    status_of,
 )
 from tests.pipeline.workshop import Workshop
 
@@ -61,37 +51,6 @@ def test_a_run_with_too_little_room_touches_nothing(
 
 
 # A worker that dies
-
-
-def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
-    own_fleet: OwnFleet, fitted_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fleet, died = own_fleet(CSV, PARQUET, MCAP), tmp_path / "died"
-
-    def run_or_die(task: MotorTask) -> MotorOutcome:
-        if task.spec.motor_id == CSV:
-            MISBEHAVIOUR["segfault"]()
-        if task.spec.motor_id == PARQUET and not died.exists():
-            died.touch()
-            MISBEHAVIOUR["kill"]()
-        return run_motor(task)
-
-    monkeypatch.setattr(pipeline.run.motors, "run_motor", run_or_die)
-    result = run(fleet, backend="loky")
-    assert died.exists()
-    assert status_of(result) == {CSV: "failed", PARQUET: "ok", MCAP: "ok"}
-    (lost,) = result.failed
-    assert lost.error_code == "worker_died"
-    assert processed_of(output_of(fleet), CSV) == ProcessedLogs()
-    check_same_tables(output_of(fleet), fitted_output, PARQUET, MCAP)
-    assert rows(output_of(fleet), "fits", CSV).is_empty()
-    (last,) = rows(output_of(fleet), "run_motors", CSV).to_dicts()
-    assert (last["status"], last["error_code"]) == ("failed", "worker_died")
-    assert "SIGSEGV(-11), in string_at" in last["message"]
-    # The next run has it all to do.
-    monkeypatch.undo()
-    assert nights_of(run(fleet, CSV)) == {CSV: NIGHTS}
-    check_same_tables(output_of(fleet), fitted_output, CSV, PARQUET, MCAP)
 
 
 # The lock, and outputs that cannot be written

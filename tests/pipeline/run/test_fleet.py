@@ -5,18 +5,14 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import pytest
-
 from tests.conftest import OwnFleet
 from tests.pipeline.run.demo_runs import (
     CSV,
-    MCAP,
     MOTORS,
     NIGHTS,
     PARQUET,
     check_same_tables,
     log_file,
-    nights_of,
     output_of,
     rows,
     run,
@@ -58,29 +54,6 @@ def test_a_deleted_log_leaves_what_is_published(own_fleet: OwnFleet, fitted_outp
     log_file(fleet, PARQUET, NIGHTS[1]).unlink()
     assert run(fleet).n_nights == 0
     check_same_tables(output_of(fleet), fitted_output, *MOTORS)
-
-
-@pytest.mark.parametrize(("motor", "status"), [(CSV, "ok"), (PARQUET, "failed"), (MCAP, "failed")])
-def test_a_log_that_is_still_written_is_done_again_when_whole(
-    own_fleet: OwnFleet, fitted_output: Path, motor: str, status: str
-) -> None:
-    fleet = own_fleet(motor)
-    path = log_file(fleet, motor, NIGHTS[2])
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) * 9 // 10 + 7])
-    (outcome,) = run(fleet).outcomes
-    assert outcome.status == status
-    # Of a CSV the whole rows are taken; that its last one is not whole is told.
-    files, nights = rows(output_of(fleet), "log_files"), rows(output_of(fleet), "nights", motor)
-    assert files["message"].is_not_null().to_list() == [False, False, True]
-    if status == "failed":  # and no other night
-        assert nights["status"].to_list() == ["ok", "ok", "failed"]
-        assert (nights["error_code"][2] or "").startswith("log_")
-        assert path.name in (nights["reason"][2] or "")
-        assert nights["last_sample"].is_null().to_list() == [False, False, True]
-    path.write_bytes(whole)
-    assert nights_of(run(fleet)) == {motor: NIGHTS[2:]}
-    check_same_tables(output_of(fleet), fitted_output, motor)
 
 
 def test_a_log_named_and_absent_is_a_failure_and_a_glob_is_not(

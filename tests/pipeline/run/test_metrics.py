@@ -60,36 +60,14 @@ def metrics() -> str:
     )
 
 
-def samples() -> dict[str, float]:
-    lines = [line for line in metrics().splitlines() if not line.startswith("#")]
-    return {name: float(value) for name, _, value in (line.rpartition(" ") for line in lines)}
-
-
-def test_figures() -> None:
-    found = samples()
-    fleet = 'fleet="Mill \\"A\\"\\\\ north"'
-    assert found[f'motor_leakage_motor_state{{{fleet},motor="M1",state="alarm"}}'] == 1.0
-    assert sum(value for name, value in found.items() if "motor_state{" in name) == 2.0
-    for name, value in (
-        ("leakage_change_percent", 21.0),
-        ("evidence", 31.0),
-        ("evidence_limit", 9.1),
-        ("leakage_change_lower", 19.0),
-        ("leakage_change_upper", 23.0),
-        ("own_leakage_l_per_min", 1.4),
-        ("own_leakage_lower", 1.3),
-        ("own_leakage_upper", 1.5),
-    ):
-        assert found[f'motor_leakage_{name}{{{fleet},motor="M1"}}'] == value
+def test_what_is_of_the_fleet_and_what_is_not_known() -> None:
+    text, fleet = metrics(), 'fleet="Mill \\"A\\"\\\\ north"'
+    assert f'motor_leakage_undelivered_changes{{{fleet},receiver="hook"}} 3.0\n' in text
+    assert f'motor_leakage_stage_duration_seconds{{{fleet},stage="trends"}} 0.25\n' in text
+    assert f"last_good_run_timestamp_seconds{{{fleet}}} {WHEN.timestamp()!r}\n" in text
     # What is not known has no sample.
-    assert not [name for name in found if "model_error" in name]
-    assert not [name for name in found if "change_percent" in name and "M2" in name]
-    newest = f'motor_leakage_data_timestamp_seconds{{{fleet},motor="M1"}}'
-    assert found[newest] == WHEN.timestamp()
-    assert found[f"motor_leakage_last_good_run_timestamp_seconds{{{fleet}}}"] == WHEN.timestamp()
-    assert found[f'motor_leakage_standing_failures{{{fleet},motor="M1"}}'] == 2.0
-    assert found[f'motor_leakage_undelivered_changes{{{fleet},receiver="hook"}}'] == 3.0
-    assert found[f'motor_leakage_stage_duration_seconds{{{fleet},stage="trends"}}'] == 0.25
+    assert "model_error_percent{" not in text
+    assert text.count("leakage_change_percent{") == 1
 
 
 def test_an_absent_folder_is_not_made(tmp_path: Path) -> None:

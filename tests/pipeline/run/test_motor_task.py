@@ -11,10 +11,7 @@ import pytest
 import pipeline.logs.locations
 import pipeline.logs.motor_logs
 import pipeline.run.motor_task
-from pipeline.config import load_fleet
 from pipeline.ingest import read_log
-from pipeline.run.plans import plan_fleet
-from pipeline.run.tasks import RunRequest
 from tests.pipeline.simulated import NIGHT, SECOND_US, write_log
 from tests.pipeline.workshop import DAY, MINUTES, Workshop, check_same_figures, part
 
@@ -97,16 +94,6 @@ def test_each_file_is_read_once(workshop: Workshop, monkeypatch: pytest.MonkeyPa
 
 
 # What a change touches
-
-
-def test_a_plan_reads_no_log(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: Any) -> Any:
-        raise AssertionError("a log was read")
-
-    workshop.log(NIGHT)
-    monkeypatch.setattr(pipeline.logs.motor_logs, "read_log", refuse)
-    request = RunRequest(load_fleet(workshop.fleet))
-    assert [list(plan) for _, plan in plan_fleet(request)] == [[NIGHT]]
 
 
 def test_a_night_is_judged_with_the_last_model_however_far(workshop: Workshop) -> None:

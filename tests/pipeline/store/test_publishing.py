@@ -14,7 +14,7 @@ from polars.testing import assert_frame_equal
 from pipeline.errors import StoreError
 from pipeline.schema import BLOCKS, LOG_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
 from pipeline.store.published import note, verify_tables
-from pipeline.store.publishing import read_staged, stage, staged_file, staged_in
+from pipeline.store.publishing import stage
 from pipeline.store.state import open_state
 from pipeline.store.tables import (
     files_of,
@@ -53,28 +53,6 @@ class TestStaged:
         (path,) = files_of(tmp_path, table)
         expected = frame(table, [{**one, "run_id": "run"}])
         assert_frame_equal(read_table(path, table), expected)
-
-    def test_by_table_file_and_motor_with_nights_that_have_no_rows(self, tmp_path: Path) -> None:
-        nights, blocks = {LATER: [], NIGHT: [row("A")]}, {LATER: [], NIGHT: []}
-        stage(staged_file(tmp_path / "nights", "A"), {QUALITY: nights, BLOCKS: blocks})
-        stage(staged_file(tmp_path / "nights", "B"), {QUALITY: {NIGHT: [row("B"), row("B", "x")]}})
-        tables = [QUALITY, BLOCKS]
-        # Of a motor that is lost nothing is published, whatever its worker has staged.
-        staged_file(tmp_path / "nights", "D").write_bytes(b"half")
-        found = staged_in(tmp_path / "nights", tables, ["C", "B", "A"])
-        assert {(table.name, label): list(some) for (table, label), some in found.items()} == {
-            ("quality", "2026-01"): ["A", "B"],
-            ("quality", "2026-02"): ["A"],
-            ("blocks", "2026-01-02"): ["A"],
-            ("blocks", "2026-02-01"): ["A"],
-        }
-        rows, done = read_staged(QUALITY, found[QUALITY, "2026-01"], "run")
-        assert rows.select("motor_id", "reason", "run_id").rows() == [
-            ("A", "gap", "run"), ("B", "gap", "run"), ("B", "x", "run")
-        ]  # fmt: skip
-        assert done.rows() == [("A", NIGHT), ("B", NIGHT)]
-        rows, done = read_staged(QUALITY, found[QUALITY, "2026-02"], "run")
-        assert (rows.height, done.rows()) == (0, [("A", LATER)])
 
     def test_a_worker_that_outlives_its_run_leaves_nothing(self, tmp_path: Path) -> None:
         """The run's folder is gone: the worker must not make it anew."""
@@ -202,14 +180,6 @@ class TestRefused:
             note(state, {path.relative_to(tmp_path / "tables").as_posix(): None})
         publish_night(tmp_path, {"A": [row("A")]})
         assert [one[0] for one in published(tmp_path)] == ["A"]
-
-    def test_what_cannot_be_read_for_now_is_no_damage(self, tmp_path: Path) -> None:
-        """A folder in its place cannot be read by anybody, whatever rights they have."""
-        night_file(tmp_path, QUALITY, NIGHT).mkdir(parents=True)
-        with refused("store_read", "it cannot be read"):
-            publish_night(tmp_path, {"A": [row("A")]})
-        with open_state(tmp_path) as state:
-            assert state.rows("SELECT name FROM files") == []
 
     def test_a_failure_leaves_what_was_there(self, tmp_path: Path) -> None:
         def rows(night: dt.date) -> dict[Table, dict[dt.date, list[Row]]]:

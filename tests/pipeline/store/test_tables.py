@@ -21,12 +21,9 @@ from pipeline.schema import (
     QUALITY,
     RESIDUAL_TESTS,
     SCHEMA_VERSION,
-    frame,
 )
-from pipeline.store import tables
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
+from pipeline.store.atomic_files import put
 from pipeline.store.tables import (
-    ROWS_A_GROUP,
     files_of,
     night_file,
     nights_back,
@@ -39,7 +36,6 @@ from tests.pipeline.store.made_rows import (
     LATER,
     NIGHT,
     all_files,
-    publish_night,
     row,
     rows,
 )
@@ -72,20 +68,15 @@ class TestLayout:
         assert int(stated) == SCHEMA_VERSION
         assert file.stat().st_mode & 0o777 == 0o644
 
-    def test_many_rows_are_written_in_pieces(self, tmp_path: Path) -> None:
-        """Of which one without a wanted motor is not read."""
-        path = night_file(tmp_path, BLOCKS, NIGHT)
-        motors = sorted(f"M{number % 40_000:05}" for number in range(80_000))
-        many = [{"motor_id": one, "night": NIGHT, "n": n} for n, one in enumerate(motors)]
-        write_table(path, frame(BLOCKS, many))
-        footer = pq.read_metadata(path)
-        sizes = [footer.row_group(place).num_rows for place in range(footer.num_row_groups)]
-        assert set(sizes[:-1]) == {ROWS_A_GROUP}
-        assert len(sizes) == 5
-        for number in (0, 8191, 8192, 39_999):
-            wanted = [f"M{number:05}"]
-            found = read_rows(tmp_path, BLOCKS, wanted, ("n",), nights=[NIGHT])
-            assert found["n"].to_list() == [2 * number, 2 * number + 1]
+    def test_rows_of_a_motor_are_found_in_whichever_groups_they_stand(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("pipeline.store.tables.ROWS_A_GROUP", 2)
+        some = rows(*(row(motor, reason) for motor in "ABC" for reason in "xyz"))
+        write_table(night_file(tmp_path, QUALITY, NIGHT), some)
+        for motor in "ABC":
+            found = read_rows(tmp_path, QUALITY, [motor], ("reason",), nights=[NIGHT])
+            assert found["reason"].to_list() == ["x", "y", "z"]
 
     def test_a_file_that_is_no_night_s_holds_no_rows(self, file: Path, tmp_path: Path) -> None:
         later = night_file(tmp_path, QUALITY, LATER)
@@ -158,11 +149,6 @@ class TestWhole:
         assert seen == [([file], b"before")]
         assert file.read_bytes() == content
 
-    def test_leftovers_of_a_killed_run(self, file: Path, tmp_path: Path) -> None:
-        (file.parent / f"{TEMPORARY_PREFIX}abc").write_bytes(b"half")
-        remove_leftovers([tmp_path / "tables", tmp_path / "nowhere"])
-        assert all_files(tmp_path) == [file.name]
-
 
 def footer_begin(data: bytes) -> int:
     (length,) = struct.unpack("<I", data[-8:-4])
@@ -224,16 +210,6 @@ class TestDamage:
             read_rows(output, QUALITY, ["M001"])
         assert raised.value.code == "store_read"
 
-    def test_a_file_of_a_newer_version_is_refused_and_stays(
-        self, tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        before = file.read_bytes()
-        monkeypatch.setattr(tables, "SCHEMA_VERSION", 0)
-        with pytest.raises(StoreError) as refused:
-            publish_night(tmp_path, {"A": [row("A")]})
-        assert refused.value.code == "store_newer"
-        assert file.read_bytes() == before
-
 
 class TestSchema:
     def test_column_that_an_older_file_has_not(self, tmp_path: Path) -> None:
@@ -246,13 +222,6 @@ class TestSchema:
         assert found["n_samples"].dtype == pl.Int64
         assert found["n_samples"].null_count() == found["run_id"].null_count() == 2
         assert_frame_equal(found.select(older.columns), older)
-
-    def test_older_file_takes_new_rows(self, tmp_path: Path) -> None:
-        path = night_file(tmp_path, QUALITY, NIGHT)
-        write_table(path, rows(row("A"), row("B")).drop("n_samples"))
-        publish_night(tmp_path, {"B": [row("B", refused=7)]})
-        found = read_table(path, QUALITY)
-        assert found["n_samples"].to_list() == [None, 864_000]
 
     @pytest.mark.parametrize("name", QUALITY.key)
     def test_file_without_a_key_column_is_none_of_ours(self, tmp_path: Path, name: str) -> None:

@@ -7,8 +7,7 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from pipeline.schema import FITS, LATEST, TABLES, frame
-from pipeline.store.tables import whole_file, write_table
+from pipeline.schema import FITS, TABLES
 from pipeline.store.views import NAME, write_views
 
 
@@ -52,20 +51,3 @@ def test_every_column_has_the_words_of_the_dictionary(
     assert set(told) == {(table.name, name) for table in TABLES for name in table.schema}
     (column,) = (one for one in FITS.columns if one.name == "fitted_leakage_lower")
     assert words == (f"{column.description} [{column.unit}]",)
-
-
-def test_a_table_with_its_first_file_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = [{"motor_id": "M1", "state": "ok", "run_id": "r"}]
-    write_table(whole_file(tmp_path, LATEST), frame(LATEST, rows))
-    write_views(tmp_path)
-    with opened(tmp_path, monkeypatch) as connection:
-        assert connection.execute("SELECT motor_id, state FROM latest").fetchall() == [("M1", "ok")]
-
-
-def test_unchanged_views_are_not_written_again(tmp_path: Path) -> None:
-    write_views(tmp_path)
-    before = (tmp_path / NAME).stat().st_ino
-    write_views(tmp_path)
-    assert (tmp_path / NAME).stat().st_ino == before

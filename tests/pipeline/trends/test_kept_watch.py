@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,10 +10,8 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-import pipeline.trends.nights.from_tables
 from pipeline.schema import ALARMS, NIGHTS, TRENDS, Table
 from pipeline.store.state import open_state
-from pipeline.store.tables import read_rows
 from pipeline.trends.nights.trend_record import note_touched, read_kept
 from tests.pipeline.remembered import change
 from tests.pipeline.trends.nights import (
@@ -122,27 +119,6 @@ def test_without_what_was_kept_it_is_the_same_at_the_cost_of_time(
     publish(output, part_of(WORN.frames(), AT + 1, N))
     run(config)
     check_same(rows(output), whole)
-
-
-def test_a_new_night_reads_no_blocks_but_its_own_and_those_of_the_night_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The night before may still have been growing: the watch is kept from before it."""
-    config, output = fleet_until(tmp_path, (WORN,), AT)
-    read: list[tuple[str, dt.date]] = []
-
-    def spied(
-        place: Path, table: Table, *asked: object, nights: object = None, **more: object
-    ) -> pl.DataFrame:  # type: ignore[misc]
-        if nights is not None:
-            read.extend((table.name, night) for night in nights)  # type: ignore[attr-defined]
-        return read_rows(place, table, *asked, nights=nights, **more)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(pipeline.trends.nights.from_tables, "read_rows", spied)
-    new_night(config, output, WORN.frames(), place=AT)
-    assert {night for name, night in read if name == "nights"} == {night_of(AT)}
-    blocks = {night for name, night in read if name == "blocks"}
-    assert blocks == {night_of(AT - 1), night_of(AT)}
 
 
 @pytest.mark.parametrize("place", [3, AT - 1, N - 1])

@@ -15,7 +15,7 @@ from polars.testing import assert_frame_equal
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.schema import NIGHTS, Table, frame
-from pipeline.store.tables import nights_back, read_rows
+from pipeline.store.tables import read_rows
 from pipeline.trends.tasks import NewestNight, newest_night_of
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.trends.nights import DAY, Nights, night_of, part_of, publish
@@ -25,7 +25,6 @@ from tests.pipeline.written import write_nights
 MOTORS = ("M1", "M2")
 N = 12
 LAST = night_of(N - 1)
-CENTURY = dt.date(2099, 1, 1)
 JUNK = b"x\n1\n"
 NIGHT = dt.date(2026, 3, 2)
 
@@ -140,13 +139,6 @@ def test_no_night_of_the_future_is_the_newest_night(tmp_path: Path) -> None:
     found = newest_night_of(tmp_path, MOTORS, night_of(6))
     assert found.night == night_of(0)
     assert newest_night_of(tmp_path, MOTORS, night_of(0) - DAY) is None
-
-
-def test_without_tables_there_is_none(tmp_path: Path) -> None:
-    assert newest_night_of(tmp_path, MOTORS, CENTURY) is None
-    (tmp_path / "tables" / "nights" / "month=2026-01").mkdir(parents=True)
-    (tmp_path / "tables" / "nights" / "month=2026-01" / "strange.parquet").touch()
-    assert list(nights_back(tmp_path, NIGHTS)) == []
 
 
 # Logs by the run's clock

@@ -12,7 +12,6 @@ import pytest
 from polars.testing import assert_frame_equal
 
 from pipeline.schema import ALARMS, NIGHTS, TREND_TABLES, TRENDS
-from pipeline.store.published import verify_tables
 from pipeline.store.publishing import stage
 from pipeline.store.state import open_state
 from pipeline.trends.nights.decisions import Decision, record_decision
@@ -29,9 +28,7 @@ from pipeline.trends.tasks import (
     Circuit,
     NewestNight,
     TrendTask,
-    circuits_of,
     kept_file,
-    trend_tasks,
 )
 from pipeline.workers.process import Loss
 from tests.pipeline.remembered import record_of
@@ -69,45 +66,6 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fleet(published: Path, tmp_path: Path) -> tuple[Path, Path]:
     """A copy of that folder: its config and its output."""
     return copy_of(published, tmp_path / "fleet")
-
-
-def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path]) -> None:
-    _, output = fleet
-    watch = published_trends(output, NIGHTS)
-    assert watch["night"].to_list() == [night_of(place) for place in range(N)]
-    states = watch["state"].to_list()
-    # The eighth night makes the baseline; the step of 28 % is told within three nights.
-    assert states[:9] == ["insufficient"] * 8 + ["ok"]
-    assert set(states[9:AT]) == {"ok"}
-    assert set(states[AT + 2 :]) <= {"warning", "alarm"}
-    last = watch.row(-1, named=True)
-    assert last["cause"] == "balance_sleeve"
-    assert last["onset"] == night_of(AT)
-    gap = last["gap_change_percent"]
-    assert gap == pytest.approx(100 * (1.9 ** (1 / 3) - 1), abs=1.0)
-    assert last["gap_change_lower"] < gap < last["gap_change_upper"]
-    assert last["own_temperature_c"] == pytest.approx(50.0)
-    assert (last["baseline_start"], last["baseline_end"]) == (night_of(0), night_of(7))
-    # The made-up nights were not published by a run; what the stage wrote is proven.
-    assert [one for one in verify_tables(output) if one.code != "table_unlisted"] == []
-    found = record_of(output, "M1")
-    assert found.last_night == night_of(N - 1)
-
-
-def test_alarms_tell_the_changes_of_the_one_state(fleet: tuple[Path, Path]) -> None:
-    _, output = fleet
-    alarms = published_trends(output, ALARMS)
-    first, raised = alarms.to_dicts()[:2]
-    assert (first["from_state"], first["to_state"]) == ("insufficient", "ok")
-    assert raised["id"] == f"M1 {raised['night']} leakage"
-    assert raised["cause"] == "balance_sleeve"
-    assert raised["leakage_change_percent"] == pytest.approx(28.0, abs=4.0)
-    assert alarms["closed_as"].is_null().all()
-    # Mail and web hook tell rows alone.
-    (advice,) = published_trends(output, NIGHTS).filter(night=raised["night"])["advice"]
-    assert "balance sleeve" in advice
-    assert raised["sentence"].endswith(f". {advice}")
-    assert "Nothing to do" not in first["sentence"]
 
 
 def test_wear_that_goes_on_is_told_once_a_state(tmp_path: Path) -> None:
@@ -269,16 +227,6 @@ def test_what_is_said_of_a_motor_moves_nothing_that_the_others_were_told(tmp_pat
         assert_frame_equal(published_trends(output, table, "B"), told)
 
 
-def test_wear_of_one_motor_is_its_own(tmp_path: Path) -> None:
-    worn, *others = TANK
-    sleeve = {"balance_sleeve": step(N, AT, 0.9)}
-    config, output = fleet_of(tmp_path, replace(worn, wear=sleeve), *others)
-    run(config)
-    last = published_trends(output, NIGHTS, "A").row(-1, named=True)
-    assert (last["cause"], last["state"] in ("warning", "alarm")) == ("balance_sleeve", True)
-    assert set(published_trends(output, NIGHTS, "B")["state"][8:]) == {"ok"}
-
-
 # Which nights
 
 
@@ -360,20 +308,6 @@ def test_what_its_own_settings_made_anew_redoes_no_other_motor(tmp_path: Path) -
     asked = task({"A": night_of(20), "B": None}, tmp_path)
     other = Circuit.of((OTHER_A, SPECS[1]), (), asked.circuits[0].records, {})
     assert to_do(replace(asked, circuits=(other,))) == {"A": EVERYTHING}
-
-
-def test_tasks_hold_whole_circuits(tmp_path: Path) -> None:
-    assert [[one.motor_id for one in group] for group in circuits_of(SPECS)] == [["C"], ["A", "B"]]
-
-    def motors(*changed: str) -> list[list[str]]:
-        asked, newest_night = dict.fromkeys(changed), NewestNight(night_of(0))
-        with open_state(tmp_path) as state:
-            made = trend_tasks(SPECS, state, tmp_path, asked, newest_night, (), motors_a_task=1)
-        return [[spec.motor_id for spec in one.specs] for one in made]
-
-    assert motors("A") == [["A", "B"]]
-    assert motors("C", "B") == [["C"], ["A", "B"]]
-    assert motors() == []
 
 
 def test_a_broken_motor_takes_no_other_down(
