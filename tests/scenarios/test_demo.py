@@ -69,7 +69,14 @@ def test_status_says_what_the_tables_say(demo: ScenarioFleet) -> None:
     assert [name for name, _ in listed] == list(motors)  # the motor that needs attention most first
     assert listed[-1] == ["CB400-01", "ok"]
     for line in plain.out.splitlines()[1:]:
-        assert motors[line.split("\t")[0]]["sentence"] in line
+        name, state, change, leakage, onset, last, words = line.split("\t")
+        row = motors[name]
+        assert change.startswith(f"{row['leakage_change_percent']:+.1f} % [")
+        assert leakage == f"{row['own_leakage_l_per_min']:.3g}"
+        assert (onset, last) == (row["onset"] or "", row["last_fit_night"])
+        assert row["sentence"] in words
+        # What to do stands behind what happened, where there is something to do.
+        assert words.endswith(row["advice"]) == (state != "ok")
 
 
 @pytest.mark.parametrize("motor", STATES)
