@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -120,6 +121,12 @@ def test_explain_says_the_figures_of_the_tables(plant: ScenarioFleet) -> None:
     assert f"rpm): {_figure(row, 'own_leakage')}" in _joined(out)
     assert row["sentence"][1:] in out
     assert f"training {row['training_fit_percent']:.1f} %" in out
+    # The answer stands first, and each part under its title.
+    titles = [line for before, line in pairwise(out.splitlines()) if not before]
+    others = ["Paths", "Systematic errors", "Fit", "Errors of the fit", "Data"]
+    assert titles == ["Leakage", "State", *others]
+    assert f"model error {row['model_error_percent']:.1f} % of the flow" in out
+    assert f"log broken/{plant.log('broken', 20).name}: ok" in out
     nothing = plant.run("explain", "broken", plant.label(40))
     assert nothing.code == 2
     assert str(plant.label(40)) in nothing.err
