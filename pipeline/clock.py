@@ -6,6 +6,8 @@ import datetime as dt
 
 MICROSECOND = dt.timedelta(microseconds=1)
 EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
+# Words for stamps beyond that.
+IN_FUTURE = "more than a day in the future"
 # A logger's clock may be in another zone than it says, but not further ahead.
 FARTHEST_AHEAD = dt.timedelta(days=1)
 

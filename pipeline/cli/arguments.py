@@ -43,6 +43,15 @@ def day(text: str) -> dt.date:
         raise typer.BadParameter(f"got {text!r}; expected YYYY-MM-DD") from None
 
 
+def nights(text: str) -> tuple[dt.date, dt.date]:
+    """First and last of some nights: YYYY-MM-DD, or YYYY-MM-DD..YYYY-MM-DD."""
+    first, _, last = text.partition("..")
+    span = day(first), day(last or first)
+    if span[0] > span[1]:
+        raise typer.BadParameter(f"got {text!r}; expected the earlier night first")
+    return span
+
+
 def past_day(text: str) -> dt.date:
     """A day that has come, in whatever zone."""
     if day(text) > now().date() + dt.timedelta(days=1):

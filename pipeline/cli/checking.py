@@ -59,6 +59,7 @@ def check(
     2: a fault in the config.
     """
     from pipeline.logs.finding import strays_told, unclaimed
+    from pipeline.report.status import standing
     from pipeline.setup.check import check_motor
 
     if tables:
@@ -74,6 +75,8 @@ def check(
     if placeholders and not as_json:
         names = ", ".join(placeholders)
         typer.echo(f"placeholders, to be replaced with the manufacturer's values: {names}")
+    for line in standing(fleet.output, [spec.motor_id for spec in fleet.motors]):
+        tell({"event": "standing", "words": line}, line, as_json=as_json)
     if strays := unclaimed(fleet):
         tell({"event": "unclaimed", "logs": strays}, strays_told(strays), as_json=as_json)
     faults = list(_fleet_faults(fleet, checks))

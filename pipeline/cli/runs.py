@@ -30,6 +30,7 @@ from pipeline.cli.arguments import (
     Until,
     day,
     load,
+    nights,
     require_order,
     say,
     tell,
@@ -63,9 +64,12 @@ def fit_fleet(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what would be done, and why; do nothing.")
     ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Make nights anew from their logs though unchanged.")
-    ] = False,
+    redo: Annotated[
+        str | None,
+        typer.Option(
+            help="Make a night, or A..B, anew from the logs there are, whatever they lack."
+        ),
+    ] = None,
     retry: Annotated[
         bool, typer.Option("--retry", help="Try nights and logs again that failed.")
     ] = False,
@@ -77,6 +81,9 @@ def fit_fleet(
     """Fit every new night of the fleet's motors and write the tables.
 
     Example: motor-leakage fit-fleet configs/fleet.toml --jobs 2 --since 2026-01-02
+
+    What is published stays: a night is made anew only from logs that cover at least what it was
+    made from. With --redo it is made from whatever there is.
 
     A night or log that failed stands as failed, and is not tried again while it is unchanged, but
     with --retry. A failed night whose log was removed fails no more.
@@ -95,7 +102,7 @@ def fit_fleet(
             motors=fleet.known_motors(motors.split()),
             since=since,
             until=until,
-            force=force,
+            redo=None if redo is None else nights(redo),
             retry=retry,
             repair=repair,
         )
@@ -222,12 +229,15 @@ def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoRetu
 
 def print_plan(request: RunRequest, *, as_json: bool) -> None:
     """Print the nights that a run would do by motor, with the reasons."""
-    from pipeline.run.plans import plan_fleet, plan_trends
+    from pipeline.run.plans import plan_fleet, plan_states, plan_trends
+    from pipeline.run.tasks import Work
     from pipeline.store.published import faults_of
 
-    total = 0
+    total, stays = 0, set[str]()
     for motor_id, plan in plan_fleet(request):
-        total += len(plan)
+        n_stays = sum(step.work is Work.STAY for step in plan.values())
+        total += len(plan) - n_stays
+        stays |= {motor_id} if n_stays else set()
         steps = {str(label): (step.work.value, step.reason) for label, step in plan.items()}
         nights = {label: {"work": work, "reason": why} for label, (work, why) in steps.items()}
         span = f", {min(plan)} to {max(plan)}" if plan else ""
@@ -241,6 +251,9 @@ def print_plan(request: RunRequest, *, as_json: bool) -> None:
     for motor_id, why in plan_trends(request):
         event = {"event": "plan_trends", "motor_id": motor_id, "reason": why}
         tell(event, f"{motor_id}: all trends redone: {why}", as_json=as_json)
+    for motor_id, words in plan_states(request, stays):
+        event = {"event": "plan_state", "motor_id": motor_id, "state": words}
+        tell(event, f"{motor_id}: {words}", as_json=as_json)
     tell_faults(faults_of(request.fleet.output), as_json=as_json)
     if not as_json:
         say(f"to be done: {counted(total, 'night')}")
@@ -288,6 +301,7 @@ def _print_motor(outcome: MotorOutcome, *, as_json: bool) -> None:
         "files": _by_fate(outcome.files),
         "growing": outcome.growing,
         "left_out": outcome.left_out,
+        "stays": {str(label): stay for label, stay in outcome.stays.items()},
     }
     words = f"{motor_id}: {outcome.status} ({counts or 'nothing to do'}){why}"
     tell(event, words, as_json=as_json)
@@ -297,6 +311,10 @@ def _print_motor(outcome: MotorOutcome, *, as_json: bool) -> None:
         say(f"{motor_id}: {code}: {message}", err=True)
     for growing in outcome.growing:
         say(f"{motor_id}: log_growing: {growing}", err=True)
+    from pipeline.logs.processed import stay_lines
+
+    for line in stay_lines(outcome.stays):
+        say(f"{motor_id}: {line}", err=True)
     for left in outcome.left_out[:LEFT_OUT]:
         say(f"{motor_id}: left out of {left}", err=True)
     if len(outcome.left_out) > LEFT_OUT:

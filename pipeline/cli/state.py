@@ -42,6 +42,7 @@ COLOURS = {
     "warning": "yellow",
     "common_cause": "magenta",
     "stale": "blue",
+    "removed": "blue",
 }
 COLUMNS = ("motor", "state", "newest night", "leakage l/min", "since", "last good night", "what")
 # On a terminal the last column needs the room, and has these in words.
@@ -61,7 +62,8 @@ def status(
 
     Example: motor-leakage status configs/fleet.toml --max-age 26h
 
-    Exit code 0; with --max-age 1 if the last good run is too old, or there was none.
+    Exit code 0; with --max-age 1 if the last good run is too old, or there was none, or no motor
+    has samples newer than alarms.stale_after_nights.
     """
     from pipeline.notification.receivers import receivers_of
     from pipeline.report.status import fleet_status
@@ -72,28 +74,34 @@ def status(
     found = fleet_status(fleet.output, motor_ids, receivers)
     ended = found.last_good_run
     too_old = max_age is not None and (ended is None or now() - ended > max_age)
-    print_status(fleet.name, found, too_old=too_old, as_json=as_json)
-    raise typer.Exit(EXIT_MOTORS_FAILED if too_old else EXIT_OK)
+    newest = found.newest_sample
+    is_silent = fleet.is_live and newest is not None and now() - newest > fleet.stale_after
+    print_status(fleet.name, found, too_old=too_old, is_silent=is_silent, as_json=as_json)
+    is_late = too_old or (max_age is not None and is_silent)
+    raise typer.Exit(EXIT_MOTORS_FAILED if is_late else EXIT_OK)
 
 
-def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool) -> None:
+def print_status(
+    name: str, found: FleetStatus, *, too_old: bool, is_silent: bool, as_json: bool
+) -> None:
     """Print a fleet's state: for people, or one JSON object a motor and one for the fleet.
 
-    `too_old`: the last good run is older than was asked for. Piped, only the table goes to stdout.
+    `too_old`: the last good run is older than was asked for; `is_silent`: so are all samples.
+    Piped, only the table goes to stdout.
     """
     if as_json:
-        _print_json(found, too_old=too_old)
+        _print_json(found, too_old=too_old, is_silent=is_silent)
         return
     on_terminal = sys.stdout.isatty()
     columns = [one for one in COLUMNS if not (on_terminal and one in IN_WORDS)]
     rows = [dict(zip(COLUMNS, _cells(motor), strict=True)) for motor in found.motors]
     styles = [COLOURS.get(motor.state, "") for motor in found.motors]
     print_table(columns, ([row[one] for one in columns] for row in rows), name, styles)
-    for line in _fleet_lines(found, too_old=too_old):
+    for line in _fleet_lines(found, too_old=too_old, is_silent=is_silent):
         say(line, err=not on_terminal)
 
 
-def _print_json(found: FleetStatus, *, too_old: bool) -> None:
+def _print_json(found: FleetStatus, *, too_old: bool, is_silent: bool) -> None:
     for motor in found.motors:
         intraday = None if motor.intraday is None else asdict(motor.intraday)
         typer.echo(json.dumps({"event": "motor", **motor.row, "intraday": intraday}, default=str))
@@ -101,6 +109,8 @@ def _print_json(found: FleetStatus, *, too_old: bool) -> None:
         "event": "fleet",
         "last_good_run": found.last_good_run,
         "too_old": too_old,
+        "silent": is_silent,
+        "standing": found.standing,
         "run": None if found.beat is None else asdict(found.beat),
         "receivers": [asdict(one) for one in found.receivers],
         "damage": [asdict(fault) for fault in found.damage],
@@ -108,17 +118,18 @@ def _print_json(found: FleetStatus, *, too_old: bool) -> None:
     typer.echo(json.dumps(fleet, default=str))
 
 
-def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
+def _fleet_lines(found: FleetStatus, *, too_old: bool, is_silent: bool) -> Iterator[str]:
     """Lines below the motors: last run, deliveries, damage, intraday check."""
     ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
     yield f"last good run: {ended}{', which is too old' if too_old else ''}"
-    newest = max(filter(None, (one.row["last_sample"] for one in found.motors)), default=None)
-    if newest is not None:
+    if (newest := found.newest_sample) is not None:
         days = (now() - newest).days
         ago = f", {days} days ago" if days > 1 else ""
-        yield f"newest samples: {newest:%Y-%m-%d %H:%M} UTC{ago}"
+        silent = ": the plant is silent" if is_silent else ""
+        yield f"newest samples: {newest:%Y-%m-%d %H:%M} UTC{ago}{silent}"
     if (line := _run_line(found)) is not None:
         yield line
+    yield from found.standing
     yield from (one.words for one in found.receivers if one.undelivered)
     if found.damage:
         first, files = found.damage[0], counted(len(found.damage), "published file")
@@ -226,7 +237,7 @@ def ack(
     ] = False,
     output: Output = None,
 ) -> None:
-    """Acknowledge an alarm or a failed night, or record the finding of an inspection.
+    """Acknowledge an alarm, a failed night or a removed motor, or record an inspection.
 
     Example: motor-leakage ack configs/fleet.toml CB400-02 --note "rings ordered"
 
@@ -235,6 +246,8 @@ def ack(
 
     motor-leakage ack configs/fleet.toml CB400-02 --opened 2026-05-12 --worn piston_ring
     --sound balance_sleeve --note "rings scored"
+
+    A failed night stays out with --night, or is fitted by the next run with --night and --fit.
     """
     from pipeline.report.status import last_alarm
     from pipeline.trends.nights.decisions import Decision, record_decision
@@ -247,6 +260,10 @@ def ack(
         record_decision(fleet.output, _failed_night(fleet, motor, night, note, is_fit=fit))
         how = "the next run fits it" if fit else "excluded, runs end well without it"
         typer.echo(f"{motor}: night {night}: {how}")
+        return
+    if (removed := _removed_on(fleet, motor)) is not None:
+        record_decision(fleet.output, Decision(motor, "", now(), "removed", removed, None, note))
+        typer.echo(f"{motor}: that it was removed is confirmed; the next run leaves it out")
         return
     parts = [_parts(fleet.motor(motor), one or ()) for one in (worn, sound)]
     if opened or any(parts):
@@ -269,20 +286,26 @@ def _failed_night(
     fleet: Fleet, motor: str, night: dt.date | None, note: str, *, is_fit: bool
 ) -> Decision:
     """Decision on a failed night; raises UsageError (``night``) if it is none."""
-    from pipeline.logs.processed import read_processed
-    from pipeline.schema.fits import FAILED
-    from pipeline.store.state import read_state_file
+    from pipeline.report.status import failed_nights
     from pipeline.trends.nights.decisions import Decision
 
     fleet.known_motors([motor])
-    with read_state_file(fleet.output) as state:
-        nights = read_processed(state, motor).nights
-    failed = sorted(label for label, record in nights.items() if record.status == FAILED)
+    failed = failed_nights(fleet.output, motor)
     if night not in failed:
         there = ", ".join(map(str, failed)) or "none"
         raise UsageError("night", f"--night: expected a failed night of {motor}: {there}")
     kind: Kind = "released" if is_fit else "excluded"
     return Decision(motor, "", now(), kind, night, None, note)
+
+
+def _removed_on(fleet: Fleet, motor_id: str) -> dt.date | None:
+    """Last night of a motor that was removed; None for one of the config."""
+    from pipeline.trends.rows.motor_states import REMOVED, published_states
+
+    states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])
+    gone = {one.motor_id: one.row["night"] for one in states if one.state == REMOVED}
+    last: dt.date | None = gone.get(motor_id)
+    return last
 
 
 def _parts(spec: MotorSpec, names: Sequence[str]) -> list[str]:

@@ -94,6 +94,8 @@ class Fleet:
     copy_to: str = ""  # URL that a run copies the tables to; empty: none
     metrics_file: Path | None = None
     log_url: str = ""  # empty where the logs lie in a folder
+    formerly: str = ""  # its name before; empty: it has always been the same
+    is_live: bool = True  # whether this machine's clock says how old the newest night is
 
     def known_motors(self, wanted: Iterable[str]) -> tuple[str, ...]:
         """The ids that are asked for.
@@ -111,6 +113,12 @@ class Fleet:
         """The motor of an id; raises as `known_motors`."""
         self.known_motors([motor_id])
         return next(spec for spec in self.motors if spec.motor_id == motor_id)
+
+    @property
+    def stale_after(self) -> dt.timedelta:
+        """Age of the newest night from which the fleet is silent as a whole."""
+        nights = min(spec.settings.alarms.stale_after_nights for spec in self.motors)
+        return dt.timedelta(days=nights)
 
     @property
     def log_place(self) -> str:

@@ -97,6 +97,8 @@ def load_fleet(path: Path) -> Fleet:
         copy_to=folders.copy_to,
         metrics_file=path.absolute().parent / textfile if textfile else None,
         log_url=log_url,
+        formerly=fleet.formerly,
+        is_live=fleet.live,
     )
     if (expected := overlap(found)) is not None:
         raise ConfigError([fault_at(path.name, ("folders", "output"), expected, folders.output)])

@@ -155,6 +155,8 @@ class MotorFile(Section):
     """One of the motor types."""
     name_in_log: Annotated[str, Stage.NOTHING] = Field("", exclude=True)
     """The motor's name in the log, where not `motor_id`."""
+    formerly: Annotated[str, Stage.NOTHING] = Field("", exclude=True)
+    """Its `motor_id` before it was renamed: the next run gives it what is published of that."""
     oil: OilName
     """One of the oils; changes are dated in `events`."""
     oil_circuit: str = ""

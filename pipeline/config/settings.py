@@ -366,6 +366,11 @@ class FleetFile(Settings):
 
     name: str = Field(min_length=1)
     """The fleet's name, as reports show it."""
+    formerly: str = ""
+    """Name before, of a fleet that was renamed: its output is its own."""
+    live: bool = True
+    """Logs come every night: without a new one for `alarms.stale_after_nights` by this machine's
+    clock the motors are `stale`. False for logs of a past time."""
     folders: Folders = left_out()
     execution: Execution = left_out()
     metrics: Metrics = left_out()

@@ -13,6 +13,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
+from pipeline.clock import IN_FUTURE
 from pipeline.config.channels import Channel, Channels, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import nulls
@@ -248,8 +249,9 @@ def judged(
     for count, what in (
         (
             ahead,
-            f", read as {name}, lie more than a day in the future: have the logger's clock set, or "
-            "give the right time format",
+            f", read as {name}, lie {IN_FUTURE} by this machine's clock: set the clock that is "
+            "wrong, this machine's or the logger's, or give the right time format; a later run "
+            "tries again",
         ),
         (
             skipped,
@@ -271,7 +273,7 @@ def judged(
     return past, {
         "row without a readable time": unreadable - skipped,
         "row at a local time that the zone's clock change leaves out": skipped,
-        "row with a time more than a day in the future": ahead,
+        f"row with a time {IN_FUTURE}": ahead,
     }
 
 

@@ -48,9 +48,13 @@ def inspect_log(
             record = replace(record, sha256=content_hash(path))
     except OSError as error:
         return failed(record, _not_readable(path, error))
-    if before is None or before.sha256 != record.sha256:
+    is_same = before is not None and before.sha256 == record.sha256
+    if before is None or not is_same or before.is_ahead:
         with reading(record.path):
-            return spanned(record, path, spec, latest_us)
+            found = spanned(record, path, spec, latest_us)
+        ends = found.status, found.last_us
+        if before is None or not is_same or ends != (before.status, before.last_us):
+            return found
     seen = {name: getattr(record, name) for name in ("modified_ns", "inode", "changed_ns")}
     return replace(before, **seen)
 

@@ -25,6 +25,8 @@ from pipeline.workers.process import Loss, reading, still_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
+# Of the hash of a content, so much tells it from a motor's others.
+HASH_LENGTH = 16
 # Outcomes of a file in a run: left is left to another run, as one of its nights was not done.
 FATES = ("read", "unchanged", "growing", "failed", "left")
 
@@ -75,6 +77,7 @@ class MotorLogs:
         latest = night_of(latest_us, spec.settings.nights)
         self.files = with_told_nights(without_misdated(found), before, latest)
         self.read: set[str] = set()
+        self.n_moved = 0  # logs that turned out to have other nights than before they were read
         self._open: OrderedDict[str, RawLog] = OrderedDict()
         # How long the last sample of an on-change channel may hold into the next night.
         self._reach_us = max(reaches_us(spec).values(), default=0)
@@ -124,6 +127,8 @@ class MotorLogs:
         # An unreadable file has no hash: it may be readable by now.
         if now.sha256 is None or known.sha256 != now.sha256:
             return f"changed file {name}"
+        if known.is_ahead and (now.status, now.last_us) != (known.status, known.last_us):
+            return f"the clock has passed time stamps of {name}"
         is_newly_told = has_no_span(now) and not labels_of(now) <= labels_of(known)
         return f"the night of {name} is told now" if is_newly_told else None
 
@@ -157,6 +162,20 @@ class MotorLogs:
             if record.status == "growing"
             for label in self.touched(name)
         }
+
+    def contents_of(self, label: dt.date) -> tuple[str, ...]:
+        """Hashes of the contents of a night's files, cut short, in order."""
+        found = (self.files[name] for name in self.of_night(label))
+        return tuple(one.sha256[:HASH_LENGTH] for one in found if one.sha256)
+
+    def has_contents(self, hashes: Collection[str]) -> bool:
+        """True where all contents of some hashes are there, under whatever names."""
+        return bool(hashes) and self._sound.issuperset(hashes)
+
+    @property
+    def _sound(self) -> set[str]:
+        found = (one for one in self.files.values() if one.status == "ok")
+        return {one.sha256[:HASH_LENGTH] for one in found if one.sha256}
 
     def of_night(self, label: dt.date) -> list[str]:
         """Files of a night, in order of time."""
@@ -204,6 +223,7 @@ class MotorLogs:
         why = self._source.change_of(record)
         if why is not None:
             found, content = failed(record, why), None
+        self.n_moved += (found.nights, found.status) != (record.nights, record.status)
         self.files[name] = found
         if content is None:
             self.read.discard(name)

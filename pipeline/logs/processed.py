@@ -9,13 +9,16 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pipeline.clock import IN_FUTURE
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import ROLLER
+from pipeline.messages import counted
 from pipeline.schema.fits import OK
 from pipeline.store.state import State
 from pipeline.workers.process import still_alive
@@ -23,6 +26,8 @@ from pipeline.workers.process import still_alive
 Key = TypeVar("Key")
 Value = TypeVar("Value")
 
+# What is said of a published night whose logs are archived.
+GONE = "its logs are gone"
 # Read at a time for the hash of a file.
 PIECE_BYTES = 1 << 20
 
@@ -57,9 +62,16 @@ class FileRecord:
         """Size, times and tag; while they stay, the content counts as unchanged."""
         return self.size, self.modified_ns, self.inode, self.changed_ns
 
+    @property
+    def is_ahead(self) -> bool:
+        """True where stamps were refused as they lay in the future: they may have come by now."""
+        return IN_FUTURE in (self.message or "")
+
     def is_as(self, before: FileRecord | None) -> bool:
         """True where there is a former record of the same state, of a log that could be read."""
-        return before is not None and bool(before.sha256) and before.state == self.state
+        if before is None or before.is_ahead:
+            return False
+        return bool(before.sha256) and before.state == self.state
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +85,10 @@ class NightRecord:
     figures_hash: str = ""
     # Whether it tells the scale of the rollers' curve; None without a fit, or such a curve.
     tells_roller: bool | None = None
+    logs: tuple[str, ...] = ()  # hashes of the contents that it was made from, cut short
+    # stays: why it stays as published although its logs or settings are others; empty otherwise.
+    stays: str = ""
+    refused: str = ""  # hashes of settings for which it could not be made anew
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +139,10 @@ def read_processed(state: State, motor_id: str) -> ProcessedLogs:
     for row in _rows(state, "logs", _LOG_COLUMNS, motor_id):
         files[row["path"]] = FileRecord(**row | {"nights": tuple(row["nights"].split())})
     for row in _rows(state, "nights", _NIGHT_COLUMNS, motor_id):
-        label, tells = dt.date.fromisoformat(row.pop("night")), row.pop("tells_roller")
-        tells = None if tells is None else tells == 1
-        nights[label] = NightRecord(**row, tells_roller=tells)
+        label, tells = dt.date.fromisoformat(row.pop("night")), row["tells_roller"]
+        row["logs"] = tuple(row["logs"].split())
+        row["tells_roller"] = None if tells is None else tells == 1
+        nights[label] = NightRecord(**row)
     return ProcessedLogs(files, nights, json.loads(settings[0][0]))
 
 
@@ -178,6 +195,31 @@ def read_settings(state: State) -> dict[str, dict[str, Any]]:
         motor_id: json.loads(text)
         for motor_id, text in state.rows("SELECT motor_id, settings FROM motors")
     }
+
+
+def read_stays(
+    state: State, motor_ids: Collection[str]
+) -> tuple[dict[str, dict[dt.date, str]], Counter[str]]:
+    """Return why nights stay as published, by motor; and how many others have no log any more."""
+    found: dict[str, dict[dt.date, str]] = {motor_id: {} for motor_id in motor_ids}
+    gone = Counter[str]()
+    rows = state.rows("SELECT motor_id, night, stays FROM nights WHERE stays != '' ORDER BY night")
+    for motor_id, night, why in rows:
+        if why == GONE:
+            gone[motor_id] += 1
+        else:
+            found.setdefault(motor_id, {})[dt.date.fromisoformat(night)] = why
+    return found, gone
+
+
+def stay_lines(stays: Mapping[dt.date, str]) -> Iterator[str]:
+    """Yield nights that stay as published, in a line a reason."""
+    reasons: dict[str, list[dt.date]] = {}
+    for label, why in stays.items():
+        reasons.setdefault(why, []).append(label)
+    for why, labels in reasons.items():
+        span = f"{min(labels)}" if len(labels) == 1 else f"{min(labels)} to {max(labels)}"
+        yield f"as published {counted(len(labels), 'night')}, {span}: {why}"
 
 
 def forget_nights(

@@ -30,6 +30,7 @@ URGENCY = {
     "warning": -3,
     "common_cause": -2,
     "stale": -1,
+    "removed": -1,
 }
 
 Row = Mapping[str, Any]

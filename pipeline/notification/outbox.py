@@ -101,9 +101,19 @@ def pass_over(state: State, ids: Collection[str]) -> None:
     """Let rows of `alarms` that are being published be sent to nobody, by their `id`."""
     if ids:
         rows = _published(state.output, OF_ALARMS)
-        silent = {key: row for key, row in rows.items() if row["id"] in ids}
-        for (name,) in state.rows("SELECT receiver FROM queues WHERE topic = ?", ALARMS.name):
-            _note_new(state, name, OF_ALARMS, silent, since="")
+        _pass_over(state, OF_ALARMS, {key: row for key, row in rows.items() if row["id"] in ids})
+
+
+def pass_over_all(state: State) -> None:
+    """Let all rows as they are published now be sent to nobody."""
+    for topic in (OF_ALARMS, OF_INTRADAY):
+        _pass_over(state, topic, _published(state.output, topic))
+
+
+def _pass_over(state: State, topic: Topic, rows: Mapping[str, Row]) -> None:
+    of = topic.table.name
+    for (name,) in state.rows("SELECT receiver FROM queues WHERE topic = ?", of):
+        _note_new(state, name, topic, rows, since="")
 
 
 def deliver(

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.errors import UsageError
 from pipeline.intraday.rows import intraday_statuses
+from pipeline.logs.processed import read_stays, stay_lines
+from pipeline.messages import counted
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import Backlog, backlogs
-from pipeline.schema import ALARMS
+from pipeline.schema import ALARMS, NIGHTS
+from pipeline.schema.fits import FAILED
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.published import TableFault, faults_of
+from pipeline.store.state import read_state_file
 from pipeline.store.tables import read_rows
+from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.rows.alarm_rows import what_of
 from pipeline.trends.rows.motor_states import MotorState, published_states, urgency
+
+# Failed nights of a motor that are listed, the newest.
+MOST_FAILED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +38,12 @@ class FleetStatus:
     receivers: tuple[Backlog, ...] = ()  # changes of state not yet delivered, by receiver
     # Published files that are gone, or were written to since and are not what was published.
     damage: tuple[TableFault, ...] = ()
+    standing: tuple[str, ...] = ()  # what failed, or stays as published, until somebody acts
+
+    @property
+    def newest_sample(self) -> dt.datetime | None:
+        """Newest sample of all motors."""
+        return max(filter(None, (one.row["last_sample"] for one in self.motors)), default=None)
 
 
 def fleet_status(
@@ -46,6 +60,7 @@ def fleet_status(
         read_heartbeat(output),
         backlogs(output, receivers),
         faults_of(output),
+        tuple(standing(output, motor_ids)),
     )
 
 
@@ -57,6 +72,41 @@ def current_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
     intraday = intraday_statuses(output, motor_ids)
     found = published_states(output, motor_ids)
     return [replace(one, intraday=intraday.get(one.motor_id)) for one in found]
+
+
+def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
+    """Yield what stands until somebody acts, in words: nights that failed, or that are published
+    from more than their logs hold by now.
+    """
+    with read_state_file(output) as state:
+        stays, gone = read_stays(state, motor_ids)
+    decisions = read_decisions(output)
+    excluded = {(one.motor_id, one.night) for one in decisions if one.kind == "excluded"}
+    failures = {
+        motor_id: {
+            label: why
+            for label, why in failed_nights(output, motor_id).items()
+            if (motor_id, label) not in excluded
+        }
+        for motor_id in motor_ids
+    }
+    for motor_id, failed in failures.items():
+        for label in sorted(failed)[-MOST_FAILED:]:
+            yield f"{motor_id}: night of {label} failed: {failed[label]}"
+        if (more := len(failed) - MOST_FAILED) > 0:
+            yield f"{motor_id}: and {counted(more, 'night')} before"
+        yield from (f"{motor_id}: {line}" for line in stay_lines(stays[motor_id]))
+        if n := gone.get(motor_id):
+            yield f"{motor_id}: {counted(n, 'published night')} without a log any more"
+    if any(failures.values()):
+        yield "a failed night: mend or remove its log, then fit-fleet --retry; or ack --night"
+
+
+def failed_nights(output: Path, motor_id: str) -> dict[dt.date, str]:
+    """Return why nights of a motor failed, in words, by night."""
+    columns = ("night", "status", "error_code", "reason")
+    rows = read_rows(output, NIGHTS, [motor_id], columns).filter(status=FAILED).sort("night")
+    return {row["night"]: f"{row['error_code']}: {row['reason']}" for row in rows.to_dicts()}
 
 
 def last_alarm(output: Path, motor_id: str, indicator: str, states: Collection[str]) -> dt.date:

@@ -24,6 +24,7 @@ STATES: Final[Mapping[str, str]] = {
     "warning": "a change was detected and is in force",
     "common_cause": "the other motors of the oil circuit have changed alike",
     "stale": "no night with samples for long: the present state is unknown",
+    "removed": "in the config no more, and nobody has confirmed it",
     "insufficient": "too few nights for a baseline, or to show a change",
     "ok": "no change was detected; each motor says how small a change would have been",
 }

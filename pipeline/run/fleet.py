@@ -24,6 +24,7 @@ from pipeline.notification.receivers import receivers_of
 from pipeline.run.mending import damage_left, find_damage, forget_lost
 from pipeline.run.motors import motor_outcomes
 from pipeline.run.notification import deliver_alarms, measure, settle_intraday
+from pipeline.run.ownership import claim_output, newest_run, own_output, take_over_renamed
 from pipeline.run.publishing import (
     STAGES,
     config_hash_of,
@@ -42,7 +43,7 @@ from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.locks import interrupts_held, locked
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.publishing import Publisher
-from pipeline.store.state import State, make_ready, open_state
+from pipeline.store.state import LAST_RUN, State, make_ready, open_state
 from pipeline.trends.nights.decisions import publish_decisions, restore_decisions
 from pipeline.trends.tasks import TrendOutcome
 from pipeline.workers.engine import Workers, open_workers
@@ -82,15 +83,18 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     _require_space(output, fleet.execution.minimum_free_mib)
     with (
         locked(output),
+        own_output(fleet),
         Heartbeat(output, len(request.specs), last_good_run(output)) as heartbeat,
     ):
         remove_leftovers([output], below=False)
         remove_leftovers([output / "tables"])
-        make_ready(output)
+        make_ready(output, newest_run(output))
         with staging_folder(output) as staging:
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
             with open_state(output) as state:
+                claim_output(state, fleet)
                 restore_decisions(state)
+                take_over_renamed(state, staging, fleet)
                 open_outbox(state, [one.name for one in receivers])
                 with open_workers(fleet.execution, folders) as workers:
                     result = _run(request, staging, progress, heartbeat, workers, state)
@@ -143,6 +147,7 @@ def _run(
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
+    state.set_meta(LAST_RUN, max(state.meta(LAST_RUN), started.isoformat()))
     damage = find_damage(state, every_file=request.repair)
     fitted = forget_lost(state, damage)
     tasks = [request.task(spec, staging) for spec in request.specs]
@@ -168,7 +173,7 @@ def _run(
     heartbeat.say(stage="trends")
     trends: list[TrendOutcome] = []
     if not is_stopped:
-        changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
+        changed = {one.motor_id: one.changed_from for one in outcomes}
         try:
             trends = make_trends(fleet, request.clock, publisher, workers, changed)
         except KeyboardInterrupt:

@@ -21,9 +21,10 @@ from pipeline.config.hashes import ROLLER, SettingsHashes, settings_of, why_anew
 from pipeline.config.nights import nights_between
 from pipeline.logs.files import labels_of
 from pipeline.logs.motor_logs import MotorLogs
-from pipeline.logs.processed import NightRecord, ProcessedChange, ProcessedLogs
+from pipeline.logs.processed import GONE, FileRecord, NightRecord, ProcessedChange, ProcessedLogs
+from pipeline.run.coverage import NO_LOG
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
-from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
+from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK, WITH_SAMPLES
 
 if TYPE_CHECKING:
     from pipeline.night.fit_night import NightOutcome
@@ -98,7 +99,8 @@ class MotorNights:
         self.first_told: dict[dt.date, bool | None] = {}
         self.done: dict[dt.date, NightOutcome] = {}
         self.records: dict[dt.date, NightRecord] = dict(before.nights)
-        self.kept: set[dt.date] = set()
+        self.stays: dict[dt.date, str] = {}
+        self._note_gone()
         self.by_settings = self._outdated_by_settings()
 
     @contextmanager
@@ -114,22 +116,34 @@ class MotorNights:
         """True where no night is to be made, and no form of the fits changed."""
         return not self.open_nights() and self.is_roller_free() == self.form.roller_is_free
 
+    def _note_gone(self) -> None:
+        """Note which published nights have no log any more, and which have one again."""
+        if not self.logs.files or self.task.silent:
+            return
+        present = self.logs.present()
+        for label, record in self.nights_before.items():
+            if record.status in WITH_SAMPLES and record.stays in ("", GONE):
+                self.records[label] = replace(record, stays="" if label in present else GONE)
+
     def _outdated_by_settings(self) -> dict[dt.date, Step]:
         """Nights that were made with other settings, and how far they have to be made anew."""
         present, found = self.logs.present(), {}
-        if self.task.force:
-            return dict.fromkeys(present, Step(Work.READ, "asked for"))
         for label, record in self.nights_before.items():
             if not record.statistics_hash:
                 continue
-            if record.statistics_hash != self.hashes.statistics(label):
-                # Where the logs are gone, what is published stays.
-                if label in present:
-                    found[label] = Step(Work.READ, self._why_anew)
-            elif record.figures_hash != self.hashes.figures(label):
-                work = Work.REFIT if record.status == OK else Work.READ
-                found[label] = Step(work, self._why_anew)
-        return found
+            statistics, figures = self.hashes.statistics(label), self.hashes.figures(label)
+            if (record.statistics_hash, record.figures_hash) == (statistics, figures):
+                if record.refused:  # The settings are again those that it was made with.
+                    self.records[label] = replace(record, stays="", refused="")
+            elif record.refused != f"{statistics} {figures}":
+                is_of_blocks = record.statistics_hash == statistics and record.status == OK
+                if is_of_blocks or label in present:
+                    work = Work.REFIT if is_of_blocks else Work.READ
+                    found[label] = Step(work, self._why_anew)
+                elif record.status in WITH_SAMPLES:
+                    found[label] = Step(Work.STAY, f"{self._why_anew}, and {GONE}")
+        asked = filter(self.task.asks_for, present)
+        return found | dict.fromkeys(asked, Step(Work.READ, "asked for"))
 
     @cached_property
     def _why_anew(self) -> str:
@@ -144,19 +158,43 @@ class MotorNights:
             if (news := self.logs.news_of(name)) is not None:
                 # A night of which there is no log, or not yet, is none to be done.
                 reached = self.logs.touched(name) | (self.logs.reached(name) & present)
-                later |= dict.fromkeys(reached, Step(Work.READ, news))
+                later |= {label: self._step(label, news, present) for label in reached}
         later |= dict.fromkeys(self.abandoned, Step(Work.READ, "its log is gone"))
         later |= {
             label: Step(Work.READ, "released for fitting")
             for label, record in self.nights_before.items()
             if record.status == FAILED and label in self.task.released
         }
-        done = self.done.keys() | self.kept | waiting
+        done = self.done.keys() | self.stays.keys() | waiting
         return {
             label: step
             for label, step in later.items()
             if label not in done and self.task.wants(label)
         }
+
+    def _step(self, label: dt.date, news: str, present: set[dt.date]) -> Step:
+        """What is to be done about a night of which a log has news."""
+        is_lost = label not in present and self.is_published(label) and not self.has_its_logs(label)
+        return Step(Work.STAY, NO_LOG) if is_lost else Step(Work.READ, news)
+
+    def is_published(self, label: dt.date) -> bool:
+        """True where a night was made from samples."""
+        record = self.nights_before.get(label)
+        return record is not None and record.status in WITH_SAMPLES
+
+    def has_its_logs(self, label: dt.date) -> bool:
+        """True where all is there that a night was made from."""
+        record = self.nights_before.get(label)
+        return record is not None and self.logs.has_contents(record.logs)
+
+    def stay(self, label: dt.date, why: str, status: str = OK) -> None:
+        """Leave a night as it is published, and note why."""
+        record = self.nights_before.get(label) or NightRecord(status)
+        settings = self.hashes.statistics(label), self.hashes.figures(label)
+        is_of_them = settings == (record.statistics_hash, record.figures_hash)
+        refused = "" if is_of_them else " ".join(settings)
+        self.records[label] = replace(record, stays=why, refused=refused)
+        self.stays[label] = why
 
     def holes(self) -> list[dt.date]:
         """Nights between two logs that no log covers and no row tells of yet."""
@@ -202,10 +240,16 @@ class MotorNights:
             for label, record in self.records.items()
             if record.status == FAILED and label not in self.task.excluded
         ]
-        logs = [
-            one for one in self.logs.files.values() if one.status == "failed" and not one.nights
-        ]
-        return len(failed) + len(logs) + len(self.logs.absent)
+        return len(failed) + len(self._failed_logs()) + len(self.logs.absent)
+
+    def _failed_logs(self) -> dict[str, FileRecord]:
+        """Logs that cannot be read, and that no night fails with."""
+        staying = {label for label, one in self.records.items() if one.stays}
+        return {
+            name: one
+            for name, one in self.logs.files.items()
+            if one.status == "failed" and labels_of(one) <= staying
+        }
 
     def _why_nothing(self, status: str) -> str | None:
         """The reason for no fit although nothing failed; None: there is one, or none was to do."""
@@ -225,10 +269,8 @@ class MotorNights:
         ]
         errors += [
             (record.error_code, record.message)
-            for name, record in self.logs.files.items()
-            if record.status == "failed"
-            and not record.nights
-            and self.logs.news_of(name) is not None
+            for name, record in self._failed_logs().items()
+            if self.logs.news_of(name) is not None
         ]
         errors += [
             ("log_missing", f"{name}: named in the config and absent") for name in self.logs.absent
@@ -245,7 +287,8 @@ class MotorNights:
         else:
             status = counts.most_common(1)[0][0] if counts else NO_NEW_DATA
         code, message = errors[0] if errors else (None, self._why_nothing(status))
-        files = {**self.logs.before, **self.logs.finished(self.done)}
+        settled = self.done.keys() | self.stays.keys()
+        files = {**self.logs.before, **self.logs.finished(settled)}
         after = ProcessedLogs(files, self.records, settings_of(self.form))
         return MotorOutcome(
             motor_id=self.spec.motor_id,
@@ -255,7 +298,12 @@ class MotorNights:
             counts=counts,
             nights=tuple(sorted(self.done)),
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
-            files=self.logs.counts(self.done),
+            files=self.logs.counts(settled),
+            stays={
+                label: why
+                for label, why in sorted(self.stays.items())
+                if why != getattr(self.nights_before.get(label), "stays", "")
+            },
             growing=tuple(self.logs.growing()),
             left_out=tuple(self.logs.left_out()),
             n_standing=self._n_standing(),

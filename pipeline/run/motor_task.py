@@ -21,7 +21,7 @@ from pipeline.config.nights import night
 from pipeline.errors import StoreError
 from pipeline.logs.files import labels_of, reaches_us, slice_night
 from pipeline.logs.finding import legible
-from pipeline.logs.processed import FileRecord, NightRecord
+from pipeline.logs.processed import GONE, FileRecord, NightRecord
 from pipeline.messages import speak_as_told
 from pipeline.night.column_change import (
     COLUMNS,
@@ -33,11 +33,12 @@ from pipeline.night.column_change import (
 from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
 from pipeline.night.refit import refit, refit_in_form
 from pipeline.night.rows import Row, coefficient_names
+from pipeline.run.coverage import why_less
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.stored_nights import StoredNights
-from pipeline.run.tasks import MotorOutcome, MotorTask, Work, lost
-from pipeline.schema import LOG_FILES, NIGHT_TABLES, NIGHTS
-from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK
+from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work, lost
+from pipeline.schema import LOG_FILES, NIGHT_TABLES, NIGHTS, QUALITY
+from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK, WITH_SAMPLES
 from pipeline.store.publishing import stage, staged_file
 from pipeline.store.tables import read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
@@ -83,19 +84,20 @@ class _Making(MotorNights):
         self.stored = StoredNights(task.output, self.spec.motor_id)
 
     def run(self) -> MotorOutcome:
-        # Reading may show that a log covers other nights than its ends had told, so look again.
-        while plan := self.open_nights():
-            label = min(plan)
-            outcome = self._night(label, plan[label].work)
-            if outcome is None:
-                self.kept.add(label)
-                continue
-            self._remember(outcome)
-            for stage_name, taken in outcome.seconds.items():
-                self.seconds[stage_name] += taken
-            # Also those that an earlier state of a file had been read for.
-            for waiting in self.logs.waiting() & self.done.keys():
-                self._take_back(waiting)
+        plan = self.open_nights()
+        while plan:
+            label, n_moved = min(plan), self.logs.n_moved
+            outcome = self._night(label, plan.pop(label))
+            if outcome is not None:
+                self._remember(outcome)
+                for stage_name, taken in outcome.seconds.items():
+                    self.seconds[stage_name] += taken
+            # Reading may show that a log covers other nights than its ends do.
+            if self.logs.n_moved != n_moved:
+                # Also those that an earlier state of a file had been read for.
+                for waiting in self.logs.waiting() & self.done.keys():
+                    self._take_back(waiting)
+                plan = self.open_nights()
             # Of a first load: the nights to come are then fitted once.
             if not self.nights_before:
                 self._decide_form()
@@ -120,34 +122,58 @@ class _Making(MotorNights):
 
     def _remember(self, outcome: NightOutcome) -> None:
         label = outcome.night
+        before = None if outcome.tables is None else self.records.get(label)
         self.done[label] = outcome
         self.records[label] = NightRecord(
             outcome.status,
             self.hashes.statistics(label),
             self.hashes.figures(label),
             _tells_roller(outcome),
+            self.logs.contents_of(label) if before is None else before.logs,
+            "" if before is None else before.stays,
         )
 
-    def _night(self, label: dt.date, work: Work) -> NightOutcome | None:
-        """Outcome of a night; None where it stays as published, for want of its log."""
+    def _night(self, label: dt.date, step: Step) -> NightOutcome | None:
+        """Outcome of a night; None where it stays as published, for want of its logs."""
+        if step.work is Work.STAY:
+            self.stay(label, step.reason)
+            return None
         if given_up := self.lost_nights.get(label):
             return unfitted(self.spec, label, FAILED, legible(given_up.how), code=given_up.code)
         sign_of_life(label.isoformat())
         try:
-            if work is not Work.READ:
+            if step.work is Work.REFIT:
                 with self.timed("refit_s"):
                     outcome = refit(self.form, self.stored.night(label))
                 if outcome is not None:
                     return outcome
                 if label not in self.logs.present():
+                    self.stay(label, f"{step.reason}: its blocks do not suffice, and {GONE}")
                     return None
-            return self._in_form(self._read_and_fit(label))
+            return self._unless_less(self._in_form(self._read_and_fit(label)))
         except StoreError:
             raise
         except (Exception, PanicException) as error:  # one night must not cost the motor's others
             log.exception("motor %s, night %s failed", self.spec.motor_id, label)
             loss = loss_of(error)
             return unfitted(self.spec, label, FAILED, legible(loss.how), code=loss.code)
+
+    def _unless_less(self, outcome: NightOutcome) -> NightOutcome | None:
+        """Outcome of a night that was read; None where what is published was made from more."""
+        label = outcome.night
+        is_known = self.is_published(label) or not self.nights_before  # a state file may be lost
+        if not is_known or self.task.asks_for(label) or self.has_its_logs(label):
+            return outcome
+        published = self.stored.rows(label, (NIGHTS, QUALITY))
+        status = next((row["status"] for row in published[NIGHTS.name]), FAILED)
+        if status not in WITH_SAMPLES:
+            return outcome
+        is_failed = outcome.status == FAILED
+        why = outcome.reason if is_failed else why_less(outcome.rows, published)
+        if why is None:
+            return outcome
+        self.stay(label, why, status)
+        return None
 
     def _in_form(self, outcome: NightOutcome) -> NightOutcome:
         """A night's outcome in the form in which the motor's fits are published."""
@@ -239,6 +265,7 @@ class _Making(MotorNights):
 
         Of a night that is not done, the other rows stay as they are.
         """
+        settled = self.logs.finished(self.done.keys() | self.stays.keys())
         rows: defaultdict[dt.date, list[Row]] = defaultdict(list)
         moved: defaultdict[dt.date, set[str]] = defaultdict(set)
         for row in self.logs.rows():
@@ -246,7 +273,7 @@ class _Making(MotorNights):
             now, known = self.logs.files[name], self.task.processed.files.get(name)
             here = _place_of(now, self.records)
             there = None if known is None else _place_of(known, self.task.processed.nights)
-            is_new = row["night"] is None and now != known
+            is_new = now != known and (row["night"] is None or name in settled)
             if here is None or not (here in staged or is_new):
                 continue
             rows[here].append(row)

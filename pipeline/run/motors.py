@@ -59,7 +59,7 @@ def unchanged_motors(
     """
     if execution.backend == "dask":  # the logs may be seen by its workers alone
         return
-    asked = [task for task in tasks if not (task.force or task.retry or task.spec.log_url)]
+    asked = [task for task in tasks if not (task.redo or task.retry or task.spec.log_url)]
     answers: SimpleQueue[Mapping[str, FileRecord]] = SimpleQueue()
 
     def look() -> None:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from math import ceil
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
-from pipeline.clock import latest_us
+from pipeline.clock import latest_us, microseconds
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, own_version
-from pipeline.config.nights import night_of
+from pipeline.config.nights import DAY, night_of
 from pipeline.errors import StoreError
 from pipeline.logs.processed import write_change
 from pipeline.notification.outbox import pass_over
@@ -34,11 +34,12 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.store.publishing import Publisher
+from pipeline.store.state import State
 from pipeline.store.tables import read_table, whole_file
 from pipeline.store.views import write_views
-from pipeline.trends.nights.decisions import read_decisions
+from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.trend_record import note_touched, write_record
-from pipeline.trends.rows.motor_states import latest_rows
+from pipeline.trends.rows.motor_states import REMOVED, is_confirmed, latest_rows
 from pipeline.trends.tasks import (
     NewestNight,
     TrendOutcome,
@@ -75,12 +76,13 @@ MOTORS_A_TREND_TASK = 32
 def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> int:
     """Publish what the motors' tasks have staged; returns how many nights."""
     state = publisher.state
-    note_touched(state, ((one.motor_id, min(one.nights)) for one in outcomes if one.nights))
+    touched = {one.motor_id: one.changed_from for one in outcomes}
+    note_touched(state, ((name, first) for name, first in touched.items() if first))
 
     def published() -> None:
         for one in outcomes:
             write_change(state, one.motor_id, one.change)
-        if any(one.nights for one in outcomes):
+        if any(touched.values()):
             state.set_meta("latest", "")
 
     # Of a motor without a new night there may be the row of a log that is of none.
@@ -123,9 +125,15 @@ def run_trends(task: TrendTask) -> TrendOutcome:
 
 
 def newest_of_fleet(fleet: Fleet, clock: dt.datetime) -> NewestNight | None:
-    """Newest night, as `newest_night_of`, by the clock of a run."""
-    latest = night_of(latest_us(clock), fleet.settings.nights)
-    return newest_night_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
+    """Newest night, as `newest_night_of`; of a fleet that is silent the last by a run's clock."""
+    nights = fleet.settings.nights
+    latest = night_of(latest_us(clock), nights)
+    newest = newest_night_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
+    ended = night_of(microseconds(clock), nights) - DAY
+    if newest is not None and fleet.is_live and ended - newest.night > fleet.stale_after:
+        further = {name: night for name, night in newest.further.items() if night > ended}
+        newest = NewestNight(ended, further)
+    return newest
 
 
 def publish_trends(publisher: Publisher, made: Sequence[TrendOutcome]) -> list[Mapping[str, Any]]:
@@ -155,11 +163,16 @@ def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     motor_ids = sorted(spec.motor_id for spec in fleet.motors)
     published = _published_latest(output)
-    made_of = f"{len(read_decisions(output))} decisions"
-    if published["motor_id"].to_list() == motor_ids and state.meta("latest") == made_of:
+    decisions = read_decisions(output)
+    own = {name for one in fleet.motors for name in (one.motor_id, one.file.formerly)}
+    gone = _gone_motors(state, published, own, decisions)
+    made_of = f"{len(decisions)} decisions"
+    there = dict(published.select("motor_id", pl.col("state") == REMOVED).rows())
+    expected = {name: name in gone for name in (*motor_ids, *gone)}
+    if there == expected and state.meta("latest") == made_of:
         return
     try:
-        some = latest_rows(output, motor_ids)
+        some = latest_rows(output, motor_ids, gone)
     except StoreError as error:
         log.warning("%s; the table `latest` stays as it was", error)
         return
@@ -167,6 +180,23 @@ def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:
     if not rows.drop("run_id").equals(published.drop("run_id")):
         publisher.whole(LATEST, rows)
     state.set_meta("latest", made_of)
+
+
+def _gone_motors(
+    state: State, published: pl.DataFrame, own: Collection[str], decisions: Sequence[Decision]
+) -> list[str]:
+    """Motors that the config has no more, and of which nobody has confirmed it."""
+    before = {row["motor_id"]: row for row in published.to_dicts()}
+    known = before.keys() | {motor_id for (motor_id,) in state.rows("SELECT motor_id FROM motors")}
+    gone = sorted(known.difference(own))
+    for name in gone:
+        if name in before and before[name]["state"] != REMOVED:
+            what = "it stays in `latest` as removed until `motor-leakage ack` confirms it"
+            log.warning(
+                "%s is in the config no more, and was %s: %s", name, before[name]["state"], what
+            )
+    rows = {name: before.get(name) or latest_rows(state.output, [name])[0] for name in gone}
+    return [name for name, row in rows.items() if row["night"] and not is_confirmed(row, decisions)]
 
 
 def _published_latest(output: Path) -> pl.DataFrame:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import logging
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +33,16 @@ class StoredNights:
 
     def outcome(self, label: dt.date) -> NightOutcome:
         """A fitted night as published: what another form of its fits replaces."""
-        rows = {table.name: self._rows(table, label) for table in (NIGHTS, FITS, PARAMETERS)}
+        rows = self.rows(label, (NIGHTS, FITS, PARAMETERS))
         return NightOutcome(label, OK, None, None, rows, tables=tuple(rows))
+
+    def rows(self, label: dt.date, tables: Iterable[Table]) -> dict[str, list[dict[str, Any]]]:
+        """Rows of a night by table."""
+        return {table.name: self._rows(table, label) for table in tables}
 
     def night(self, label: dt.date) -> PublishedNight:
         """Rows of a night."""
-        rows = {name: self._rows(TABLE_OF[name], label) for name in FROM_TABLES}
+        rows = self.rows(label, map(TABLE_OF.__getitem__, FROM_TABLES))
         return PublishedNight(label, rows, self._of_night(BLOCKS, label))
 
     def _rows(self, table: Table, label: dt.date) -> list[dict[str, Any]]:

@@ -19,6 +19,7 @@ from pipeline.store.published import TableFault
 from pipeline.trends.nights.decisions import Kind, read_decisions
 from pipeline.workers.process import Loss
 
+Span = tuple[dt.date, dt.date]
 # A motor of which more nights than this take their worker with them, or more logs than this do not
 # answer, is given up as a whole.
 MOST_GIVEN_UP = 3
@@ -33,7 +34,8 @@ class RunRequest:
     # since, until: labels of the first and last night to do; None: no limit.
     since: dt.date | None = None
     until: dt.date | None = None
-    force: bool = False  # whether to make nights anew from their logs that nothing has changed of
+    # redo: first and last night to make anew from the logs that there are, whatever they lack.
+    redo: Span | None = None
     retry: bool = False  # whether to try nights and logs again that failed
     repair: bool = False  # whether to prove every table file before
     # The time of the run, by which logs lie in the future.
@@ -47,7 +49,10 @@ class RunRequest:
         )
 
     def task(
-        self, spec: MotorSpec, staging: Path, processed: ProcessedLogs | None = None
+        self,
+        spec: MotorSpec,
+        staging: Path,
+        processed: ProcessedLogs | None = None,
     ) -> MotorTask:
         """The task of a motor."""
         return MotorTask(
@@ -57,7 +62,7 @@ class RunRequest:
             processed=processed or ProcessedLogs(),
             since=self.since,
             until=self.until,
-            force=self.force,
+            redo=self.redo,
             retry=self.retry,
             latest_us=latest_us(self.clock),
             excluded=self._decided(spec, "excluded"),
@@ -73,15 +78,16 @@ class RunRequest:
 
 
 class Work(Enum):
-    """Source of a night that is made anew: its log, or its statistics."""
+    """Source of a night that is made anew: its log, or its statistics; neither where it stays."""
 
     READ = "read"
     REFIT = "refit"
+    STAY = "stay"
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A night that is to be made anew: how far, and why, in words."""
+    """A night that is to be made anew, or cannot be: how far, and why, in words."""
 
     work: Work
     reason: str
@@ -99,7 +105,8 @@ class MotorTask:
     # since, until: labels of the first and last night to do; None: no limit.
     since: dt.date | None = None
     until: dt.date | None = None
-    force: bool = False  # whether to make nights anew from their logs that nothing has changed of
+    # redo: first and last night to make anew from the logs that there are, whatever they lack.
+    redo: Span | None = None
     retry: bool = False  # whether to try nights and logs again that failed
     # Losses of this run, each in a night that is not made, or at a log that is not opened.
     given_up: tuple[Loss, ...] = ()
@@ -124,6 +131,10 @@ class MotorTask:
         """Logs that did not answer, and patterns of logs whose folders did not."""
         return {one.log: one for one in self.given_up if one.log}
 
+    def asks_for(self, label: dt.date) -> bool:
+        """True where a person wants a night made anew, whatever its logs lack."""
+        return self.redo is not None and self.redo[0] <= label <= self.redo[1]
+
     def wants(self, label: dt.date) -> bool:
         """True where a night lies within the asked-for range."""
         return (self.since is None or label >= self.since) and (
@@ -146,6 +157,8 @@ class MotorOutcome:
     inputs: tuple[str, ...] = ()  # hashes of the contents that were read, in the order of the files
     # Log files by what came of them: read, unchanged, growing, failed or left.
     files: Mapping[str, int] = field(default_factory=dict)
+    # Nights that stay as published from this run on, and why.
+    stays: Mapping[dt.date, str] = field(default_factory=dict)
     # What there is to say of each file that is changed while it is read.
     growing: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()  # what is said of files of which rows were left out
@@ -156,6 +169,11 @@ class MotorOutcome:
     peak_memory_mib: float | None = None  # largest memory of the worker so far
     # change: Of the motor's record of processed logs.
     change: ProcessedChange = field(default_factory=ProcessedChange)
+
+    @property
+    def changed_from(self) -> dt.date | None:
+        """First night of which something else is published than before; None without one."""
+        return min((*self.nights, *self.stays), default=None)
 
     @property
     def finished(self) -> bool:
@@ -210,6 +228,8 @@ class RunResult:
     @property
     def without_logs(self) -> bool:
         """True where no motor has any log: the folder may not be mounted."""
+        if self.interrupted:
+            return False
         return not any(outcome.files or not outcome.finished for outcome in self.outcomes)
 
     @property

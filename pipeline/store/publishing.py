@@ -186,6 +186,10 @@ class Publisher:
             works.append(partial(self._changed, table, month, change))
         self._publish(works)
 
+    def change(self, table: Table, label: str, change: Change) -> None:
+        """Change the rows of a table file, if any are others; raises as `nights`."""
+        self._publish([partial(self._changed, table, label, change)])
+
     def _with_staged(self, table: Table, label: str, staged: Mapping[str, Staged]) -> NewFile:
         """The file with the staged rows that go into it."""
         rows, done = read_staged(table, staged, self.run_id)

@@ -29,6 +29,8 @@ STATE_FILES = (STATE_FILE, f"{STATE_FILE}-wal", f"{STATE_FILE}-shm")
 VERSION = 3
 # What a run leaves in an output folder; the state comes last, as it says of which version all is.
 OUTPUT = ("tables", "report", "views.sql", *STATE_FILES[::-1])
+# Of `meta`: start of the last run.
+LAST_RUN = "last_run"
 # So long a command waits for the transaction of another process [s].
 BUSY_S = 30.0
 
@@ -45,6 +47,7 @@ CREATE TABLE logs (
 CREATE TABLE nights (
     motor_id TEXT NOT NULL REFERENCES motors, night TEXT NOT NULL, status TEXT NOT NULL,
     statistics_hash TEXT NOT NULL, figures_hash TEXT NOT NULL, tells_roller INTEGER,
+    logs TEXT NOT NULL, stays TEXT NOT NULL, refused TEXT NOT NULL,
     PRIMARY KEY (motor_id, night)
 ) WITHOUT ROWID;
 CREATE TABLE files (
@@ -213,17 +216,20 @@ def _version(state: State) -> int:
     return int(version)
 
 
-def make_ready(output: Path) -> None:
+def make_ready(output: Path, newest_run: str = "") -> None:
     """At a run's start: put aside a damaged state file, or an output of an earlier version.
 
-    What is gone is then made anew. Wherever that is broken off, the next run goes on. Raises
-    StoreError if a file cannot be moved, or is of a newer version of the program.
+    One that knows nothing of the `newest_run` in the tables, by its start, was restored, and is as
+    good as damaged. What is gone is then made anew. Wherever that is broken off, the next run goes
+    on. Raises StoreError if a file cannot be moved, or is of a newer version of the program.
     """
     version = _version_of(output / STATE_FILE)
     if version is None:
         _put_aside(output, STATE_FILES, f"{STATE_FILE} is damaged, and made anew from the tables")
     elif 0 < version < VERSION:
         _put_aside(output, OUTPUT, "the output is of an earlier version")
+    elif version and _is_older(output, newest_run):
+        _put_aside(output, STATE_FILES, f"{STATE_FILE} is older than the tables")
     elif version == 0 and (output / "tables").is_dir():
         log.warning("%s is gone; it is made anew from logs and tables", STATE_FILE)
 
@@ -236,6 +242,11 @@ def _put_aside(output: Path, names: Sequence[str], why: str) -> None:
     for name in names:
         if (output / name).exists():
             move(output / name, aside / name)
+
+
+def _is_older(output: Path, newest_run: str) -> bool:
+    with read_state_file(output) as state:
+        return state.meta(LAST_RUN) < newest_run
 
 
 def is_sound(output: Path) -> bool:

@@ -260,7 +260,7 @@ def _known_names(path: Path, table: Table, file: pq.ParquetFile) -> set[str]:
             f"it has schema version {version}, with unknown columns "
             f"({', '.join(strange) or 'none'}) or without some of the key "
             f"({', '.join(absent) or 'none'}); expected version {SCHEMA_VERSION}: "
-            "`fit-fleet --force` makes it anew from the logs"
+            "`fit-fleet --redo NIGHTS` makes it anew from the logs"
         )
     return names
 

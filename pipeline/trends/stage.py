@@ -94,7 +94,11 @@ def _run_circuit(
             continue
         courses[name] = course
         if motor.wanted.first is not None:
-            trends = _guarded(done, name, partial(MadeTrends.of, course, motor.wanted.first))
+            trends = _guarded(
+                done,
+                name,
+                partial(MadeTrends.of, course, motor.wanted.first, task.stays.get(name, {})),
+            )
             made |= {} if trends is None else {name: trends}
     _tell(courses, made, done)
     for name, trends in made.items():

@@ -12,7 +12,7 @@ from typing import Any
 import polars as pl
 
 from pipeline.config import MotorSpec
-from pipeline.logs.processed import as_published, read_settings
+from pipeline.logs.processed import as_published, read_settings, read_stays
 from pipeline.schema import NIGHTS
 from pipeline.schema.fits import WITH_SAMPLES
 from pipeline.store.state import State
@@ -153,6 +153,8 @@ class TrendTask:
     changed_from: Mapping[str, dt.date | None]
     newest_night: NewestNight
     kept: Mapping[str, bytes | None] = field(default_factory=dict)
+    # By motor, why nights stay as published.
+    stays: Mapping[str, Mapping[dt.date, str]] = field(default_factory=dict)
     given_up: Mapping[str, Loss] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -191,6 +193,7 @@ def trend_tasks(
 ) -> list[TrendTask]:
     """Tasks of whole circuits with nights to be made, of about so many motors each."""
     records, settings = read_records(state), read_settings(state)
+    stays, _ = read_stays(state, records.keys())
     batches: list[list[Circuit]] = [[]]
     for group in circuits_of(specs):
         if not any(one.motor_id in changed_from for one in group):
@@ -208,6 +211,7 @@ def trend_tasks(
             changed_from,
             newest_night,
             {name: read_kept(state, name) for circuit in batch for name in circuit.records},
+            {name: stays.get(name, {}) for circuit in batch for name in circuit.records},
         )
         for batch in batches
         if batch

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 NIGHT = dt.date(2026, 3, 2)
 SECOND_US = 1_000_000
-FLEET = 'name = "Tests"\n[folders]\nlogs = "../logs"\noutput = "../out"\n'
+FLEET = 'name = "Tests"\nlive = false\n[folders]\nlogs = "../logs"\noutput = "../out"\n'
 CANONICAL = {
     "pressure_difference": "bar",
     "oil_temperature": "degC",

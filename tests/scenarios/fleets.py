@@ -293,7 +293,8 @@ def _write_configs(fleet: ScenarioFleet, settings: str) -> None:
     for name in ("motor_types", "oils"):
         shutil.copytree(shipped_configs() / name, configs / name)
     (configs / "motors").mkdir()
-    text = f'name = "Scenario"\n[folders]\nlogs = "../logs"\noutput = "../out"\n{SEQUENTIAL}'
+    folders = '[folders]\nlogs = "../logs"\noutput = "../out"\n'
+    text = f'name = "Scenario"\nlive = false\n{folders}{SEQUENTIAL}'
     fleet.config.write_text(f"{text}{settings}\n", "utf-8")
     for motor in fleet.motors.values():
         path = configs / "motors" / f"{motor.motor_id}.toml"

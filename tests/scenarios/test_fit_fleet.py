@@ -54,7 +54,7 @@ def test_motors_and_nights_are_those_that_are_chosen(small: ScenarioFleet) -> No
     assert published.table(elsewhere, "runs")["workers"].to_list() == [1]
 
 
-@covers("fit-fleet --dry-run --force")
+@covers("fit-fleet --dry-run --redo")
 def test_a_dry_run_says_what_a_run_does_and_does_nothing(small: ScenarioFleet) -> None:
     def planned(*arguments: object) -> dict[str, set[str]]:
         done = small.run("fit-fleet", "--dry-run", "--json", *arguments)
@@ -72,7 +72,7 @@ def test_a_dry_run_says_what_a_run_does_and_does_nothing(small: ScenarioFleet) -
     assert nights_of(small) == {"A": [1, 2, 3, 4], "B": [1, 2, 3, 4]}
     assert planned() == {"A": set(), "B": set()}
     asked = {f"{small.label(night)} asked for" for night in (3, 4)}
-    chosen = ("--motors", "A", "--since", small.label(3), "--force")
+    chosen = ("--motors", "A", "--redo", f"{small.label(3)}..{small.label(4)}")
     assert planned(*chosen) == {"A": asked}
     (motor,) = small.run("fit-fleet", *chosen, "--json").events("motor")
     assert motor["nights"] == {"ok": 2}

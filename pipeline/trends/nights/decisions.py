@@ -24,7 +24,7 @@ from pipeline.store.tables import read_table, whole_file
 
 log = logging.getLogger(__name__)
 
-Kind = Literal["acknowledged", "finding", "baseline_reset", "excluded", "released"]
+Kind = Literal["acknowledged", "finding", "baseline_reset", "removed", "excluded", "released"]
 Finding = Literal["confirmed", "not_confirmed"]
 
 # What alarms, decisions and baselines are of.
@@ -40,8 +40,8 @@ class Decision:
     motor_id: str
     indicator: str
     time: dt.datetime  # of the decision, UTC
-    # An alarm acknowledged, the finding of an inspection, a baseline reset; a failed night
-    # accepted as excluded, or released for fitting although its columns look changed.
+    # An alarm acknowledged, the finding of an inspection, a baseline reset, a motor that is gone; a
+    # failed night accepted as excluded, or released for fitting though its columns look changed.
     kind: Kind
     # The night that it refers to: of a reset the first night of the new baseline, of a finding on
     # parts the day on which the motor was opened.
@@ -51,6 +51,11 @@ class Decision:
     # worn, sound: parts that an inspection found so, separated by commas; None without any.
     worn: str | None = None
     sound: str | None = None
+
+
+def is_withdrawn(decisions: Iterable[Decision], raised: dt.date) -> bool:
+    """True where an inspection has not confirmed what was raised on a night."""
+    return any(one.finding == "not_confirmed" and one.night >= raised for one in decisions)
 
 
 def record_decision(output: Path, decision: Decision) -> None:

@@ -138,6 +138,7 @@ EVENT_WORDS = {
 CARRIED = ("oil_change", "meter_changed", "sensor_changed")
 # What begins with a motor's first night.
 FIRST_NIGHTS = "first nights"
+OTHER_SETTINGS = "other settings from"
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +201,6 @@ def _changed_settings(history: History) -> list[tuple[int, str]]:
             continue
         now = bytes(models[place]), spec.file.oil_on(label)
         if before is not None and now[0] != before[0] and now[1] == before[1]:
-            found.append((place, f"other settings from {label}"))
+            found.append((place, f"{OTHER_SETTINGS} {label}"))
         before = now
     return found

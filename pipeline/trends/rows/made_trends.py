@@ -5,16 +5,18 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 from leakage.estimation.identifiability import TOLD
 from leakage.watch import Estimate, Watch
 from pipeline.night.rows import Row, night_row
 from pipeline.schema import ALARMS, NIGHTS, OF_TRENDS, TRENDS, Table
 from pipeline.schema.fits import NO_NEW_DATA
-from pipeline.trends.nights.decisions import LEAKAGE
+from pipeline.trends.nights.decisions import LEAKAGE, is_withdrawn
 from pipeline.trends.nights.from_tables import NO_LOG
+from pipeline.trends.nights.history import OTHER_SETTINGS, periods_of
 from pipeline.trends.rows.alarm_rows import alarm_rows, what_of
-from pipeline.trends.rows.motor_states import CHANGED
+from pipeline.trends.rows.motor_states import CHANGED, ORDER, STALE
 from pipeline.trends.rows.night_rows import log_note, state_columns
 from pipeline.trends.rows.trend_rows import leakage_rows, oil_as_measured, trend_rows
 from pipeline.trends.sentences import CHECK_ZERO
@@ -23,27 +25,30 @@ from pipeline.trends.states.judged import judged
 from pipeline.trends.states.zeros import HALF, Zero, sensor_zeros
 
 DAY = dt.timedelta(days=1)
+JUDGE = "Inspect it, enter what was done as an event, or reset the baseline: data cannot end it."
 
 
 @dataclass(slots=True)
 class MadeTrends:
     """A motor's trends: rows by table, of the nights from a first one on.
 
-    `changed` is the last night so far in which a change was in force.
+    `changed` is the last night so far in which a change was in force; `stays` says why nights stay
+    as published.
     """
 
     course: Course
     first: dt.date
     zeros: Mapping[str, Zero]
     changed: dt.date
+    stays: Mapping[dt.date, str]
     rows: dict[Table, list[Row]]
 
     @classmethod
-    def of(cls, course: Course, first: dt.date) -> MadeTrends:
+    def of(cls, course: Course, first: dt.date, stays: Mapping[dt.date, str]) -> MadeTrends:
         """A motor of which no night is made yet."""
         zeros = sensor_zeros(course.nights.history)
         changed = _last_changed(course.nights.alarms, first)
-        return cls(course, first, zeros, changed, {NIGHTS: [], TRENDS: []})
+        return cls(course, first, zeros, changed, stays, {NIGHTS: [], TRENDS: []})
 
     @property
     def nights(self) -> list[dt.date]:
@@ -76,11 +81,17 @@ class MadeTrends:
                 **state_columns(night, quiet_since, drifts),
                 **limits,
                 "previous_model_fit_percent": nights.previous_model_fit_percent(label),
-                "log_note": log_note(
-                    nights.history, watched.place, nights.messages.get(label, ()), oil
-                ),
+                "log_note": log_note(nights.history, watched.place, self._messages(label), oil),
             }
         )
+
+    def _messages(self, label: dt.date) -> list[str]:
+        """What is to be said of a night's logs."""
+        why = self.stays.get(label)
+        return [
+            *([f"as published: {why}"] if why else []),
+            *self.course.nights.messages.get(label, ()),
+        ]
 
     def _quiet_since(self, watched: WatchedNight) -> dt.date | None:
         """Since when no change has been in force."""
@@ -95,10 +106,33 @@ class MadeTrends:
         for name, zero in self.zeros.items():
             places = map(history.place_from, self.nights)
             states[name] = [self._sensor_state(zero, place) for place in places]
+        self._hold(published)
         rows = alarm_rows(states, published)
         before = [row for row in published if row["night"] < self.first]
         _add_state_since(self.rows[NIGHTS], [*before, *rows])
         return rows
+
+    def _hold(self, published: Sequence[Row]) -> None:
+        """Leave a state in force that nights of other settings cannot end, until people do."""
+        of_leakage = [row for row in published if what_of(row) == LEAKAGE]
+        last = max(of_leakage, key=itemgetter("night"), default=None)
+        if last is None or last["to_state"] not in CHANGED:
+            return
+        history, raised = self.course.nights.history, last["night"]
+        later = [one for one in periods_of(history) if history.nights[one.first] > raised]
+        is_of_settings = {
+            history.nights[one.first]: one.reason.startswith(OTHER_SETTINGS) for one in later
+        }
+        if not any(is_of_settings.values()) or is_withdrawn(history.decisions, raised):
+            return
+        ended = min((night for night, of_it in is_of_settings.items() if not of_it), default=None)
+        for row in self.rows[NIGHTS]:
+            is_weaker = ORDER.index(row["state"]) > ORDER.index(last["to_state"])
+            is_later = row["night"] >= raised and (ended is None or row["night"] < ended)
+            if is_later and is_weaker and row["state"] != STALE:
+                words = f"in force since {raised} by the settings of then: {last['sentence']}"
+                row |= {"state": last["to_state"], "cause": last["cause"], "advice": JUDGE}
+                row["sentence"] = f"{words.removesuffix('.')}; now: {row['sentence']}"
 
     def _sensor_state(self, zero: Zero, place: int) -> Row:
         """State of a sensor in a night, in the columns of `nights`."""

@@ -22,7 +22,10 @@ Row = dict[str, Any]
 
 # From what needs attention most to what needs none.
 CHANGED = ("alarm", "warning", "common_cause")
-ORDER = (*CHANGED, "stale", "insufficient", "ok")
+# Of a motor that the config has no more, until a person confirms it.
+REMOVED = "removed"
+STALE = "stale"
+ORDER = (*CHANGED, STALE, REMOVED, "insufficient", "ok")
 NEWEST_FITS = ("training_fit_percent", "validation_fit_percent")
 FITS_OF_A_NIGHT = {
     "training_fit_percent": "training",
@@ -30,7 +33,7 @@ FITS_OF_A_NIGHT = {
     "previous_model_fit_percent": "previous night's model",
 }
 # States that ask for something.
-TOLD = (*CHANGED, "stale")
+TOLD = (*CHANGED, STALE, REMOVED)
 # States of the intraday check: a sudden rise, and none.
 RISEN, CLEAR = "risen", "clear"
 
@@ -149,7 +152,7 @@ def urgency(motor: MotorState) -> tuple[int, float, str]:
     """Sort key of motors: a sudden rise first; a failed night no later than a stale motor."""
     place = -1 if motor.is_sudden else ORDER.index(motor.state)
     if motor.failure:
-        place = min(place, ORDER.index("stale"))
+        place = min(place, ORDER.index(STALE))
     return place, -(motor.row["leakage_change_percent"] or 0.0), motor.motor_id
 
 
@@ -167,9 +170,12 @@ def with_acknowledgement(row: Row, decisions: Sequence[Decision]) -> Row:
     return row | {"acknowledged": said[-1]} if said else row
 
 
-def latest_rows(output: Path, motor_ids: Sequence[str]) -> list[Row]:
-    """Rows of `latest` of some motors; raises StoreError if a table is damaged."""
-    nights = read_rows(output, NIGHTS, motor_ids).drop("run_id").sort("night")
+def latest_rows(output: Path, motor_ids: Sequence[str], gone: Sequence[str] = ()) -> list[Row]:
+    """Rows of `latest` of some motors, and of those that are gone; raises StoreError if a table is
+    damaged.
+    """
+    every = [*motor_ids, *gone]
+    nights = read_rows(output, NIGHTS, every).drop("run_id").sort("night")
     last, data, fitted = (
         _by_motor(some)
         for some in (
@@ -179,10 +185,10 @@ def latest_rows(output: Path, motor_ids: Sequence[str]) -> list[Row]:
         )
     )
     newest = max((row["night"] for row in data.values()), default=None)
-    sensors = _sensors(output, motor_ids)
+    sensors = _sensors(output, every)
     decisions = read_decisions(output)
     found = []
-    for name in motor_ids:
+    for name in every:
         row = _unknown(name)
         if name in last:
             of_data = data.get(name, {})
@@ -193,12 +199,32 @@ def latest_rows(output: Path, motor_ids: Sequence[str]) -> list[Row]:
             if of_data and newest is not None:
                 row["data_age_nights"] = (newest - of_data["night"]).days
             row["last_fit_night"] = fitted.get(name, {}).get("night")
-        found.append(with_acknowledgement(row, decisions))
+        row = with_acknowledgement(row, decisions)
+        found.append(_as_removed(row) if name in gone else row)
     return found
 
 
+def _as_removed(row: Row) -> Row:
+    was = f"{row['state'].replace('_', ' ')}: {row['sentence']}"
+    since = f"the state in force then, since {row['state_since']}" if row["state_since"] else "then"
+    advice = "Put its file back, name it as `formerly` of another motor, or confirm it with `ack`."
+    sentence = f"in the config no more; {since}, {was}"
+    return row | {"state": REMOVED, "sentence": sentence, "advice": advice}
+
+
+def is_confirmed(row: Row, decisions: Sequence[Decision]) -> bool:
+    """True where a person has confirmed that a motor is gone."""
+    return any(
+        (one.motor_id, one.kind) == (row["motor_id"], "removed")
+        and row["night"] is not None
+        and one.night >= row["night"]
+        for one in decisions
+    )
+
+
 def published_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
-    """States of some motors as the last run left them, with what was said of them since.
+    """States of some motors, and of those that are gone, as the last run left them, with what was
+    said of them since.
 
     Without a table `latest` that is whole they are made from the other tables; raises StoreError if
     one of these is damaged.
@@ -211,9 +237,14 @@ def published_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]
         return [MotorState(row) for row in latest_rows(output, motor_ids)]
     known = {row["motor_id"]: row for row in rows.to_dicts()}
     decisions = read_decisions(output)
+    gone = [
+        name
+        for name, row in known.items()
+        if row["state"] == REMOVED and name not in motor_ids and not is_confirmed(row, decisions)
+    ]
     return [
         MotorState(with_acknowledgement(known.get(name) or _unknown(name), decisions))
-        for name in motor_ids
+        for name in (*motor_ids, *gone)
     ]
 
 

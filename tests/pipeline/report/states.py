@@ -116,7 +116,7 @@ SINCE = [None, None, 2, 2, 4, 4]
 @pytest.fixture
 def output(tmp_path: Path) -> Path:
     """A fleet of M1, whose sleeve is worn, with the tables that status reads."""
-    header = 'name = "Tests"\n[folders]\nlogs = "../logs"\noutput = "../out"\n'
+    header = 'name = "Tests"\nlive = false\n[folders]\nlogs = "../logs"\noutput = "../out"\n'
     write_configs(tmp_path, {"M1": motor_toml("M1", "CB560")}, {}, fleet=header)
     output = tmp_path / "out"
     rows = [

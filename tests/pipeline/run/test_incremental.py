@@ -224,9 +224,9 @@ def outcome_of(request: RunRequest, motor_id: str = "M1") -> MotorOutcome:
     return found[motor_id]
 
 
-def test_force_makes_asked_for_nights_anew_and_the_same(workshop: Workshop) -> None:
+def test_redo_makes_asked_for_nights_anew_and_the_same(workshop: Workshop) -> None:
     before = workshop.rows("fits")
-    request = RunRequest(load_fleet(workshop.fleet), since=NIGHTS[2], force=True)
+    request = RunRequest(load_fleet(workshop.fleet), redo=(NIGHTS[2], NIGHTS[-1]))
     assert outcome_of(request).nights == NIGHTS[2:]
     assert workshop.rows("fits").equals(before)
 

@@ -119,9 +119,9 @@ def test_what_status_says_of_a_run(
     code = "store_write" if state == "failed" else None
     beat = Beat(state, "trends", at, at, 12, "host", 3, 2, error_code=code)
     found = FleetStatus((), None, beat)
-    print_status("Tests", found, too_old=False, as_json=False)
+    print_status("Tests", found, too_old=False, is_silent=False, as_json=False)
     first, *more = capsys.readouterr().err.splitlines()
     assert first == "last good run: never"
     assert [words in line for line in more] == [True] if words else more == []
-    print_status("Tests", found, too_old=False, as_json=True)
+    print_status("Tests", found, too_old=False, is_silent=False, as_json=True)
     assert json.loads(capsys.readouterr().out)["run"]["state"] == state

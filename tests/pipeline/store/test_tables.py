@@ -227,7 +227,7 @@ class TestSchema:
     def test_file_without_a_key_column_is_none_of_ours(self, tmp_path: Path, name: str) -> None:
         path = tmp_path / "no_key.parquet"
         write_table(path, rows(row("A")).drop(name))
-        with pytest.raises(StoreError, match=f"key \\({name}\\).*`fit-fleet --force`"):
+        with pytest.raises(StoreError, match=f"key \\({name}\\).*`fit-fleet --redo NIGHTS`"):
             read_table(path, QUALITY)
 
     def test_column_of_a_newer_version_is_not_dropped_silently(self, tmp_path: Path) -> None:

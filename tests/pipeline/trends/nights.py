@@ -265,7 +265,8 @@ def fleet_of(
     until: int = 10_000,
 ) -> tuple[Path, Path]:
     """Publish the nights of some motors before a place, with their config; its file, the output."""
-    header = f'name = "Tests"\n[folders]\nlogs = "../logs"\noutput = "../out"\n{QUICK}{fleet}'
+    folders = '[folders]\nlogs = "../logs"\noutput = "../out"\n'
+    header = f'name = "Tests"\nlive = false\n{folders}{QUICK}{fleet}'
     files = {}
     for one in motors:
         file = one.spec.file
