@@ -372,7 +372,8 @@ def is_of_parts(label: str) -> bool:
 
 
 def _parts(change: Change) -> str:
-    return plain(change.cause).replace(" and ", " and the ").replace(ONE_OF, ", the ")
+    *first, last = plain(change.cause).replace(" and ", ONE_OF).split(ONE_OF)
+    return f"{', the '.join(first)} and the {last}" if first else last
 
 
 def percent(probability: float) -> str:

@@ -233,7 +233,7 @@ MISSED = "% of the flow, so no part is named"
             change(SLEEVE, alike=("balance_piston", SLEEVE),
                    candidates={SLEEVE: 0.7, "balance_piston": 0.28, "oil_grade": 0.02}), 0.005,
             "leakage has risen through one or more of: balance piston, balance sleeve",
-            "probability 98 %", "Plan an inspection of the balance piston, the balance sleeve.",
+            "probability 98 %", "Plan an inspection of the balance piston and the balance sleeve.",
         ),
         (
             change("cannot_be_told", alike=("oil_grade", SLEEVE),
