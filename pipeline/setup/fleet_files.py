@@ -19,8 +19,9 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from pipeline.clock import utc
+from pipeline.clock import now, utc
 from pipeline.config import Channel, Fleet
+from pipeline.config.alarms import Alarms
 from pipeline.config.channels import PORT_PRESSURES
 from pipeline.config.loading import NAME_MARK, completed, named
 from pipeline.config.logs import Logs
@@ -78,6 +79,7 @@ def fleet_files(
     end_hour = night_end(observed)
     fleet: Document = {
         "name": folder.resolve().name or "fleet",
+        **({"live": False} if _are_past(observed) else {}),
         "folders": folders,
         "nights": nights | ({} if end_hour is None else {"end_hour": end_hour}),
         "reference": reference(observed),
@@ -87,6 +89,12 @@ def fleet_files(
         f"motors/{motor.motor_id}.toml": _motor_text(motor, its, shared)
         for motor, its in zip(proposal.motors, own, strict=True)
     }
+
+
+def _are_past(observed: Sequence[Observed]) -> bool:
+    """True for logs that ended long ago: by this machine's clock all motors would be stale."""
+    ends = [end for motor in observed for _, end in motor.spans]
+    return bool(ends) and now() - max(ends) > dt.timedelta(Alarms().stale_after_nights)
 
 
 def machine_of(

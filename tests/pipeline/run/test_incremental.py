@@ -181,7 +181,7 @@ def test_a_setting_redoes_what_depends_on_it_and_says_so(workshop: Workshop, set
         ("[execution]\n", '[alarms]\nwebhook_url = "https://example.org/x"\n[execution]\n'),
         ("[execution]\n", '[alarms]\nwebhook_headers = { X = "1" }\n[execution]\n'),
         ("[execution]\n", '[alarms]\nwebhook_secret = "${X}"\n[execution]\n'),
-        ('name = "Tests"', 'name = "Others"'),
+        ('name = "Tests"', 'name = "Others"\nformerly = "Tests"'),
     ],
 )
 def test_what_shapes_no_figure_redoes_nothing(workshop: Workshop, change: tuple[str, str]) -> None:
