@@ -128,7 +128,7 @@ def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
     from pipeline.setup.operation import SWAPPED
 
     for spec in fleet.motors:
-        seen = check_motor(spec)
+        seen = check_motor(spec, has_forecast=False)
         for told in (*seen.faults, *seen.notes):
             if told.startswith(("unit_", "column")) or told.endswith(SWAPPED):
                 say(f"{spec.motor_id}: {told}", err=True)
