@@ -47,12 +47,12 @@ def test_hashes_of_the_shipped_motors_stay() -> None:
         for dated in [SettingsHashes(spec)]
     ]
     assert found == [
-        ("38f0f28070caaced", "b2655957f9315310", "f183d1215fe95a41", "cc3a9ee3605b2229"),
-        ("bbd6f4694fb63749", "44ffe40b20d60db3", "50bea82a3980611c", "f36ecc296bcc5af7"),
-        ("c8ce36800478243a", "6ab6264f76cef782", "d4ff9581b5ff7999", "74334aac3de45494"),
-        ("ad67cbdd48f2775a", "0dcb336e93a1257d", "d4ff9581b5ff7999", "ba00fc68941a1119"),
-        ("f1c87f90e8e1a73e", "70a63ef4f9f4110a", "b7d067d194772636", "7613cad1276d25ab"),
-        ("f791ae6380505b7e", "431a95e0dc8579d4", "bcf4f72391a7b729", "7534bb3ab22c65bd"),
+        ("38f0f28070caaced", "f5c8f0b69a8e5881", "f183d1215fe95a41", "fc141f67b6bdd7bd"),
+        ("bbd6f4694fb63749", "21b4f4beded75f27", "50bea82a3980611c", "1bed409b1137b64f"),
+        ("c8ce36800478243a", "4183538021df7020", "d4ff9581b5ff7999", "a283a650e805ce09"),
+        ("ad67cbdd48f2775a", "cd59d1a586606a44", "d4ff9581b5ff7999", "ebef447db0423f22"),
+        ("f1c87f90e8e1a73e", "965ebb99bfeeccf2", "b7d067d194772636", "e25d0ea4771a63ce"),
+        ("f791ae6380505b7e", "ca2e6ca8a2675c59", "bcf4f72391a7b729", "7e86ccb7e3dad244"),
     ]
 
 

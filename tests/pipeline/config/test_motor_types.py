@@ -12,7 +12,7 @@ from leakage import AnnularGap, Constant, Laminar, Motor, Parameter, SpeedCurve,
 from leakage.physics.conditions import OperatingConditions
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.schema import FITS, PARAMETERS
+from pipeline.schema import FITS, NIGHTS, PARAMETERS
 from pipeline.schema.fits import OK
 from pipeline.store.tables import night_file
 from tests.pipeline.simulated import NIGHT, motor_toml, operate, write_configs, write_log
@@ -132,5 +132,6 @@ def test_from_toml_and_logs_to_the_tables(tmp_path: Path) -> None:
     assert found["scale_slipper"]["verdict"] == "fixed"
     (row,) = fits.to_dicts()
     leakage = leakage_l_per_min(truth, OperatingConditions.from_bar(200.0, 50.0, 30.0))[0]
-    assert row["reference_leakage_l_per_min"] == pytest.approx(leakage, rel=1e-9)
-    assert (row["status"], row["motor_type"]) == (OK, "AX-9")
+    assert row["fitted_leakage_l_per_min"] == pytest.approx(leakage, rel=1e-9)
+    (night,) = pl.read_parquet(night_file(fleet.output, NIGHTS, NIGHT)).to_dicts()
+    assert (night["status"], night["motor_type"]) == (OK, "AX-9")
