@@ -99,6 +99,9 @@ def test_a_damaged_log_fails_its_night_alone_until_it_is_sound(small: ScenarioFl
         assert again.events("run")[0]["n_standing"] == 1
         nights = {motor["motor_id"]: motor["nights"] for motor in again.events("motor")}
         assert nights == {"A": {}, "B": tried}
+    plain = small.run("fit-fleet", "--retry")
+    assert f"B: {motors['B']['error_code']}: " in plain.err
+    assert log.name in plain.err
     log.write_bytes(sound)
     assert small.run("fit-fleet").code == 0
     assert {row["status"] for row in small.nights("B")} == {"ok"}

@@ -39,7 +39,9 @@ def test_the_demo_is_as_long_as_asked_for_and_the_same_for_a_seed(tmp_path: Path
 
     first = made("first", 5, 1)
     assert made("again", 5, 2) == first
-    assert made("other", 6, 1).keys() == first.keys()
+    other = made("other", 6, 1)
+    assert other.keys() == first.keys()
+    assert other.items().isdisjoint(first.items())
     assert len(first) == 12
     log = tmp_path / "first" / "demo" / "logs" / "CB400-02" / "CB400-02_2026-03-08.parquet"
     stamps = pq.read_table(log)["timestamp"].to_pylist()
