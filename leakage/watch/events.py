@@ -27,6 +27,7 @@ def oil_spread(before: Oil, after: Oil, at_c: float) -> float:
 
     Examples
     --------
+    >>> from leakage.physics.walther import walther_coefficients
     >>> constants = (882.0, 7.0e-4, 2.0e-8)
     >>> vg_68, vg_46 = (
     ...     Oil(name, *walther_coefficients(40.0, at_40, 100.0, at_100), *constants)

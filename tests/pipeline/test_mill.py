@@ -149,12 +149,12 @@ def test_a_mills_first_day_in_four_commands(
     assert code == 1
     assert "Walze2_20260320.csv on: columns changed? oil temperature and speed look swap" in said
     assert "Walze3_20260322.csv: the last line has no end" in noted
-    assert "match no motor 1 log: Walze1/old.csv" in noted
+    assert "1 file matches no motor: Walze1/old.csv" in noted
     code, _, said = call("fit-fleet", fleet)
     assert code == 1
     assert "Walze2: columns_changed: from Walze2/Walze2_20260320.csv on:" in said
     assert "Walze2: columns_changed: night 2026-03-20: columns changed?" in said
-    assert "match no motor 1 log: Walze1/old.csv" in said
+    assert "1 file matches no motor: Walze1/old.csv" in said
     assert "Walze3_20260322.csv: 1 last row without a line end" in said
     code, _, _ = call("report", fleet)
     assert code == 0

@@ -171,7 +171,9 @@ def test_examples_do_what_their_page_says(plant: ScenarioFleet, example: str) ->
         if command == "fit-fleet":
             assert done.events("run")[0]["n_motors"] == 4
         elif command == "report":
-            assert "Plan a look" in (plant.output / "report" / "index.html").read_text("utf-8")
+            assert "Plan an inspection" in (plant.output / "report" / "index.html").read_text(
+                "utf-8"
+            )
         else:
             assert "--max-age 26h" in call
             assert "worn" in done.out

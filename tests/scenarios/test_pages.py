@@ -119,7 +119,7 @@ def test_a_motor_of_one_pressure_has_no_figure_of_a_part(demo: ScenarioFleet) ->
         "evidence",
         "limit: a change is detected above it",
     }
-    assert "change detected: cause not known" in page.read_text("utf-8")
+    assert "change detected: one or more of" in page.read_text("utf-8")
 
 
 def test_noise_looks_like_noise_and_wear_like_wear(demo: ScenarioFleet) -> None:

@@ -139,7 +139,7 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     assert [one["event"] for one in motors] == ["motor", "motor"]
     told = {"event": "motor", "motor_id": CSV, "status": "ok", "error_code": None, "message": None}
     files = {"read": 3, "unchanged": 0, "growing": 0, "failed": 0, "left": 0}
-    told |= {"nights": {"ok": 3}, "files": files, "growing": [], "left_out": []}
+    told |= {"nights": {"ok": 3}, "files": files, "growing": [], "left_out": [], "stays": {}}
     assert motors[0] == told
     assert (motors[1]["status"], motors[1]["error_code"]) == ("failed", "log_not_parquet")
     assert motors[1]["nights"] == {"ok": 2, "failed": 1}
